@@ -111,8 +111,7 @@ def list_objects(url: str) -> list[StoredObject]:
 
 def describe_object(url: str) -> StoredObject:
     """One object, by its last name."""
-    folder, _, name = url.rpartition("/")
-    obstore, store = _open(folder)
+    obstore, store, name = _at(url)
     return _described(_tried(url, lambda: obstore.head(store, name)))
 
 
@@ -128,8 +127,7 @@ def read_object(url: str, etag: str = "") -> bytes:
 
 def read_with_etag(url: str, etag: str = "") -> tuple[bytes, str]:
     """The content of an object, and the etag of that content; see `read_object`."""
-    folder, _, name = url.rpartition("/")
-    obstore, store = _open(folder)
+    obstore, store, name = _at(url)
     options = {"if_match": etag} if etag and not etag.startswith(_MODIFIED) else {}
 
     def get() -> tuple[bytes, str]:
@@ -147,8 +145,7 @@ def write_object(url: str, content: bytes, *, only_if: str | None = None) -> str
     ----------
     only_if : etag that it must have now; "" for an object that must not exist yet; None for no condition
     """
-    folder, _, name = url.rpartition("/")
-    obstore, store = _open(folder)
+    obstore, store, name = _at(url)
     mode: Any = "overwrite" if only_if is None else {"e_tag": only_if} if only_if else "create"
 
     def put() -> Any:
@@ -159,8 +156,7 @@ def write_object(url: str, content: bytes, *, only_if: str | None = None) -> str
 
 def delete_object(url: str) -> None:
     """Delete an object; without one nothing happens."""
-    folder, _, name = url.rpartition("/")
-    obstore, store = _open(folder)
+    obstore, store, name = _at(url)
     try:
         _tried(url, lambda: obstore.delete(store, name))
     except StoreError as error:
@@ -176,6 +172,12 @@ def check_url(url: str) -> None:
     if "@" in parts.netloc or parts.query:
         clean = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
         raise StoreError(clean, "expected a URL without credentials or a query; credentials come from the environment")
+
+
+def _at(url: str) -> tuple[Any, Any, str]:
+    """The library, the store of the folder of an object, and the name of the object in it."""
+    folder, _, name = url.rpartition("/")
+    return *_open(folder), name
 
 
 @lru_cache(maxsize=64)

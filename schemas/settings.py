@@ -433,14 +433,7 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
     """
     values: dict[str, Any] = {}
     if path is not None:
-        try:
-            values = parse_toml(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise SettingsError(
-                f"settings file {path}: cannot be read ({getattr(error, 'strerror', None) or error})"
-            ) from error
-        except tomllib.TOMLDecodeError as error:
-            raise SettingsError(f"settings file {path}: not valid TOML ({error})") from error
+        values = read_toml(path, "settings file")
     if preset is not None:
         values["preset"] = preset
     if path is not None and preset is not None and preset_of(parse(values)) != preset_of(parse({"preset": preset})):
@@ -493,6 +486,17 @@ def parse_toml(text: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError as error:
         raise tomllib.TOMLDecodeError("nested too deeply") from error
+
+
+def read_toml(path: Path, kind: str) -> dict[str, Any]:
+    """Values of a TOML file of some kind; `SettingsError` if it cannot be read or is not valid."""
+    try:
+        return parse_toml(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{kind} {path}: not valid TOML ({error})") from error
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise SettingsError(f"{kind} {path}: cannot be read ({reason})") from error
 
 
 def _toml_value(text: str) -> Any:

@@ -82,7 +82,11 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
         if not (source.is_dir() or holds_frames(source)):
             raise DatasetError(f"{source}: expected a folder of scans or a recording (bag, capture)")
     is_recording = holds_frames(real) or holds_frames(sim)
-    lines, pairing = (None if is_recording else _paired_by_name(real, sim)) or _paired_by_time(real, sim)
+    if by_name := None if is_recording else _paired_by_name(real, sim):
+        lines, pairing = by_name
+    else:
+        lines = read_timeline(real), read_timeline(sim)
+        pairing = pair_times(lines[0].times_s, lines[1].times_s, TOLERANCE_S)
     before = read_manifest(out / MANIFEST, []) if (out / MANIFEST).exists() else []
     for source, path in ((real, before[0].real), (sim, before[0].sim)) if before else ():
         file = address_of(path).file.resolve() if path else out
@@ -156,11 +160,6 @@ def _only_number(frame: Path) -> str:
     """The number in the name of a file, without leading zeros; "" if it has none or several."""
     numbers = re.findall("[0-9]+", stem_of(frame))
     return str(int(numbers[0])) if len(numbers) == 1 else ""
-
-
-def _paired_by_time(real: Path, sim: Path) -> tuple[tuple[Timeline, Timeline], Pairing]:
-    lines = read_timeline(real), read_timeline(sim)
-    return lines, pair_times(lines[0].times_s, lines[1].times_s, TOLERANCE_S)
 
 
 def pair_times(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float, offset_s: float | None = None) -> Pairing:

@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
-from ...schemas.errors import DatasetError, FidpipeError, RunError
+from ...schemas.errors import FidpipeError, RunError
 from ...stages.coverage import nearest_distances
-from ..datasets.pairs import read_dataset
-from ..datasets.stubs import recorded_dataset
+from ..results.compare import recorded_times_s
 from ..storage.files import named_errors, write_whole
 from ..storage.table_files import file_stem
 from .convert import ply_content
@@ -173,11 +172,7 @@ def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int
     It is `timestamp_s` of the dataset's manifest if all these pairs have one, each its own, from 0 to 2^31 s. Else the
     pairs of the run are one second apart, the first at 1 s: to ROS, 0 means no time.
     """
-    try:
-        pairs = read_dataset(recorded_dataset(run.record.dataset)).pairs
-    except (DatasetError, OSError):  # it need not be here any more
-        pairs = ()
-    known_s = {pair.pair_id: pair.timestamp_s for pair in pairs}
+    known_s = recorded_times_s(run)
     times_s = [time_s for name in names if (time_s := known_s.get(name)) is not None and 0 <= time_s < _LATEST_S]
     if len(set(times_s)) == len(names):
         return {name: round(time_s * _NS) for name, time_s in zip(names, times_s, strict=True)}, True

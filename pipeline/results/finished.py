@@ -69,8 +69,6 @@ class FinishedRun:
             ) from error
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
         self._row_of: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
-        if "" in self._row_of or len(self._row_of) < len(self.rows):
-            raise RunError(f"run {folder}: pairs.parquet names a pair twice, or has one without a name; run it again")
 
     def __repr__(self) -> str:
         counts = self.record.pairs

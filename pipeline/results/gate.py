@@ -8,7 +8,6 @@ evaluated. A criterion on something that could not be computed fails. `measures`
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
-from ...schemas.settings import expected_and_got, parse_toml
+from ...schemas.settings import expected_and_got, read_toml
 from ...stages.statistics.comparison import LEAST_PAIRS
 from .compare import Comparison
 from .families import FamilyChange
@@ -230,13 +229,7 @@ def read_criteria(path: Path) -> list[Criterion]:
         The file cannot be read, holds none, or a field is missing, unknown or of the wrong kind.
     """
     try:
-        file = _File.model_validate(parse_toml(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError) as error:
-        raise SettingsError(
-            f"criteria file {path}: cannot be read ({getattr(error, 'strerror', None) or error})"
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"criteria file {path}: not valid TOML ({error})") from error
+        file = _File.model_validate(read_toml(path, "criteria file"))
     except ValidationError as error:
         problem = error.errors()[0]
         where = ".".join(str(part) for part in problem["loc"])

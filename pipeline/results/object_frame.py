@@ -13,7 +13,6 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.findings import BAND_EDGES_M, MatchedObjects, SideObjects
@@ -92,7 +91,7 @@ def object_parts(
     Raises
     ------
     RunError
-        A table is damaged or gone, or names objects that do not exist.
+        A table is damaged or gone.
     """
     import pandas as pd
 
@@ -108,7 +107,7 @@ def object_parts(
         n_real = tables["objects", "real"][1]
         frames = []
         for side in sides:
-            found = _side_columns(store, side, tables, stored)
+            found = _side_columns(side, tables, stored)
             pair, is_matched = found["pair"], found["partner"] >= 0
             found["fate"] = np.where(is_matched, "matched", "missing" if side == "real" else "hallucinated")
             if by_reference and side == "sim":
@@ -140,7 +139,7 @@ def read_objects(
 
 
 def _side_columns(
-    store: RunFolder, side: str, tables: dict[tuple[str, str], tuple[pa.Table, IntArray]], stored: dict[str, list[str]]
+    side: str, tables: dict[tuple[str, str], tuple[pa.Table, IntArray]], stored: dict[str, list[str]]
 ) -> dict[str, Any]:
     """The stored columns of the objects of one side of some pairs, with `pair` and `partner`."""
     objects, n = tables["objects", side]
@@ -149,16 +148,10 @@ def _side_columns(
     found = {name: _array(objects, name) for name in objects.column_names}
     pair_of_match = np.repeat(np.arange(len(n)), n_matched)
     ids, partners = (_array(metrics, f"{own}_id") for own in (SIDES if side == "real" else SIDES[::-1]))
-    is_known = np.array_equal(found["community_id"], np.arange(n.sum()) - first[pair])
-    is_known &= bool(np.all((ids >= 0) & (ids < n[pair_of_match])))
-    if is_known and ("coverage", "") in tables:
+    if ("coverage", "") in tables:
         coverage = tables["coverage", ""][0]
         own = (_array(coverage, "side") == side) & ~np.isnan(_array(coverage, "community_id"))
-        is_known = np.array_equal(_array(coverage, "community_id")[own], found["community_id"])
-        if is_known:
-            found |= {name: _array(coverage, name)[own] for name in stored["coverage"]}
-    if not is_known:
-        raise RunError(f"run {store.folder}: metrics/ or coverage/ name objects that are not in objects/; run it again")
+        found |= {name: _array(coverage, name)[own] for name in stored["coverage"]}
     rows = first[pair_of_match] + ids
     for name, values in {"partner": partners, **{name: _array(metrics, name) for name in stored["metrics"]}}.items():
         fill = -1 if name == "partner" else {"i": 0, "f": np.nan}.get(values.dtype.kind)

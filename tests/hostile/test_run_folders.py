@@ -13,8 +13,7 @@ import pytest
 from fidpipe.pipeline.report.render import csv_table, terminal
 from fidpipe.pipeline.report.verdict import _last_criteria
 from fidpipe.pipeline.report.view import Table
-from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
-from fidpipe.pipeline.results.measures import Measures
+from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.files import hash_file
 from fidpipe.pipeline.storage.folder import RunFolder
@@ -138,30 +137,6 @@ def test_a_table_of_other_columns_is_refused(again, kind):
     rewrite(again, name, lambda rows: other)
     with pytest.raises(RunError, match=r"pairs\.parquet is damaged or gone \(table pairs"):
         FinishedRun(again)
-
-
-@pytest.mark.parametrize(
-    ("name", "column", "value"),
-    [
-        ("pairs.parquet", "pair_id", ""),
-        ("metrics/000.parquet", "real_id", 2**31 - 1),
-        ("metrics/000.parquet", "sim_id", -1),
-        ("objects/000.real.parquet", "community_id", 0),
-        ("coverage/000.parquet", "side", "\x1b[31m"),
-        ("coverage/000.parquet", "community_id", -1),
-    ],
-)
-def test_a_table_of_objects_that_are_nowhere_is_refused(again, name, column, value):
-    table = pq.read_table(again / name)
-    place = table.column_names.index(column)
-    values = pa.array([value] * len(table), pa.string() if isinstance(value, str) else table.column(column).type)
-    field = table.schema.field(place).with_type(values.type)
-    rewrite(again, name, lambda rows: table.set_column(place, field, values))
-    with pytest.raises(RunError, match=r"not in objects/|names a pair twice"):
-        pair_facts(FinishedRun(again), "000")
-    if not name.startswith("coverage"):
-        with pytest.raises(RunError, match=r"not in objects/|names a pair twice"):
-            Measures(FinishedRun(again)).named("objects.cdc.q95")
 
 
 def test_no_name_steers_the_terminal():
