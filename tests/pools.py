@@ -29,7 +29,7 @@ class WatchedPool(Pool):
         return self._given
 
     def submit(self, function, *args, **options):
-        self.submitted.append(function.__name__)
+        self.submitted.append(name_of(function, args))
         if jobs := jobs_in(function, args):
             self.batches.append(jobs)
         handle = super().submit(function, *args, **options)
@@ -56,7 +56,7 @@ class DyingPool(WatchedPool):
 
     def submit(self, function, *args, **options):
         handle = super().submit(function, *args, **options)
-        if self.n_deaths < self._left and self._is_fatal(jobs_in(function, args), function.__name__):
+        if self.n_deaths < self._left and self._is_fatal(jobs_in(function, args), name_of(function, args)):
             self.n_deaths += 1
             handle.is_doomed = True
         return handle
@@ -66,16 +66,22 @@ class DyingPool(WatchedPool):
         return handle, WorkerDied("killed by a test") if hasattr(handle, "is_doomed") else outcome
 
 
+def name_of(function, args):
+    """Name of the function of a task; "gather_objects" of one that only writes the rows of objects."""
+    is_gathering = function.__name__ == "run_batch" and args[0][0].rows is not None
+    return "gather_objects" if is_gathering else function.__name__
+
+
 def jobs_in(function, args):
     """The jobs that a task makes as a whole."""
-    if function.__name__ != "run_batch":
+    if name_of(function, args) != "run_batch":
         return ()
     return tuple((batch.plan.pair_id, *name) for batch in args[0] for name in batch.jobs)
 
 
 def bytes_needed(function, args, costs):
     """Bytes that a task may occupy, by the cost model."""
-    if function.__name__ == "run_batch":
+    if name_of(function, args) == "run_batch":
         return max(_bytes_of_batch(batch, costs) for batch in args[0])
     if function.__name__ == "score_objects":
         plan, _, wanted = args

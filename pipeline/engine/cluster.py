@@ -33,7 +33,6 @@ from .pool import (
     Memory,
     Pool,
     WorkerDied,
-    is_handles,
     machine_memory,
     one_blas_thread,
 )
@@ -52,11 +51,13 @@ _BEGINNING_BYTES = 64
 
 #: For a cluster on this machine. A task at which two workers die is given up; `schedule` decides what is tried again. A
 #: silent worker is busy in a library, a busy event loop is not reported, logs of messages would grow with the pairs.
+#: The rows of the objects of a large pair are a large argument.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
     "distributed.scheduler.worker-ttl": None,
     "distributed.admin.tick.limit": "1h",
     "distributed.admin.low-level-log-length": 0,
+    "distributed.admin.large-graph-warning-threshold": "1GB",
 }
 
 
@@ -138,7 +139,7 @@ class DaskPool(Pool):
             dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._ended: list[Any] = []
-        self._handles: dict[str, tuple[Handle, bool]] = {}
+        self._handles: dict[str, Handle] = {}
         self._killed_worker = distributed.scheduler.KilledWorker
         self._cluster: Any = None
         self._client: Any = None
@@ -190,21 +191,19 @@ class DaskPool(Pool):
         except (OSError, ValueError):  # a scheduler without one has the same link
             return ""
 
-    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
+    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0) -> Handle:
         """See `Pool`."""
-        passed = [[handle.future for handle in arg] if is_handles(arg) else arg for arg in args]
-        future = self._client.submit(_in_worker, self._requirements, function, *passed, pure=False, priority=priority)
-        handle = Handle(future)
-        self._handles[future.key] = handle, keep
+        future = self._client.submit(_in_worker, self._requirements, function, *args, pure=False, priority=priority)
+        self._handles[future.key] = handle = Handle(future)
         future.add_done_callback(self._done.put)
         return handle
 
     def next_done(self) -> tuple[Handle, Any]:
         """See `Pool`."""
         future = self._next_future()
-        handle, keep = self._handles.pop(future.key)
+        handle = self._handles.pop(future.key)
         try:
-            result = None if keep and future.status == "finished" else future.result()
+            result = future.result()
         except self._killed_worker as error:
             n_deaths = error.allowed_failures + 1
             return handle, WorkerDied(f"{n_deaths} workers each time, the last one {error.last_worker.address}")
@@ -216,8 +215,7 @@ class DaskPool(Pool):
             if self._requirements is not None:
                 self._check_versions(self._requirements)  # a worker of another version cannot unpickle the task
             raise
-        if not keep:
-            future.release()  # or it would be repeated, and its files written again, if the worker that holds it dies
+        future.release()  # or it would be repeated, and its files written again, if the worker that holds it dies
         return handle, result
 
     def close(self, *, now: bool = False) -> None:

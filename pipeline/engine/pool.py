@@ -42,7 +42,7 @@ class Pool:
 
     def __init__(self, memory: int | None = None) -> None:
         self._memory = memory
-        self._waiting: list[tuple[float, int, Handle, Callable[..., Any], tuple[Any, ...], bool]] = []
+        self._waiting: list[tuple[float, int, Handle, Callable[..., Any], tuple[Any, ...]]] = []
         self._count = itertools.count()
 
     @property
@@ -61,21 +61,17 @@ class Pool:
         """The address at which a browser shows the cluster at work; "" if it has none."""
         return ""
 
-    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0, keep: bool = False) -> Handle:
-        """Start a task; those of higher priority first. With `keep` the result stays where it is made.
-
-        A list of handles among the arguments becomes the list of their results.
-        """
+    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0) -> Handle:
+        """Start a task; those of higher priority first."""
         handle = Handle()
-        heapq.heappush(self._waiting, (-priority, next(self._count), handle, function, args, keep))
+        heapq.heappush(self._waiting, (-priority, next(self._count), handle, function, args))
         return handle
 
     def next_done(self) -> tuple[Handle, Any]:
-        """Wait for a task to end: its result (None with `keep`), or `WorkerDied`."""
-        _, _, handle, function, args, keep = heapq.heappop(self._waiting)
+        """Wait for a task to end: its result, or `WorkerDied`."""
+        *_, handle, function, args = heapq.heappop(self._waiting)
         with one_blas_thread():
-            handle.future = function(*([part.future for part in arg] if is_handles(arg) else arg for arg in args))
-        return handle, None if keep else handle.future
+            return handle, function(*args)
 
     def close(self, *, now: bool = False) -> None:
         """End the pool; `now` does not wait for running tasks."""
@@ -96,8 +92,3 @@ def machine_memory() -> int:
     from distributed.system import MEMORY_LIMIT
 
     return int(SHARE_OF_MEMORY * MEMORY_LIMIT)
-
-
-def is_handles(arg: Any) -> bool:
-    """True if an argument of a task is a list of handles, which is replaced by the list of their results."""
-    return isinstance(arg, list) and all(isinstance(entry, Handle) for entry in arg)

@@ -21,7 +21,7 @@ from .costs import CostModel, largest_object
 from .memory import MemoryBudget
 from .plan import Job, JobId, PairPlan
 from .pool import Handle, Pool, WorkerDied
-from .worker import BatchResult, JobFailure, PairBatch, gather_objects, is_required, run_batch, score_objects
+from .worker import BatchResult, JobFailure, PairBatch, is_required, run_batch, score_objects
 
 _FIRST = 1e6  # priority of what others wait for
 
@@ -71,7 +71,7 @@ class _Pair:
     is_lost: bool = False
     n_losses: int = 0
     n_waiting: int = 0
-    scored: list[Handle] = field(default_factory=list)
+    scored: dict[Handle, Any] = field(default_factory=dict)
     scoring: tuple[JobId, ...] = ()
 
     @property
@@ -101,7 +101,6 @@ class _Batch:
 
     pairs : whose it is; several only of `run_batch`
     need : bytes that it may occupy
-    keep : whether its result stays where it is made: the rows of objects
     """
 
     pairs: tuple[_Pair, ...]
@@ -109,7 +108,6 @@ class _Batch:
     arguments: tuple[Any, ...]
     priority: float = 0.0
     need: int = 0
-    keep: bool = False
 
 
 class Schedule:
@@ -149,7 +147,7 @@ class Schedule:
             outcomes = outcome if isinstance(outcome, list) else [outcome] * len(batch.pairs)
             for pair, result in zip(batch.pairs, outcomes, strict=True):
                 pair.n_waiting -= 1
-                self._take(pair, result)
+                self._take(pair, handle, result)
                 if not pair.n_waiting:
                     self._go_on(pair)
             self._fill()
@@ -176,7 +174,7 @@ class Schedule:
             self._go_on(pair)
             self._admit()
 
-    def _take(self, pair: _Pair, result: Any) -> None:
+    def _take(self, pair: _Pair, handle: Handle, result: Any) -> None:
         if isinstance(result, WorkerDied):
             pair.is_lost = True
             if self._is_alone:
@@ -186,6 +184,8 @@ class Schedule:
             self._watcher.batch_done(result)
             pair.plan = pair.plan.with_records(result.records)
             pair.failures.extend(result.failures)
+        else:
+            pair.scored[handle] = result
 
     def _go_on(self, pair: _Pair) -> None:
         """Submit the next batches of a pair of which nothing is running."""
@@ -205,8 +205,7 @@ class Schedule:
         elif counting := self._jobs_that_count(pair):
             self._submit_jobs(pair, counting)
         elif pair.scored:
-            self._submit(_Batch((pair,), gather_objects, (pair.plan, pair.scoring, list(pair.scored)), priority=_FIRST))
-            pair.scored.clear()
+            self._submit_rows(pair)
         elif self._is_worth_splitting(pair):
             self._split(pair)
         else:
@@ -330,10 +329,16 @@ class Schedule:
             if seconds >= self._policy.batch_s or i + 1 == len(sizes):
                 need = self._costs.pair_bytes(pair.plan.n_raw) + self._costs.object_bytes(batch[0][1])
                 arguments = (pair.plan, pair.scoring, tuple(number for number, _ in batch))
-                self._submit(_Batch((pair,), score_objects, arguments, first + seconds, need, keep=True))
+                self._submit(_Batch((pair,), score_objects, arguments, first + seconds, need))
                 batch = []
         if not sizes:
-            self._submit(_Batch((pair,), gather_objects, (pair.plan, pair.scoring, []), priority=_FIRST))
+            self._submit_rows(pair)
+
+    def _submit_rows(self, pair: _Pair) -> None:
+        """Write the tables of a pair from the rows of all its objects."""
+        batch = PairBatch(pair.plan, pair.scoring, rows=tuple(pair.scored.values()))
+        pair.scored.clear()
+        self._submit(_Batch((pair,), run_batch, ([batch], self._costs), priority=_FIRST))
 
     def _submit(self, batch: _Batch) -> None:
         """Queue a batch of one pair for `_admit`."""
@@ -350,7 +355,7 @@ class Schedule:
             if not self._budget.admits(batch.need, [running.need for running in self._running.values()]):
                 return
             heapq.heappop(self._waiting)
-            handle = self._pool.submit(batch.function, *batch.arguments, priority=batch.priority, keep=batch.keep)
+            handle = self._pool.submit(batch.function, *batch.arguments, priority=batch.priority)
             self._running[handle] = batch
-            if batch.keep:
-                batch.pairs[0].scored.append(handle)
+            if batch.function is score_objects:
+                batch.pairs[0].scored[handle] = None  # in the order of submission

@@ -61,11 +61,13 @@ class PairBatch:
 
     jobs : their names
     most_bytes : a batch ends before a job that may need more than this
+    rows : of all objects, made by `score_objects`, from which the jobs write their tables; None if they are to be made
     """
 
     plan: PairPlan
     jobs: tuple[JobId, ...]
     most_bytes: int | None = None
+    rows: tuple[ObjectRows | JobFailure, ...] | None = None
 
 
 def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResult]:
@@ -76,11 +78,11 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
         has_parts = any(job.part not in job.stage.parts for job in jobs)
         tables = _kept_tables(batch.plan) if has_parts else PairTables(batch.plan)
         records: list[JobRecord] = []
-        failures: list[JobFailure] = []
+        failures = [part for part in batch.rows or () if isinstance(part, JobFailure)][:1]
         failed: set[JobId] = set()
         try:
             with limited(batch.plan.limit) as note:
-                for job in jobs:
+                for job in [] if failures else jobs:
                     if failed.intersection(job.needs):
                         failed.add(job.name)
                         continue
@@ -88,7 +90,7 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
                         break
                     note(job_title(*job.name))
                     try:
-                        records.append(make_job(tables, job))
+                        records.append(make_job(tables, job, batch.rows))
                     except DiskFullError:
                         raise  # of every pair that comes after
                     except Exception as error:  # one broken pair does not stop a dataset
@@ -122,34 +124,23 @@ def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, .
     return ObjectRows(made, steps)
 
 
-def gather_objects(plan: PairPlan, jobs: tuple[JobId, ...], parts: list[ObjectRows | JobFailure]) -> list[BatchResult]:
-    """Write the tables of a pair from the rows of all its objects."""
-    failures = tuple(part for part in parts if isinstance(part, JobFailure))
-    if failures:
-        return [BatchResult(plan.pair_id, failures=failures[:1])]
-    rows = [part for part in parts if isinstance(part, ObjectRows)]
-    tables = PairTables(plan)
-    records: list[JobRecord] = []
-    for name in jobs:
-        job = plan.job(name)
-        inputs = tables.inputs(job, step=Steps(step for part in rows for step in part.steps[name]))
-        try:
-            made = {table: [part.tables[name][table] for part in rows] for table in job.stage.gives}
-            records.append(_finish_objects(tables, job, inputs, made))
-        except DiskFullError:
-            raise  # of every pair that comes after
-        except Exception as error:  # one broken pair does not stop a dataset
-            return [BatchResult(plan.pair_id, tuple(records), (_failure(job, error),))]
-    return [BatchResult(plan.pair_id, tuple(records))]
+def make_job(tables: PairTables, job: Job, rows: tuple[ObjectRows | JobFailure, ...] | None = None) -> JobRecord:
+    """Run one job of a pair and write its results; errors of its stage are raised unchanged.
 
-
-def make_job(tables: PairTables, job: Job) -> JobRecord:
-    """Run one job of a pair and write its results; errors of its stage are raised unchanged."""
+    Parameters
+    ----------
+    rows : see `PairBatch`
+    """
+    if rows is not None:
+        parts = [part for part in rows if isinstance(part, ObjectRows)]
+        inputs = tables.inputs(job, step=Steps(step for part in parts for step in part.steps[job.name]))
+        made = {table: [part.tables[job.name][table] for part in parts] for table in job.stage.gives}
+        return _finish_objects(tables, job, inputs, made)
     objects = tuple(number for number, _ in tables.objects) if job.stage.grain is Grain.OBJECT else ()
     inputs = tables.inputs(job, objects)
     result = job.stage.make(inputs)
     if job.stage.grain is Grain.OBJECT:
-        return _finish_objects(tables, job, inputs, {name: [rows] for name, rows in result.tables.items()})
+        return _finish_objects(tables, job, inputs, {name: [own] for name, own in result.tables.items()})
     return tables.finish(job, inputs, result)
 
 
