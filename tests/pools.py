@@ -52,18 +52,18 @@ class DyingPool(WatchedPool):
     def __init__(self, is_fatal, n_deaths=10**6, **options):
         super().__init__(**options)
         self._is_fatal, self._left = is_fatal, n_deaths
-        self.n_deaths = 0
+        self.n_deaths, self._doomed = 0, set()
 
     def submit(self, function, *args, **options):
         handle = super().submit(function, *args, **options)
         if self.n_deaths < self._left and self._is_fatal(jobs_in(function, args), name_of(function, args)):
             self.n_deaths += 1
-            handle.is_doomed = True
+            self._doomed.add(handle)
         return handle
 
     def next_done(self):
         handle, outcome = super().next_done()
-        return handle, WorkerDied("killed by a test") if hasattr(handle, "is_doomed") else outcome
+        return handle, WorkerDied("killed by a test") if handle in self._doomed else outcome
 
 
 def name_of(function, args):

@@ -139,7 +139,6 @@ class DaskPool(Pool):
             dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._ended: list[Any] = []
-        self._handles: dict[str, Handle] = {}
         self._killed_worker = distributed.scheduler.KilledWorker
         self._cluster: Any = None
         self._client: Any = None
@@ -194,19 +193,17 @@ class DaskPool(Pool):
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0) -> Handle:
         """See `Pool`."""
         future = self._client.submit(_in_worker, self._requirements, function, *args, pure=False, priority=priority)
-        self._handles[future.key] = handle = Handle(future)
         future.add_done_callback(self._done.put)
-        return handle
+        return future
 
     def next_done(self) -> tuple[Handle, Any]:
         """See `Pool`."""
         future = self._next_future()
-        handle = self._handles.pop(future.key)
         try:
             result = future.result()
         except self._killed_worker as error:
             n_deaths = error.allowed_failures + 1
-            return handle, WorkerDied(f"{n_deaths} workers each time, the last one {error.last_worker.address}")
+            return future, WorkerDied(f"{n_deaths} workers each time, the last one {error.last_worker.address}")
         except CancelledError as error:
             raise RunError(self._lost("the connection is lost, or it gave up a task")) from error
         except FidpipeError:
@@ -216,7 +213,7 @@ class DaskPool(Pool):
                 self._check_versions(self._requirements)  # a worker of another version cannot unpickle the task
             raise
         future.release()  # or it would be repeated, and its files written again, if the worker that holds it dies
-        return handle, result
+        return future, result
 
     def close(self, *, now: bool = False) -> None:
         """See `Pool`."""

@@ -13,13 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 SHARE_OF_MEMORY = 0.8
-
-
-@dataclass(eq=False)
-class Handle:
-    """A task that was submitted."""
-
-    future: Any = None
+Handle = Any  #: what names a submitted task; can be hashed
 
 
 @dataclass(frozen=True)
@@ -63,7 +57,7 @@ class Pool:
 
     def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0) -> Handle:
         """Start a task; those of higher priority first."""
-        handle = Handle()
+        handle = object()
         heapq.heappush(self._waiting, (-priority, next(self._count), handle, function, args))
         return handle
 

@@ -172,10 +172,6 @@ class TableFolder:
         """The file that names the run which may write here."""
         return self.folder / _TOKEN
 
-    def path(self, table: str, pair_id: str, part: str = "") -> Path:
-        """Path of a table of a pair."""
-        return self.folder / table_name(table, pair_id, part)
-
     def write_job(self, record: JobRecord, tables: dict[str, pa.Table]) -> dict[str, StoredFile]:
         """Write the tables of a finished job, each with the job in its footer; return the written files by name.
 

@@ -144,9 +144,9 @@ def test_a_result_that_goes_with_its_worker_before_it_is_fetched_is_made_again(t
         pool.submit(os.getpid)
         _, pid = pool.next_done()
         handle = pool.submit(note_or_die, tmp_path / "calls", n_good)
-        wait_until(handle.future.done)
+        wait_until(handle.done)
         os.kill(pid, signal.SIGKILL)
-        wait_until(lambda: not handle.future.done())
+        wait_until(lambda: not handle.done())
         told, result = pool.next_done()
         assert told is handle
         assert isinstance(result, WorkerDied) if n_good == 1 else result == "called\ncalled\n"
