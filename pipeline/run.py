@@ -32,8 +32,7 @@ from .engine.progress import Reporter
 from .inspect.frame_checks import frame_suspect, inspection_of, pair_warnings, shared_files, swapped_sides
 from .jobs import stages_under
 from .results.causes import CAUSE_COLUMNS
-from .results.overview import Tally, cautions
-from .results.run_findings import describe_objects
+from .results.overview import Tally, cautions, describe_objects
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of, write_whole
 from .storage.folder import RunFolder, check_folder

@@ -33,10 +33,9 @@ class ScanContent:
     label_sha256: str
     approximate_points: int
 
-    def key(self, label_names: Mapping[int, str]) -> str:
+    def key(self, label_names: Mapping[int, str], motion: tuple[float, ...] | None) -> str:
         """A hash of all that the scan is read from; class names count only if it may have labels."""
-        names = key_of(sorted(label_names.items()) if self.label_sha256 else [])
-        return key_of(key_of(self.sha256, self.label_sha256), names)
+        return key_of(self.sha256, self.label_sha256, sorted(label_names.items()) if self.label_sha256 else [], motion)
 
 
 def file_hash(path: Path) -> str:
@@ -97,10 +96,8 @@ def input_hashes(
     """
     if contents is None:
         contents = {side: scan_content(path) for side in SIDES if (path := pair.path(side)) is not None}
-    hashes = {side: (scan.sha256, scan.label_sha256) for side, scan in contents.items()}
-    has_labels = any(label_sha256 for _, label_sha256 in hashes.values())
-    content = key_of(hashes, sorted(label_names.items()) if has_labels else [], pair.T_real_sim)
-    return {side: sha256 for side, (sha256, _) in hashes.items()} | {"content": content}
+    content = key_of({side: scan.key(label_names, pair.motion(side)) for side, scan in contents.items()})
+    return {side: scan.sha256 for side, scan in contents.items()} | {"content": content}
 
 
 @lru_cache(maxsize=256)

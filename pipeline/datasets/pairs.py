@@ -57,6 +57,10 @@ class ScanPair:
         """The scan file of a side ("real" or "sim"), or None."""
         return self.real if side == "real" else self.sim
 
+    def motion(self, side: str) -> tuple[float, ...] | None:
+        """The motion of a side's points into the real sensor's frame; None if they are in it."""
+        return self.T_real_sim if side == "sim" else None
+
     @property
     def paths(self) -> list[Path]:
         """The scan files that the pair has."""

@@ -195,7 +195,7 @@ class Planner:
         if sides not in self._layouts:
             self._layouts[sides] = self._layout(sides, ())
         layout = self._layout(sides, parts) if parts else self._layouts[sides]
-        keys = {(SCAN, side): self._input_key(pair, side, inputs[side]) for side in sides}
+        keys = {(SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in sides}
         jobs = []
         for job in layout:
             reads = tuple(dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in job.sources))
@@ -239,10 +239,6 @@ class Planner:
             )
             self._method_keys[name] = settings, key  # kept, so that no other settings get the same id
         return self._method_keys[name][1]
-
-    def _input_key(self, pair: ScanPair, side: str, content: ScanContent) -> str:
-        key = content.key(self.label_names)
-        return key if side == "real" or pair.T_real_sim is None else key_of(key, pair.T_real_sim)
 
 
 def _given_columns(stage: Stage, settings: Settings) -> dict[str, list[str]]:

@@ -1,6 +1,6 @@
 """The overview of a run: what to fix first, the largest missing and invented pieces, and limits to the trust in them.
 
-The objects are counted in one pass with the findings (`findings.describe_objects`).
+It and the findings are made from the tables of objects, read some pairs at a time (`describe_objects`).
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from ...schemas.settings import MatchingSettings
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.coverage import ROAD, surface_state
-from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS
-from ...stages.statistics.findings import BAND_NAMES
+from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS, blocks_of
+from ...stages.statistics.findings import BAND_NAMES, summarise_objects
 from ..object_store import recorded_path
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
@@ -30,7 +30,7 @@ from .causes import CLASS, FAR, GroupCoverage, find_causes, surface_causes
 from .diagnosis import read_diagnosis
 from .finished import FinishedRun
 from .floor import FLOOR_RECIPE
-from .object_frame import PAIRS_AT_ONCE, plain_rows
+from .object_frame import PAIRS_AT_ONCE, STATISTICS_COLUMNS, arrays_of, object_parts, plain_rows
 from .places import moved_words, place_words
 
 if TYPE_CHECKING:
@@ -74,6 +74,36 @@ def alignment_is_bad(alignment_rms_m: float | FloatArray, diagonal_m: float | Fl
     [True, True, False]
     """
     return alignment_rms_m > np.minimum(BAD_ALIGNMENT * diagonal_m, BAD_ALIGNMENT_M)
+
+
+def describe_objects(
+    store: RunFolder,
+    rows: Sequence[Row],
+    timestamps_s: Mapping[str, float | None],
+    hashes: Mapping[str, Mapping[str, str]],
+    *,
+    by_reference: bool,
+) -> tuple[Findings, Overview, MetricsSummary]:
+    """The findings, the overview and the states of unmatched objects, of all scored pairs.
+
+    Parameters
+    ----------
+    rows : of `pairs`, the scored ones; at least one
+    timestamps_s : by pair
+    hashes : by pair, content hash of its real scan (`real`)
+    by_reference : True if the real side fixes the objects
+    """
+    pair_ids = [row["pair_id"] for row in rows]
+    tally, kept = Tally(), []
+    columns = {*STATISTICS_COLUMNS, *OVERVIEW_COLUMNS}
+    for part in object_parts(store, pair_ids, columns, by_reference=by_reference):
+        tally.add(part)
+        kept.append(part[["pair", "side", "fate", *STATISTICS_COLUMNS]])
+    objects = arrays_of(kept)
+    times = [timestamps_s.get(pair_id) for pair_id in pair_ids]
+    n_independent = len(np.unique(blocks_of([hashes[pair_id]["real"] for pair_id in pair_ids], times)))
+    findings = Findings(n_independent=n_independent, **vars(summarise_objects(*objects, pair_ids, times)))
+    return findings, tally.overview(rows, largest_pieces(store, pair_ids)), tally.unmatched()
 
 
 class Tally:

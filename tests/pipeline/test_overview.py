@@ -19,8 +19,7 @@ from fidpipe.pipeline.report.views.pair_view import pair_view
 from fidpipe.pipeline.report.views.run_view import outcome_view
 from fidpipe.pipeline.report.views.show_view import show_view
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
-from fidpipe.pipeline.results.overview import largest_pieces
-from fidpipe.pipeline.results.run_findings import describe_objects
+from fidpipe.pipeline.results.overview import describe_objects, largest_pieces
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from runs import command, run
