@@ -213,10 +213,10 @@ def test_names_of_labels_hold_for_a_column_of_numbers_and_are_part_of_the_key(tm
     (tmp_path / "a.ply").write_bytes(ply(POINTS, "ascii", label=True))
     assert read_scan(tmp_path / "a.ply").labels.tolist() == ["4"] * 3
     assert read_scan(tmp_path / "a.ply", label_names={4: "tree"}).labels.tolist() == ["tree"] * 3
-    contents = [scan_content(tmp_path / "a.ply").key(names) for names in ({}, {4: "tree"}, {4: "car"})]
+    contents = [scan_content(tmp_path / "a.ply").key(names, None) for names in ({}, {4: "tree"}, {4: "car"})]
     assert len(set(contents)) == 3
     raw = scan_content(write_bin(tmp_path / "b.bin", POINTS))
-    assert raw.key({}) == raw.key({4: "tree"})
+    assert raw.key({}, None) == raw.key({4: "tree"}, None)
 
 
 @pytest.mark.parametrize(("dtype", "times"), [("<f4", [0.5, 0.25, 2]), ("<u4", [5e-9, 10e-9, 1e-3])])
