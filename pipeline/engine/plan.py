@@ -87,7 +87,7 @@ class PairPlan:
 
     jobs : in their order
     inputs : by side, what its file holds
-    folder, token : of the run; no folder where everything stays in memory
+    folder, token : of the run
     url : of its tables, for workers that do not share the folder
     stubs : remote scans, for workers that do not share the cache
     limit : how long workers may work on it; None for as long as it takes
@@ -97,7 +97,7 @@ class PairPlan:
     jobs: tuple[Job, ...]
     inputs: Mapping[str, ScanContent] = field(default_factory=dict)
     label_names: Mapping[int, str] = field(default_factory=dict)
-    folder: Path | None = None
+    folder: Path = Path()
     token: str = ""
     url: str = ""
     stubs: Mapping[Path, str] = field(default_factory=dict)

@@ -24,7 +24,7 @@ from ..datasets.stubs import restore_stubs
 from ..stage import N_RAW, SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
 from ..storage.table_files import JobRecord, TableFolder, TablesAtUrl, plain_metadata, table_name
 from .costs import CostModel, largest_object
-from .plan import Job, JobId, PairPlan, Source
+from .plan import Job, JobId, PairPlan
 from .time_limit import OutOfTimeError, limited
 
 
@@ -151,7 +151,7 @@ class PairTables:
         self.plan = plan
         restore_stubs(plan.stubs)
         tables_at = TablesAtUrl if plan.url else TableFolder
-        self._folder = None if plan.folder is None else tables_at(plan.folder, plan.token, plan.url)
+        self._folder = tables_at(plan.folder, plan.token, plan.url)
         self._scans: dict[str, Scan] = {}
         self._tables: dict[tuple[str, str], pa.Table] = {}
         self._parts: dict[tuple[str, str, tuple[str, ...]], pa.Table] = {}
@@ -201,9 +201,8 @@ class PairTables:
                 scans[source.side] = partial(self._scan, source.side)
                 continue
             if source.columns:
-                tables[name] = (
-                    partial(rows[name].select, source.columns) if name in rows else partial(self._read, source, step)
-                )
+                read = partial(self._read, *source[:3], source.maker, step)
+                tables[name] = partial(rows[name].select, source.columns) if name in rows else read
             is_by_object = self.plan.job(source.maker).stage.grain is Grain.OBJECT
             if not (is_by_object and stage.grain is Grain.OBJECT):  # they are gathered when all objects are done
                 outputs[name] = self._records[source.maker].metadata
@@ -223,14 +222,11 @@ class PairTables:
             memo=self._memo,
         )
 
-    def _read(self, source: Source, step: Steps) -> pa.Table:
+    def _read(self, name: str, side: str, columns: tuple[str, ...], maker: JobId, step: Steps) -> pa.Table:
         """The declared columns of a table that was made here or is in the run's folder."""
-        name, side, columns, maker = source
         if (name, side, columns) not in self._parts:
             if (name, side) in self._tables:
                 rows = self._tables[name, side].select(columns)
-            elif self._folder is None or maker is None:
-                raise RuntimeError(f"table {name} of side {side!r} is read before its job is done")
             else:
                 path = table_name(name, self.plan.pair_id, side)
                 with step("read"):
@@ -274,10 +270,9 @@ class PairTables:
             inputs.step.total(),
             self.plan.token,
         )
-        if self._folder is not None:
-            with inputs.step("write"):
-                files = self._folder.write_job(record, result.tables)
-            record = replace(record, files=files, steps=inputs.step.total())
+        with inputs.step("write"):
+            files = self._folder.write_job(record, result.tables)
+        record = replace(record, files=files, steps=inputs.step.total())
         self._tables |= {(name, job.part): rows for name, rows in result.tables.items()}
         self._records[job.name] = record
         if N_RAW in record.metadata:
