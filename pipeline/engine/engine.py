@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from shutil import rmtree
-from types import TracebackType
 from typing import Any, Self
 
 from ...schemas.columns import SIDES
@@ -115,9 +114,7 @@ class RunEngine:
         """The engine itself; its pool is started when first needed."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End the pool, even if tasks are running."""
         if self._pool is not None and self._pool is not self._machines.pool:
             self._pool.close(now=True)

@@ -129,13 +129,11 @@ def read_objects(
     columns: Collection[str] = ALL_COLUMNS,
     *,
     by_reference: bool,
-    sides: Sequence[str] = SIDES,
 ) -> pd.DataFrame:
     """The objects of scored pairs in one frame, of at least one pair; see `object_parts`."""
     import pandas as pd
 
-    parts = object_parts(store, pair_ids, columns, by_reference=by_reference, sides=sides)
-    return pd.concat(parts, ignore_index=True)
+    return pd.concat(object_parts(store, pair_ids, columns, by_reference=by_reference), ignore_index=True)
 
 
 def _side_columns(
