@@ -19,7 +19,7 @@ Number = float | int | None
 class Result(BaseModel):
     """A frozen value with the layout of its JSON."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON; fields that were never given are left out."""
