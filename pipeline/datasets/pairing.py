@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import re
 from collections.abc import Sequence
@@ -16,7 +14,7 @@ import numpy as np
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray, IntArray
-from ..storage.files import write_whole
+from ..storage.files import csv_bytes, write_whole
 from .pairs import MANIFEST, UNPAIRED, read_manifest
 from .readers import frames_of, holds_frames, stem_of, suffix_of
 from .readers.frame_address import address_of
@@ -276,8 +274,8 @@ def write_dataset(
     for side, line, ids in zip(SIDES, (real, sim), (pairing.real_ids, pairing.sim_ids), strict=True):
         without = np.setdiff1d(np.arange(len(line.frames)), ids)
         lonely += [(side, _relative(line.frames[i], out), _seconds(line.times_s[i])) for i in without.tolist()]
-    write_whole(out / UNPAIRED, _csv(("side", "frame", "timestamp_s"), lonely), advice="")
-    write_whole(manifest, _csv(("pair_id", *SIDES, "timestamp_s"), rows), advice="")
+    write_whole(out / UNPAIRED, csv_bytes(("side", "frame", "timestamp_s"), lonely), advice="")
+    write_whole(manifest, csv_bytes(("pair_id", *SIDES, "timestamp_s"), rows), advice="")
     return len(lonely)
 
 
@@ -292,9 +290,3 @@ def _relative(frame: Path, folder: Path) -> str:
 
 def _span(line: Timeline) -> str:
     return f"{line.times_s[0]:.3f} to {line.times_s[-1]:.3f}"
-
-
-def _csv(head: Sequence[str], rows: Sequence[Sequence[str]]) -> bytes:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([head, *rows])
-    return text.getvalue().encode()

@@ -6,11 +6,9 @@ files.
 
 from __future__ import annotations
 
-import csv
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import parse_toml
 from ..datasets.pairs import LABEL_NAMES, MANIFEST
-from ..storage.files import refuse_link, write_whole
+from ..storage.files import csv_bytes, refuse_link, write_whole
 from ..storage.folder import refuse_other_content, refuse_overwrite
 
 Recipe = dict[str, Any]
@@ -88,11 +86,7 @@ def prepare_folder(
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a CSV file; the manifest marks the dataset as finished."""
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
-    write_whole(path, text.getvalue().encode())
+    write_whole(path, csv_bytes(columns, rows))
 
 
 def _read_recipe(path: Path) -> Recipe | None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import hashlib
+import io
 import json
 import os
 import secrets
@@ -59,6 +61,13 @@ def write_whole(
     finally:
         with suppress(OSError):  # it is gone, or its folder is what cannot be written
             temporary.unlink()
+
+
+def csv_bytes(head: Iterable[object], rows: Iterable[Iterable[object]]) -> bytes:
+    """A table as the content of a CSV file."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head, *rows])
+    return text.getvalue().encode()
 
 
 @contextmanager
