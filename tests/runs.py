@@ -122,6 +122,18 @@ def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.suffix in (".parquet", ".json", ".toml")}
 
 
+def files_in(folder):
+    """The bytes of all files by relative path."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def one_line(text):
+    """The only line of a text that is not empty."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    assert len(lines) == 1, text
+    return lines[0]
+
+
 def temporary_files(out):
     """Files that a run should not leave: names that begin with a dot, except lock and writer."""
     return [path for path in out.rglob(".*") if path.name not in {".lock", ".writer"}]

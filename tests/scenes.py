@@ -8,6 +8,10 @@ from fidpipe.schemas.settings import load
 from fidpipe.stages.method import graph_of
 
 
+def seeded(seed=3):
+    return np.random.default_rng(seed)
+
+
 def road(n=1200, half_width=18.0, z=-1.7, seed=0):
     """Points of a flat road around the sensor, 1 cm rough."""
     rng = np.random.default_rng(seed)

@@ -63,17 +63,12 @@ def pair_warnings(pair: ScanPair, sides: Mapping[str, ScanInspection], frames: F
     if suspect := frame_suspect(frames):
         warnings.append(f"{name}: {frame_warning(suspect)}")
     if frames and frames.is_elsewhere:
-        warnings.append(f"{name}: {place_warning(frames)}")
+        warnings.append(
+            f"{name}: the two scans do not show the same place: the simulated scan covers {frames.coverage:.2f} of the "
+            f"real one in the best of all frames, units and shifts ({frames.as_it_lies:.2f} as given); expected at "
+            f"least {MIN_SAME_PLACE:g}; pair scans of one place, or set T_real_sim"
+        )
     return warnings
-
-
-def place_warning(check: FrameCheck) -> str:
-    """One line for two scans of different places."""
-    return (
-        f"the two scans do not show the same place: the simulated scan covers {check.coverage:.2f} of the real one in "
-        f"the best of all frames, units and shifts ({check.as_it_lies:.2f} as given); expected at least "
-        f"{MIN_SAME_PLACE:g}; pair scans of one place, or set T_real_sim"
-    )
 
 
 def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:

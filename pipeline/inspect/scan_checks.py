@@ -12,6 +12,7 @@ from rich.console import Console
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
+from ...schemas.results import JsonObject
 from ...schemas.settings import InputSettings, Settings
 from ...stages.clean import clean_scan, too_few_left
 from ...stages.ground import MIN_OBJECT_POINTS
@@ -49,10 +50,11 @@ class ScanCheck:
     inspection: ScanInspection | None = None
     fault: str | None = None
 
-    @property
-    def azimuth_gap_deg(self) -> float:
-        """Widest sector around the sensor without a point; 0 if the file cannot be read."""
-        return self.inspection.azimuth_gap_deg if self.inspection else 0.0
+    def as_dict(self) -> JsonObject:
+        """Plain values, for JSON; `azimuth_gap_deg` is 0 if the file cannot be read."""
+        gap_deg = self.inspection.azimuth_gap_deg if self.inspection else 0.0
+        numbers = {name: getattr(self, name) for name in ("n_raw", "n_clean", "dropped", "low", "high")}
+        return numbers | {"azimuth_gap_deg": gap_deg, "fault": self.fault}
 
 
 @dataclass(frozen=True)

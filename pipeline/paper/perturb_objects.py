@@ -42,18 +42,14 @@ def choose_objects(
     least = LEAST_POINTS_OVER_K * k
     if names is not None:
         return _by_names(scan, names, least, say)
+    wanted, what = [*CLASSES], "object labelled {}"
     objects = [chosen for name in CLASSES if (chosen := typical_of_class(scan, name, least)) is not None]
-    if objects:
-        absent = " or ".join(name for name in CLASSES if name not in {chosen.name for chosen in objects})
-        if absent:
-            say(f"scan {scan.pair_id} has no object labelled {absent}")
-        return objects
-    why = f"has no object labelled {', '.join(CLASSES)}" if any(scan.labels) else "has no labels"
-    say(f"scan {scan.pair_id} {why}: choosing one typical object for each shape instead")
-    objects = typical_of_shapes(scan, least)
-    absent = " or ".join(name for name in SHAPES.values() if name not in {chosen.name for chosen in objects})
-    if absent:
-        say(f"scan {scan.pair_id} has no further {absent} object")
+    if not objects:
+        why = f"has no object labelled {', '.join(CLASSES)}" if any(scan.labels) else "has no labels"
+        say(f"scan {scan.pair_id} {why}: choosing one typical object for each shape instead")
+        wanted, what, objects = [*SHAPES.values()], "further {} object", typical_of_shapes(scan, least)
+    if absent := " or ".join(name for name in wanted if name not in {chosen.name for chosen in objects}):
+        say(f"scan {scan.pair_id} has no {what.format(absent)}")
     return objects
 
 

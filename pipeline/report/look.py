@@ -25,9 +25,6 @@ OUTCOME_WORDS = {
 }  # fmt: skip
 QUADRANT_COLOURS = dict(zip((*QUADRANTS, UNKNOWN), (GREEN, PURPLE, OLIVE, CRIMSON, GREY), strict=True))
 
-#: Where a score is better, by whether higher is.
-ARROWS = {True: "↑", False: "↓"}
-
 #: From 0, faithful, to 1, failed: the parts of plasma that are seen on white and on black.
 RAMPS = {
     "light": ("#0d0887", "#5302a3", "#8b0aa5", "#b83289", "#db5c68", "#fca636"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import pandas as pd
 
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import BEV_JSD, BEV_MMD, METRIC, NVS_SCORES
@@ -17,10 +16,9 @@ from ...stages.literal.literal_method import mean_and_std
 from ...stages.nvs import NOT_INSTALLED
 from ..jobs.nvs_job import MOST_SCANS
 from ..results.finished import FinishedRun
-from .stored import Part, Skipped, StoredPair
+from .stored import Part, Skipped, StoredPair, summaries
 
 _FROM_ALL_DISTANCES = ("nvs_chamfer_m2", "nvs_f_score_0p05m2")
-_LEVELS = ["baseline", "level"]
 
 
 def nvs(pair: StoredPair) -> Iterator[Part | Skipped]:
@@ -45,17 +43,16 @@ def _scores(pair: StoredPair) -> dict[str, float | None]:
     intensities = [None if table["intensity"].isna().any() else table["intensity"].tolist() for table in tables]
     images = [literal.project(*own) for own in zip(points, intensities, strict=True)]
     (real, real_intensity), (sim, sim_intensity) = images
-    found = {_depth_name(name): value for name, value in literal.image_scores(real, sim, 80.0).items()}
+    found = {
+        f"nvs_depth_{name}{'_m' * (name in ('rmse', 'medae'))}": value
+        for name, value in literal.image_scores(real, sim, 80.0).items()
+    }
     if all(own and max(own) > 0 and min(own) >= 0 and max(own) <= 1 for own in intensities):
         values = literal.image_scores(real_intensity, sim_intensity, 1.0)
         found |= {f"nvs_intensity_{name}": value for name, value in values.items()}
     of_clouds = literal.cloud_scores(*map(literal.unproject, (real, sim))) if pair.sample.whole_sides else {}
     found |= {f"nvs_{name}": value for name, value in (literal.hit_scores(real, sim) | of_clouds).items()}
     return found | {BEV_JSD.column: literal.map_jsd(*map(literal.map_from_above, points))}
-
-
-def _depth_name(name: str) -> str:
-    return f"nvs_depth_{name}{'_m' if name in ('rmse', 'medae') else ''}"
 
 
 def nvs_means(run: FinishedRun, settings: Settings) -> Iterator[Part]:
@@ -82,7 +79,4 @@ def nvs_means(run: FinishedRun, settings: Settings) -> Iterator[Part]:
     for metric, value, size in ((BEV_JSD, jsd, n), (BEV_MMD, mmd, len(chosen))):
         counts = (0, size) if value is None else (size, 0)
         made.append((metric.column, OF_DATASET, value, None, *counts))
-    columns = [*_LEVELS, "mean", "std", "n", "n_null"]
-    rows = [tuple(getattr(summary, name) for name in columns) for summary in run.record.nvs]
-    stored, recomputed = (pd.DataFrame(own, columns=columns).set_index(_LEVELS) for own in (rows, made))
-    yield Part("run.json", stored, recomputed)
+    yield summaries(run.record.nvs, made)

@@ -13,6 +13,7 @@ import pyarrow as pa
 from scipy import sparse
 
 from ...schemas.columns import SIDES, Row
+from ...schemas.record import BaselineSummary
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IndexArray
@@ -234,3 +235,11 @@ def values(table: str, stored: Row, recomputed: Row, side: str = "", **keys: Any
     index = pd.MultiIndex.from_arrays([[key] for key in keys.values()], names=list(keys)) if keys else None
     a, b = (pd.DataFrame([row], index=index, columns=list(recomputed)) for row in (stored, recomputed))
     return Part(table, a, b, side, is_whole=False)
+
+
+def summaries(stored: Sequence[BaselineSummary], recomputed: Sequence[tuple[Any, ...]]) -> Part:
+    """Means over pairs in `run.json`, and the recomputed ones as baseline, level, mean, std, n, n_null."""
+    columns = ["baseline", "level", "mean", "std", "n", "n_null"]
+    rows = [tuple(getattr(summary, name) for name in columns) for summary in stored]
+    a, b = (pd.DataFrame(own, columns=columns).set_index(columns[:2]) for own in (rows, recomputed))
+    return Part("run.json", a, b)

@@ -31,7 +31,7 @@ from ..storage.run_record import unmatched_worst
 from .compare_frames import NOT_COMPARED, ColumnComparison, compare
 from .recompute import RECOMPUTED, UNMATCHED, stages_of
 from .recompute_nvs import nvs_means
-from .stored import TABLE_OF, Part, Sample, Skipped, StoredPair, values
+from .stored import TABLE_OF, Part, Sample, Skipped, StoredPair, summaries, values
 
 DEFAULT_OBJECTS = 20
 #: Number of drawn objects per pair with both sides recomputed as a whole, from all distances between them.
@@ -438,12 +438,8 @@ def _baseline_means(run: FinishedRun, settings: Settings) -> Iterator[Part]:
         mean, std = mean_and_std([mean_and_std(own_values)[0] for own_values in pairs])
         n_null = sum(own_values.count(None) for own_values in pairs)
         n = sum(map(len, pairs)) - n_null
-        expected.append({"baseline": baseline, "level": level, "mean": mean, "std": std, "n": n, "n_null": n_null})
-    keys = ["baseline", "level"]
-    columns = [*keys, "mean", "std", "n", "n_null"]
-    rows = [{name: getattr(summary, name) for name in columns} for summary in run.record.baselines]
-    stored, recomputed = (pd.DataFrame(own, columns=columns).set_index(keys) for own in (rows, expected))
-    yield Part("run.json", stored, recomputed)
+        expected.append((baseline, level, mean, std, n, n_null))
+    yield summaries(run.record.baselines, expected)
 
 
 def _object(rows: pd.Index[Any], i: int, side: str) -> str:

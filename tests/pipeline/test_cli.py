@@ -8,14 +8,8 @@ import sys
 import pyarrow.parquet as pq
 import pytest
 
-from runs import JOBS_PER_PAIR, command
+from runs import JOBS_PER_PAIR, command, one_line
 from scenes import road, write_bin
-
-
-def one_line(text):
-    lines = [line for line in text.splitlines() if line.strip()]
-    assert len(lines) == 1, text
-    return lines[0]
 
 
 def test_a_run_ends_with_zero_and_says_where_the_results_are(dataset, tmp_path):
@@ -140,10 +134,10 @@ def test_every_command_has_an_example_in_its_help(name):
 
 
 def test_help_has_no_type_of_flags_and_fits_on_a_screen():
-    for name, most in (("floor", 50), ("perturb", 50), ("report", 40)):
+    for name, most in (("compare", 50), ("floor", 50), ("perturb", 50), ("report", 40)):
         text = command(name, "--help").stdout
         assert "<bool>" not in text
-        assert "NUMBER [" in text or name == "report"
+        assert "NUMBER [" in text or name in ("compare", "report")
         assert len(text.splitlines()) <= most, name
 
 

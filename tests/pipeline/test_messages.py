@@ -15,7 +15,7 @@ from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.settings import load
-from runs import FIDPIPE, command, read_only, run
+from runs import FIDPIPE, command, one_line, read_only, run
 from scenes import street, write_bin
 
 N_PAIRS = 1
@@ -23,8 +23,7 @@ N_PAIRS = 1
 
 def one_error(result):
     assert result.returncode == 1
-    (line,) = [line for line in result.stderr.splitlines() if line.strip()]
-    return line
+    return one_line(result.stderr)
 
 
 def test_a_manifest_in_place_of_its_folder_is_named_as_a_file(tmp_path):

@@ -4,7 +4,6 @@ import io
 import json
 import os
 import shutil
-from contextlib import contextmanager
 
 import numpy as np
 import orjson
@@ -316,31 +315,10 @@ def test_a_file_that_is_gone_is_found(copy):
     assert any(mismatch.column.endswith(FILES["selection"]) for mismatch in result.mismatches)
 
 
-@contextmanager
-def record_of(folder):
-    """The record of a run, to be edited within."""
-    record = orjson.loads((folder / "run.json").read_bytes())
-    yield record
-    (folder / "run.json").write_bytes(orjson.dumps(record))
-
-
-def test_edited_means_of_the_record_and_a_score_that_is_gone_are_found(copy, monkeypatch):
-    monkeypatch.setattr(verify, "_MAX_LISTED", 10**6)
-    edited = ("cdc_mean", "cdc_unmatched_worst_mean", "match_rate", "covered_real_1m")
-    with record_of(copy) as record:
-        for name in edited:
-            record["summary"][name]["mean"] *= 1.0001
-        del record["summary"]["r_lambda_mean"]
-    found = {
-        (mismatch.table, mismatch.column, mismatch.stored == "null") for mismatch in verify_run(copy, 1).mismatches
-    }
-    gone = {("run.json", f"summary.r_lambda_mean.{key}", True) for key in ("mean", "n_pairs")}
-    assert found == gone | {("run.json", f"summary.{name}.mean", False) for name in edited}
-
-
 def test_a_run_of_another_version_of_a_stage_is_rejected(copy):
-    with record_of(copy) as record:
-        record["stages"]["coverage"] -= 1
+    record = orjson.loads((copy / "run.json").read_bytes())
+    record["stages"]["coverage"] -= 1
+    (copy / "run.json").write_bytes(orjson.dumps(record))
     with pytest.raises(RunError, match="coverage by another version of fidpipe; recompute it with fidpipe run"):
         verify_run(copy, 2)
 

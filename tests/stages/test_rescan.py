@@ -6,13 +6,9 @@ import pytest
 from fidpipe.schemas.sensor_models import SENSORS, SensorModel
 from fidpipe.stages.generate.ray_casting import fire
 from fidpipe.stages.generate.rescan import EMPTY_MAP, SurfelModel, extend_map, recorded_directions
-from scenes import box
+from scenes import box, seeded
 
 EXACT = SensorModel("exact", (), (), 0.4, 0.5, 100.0, 0.0, 0.0, 0.0, 60.0)
-
-
-def seeded(seed=3):
-    return np.random.default_rng(seed)
 
 
 def plane(normal, distance_m, half_m=9.0, step_m=0.15):

@@ -85,13 +85,12 @@ def test_what_cannot_be_told_is_none_with_a_reason():
 @pytest.mark.parametrize(
     "change",
     [
-        lambda points, rng: points[rng.permutation(len(points))],
         lambda points, rng: points @ np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]]).T,
         lambda points, rng: points * [1, -1, 1],
         lambda points, rng: points[rng.random(len(points)) < 0.6],
         lambda points, rng: np.vstack([points, np.zeros((500, 3)), np.full((5, 3), np.nan)]),
     ],
-    ids=["order of rows", "turned about z", "mirrored", "40 % lost", "zeros and NaN"],
+    ids=["turned about z", "mirrored", "40 % lost", "zeros and NaN"],
 )
 def test_the_sensor_does_not_depend_on(change):
     points = room(SENSORS["hdl32"])

@@ -126,7 +126,9 @@ def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> 
         places[side] = place[nodes]
         lines &= places[side] >= 0
         columns |= _in_steps(side, cloud.points[own], step_m)
-        columns[f"{side}_distance"] = _as_bytes(tables.distances_m[side][own])
+        columns[f"{side}_distance"] = np.rint(np.minimum(tables.distances_m[side][own] / FAR_M, 1) * _FAR).astype(
+            np.uint8
+        )
         columns[f"{side}_kept"] = np.isin(own, nodes).astype(np.uint8)
         columns[f"{side}_piece"] = tables.is_piece(side)[own].astype(np.uint8)
         columns |= _in_steps(f"{side}_road", road, step_m)
@@ -148,10 +150,6 @@ def _some_road(road: FloatArray) -> FloatArray:
 def _in_steps(name: str, points: FloatArray, step_m: float) -> dict[str, Any]:
     steps = np.rint(points / step_m).astype(np.int16)
     return {f"{name}_{axis}": values for axis, values in zip("xyz", steps.T, strict=True)}
-
-
-def _as_bytes(distance_m: FloatArray) -> Any:
-    return np.rint(np.minimum(distance_m / FAR_M, 1) * _FAR).astype(np.uint8)
 
 
 def _signed_bytes(distance_m: FloatArray) -> Any:

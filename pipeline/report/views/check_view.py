@@ -11,7 +11,7 @@ from ....schemas.columns import SIDES
 from ....schemas.results import JsonObject
 from ....stages.inspect.sensor_description import sensor_lines
 from ...engine.costs import CostModel
-from ...inspect.scan_checks import DatasetCheck, ScanCheck
+from ...inspect.scan_checks import DatasetCheck
 from ...inspect.sensor_settings import DIFFERS
 from ...inspect.side_checks import SensorCheck
 from ...storage.files import free_bytes, megabytes
@@ -23,7 +23,7 @@ RUNS = Path("runs")  #: where runs lie unless --out says otherwise
 def check_json(dataset: DatasetCheck) -> JsonObject:
     """The same for programs: inspection of each scan by pair and side (null if it is missing), and problems."""
     pairs: list[JsonValue] = [
-        {"pair_id": pair.pair_id, **{side: _scan_json(sides.get(side)) for side in SIDES}}
+        {"pair_id": pair.pair_id, **{side: sides[side].as_dict() if side in sides else None for side in SIDES}}
         for pair, sides in dataset.pairs
     ]
     return {
@@ -75,13 +75,6 @@ def _sensor_lines(sensors: SensorCheck) -> list[Note]:
         lines += [Note(names[side]), *(Note(f"  {line}") for line in sensor_lines(facts))]
     lines += [Note(f"differs: {text}", "yellow") for text in sensors.differences]
     return [*lines, *(Note(f"warning: {text}", "yellow") for text in sensors.unlike)]
-
-
-def _scan_json(facts: ScanCheck | None) -> JsonObject | None:
-    if facts is None:
-        return None
-    names = ("n_raw", "n_clean", "dropped", "low", "high", "azimuth_gap_deg", "fault")
-    return {name: getattr(facts, name) for name in names}
 
 
 def _disk_bytes(dataset: DatasetCheck) -> int:

@@ -201,7 +201,11 @@ def object_records(facts: ObjectFacts) -> Table:
 def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
     """Objects whose r_lambda depends on a poor alignment, worst first; no note without any."""
     scored = [
-        (each.real["community_id"], each.scores["alignment_rms_m"], _diagonal_m(each.real))
+        (
+            each.real["community_id"],
+            each.scores["alignment_rms_m"],
+            math.hypot(*(each.real[f"extent_{a}"] for a in "xyz")),
+        )
         for each in objects
         if each.real and each.scores and each.scores["r_lambda"] is not None
     ]
@@ -215,10 +219,6 @@ def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
         f"({BAD_ALIGNMENT_WORDS}), which alone lowers it: {named}{more}"
     )
     return [Note(text, "yellow")]
-
-
-def _diagonal_m(own: Row) -> float:
-    return math.hypot(*(own[f"extent_{axis}"] for axis in "xyz"))
 
 
 def _alone_lines(facts: ObjectFacts) -> list[str]:
