@@ -19,7 +19,7 @@ from time import monotonic
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperOption
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from .datasets import convert, pair, synth, twin
 from .diagnosing import diagnose
@@ -39,16 +39,12 @@ _REFUSALS = (
 _FILES = (errno.EMFILE, errno.ENFILE)  # too many are open
 
 
-class _Command(TyperCommand):
-    """A command whose help has no type of flags and no empty lines between examples."""
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
-        self.help = re.sub(r"^(fidpipe .*)\n\n(?=fidpipe )", r"\1  \n", cleandoc(self.help or ""), flags=re.MULTILINE)
+class _ShortTypes:
+    """Help in which flags have no type, and ranges a short one."""
 
     def get_params(self, ctx: Any) -> Any:
-        """The parameters; types of flags and ranges are short."""
-        found = super().get_params(ctx)
+        """The parameters."""
+        found = super().get_params(ctx)  # type: ignore[misc]
         for param in found:
             if (
                 isinstance(param, TyperOption)
@@ -59,8 +55,21 @@ class _Command(TyperCommand):
         return found
 
 
+class _Command(_ShortTypes, TyperCommand):
+    """A command whose help has no empty lines between examples."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.help = re.sub(r"^(fidpipe .*)\n\n(?=fidpipe )", r"\1  \n", cleandoc(self.help or ""), flags=re.MULTILINE)
+
+
+class _Group(_ShortTypes, TyperGroup):
+    """All commands."""
+
+
 app = typer.Typer(
     name="fidpipe",
+    cls=_Group,
     help="How faithful is this simulated LiDAR, and where does it fail?\n\n"
     "fidpipe compares real and simulated scans object by object: what is missing, what is invented, and how far the "
     "geometry (CDC) and the structure (r_lambda, r_gap) of each common object have drifted.\n\n"

@@ -139,6 +139,7 @@ def test_help_has_no_type_of_flags_and_fits_on_a_screen():
         assert "<bool>" not in text
         assert "NUMBER [" in text or name in ("compare", "report")
         assert len(text.splitlines()) <= most, name
+    assert "<bool>" not in command("--help").stdout
 
 
 def test_help_imports_nothing_heavy():
