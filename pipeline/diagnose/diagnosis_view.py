@@ -24,8 +24,8 @@ def diagnosis_view(found: Diagnosis) -> View:
     ]
     over = f" (floor {100 * found.floor_m:.1f} cm)" if found.floor else ""
     title = (
-        f"{found.n_pairs} pairs; the surfaces are {100 * found.distance_m:.1f} cm apart on average{over}, distances "
-        "counted up to 1 m"
+        f"{found.n_pairs} pair{'s' * (found.n_pairs > 1)}; the surfaces are {100 * found.distance_m:.1f} cm apart on "
+        f"average{over}, distances counted up to 1 m"
     )
     notes = [
         f"unexplained: {percent(found.unexplained)} of the distance{' over the floor' * bool(found.floor)} remains if "

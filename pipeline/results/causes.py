@@ -178,14 +178,16 @@ def size_words(value: float, unit: str) -> str:
 
     Examples
     --------
-    >>> [size_words(*one) for one in ((0.12, "m"), (0.041, "m"), (1.5, "m"), (0.78, "share"), (0.2, "deg"), (32, ""))]
-    ['12 cm', '41 mm', '1.5 m', '78 %', '0.2 deg', '32']
+    >>> [size_words(*one) for one in ((0.12, "m"), (0.041, "m"), (0.78, "share"), (0.004, "share"), (0.2, "deg"), (32, ""))]
+    ['12 cm', '41 mm', '78 %', '0.4 %', '0.2 deg', '32']
     """
     value = abs(value)
     if unit == "m":
         mm = round(value * 1000)
         return f"{mm} mm" if mm < 50 else f"{value * 100:.0f} cm" if value < 1 else f"{value:.1f} m"
-    return f"{100 * value:.0f} %" if unit == "share" else f"{value:.3g} {unit}".rstrip()
+    if unit == "share":
+        return f"{100 * value:.{int(value < 0.01)}f} %"
+    return f"{value:.3g} {unit}".rstrip()
 
 
 def _signed(mean_m: float, width_m: float, n_pairs: int) -> str:
