@@ -178,8 +178,8 @@ def size_words(value: float, unit: str) -> str:
 
     Examples
     --------
-    >>> [size_words(*one) for one in ((0.12, "m"), (0.041, "m"), (0.78, "share"), (0.004, "share"), (0.2, "deg"), (32, ""))]
-    ['12 cm', '41 mm', '78 %', '0.4 %', '0.2 deg', '32']
+    >>> [size_words(*one) for one in ((0.12, "m"), (0.041, "m"), (0.78, "share"), (0.004, "share"), (32, ""))]
+    ['12 cm', '41 mm', '78 %', '0.4 %', '32']
     """
     value = abs(value)
     if unit == "m":
