@@ -30,7 +30,6 @@ from .latency import AHEAD, follow, latency_words, speed_m_s
 
 #: A larger rest over the floor, metres, that is more than half of the distance over the floor, is the first cause.
 MOST_LEFT_M = 0.02
-#: Name of the rest where it is the first cause.
 _SEED = 20240917
 _SENSOR = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m")
 #: Estimates from columns of `pairs`: simulated minus real.

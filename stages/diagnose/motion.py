@@ -16,7 +16,6 @@ PARAMETERS = (
     *("forward", "sideways", "height", "roll", "pitch", "yaw", "range scale", "range bias"),
     *("motion forward", "motion sideways", "road height"),
 )
-N_RIGID = 6
 _VOXEL_M = 0.5
 _MOST_PLACES = 6000
 _NEIGHBOURS = 16
