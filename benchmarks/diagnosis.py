@@ -27,9 +27,9 @@ import numpy as np
 import pandas as pd
 from flawed_scans import Scan, along_ray, ranges, ray_noise
 
-from fidpipe.pipeline.diagnose.causes import CHANGES, confirm, name_causes
+from fidpipe.pipeline.diagnose.causes import confirm, name_causes
 from fidpipe.pipeline.diagnose.diagnose import UNEXPLAINED, is_unexplained
-from fidpipe.stages.diagnose.evidence import PairScans, estimate
+from fidpipe.stages.diagnose.evidence import PairScans, amounts_of_floor, estimate
 from fidpipe.stages.diagnose.gain import changes, corrections, shares, surface_distance
 from fidpipe.stages.diagnose.motion import PARAMETERS, Displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
@@ -259,27 +259,24 @@ def diagnose(pairs, floor):
         found = []
         for i, (scans, own) in enumerate(pairs):
             made = corrections(scans, own, {one.model.name: one.mean for one in causes}, np.random.default_rng(i))
-            found.append(shares(scans, made, np.random.default_rng(i), floor[i][1] if floor else 0.0))
+            found.append(shares(scans, made, np.random.default_rng(i), floor[i][0] if floor else 0.0))
         return found
 
     def correct_changes(causes):
         return [
             changes(
                 scans,
-                floor[i][2],
-                Displacement(own.displacement.values - [floor[i][0][name] for name in PARAMETERS]),
+                floor[i][1],
+                Displacement(own.displacement.values - [amounts[i][name] for name in PARAMETERS]),
                 {one.model.name: one.mean for one in causes},
                 np.random.default_rng(i),
             )
             for i, (scans, own) in enumerate(pairs)
         ]
 
-    amounts = floor and [own for own, *_ in floor]
+    amounts = floor and [amounts_of_floor(own, scans, *floor[i][1:]) for i, (scans, own) in enumerate(pairs)]
     candidates = name_causes([own.amounts for _, own in pairs], amounts, np.arange(len(pairs)))
-    if floor and (changed := [one for one in candidates if one.model.name in CHANGES]):
-        _, unchanged, _ = confirm(changed, correct_changes)
-        candidates = [one for one in candidates if one not in unchanged]
-    named, _, found = confirm(candidates, correct)
+    named, _, found = confirm(candidates, correct, correct_changes if floor else None)
     rows = [(one.model.name, one.mean, one.low, one.high) for one in named]
     before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in found], axis=0)
     if floor and is_unexplained(before_m - floor_m, after_m - floor_m):
@@ -318,7 +315,7 @@ def prepare(folders, every):
         SCENES[folder] = read_scenes(folder, every)
         for base in ("good", "poor"):
             pairs = [pair_of(scene, scene[2][base]) for scene in SCENES[folder]]
-            FLOORS[folder, base] = [(estimate(own).amounts, surface_distance(own.real, own.sim), own) for own in pairs]
+            FLOORS[folder, base] = [(surface_distance(own.real, own.sim), own, estimate(own).amounts) for own in pairs]
 
 
 def is_possible(flaw, folder):

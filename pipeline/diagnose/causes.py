@@ -12,7 +12,7 @@ from ...stages.diagnose.evidence import UNEVEN
 from ...stages.diagnose.gain import Shares
 from ...stages.diagnose.motion import PARAMETERS
 from ...stages.statistics.comparison import block_means
-from ..results.causes import mean_interval, size_words
+from ..results.causes import DISPLACEMENTS, mean_interval, size_words
 
 #: Below this distance over the floor, metres, gains are not shares.
 LEAST_EXCESS_M = 0.005
@@ -78,20 +78,23 @@ _WORDS = {
     "intensity by range": ("range explains {size} more of the intensity: no material",),
     "intensity ranks": ("intensities are distributed differently, rank distance {size}",),
 }
+#: Tolerance and identifiers of the displacements.
+_DISPLACED: dict[str, tuple[float, tuple[int, ...]]] = {
+    **dict.fromkeys(("forward", "sideways"), (0.05, (14,))),
+    "height": (0.03, (7,)),
+    **dict.fromkeys(("roll", "pitch", "yaw"), (0.2, (14,))),
+    "range scale": (0.005, (145,)),
+    "range bias": (0.03, (145,)),
+    **dict.fromkeys(("motion forward", "motion sideways"), (0.3, (102,))),
+    "road height": (0.04, ()),
+}
 CAUSES = tuple(
     CauseModel(name, unit, tolerance, resolution, _WORDS[name], setting, limbs)
     for name, unit, tolerance, resolution, setting, limbs in (
-        ("forward", "m", 0.05, 0.02, "position of the sensor, T_real_sim", (14,)),
-        ("sideways", "m", 0.05, 0.02, "position of the sensor, T_real_sim", (14,)),
-        ("height", "m", 0.03, 0.02, "mount height", (7,)),
-        ("roll", "deg", 0.2, 0.1, "position of the sensor, T_real_sim", (14,)),
-        ("pitch", "deg", 0.2, 0.1, "position of the sensor, T_real_sim", (14,)),
-        ("yaw", "deg", 0.2, 0.1, "position of the sensor, T_real_sim", (14,)),
-        ("range scale", "share", 0.005, 0.003, "scale of the ranges", (145,)),
-        ("range bias", "m", 0.03, 0.02, "offset of the ranges", (145,)),
-        ("motion forward", "m", 0.3, 0.15, "poses and time stamps; one pose per sweep", (102,)),
-        ("motion sideways", "m", 0.3, 0.15, "poses and time stamps; one pose per sweep", (102,)),
-        ("road height", "m", 0.04, 0.04, "road height of the map", ()),
+        *(
+            (name, unit, _DISPLACED[name][0], accuracy, setting, _DISPLACED[name][1])
+            for name, (unit, accuracy, setting) in DISPLACEMENTS.items()
+        ),
         ("range noise", "m", 0.02, 0.005, "noise_stddev", (61,)),
         ("range steps", "m", 0.01, 0.004, "range format", (70, 71)),
         ("lost returns", "share", 0.05, 0.025, "dropoff_general_rate", (0, 39)),
@@ -177,8 +180,11 @@ def name_causes(
     return sorted(named, key=lambda cause: -cause.strength)
 
 
+Correction = Callable[[Sequence[NamedCause]], Sequence[Shares]]
+
+
 def confirm(
-    named: Sequence[NamedCause], correct: Callable[[Sequence[NamedCause]], Sequence[Shares]]
+    named: Sequence[NamedCause], correct: Correction, correct_changes: Correction | None = None
 ) -> tuple[list[NamedCause], list[NamedCause], Sequence[Shares]]:
     """The causes whose correction brings the sides closer, most important first; the others; the shares of the former.
 
@@ -188,9 +194,13 @@ def confirm(
     Parameters
     ----------
     correct : shares of all pairs if these causes are corrected
+    correct_changes : the same of the distance between the simulated scans of the run and of its floor, which those of
+        `CHANGES` must explain first
     """
-    kept = [*named]
-    doubtful: list[NamedCause] = []
+    kept, doubtful = [*named], list[NamedCause]()
+    if correct_changes and (changed := [own for own in named if own.model.name in CHANGES]):
+        _, doubtful, _ = confirm(changed, correct_changes)
+        kept = [own for own in named if own not in doubtful]
     while True:
         found = correct(kept)
         before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in found], axis=0)

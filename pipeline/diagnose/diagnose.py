@@ -14,7 +14,7 @@ from ...schemas.errors import RunError
 from ...schemas.results import CauseEstimate, DiagnosedCause, Diagnosis, Evidence
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.diagnose.curves import AXES, KINDS, curves
-from ...stages.diagnose.evidence import PairEstimates, PairScans, estimate
+from ...stages.diagnose.evidence import PairEstimates, PairScans, amounts_of_floor, estimate
 from ...stages.diagnose.gain import RESTORED, Shares, changes, corrections, shares, surface_distance
 from ...stages.diagnose.motion import PARAMETERS, Displacement
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, blocks_of
@@ -25,7 +25,7 @@ from ..results.diagnosis import DIAGNOSIS, UNEXPLAINED, results_identity
 from ..results.finished import FinishedRun
 from ..storage.files import write_whole
 from ..storage.run_record import dumps
-from .causes import CAUSES, CHANGES, LEAST_EXCESS_M, NamedCause, confirm, name_causes
+from .causes import CAUSES, LEAST_EXCESS_M, NamedCause, confirm, name_causes
 from .latency import AHEAD, follow, latency_words, speed_m_s
 
 #: A larger rest over the floor, metres, that is more than half of the distance over the floor, is the first cause.
@@ -78,27 +78,25 @@ def diagnose_run(
         if not found:
             raise RunError(f"run {folder}: no pair has enough surface in common with its real scan; see fidpipe check")
         names = [*found]
-        blocks, unit = _blocks(run, names)
+        times_s = recorded_times_s(run)
+        blocks, unit = _blocks(run, times_s, names)
         amounts = [own.amounts for own, _ in found.values()]
         candidates = name_causes(amounts, [over for _, over in found.values()] if base else None, blocks)
-        unchanged: list[NamedCause] = []
-        if base and (changed := [own for own in candidates if own.model.name in CHANGES]):
-            _, unchanged, _ = confirm(
-                changed,
-                lambda causes: [*pool.map(lambda name: _changes(run, base, name, *found[name], causes), names)],
-            )
-            candidates = [own for own in candidates if own not in unchanged]
+        steps = iter([1] * len(names))  # not if some are corrected once more
         named, doubtful, gains = confirm(
             candidates,
             lambda causes: _each(
                 pool,
                 names,
                 lambda name: _gains(run, base, name, found[name][0], causes),
-                lambda: show.advance(int(len(causes) == len(candidates))),  # not if some are corrected once more
+                lambda: show.advance(next(steps, 0)),
             ),
+            (lambda causes: [*pool.map(lambda name: _changes(run, base, name, *found[name], causes), names)])
+            if base
+            else None,
         )
         ahead = [own for own in named if own.model.name == AHEAD]
-        latency = latency_words(ahead[0].values, _speeds_m_s(run, pool, names)) if ahead else None
+        latency = latency_words(ahead[0].values, _speeds_m_s(run, times_s, pool, names)) if ahead else None
         drawn = _each(pool, names, lambda name: _curves(run, name, found[name][0], named), lambda: show.advance(1, 1))
     show.stop()
     before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in gains], axis=0).tolist()
@@ -118,7 +116,7 @@ def diagnose_run(
         unexplained=None if excess_m is None else min(max((after_m - floor_m) / excess_m, 0.0), 1.0),
         causes=tuple(causes),
         estimates=tuple(_estimate_rows(names, amounts)),
-        doubtful=tuple(own.sentence for own in (*unchanged, *doubtful)),
+        doubtful=tuple(own.sentence for own in doubtful),
         left_out=tuple(name for name in chosen if name not in found),
     )
     if pattern is None:
@@ -171,19 +169,19 @@ def _estimates(
     run: FinishedRun, base: FinishedRun | None, pair_id: str
 ) -> tuple[PairEstimates, dict[str, float]] | None:
     """Estimates of a pair, and the amounts of the floor; None if the scans have too little surface in common."""
-    found = [_estimate(own, pair_id) for own in (run, base) if own]
-    if found[0] is None:
+    scans = read_pair(run, pair_id)
+    found = estimate(scans)
+    if found is None:
         return None
-    return found[0], found[1].amounts if len(found) > 1 and found[1] else {}
-
-
-def _estimate(run: FinishedRun, pair_id: str) -> PairEstimates | None:
-    found, row = estimate(read_pair(run, pair_id)), run.row(pair_id)
-    if found:
+    floor = read_pair(base, pair_id) if base else None
+    of_floor = estimate(floor) if floor else None
+    over = amounts_of_floor(found, scans, floor, of_floor.amounts) if floor and of_floor else {}
+    for own, amounts in ((run, found.amounts), (base, over)):
+        row = own.row(pair_id) if own and amounts else {}
         for name, (sim, real) in _OF_PAIRS.items():
             if row.get(sim) is not None and (real is None or row.get(real) is not None):
-                found.amounts[name] = row[sim] - (row[real] if real else 0.0)
-    return found
+                amounts[name] = row[sim] - (row[real] if real else 0.0)
+    return found, over
 
 
 def _gains(
@@ -213,18 +211,19 @@ def _curves(run: FinishedRun, pair_id: str, found: PairEstimates, named: Sequenc
     return {kind: curves(scans, found, kind) for kind in kinds}
 
 
-def _blocks(run: FinishedRun, names: Sequence[str]) -> tuple[IntArray, str]:
+def _blocks(run: FinishedRun, times_s: Mapping[str, float], names: Sequence[str]) -> tuple[IntArray, str]:
     """The block of each pair; with fewer than three blocks, each pair counts as one."""
-    times_s = recorded_times_s(run)
     blocks = blocks_of([run.record.inputs[name]["real"] for name in names], [times_s.get(name) for name in names])
     if len(np.unique(blocks)) < LEAST_FOR_INTERVAL:
         return np.arange(len(names), dtype=np.int32), "pairs, although neighbours in time"
     return blocks, "blocks of pairs" if len(np.unique(blocks)) < len(names) else "pairs"
 
 
-def _speeds_m_s(run: FinishedRun, pool: ThreadPoolExecutor, names: Sequence[str]) -> FloatArray:
+def _speeds_m_s(
+    run: FinishedRun, times_s: Mapping[str, float], pool: ThreadPoolExecutor, names: Sequence[str]
+) -> FloatArray:
     """Speed of the real sensor by pair, NaN if unknown; the last of a stretch has that of the one before."""
-    following = follow(recorded_times_s(run), names)
+    following = follow(times_s, names)
 
     def speed(name: str) -> float | None:
         later, duration_s = following[name]

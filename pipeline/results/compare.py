@@ -33,8 +33,9 @@ from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..datasets.stubs import recorded_dataset
 from ..storage.table_files import table_name
-from .causes import CAUSE_KINDS
+from .causes import CAUSE_KINDS, DISPLACEMENTS
 from .diagnosis import read_diagnosis
+from .displaced import MovedWorld, find_moved
 from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
@@ -74,7 +75,7 @@ class Comparison:
     notes : what else differs
     families : what is decided, see `families`
     causes : those whose estimate changed by more than a tenth of its tolerance: the interval excludes 0, or if there is
-        none, the change exceeds the tolerance
+        none, the change exceeds the tolerance; displacements only if `find_moved` confirms them
     n_blocks : independent pairs: copies and neighbouring frames count once
     blocking : one sentence on how they were found
     by_direction : True if few blocks are left, so that changes must be consistent over frames and over directions
@@ -215,6 +216,7 @@ def compare_two(
     }
     floors = {} if excess is None else {column: own.floor_from_equal for column, own in excess[0].scores.items()}
     preset = base.preset if base.preset == other.preset else "paper"
+    moved = find_moved(base, other, names, blocks)
     return Comparison(
         base=base.folder,
         other=other.folder,
@@ -225,8 +227,8 @@ def compare_two(
         unfollowed=tuple(unfollowed),
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
-        families=judge_families(preset, rows, blocks, noise, floors, sectors) if names else (),
-        causes=_diagnosed_causes(base, other, names, blocks) or _causes(list(rows.values()), blocks),
+        families=judge_families(preset, rows, blocks, noise, floors, sectors, moved) if names else (),
+        causes=_confirmed(_diagnosed_causes(base, other, names, blocks) or _causes([*rows.values()], blocks), moved),
         objects=tuple(changes),
         n_blocks=n_blocks,
         blocking=blocking,
@@ -295,6 +297,20 @@ def _causes(rows: Sequence[tuple[Row, Row]], blocks: IntArray) -> tuple[CauseCha
         if size > max(reach, matters):
             found.append((size / (kind.tolerance or 1.0), CauseChange(kind.name, kind.unit, kind.setting, own)))
     return tuple(change for _, change in sorted(found, key=lambda each: -each[0]))
+
+
+def _confirmed(causes: tuple[CauseChange, ...], moved: MovedWorld | None) -> tuple[CauseChange, ...]:
+    """The causes, of displacements those between the simulated scans."""
+    if moved is None:
+        return causes
+    seen = [own for own in causes if own.name not in DISPLACEMENTS or own.name in moved.changes]
+    new = moved.changes.keys() - {own.name for own in seen}
+    first = [
+        CauseChange(name, DISPLACEMENTS[name][0], DISPLACEMENTS[name][2], own)
+        for name, own in moved.changes.items()
+        if name in new
+    ]
+    return (*first, *seen)
 
 
 def _diagnosed_causes(

@@ -26,6 +26,7 @@ from ...stages.statistics.comparison import (
     holm,
     paired_difference,
 )
+from .displaced import MovedWorld
 
 PairRows = Mapping[str, tuple[Row, Row]]  #: by pair, its rows before and after
 #: Changes that chance makes in under this share of the comparisons are decided.
@@ -167,6 +168,7 @@ def judge_families(
     seed_noise: Mapping[str, float | None] | None = None,
     floors: Mapping[str, float | None] | None = None,
     sectors: tuple[PairRows, IntArray] | None = None,
+    world: MovedWorld | None = None,
 ) -> tuple[FamilyChange, ...]:
     """The families with their verdicts; of equal simulators any is better or worse in under 5 % of the comparisons.
 
@@ -182,6 +184,7 @@ def judge_families(
     seed_noise, floors : by column of `pairs`, see `ScoreChange`
     sectors : rows of the sectors of all pairs (`sectors.sector_rows`) and the block of each, where neighbouring frames
         leave few blocks. A change must then be consistent over the sectors of the places, and over the frames, too
+    world : what moved between the simulated scans, if it is known
     """
     noise, floors = seed_noise or {}, floors or {}
     found = [
@@ -206,8 +209,9 @@ def judge_families(
         {name for name in (SURFACE_MISSING, SURFACE_INVENTED) if word in called.get(name, ())}
         for word in ("better", "worse")
     )
-    is_displaced = bool({"better", "worse"} & called.get(POSITION, set()))
-    moved = _Moved(better, worse, is_displaced, *_points_change(rows))
+    decided = {name for name, words in called.items() if {"better", "worse"} & words}
+    is_scaled = world is not None and world.ranges_alone and RAYS in decided
+    moved = _Moved(better, worse, POSITION in decided and not is_scaled, is_scaled, *_points_change(rows))
     return tuple(_decided(family, moved) for family in found)
 
 
@@ -265,6 +269,7 @@ class _Moved:
     """Decided changes of other families.
 
     better, worse, is_displaced : surfaces, and the position
+    is_scaled : ranges alone became longer or shorter
     right, invented, density : mean changes of the numbers of right and of invented simulated points, and of all
         relative to before
     """
@@ -272,6 +277,7 @@ class _Moved:
     better: set[str]
     worse: set[str]
     is_displaced: bool
+    is_scaled: bool
     right: float
     invented: float
     density: float
@@ -337,6 +343,8 @@ def _consequence(family: str, score: ScoreChange, moved: _Moved) -> str:
             return "follows from the number of points"
         if score.verdict == "better" or moved.better:
             return "roughness alone is not fidelity"
+    if family == POSITION and moved.is_scaled:
+        return f"follows from {RAYS}: longer or shorter ranges alone"
     if score.verdict == "worse" or not moved.worse:
         return ""
     if family == POSITION and len(moved.worse) == 2:

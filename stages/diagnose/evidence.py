@@ -180,6 +180,24 @@ def estimate(scans: PairScans) -> PairEstimates | None:
     return found
 
 
+def amounts_of_floor(
+    found: PairEstimates, scans: PairScans, floor: PairScans, of_floor: Mapping[str, float]
+) -> dict[str, float]:
+    """Amounts to subtract from those of a pair: of its floor, except for displacements.
+
+    These are fitted between both simulated scans, of which most surface is the same, so that the difference is far more
+    accurate than that of two displacements against the real scan.
+
+    Parameters
+    ----------
+    of_floor : amounts of the pair of the floor
+    """
+    moved = fit_displacement(floor.sim, scans.sim, floor.sim_is_ground)
+    if moved is None:
+        return dict(of_floor)
+    return {**of_floor, **dict(zip(PARAMETERS, (found.displacement.values - moved.values).tolist(), strict=True))}
+
+
 def _amounts(a: Side, b: Side, found_so_far: PairEstimates) -> dict[str, float]:
     """The amounts of a pair whose simulated side is without its displacement."""
     sensors, displacement, step_deg = found_so_far.sensors, found_so_far.displacement, found_so_far.step_deg

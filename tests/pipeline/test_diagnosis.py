@@ -10,6 +10,7 @@ from fidpipe.pipeline.diagnose.diagnose import diagnose_run
 from fidpipe.pipeline.diagnose.latency import follow, latency_words, speed_m_s
 from fidpipe.pipeline.report.page.run_data import page_data
 from fidpipe.pipeline.report.run_frames import read_results
+from fidpipe.pipeline.results.causes import DISPLACEMENTS
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.diagnosis import DIAGNOSIS
 from fidpipe.pipeline.results.finished import FinishedRun
@@ -21,7 +22,7 @@ from fidpipe.stages.diagnose.gain import Shares
 from runs import command, run
 from scenes import write_bin
 
-TOO_LOW_M = 0.15
+TOO_LOW_M, TOO_LONG_M = 0.15, 0.1
 
 
 def corner(seed):
@@ -37,12 +38,14 @@ def corner(seed):
 
 @pytest.fixture(scope="module")
 def two_runs(tmp_path_factory):
-    """Runs of a simulator as it should be, and of one that is mounted too high."""
+    """Runs of a simulator as it should be, of one that is mounted too high, and of one whose ranges are too long."""
     folder = tmp_path_factory.mktemp("diagnose")
-    for name, low_m in (("good", 0.0), ("low", TOO_LOW_M)):
+    for name, low_m, longer_m in (("good", 0.0, 0.0), ("low", TOO_LOW_M, 0.0), ("long", 0.0, TOO_LONG_M)):
         for i in range(3):
             write_bin(folder / name / "real" / f"{i}.bin", corner(i))
-            write_bin(folder / name / "sim" / f"{i}.bin", corner(i + 10) - [0, 0, low_m])
+            sim = corner(i + 10) - [0, 0, low_m]
+            sim *= 1 + longer_m / np.linalg.norm(sim, axis=1, keepdims=True)
+            write_bin(folder / name / "sim" / f"{i}.bin", sim)
         run(folder / name, folder / f"run-{name}", load(None, ["graph.k=10"], preset="reference"))
     return folder
 
@@ -75,6 +78,19 @@ def test_the_flaw_is_the_first_cause_everywhere(runs):
     assert "height" not in {cause.name for cause in diagnose_run(good).causes}
     changes = compare_runs([good, low], independent=True)[0].causes
     assert changes[0].name == "height"
+
+
+def test_what_moved_is_measured_between_the_simulated_scans(two_runs):
+    good, low, long = (two_runs / f"run-{name}" for name in ("good", "low", "long"))
+    for other, name, amount_m in ((low, "height", -TOO_LOW_M), (long, "range bias", TOO_LONG_M)):
+        found = {own.name: own.difference for own in compare_runs([good, other])[0].causes}
+        assert found.keys() & DISPLACEMENTS.keys() == {name}
+        assert found[name].difference == pytest.approx(amount_m, abs=0.01)
+    diagnosed = diagnose_run(long, good)
+    assert (diagnosed.causes[0].name, diagnosed.causes[0].estimate) == (
+        "range bias",
+        pytest.approx(TOO_LONG_M, abs=0.01),
+    )
 
 
 def test_what_no_correction_removes_is_the_first_cause_and_unsupported_causes_are_left_out(runs, monkeypatch):

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from fidpipe.pipeline.results.displaced import MovedWorld
 from fidpipe.pipeline.results.families import judge_families, overall
+from fidpipe.stages.statistics.comparison import Difference
 
 SURFACES = [f"covered_{side}_{reach}" for side in ("real", "sim") for reach in ("0p1m", "0p3m", "1m")]
 PERFECT = dict.fromkeys(SURFACES, 0.8) | {
@@ -16,8 +18,11 @@ PERFECT = dict.fromkeys(SURFACES, 0.8) | {
 }
 
 
-def judged(n=10, preset="reference", base=None, **steps):
-    """The families by name if columns of n pairs change by these steps, with a tenth of them as noise."""
+def judged(n=10, preset="reference", base=None, moved=None, **steps):
+    """The families by name if columns of n pairs change by these steps, with a tenth of them as noise.
+
+    moved : parameters of the displacement between the simulated scans; None if it is not known
+    """
     rng = np.random.default_rng(0)
     before = PERFECT | (base or {})
     rows = {}
@@ -26,7 +31,8 @@ def judged(n=10, preset="reference", base=None, **steps):
         first = before | own
         after = {column: first[column] + step * rng.normal(1, 0.1) for column, step in steps.items()}
         rows[str(i)] = (first, first | after)
-    found = judge_families(preset, rows, np.arange(n, dtype=np.int32))
+    world = moved and MovedWorld(dict.fromkeys(moved, Difference()))
+    found = judge_families(preset, rows, np.arange(n, dtype=np.int32), world=world)
     return {family.name: family for family in found}, overall(found)
 
 
@@ -136,6 +142,25 @@ def test_rays_of_a_displaced_simulation_do_not_count():
         "follows from position",
         "better",
     )
+
+
+@pytest.mark.parametrize(
+    "moved", [("range bias",), ("range scale", "range bias"), ("height",), ("height", "range bias")]
+)
+def test_longer_ranges_alone_are_no_displacement(moved):
+    base = RAYS | {"rays_bias_m": 0.0}
+    families, decision = judged(base=base, moved=moved, shift_z_m=-0.05, rays_bias_m=0.1)
+    assert decision == "worse"
+    if "height" in moved:
+        assert (families["position"].verdict, families["rays"].why) == ("worse", "follows from position")
+    else:
+        assert families["position"].why == "follows from rays: longer or shorter ranges alone"
+        assert (families["rays"].verdict, families["rays"].why) == ("worse", "")
+
+
+def test_a_position_counts_where_no_rays_show_longer_ranges():
+    families, decision = judged(moved=("range bias",), shift_z_m=-0.05)
+    assert (families["position"].verdict, families["position"].why, decision) == ("worse", "", "worse")
 
 
 def test_an_intensity_that_depends_on_range_alone_is_worse():
