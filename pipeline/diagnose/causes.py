@@ -194,7 +194,7 @@ def confirm(
     Parameters
     ----------
     correct : shares of all pairs if these causes are corrected
-    correct_changes : the same of the distance between the simulated scans of the run and of its floor, which those of
+    correct_changes : shares of the distance between the simulated scans of the run and of its floor, which causes of
         `CHANGES` must explain first
     """
     kept, doubtful = [*named], list[NamedCause]()

@@ -300,15 +300,19 @@ def _causes(rows: Sequence[tuple[Row, Row]], blocks: IntArray) -> tuple[CauseCha
 
 
 def _confirmed(causes: tuple[CauseChange, ...], moved: MovedWorld | None) -> tuple[CauseChange, ...]:
-    """The causes, of displacements those between the simulated scans."""
+    """The causes with what moved between the simulated scans, without displacements that these exclude."""
     if moved is None:
         return causes
-    seen = [own for own in causes if own.name not in DISPLACEMENTS or own.name in moved.changes]
-    new = moved.changes.keys() - {own.name for own in seen}
+    seen = [
+        own
+        for own in causes
+        if own.name not in moved.measured or moved.allows(own.name, own.difference.difference or 0.0)
+    ]
+    known = {own.name for own in seen}
     first = [
         CauseChange(name, DISPLACEMENTS[name][0], DISPLACEMENTS[name][2], own)
         for name, own in moved.changes.items()
-        if name in new
+        if name not in known
     ]
     return (*first, *seen)
 

@@ -1,4 +1,4 @@
-"""What moved between the simulated scans of two runs: the second is fitted to the first, pair by pair.
+"""Displacement between the simulated scans of two runs: the second is fitted to the first, pair by pair.
 
 Both show the same place, mostly from the same model, so this is far more accurate than the difference of their
 displacements against the real scan, and distinguishes errors of the range from those of the position.
@@ -7,7 +7,7 @@ displacements against the real scan, and distinguishes errors of the range from 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from .finished import FinishedRun
 
 #: Pairs that are fitted, evenly over all (60 ms each).
 MOST_PAIRS = 40
+#: Nothing moved noticeably within so many times the accuracy of the estimate.
+_STILL = 2.0
 _OF_RANGES = frozenset(("range scale", "range bias"))
 
 
@@ -26,20 +28,39 @@ _OF_RANGES = frozenset(("range scale", "range bias"))
 class MovedWorld:
     """Displacement of the simulated scans of one run against those of another.
 
-    changes : by parameter, those beyond the accuracy of the estimate, the largest first; without values before and
-        after
+    measured : by parameter, without values before and after
     """
 
-    changes: dict[str, Difference]
+    measured: dict[str, Difference]
+
+    @property
+    def changes(self) -> dict[str, Difference]:
+        """Those that moved by more than their half interval and the accuracy of the estimate, the largest first."""
+        ratio = {name: self._size(name) / DISPLACEMENTS[name][1] for name in self.measured}
+        beyond = [name for name in self.measured if ratio[name] > 1 and self._size(name) > self._reach(name)]
+        return {name: self.measured[name] for name in sorted(beyond, key=lambda name: -ratio[name])}
 
     @property
     def ranges_alone(self) -> bool:
-        """True if ranges became longer or shorter, and nothing else moved."""
-        return bool(self.changes) and self.changes.keys() <= _OF_RANGES
+        """True if ranges became longer or shorter, and the intervals exclude that anything else moved noticeably."""
+        others = self.measured.keys() - _OF_RANGES
+        is_still = all(self._size(own) + self._reach(own) <= _STILL * DISPLACEMENTS[own][1] for own in others)
+        return is_still and bool(self.changes.keys() & _OF_RANGES)
+
+    def allows(self, name: str, change: float) -> bool:
+        """True if the interval of a parameter reaches a change that was estimated in another way."""
+        return self._size(name) + self._reach(name) >= abs(change)
+
+    def _size(self, name: str) -> float:
+        return abs(self.measured[name].difference or 0.0)
+
+    def _reach(self, name: str) -> float:
+        own = self.measured[name]
+        return 0.0 if own.low is None or own.high is None else (own.high - own.low) / 2
 
 
 def find_moved(base: FinishedRun, other: FinishedRun, names: Sequence[str], blocks: IntArray) -> MovedWorld | None:
-    """What moved; None if more than half of the pairs have too little surface in common.
+    """The displacement; None if at least half of the pairs have too little surface in common.
 
     Parameters
     ----------
@@ -54,19 +75,9 @@ def find_moved(base: FinishedRun, other: FinishedRun, names: Sequence[str], bloc
     values = np.array([_displacement(base, other, names[i]) for i in rows]).reshape(-1, len(PARAMETERS))
     if 2 * np.isnan(values).any(axis=1).sum() >= len(values):
         return None
-    changes = {}
-    for name, own in zip(PARAMETERS, values.T, strict=True):
-        found = paired_difference(np.zeros(len(own)), own, blocks[rows])
-        size, accuracy = abs(found.difference or 0.0), DISPLACEMENTS[name][1]
-        reach = 0.0 if found.low is None or found.high is None else (found.high - found.low) / 2
-        if size > max(reach, accuracy):
-            changes[name] = (size / accuracy, found)
-    return MovedWorld(
-        {
-            name: Difference(own.n_pairs, own.n_blocks, None, None, own.difference, own.std, own.low, own.high)
-            for name, (_, own) in sorted(changes.items(), key=lambda item: -item[1][0])
-        }
-    )
+    found = [paired_difference(np.zeros(len(own)), own, blocks[rows]) for own in values.T]
+    measured = (replace(own, before=None, after=None) for own in found)
+    return MovedWorld(dict(zip(PARAMETERS, measured, strict=True)))
 
 
 def _displacement(base: FinishedRun, other: FinishedRun, name: str) -> FloatArray:

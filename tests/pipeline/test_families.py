@@ -31,7 +31,7 @@ def judged(n=10, preset="reference", base=None, moved=None, **steps):
         first = before | own
         after = {column: first[column] + step * rng.normal(1, 0.1) for column, step in steps.items()}
         rows[str(i)] = (first, first | after)
-    world = moved and MovedWorld(dict.fromkeys(moved, Difference()))
+    world = moved and MovedWorld(dict.fromkeys(moved, Difference(difference=0.1)))
     found = judge_families(preset, rows, np.arange(n, dtype=np.int32), world=world)
     return {family.name: family for family in found}, overall(found)
 
