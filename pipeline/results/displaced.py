@@ -19,7 +19,7 @@ from .finished import FinishedRun
 
 #: Pairs that are fitted, evenly over all (60 ms each).
 MOST_PAIRS = 40
-#: Nothing moved noticeably within so many times the accuracy of the estimate.
+#: Nothing moved noticeably within this many times the accuracy of the estimate.
 _STILL = 2.0
 _OF_RANGES = frozenset(("range scale", "range bias"))
 
