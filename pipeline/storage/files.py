@@ -34,6 +34,8 @@ def write_whole(
 ) -> None:
     """Write a file atomically: next to its path under a dot name, flushed, then renamed.
 
+    A device such as /dev/null is written to, and stays.
+
     Parameters
     ----------
     path : of the file; its folder is created if missing
@@ -50,6 +52,9 @@ def write_whole(
     temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
     try:
         with named_errors(path, advice):
+            if path.is_char_device():
+                path.write_bytes(b"".join(parts))
+                return
             path.parent.mkdir(parents=True, exist_ok=True)
             with temporary.open("wb") as file:
                 file.writelines(parts)

@@ -1,7 +1,9 @@
 """A run's folder: atomic tables, the lock, and jobs read from the footers of tables."""
 
+import os
 import random
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -98,6 +100,16 @@ def test_a_file_whose_parts_fail_leaves_the_one_before(tmp_path):
         write_whole(tmp_path / "file", parts())
     assert (tmp_path / "file").read_bytes() == b"old"
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_device_is_written_to_and_not_replaced():
+    pty = pytest.importorskip("pty")
+    end, device = pty.openpty()
+    write_whole(Path(os.ttyname(device)), b"rows")
+    assert os.read(end, 100) == b"rows"
+    assert Path(os.ttyname(device)).is_char_device()
+    os.close(device)
+    os.close(end)
 
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path):
