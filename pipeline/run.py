@@ -25,6 +25,7 @@ from ..schemas.settings_text import to_toml
 from ..schemas.tables import TABLES
 from ..stages.ground import peaks_note
 from .datasets.content import input_hashes
+from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .engine.engine import Machines, RunEngine, Survey, current_records
 from .engine.plan import PairPlan, Planner, with_results
@@ -134,6 +135,7 @@ def run_dataset(
     if machines.scheduler:  # its workers may run in other folders
         dataset, out = dataset.absolute(), out.absolute()
     content = read_dataset(dataset)
+    require_partners(content)
     selected = select_pairs(content, pattern)
     check_folder(out, dataset)
     folder = RunFolder(out)

@@ -25,7 +25,7 @@ def show(
     paper: Annotated[
         bool, typer.Option("--paper", help="The paper's claims next to the results of this run, one line each.")
     ] = False,
-    all_: Annotated[bool, typer.Option("--all", help="All tables of the run, before the summary.")] = False,
+    all_: Annotated[bool, typer.Option("--all", help="All tables of a run; all objects of a pair.")] = False,
     floor: Floor = None,
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
@@ -54,8 +54,8 @@ def show(
     output = format_of(as_json, as_markdown, as_csv)
     if paper and pair is not None:
         raise typer.BadParameter("--paper is about the whole run; leave out the pair")
-    if all_ and (paper or pair is not None):
-        raise typer.BadParameter("--all is about the whole run; leave out --paper and the pair")
+    if all_ and (paper or object_ is not None):
+        raise typer.BadParameter("--all is about a run or a pair; leave out --paper and the object")
     if floor is not None and (paper or object_ is not None):
         raise typer.BadParameter("--floor is about the scores of a run or of a pair; leave out --paper and the object")
     if (as_markdown or as_csv) and (paper or all_ or floor is not None):

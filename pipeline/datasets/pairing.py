@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,8 +16,8 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray, IntArray
 from ..storage.files import csv_bytes, write_whole
-from .pairs import MANIFEST, UNPAIRED, read_manifest
-from .readers import frames_of, holds_frames, stem_of, suffix_of
+from .pairs import LIST_NAMES, MANIFEST, NO_PARTNER, UNPAIRED, Dataset, read_manifest
+from .readers import formats, frames_of, holds_frames, stem_of, suffix_of
 from .readers.frame_address import address_of
 
 _TIMES = ("times.txt", "poses.tum")
@@ -74,16 +75,22 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     FidpipeError
         A side cannot be read, nothing pairs them, or `out` has the pairs of other sides.
     """
-    if (real.resolve().name, sim.resolve().name) == SIDES and real.resolve().parent == sim.resolve().parent:
-        return real.parent, ""
     for source in (real, sim):
         if not (source.is_dir() or holds_frames(source)):
             raise DatasetError(f"{source}: expected a folder of scans or a recording (bag, capture)")
+    if _are_a_dataset(real, sim):
+        return real.parent, ""
     is_recording = holds_frames(real) or holds_frames(sim)
     if by_name := None if is_recording else _paired_by_name(real, sim):
         lines, pairing = by_name
     else:
-        lines = read_timeline(real), read_timeline(sim)
+        try:
+            lines = read_timeline(real), read_timeline(sim)
+        except DatasetError as error:
+            if is_recording:
+                raise
+            by_time = f" (by time: {error})" if all(map(scans_in, (real, sim))) else ""
+            raise DatasetError(f"{_no_partner(real, sim)}{by_time}") from error
         pairing = pair_times(lines[0].times_s, lines[1].times_s, TOLERANCE_S)
     before = read_manifest(out / MANIFEST, []) if (out / MANIFEST).exists() else []
     for source, path in ((real, before[0].real), (sim, before[0].sim)) if before else ():
@@ -94,6 +101,39 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     others = f"; {len(pairing.others_s)} other offsets pair as many, see fidpipe pair" if pairing.others_s else ""
     how = "name" if pairing.by_name else f"time (simulated times {pairing.offset_s:+.4f} s{others})"
     return out, f"{len(pairing.real_ids)} pairs by {how}, {n_unpaired} frames without a partner: {out / MANIFEST}"
+
+
+def require_partners(dataset: Dataset) -> None:
+    """Raise `DatasetError` if no scan of a dataset has a partner."""
+    if all(NO_PARTNER in (pair.fault or "") for pair in dataset.pairs):
+        raise DatasetError(f"dataset {dataset.folder}: {_no_partner(*(dataset.folder / side for side in SIDES))}")
+
+
+def _are_a_dataset(real: Path, sim: Path) -> bool:
+    """True if the folders are `real/` and `sim/` of one dataset that has a manifest or scans of the same name."""
+    own, other = real.resolve(), sim.resolve()
+    if (own.name, other.name) != SIDES or own.parent != other.parent:
+        return False
+    names = ({stem_of(frame) for frame in scans_in(side)} for side in (real, sim))
+    return (own.parent / MANIFEST).exists() or bool(set.intersection(*names))
+
+
+def _no_partner(real: Path, sim: Path) -> str:
+    """Error of two folders of scans that no name pairs: counts, an example, and the next step."""
+    frames = {side: scans_in(side) for side in (real, sim)}
+    for side, other in ((real, sim), (sim, real)):
+        if not frames[side]:
+            return (
+                f"no scans found in {side}; expected one of the same name for each of the {len(frames[other])} in "
+                f"{other}; known formats are {', '.join(formats())}"
+            )
+    first = " and ".join(str(own[0]) for own in frames.values())
+    counts = f"none of {len(frames[real])} real and {len(frames[sim])} simulated scans has a partner of the same name"
+    if _paired_by_name(real, sim):
+        advice = f"their numbers pair them: {shlex.join(['fidpipe', 'run', str(real), str(sim)])}"
+    else:
+        advice = f"rename them, or {LIST_NAMES}"
+    return f"{counts}, such as {first}; {advice}"
 
 
 def read_timeline(source: Path) -> Timeline:

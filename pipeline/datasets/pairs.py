@@ -8,7 +8,6 @@ A scan of a manifest may be one frame of a recording, named as in `readers/frame
 from __future__ import annotations
 
 import csv
-import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,10 +26,13 @@ from .stubs import STUB, is_stub, stubs_of
 
 MANIFEST = "pairs.csv"
 UNPAIRED = "unpaired.csv"
+LIST_NAMES = f"list real and simulated file names in a {MANIFEST}, see docs/formats.md"
 LABEL_NAMES = "labels.toml"
 _MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_world_sensor")
 _ROTATION_TOLERANCE = 1e-3
 _IGNORED = "not a known scan format, ignored"
+_FORMATS = "see docs/formats.md"
+NO_PARTNER = "no partner"
 
 
 @dataclass(frozen=True, order=True)
@@ -101,7 +103,7 @@ def read_dataset(folder: Path) -> Dataset:
     warnings: list[str] = []
     pairs = read_manifest(manifest, warnings) if manifest.exists() else _from_folders(folder, warnings)
     if not pairs:
-        wanted = f"expected files in real/ and sim/, or a {MANIFEST}"
+        wanted = f"expected scans in real/ and sim/, or a {MANIFEST}, {_FORMATS}"
         why = f"{MANIFEST} is empty" if manifest.exists() else wanted
         raise DatasetError(f"dataset {folder}: no scan pairs found; {why}")
     pairs.sort(key=lambda pair: pair.pair_id)
@@ -136,7 +138,8 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
             folders = sorted(path.name for path in folder.iterdir() if path.is_dir())
             near = next((name for name in folders if name.lower().startswith(side)), None) or nearest(side, folders)
             inner = next((path for path in sorted(folder.iterdir()) if (path / "real").is_dir()), None)
-            hint = f"; did you mean {near}/? rename it {side}/" if near else "; expected one of the two"
+            hint = f"; did you mean {near}/? rename it {side}/" if near else f"; expected one of the two, {_FORMATS}"
+            other = folder / next(name for name in SIDES if name != side)
             recordings = [path for path in sorted(folder.iterdir()) if holds_frames(path)]
             if inner:
                 hint = f"; it is one level below: {inner}"
@@ -147,25 +150,33 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
                 hint = f"; it holds recordings ({names}); to pair them, the real one first: {words}"
             elif any(suffix_of(path) for path in _files(folder)):
                 hint = f"; it holds scans of one side: fidpipe run {shlex.quote(str(folder))} SIM"
+            elif other.is_dir() and not near:
+                words = shlex.join(
+                    ["fidpipe", "run", *([str(other), "SIM"] if side == "sim" else ["REAL", str(other)])]
+                )
+                hint = f"; expected it next to {other.name}/; if its scans are elsewhere: {words}"
+            elif not any(folder.iterdir()):
+                hint = f"; the folder is empty: expected scans of the same names in real/ and sim/, {_FORMATS}"
             raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found{hint}")
         by_side[side] = _scans_by_stem(folder / side, warnings)
     unread = {side: {path.stem: path for path in _files(folder / side) if suffix_of(path) is None} for side in SIDES}
     orphans = {side: by_side[side].keys() - by_side[other].keys() for side, other in (SIDES, SIDES[::-1])}
-    by_number = {side: {_frame_number(stem): stem for stem in orphans[side]} for side in SIDES}
     pairs = []
     for stem in by_side["real"].keys() | by_side["sim"].keys():
         real, sim = by_side["real"].get(stem), by_side["sim"].get(stem)
         absent = "sim" if real else "real"
-        fault = f"{real or sim}: no partner; expected a scan named {stem} in {folder / absent}"
-        number = _frame_number(stem)
+        fault = f"{real or sim}: {NO_PARTNER}; expected a scan named {stem} in {folder / absent}"
         if stem in unread[absent]:
             fault = f"{unread[absent][stem]}: not readable; known formats are {', '.join(formats())}"
             if not (real and sim):
                 warnings.remove(f"{unread[absent][stem]}: {_IGNORED}")  # the error says it
-        elif number is not None and number in by_number[absent]:
-            other = by_side[absent][by_number[absent][number]].name
-            fault += f"; {other} has the same number: a {MANIFEST} (pair_id,real,sim) pairs files of different names"
         pairs.append(ScanPair(stem, real, sim, fault=None if real and sim else fault))
+    n_real, n_sim = len(orphans["real"]), len(orphans["sim"])
+    if n_real + n_sim > 1:
+        warnings.append(
+            f"{folder}: {n_real} real and {n_sim} simulated scans have no partner of the same name, such as "
+            f"{min(orphans['real'] or orphans['sim'])}; rename them, or {LIST_NAMES}"
+        )
     return pairs
 
 
@@ -178,12 +189,6 @@ def _files(folder: Path) -> list[Path]:
         and not path.is_dir()
         and not path.name.removesuffix(STUB).endswith((".label", ".toml"))
     ]
-
-
-def _frame_number(stem: str) -> int | None:
-    """The last number in a file's stem, without leading zeros."""
-    numbers = re.findall("[0-9]+", stem)
-    return int(numbers[-1]) if numbers else None
 
 
 def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, Path]:

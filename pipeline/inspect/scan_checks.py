@@ -19,6 +19,7 @@ from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.inspect.frame_search import FrameCheck, check_frames
 from ...stages.inspect.plausibility import ScanInspection, inspect_points
 from ..datasets.content import scan_content
+from ..datasets.pairing import require_partners
 from ..datasets.pairs import ScanPair, read_dataset
 from ..datasets.readers import may_crash, read_scan
 from ..datasets.readers.scan import Scan
@@ -106,6 +107,7 @@ def check_dataset(folder: Path, settings: Settings, sensor_settings: Mapping[str
         The dataset as a whole cannot be used.
     """
     dataset = read_dataset(folder)
+    require_partners(dataset)
     names, own = dataset.label_names, settings.input
     checks = _check_pairs(dataset.pairs, own, names)
     samples = SideSamples(dataset.pairs, own)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -25,8 +26,11 @@ from ...schemas.record import RunRecord
 from ...schemas.results import JsonObject, Overview
 from ...schemas.tables import PAIR_TABLES, TABLES
 from ...stages.arrays import FloatArray
+from ..datasets.pairs import MANIFEST
+from ..object_store import url_or_path
+from ..storage.files import path_exists
 from ..storage.folder import RunFolder
-from ..storage.run_record import command_again, finished_record
+from ..storage.run_record import RUN_JSON, command_again, finished_record
 from .diagnosis import diagnosed
 from .object_frame import ALL_COLUMNS, COLUMNS_OF, plain_rows, read_objects
 
@@ -37,6 +41,23 @@ if TYPE_CHECKING:
 _OF_RUN = ("pairs", "timings")
 #: Scores that are shown with their spread over partitions.
 _BY_CHANCE = ("match_rate", "cdc_mean", "r_lambda_mean")
+
+
+def record_of_run(folder: Path) -> dict[str, Any]:
+    """The record of a run; raises `RunError` with the next step if the folder holds none."""
+    shown = url_or_path(folder)
+    if folder.is_file() or path_exists(folder / RUN_JSON):
+        return finished_record(folder)
+    names = {path.name for path in folder.iterdir()} if folder.is_dir() else set[str]()
+    runs = [shlex.quote(str(folder / name)) for name in sorted(names) if path_exists(folder / name / RUN_JSON)]
+    if names & {*SIDES, MANIFEST}:
+        hint = f"it holds a dataset, evaluate it: fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
+    elif runs:
+        hint = f"it holds runs: {', '.join(runs[:3])}{', ...' * (len(runs) > 3)}"
+    else:
+        hint = f"make a run: fidpipe run DATASET --out {shlex.quote(shown)}"
+    problem = f"no {RUN_JSON} found" if folder.is_dir() else "no such folder"
+    raise RunError(f"run {shown}: {problem}, expected a folder written by fidpipe run; {hint}")
 
 
 class FinishedRun:
@@ -52,7 +73,7 @@ class FinishedRun:
 
     def __init__(self, folder: Path | str) -> None:
         self.folder = folder = Path(folder)
-        record = finished_record(folder)
+        record = record_of_run(folder)
         if made_by := record.get("experiment"):
             raise RunError(
                 f"run {folder}: expected a folder written by fidpipe run, got one of fidpipe {made_by}; its tables are "

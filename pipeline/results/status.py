@@ -17,7 +17,8 @@ from ..engine.plan import Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import stages_under
 from ..storage.folder import RunFolder
-from ..storage.run_record import StageSeconds, finished_record
+from ..storage.run_record import StageSeconds
+from .finished import record_of_run
 
 STATES = ("done", "stale", "failed", "to do")
 
@@ -47,7 +48,7 @@ def run_status(folder: Path) -> RunStatus:
     RunError
         The folder is not a run.
     """
-    record = finished_record(folder)
+    record = record_of_run(folder)
     if not {"dataset", "settings"} <= record.keys():
         raise RunError(f"run {folder}: run.json is damaged, it names no dataset or no settings; run it again")
     if "experiment" in record:

@@ -153,7 +153,7 @@ ERRORS_M = np.array([0.01, -0.01, 0.0, 0.01, -0.01])
         ),
     ],
 )
-def test_latency_is_told_from_mounting_by_the_speeds(ahead_m, speeds_m_s, words, setting):
+def test_latency_and_mounting_are_distinguished_by_the_speeds(ahead_m, speeds_m_s, words, setting):
     found = latency_words(ahead_m, speeds_m_s)
     assert found[0].startswith(words)
     assert found[1] == setting

@@ -66,11 +66,57 @@ def test_a_file_of_an_unknown_format_is_not_called_a_missing_partner(dataset, tm
     assert [text.rsplit(": ", 1)[1] for text in beside.warnings] == ["not a known scan format, ignored"]
 
 
-def test_frames_of_the_same_number_and_other_names_suggest_a_manifest(dataset, tmp_path):
-    data = shutil.copytree(dataset, tmp_path / "data")
-    (data / "sim" / "000.bin").rename(data / "sim" / "frame_0.bin")
-    for pair in read_dataset(data).pairs:
-        assert "has the same number: a pairs.csv (pair_id,real,sim) pairs files of different names" in pair.fault
+def scans_named(folder, real, sim):
+    for side, names in (("real", real), ("sim", sim)):
+        (folder / side).mkdir(parents=True)
+        for name in names:
+            write_bin(folder / side / f"{name}.bin", street())
+    return folder
+
+
+@pytest.mark.parametrize("verb", ["run", "check"])
+def test_scans_without_any_partner_are_counted_with_an_example_and_the_next_step(tmp_path, verb):
+    data, words = scans_named(tmp_path / "data", ["left", "right"], ["west"]), ["--workers", 1] * (verb == "run")
+    counts = f"none of 2 real and 1 simulated scans has a partner of the same name, such as {data}/real/left.bin and"
+    listed = "list real and simulated file names in a pairs.csv, see docs/formats.md"
+    assert (
+        one_error(command(verb, data, *words))
+        == f"error: dataset {data}: {counts} {data}/sim/west.bin; rename them, or {listed}"
+    )
+    both = one_error(command(verb, data / "real", data / "sim", *words, cwd=tmp_path))
+    assert counts in both and listed in both and "no times found; expected times.txt" in both
+
+
+def test_names_of_the_same_number_are_answered_with_the_command_that_pairs_them(tmp_path):
+    data = scans_named(tmp_path / "data", ["0000", "0001"], ["frame_0000", "frame_0001"])
+    advice = f"their numbers pair them: fidpipe run {data}/real {data}/sim"
+    assert one_error(command("run", data, "--workers", 1)).endswith(advice)
+    checked = command("check", data / "real", data / "sim", cwd=tmp_path)
+    assert checked.stdout.splitlines()[-1].startswith("2 of 2 pairs can be evaluated")
+
+
+def test_some_scans_without_a_partner_are_counted_before_their_pairs_fail(tmp_path):
+    data = scans_named(tmp_path / "data", ["0000", "0001"], ["0000", "0007"])
+    (text,) = read_dataset(data).warnings
+    assert text.startswith(f"{data}: 1 real and 1 simulated scans have no partner of the same name, such as 0001;")
+
+
+@pytest.mark.parametrize(
+    ("sides", "words"),
+    [
+        ((), "the folder is empty: expected scans of the same names in real/ and sim/, see docs/formats.md"),
+        (("real",), "no folder sim/ and no pairs.csv found; expected it next to real/; .*: fidpipe run {0}/real SIM"),
+        (("sim",), "no folder real/ and no pairs.csv found; expected it next to sim/; .*: fidpipe run REAL {0}/sim"),
+        (("real", "sim"), "no scans found in {0}/sim; expected one of the same name for each of the 1 in {0}/real"),
+    ],
+)
+def test_an_empty_folder_or_side_is_named_in_one_line_with_the_next_step(tmp_path, sides, words):
+    for side in sides:
+        (tmp_path / side).mkdir()
+    if len(sides) == 2:
+        write_bin(tmp_path / "real" / "0.bin", street())
+    found = one_error(command("run", tmp_path, "--workers", 1))
+    assert re.search(words.format(tmp_path), found), found
 
 
 @pytest.mark.parametrize("name", ["T_sim_real", "t_real_sim", "timestamp"])

@@ -146,8 +146,11 @@ def test_two_sides_are_paired_by_name_then_by_number_then_by_time(recordings, tm
     assert dataset_of(*recordings, tmp_path / "c") == (folder, how)  # again, over the same manifest
     with pytest.raises(DatasetError, match="has the pairs of other scans .*; give another --out"):
         dataset_of(tmp_path / "real", tmp_path / "same", tmp_path / "c")
-    (tmp_path / "sim").mkdir()
+    (tmp_path / "same").rename(tmp_path / "sim")
     assert dataset_of(tmp_path / "real", tmp_path / "sim", tmp_path / "d") == (tmp_path, "")
+    (tmp_path / "sim").rename(tmp_path / "same")
+    (tmp_path / "numbered").rename(tmp_path / "sim")
+    assert dataset_of(tmp_path / "real", tmp_path / "sim", tmp_path / "d")[0] == tmp_path / "d"
 
 
 def test_a_folder_of_recordings_or_of_one_side_is_answered_with_the_command_that_works(recordings, tmp_path):

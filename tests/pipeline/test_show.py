@@ -1,12 +1,15 @@
 """A finished run read again: the same numbers as its tables, for people and for programs."""
 
 import json
+from dataclasses import replace
 
 import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 from fidpipe.pipeline.cli.main import app
+from fidpipe.pipeline.report.view import Table, number
+from fidpipe.pipeline.report.views.pair_view import pair_view
 from fidpipe.pipeline.results.finished import FinishedRun, object_facts, pair_facts
 from fidpipe.pipeline.storage.run_record import read_run
 from fidpipe.schemas.errors import RunError
@@ -106,6 +109,24 @@ def test_a_missing_reference_object_shows_what_little_of_it_is_simulated(by_refe
     assert all(of.real is None for of in invented)
 
 
+def test_a_pair_shows_the_share_of_found_objects_and_explains_its_columns(report_run):
+    pair = next(row for row in FinishedRun(report_run).scored if row["n_matched"])
+    text = " ".join(shown(report_run, pair["pair_id"]).split())
+    assert f"found {number(pair['found'])} of the real objects" in text
+    assert "offset: distance between the centroids; align: RMS distance of the aligned nodes" in text
+
+
+def test_a_pair_lists_the_ten_largest_objects_of_one_side_and_with_all_every_one(report_run):
+    facts = pair_facts(FinishedRun(report_run), FIRST)
+    alone = next(each for each in facts.objects if each.status == "hallucinated")
+    many = [replace(alone, sim={**alone.sim, "community_id": i, "n_points": 100 + i}) for i in range(77)]
+    few = pair_view(replace(facts, objects=tuple(many)), "fidpipe show RUN PAIR --all")
+    rows = next(part for part in few if isinstance(part, Table) and part.title == "Objects that only one side has").rows
+    assert [row[2] for row in rows] == [f"sim:{i}" for i in range(76, 66, -1)]
+    assert few[-1].text == "67 more hallucinated, with fewer points: fidpipe show RUN PAIR --all"
+    assert len(pair_view(replace(facts, objects=tuple(many)))[-1].rows) == 77
+
+
 def test_a_failed_pair_shows_why_and_has_no_objects(report_run):
     assert "4.bin: the file is empty" in shown(report_run, BROKEN)
     assert json.loads(shown(report_run, BROKEN, "--json"))["objects"] == []
@@ -127,8 +148,20 @@ def test_a_name_that_is_nearly_right_is_suggested(report_run):
 
 
 def test_a_folder_without_a_finished_run_is_refused(tmp_path):
-    with pytest.raises(RunError, match=r"found no run.json of one"):
-        FinishedRun(tmp_path)
+    expected = "expected a folder written by fidpipe run;"
+    for name, words in (
+        ("", "no run.json found, {1} make a run: fidpipe run DATASET --out {0}"),
+        ("absent", "no such folder, {1} make a run: fidpipe run DATASET --out {0}"),
+        ("data", "no run.json found, {1} it holds a dataset, evaluate it: fidpipe run {0} --out runs/data"),
+        ("runs", "no run.json found, {1} it holds runs: {0}/one"),
+    ):
+        (tmp_path / "data" / "real").mkdir(parents=True, exist_ok=True)
+        (tmp_path / "runs" / "one").mkdir(parents=True, exist_ok=True)
+        (tmp_path / "runs" / "one" / "run.json").touch()
+        folder = tmp_path / name
+        with pytest.raises(RunError) as error:
+            FinishedRun(folder)
+        assert str(error.value) == f"run {folder}: {words.format(folder, expected)}"
     (tmp_path / "run.json").write_text('{"dataset": "/data/streets"}')
     with pytest.raises(RunError, match="the run has not ended"):
         FinishedRun(tmp_path)

@@ -74,7 +74,7 @@ def test_a_hole_is_a_ball_about_a_point_of_the_scan(cloud):
     assert len(FLAWS["holes"](cloud, 12, seeded())) < len(left)
 
 
-def test_foliage_is_told_from_a_road_and_a_wall_by_its_scattering(cloud):
+def test_foliage_is_distinguished_from_a_road_and_a_wall_by_its_scattering(cloud):
     found = is_foliage(cloud)
     assert found[-2000:].mean() > 0.95
     assert found[:-2000].mean() < 0.03

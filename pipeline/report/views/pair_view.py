@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 
 from ....schemas.columns import SIDES, Row
 from ....schemas.metric_catalogue import COVERAGE_REACHES, METRIC, narrow_labels, reach_words
@@ -22,6 +23,7 @@ _COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
 _OUTCOMES = ("rays_same", "rays_in_front", "rays_behind", "rays_dropped", "rays_no_surface", "rays_sim_only")
 _MOST_UNCOVERED = 10
 _MOST_ALIGNMENTS = 3
+_MOST_UNMATCHED = 10
 #: Columns of `objects` and `coverage`: place and shape, and how much of it the other side has.
 _OBJECT_COLUMNS = (
     *("n_points", "range_m", "cx", "cy", "cz", "extent_x", "extent_y", "extent_z"),
@@ -29,29 +31,37 @@ _OBJECT_COLUMNS = (
 )
 
 
-def pair_view(facts: PairFacts) -> View:
-    """The counts of a pair and its surfaces, its matched objects worst first, and those that only one side has."""
+def pair_view(facts: PairFacts, command: str = "") -> View:
+    """The counts of a pair and its surfaces, its matched objects worst first, and those that only one side has.
+
+    Parameters
+    ----------
+    command : shows all unmatched objects; given if only the largest ones are to be shown here
+    """
     row = facts.pair
     if row["status"] != "scored":
         return [Note(f"pair {row['pair_id']} failed: {row['reason']}", "red")]
     title = (
-        f"Pair {row['pair_id']}: match rate {number(row['match_rate'])}; {row['n_matched']} objects on both sides, "
-        f"{row['n_missing']} missing, {row['n_hallucinated']} hallucinated"
+        f"Pair {row['pair_id']}: match rate {number(row['match_rate'])}, found {number(row['found'])} of the real "
+        f"objects; {row['n_matched']} objects on both sides, {row['n_missing']} missing, {row['n_hallucinated']} "
+        "hallucinated"
     )
     names = ("side", "points read", "clean", "not ground", "ground below (m)", "objects")
     keys = ("n_{}_raw", "n_{}_clean", "n_{}_points", "ground_{}_threshold_m", "n_communities_{}")
     counts = [(side, *(row[key.format(side)] for key in keys)) for side in SIDES]
     within = [f"within {reach_words(reach)}" for reach in COVERAGE_REACHES]
     shares = [(side, *(row[f"covered_{side}_{reach}"] for reach in COVERAGE_REACHES)) for side in SIDES]
+    has_matches = any(each.scores for each in facts.objects)
     return [
         Table(title, names, counts, digits={4: 2}),
         Table("Surface (share of the object points with one of the other side)", ("side", *within), shares),
         *_rays(facts),
         _matched(facts),
+        *([Note("offset: distance between the centroids; align: RMS distance of the aligned nodes")] * has_matches),
         *alignment_warning(facts.objects),
         Note(""),
         _least_covered(facts),
-        _unmatched(facts),
+        *_unmatched(facts, command),
     ]
 
 
@@ -98,28 +108,24 @@ def _matched(facts: PairFacts) -> Table:
     return Table(title, headings, rows, digits={3: 1, 9: 2, 10: 2}, wide=(11, 12))
 
 
-def _unmatched(facts: PairFacts) -> Table:
+def _unmatched(facts: PairFacts, command: str) -> View:
     names = ("n_points", "cz", "covered_0p3m")
+    largest = sorted(facts.objects, key=lambda each: -_first_side(each)[1]["n_points"])
+    by_status = [[each for each in largest if each.status == status] for status in ("missing", "hallucinated")]
+    kept = [own[:_MOST_UNMATCHED] if command else own for own in by_status]
     rows = [
         (
             *(own["label"], each.status, f"{side}:{own['community_id']}", own["range_m"]),
             *(*(own[name] for name in names), surface_state(own["covered_0p3m"])),
         )
-        for each in facts.objects
-        if each.scores is None
-        for side, own in [_only(each)]
+        for each in chain(*kept)
+        for side, own in [_first_side(each)]
     ]
-    headings = (
-        "class",
-        "status",
-        "object",
-        "range\n(m)",
-        "points",
-        "height of\ncentroid (m)",
-        "within\n0.3 m",
-        "surface",
-    )
-    return Table("Objects that only one side has", headings, rows, words=(0, 1, 7), digits={3: 1, 5: 1})
+    headings = ("class", "status", "object", "range\n(m)", "points", "centroid\nz (m)", "within\n0.3 m", "surface")
+    table = Table("Objects that only one side has", headings, rows, words=(0, 1, 7), digits={3: 1, 5: 1})
+    left_out = [(len(own) - len(few), own[0].status) for own, few in zip(by_status, kept, strict=True) if own != few]
+    more = " and ".join(f"{n} more {status}" for n, status in left_out)
+    return [table, *([Note(f"{more}, with fewer points: {command}")] if more else ())]
 
 
 def _least_covered(facts: PairFacts) -> Table:
@@ -144,8 +150,8 @@ def _least_covered(facts: PairFacts) -> Table:
     return Table(title, headings, rows, digits=dict.fromkeys(range(3, 9), 2))
 
 
-def _only(facts: ObjectFacts) -> tuple[str, Row]:
-    """The side that has an unmatched object, and the object."""
+def _first_side(facts: ObjectFacts) -> tuple[str, Row]:
+    """The real side and object, or the simulated ones if there is no real object."""
     return next((side, own) for side, own in zip(SIDES, (facts.real, facts.sim), strict=True) if own)
 
 
@@ -223,7 +229,7 @@ def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
 
 def _alone_lines(facts: ObjectFacts) -> list[str]:
     """Reason why an unmatched object has no scores, and whether the other side has its surface."""
-    side, own = _only(facts)
+    side, own = _first_side(facts)
     side, other = {"real": ("real", "simulated"), "sim": ("simulated", "real")}[side]
     why = f"only the {side} side has this object, so that it has no scores"
     if facts.real and facts.sim:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
+
 from pydantic import JsonValue
 
 from ....schemas.results import JsonObject
+from ...object_store import url_or_path
 from ...results.finished import FinishedRun, object_facts, pair_facts, run_facts
 from ...results.floor import RunExcess
 from ...results.overview import over_floor
@@ -27,13 +30,18 @@ def show_view(
     Parameters
     ----------
     excess : of run or pair over a floor, to be shown as well
-    with_all : all tables of the run
+    with_all : all tables of the run, all objects of the pair
     """
     if pair is not None and name is not None:
         return object_view(pair, object_facts(run, pair, name))
     if pair is not None:
         notes = [Note(f"note: {note}", "yellow") for note in (run.record.notes or {}).get(pair, ())]
-        return [*pair_view(pair_facts(run, pair)), *notes, *([pair_excess_table(excess, pair)] if excess else ())]
+        command = "" if with_all else shlex.join(["fidpipe", "show", url_or_path(run.folder), pair, "--all"])
+        return [
+            *pair_view(pair_facts(run, pair), command),
+            *notes,
+            *([pair_excess_table(excess, pair)] if excess else ()),
+        ]
     overview = run.overview if excess is None else over_floor(run, excess.floor)
     return summary_view(run.folder, run.rows, run.record, overview, excess=excess, with_all=with_all)
 
