@@ -97,28 +97,30 @@ def compare(
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
     fail_on: Annotated[
-        str | None, typer.Option("--fail-on", metavar="WORD", help="worse or undecided: exit with 4 if so.")
+        str | None, typer.Option("--fail-on", metavar="VERDICT", help="Exit with 4 on worse, or also on undecided.")
     ] = None,
     junit: Annotated[
-        Path | None, typer.Option("--junit", metavar="FILE", help="JUnit XML, else RUN_B/compare.xml.")
+        Path | None,
+        typer.Option("--junit", metavar="FILE", help="JUnit XML of --fail-on."),
     ] = None,
     json_file: Annotated[
-        Path | None, typer.Option("--json-file", metavar="FILE", help="JSON, else RUN_B/compare.json.")
+        Path | None,
+        typer.Option("--json-file", metavar="FILE", help="JSON of --fail-on."),
     ] = None,
-    history: Annotated[bool, typer.Option("--history", help="All runs in one table.")] = False,
-    by_date: Annotated[bool, typer.Option("--by-date", help="The runs of --history by date.")] = False,
+    history: Annotated[bool, typer.Option("--history", help="One table of all runs.")] = False,
+    by_date: Annotated[bool, typer.Option("--by-date", help="Order --history by date.")] = False,
     allow_different_settings: Annotated[
-        bool, typer.Option("--allow-different-settings", help="Compare them all the same.")
+        bool, typer.Option("--allow-different-settings", help="Allow runs of other settings.")
     ] = False,
-    independent: Annotated[bool, typer.Option("--independent", help="Neighbouring frames count singly.")] = False,
-    all_: Annotated[bool, typer.Option("--all", help="Also every score, class and range.")] = False,
+    independent: Annotated[bool, typer.Option("--independent", help="Treat each pair as independent.")] = False,
+    all_: Annotated[bool, typer.Option("--all", help="Show every score, class and range.")] = False,
 ) -> None:
     """Compare simulator versions on the same real scans: better, worse or mixed, and in what.
 
     Scores are decided in families, at most 5 % false alarms over all; see docs/compare.md. Datasets and scans are
-    evaluated first (preset reference). Exits with 0, or with 1 if a run or setting is wrong, 2 after wrong usage, 4
-    with --fail-on worse if a family is worse or mixed, or a pair that the base has scored failed or is not compared;
-    with --fail-on undecided also if nothing is decided.
+    evaluated first (preset reference). --fail-on worse exits with 4 if a family is worse or mixed, or a pair that the
+    base has scored failed or is not compared; --fail-on undecided also if nothing is decided. It writes compare.xml
+    and compare.json into the last run unless --junit, --json-file or --out say otherwise.
 
     Examples
     --------

@@ -82,7 +82,7 @@ Floor = Annotated[
     typer.Option(
         "--floor",
         metavar="RUN",
-        help="Also scores over this run of fidpipe floor.",
+        help="Show scores minus those of this floor.",
         autocompletion=completion.run_folders,
     ),
 ]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -98,11 +100,14 @@ def check(
     from ..inspect.sensor_settings import read_sensor_settings
     from ..report.views.check_view import check_json, check_view
 
+    options = [("--preset", preset), ("--settings", settings), *(("--set", own) for own in assignments or [])]
+    words = [*filter(None, (dataset, sim)), *chain.from_iterable(own for own in options if own[1])]
+    run_command = shlex.join(["fidpipe", "run", *map(str, words)])
     if sim is not None:
         dataset = paired(dataset, sim, run_folder(sim))
     loaded, sensor_settings = load(settings, assignments or [], preset=preset), expect and read_sensor_settings(expect)
     found = check_dataset(dataset, loaded, sensor_settings or None)
-    print_json(check_json(found)) if as_json else print_view(check_view(found))
+    print_json(check_json(found)) if as_json else print_view(check_view(found, run_command))
     raise typer.Exit(EXIT_WRONG_INPUT if found.faults else 0)
 
 

@@ -22,7 +22,8 @@ from ...schemas.settings import parse_toml
 from ...stages.arrays import FloatArray
 from ...stages.statistics.validation import double_validation_metric
 from ...stages.summary import mean_and_std
-from ..storage.run_record import SETTINGS_TOML
+from ..object_store import url_or_path
+from ..storage.run_record import SETTINGS_TOML, read_run
 from .finished import FinishedRun, differences, settings_changes
 
 FLOOR_DATASET = "dataset"
@@ -135,6 +136,15 @@ def read_recipe(run: Path) -> FloorRecipe | None:
         return _RECIPE.validate_python(recipe)
     except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
         return None
+
+
+def run_of_floor(floor: Path, recipe: FloorRecipe) -> str:
+    """The run next to a floor that is of the same dataset, as commands take it; "RUN" if there is none."""
+    for name in (floor.name.removesuffix("-floor"), Path(recipe.dataset).name):
+        run = floor.with_name(name)
+        if run != floor and read_run(run).get("dataset") == recipe.dataset:
+            return url_or_path(run)
+    return "RUN"
 
 
 def excess_over(run: FinishedRun, floor: Path, pairs: Sequence[str] | None = None) -> RunExcess:

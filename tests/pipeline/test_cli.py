@@ -56,6 +56,7 @@ def test_failed_pairs_end_with_three_and_are_listed(dataset, tmp_path):
     assert (result.stdout + result.stderr).count(reason) == result.stderr.count(reason) == 1
     shown = command("show", tmp_path / "run").stdout
     assert "1 of 2 pairs failed:\n" in shown
+    assert "streets: 1 of 2 pairs scored, preset paper" in shown
     assert shown.count(reason) == 1
 
 
@@ -117,7 +118,9 @@ def test_wrong_usage_ends_with_two(dataset, tmp_path, words):
 def test_check_ends_with_zero_on_good_data_and_one_on_any_fault(dataset, tmp_path):
     good = command("check", dataset)
     assert good.returncode == 0
-    assert "2 of 2 pairs can be evaluated" in good.stdout
+    assert good.stdout.endswith(f"2 of 2 pairs can be evaluated\nnext: fidpipe run {dataset}\n")
+    with_settings = command("check", dataset, "--preset", "reference", "--set", "matching.delta_m=3")
+    assert with_settings.stdout.endswith(f"fidpipe run {dataset} --preset reference --set matching.delta_m=3\n")
     data = shutil.copytree(dataset, tmp_path / "streets")
     (data / "real" / "000.bin").unlink()
     bad = command("check", data)

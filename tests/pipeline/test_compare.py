@@ -264,7 +264,10 @@ def test_the_first_line_is_the_decision_and_the_second_says_on_what(versions):
     for order, word in ((versions, "worse"), (versions[::-1], "better"), ([versions[0]] * 2, "same")):
         found = compare_runs(order)[0]
         assert decision(found).startswith(f"{word}: ")
-        assert shown(compare_view(found)).startswith(f"{word}: ")
+        text = " ".join(shown(compare_view(found)).split())
+        assert text.startswith(f"{word}: ")
+        following = f"next: fidpipe diagnose {order[1]} --floor {order[0]}"
+        assert text.endswith(following) == (word != "same")
         assert chance(found) == (
             "6 pairs, taken as independent (10 s apart or more); error rate over all families at most 5 % for equal "
             "simulators"

@@ -1,6 +1,7 @@
 """Scores of a perfect simulator, and excess over them: by hand, resumed, rejected, and shown."""
 
 import json
+import shutil
 from dataclasses import replace
 from io import StringIO
 
@@ -192,6 +193,18 @@ def test_a_floor_is_a_run_as_any_other_and_has_no_excess_over_itself(folder, tmp
     own = excess_over(FinishedRun(folder / "floor"), folder / "floor")
     assert {score.excess for score in own.scores.values() if score.mean is not None} == {0}
     shown("gate", folder / "floor", "--max", "pairs.changed=0", "--out", tmp_path)
+
+
+def test_a_floor_is_titled_as_one_and_names_the_commands_that_take_it(folder, tmp_path):
+    text = " ".join(shown("show", folder / "floor").split())
+    assert text.startswith("floor of streets: 3 pairs, preset paper ")
+    assert f"Next fidpipe show RUN --floor {folder}/floor " in text
+    shutil.copytree(folder / "run", tmp_path / "streets")
+    own = shutil.copytree(folder / "floor", tmp_path / "streets-floor")
+    words = f"{tmp_path}/streets --floor {own}"
+    text = " ".join(shown("show", own).split())
+    assert text.endswith(f"Next fidpipe show {words} fidpipe diagnose {words}")
+    shown("show", *words.split())
 
 
 def test_a_wrong_floor_is_refused_and_both_are_named(folder, tmp_path):

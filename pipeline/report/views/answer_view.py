@@ -9,7 +9,7 @@ from ....schemas.metric_catalogue import metric_of
 from ....schemas.record import RunRecord
 from ....schemas.results import Overview
 from ...object_store import url_or_path
-from ...results.floor import RunExcess
+from ...results.floor import FloorRecipe, RunExcess, read_recipe, run_of_floor
 from ..view import Answers, Note, View, number, percent, shortened
 
 #: Causes, places and cautions that are shown without --all.
@@ -39,7 +39,8 @@ def answer_view(
     with_all : all causes, places and cautions
     took : time and reused jobs of a run that just ended
     """
-    line = Note(run_line(record, took), "bold")
+    run, recipe = url_or_path(folder), read_recipe(folder)
+    line = Note(run_line(record, took, recipe), "bold")
     if overview is None:
         return [line]
     n_causes, n_places, n_cautions = (None, None, None) if with_all else _FEW
@@ -48,10 +49,12 @@ def answer_view(
     names = shortened({own.pair_id for own in pieces}, _PAIR)
     trust = [own.words for own in overview.trust if own.kind not in _SHOWN_ABOVE][:n_cautions]
     if not with_all:
-        trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(folder), '--all'])}")
-    following = [["check", record.dataset]] if record.frames else [["report", url_or_path(folder), "--open"]]
-    if overview is record.overview and not record.frames:  # not yet diagnosed
-        following.insert(0, ["diagnose", url_or_path(folder)])
+        trust.append(f"more: {shlex.join(['fidpipe', 'show', run, '--all'])}")
+    following = [["check", record.dataset]] if record.frames else [["report", run, "--open"]]
+    if recipe is not None:
+        following = [[verb, run_of_floor(folder, recipe), "--floor", run] for verb in ("show", "diagnose")]
+    elif overview is record.overview and not record.frames:  # not yet diagnosed
+        following.insert(0, ["diagnose", run])
     sections = {
         "  surface": [(surface_words(record, excess), "", "")],
         "  pieces": [(pieces_words(record), "", "")],
@@ -65,14 +68,15 @@ def answer_view(
     return [line, Answers([(heading, items) for heading, items in sections.items() if items])]
 
 
-def run_line(record: RunRecord, took: str = "") -> str:
-    """Dataset, pairs, time and preset of a run."""
+def run_line(record: RunRecord, took: str = "", recipe: FloorRecipe | None = None) -> str:
+    """Dataset, pairs, time and preset of a run, or of a floor if its recipe is given."""
     pairs = record.pairs
     n, n_all = pairs.scored, pairs.scored + pairs.failed + pairs.to_do
-    of_all = f" of {n_all}" if n < n_all else ""
+    counts = f"{n} of {n_all}" if n < n_all else n
+    scored = " scored" * (n < n_all)
     differing = f", but {' '.join(record.departures)}" if record.departures else ""
-    name = Path(record.dataset).name
-    return f"{name}: {n}{of_all} pair{'s' * (n_all != 1)}{took}, preset {record.preset}{differing}"
+    name = Path(record.dataset).name if recipe is None else f"floor of {Path(recipe.dataset).name}"
+    return f"{name}: {counts} pair{'s' * (n_all != 1)}{scored}{took}, preset {record.preset}{differing}"
 
 
 def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:

@@ -38,8 +38,8 @@ def check_json(dataset: DatasetCheck) -> JsonObject:
     }
 
 
-def check_view(dataset: DatasetCheck) -> View:
-    """The pairs of a dataset with points, extents and dropped points, then warnings and errors."""
+def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
+    """The pairs of a dataset with points, extents and dropped points, then warnings, errors and the next command."""
     rows: list[tuple[object, ...]] = []
     for pair, sides in dataset.pairs:
         for side in SIDES:
@@ -51,8 +51,8 @@ def check_view(dataset: DatasetCheck) -> View:
             dropped = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in facts.dropped.items() if n)
             rows.append((name, side, facts.n_raw, facts.n_clean, extent, dropped or "none"))
     columns = ("pair", "side", "points", "clean", "extent x y z (m)", "dropped")
-    n_faulty = len({text.split(":")[0] for text in dataset.faults})
-    verdict = f"{len(dataset.pairs) - n_faulty} of {len(dataset.pairs)} pairs can be evaluated"
+    n_usable = len(dataset.pairs) - len({text.split(":")[0] for text in dataset.faults})
+    verdict = f"{n_usable} of {len(dataset.pairs)} pairs can be evaluated"
     return [
         Table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
         *_sensor_lines(dataset.sensors),
@@ -62,6 +62,7 @@ def check_view(dataset: DatasetCheck) -> View:
         *(Note(f"error: {text}", "red") for text in dataset.faults),
         _space_needed(_disk_bytes(dataset)),
         Note(verdict, "red" if dataset.faults else "green"),
+        *([Note(f"next: {run_command}")] if run_command and n_usable else ()),
     ]
 
 

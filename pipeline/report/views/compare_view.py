@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 
 from ....schemas.metric_catalogue import METRIC
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_FOR_INTERVAL, LEAST_PAIRS, Difference
+from ...object_store import url_or_path
 from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, overall
 from ...results.followed import SHARED_SCORES, GroupChange, ObjectChange
@@ -52,6 +54,9 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
     elif kinds:
         first.append(Note(f"{len(comparison.objects)} real objects: {kinds}"))
     hint = [Note("all scores and objects: --all; as a page: --html FILE")] * (not with_all)
+    if comparison.pairs and comparison.decision != "same" and not comparison.settings:
+        words = ["fidpipe", "diagnose", url_or_path(comparison.other), "--floor", url_or_path(comparison.base)]
+        hint.append(Note(f"next: {shlex.join(words)}"))
     return [*first, *remarks(comparison), *hint, Note("")]
 
 
