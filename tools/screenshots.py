@@ -1,4 +1,7 @@
-"""Renew the pictures of the report: python tools/screenshots.py RUN, of a diagnosed run with a report."""
+"""Renew the pictures of the pages: python tools/screenshots.py RUN, of a diagnosed run with a report, or COMPARE.html.
+
+The comparison in docs/decision.md is of the runs of build41 and build42 of tools/builds.py, preset reference.
+"""
 
 import sys
 import tempfile
@@ -23,9 +26,24 @@ def take(browser, name, selector):
     Image.open(path).convert("RGB").save(path, optimize=True)
 
 
+def take_comparison(page):
+    """Take a picture of the decision, the causes and the decided families."""
+    with tempfile.TemporaryDirectory() as profile:
+        browser = start_browser(profile)
+        browser.execute_cdp_cmd("Emulation.setScrollbarsHidden", {"hidden": True})
+        resize(browser, 1280)
+        open_page(browser, page)
+        take(browser, "decision", "body")
+        browser.quit()
+    path = DOCS / "decision.png"
+    Image.open(path).crop((0, 0, 1280, 580)).save(path, optimize=True)
+
+
 def main(run):
-    """Takes the pictures."""
-    DOCS.mkdir(exist_ok=True)
+    """Take the pictures."""
+    if run.is_file():
+        take_comparison(run.resolve())
+        return
     page = (run / "report.html").resolve()
     with tempfile.TemporaryDirectory() as profile:
         browser = start_browser(profile)
