@@ -35,6 +35,7 @@ from fidpipe.stages.diagnose.motion import PARAMETERS, Displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
 
 EVERY, N_HEALTHY, N_MIXED = 4, 20, 10
+BASE_NOISE_M, BASE_LOSS = 0.02, 0.03
 PIECES = ("missing pieces", "invented pieces")
 
 
@@ -216,7 +217,7 @@ def read(path):
     return points[ranges(points) > 0.5]
 
 
-def remeasured(scan, rng, noise_m=0.02, lost=0.03):
+def remeasured(scan, rng, noise_m=BASE_NOISE_M, lost=BASE_LOSS):
     kept = scan.points[rng.random(len(scan.points)) >= lost]
     return ray_noise(noise_m)(Scan(kept, scan.car, scan.poles), rng)
 
@@ -350,7 +351,7 @@ def tasks_of(args):
             rng = random("healthy", i)
             amounts = rng.uniform(0.01, 0.03), rng.uniform(0.01, 0.04)
             yield args.out, folder, "real", ("healthy", str(i), 0), [(f"healthy {i}", again(*amounts))]
-            yield args.out, folder, "real", ("repeated", str(i), 0), [(f"repeated {i}", again(0.02, 0.03))]
+            yield args.out, folder, "real", ("repeated", str(i), 0), [(f"repeated {i}", again(BASE_NOISE_M, BASE_LOSS))]
 
 
 def again(noise_m, lost):
@@ -388,6 +389,8 @@ def tables(rows):
     errors = []
     for row in single.itertuples():
         truth = FLAWS[row.flaw][1][row.amount][1]
+        if row.flaw == "drop" and row.floor == "none":
+            truth = 1 - (1 - truth) * (1 - BASE_LOSS)
         for name, mean, low, high in row.causes:
             if truth is not None and name in FLAWS[row.flaw][0]:
                 errors.append((row.base, row.floor, row.pairs, abs(mean / truth - 1), low <= truth <= high))

@@ -21,7 +21,9 @@ _MOST_PLACES = 6000
 _NEIGHBOURS = 16
 _FLAT = 0.02  # l3 / l1 of a plane, at most
 _BROAD = 0.02  # l2 / l1 of a plane that is not a line, at least
-_REACHES_M = (1.5, 1.5, 1.0, 1.0, 0.7, 0.7, 0.5, 0.5, 0.5, 0.5)
+_REACHES_M = (1.5, 1.5, 1.0, 1.0, 0.7, 0.7)
+_FINE_REACH_M, _FINE_STEPS = 0.5, 8
+_TUKEY, _LEAST_SPREAD_M = 4.685, 0.01  # efficiency of 95 % under normal errors
 _PRIOR = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05, 0.05, 0.5, 3.0, 3.0, 0.5])  # standard deviations; radians
 _NOISE_M, _CORRELATED = 0.1, 20  # of a distance to a plane, and the places that share an error
 
@@ -52,6 +54,8 @@ def fit_displacement(real: FloatArray, sim: FloatArray, is_ground: BoolArray) ->
     Least squares of distances along normals, point to plane (Chen and Medioni, Image Vision Comput. 1992), linear in
     all parameters: a rigid motion, a scale and a constant error of range, and a motion of the sensor during the sweep,
     of which the pose is right ahead (azimuth 0) and the seam behind. A weak prior keeps at 0 what no surface shows.
+    The last steps compare the mean of as many simulated points as the plane has, which lies inside a curved surface as
+    that of the real ones does, and weigh distances by Tukey's biweight: surface that differs has no say.
 
     Parameters
     ----------
@@ -69,16 +73,29 @@ def fit_displacement(real: FloatArray, sim: FloatArray, is_ground: BoolArray) ->
     columns = _columns(places, is_ground[rows[is_plane]])
     slopes = np.einsum("nkp,nk->np", columns, normal)
     values = np.zeros(len(PARAMETERS))
-    for reach_m in _REACHES_M:
-        distance, near = tree.query(places + columns @ values, distance_upper_bound=reach_m)
-        met = np.flatnonzero(np.isfinite(distance))
+    for reach_m in (*_REACHES_M, *[_FINE_REACH_M] * _FINE_STEPS):
+        is_fine = reach_m == _FINE_REACH_M
+        distance, near = tree.query(
+            places + columns @ values, k=range(1, 1 + (_NEIGHBOURS if is_fine else 1)), distance_upper_bound=reach_m
+        )
+        met = np.flatnonzero(np.isfinite(distance[:, 0]))
         if len(met) < 10 * len(PARAMETERS):
             return None
-        gap = ((sim[near[met]] - places[met]) * normal[met]).sum(axis=1)
-        weight = 1.0 / (_NOISE_M**2 * _CORRELATED)
-        matrix = weight * slopes[met].T @ slopes[met] + np.diag(_PRIOR**-2.0)
-        values = np.linalg.solve(matrix, weight * slopes[met].T @ gap)
+        is_near = np.isfinite(distance[met])
+        points = (sim[np.where(is_near, near[met], 0)] * is_near[..., None]).sum(axis=1) / is_near.sum(axis=1)[:, None]
+        gap = ((points - places[met]) * normal[met]).sum(axis=1)
+        weighted = slopes[met] / (_NOISE_M**2 * _CORRELATED)
+        if is_fine:
+            weighted *= _biweight(gap - slopes[met] @ values)[:, None]
+        values = np.linalg.solve(weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0), weighted.T @ gap)
     return Displacement(_external(values))
+
+
+def _biweight(residual: FloatArray) -> FloatArray:
+    """Weights of distances (Tukey), their spread from the median of the absolute ones."""
+    spread = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_SPREAD_M)
+    weight: FloatArray = np.maximum(1.0 - (residual / (_TUKEY * spread)) ** 2, 0.0) ** 2
+    return weight
 
 
 def _columns(points: FloatArray, is_ground: BoolArray) -> FloatArray:
