@@ -14,7 +14,7 @@ from object_pictures import EXAMPLES, numbers_table
 from runs import STAGE_NAMES, run
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-SECTIONS = ["Definition", "Settings", "Tables", "What goes wrong"]
+SECTIONS = ["Definition", "Settings and tables", "What goes wrong"]
 
 
 def page(name):
@@ -33,15 +33,15 @@ def test_a_page_has_equation_source_picture_and_its_sections(name):
     assert re.findall("^## (.*)$", text, re.MULTILINE) == SECTIONS
     assert "$$" in text
     assert "**Source**" in text
-    assert f"```{{tables}} {name}\n```" in text
+    assert f"```{{stage}} {name}\n" in text
     assert f"](../pictures/{name}.png)" in text
 
 
 def test_every_setting_that_a_stage_reads_is_on_a_page():
-    shown = {
-        group for name in STAGE_NAMES for own in re.findall(r"\{settings\} (.*)", page(name)) for group in own.split()
+    named = {
+        group for name in STAGE_NAMES for own in re.findall(":settings: (.*)", page(name)) for group in own.split()
     }
-    assert shown >= {group for stage in STAGES for group in stage.settings}
+    assert {*named, *STAGE_NAMES} >= {group for stage in STAGES for group in stage.settings}
 
 
 def test_every_stage_has_a_picture_and_all_that_is_shown_is_there():

@@ -1,8 +1,8 @@
-"""Directives with content generated from the code: `{reference}`, `{settings}`, `{tables}` and `{pipeline}`."""
+"""Directives with content generated from the code: `{reference}`, `{stage}` and `{pipeline}`."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from sphinx.util.docutils import SphinxDirective
 
@@ -34,31 +34,21 @@ class Reference(SphinxDirective):
         return self.parse_text_to_nodes(texts[self.arguments[0]](), allow_section_headings=True)
 
 
-class SettingsTable(SphinxDirective):
-    """Table of the settings of each named group, with the values of the presets."""
+class StageContract(SphinxDirective):
+    """Settings of a stage (the group of its name, or those in its option), its inputs, and its output tables."""
 
     required_arguments = 1
-    final_argument_whitespace = True
+    option_spec: ClassVar = {"settings": str.split}
 
     def run(self) -> list[nodes.Node]:
-        """One table per group."""
-        groups = self.arguments[0].split()
-        if unknown := [group for group in groups if group not in Settings.model_fields]:
-            raise self.error(f"settings {unknown[0]!r}: no such group; known are {', '.join(Settings.model_fields)}")
-        return self.parse_text_to_nodes("\n".join(map(contracts.settings_of, groups)))
-
-
-class StageTables(SphinxDirective):
-    """Inputs of a stage, its output tables with their columns, and the scope of a job."""
-
-    required_arguments = 1
-
-    def run(self) -> list[nodes.Node]:
-        """A table of the inputs, and one for each output table."""
+        """A table for each group of settings, one of the inputs, and one for each output table."""
         stage = next((own for own in (*STAGES, *EXTRAS) if own.name == self.arguments[0]), None)
         if stage is None:
             raise self.error(f"stage {self.arguments[0]!r}: no such stage; known are {', '.join(_names())}")
-        return self.parse_text_to_nodes(tables_of(stage))
+        groups = self.options.get("settings", [stage.name] if stage.name in Settings.model_fields else [])
+        if unknown := [group for group in groups if group not in Settings.model_fields]:
+            raise self.error(f"settings {unknown[0]!r}: no such group; known are {', '.join(Settings.model_fields)}")
+        return self.parse_text_to_nodes("\n".join([*map(contracts.settings_of, groups), tables_of(stage)]))
 
 
 class PipelineTable(SphinxDirective):
@@ -101,7 +91,6 @@ def _names() -> list[str]:
 def setup(app: Sphinx) -> dict[str, bool]:
     """Registers the directives."""
     app.add_directive("reference", Reference)
-    app.add_directive("settings", SettingsTable)
-    app.add_directive("tables", StageTables)
+    app.add_directive("stage", StageContract)
     app.add_directive("pipeline", PipelineTable)
     return {"parallel_read_safe": True}
