@@ -1,4 +1,4 @@
-"""Markdown of the contracts in `schemas`: all tables, all settings, the scores of matched objects."""
+"""Markdown of the contracts in `schemas`: all tables, settings and known sensors, the scores of matched objects."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pydantic import BaseModel
 
 from fidpipe.schemas.columns import Table
 from fidpipe.schemas.metric_catalogue import METRIC, OBJECT_SCORES
+from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import PRESETS, Settings, parse
 from fidpipe.schemas.settings_text import allowed
 from fidpipe.schemas.tables import TABLES
@@ -46,6 +47,16 @@ def all_scores() -> str:
         paper = "" if metric.paper is None else f"{metric.paper}"
         cells = (metric.label, f"`{metric.column}`", values, metric.better or "", paper, metric.reading)
         rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows) + "\n"
+
+
+def all_sensors() -> str:
+    """Markdown table of the known sensors: name, model, beams, elevations, and where these are published."""
+    rows = ["| name | sensor | beams | degrees | elevations | source |", "|---|---|---|---|---|---|"]
+    for own in SENSORS.values():
+        degrees = f"{min(own.elevation_deg):.4g} to {max(own.elevation_deg):.4g}"
+        units = "differ per unit" if own.unit_deg else "as tabulated"
+        rows.append(f"| `{own.name}` | {own.title} | {own.n_beams} | {degrees} | {units} | {own.source} |")
     return "\n".join(rows) + "\n"
 
 

@@ -24,14 +24,14 @@ _GRAINS = {
 
 
 class Reference(SphinxDirective):
-    """All tables, all settings, or all scores of matched objects."""
+    """All tables, settings, known sensors, or scores of matched objects."""
 
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
         """The sections of the page."""
-        texts = {"tables": contracts.all_tables, "settings": contracts.all_settings, "scores": contracts.all_scores}
-        return self.parse_text_to_nodes(texts[self.arguments[0]](), allow_section_headings=True)
+        text = getattr(contracts, f"all_{self.arguments[0]}")()
+        return self.parse_text_to_nodes(text, allow_section_headings=True)
 
 
 class StageContract(SphinxDirective):
