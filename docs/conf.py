@@ -41,6 +41,7 @@ nb_execution_raise_on_error = True
 nb_merge_streams = True
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 os.environ["COLUMNS"] = "100"
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (sys.path[0], os.environ.get("PYTHONPATH"))))  # shell_cells
 
 html_theme = "furo"
 html_title = "fidpipe"

@@ -1,4 +1,4 @@
-"""Outcomes of degenerate scans, and checks that every result passes: docs/degenerate.md.
+"""Outcomes of degenerate scans, and checks that every result passes: docs/faults.md.
 
 `python tools/degenerate.py` rewrites tests/degenerate_outcomes.md.
 """

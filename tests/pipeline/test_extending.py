@@ -394,11 +394,10 @@ def pts_package(tmp_path):
     section, site = section_of("A reader in another package"), tmp_path / "site"
     (project,) = re.findall(r"```toml\n(.*?)```", section, re.DOTALL)
     (module,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
-    named = tomllib.loads(project)["project"]
-    metadata = site / f"{named['name'].replace('-', '_')}-{named['version']}.dist-info"
+    metadata = site / "fidpipe_pts-1.0.dist-info"
     metadata.mkdir(parents=True)
-    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {named['name']}\nVersion: {named['version']}\n")
-    ((group, entries),) = named["entry-points"].items()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: fidpipe-pts\nVersion: 1.0\n")
+    ((group, entries),) = tomllib.loads(project)["project"]["entry-points"].items()
     lines = [f"{name} = {value}\n" for name, value in entries.items()]
     (metadata / "entry_points.txt").write_text(f"[{group}]\n{''.join(lines)}")
     (site / "fidpipe_pts.py").write_text(module)
