@@ -1,4 +1,4 @@
-"""Markdown of the contracts in `schemas`: all tables, settings and known sensors, the scores of matched objects."""
+"""Markdown of the contracts in `schemas`: tables, settings, sensors, baseline metrics, scores of matched objects."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from fidpipe.schemas.columns import Table
-from fidpipe.schemas.metric_catalogue import METRIC, OBJECT_SCORES
+from fidpipe.schemas.metric_catalogue import BASELINES, METRIC, OBJECT_SCORES
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import PRESETS, Settings, parse
 from fidpipe.schemas.settings_text import allowed
@@ -47,6 +47,16 @@ def all_scores() -> str:
         paper = "" if metric.paper is None else f"{metric.paper}"
         cells = (metric.label, f"`{metric.column}`", values, metric.better or "", paper, metric.reading)
         rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows) + "\n"
+
+
+def all_baselines() -> str:
+    """Markdown table of the baseline metrics: name, columns, range, direction, and definition."""
+    rows = ["| name | column | range | better | definition |", "|---|---|---|---|---|"]
+    for metric in BASELINES:
+        bounds = f"{metric.low:g} to {metric.high:g}" if metric.high is not None else f"{metric.low:g} or more"
+        meaning = metric.meaning + (f" ({metric.source})" if metric.source else "")
+        rows.append(f"| `{metric.method}` | `{metric.column}` | {bounds} | {metric.better} | {meaning} |")
     return "\n".join(rows) + "\n"
 
 

@@ -24,7 +24,7 @@ _GRAINS = {
 
 
 class Reference(SphinxDirective):
-    """All tables, settings, known sensors, or scores of matched objects."""
+    """All tables, settings, known sensors, baseline metrics, or scores of matched objects."""
 
     required_arguments = 1
 
