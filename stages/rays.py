@@ -136,7 +136,8 @@ def compare_rays(
     ranges = _range_along(real[both] / a.range_m[both, None], sim[partner[both]], met)
     difference = ranges - a.range_m[both]
     is_same = np.abs(difference) <= max(SAME_M, SAME_SIGMAS * noise_m)
-    is_far = scipy.spatial.cKDTree(sim).query(real[only_real], distance_upper_bound=SURFACE_M)[0] > SURFACE_M
+    surface = scipy.spatial.cKDTree(sim, balanced_tree=False)
+    is_far = surface.query(real[only_real], distance_upper_bound=SURFACE_M)[0] > SURFACE_M
     n_real, n_sim = len(only_real), len(only_sim)
     real_row = np.concatenate([both, only_real, np.full(n_sim, -1)])
     sim_row = np.concatenate([partner[both], np.full(n_real, -1), only_sim])
@@ -271,7 +272,7 @@ class _Side:
         azimuth = (np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0) / step_deg % self.width
         elevation = np.degrees(np.arcsin(points[:, 2] / self.range_m))
         self.place = np.column_stack([azimuth, np.interp(elevation, elevation_deg, rows)])
-        self.tree = scipy.spatial.cKDTree(self.place, boxsize=[self.width, 0.0])
+        self.tree = scipy.spatial.cKDTree(self.place, boxsize=[self.width, 0.0], balanced_tree=False)
 
     def incidence_deg(self, at: IndexArray | IntArray, normal: FloatArray) -> FloatArray:
         """(k,) angle between the rays of some returns and the normals of the surface that they met."""
@@ -370,7 +371,7 @@ def _without_finer(rows: IndexArray, own: _Side, other: _Side) -> IndexArray:
     first of each cell.
     """
     near_rows = np.array([_SQUEEZE, 1.0])  # the nearest row counts more than the nearest column
-    tree = scipy.spatial.cKDTree(other.place / near_rows, boxsize=[other.width / _SQUEEZE, 0.0])
+    tree = scipy.spatial.cKDTree(other.place / near_rows, boxsize=[other.width / _SQUEEZE, 0.0], balanced_tree=False)
     k = min(_CANDIDATES, len(other.place))
     distance, near = tree.query(own.place[rows] / near_rows, k=k, distance_upper_bound=_LEAST_ROWS)
     is_there = np.isfinite(distance)

@@ -112,7 +112,7 @@ def _or_null(values: FloatArray) -> pa.Array:
 
 STAGE = Stage(
     name="rays",
-    version=2,
+    version=3,
     takes={"ground": ("point_id", "x", "y", "z", "intensity", "label"), "sensor": ()},
     gives=("rays", "ray_scores"),
     settings=("input",),
