@@ -31,8 +31,9 @@ def write_whole(
     *,
     before_rename: Callable[[], None] | None = None,
     advice: str = "; give another --out",
+    outlasts_power: bool = True,
 ) -> None:
-    """Write a file atomically: next to its path under a dot name, flushed, then renamed.
+    """Write a file atomically: next to its path under a dot name, then renamed.
 
     A device such as /dev/null is written to, and stays.
 
@@ -42,6 +43,7 @@ def write_whole(
     content : everything, or its parts one after the other, which are then never in memory together
     before_rename : may raise, and the file in place stays
     advice : ends the message of the error
+    outlasts_power : wait until it is on the disk, a millisecond or more; False for a file whose readers check its hash
 
     Raises
     ------
@@ -59,7 +61,8 @@ def write_whole(
             with temporary.open("wb") as file:
                 file.writelines(parts)
                 file.flush()
-                os.fsync(file.fileno())
+                if outlasts_power:
+                    os.fsync(file.fileno())
             if before_rename is not None:
                 before_rename()
             temporary.replace(path)

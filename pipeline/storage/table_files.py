@@ -13,6 +13,7 @@ import re
 import stat
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -208,18 +209,8 @@ class TableFolder:
         job = job or _job_in_footer(JobRecord(table, "", "", key, {}), [path.name])
         own = {"fidpipe.table": table, "fidpipe.schema_version": str(schema.version), "fidpipe.key": key}
         own |= {"fidpipe.job": job, "fidpipe.check": key_of(key, job)}
-        words = [field.name for field in schema.schema if field.type not in _ENCODINGS]
         sink = pa.BufferOutputStream()
-        with pq.ParquetWriter(
-            sink,
-            schema.schema,
-            compression="zstd",
-            use_dictionary=words,
-            write_statistics=words,  # of numbers they cost a quarter of the time, and a file has one pair
-            column_encoding={f.name: _ENCODINGS[f.type] for f in schema.schema if f.type in _ENCODINGS},
-            store_schema=False,
-            write_page_checksum=True,  # they are the check of a file that the ledger does not know
-        ) as writer:
+        with pq.ParquetWriter(sink, schema.schema, **_writer_options(schema.schema)) as writer:
             for part in parts:
                 writer.write_table(schema.check(part))
             writer.add_key_value_metadata(own)
@@ -255,7 +246,7 @@ class TableFolder:
             raise self.damaged(name, getattr(error, "strerror", None) or str(error)) from error
 
     def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
-        write_whole(path, content, before_rename=self.check_token, advice="")
+        write_whole(path, content, before_rename=self.check_token, advice="", outlasts_power=False)
         status = path.stat()
         return StoredFile(status.st_size, sha256, status.st_mtime_ns, status.st_ctime_ns)
 
@@ -308,6 +299,21 @@ class TablesAtUrl(TableFolder):
 
 
 _ASKED: dict[str, float] = {}
+
+
+@cache
+def _writer_options(schema: pa.Schema) -> dict[str, Any]:
+    """Options of `pyarrow.parquet.ParquetWriter`, which depend on the types of the columns alone."""
+    encodings = {field.name: _ENCODINGS[field.type] for field in schema if field.type in _ENCODINGS}
+    words = [name for name in schema.names if name not in encodings]
+    return {
+        "compression": "zstd",
+        "use_dictionary": words,
+        "write_statistics": words,  # of numbers they cost a quarter of the time, and a file has one pair
+        "column_encoding": encodings,
+        "store_schema": False,
+        "write_page_checksum": True,  # they are the check of a file that the ledger does not know
+    }
 
 
 def read_content(content: bytes, columns: list[str] | None = None, **options: Any) -> pa.Table:

@@ -20,15 +20,16 @@ N_PAIRS = 3
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
 def test_a_full_disk_stops_a_run_once_with_path_and_need(dataset, tmp_path, monkeypatch, number):
-    written = []
+    rename, written = os.replace, []
 
-    def fsync(file):
-        written.append(file)
+    def fill(*names):
+        written.append(names)
         if len(written) > 12:
             raise OSError(number, os.strerror(number))
+        rename(*names)
 
     with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", fsync)
+        patch.setattr(os, "replace", fill)
         with pytest.raises(DiskFullError) as error:
             run(dataset, tmp_path / "run")
     told = str(error.value)

@@ -54,7 +54,7 @@ def kill_own_worker_once(context, at_work):
         flag.write_text(str(os.getpid()))
         if at_work == "beginning":
             os.kill(os.getpid(), signal.SIGKILL)
-        os.fsync = lambda file: os.kill(os.getpid(), signal.SIGKILL)
+        os.replace = lambda *names: os.kill(os.getpid(), signal.SIGKILL)
     return metrics_job.make_metrics(context)
 
 
