@@ -260,7 +260,7 @@ class _Run:
         chosen = {pair.pair_id for pair in selected}
 
         def complete(plan: PairPlan) -> None:
-            self._jobs.add(plan.pair, [job.record for job in plan.jobs if job.record is not None])
+            self._jobs.add(plan.pair, list(plan.records.values()))
 
         return self._engine.survey(self._dataset.pairs, self.plan, selected=chosen, redo=redo, complete=complete)
 
@@ -404,7 +404,7 @@ class _Run:
         if pair is None:
             return None
         plan, _ = with_results(self.plan(pair), self._folder)
-        return self._folder.ledger.failure(pair.pair_id, [job.key for job in plan.todo])
+        return self._folder.ledger.failure(pair.pair_id, [plan.keys[job.name] for job in plan.todo])
 
     def _timing_parts(self, pair_ids: Iterable[str]) -> Iterator[pa.Table]:
         """The rows of `timings`, some pairs at a time."""

@@ -190,9 +190,9 @@ class DaskPool(Pool):
         except (OSError, ValueError):  # a scheduler without one has the same link
             return ""
 
-    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0) -> Handle:
+    def submit(self, function: Callable[..., Any], *args: Any) -> Handle:
         """See `Pool`."""
-        future = self._client.submit(_in_worker, self._requirements, function, *args, pure=False, priority=priority)
+        future = self._client.submit(_in_worker, self._requirements, function, *args, pure=False)
         future.add_done_callback(self._done.put)
         return future
 

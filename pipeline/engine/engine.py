@@ -31,7 +31,7 @@ from .pool import Pool
 from .progress import Reporter
 from .schedule import Policy, Schedule
 from .time_limit import TimeLimit
-from .worker import BatchResult, JobFailure, failure_text, is_required
+from .worker import BatchResult, JobFailure, failure_text
 
 _LARGE_PAIR = 500_000  # points of both files
 _TIME_NOTES = ".time_limit"  # folder in that of a run, while it works
@@ -357,24 +357,23 @@ class RunEngine:
         The ledger keeps the reason of a failed pair; all results of a pair without scores are removed.
         """
         own = []
-        order = {job.name: i for i, job in enumerate(plan.jobs)}
-        for failure in sorted(failures, key=lambda failure: order[failure.stage, failure.part]):
-            if failure.part in plan.job((failure.stage, failure.part)).stage.parts:
-                own.append(failure)
-            else:
+        order = list(plan.jobs)
+        for failure in sorted(failures, key=lambda failure: order.index(failure.job)):
+            if plan.jobs[failure.job].is_part:
                 self.fail(f"{plan.pair_id}, {failure.part}", failure.reason)
+            else:
+                own.append(failure)
         self.reporter.advance(len(plan.todo), 1)
         if plan.limit is not None:
             rmtree(plan.limit.folder, ignore_errors=True)
-        if required := [failure for failure in own if is_required(plan.job((failure.stage, failure.part)))]:
+        if required := [failure for failure in own if plan.jobs[failure.job].is_required]:
             own = required[:1]  # which of the others were begun depends on the number of workers
             for record in self.folder.ledger.jobs(plan.pair_id).values():
                 self.folder.forget(record)
                 self.n_made -= record.made_by == self.folder.token
         if own:
             self.fail(plan.pair_id, failure_text(own))
-            key = plan.job((own[0].stage, own[0].part)).key
-            self.folder.ledger.put_failure(plan.pair_id, key, self.failures[plan.pair_id])
+            self.folder.ledger.put_failure(plan.pair_id, plan.keys[own[0].job], self.failures[plan.pair_id])
         else:
             self.folder.ledger.drop_failure(plan.pair_id)
         for trace in dict.fromkeys(failure.trace for failure in failures if failure.trace):

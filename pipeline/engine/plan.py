@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,13 +18,11 @@ from ..stage import N_RAW, OBJECTS, SCAN, Grain, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder
 from ..storage.run_record import library_versions
-from ..storage.table_files import JobName, JobRecord
+from ..storage.table_files import JobId, JobName, JobRecord
 from .time_limit import TimeLimit
 
 OUT_OF_DATE = "out of date"  #: reason why a result that was made from or with something else is stale
 NOT_REQUESTED = "not requested"
-
-JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True)
 class Job:
-    """One stage of one pair and part: its key, and its record if it is done.
+    """One stage of one part, the same for all pairs of a run that have files of the same sides.
 
+    key : a hash of all that its result depends on, except for the inputs
     sources : what it takes
-    reads : keys of all that it takes
     """
 
     stage: Stage
@@ -66,26 +66,36 @@ class Job:
     key: str
     settings: Settings
     sources: tuple[Source, ...] = ()
-    reads: tuple[str, ...] = ()
     arguments: tuple[Any, ...] = ()
-    record: JobRecord | None = None
 
-    @property
+    @cached_property
     def name(self) -> JobId:
         """Name among the jobs of its pair."""
         return self.stage.name, self.part
 
-    @property
+    @cached_property
     def needs(self) -> set[JobId]:
         """The jobs of the pair whose results it takes."""
         return {source.maker for source in self.sources if source.maker is not None}
+
+    @property
+    def is_part(self) -> bool:
+        """True for a part of an experiment."""
+        return self.part not in self.stage.parts
+
+    @property
+    def is_required(self) -> bool:
+        """True if its pair fails without it: it is neither an extra nor a part of an experiment."""
+        return not (self.stage.is_extra or self.is_part)
 
 
 @dataclass(frozen=True)
 class PairPlan:
     """The jobs of a pair: all that a worker needs to know, paths and keys, no points.
 
-    jobs : in their order
+    jobs : by name, in their order
+    keys : of each job's result, by name; of each input file by `SCAN` and side
+    records : of the jobs that are done
     inputs : by side, what its file holds
     folder, token : of the run
     url : of its tables, for workers that do not share the folder
@@ -94,7 +104,9 @@ class PairPlan:
     """
 
     pair: ScanPair
-    jobs: tuple[Job, ...]
+    jobs: Mapping[JobId, Job]
+    keys: Mapping[JobId, str]
+    records: Mapping[JobId, JobRecord] = field(default_factory=dict)
     inputs: Mapping[str, ScanContent] = field(default_factory=dict)
     label_names: Mapping[int, str] = field(default_factory=dict)
     folder: Path = Path()
@@ -120,34 +132,27 @@ class PairPlan:
         return self._counted().keys() >= self.inputs.keys()
 
     def _counted(self) -> dict[str, int]:
-        records = (job.record for job in self.jobs if job.record is not None)
+        records = self.records.values()
         return {record.part: record.metadata[N_RAW] for record in records if N_RAW in record.metadata}
 
     @property
-    def todo(self) -> tuple[Job, ...]:
+    def todo(self) -> list[Job]:
         """The jobs that are not done."""
-        return tuple(job for job in self.jobs if job.record is None)
+        return [job for name, job in self.jobs.items() if name not in self.records]
 
     @property
     def objects(self) -> list[tuple[int, int]] | None:
         """Id and nodes of each matched object, where a finished job lists them."""
-        lists: list[list[tuple[int, int]]] = [
-            [(number, n_keep) for number, n_keep in job.record.metadata[OBJECTS]]
-            for job in self.jobs
-            if job.record is not None and OBJECTS in job.record.metadata
-        ]
-        return lists[-1] if lists else None
+        lists = [record.metadata[OBJECTS] for record in self.records.values() if OBJECTS in record.metadata]
+        return [(number, n_keep) for number, n_keep in lists[-1]] if lists else None
 
-    def job(self, name: JobId) -> Job:
-        """A job by stage and part."""
-        return next(job for job in self.jobs if job.name == name)
+    def reads(self, job: Job) -> tuple[str, ...]:
+        """The keys of all that a job takes."""
+        return _reads(job, self.keys)
 
     def with_records(self, records: Iterable[JobRecord]) -> PairPlan:
         """The same plan, knowing that these jobs are done."""
-        done = {(record.stage, record.part): record for record in records}
-        if not done:
-            return self
-        return replace(self, jobs=tuple(replace(job, record=done.get(job.name, job.record)) for job in self.jobs))
+        return replace(self, records={**self.records, **{record.job: record for record in records}})
 
 
 class Planner:
@@ -170,14 +175,14 @@ class Planner:
         self.sides = tuple(sides)
         self._parts = [Part(stage, name) for stage in stages for name in stage.parts if name in ("", *self.sides)]
         self._method_keys: dict[tuple[str, int], tuple[Settings, str]] = {}
-        self._layouts: dict[tuple[str, ...], list[Job]] = {}
+        self._layouts: dict[tuple[str, ...], dict[JobId, Job]] = {}
 
     def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent], parts: Iterable[Part] = ()) -> PairPlan:
         """The jobs of a pair with their expected keys, none of them done yet.
 
-        A job's key is a hash of its stage's name, version, settings and libraries, the columns of the tables that it
-        gives, its part and arguments, and the keys of what it reads; that of an input file hashes its content, its
-        labels with their names, and T_real_sim.
+        The key of a result is a hash of its stage's name, version, settings and libraries, the columns of the tables
+        that it gives, its part and arguments, and the keys of what it reads; that of an input file hashes its content,
+        its labels with their names, and T_real_sim.
 
         Parameters
         ----------
@@ -194,17 +199,14 @@ class Planner:
         sides, parts = tuple(side for side in self.sides if side in inputs), tuple(parts)
         if sides not in self._layouts:
             self._layouts[sides] = self._layout(sides, ())
-        layout = self._layout(sides, parts) if parts else self._layouts[sides]
+        jobs = self._layout(sides, parts) if parts else self._layouts[sides]
         keys = {(SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in sides}
-        jobs = []
-        for job in layout:
-            reads = tuple(dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in job.sources))
-            keys[job.name] = key_of(job.key, job.part, _plain(job.arguments), reads)
-            jobs.append(replace(job, key=keys[job.name], reads=reads))
-        return PairPlan(pair, tuple(jobs), inputs, self.label_names)
+        for name, job in jobs.items():  # keys are hexadecimal digits, so that a space ends each
+            keys[name] = hashlib.sha256(" ".join((job.key, *_reads(job, keys))).encode()).hexdigest()
+        return PairPlan(pair, jobs, keys, {}, inputs, self.label_names)
 
-    def _layout(self, sides: tuple[str, ...], parts: Iterable[Part]) -> list[Job]:
-        """The jobs of all pairs that have files of these sides, without inputs; their keys cover stage and settings."""
+    def _layout(self, sides: tuple[str, ...], parts: Iterable[Part]) -> dict[JobId, Job]:
+        """The jobs of all pairs that have files of these sides."""
         makers: dict[tuple[str, str], JobId | None] = {(SCAN, side): None for side in sides}
         jobs: dict[JobId, Job] = {}
         for part in (*self._parts, *parts):
@@ -221,10 +223,10 @@ class Planner:
             sources = tuple(Source(*name, columns, makers[name]) for name, columns in wanted.items())
             if (stage.name, part.name) in jobs:
                 raise ValueError(f"stage {stage.name} has two parts {part.name}; expected different names")
-            key = self._method_key(stage, settings)
-            jobs[stage.name, part.name] = Job(stage, part.name, key, settings, sources, (), part.arguments)
+            key = key_of(self._method_key(stage, settings), part.name, _plain(part.arguments))
+            jobs[stage.name, part.name] = Job(stage, part.name, key, settings, sources, part.arguments)
             makers |= {(table, side): (stage.name, part.name) for table in stage.gives}
-        return list(jobs.values())
+        return jobs
 
     def _method_key(self, stage: Stage, settings: Settings) -> str:
         """A hash of the settings, versions and code of a stage, which is the same for all pairs."""
@@ -276,11 +278,11 @@ def with_results(
     """
     records = folder.ledger.jobs(plan.pair_id)
     whole, unwanted = [], {}
-    for job in plan.jobs:
-        record = records.pop(job.name, None)
+    for name, job in plan.jobs.items():
+        record = records.pop(name, None)
         if record is None:
             continue
-        if record.key != job.key:
+        if record.key != plan.keys[name]:
             unwanted[record.name] = OUT_OF_DATE
         elif not folder.is_whole(record, by_content=by_content):
             unwanted[record.name] = "damaged or gone"
@@ -288,13 +290,17 @@ def with_results(
             unwanted[record.name] = "requested by --from"
         else:
             whole.append(record)
-    wanted = {job.key for job in plan.jobs} | {key for job in plan.jobs for key in job.reads}
     for record in records.values():
-        if not wanted.issuperset(record.reads):
+        if not set(plan.keys.values()).issuperset(record.reads):
             unwanted[record.name] = OUT_OF_DATE
         elif record.stage in exhaustive:
             unwanted[record.name] = NOT_REQUESTED
     return replace(plan, folder=folder.folder, token=folder.token).with_records(whole), unwanted
+
+
+def _reads(job: Job, keys: Mapping[JobId, str]) -> tuple[str, ...]:
+    """The keys of all that a job takes, in its order."""
+    return tuple(dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in job.sources))
 
 
 def _plain(arguments: tuple[Any, ...]) -> Any:

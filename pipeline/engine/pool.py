@@ -5,8 +5,7 @@ A pool takes a function and its arguments and returns the outcomes in any order.
 
 from __future__ import annotations
 
-import heapq
-import itertools
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -36,8 +35,7 @@ class Pool:
 
     def __init__(self, memory: int | None = None) -> None:
         self._memory = memory
-        self._waiting: list[tuple[float, int, Handle, Callable[..., Any], tuple[Any, ...]]] = []
-        self._count = itertools.count()
+        self._waiting: deque[tuple[Handle, Callable[..., Any], tuple[Any, ...]]] = deque()
 
     @property
     def n_workers(self) -> int:
@@ -55,15 +53,15 @@ class Pool:
         """The address at which a browser shows the cluster at work; "" if it has none."""
         return ""
 
-    def submit(self, function: Callable[..., Any], *args: Any, priority: float = 0) -> Handle:
-        """Start a task; those of higher priority first."""
+    def submit(self, function: Callable[..., Any], *args: Any) -> Handle:
+        """Start a task, after those that were submitted before."""
         handle = object()
-        heapq.heappush(self._waiting, (-priority, next(self._count), handle, function, args))
+        self._waiting.append((handle, function, args))
         return handle
 
     def next_done(self) -> tuple[Handle, Any]:
         """Wait for a task to end: its result, or `WorkerDied`."""
-        *_, handle, function, args = heapq.heappop(self._waiting)
+        handle, function, args = self._waiting.popleft()
         with one_blas_thread():
             return handle, function(*args)
 

@@ -12,18 +12,19 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from ...schemas.columns import SIDES
 from ..stage import Grain
 from .costs import CostModel, largest_object
-from .memory import MemoryBudget
-from .plan import Job, JobId, PairPlan
+from .plan import Job, PairPlan
 from .pool import Handle, Pool, WorkerDied
-from .worker import BatchResult, JobFailure, PairBatch, is_required, run_batch, score_objects
+from .worker import BatchResult, JobFailure, PairBatch, run_batch, score_objects
 
 _FIRST = 1e6  # priority of what others wait for
+_BATCHES_PER_WORKER = 2  # submitted at the same time, so that none waits for the next
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,8 @@ class _Pair:
 
     is_lost : whether the pool has given up a batch of it, since the last submission
     n_losses : number of times that has happened
+    n_waiting : batches of it that are queued or run
+    scored : outcomes of its batches of objects, in the order in which they were submitted
     """
 
     plan: PairPlan
@@ -72,13 +75,12 @@ class _Pair:
     n_losses: int = 0
     n_waiting: int = 0
     scored: dict[Handle, Any] = field(default_factory=dict)
-    scoring: tuple[JobId, ...] = ()
 
     @property
     def todo(self) -> list[Job]:
         """Its jobs that are neither done, nor failed, nor in need of one that did; none if a required one failed."""
-        failed = {(failure.stage, failure.part) for failure in self.failures}
-        if any(is_required(self.plan.job(name)) for name in failed):
+        failed = {failure.job for failure in self.failures}
+        if any(self.plan.jobs[name].is_required for name in failed):
             return []
         left = []
         for job in self.plan.todo:
@@ -91,8 +93,16 @@ class _Pair:
     @property
     def ready(self) -> list[Job]:
         """Those of them whose needs are done."""
-        done = {job.name for job in self.plan.jobs if job.record is not None}
-        return [job for job in self.todo if done.issuperset(job.needs)]
+        return [job for job in self.todo if self.plan.records.keys() >= job.needs]
+
+    def chain(self, grain: Grain, part: str) -> list[Job]:
+        """Those of a grain and part that can be done one after the other without waiting for any other job."""
+        done, chain = set(self.plan.records), []
+        for job in self.todo:
+            if (job.stage.grain, job.part) == (grain, part) and done.issuperset(job.needs):
+                chain.append(job)
+                done.add(job.name)
+        return chain
 
 
 @dataclass(frozen=True)
@@ -106,8 +116,7 @@ class _Batch:
     pairs: tuple[_Pair, ...]
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    priority: float = 0.0
-    need: int = 0
+    need: int
 
 
 class Schedule:
@@ -129,7 +138,6 @@ class Schedule:
         self._policy = policy or Policy()
         self._costs = self._policy.costs
         self._pending, self._n_pending = iter(plans), n_pairs
-        self._budget = MemoryBudget(pool, self._costs)
         self._active: dict[str, _Pair] = {}
         self._waiting: list[tuple[float, int, _Batch]] = []
         self._running: dict[Handle, _Batch] = {}
@@ -161,18 +169,18 @@ class Schedule:
             window = per_worker * self._pool.n_workers
             while self._n_pending and sum(map(self._weight, self._active.values())) < window:
                 self._n_pending -= 1
-                pair = _Pair(next(self._pending))
-                self._active[pair.plan.pair_id] = pair
-                self._go_on(pair)
+                self._begin(_Pair(next(self._pending)))
             if not self._n_pending:
                 self._submit_bundle()
         self._admit()
         if self._quarantine and not self._active:
             self._is_alone = True
-            pair = self._quarantine.popleft()
-            self._active[pair.plan.pair_id] = pair
-            self._go_on(pair)
+            self._begin(self._quarantine.popleft())
             self._admit()
+
+    def _begin(self, pair: _Pair) -> None:
+        self._active[pair.plan.pair_id] = pair
+        self._go_on(pair)
 
     def _take(self, pair: _Pair, handle: Handle, result: Any) -> None:
         if isinstance(result, WorkerDied):
@@ -193,44 +201,43 @@ class Schedule:
             pair.is_lost = False
             pair.n_losses += 1
             pair.scored.clear()
-        while pair.plan.is_counted and pair.todo and (reason := self._budget.why_too_large(pair.plan)):
+        reason = self._why_too_large(pair.plan)
+        while reason and pair.plan.is_counted and pair.todo:
             pair.failures.append(JobFailure(*pair.todo[0].name, reason))
         if not pair.todo:
-            self._end(pair)
+            self._is_alone = False
+            del self._active[pair.plan.pair_id]
+            self._watcher.pair_done(pair.plan, tuple(pair.failures))
         elif self._is_alone:
             self._submit_jobs(pair, pair.ready[:1])
         elif pair.n_losses > 1:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
-        elif counting := self._jobs_that_count(pair):
-            self._submit_jobs(pair, counting)
+        elif reason and (readers := [job for job in pair.ready if any(own.maker is None for own in job.sources)]):
+            self._submit_jobs(pair, readers)  # the input files may have fewer points than estimated
         elif pair.scored:
-            self._submit_rows(pair)
+            jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
+            batch = PairBatch(pair.plan, jobs, rows=tuple(pair.scored.values()))
+            pair.scored.clear()
+            self._submit([pair], run_batch, [batch], self._costs, priority=_FIRST)
         elif self._is_worth_splitting(pair):
             self._split(pair)
+        elif pair.n_losses or pair.plan.limit is not None:  # one that may end its worker takes no other pair along
+            self._submit_together([pair])
         else:
-            self._submit_whole(pair)
-
-    def _jobs_that_count(self, pair: _Pair) -> list[Job]:
-        """Jobs that read input files, if these seem too large and their points have not been counted yet."""
-        if pair.plan.is_counted or not self._budget.why_too_large(pair.plan):
-            return []
-        return [job for job in pair.ready if any(source.maker is None for source in job.sources)]
-
-    def _end(self, pair: _Pair) -> None:
-        self._is_alone = False
-        del self._active[pair.plan.pair_id]
-        self._watcher.pair_done(pair.plan, tuple(pair.failures))
+            self._bundle.append(pair)
+            if sum(map(self._weight, self._bundle)) >= 1:
+                self._submit_bundle()
 
     def _is_worth_splitting(self, pair: _Pair) -> bool:
         objects = pair.plan.objects
         has_objects = any(job.stage.grain is Grain.OBJECT for job in pair.todo)
         if objects and has_objects:
             largest = self._costs.object_bytes(largest_object(objects)[1])
-            if largest > self._budget.object_share(pair.plan):
+            if largest > self._object_share(pair.plan):
                 return True  # its objects are admitted one by one
-        if any(job.part not in job.stage.parts for job in pair.todo):
-            return True  # parts of an experiment
+        if any(job.is_part for job in pair.todo):
+            return True
         if self._pool.n_workers == 1 or not self._few_left():
             return False
         if any(job.stage.grain is Grain.SIDE for job in pair.todo):
@@ -243,29 +250,17 @@ class Schedule:
 
     def _split(self, pair: _Pair) -> None:
         """The next layer of a pair in batches that run at the same time: by side, by object, or by job."""
-        ready = pair.ready
-        chains = [self._chain(pair, side) for side in ("real", "sim")]
-        if any(chains):
-            for chain in filter(None, chains):
+        chains = [chain for side in SIDES if (chain := pair.chain(Grain.SIDE, side))]
+        if chains:
+            for chain in chains:
                 self._submit_jobs(pair, chain, _FIRST)
-        elif ready[0].stage.grain is Grain.OBJECT:
+        elif pair.ready[0].stage.grain is Grain.OBJECT:
             self._submit_objects(pair)
         else:
             waited_for = {name for job in pair.todo for name in job.needs}
-            for job in ready:
+            for job in pair.ready:
                 if job.stage.grain is Grain.PAIR:
                     self._submit_jobs(pair, [job], _FIRST if job.name in waited_for else 0.0)
-
-    @staticmethod
-    def _chain(pair: _Pair, side: str) -> list[Job]:
-        """The jobs of a side that can be made one after the other without waiting for anything else."""
-        done = {job.name for job in pair.plan.jobs if job.record is not None}
-        chain: list[Job] = []
-        for job in pair.todo:
-            if job.stage.grain is Grain.SIDE and job.part == side and done.issuperset(job.needs):
-                chain.append(job)
-                done.add(job.name)
-        return chain
 
     def _submit_jobs(self, pair: _Pair, jobs: list[Job], priority: float = 0.0) -> None:
         """Some jobs of a pair as one batch."""
@@ -274,20 +269,7 @@ class Schedule:
             need += self._costs.object_bytes(largest_object(pair.plan.objects or [])[1])
         names, most_bytes = tuple(job.name for job in jobs), None if pair.plan.is_counted else need
         batch = PairBatch(pair.plan, names, most_bytes)
-        self._submit(_Batch((pair,), run_batch, ([batch], self._costs), priority, need))
-
-    def _submit_whole(self, pair: _Pair) -> None:
-        """All that is left of a pair in one piece; small pairs wait for others to go with them.
-
-        One that has lost its worker, or may run out of time, must take no other pair along.
-        """
-        pair.n_waiting += 1
-        if pair.n_losses or pair.plan.limit is not None:
-            self._submit_together([pair])
-            return
-        self._bundle.append(pair)
-        if sum(map(self._weight, self._bundle)) >= 1:
-            self._submit_bundle()
+        self._submit([pair], run_batch, [batch], self._costs, need=need, priority=priority)
 
     def _submit_bundle(self) -> None:
         """The pairs that wait for company, as one batch."""
@@ -297,12 +279,11 @@ class Schedule:
 
     def _submit_together(self, pairs: list[_Pair]) -> None:
         """All that is left of some pairs as one batch; each stops before a job that may need more than its share."""
-        needs = [self._costs.pair_bytes(pair.plan.n_raw) + self._budget.object_share(pair.plan) for pair in pairs]
-        batches = [
-            PairBatch(pair.plan, tuple(job.name for job in pair.todo), need)
-            for pair, need in zip(pairs, needs, strict=True)
-        ]
-        self._queue(_Batch(tuple(pairs), run_batch, (batches, self._costs), need=max(needs)))
+        batches = []
+        for pair in pairs:
+            need = self._costs.pair_bytes(pair.plan.n_raw) + self._object_share(pair.plan)
+            batches.append(PairBatch(pair.plan, tuple(job.name for job in pair.todo), need))
+        self._submit(pairs, run_batch, batches, self._costs, need=max(batch.most_bytes or 0 for batch in batches))
 
     def _weight(self, pair: _Pair) -> float:
         """The part of a batch that a pair is worth."""
@@ -314,48 +295,73 @@ class Schedule:
 
         Pairs go one after the other, that of the largest object first: workers keep the tables of the last ones.
         """
-        done = {job.name for job in pair.plan.jobs if job.record is not None}
-        scoring: list[JobId] = []
-        for job in pair.todo:
-            if job.stage.grain is Grain.OBJECT and done.union(scoring).issuperset(job.needs):
-                scoring.append(job.name)
-        pair.scoring = tuple(scoring)
+        jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
         sizes = sorted(pair.plan.objects or [], key=lambda entry: (-entry[1], entry[0]))
-        first = 1000.0 * self._costs.object_seconds(sizes[0][1]) if sizes else 0.0
+        if not sizes:
+            self._submit([pair], run_batch, [PairBatch(pair.plan, jobs, rows=())], self._costs, priority=_FIRST)
+            return
+        first = 1000.0 * self._costs.object_seconds(sizes[0][1])
         batch: list[tuple[int, int]] = []
         for i, entry in enumerate(sizes):
             batch.append(entry)
             seconds = sum(self._costs.object_seconds(n) for _, n in batch)
             if seconds >= self._policy.batch_s or i + 1 == len(sizes):
                 need = self._costs.pair_bytes(pair.plan.n_raw) + self._costs.object_bytes(batch[0][1])
-                arguments = (pair.plan, pair.scoring, tuple(number for number, _ in batch))
-                self._submit(_Batch((pair,), score_objects, arguments, first + seconds, need))
+                numbers = tuple(number for number, _ in batch)
+                self._submit([pair], score_objects, pair.plan, jobs, numbers, need=need, priority=first + seconds)
                 batch = []
-        if not sizes:
-            self._submit_rows(pair)
 
-    def _submit_rows(self, pair: _Pair) -> None:
-        """Write the tables of a pair from the rows of all its objects."""
-        batch = PairBatch(pair.plan, pair.scoring, rows=tuple(pair.scored.values()))
-        pair.scored.clear()
-        self._submit(_Batch((pair,), run_batch, ([batch], self._costs), priority=_FIRST))
-
-    def _submit(self, batch: _Batch) -> None:
-        """Queue a batch of one pair for `_admit`."""
-        batch.pairs[0].n_waiting += 1
-        self._queue(batch)
-
-    def _queue(self, batch: _Batch) -> None:
-        heapq.heappush(self._waiting, (-batch.priority, next(self._count), batch))
+    def _submit(
+        self,
+        pairs: Sequence[_Pair],
+        function: Callable[..., Any],
+        *arguments: Any,
+        need: int = 0,
+        priority: float = 0.0,
+    ) -> None:
+        """Queue a batch for `_admit`."""
+        for pair in pairs:
+            pair.n_waiting += 1
+        batch = _Batch(tuple(pairs), function, arguments, need)
+        heapq.heappush(self._waiting, (-priority, next(self._count), batch))
 
     def _admit(self) -> None:
         """Submit queued batches in their order, as long as those that may run at once fit into the memory."""
-        while self._waiting:
+        n_workers = self._pool.n_workers
+        while self._waiting and len(self._running) < _BATCHES_PER_WORKER * n_workers:
             batch = self._waiting[0][2]
-            if not self._budget.admits(batch.need, [running.need for running in self._running.values()]):
+            needs = [batch.need, *(running.need for running in self._running.values())]
+            if self._running and sum(heapq.nlargest(n_workers, needs)) > self._usable():
                 return
             heapq.heappop(self._waiting)
-            handle = self._pool.submit(batch.function, *batch.arguments, priority=batch.priority)
+            handle = self._pool.submit(batch.function, *batch.arguments)
             self._running[handle] = batch
             if batch.function is score_objects:
-                batch.pairs[0].scored[handle] = None  # in the order of submission
+                batch.pairs[0].scored[handle] = None
+
+    def _usable(self) -> int:
+        """Bytes available to batches, of all workers together."""
+        return max(0, self._pool.memory.together - self._costs.process_bytes * self._pool.n_workers)
+
+    def _object_share(self, plan: PairPlan) -> int:
+        """Bytes that an object may need for its pair to run as one batch."""
+        return max(0, self._usable() // self._pool.n_workers - self._costs.pair_bytes(plan.n_raw))
+
+    def _why_too_large(self, plan: PairPlan) -> str | None:
+        """Reason why the rest of a pair does not fit into the memory even if nothing else runs; None if it fits."""
+        number, n_keep = largest_object(plan.objects or [])
+        usable = max(0, self._pool.memory.alone - self._costs.process_bytes)
+        need = self._costs.pair_bytes(plan.n_raw) + self._costs.object_bytes(n_keep)
+        if need <= usable:
+            return None
+        what = f"object {number} of {n_keep} aligned nodes" if n_keep else f"{plan.n_raw} points"
+        lower = "a smaller graph.k makes smaller objects, " if n_keep else ""
+        return (
+            f"{what}: {_gib(need)} of memory may be needed at once, {_gib(usable)} are available "
+            f"(machine.memory_gib minus {_gib(self._costs.process_bytes)} for the worker process); {lower}"
+            "input.include_box or input.max_range_m fewer points"
+        )
+
+
+def _gib(n_bytes: int) -> str:
+    return f"{n_bytes / 2**30:.2g} GiB"

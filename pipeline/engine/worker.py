@@ -21,10 +21,10 @@ from ..datasets.content import scan_content
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..datasets.stubs import restore_stubs
-from ..stage import N_RAW, SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
-from ..storage.table_files import JobRecord, TableFolder, TablesAtUrl, plain_metadata, table_name
+from ..stage import SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
+from ..storage.table_files import JobId, JobRecord, TableFolder, TablesAtUrl, plain_metadata, table_name
 from .costs import CostModel, largest_object
-from .plan import Job, JobId, PairPlan
+from .plan import Job, PairPlan
 from .time_limit import OutOfTimeError, limited
 
 
@@ -36,6 +36,11 @@ class JobFailure:
     part: str
     reason: str
     trace: str = ""
+
+    @property
+    def job(self) -> JobId:
+        """Name of the job."""
+        return self.stage, self.part
 
 
 @dataclass(frozen=True)
@@ -74,9 +79,8 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
     """Run the jobs of each pair and write their results; a failed job does not stop those that do not need it."""
     results = []
     for batch in batches:
-        jobs = [batch.plan.job(name) for name in batch.jobs]
-        has_parts = any(job.part not in job.stage.parts for job in jobs)
-        tables = _kept_tables(batch.plan) if has_parts else PairTables(batch.plan)
+        jobs = [batch.plan.jobs[name] for name in batch.jobs]
+        tables = _kept_tables(batch.plan) if any(job.is_part for job in jobs) else PairTables(batch.plan)
         records: list[JobRecord] = []
         failures = [part for part in batch.rows or () if isinstance(part, JobFailure)][:1]
         failed: set[JobId] = set()
@@ -96,7 +100,7 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
                     except Exception as error:  # one broken pair does not stop a dataset
                         failures.append(_failure(job, error))
                         failed.add(job.name)
-                        if is_required(job):
+                        if job.is_required:
                             break
         except OutOfTimeError as error:
             failures.append(JobFailure(*batch.jobs[0], str(error)))
@@ -110,10 +114,10 @@ def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, .
     made: dict[JobId, Tables] = {}
     steps: dict[JobId, tuple[tuple[str, float], ...]] = {}
     rows: dict[tuple[str, str], pa.Table] = {}
-    job = plan.job(jobs[0])
+    job = plan.jobs[jobs[0]]
     try:
         with limited(plan.limit) as note:
-            for job in map(plan.job, jobs):
+            for job in (plan.jobs[name] for name in jobs):
                 note(job_title(*job.name))
                 inputs = tables.inputs(job, objects, rows)
                 made[job.name] = job.stage.make(inputs).tables
@@ -136,7 +140,7 @@ def make_job(tables: PairTables, job: Job, rows: tuple[ObjectRows | JobFailure, 
         inputs = tables.inputs(job, step=Steps(step for part in parts for step in part.steps[job.name]))
         made = {table: [part.tables[job.name][table] for part in parts] for table in job.stage.gives}
         return _finish_objects(tables, job, inputs, made)
-    objects = tuple(number for number, _ in tables.objects) if job.stage.grain is Grain.OBJECT else ()
+    objects = tuple(number for number, _ in tables.plan.objects or ()) if job.stage.grain is Grain.OBJECT else ()
     inputs = tables.inputs(job, objects)
     result = job.stage.make(inputs)
     if job.stage.grain is Grain.OBJECT:
@@ -148,33 +152,20 @@ class PairTables:
     """The tables of one pair while jobs run on it: new ones, and those that are read when first requested."""
 
     def __init__(self, plan: PairPlan) -> None:
-        self.plan = plan
         restore_stubs(plan.stubs)
         tables_at = TablesAtUrl if plan.url else TableFolder
         self._folder = tables_at(plan.folder, plan.token, plan.url)
         self._scans: dict[str, Scan] = {}
         self._tables: dict[tuple[str, str], pa.Table] = {}
         self._parts: dict[tuple[str, str, tuple[str, ...]], pa.Table] = {}
-        self._records: dict[JobId, JobRecord] = {}
         self._memo = Memo()
-        self.learn(plan)
-
-    @property
-    def objects(self) -> list[tuple[int, int]]:
-        """Id and nodes of each matched object; [] if no finished job lists them."""
-        return self.plan.with_records(self._records.values()).objects or []
-
-    def learn(self, plan: PairPlan) -> None:
-        """Update which jobs of the pair are done."""
         self.plan = plan
-        self._records |= {job.name: job.record for job in plan.jobs if job.record is not None}
-        self._n_raw = plan.n_raw
 
     def bytes_needed(self, job: Job, costs: CostModel) -> int:
         """Memory that a job may need, bytes, estimated from the counts known so far."""
-        n_bytes = costs.pair_bytes(self._n_raw)
+        n_bytes = costs.pair_bytes(self.plan.n_raw)
         if job.stage.grain is Grain.OBJECT:
-            n_bytes += costs.object_bytes(largest_object(self.objects)[1])
+            n_bytes += costs.object_bytes(largest_object(self.plan.objects or [])[1])
         return n_bytes
 
     def inputs(
@@ -203,9 +194,9 @@ class PairTables:
             if source.columns:
                 read = partial(self._read, *source[:3], source.maker, step)
                 tables[name] = partial(rows[name].select, source.columns) if name in rows else read
-            is_by_object = self.plan.job(source.maker).stage.grain is Grain.OBJECT
+            is_by_object = self.plan.jobs[source.maker].stage.grain is Grain.OBJECT
             if not (is_by_object and stage.grain is Grain.OBJECT):  # they are gathered when all objects are done
-                outputs[name] = self._records[source.maker].metadata
+                outputs[name] = self.plan.records[source.maker].metadata
         return Inputs(
             pair_id=self.plan.pair_id,
             part=job.part,
@@ -230,7 +221,7 @@ class PairTables:
             else:
                 path = table_name(name, self.plan.pair_id, side)
                 with step("read"):
-                    rows = self._folder.read(name, self._records[maker].files[path], path, list(columns))
+                    rows = self._folder.read(name, self.plan.records[maker].files[path], path, list(columns))
             self._parts[name, side, columns] = rows
         return self._parts[name, side, columns]
 
@@ -240,7 +231,7 @@ class PairTables:
             path = self.plan.pair.path(side)
             if path is None:
                 raise StageError(f"no {side} scan")
-            columns = self.plan.jobs[0].settings.input.columns_of(side)
+            columns = next(iter(self.plan.jobs.values())).settings.input.columns_of(side)
             scan = read_scan(path, columns, dict(self.plan.label_names))
             if scan_content(path) != self.plan.inputs[side]:
                 raise StageError(f"{path}: the file changed while the run was using it; run the same command again")
@@ -263,9 +254,9 @@ class PairTables:
             job.stage.name,
             self.plan.pair_id,
             job.part,
-            job.key,
+            self.plan.keys[job.name],
             {},
-            job.reads,
+            self.plan.reads(job),
             plain_metadata(result.metadata),
             inputs.step.total(),
             self.plan.token,
@@ -274,19 +265,12 @@ class PairTables:
             files = self._folder.write_job(record, result.tables)
         record = replace(record, files=files, steps=inputs.step.total())
         self._tables |= {(name, job.part): rows for name, rows in result.tables.items()}
-        self._records[job.name] = record
-        if N_RAW in record.metadata:
-            self._n_raw = self.plan.with_records(self._records.values()).n_raw
+        self.plan = self.plan.with_records([record])
         for side in list(self._scans):
-            readers = {own.name for own in self.plan.jobs for source in own.sources if source[:2] == (SCAN, side)}
-            if self._records.keys() >= readers:
+            readers = {own.name for own in self.plan.jobs.values() for use in own.sources if use[:2] == (SCAN, side)}
+            if self.plan.records.keys() >= readers:
                 del self._scans[side]  # no later job reads it
         return record
-
-
-def is_required(job: Job) -> bool:
-    """True if its pair fails without it: it is neither an extra nor a part of an experiment."""
-    return not job.stage.is_extra and job.part in job.stage.parts
 
 
 def _finish_objects(tables: PairTables, job: Job, inputs: Inputs, made: Mapping[str, list[pa.Table]]) -> JobRecord:
@@ -302,16 +286,16 @@ def _finish_objects(tables: PairTables, job: Job, inputs: Inputs, made: Mapping[
 
 def _kept_tables(plan: PairPlan) -> PairTables:
     """The tables of a pair that has several batches, by object or by part; a process keeps the last two."""
-    name = plan.token, tuple(job.key for job in plan.jobs)
+    name = plan.token, plan.pair_id, tuple(plan.keys.values())
     if name not in _KEPT:
         while len(_KEPT) >= 2:
             del _KEPT[next(iter(_KEPT))]
         _KEPT[name] = PairTables(plan)
-    _KEPT[name].learn(plan)
+    _KEPT[name].plan = plan.with_records(_KEPT[name].plan.records.values())
     return _KEPT[name]
 
 
-_KEPT: dict[tuple[str, tuple[str, ...]], PairTables] = {}
+_KEPT: dict[tuple[str, str, tuple[str, ...]], PairTables] = {}
 
 
 def _failure(job: Job, error: Exception) -> JobFailure:

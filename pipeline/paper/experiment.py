@@ -183,7 +183,7 @@ class Experiment:
         results : further results for `run.json`
         """
         failures, n_made, wall_s = self.engine.failures, self.engine.n_made, perf_counter() - self._start
-        n_done = sum(job.record is not None for plan in self._plans() for job in plan.jobs)
+        n_done = sum(len(plan.records) for plan in self._plans())
         jobs = {"made": n_made, "reused": n_done - n_made}
         self._write_record({**self._request, **(results or {}), "failures": failures, "jobs": jobs, "wall_s": wall_s})
         outcome = {"folder": self.folder.folder, "failures": failures, "wall_s": wall_s}

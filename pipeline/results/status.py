@@ -72,12 +72,11 @@ def run_status(folder: Path) -> RunStatus:
                     counts["failed"] += 1
                 continue
             plan, unwanted = with_results(planner.plan(pair, engine.contents[pair.pair_id]), run_folder)
-            if past := ledger.failure(pair.pair_id, [job.key for job in plan.todo]):
+            if past := ledger.failure(pair.pair_id, [plan.keys[job.name] for job in plan.todo]):
                 failures[pair.pair_id] = past
             for stage in stages:
-                jobs = [job for job in plan.jobs if job.stage is stage]
-                is_stale = any((stage.name, pair.pair_id, job.part) in unwanted for job in jobs)
-                if all(job.record is not None for job in jobs):
+                is_stale = any((stage.name, pair.pair_id, part) in unwanted for part in stage.parts)
+                if all((stage.name, part) in plan.records for part in stage.parts):
                     state = "done"
                 else:
                     state = "failed" if pair.pair_id in failures else "stale" if is_stale else "to do"

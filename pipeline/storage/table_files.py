@@ -47,6 +47,7 @@ _ENCODINGS = {
 _TABLE_NAME = re.compile(r"[a-z0-9_]+(\.parquet|/[A-Za-z0-9][^/\0]*)")
 
 JobName = tuple[str, str, str]  #: stage, pair_id, part (a side, a part of an experiment, or "" for one job of a pair)
+JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,11 @@ class JobRecord:
     def name(self) -> JobName:
         """Name of the job."""
         return self.stage, self.pair_id, self.part
+
+    @property
+    def job(self) -> JobId:
+        """Name among the jobs of its pair."""
+        return self.stage, self.part
 
 
 def plain_metadata(metadata: dict[str, Any]) -> dict[str, Any]:
