@@ -8,28 +8,16 @@ from typing import Annotated
 
 import typer
 
-from .options import EXIT_PAIRS_FAILED, Assignments, LocalWorkers, Replace
+from .options import EXIT_PAIRS_FAILED, Assignments, Count, LocalWorkers, Replace, Seed
 from .output import print_line
 
 
 def synth(
-    out: Annotated[
-        Path, typer.Argument(help="Folder of the dataset; new, empty, or made by synth.", show_default=False)
-    ],
-    pairs: Annotated[int, typer.Option("--pairs", min=1, help="Number of streets, and so of pairs.")] = 50,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the streets.")] = 0,
-    sensor: Annotated[
-        str,
-        typer.Option(
-            "--sensor", help="Model of the sensor: vlp32c, hdl64, os1-64, carla or another of docs/sensors.md."
-        ),
-    ] = "vlp32c",
-    points: Annotated[
-        int | None,
-        typer.Option(
-            "--points", min=100, help="Approximate number of points per real scan.", show_default="that of the sensor"
-        ),
-    ] = None,
+    out: Path,
+    pairs: Count = 50,
+    seed: Seed = 0,
+    sensor: str = "vlp32c",
+    points: Annotated[int | None, typer.Option(min=100, show_default="that of the sensor")] = None,
     workers: LocalWorkers = 1,
     replace: Replace = False,
 ) -> None:
@@ -37,6 +25,14 @@ def synth(
 
     The same seed produces the same bytes. Run again to resume after an interruption, or with a larger --pairs to add
     pairs. Finished pairs of another seed, sensor or number of points are replaced only with --replace.
+
+    Parameters
+    ----------
+    out : Folder of the dataset; new, empty, or made by synth.
+    pairs : Number of streets, and so of pairs.
+    seed : Seed of the streets.
+    sensor : Model of the sensor: vlp32c, hdl64, os1-64, carla or another of docs/sensors.md.
+    points : Approximate number of points per real scan.
 
     For example:
 
@@ -66,60 +62,18 @@ def synth(
 
 
 def twin(
-    sequence: Annotated[
-        Path, typer.Argument(help="Folder of a recording: scans and the poses of the sensor.", show_default=False)
-    ],
-    out: Annotated[
-        Path, typer.Argument(help="Folder of the dataset; new, empty, or made by twin.", show_default=False)
-    ],
-    flaw: Annotated[
-        list[str] | None,
-        typer.Option("--flaw", metavar="NAME=AMOUNT[:METRES]", help="Known flaw of all twins; repeatable."),
-    ] = None,
-    sensor: Annotated[
-        str,
-        typer.Option(
-            "--sensor",
-            help="recorded (beams as in the recording), vlp32c, hdl64, os1-64, carla, or a table of elevations "
-            "(.csv, .toml).",
-        ),
-    ] = "recorded",
-    range_noise: Annotated[
-        float | None,
-        typer.Option(
-            "--range-noise",
-            min=0,
-            max=10,
-            help="Standard deviation of the range noise, metres.",
-            show_default="the sensor's",
-        ),
-    ] = None,
-    dropout: Annotated[
-        float | None,
-        typer.Option("--dropout", min=0, max=1, help="Share of lost pulses.", show_default="the sensor's"),
-    ] = None,
-    poses: Annotated[
-        Path | None,
-        typer.Option("--poses", help="TUM or KITTI poses.", show_default="pairs.csv, poses.tum or poses.txt"),
-    ] = None,
-    calib: Annotated[
-        Path | None, typer.Option("--calib", help="KITTI's calibration, with Tr.", show_default="calib.txt")
-    ] = None,
-    others: Annotated[int, typer.Option("--others", min=2, help="Number of nearest other frames in each model.")] = 4,
-    foliage: Annotated[
-        str | None,
-        typer.Option(
-            "--foliage",
-            metavar="LABEL[,LABEL]",
-            help="Labels of foliage, for the flaw foliage.",
-            show_default="scattered points",
-        ),
-    ] = None,
-    pairs: Annotated[
-        str | None,
-        typer.Option("--pairs", metavar="PATTERN", help="Only frames whose name matches, such as '*[02468]'."),
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")] = 0,
+    sequence: Path,
+    out: Path,
+    flaw: Annotated[list[str] | None, typer.Option(metavar="NAME=AMOUNT[:METRES]")] = None,
+    sensor: str = "recorded",
+    range_noise: Annotated[float | None, typer.Option(min=0, max=10, show_default="the sensor's")] = None,
+    dropout: Annotated[float | None, typer.Option(min=0, max=1, show_default="the sensor's")] = None,
+    poses: Annotated[Path | None, typer.Option(show_default="pairs.csv, poses.tum or poses.txt")] = None,
+    calib: Annotated[Path | None, typer.Option(show_default="calib.txt")] = None,
+    others: Annotated[int, typer.Option(min=2)] = 4,
+    foliage: Annotated[str | None, typer.Option(metavar="LABEL[,LABEL]", show_default="scattered points")] = None,
+    pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
+    seed: Seed = 0,
     assignments: Assignments = None,
     workers: LocalWorkers = 1,
     replace: Replace = False,
@@ -130,6 +84,21 @@ def twin(
     names: foliage, holes, far-dropout, dropout, density, beams, blur, noise, ghosts, yaw, offset, mirrored,
     intensity-constant, intensity-range, intensity-scale (amounts: docs/twin.md). twin.toml next to the scans is the
     recipe; the same recipe produces the same bytes. Run again to resume after an interruption.
+
+    Parameters
+    ----------
+    sequence : Folder of a recording: scans and the poses of the sensor.
+    out : Folder of the dataset; new, empty, or made by twin.
+    flaw : Known flaw of all twins; repeatable.
+    sensor : recorded (beams as in the recording), vlp32c, hdl64, os1-64, carla, or a table of elevations (.csv, .toml).
+    range_noise : Standard deviation of the range noise, metres.
+    dropout : Share of lost pulses.
+    poses : TUM or KITTI poses.
+    calib : KITTI's calibration, with Tr.
+    others : Number of nearest other frames in each model.
+    foliage : Labels of foliage, for the flaw foliage.
+    pairs : Only frames whose name matches, such as '*[02468]'.
+    seed : Seed of the random numbers.
 
     For example:
 
@@ -172,31 +141,31 @@ def twin(
 
 
 def pair(
-    real: Annotated[
-        Path,
-        typer.Argument(help="Bag, capture or folder of scans; a topic as drive.mcap#/points.", show_default=False),
-    ],
-    sim: Annotated[Path, typer.Argument(help="Bag, capture or folder of scans of the simulator.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the dataset.", show_default=False)],
-    tolerance: Annotated[
-        float, typer.Option("--tolerance", min=1e-6, help="Largest time between the two frames of a pair, seconds.")
-    ] = 0.05,
-    offset: Annotated[
-        float | None,
-        typer.Option(
-            "--offset", help="Seconds added to simulated times.", show_default="the one that pairs most frames"
-        ),
-    ] = None,
-    every: Annotated[int, typer.Option("--every", min=1, help="Only every Nth pair.")] = 1,
-    start: Annotated[float, typer.Option("--from", help="Only pairs from here on, seconds after the first.")] = 0.0,
-    stop: Annotated[
-        float | None, typer.Option("--to", help="Only pairs up to here, seconds after the first.", show_default="all")
-    ] = None,
-    replace: Annotated[bool, typer.Option("--replace", help="Replace an existing manifest.")] = False,
+    real: Path,
+    sim: Path,
+    out: Annotated[Path, typer.Option("--out", "-o", show_default=False)],
+    tolerance: Annotated[float, typer.Option(min=1e-6)] = 0.05,
+    offset: Annotated[float | None, typer.Option(show_default="the one that pairs most frames")] = None,
+    every: Count = 1,
+    start: Annotated[float, typer.Option("--from")] = 0.0,
+    stop: Annotated[float | None, typer.Option("--to", show_default="all")] = None,
+    replace: bool = False,
 ) -> None:
     """Make a dataset from the frames of two recordings that were taken at the same time; nothing is copied.
 
     Its pairs.csv points into the recordings; unpaired.csv lists the frames without a partner.
+
+    Parameters
+    ----------
+    real : Bag, capture or folder of scans; a topic as drive.mcap#/points.
+    sim : Bag, capture or folder of scans of the simulator.
+    out : Folder of the dataset.
+    tolerance : Largest time between the two frames of a pair, seconds.
+    offset : Seconds added to simulated times.
+    every : Only every Nth pair.
+    start : Only pairs from here on, seconds after the first.
+    stop : Only pairs up to here, seconds after the first.
+    replace : Replace an existing manifest.
 
     For example:
 
@@ -228,24 +197,23 @@ def pair(
 
 
 def convert(
-    source: Annotated[
-        Path,
-        typer.Argument(help="A scan, a recording, or one frame of it: drive.mcap#/points@12.", show_default=False),
-    ],
-    out: Annotated[
-        Path,
-        typer.Argument(help="The file (.parquet, .ply or .pcd); a folder for several frames.", show_default=False),
-    ],
-    to: Annotated[str, typer.Option("--to", help="Format of the files in a folder: parquet, ply or pcd.")] = "parquet",
-    columns: Annotated[
-        str | None,
-        typer.Option("--columns", help="Names of the columns of a raw file (.bin), as x,y,z,intensity,ring."),
-    ] = None,
-    replace: Annotated[bool, typer.Option("--replace", help="Replace existing files.")] = False,
+    source: Path,
+    out: Path,
+    to: str = "parquet",
+    columns: str | None = None,
+    replace: bool = False,
 ) -> None:
     """Write a scan, or the frames of a bag or a capture, as Parquet, PLY or PCD.
 
     Coordinates keep every bit; intensity, ring, time, label, instance and incidence are kept if the scan has them.
+
+    Parameters
+    ----------
+    source : A scan, a recording, or one frame of it: drive.mcap#/points@12.
+    out : The file (.parquet, .ply or .pcd); a folder for several frames.
+    to : Format of the files in a folder: parquet, ply or pcd.
+    columns : Names of the columns of a raw file (.bin), as x,y,z,intensity,ring.
+    replace : Replace existing files.
 
     For example:
 

@@ -14,34 +14,12 @@ from .output import print_as
 
 
 def diagnose(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RUN | REAL SIM",
-            help="Folder of a run; with --tell-apart also two folders of scans (or recordings), which need no pairs.",
-            show_default=False,
-            autocompletion=completion.run_folders,
-        ),
-    ],
-    floor: Annotated[
-        Path | None,
-        typer.Option(
-            "--floor",
-            metavar="RUN",
-            help="Run on the same real scans that is subtracted: of fidpipe floor, or of an earlier version.",
-            autocompletion=completion.run_folders,
-        ),
-    ] = None,
+    sources: Annotated[list[Path], typer.Argument(metavar="RUN | REAL SIM", autocompletion=completion.run_folders)],
+    floor: Annotated[Path | None, typer.Option(metavar="RUN", autocompletion=completion.run_folders)] = None,
     pairs: Pairs = None,
-    workers: Annotated[
-        int | None, typer.Option("--workers", min=1, help="Threads.", show_default="one per core")
-    ] = None,
-    tell_apart: Annotated[
-        bool, typer.Option("--tell-apart", help="Test if a classifier can distinguish real and simulated points.")
-    ] = False,
-    picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="PNG", help="With --tell-apart: map of the recognised points.")
-    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, show_default="one per core")] = None,
+    tell_apart: bool = False,
+    picture: Annotated[Path | None, typer.Option(metavar="PNG")] = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
@@ -58,6 +36,14 @@ def diagnose(
     With --tell-apart instead: a classifier learns to recognise simulated points by their neighbourhood (shape,
     roughness, spacing, rays, intensity) and is tested on other places. AUC 0.5: it cannot; 1: it always can. Position
     has no influence. --settings and --set are for two folders.
+
+    Parameters
+    ----------
+    sources : Folder of a run; with --tell-apart also two folders of scans (or recordings), which need no pairs.
+    floor : Run on the same real scans that is subtracted: of fidpipe floor, or of an earlier version.
+    workers : Threads.
+    tell_apart : Test if a classifier can distinguish real and simulated points.
+    picture : With --tell-apart: map of the recognised points.
 
     Examples
     --------

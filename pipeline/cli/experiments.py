@@ -10,7 +10,9 @@ import typer
 
 from .options import (
     Assignments,
+    Count,
     DatasetFolder,
+    HiddenSeed,
     Pairs,
     Preset,
     Replace,
@@ -18,46 +20,25 @@ from .options import (
     SettingsFile,
     Workers,
     check_machines,
-    out_option,
 )
 from .output import print_outcome
 
 
 def perturb(
-    source: Annotated[Path, typer.Argument(help="A scan file, or a dataset's folder.", show_default=False)],
-    out: Annotated[Path | None, out_option("Folder of the results.", "runs/NAME-perturb")] = None,
-    sweep: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--sweep",
-            metavar="KIND[=AMOUNTS]",
-            help="One kind; repeatable.",
-        ),
-    ] = None,
-    objects: Annotated[
-        str | None,
-        typer.Option(
-            "--objects",
-            metavar="3,7,12",
-            help="Objects by number or label.",
-        ),
-    ] = None,
-    metrics: Annotated[
-        str | None,
-        typer.Option("--metrics", metavar="chamfer,emd", help="Baseline metrics, or all."),
-    ] = None,
-    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Trials per level on an object.")] = 20,
-    global_repeats: Annotated[int, typer.Option("--global-repeats", min=0, help="Trials on the whole scan.")] = 5,
-    seed: Annotated[int, typer.Option("--seed", min=0, show_default=False, help="Seed of all trials.")] = 0,
+    source: Path,
+    out: Annotated[Path | None, typer.Option(show_default="runs/NAME-perturb")] = None,
+    sweep: Annotated[list[str] | None, typer.Option(metavar="KIND[=AMOUNTS]")] = None,
+    objects: Annotated[str | None, typer.Option(metavar="3,7,12")] = None,
+    metrics: Annotated[str | None, typer.Option(metavar="chamfer,emd")] = None,
+    repeats: Count = 20,
+    global_repeats: Annotated[int, typer.Option(min=0)] = 5,
+    seed: HiddenSeed = 0,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    pairs: Annotated[
-        str | None,
-        typer.Option("--pairs", metavar="PATTERN", help="Matching pairs instead of the first one."),
-    ] = None,
+    pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
     replace: Replace = False,
 ) -> None:
     """Alter a real scan in known ways and see how the scores respond: the paper's Table I and its figure.
@@ -65,6 +46,18 @@ def perturb(
     Kinds: noise, dropout, rigid (motion), hallucination (spurious clusters) and density, on the whole scan and on
     single objects (by default vegetation, car, tree and wall, or without labels one of each shape). Of a dataset, the
     real side of the first pair is used. Run again to resume.
+
+    Parameters
+    ----------
+    source : A scan file, or a dataset's folder.
+    out : Folder of the results.
+    sweep : One kind; repeatable.
+    objects : Objects by number or label.
+    metrics : Baseline metrics, or all.
+    repeats : Trials per level on an object.
+    global_repeats : Trials on the whole scan.
+    seed : Seed of all trials.
+    pairs : Matching pairs instead of the first one.
 
     Examples
     --------
@@ -107,22 +100,12 @@ def perturb(
 
 def ablate(
     dataset: DatasetFolder,
-    out: Annotated[Path | None, out_option("Folder of the results.", "runs/NAME-ablate")] = None,
-    k: Annotated[
-        str | None, typer.Option("--k", metavar="30,60,90", help="Values of graph.k. Default: 30,60,90,120,150.")
-    ] = None,
-    tau: Annotated[
-        str | None,
-        typer.Option("--tau", metavar="0.1,0.2", help="Values of graph.tau_m, metres. Default: 0.1,0.2,0.3,0.5."),
-    ] = None,
-    delta: Annotated[
-        str | None,
-        typer.Option("--delta", metavar="3,5", help="Values of matching.delta_m, metres. Default: 1,3,5,7,10."),
-    ] = None,
-    t: Annotated[
-        str | None, typer.Option("--t", metavar="0.5,1,2", help="Values of selection.t. Default: 0.1,0.5,1,2,5.")
-    ] = None,
-    grid: Annotated[bool, typer.Option("--grid", help="All combinations instead of one setting at a time.")] = False,
+    out: Annotated[Path | None, typer.Option(show_default="runs/NAME-ablate")] = None,
+    k: Annotated[str | None, typer.Option(metavar="30,60,90")] = None,
+    tau: Annotated[str | None, typer.Option(metavar="0.1,0.2")] = None,
+    delta: Annotated[str | None, typer.Option(metavar="3,5")] = None,
+    t: Annotated[str | None, typer.Option(metavar="0.5,1,2")] = None,
+    grid: bool = False,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -136,6 +119,15 @@ def ablate(
     One setting is varied at a time, around the effective ones (--settings, --set), on all pairs. Graphs are computed
     once for each k and tau. Run again to resume or to add values; to drop finished values use --replace or another
     --out. --k with a single value keeps k fixed.
+
+    Parameters
+    ----------
+    out : Folder of the results.
+    k : Values of graph.k. Default: 30,60,90,120,150.
+    tau : Values of graph.tau_m, metres. Default: 0.1,0.2,0.3,0.5.
+    delta : Values of matching.delta_m, metres. Default: 1,3,5,7,10.
+    t : Values of selection.t. Default: 0.1,0.5,1,2,5.
+    grid : All combinations instead of one setting at a time.
 
     Examples
     --------

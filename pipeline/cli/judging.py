@@ -15,10 +15,11 @@ from .options import (
     AsJson,
     AsMarkdown,
     Floor,
+    OutFile,
     RunFolder,
+    Seed,
     criterion_option,
     format_of,
-    out_option,
     paired,
     run_folder,
 )
@@ -27,19 +28,13 @@ from .output import print_as, print_json, print_view
 
 def gate(
     run: RunFolder,
-    at_most: Annotated[list[str] | None, criterion_option("--max", "Upper bound of a measure")] = None,
-    at_least: Annotated[list[str] | None, criterion_option("--min", "Lower bound of a measure")] = None,
-    criteria: Annotated[
-        Path | None, typer.Option("--criteria", help="TOML file of criteria, each with a name and a reason.")
-    ] = None,
+    at_most: Annotated[list[str] | None, criterion_option("--max")] = None,
+    at_least: Annotated[list[str] | None, criterion_option("--min")] = None,
+    criteria: Path | None = None,
     floor: Floor = None,
-    junit: Annotated[
-        Path | None, typer.Option("--junit", help="JUnit XML for CI.", show_default="RUN/gate.xml")
-    ] = None,
-    json_: Annotated[
-        Path | None, typer.Option("--json-file", "--json", help="Result as JSON.", show_default="RUN/gate.json")
-    ] = None,
-    out: Annotated[Path | None, out_option("Folder for gate.xml and gate.json.", "the run's own")] = None,
+    junit: Annotated[Path | None, typer.Option(show_default="RUN/gate.xml")] = None,
+    json_: Annotated[Path | None, typer.Option("--json-file", "--json", show_default="RUN/gate.json")] = None,
+    out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
 ) -> None:
     """Check a finished run against acceptance criteria; exits with 0 if all are met, with 4 if one is not.
 
@@ -50,6 +45,15 @@ def gate(
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
     missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; with --floor also
     excess.r_lambda.mean and excess.cdc.area; a wrong name lists all.
+
+    Parameters
+    ----------
+    at_most : Upper bound of a measure; repeatable.
+    at_least : Lower bound of a measure; repeatable.
+    criteria : TOML file of criteria, each with a name and a reason.
+    junit : JUnit XML for CI.
+    json_ : Result as JSON.
+    out : Folder for gate.xml and gate.json.
 
     Examples
     --------
@@ -79,41 +83,21 @@ def gate(
 
 
 def compare(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RUN_A RUN_B",
-            help="Up to eight runs, the first is the base; or datasets, or real scans and several simulated folders.",
-            show_default=False,
-            autocompletion=completion.run_folders,
-        ),
-    ],
-    html: Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Write a web page.")] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for compare.html, .xml, .json.")
-    ] = None,
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN_A RUN_B", autocompletion=completion.run_folders)],
+    html: OutFile = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
     floor: Floor = None,
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
-    fail_on: Annotated[
-        str | None, typer.Option("--fail-on", metavar="VERDICT", help="Exit with 4 on worse, or also on undecided.")
-    ] = None,
-    junit: Annotated[
-        Path | None,
-        typer.Option("--junit", metavar="FILE", help="JUnit XML of --fail-on."),
-    ] = None,
-    json_file: Annotated[
-        Path | None,
-        typer.Option("--json-file", metavar="FILE", help="JSON of --fail-on."),
-    ] = None,
-    history: Annotated[bool, typer.Option("--history", help="One table of all runs.")] = False,
-    by_date: Annotated[bool, typer.Option("--by-date", help="Order --history by date.")] = False,
-    allow_different_settings: Annotated[
-        bool, typer.Option("--allow-different-settings", help="Allow runs of other settings.")
-    ] = False,
-    independent: Annotated[bool, typer.Option("--independent", help="Treat each pair as independent.")] = False,
-    all_: Annotated[bool, typer.Option("--all", help="Show every score, class and range.")] = False,
+    fail_on: Annotated[str | None, typer.Option(metavar="VERDICT")] = None,
+    junit: OutFile = None,
+    json_file: OutFile = None,
+    history: bool = False,
+    by_date: bool = False,
+    allow_different_settings: bool = False,
+    independent: bool = False,
+    all_: Annotated[bool, typer.Option("--all")] = False,
 ) -> None:
     """Compare simulator versions on the same real scans: better, worse or mixed, and in what.
 
@@ -121,6 +105,20 @@ def compare(
     evaluated first (preset reference). --fail-on worse exits with 4 if a family is worse or mixed, or a pair that the
     base has scored failed or is not compared; --fail-on undecided also if nothing is decided. It writes compare.xml
     and compare.json into the last run unless --junit, --json-file or --out say otherwise.
+
+    Parameters
+    ----------
+    runs : Up to eight runs, the first is the base; or datasets, or real scans and several simulated folders.
+    html : Write a web page.
+    out : Folder for compare.html, .xml, .json.
+    fail_on : Exit with 4 on worse, or also on undecided.
+    junit : JUnit XML of --fail-on.
+    json_file : JSON of --fail-on.
+    history : One table of all runs.
+    by_date : Order --history by date.
+    allow_different_settings : Allow runs of other settings.
+    independent : Treat each pair as independent.
+    all_ : Show every score, class and range.
 
     Examples
     --------
@@ -183,14 +181,9 @@ def compare(
 
 def verify(
     run: RunFolder,
-    objects: Annotated[
-        int | None, typer.Option("--objects", min=1, help="Number of objects in the sample.", show_default="20")
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the sample.")] = 0,
-    all_: Annotated[
-        bool,
-        typer.Option("--all", help="Every object, the edges of every node, and both complete sides of every pair."),
-    ] = False,
+    objects: Annotated[int | None, typer.Option(min=1, show_default="20")] = None,
+    seed: Seed = 0,
+    all_: Annotated[bool, typer.Option("--all")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Recompute a sample of a finished run in an independent way; exits with 4 if a number does not agree.
@@ -198,6 +191,12 @@ def verify(
     Every file is read and must be as it was written. For objects drawn at random, the numbers of each table are
     recomputed from the stored tables before it, by loops, all distances and dense matrices that share no code with the
     stages. Nothing is written. If the dataset is missing, everything except the cleaning of the scans is compared.
+
+    Parameters
+    ----------
+    objects : Number of objects in the sample.
+    seed : Seed of the sample.
+    all_ : Every object, the edges of every node, and both complete sides of every pair.
 
     Examples
     --------

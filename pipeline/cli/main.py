@@ -36,6 +36,9 @@ _REFUSALS = (
     *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EIO, errno.ESTALE),
 )
+#: The section of a docstring on parameters, and each of them in it.
+_PARAMETERS = re.compile(r"^Parameters\n-+\n((?:.+\n)+)\n", re.MULTILINE)
+_MEANING = re.compile(r"^(\w+) : (.+)$", re.MULTILINE)
 _FILES = (errno.EMFILE, errno.ENFILE)  # too many are open
 
 
@@ -56,11 +59,17 @@ class _ShortTypes:
 
 
 class _Command(_ShortTypes, TyperCommand):
-    """A command whose help has no empty lines between examples."""
+    """A command whose docstring has the meaning of its parameters; no empty lines between examples."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self.help = re.sub(r"^(fidpipe .*)\n\n(?=fidpipe )", r"\1  \n", cleandoc(self.help or ""), flags=re.MULTILINE)
+        text = re.sub(r"^(fidpipe .*)\n\n(?=fidpipe )", r"\1  \n", cleandoc(self.help or ""), flags=re.MULTILINE)
+        self.help = _PARAMETERS.sub("", text)
+        meanings = dict(_MEANING.findall("".join(_PARAMETERS.findall(text))))
+        param: Any
+        for param in self.params:
+            param.help = meanings.get(param.name, param.help)
+            param.secondary_opts = []  # flags have no --no-flag
 
 
 class _Group(_ShortTypes, TyperGroup):

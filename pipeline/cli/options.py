@@ -10,6 +10,11 @@ import typer
 
 from . import completion
 
+#: Options of which each command says what they are, in its docstring.
+Count = Annotated[int, typer.Option(min=1)]
+Seed = Annotated[int, typer.Option(min=0)]
+HiddenSeed = Annotated[int, typer.Option("--seed", min=0, show_default=False)]
+OutFile = Annotated[Path | None, typer.Option(metavar="FILE")]
 SettingsFile = Annotated[Path | None, typer.Option("--settings", metavar="FILE", help="TOML file of settings.")]
 Assignments = Annotated[
     list[str] | None,
@@ -23,16 +28,13 @@ Assignments = Annotated[
 Preset = Annotated[
     str | None,
     typer.Option(
-        "--preset",
         metavar="paper|reference",
         show_default="paper",
         autocompletion=completion.presets,
         help="Objects of each side, or only of the real one, to compare simulators.",
     ),
 ]
-DatasetFolder = Annotated[
-    Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.", show_default=False)
-]
+DatasetFolder = Annotated[Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.")]
 SimFolder = Annotated[
     Path | None,
     typer.Argument(
@@ -42,66 +44,28 @@ SimFolder = Annotated[
     ),
 ]
 RunFolder = Annotated[
-    Path,
-    typer.Argument(
-        help="Folder of a run, such as runs/dataset.", show_default=False, autocompletion=completion.run_folders
-    ),
+    Path, typer.Argument(help="Folder of a run, such as runs/dataset.", autocompletion=completion.run_folders)
 ]
-Pairs = Annotated[
-    str | None,
-    typer.Option("--pairs", metavar="PATTERN", help="Only these pairs, such as '00*'."),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        "--workers",
-        min=1,
-        metavar="N",
-        help="Processes, else one per core.",
-    ),
-]
-LocalWorkers = Annotated[
-    int, typer.Option("--workers", min=1, help="Processes on this machine; results do not depend on it.")
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="Dask scheduler to work on."),
-]
+Pairs = Annotated[str | None, typer.Option(metavar="PATTERN", help="Only these pairs, such as '00*'.")]
+Workers = Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes, else one per core.")]
+LocalWorkers = Annotated[int, typer.Option(min=1, help="Processes on this machine; results do not depend on it.")]
+Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler to work on.")]
 PairTimeout = Annotated[
-    float | None,
-    typer.Option(
-        "--pair-timeout",
-        metavar="SECONDS",
-        min=0.001,
-        show_default=False,
-        help="A pair that takes longer fails.",
-    ),
+    float | None, typer.Option(metavar="SECONDS", min=0.001, help="A pair that takes longer fails.")
 ]
 Floor = Annotated[
     Path | None,
-    typer.Option(
-        "--floor",
-        metavar="RUN",
-        help="Show scores minus those of this floor.",
-        autocompletion=completion.run_folders,
-    ),
+    typer.Option(metavar="RUN", help="Show scores minus those of this floor.", autocompletion=completion.run_folders),
 ]
-Replace = Annotated[bool, typer.Option("--replace", help="Replace finished results.")]
+Replace = Annotated[bool, typer.Option(help="Replace finished results.")]
 AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Markdown, to paste into a merge request.")]
 AsCsv = Annotated[bool, typer.Option("--csv", help="CSV, for a spreadsheet.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON, nothing else.")]
 
 
-def out_option(folder_of: str, default: str | None = None) -> Any:
-    """The option --out of a command that writes a folder."""
-    return typer.Option("--out", help=folder_of, show_default=default or False)
-
-
-def criterion_option(name: str, meaning: str) -> Any:
+def criterion_option(name: str) -> Any:
     """An option that bounds a measure."""
-    return typer.Option(
-        name, metavar="MEASURE=NUMBER", help=f"{meaning}; repeatable.", autocompletion=completion.criteria
-    )
+    return typer.Option(name, metavar="MEASURE=NUMBER", autocompletion=completion.criteria)
 
 
 EXIT_WRONG_INPUT = 1

@@ -16,6 +16,7 @@ from .options import (
     AsJson,
     Assignments,
     DatasetFolder,
+    HiddenSeed,
     Pairs,
     PairTimeout,
     Preset,
@@ -26,7 +27,6 @@ from .options import (
     SimFolder,
     Workers,
     check_machines,
-    out_option,
     paired,
     run_folder,
 )
@@ -37,13 +37,15 @@ def settings(
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
-    json_schema: Annotated[
-        bool, typer.Option("--json-schema", help="The JSON schema of such files, for editors and other programs.")
-    ] = False,
+    json_schema: bool = False,
 ) -> None:
     """Print all settings as a commented TOML file, to edit and pass to --settings.
 
     Each comes with its meaning and allowed values. Without options, the values are the defaults.
+
+    Parameters
+    ----------
+    json_schema : The JSON schema of such files, for editors and other programs.
 
     Examples
     --------
@@ -72,18 +74,17 @@ def check(
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
-    expect: Annotated[
-        Path | None,
-        typer.Option(
-            "--expect", metavar="FILE", help="Settings of the simulated sensor (TOML, JSON), to compare with its scans."
-        ),
-    ] = None,
+    expect: Annotated[Path | None, typer.Option(metavar="FILE")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show what a run would read from a dataset, and what is wrong with it.
 
     Lengths are metres, angles degrees; scans have x forward, y left, z up unless input.real_frame or input.sim_frame
     says otherwise. Exits with 1 if anything is wrong.
+
+    Parameters
+    ----------
+    expect : Settings of the simulated sensor (TOML, JSON), to compare with its scans.
 
     Examples
     --------
@@ -114,31 +115,16 @@ def check(
 def run(
     dataset: DatasetFolder,
     sim: SimFolder = None,
-    out: Annotated[Path | None, out_option("Folder of the run.", "runs/NAME")] = None,
+    out: Annotated[Path | None, typer.Option(show_default="runs/NAME")] = None,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     pair_timeout: PairTimeout = None,
-    from_stage: Annotated[
-        str | None,
-        typer.Option(
-            "--from",
-            metavar="STAGE",
-            help="Recompute this stage and all later stages.",
-            autocompletion=completion.stages,
-        ),
-    ] = None,
+    from_stage: Annotated[str | None, typer.Option("--from", metavar="STAGE", autocompletion=completion.stages)] = None,
     pairs: Pairs = None,
-    seeds: Annotated[
-        int | None,
-        typer.Option(
-            "--seeds",
-            min=1,
-            help="Number of seeds for which communities to metrics are repeated, to see how stable the scores are.",
-        ),
-    ] = None,
+    seeds: Annotated[int | None, typer.Option(min=1)] = None,
     replace: Replace = False,
     as_json: AsJson = False,
 ) -> None:
@@ -147,6 +133,12 @@ def run(
     Up-to-date results are reused. To replace the results of a finished run with those of other settings, use --replace
     or another --out. The summary has the share of the surface that is simulated, missing and invented pieces, what to
     fix first, the worst places and the object scores. Exits with 0 if all pairs are scored, 3 if some failed.
+
+    Parameters
+    ----------
+    out : Folder of the run.
+    from_stage : Recompute this stage and all later stages.
+    seeds : Number of seeds for which communities to metrics are repeated, to see how stable the scores are.
 
     Examples
     --------
@@ -206,20 +198,14 @@ def run(
 
 def floor(
     dataset: DatasetFolder,
-    out: Annotated[Path | None, out_option("Folder of the run.", "runs/NAME-floor")] = None,
+    out: Annotated[Path | None, typer.Option(show_default="runs/NAME-floor")] = None,
     preset: Preset = "paper",
     settings: SettingsFile = None,
     assignments: Assignments = None,
-    noise_m: Annotated[
-        float | None,
-        typer.Option("--noise-m", min=0, max=10, help="Noise (m), else as measured."),
-    ] = None,
-    dropout: Annotated[
-        float | None,
-        typer.Option("--dropout", min=0, max=0.99, help="Lost share, else as measured."),
-    ] = None,
-    neighbours: Annotated[bool, typer.Option("--neighbours", help="Use the next real scan instead.")] = False,
-    seed: Annotated[int, typer.Option("--seed", min=0, show_default=False, help="Seed of noise and losses.")] = 0,
+    noise_m: Annotated[float | None, typer.Option(min=0, max=10)] = None,
+    dropout: Annotated[float | None, typer.Option(min=0, max=0.99)] = None,
+    neighbours: bool = False,
+    seed: HiddenSeed = 0,
     pairs: Pairs = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -231,6 +217,14 @@ def floor(
     The result is a run, which show, report, gate and compare take as --floor; give it the settings of the run that it
     is for. The second measurement is the scan with range noise and losses, by default those that it shows (else 3 cm
     and 3 %), or with --neighbours the next scan, by T_world_sensor in pairs.csv. How to read it: docs/fidelity.md.
+
+    Parameters
+    ----------
+    out : Folder of the run.
+    noise_m : Noise (m), else as measured.
+    dropout : Lost share, else as measured.
+    neighbours : Use the next real scan instead.
+    seed : Seed of noise and losses.
 
     Examples
     --------
@@ -274,9 +268,13 @@ def floor(
 
 def status(
     run: RunFolder,
-    timings: Annotated[bool, typer.Option("--timings", help="Milliseconds by step, next to the paper's.")] = False,
+    timings: bool = False,
 ) -> None:
     """Show the progress of a run: the number of pairs done, stale, failed and to do, by stage.
+
+    Parameters
+    ----------
+    timings : Milliseconds by step, next to the paper's.
 
     Examples
     --------

@@ -8,30 +8,29 @@ from typing import Annotated
 import typer
 
 from . import completion
-from .options import AsCsv, AsJson, AsMarkdown, Floor, Pairs, RunFolder, format_of, out_option
+from .options import AsCsv, AsJson, AsMarkdown, Floor, Pairs, RunFolder, format_of
 from .output import print_as, print_json, print_line, print_view
 
 
 def show(
     run: RunFolder,
-    pair: Annotated[
-        str | None,
-        typer.Argument(help="Name of a pair.", show_default=False, autocompletion=completion.pairs),
-    ] = None,
-    object_: Annotated[
-        str | None,
-        typer.Argument(metavar="[OBJECT]", help="Object of the pair: 7 of the real side, sim:7 of the simulated one."),
-    ] = None,
-    paper: Annotated[
-        bool, typer.Option("--paper", help="The paper's claims next to the results of this run, one line each.")
-    ] = False,
-    all_: Annotated[bool, typer.Option("--all", help="All tables of a run; all objects of a pair.")] = False,
+    pair: Annotated[str | None, typer.Argument(autocompletion=completion.pairs)] = None,
+    object_: Annotated[str | None, typer.Argument(metavar="[OBJECT]")] = None,
+    paper: bool = False,
+    all_: Annotated[bool, typer.Option("--all")] = False,
     floor: Floor = None,
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
 ) -> None:
     """Show a finished run, one of its pairs, or one object.
+
+    Parameters
+    ----------
+    pair : Name of a pair.
+    object_ : Object of the pair: 7 of the real side, sim:7 of the simulated one.
+    paper : The paper's claims next to the results of this run, one line each.
+    all_ : All tables of a run; all objects of a pair.
 
     Examples
     --------
@@ -85,18 +84,13 @@ def show(
 
 def report(
     run: RunFolder,
-    pairs: Annotated[
-        str | None,
-        typer.Option("--pairs", metavar="PATTERN", help="Show pairs whose name matches in 3D, such as '0000*'."),
-    ] = None,
-    folder: Annotated[bool, typer.Option("--folder", help="One page per pair and an index, in RUN/report.")] = False,
-    figures: Annotated[
-        bool, typer.Option("--figures", help="Also draw the figures for print, in RUN/figures.")
-    ] = False,
+    pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
+    folder: bool = False,
+    figures: bool = False,
     floor: Floor = None,
-    out: Annotated[Path | None, out_option("Folder for page and figures.", "the run's own")] = None,
-    html: Annotated[Path | None, typer.Option("--html", help="Write the page to this file.")] = None,
-    opens: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
+    html: Path | None = None,
+    opens: Annotated[bool, typer.Option("--open")] = False,
 ) -> None:
     """Make a self-contained web page of a finished run, and with --figures the paper's figures.
 
@@ -104,6 +98,15 @@ def report(
     the middle and the best ones, or those of --pairs). RUN/figures: each figure as PNG, SVG and PDF.
 
     An address that ends in #pair=0007&object=real%203 opens the page at that object.
+
+    Parameters
+    ----------
+    pairs : Show pairs whose name matches in 3D, such as '0000*'.
+    folder : One page per pair and an index, in RUN/report.
+    figures : Also draw the figures for print, in RUN/figures.
+    out : Folder for page and figures.
+    html : Write the page to this file.
+    opens : Open the page in the browser.
 
     Examples
     --------
@@ -139,17 +142,11 @@ def report(
 
 def export(
     run: RunFolder,
-    mcap: Annotated[
-        bool, typer.Option("--mcap", help="One MCAP file of ROS 2 messages, NAME.mcap; needs the extra ros.")
-    ] = False,
-    ply: Annotated[
-        bool, typer.Option("--ply", help="Two PLY files per pair, PAIR.real.ply and PAIR.sim.ply, with scalar fields.")
-    ] = False,
+    mcap: bool = False,
+    ply: bool = False,
     pairs: Pairs = None,
-    out: Annotated[Path | None, out_option("Folder for the files.", "RUN/export")] = None,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Also replace files that fidpipe export did not write.")
-    ] = False,
+    out: Annotated[Path | None, typer.Option(show_default="RUN/export")] = None,
+    replace: bool = False,
 ) -> None:
     """Write the points of a finished run with their scores for Foxglove, Lichtblick, rerun or CloudCompare.
 
@@ -159,6 +156,13 @@ def export(
     MCAP topics: /fidpipe/real and /fidpipe/sim, /fidpipe/real_objects and /fidpipe/sim_objects (a point per object, at
     its centroid), all sensor_msgs/msg/PointCloud2, and /fidpipe/scores (a pair's scores as JSON). Stamps are those of
     the dataset if every pair has one, otherwise a second apart.
+
+    Parameters
+    ----------
+    mcap : One MCAP file of ROS 2 messages, NAME.mcap; needs the extra ros.
+    ply : Two PLY files per pair, PAIR.real.ply and PAIR.sim.ply, with scalar fields.
+    out : Folder for the files.
+    replace : Also replace files that fidpipe export did not write.
 
     Examples
     --------
