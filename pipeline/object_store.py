@@ -65,7 +65,12 @@ def is_url(text: str) -> bool:
 
 def cache_base() -> Path:
     """The folder of all that is fetched: FIDPIPE_CACHE, by default ~/.cache/fidpipe."""
-    return Path(os.environ.get("FIDPIPE_CACHE") or Path.home() / ".cache" / "fidpipe").absolute()
+    return _cache_base(os.environ.get("FIDPIPE_CACHE"), os.environ.get("HOME"))
+
+
+@lru_cache(maxsize=4)
+def _cache_base(named: str | None, home: str | None) -> Path:
+    return Path(named or Path.home() / ".cache" / "fidpipe").absolute()
 
 
 def cache_of(url: str) -> Path:

@@ -369,7 +369,7 @@ class _Run:
         """Write a table of the whole run, unless it exists under its key. Returns `pairs`."""
         path = self._out / f"{table.name}.parquet"
         before = self._folder.ledger.jobs("").get((table.name, ""))
-        if before is None or before.key != key or not self._folder.is_whole(before, by_content=True):
+        if before is None or before.key != key or not self._folder.is_whole(before):
             stored = self._folder.write_at(path, table.name, parts, key)
             before = JobRecord(table.name, "", "", key, {path.name: stored})
             self._folder.ledger.put_job(before)

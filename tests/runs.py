@@ -165,7 +165,7 @@ def rewrite(folder, name, change):
         (folder / name).write_bytes(content.getvalue())
         status = (folder / name).stat()
         digest = hashlib.sha256(content.getvalue()).hexdigest()
-        record.files[name] = StoredFile(status.st_size, digest, status.st_mtime_ns, status.st_ctime_ns)
+        record.files[name] = StoredFile(status.st_size, digest, status.st_mtime_ns)
         store.ledger.put_job(record)
 
 

@@ -235,9 +235,7 @@ class RunEngine:
                 continue
             survey.usable.append(pair)
             is_selected = pair.pair_id in selected
-            plan, stale = with_results(
-                plan_pair(pair), self.folder, redo if is_selected else frozenset(), exhaustive, by_content=True
-            )
+            plan, stale = with_results(plan_pair(pair), self.folder, redo if is_selected else frozenset(), exhaustive)
             survey.stale |= stale
             if not plan.todo:
                 complete(plan)

@@ -261,8 +261,6 @@ def with_results(
     folder: RunFolder,
     redo: frozenset[str] = frozenset(),
     exhaustive: frozenset[str] = frozenset(),
-    *,
-    by_content: bool = False,
 ) -> tuple[PairPlan, dict[JobName, str]]:
     """The plan knowing which jobs are done, and the stale finished jobs of the pair, with the reason.
 
@@ -274,7 +272,6 @@ def with_results(
     folder : of the run
     redo : stages to recompute regardless of their keys
     exhaustive : stages of which only the results in the plan are kept
-    by_content : compare files by content, not only by length and times
     """
     records = folder.ledger.jobs(plan.pair_id)
     whole, unwanted = [], {}
@@ -284,7 +281,7 @@ def with_results(
             continue
         if record.key != plan.keys[name]:
             unwanted[record.name] = OUT_OF_DATE
-        elif not folder.is_whole(record, by_content=by_content):
+        elif not folder.is_whole(record):
             unwanted[record.name] = "damaged or gone"
         elif job.stage.name in redo:
             unwanted[record.name] = "requested by --from"

@@ -236,14 +236,8 @@ class FinishedRun:
     def check_tables(self, pair_id: str) -> None:
         """Raises `RunError` if any table of a scored pair is damaged or gone."""
         for record in self.store.ledger.jobs(pair_id).values():
-            for name in record.files:
-                self.check_file(name)
-
-    def check_file(self, name: str) -> None:
-        """Raises `RunError` if a file is not as the job wrote it, or gone."""
-        record = self.store.ledger.job_of_file(name)
-        if record is None or not self.store.is_whole(record, by_content=True):
-            raise self.store.damaged(name)
+            for name, stored in record.files.items():
+                self.store.content(stored, name)
 
 
 def _frame(table: pa.Table) -> pd.DataFrame:

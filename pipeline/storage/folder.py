@@ -151,13 +151,10 @@ class RunFolder(TableFolder):
             f"run {self.folder}: {name} is damaged or gone{cause and f' ({cause})'}; run it again with: {again}"
         )
 
-    def is_whole(self, record: JobRecord, *, by_content: bool = False) -> bool:
+    def is_whole(self, record: JobRecord) -> bool:
         """True if the files of a job are as they were written; see `StoredFile.is_at`."""
         files = record.files.items()
-        return all(
-            stored.is_at(f"{self.folder}/{name}", by_content=by_content) or self._is_at_url(name)
-            for name, stored in files
-        )
+        return all(stored.is_at(f"{self.folder}/{name}") or self._is_at_url(name) for name, stored in files)
 
     def _is_at_url(self, name: str) -> bool:
         """True if a file is expected at the URL alone; it is checked as it is read."""

@@ -31,7 +31,7 @@ _SECONDS_FOR_READERS = 60.0
 
 _TABLES = """
 PRAGMA page_size = 16384;
-CREATE TABLE jobs (pair_id TEXT PRIMARY KEY, entry BLOB);
+CREATE TABLE jobs (pair_id TEXT PRIMARY KEY, entry BLOB); -- JSON: files are [size, sha256, mtime_ns]
 CREATE TABLE files (name TEXT PRIMARY KEY, pair_id TEXT) WITHOUT ROWID;
 CREATE TABLE hashes (path BLOB PRIMARY KEY, marks TEXT, sha256 TEXT) WITHOUT ROWID;
 CREATE TABLE failures (pair_id TEXT PRIMARY KEY, key TEXT, reason TEXT) WITHOUT ROWID;
@@ -141,12 +141,15 @@ class Ledger:
         row = self._db.execute("SELECT entry FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()
         try:
             return [] if row is None else [job_record(entry) for entry in orjson.loads(row[0])]
-        except (ValueError, TypeError, LookupError, AttributeError) as error:  # of a run that was not closed in order
+        except (ValueError, TypeError, AttributeError) as error:  # of a run that was not closed in order
             raise RunError(f"{self._path}: damaged; remove it, it is rebuilt from the tables") from error
 
     def _put_records(self, pair_id: str, records: list[JobRecord]) -> None:
         if records:
-            entry = orjson.dumps([_plain(record) for record in records], option=orjson.OPT_SERIALIZE_NUMPY)
+            plain = [
+                vars(record) | {"files": {name: [*own] for name, own in record.files.items()}} for record in records
+            ]
+            entry = orjson.dumps(plain, option=orjson.OPT_SERIALIZE_NUMPY)
             self._change("INSERT OR REPLACE INTO jobs VALUES (?, ?)", pair_id, entry)
         else:
             self._change("DELETE FROM jobs WHERE pair_id = ?", pair_id)
@@ -229,11 +232,6 @@ class Ledger:
             if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
                 raise disk_full(self._path, error) from error
             raise RunError(f"{self._path}: cannot be written ({error}); run the same command again") from error
-
-
-def _plain(record: JobRecord) -> dict[str, Any]:
-    """A finished job as plain values; see `job_record`."""
-    return vars(record) | {"files": {name: vars(stored) for name, stored in record.files.items()}}
 
 
 def _connect(path: Path | str, **options: Any) -> sqlite3.Connection:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import platform
 import re
@@ -34,7 +33,7 @@ from .table_files import JobRecord
 SUMMARISED = ("status", "n_matched", "n_missing", "n_hallucinated", "n_too_small", *RUN_SCORES)
 
 RUN_JSON = "run.json"
-_SEAL = re.compile(rb',\n "sha256": "([0-9a-f]{64})"\n}\n\Z')  # records written by others have none
+_SEAL = re.compile(rb',\n  "sha256": "([0-9a-f]{64})"\n}\n\Z')  # records written by others have none
 _END = b"\n}\n"
 SETTINGS_TOML = "settings.toml"
 
@@ -137,13 +136,13 @@ def finished_record(folder: Path) -> dict[str, Any]:
 def write_record(folder: Path, record: Mapping[str, Any], before_rename: Callable[[], None] | None = None) -> None:
     """Write `run.json`; its last entry is the hash of the text before it."""
     text = dumps(record).removesuffix(_END)
-    seal = f',\n "sha256": "{hashlib.sha256(text).hexdigest()}"'.encode()
+    seal = f',\n  "sha256": "{hashlib.sha256(text).hexdigest()}"'.encode()
     write_whole(folder / RUN_JSON, [text, seal, _END], before_rename=before_rename)
 
 
 def dumps(record: Mapping[str, Any]) -> bytes:
     """A record as JSON text."""
-    return json.dumps(record, indent=1, allow_nan=False).encode() + b"\n"
+    return orjson.dumps(record, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
 
 
 def run_header(

@@ -12,11 +12,12 @@ import os
 import re
 import stat
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import orjson
@@ -50,29 +51,19 @@ JobName = tuple[str, str, str]  #: stage, pair_id, part (a side, a part of an ex
 JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
 
 
-@dataclass(frozen=True)
-class StoredFile:
-    """A file as it was written: its length and content hash, and its times in the file system."""
+class StoredFile(NamedTuple):
+    """A file as it was written: its length, content hash, and time in the file system."""
 
     size: int
     sha256: str
     mtime_ns: int
-    ctime_ns: int
 
-    def is_at(self, path: str, *, by_content: bool = False) -> bool:
-        """True if the file at a path is as it was written, and not a link.
-
-        Parameters
-        ----------
-        by_content : hash its content in any case; otherwise only if its length or times differ. A disk that loses a bit
-            changes no times
-        """
+    def is_at(self, path: str) -> bool:
+        """True if the file at a path is as it was written, and not a link; hashed only if length or time differ."""
         try:
-            if not by_content:
-                status = os.lstat(path)
-                marks = (status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-                if stat.S_ISREG(status.st_mode) and marks == (self.size, self.mtime_ns, self.ctime_ns):
-                    return True
+            status = os.lstat(path)
+            if (status.st_size, status.st_mtime_ns) == (self.size, self.mtime_ns) and stat.S_ISREG(status.st_mode):
+                return True
             return self.read(path) is not None
         except OSError:  # missing, or the disk or the user's rights do not allow to read it: it can be recomputed
             return False
@@ -86,7 +77,7 @@ class StoredFile:
             The file cannot be read.
         """
         try:
-            file = os.open(path, _READ_NO_LINK)  # (a hundred thousand of them: a file object costs more than most)
+            file = os.open(path, _READ_NO_LINK)
         except OSError as error:
             if error.errno in (errno.ENOENT, errno.ELOOP):
                 return None
@@ -100,7 +91,7 @@ class StoredFile:
         return content if hashlib.sha256(content).hexdigest() == self.sha256 else None
 
 
-@dataclass(frozen=True)
+@dataclass
 class JobRecord:
     """A finished job.
 
@@ -237,11 +228,8 @@ class TableFolder:
         RunError
             The file is damaged or gone.
         """
-        schema = TABLES[table]
+        schema, content = TABLES[table], self.content(stored, name)
         try:
-            content = self.content(stored, name)
-            if content is None:
-                raise self.damaged(name)
             rows = read_content(content, columns)
             if columns is None:
                 return schema.check(rows)
@@ -249,26 +237,36 @@ class TableFolder:
                 raise ValueError(f"expected the columns {', '.join(columns)}")
             return rows
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
-            raise self.damaged(name, getattr(error, "strerror", None) or str(error)) from error
+            raise self.damaged(name, str(error)) from error
 
-    def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
-        write_whole(path, content, before_rename=self.check_token, advice="", outlasts_power=False)
-        status = path.stat()
-        return StoredFile(status.st_size, sha256, status.st_mtime_ns, status.st_ctime_ns)
-
-    def content(self, stored: StoredFile, name: str) -> bytes | None:
-        """The content of a file as it was written, here or else at the URL; None if it is another one.
+    def content(self, stored: StoredFile, name: str) -> bytes:
+        """The content of a file as it was written, here or else at the URL.
 
         Raises
         ------
-        OSError, StoreError
-            It cannot be read.
+        RunError
+            It is damaged or gone. If its time does not show it, as after a fault of the disk, it gets another one, so
+            that the next run recomputes it.
+        StoreError
+            It cannot be read there.
         """
-        content = stored.read(self.folder / name)
-        if content is not None or not self.url:
-            return content
-        content = read_object(f"{self.url}/{name}")
-        return content if hashlib.sha256(content).hexdigest() == stored.sha256 else None
+        path = self.folder / name
+        try:
+            content = stored.read(path)
+        except OSError as error:
+            raise self.damaged(name, error.strerror or str(error)) from error
+        if content is None and self.url:
+            content = read_object(f"{self.url}/{name}")
+            content = content if hashlib.sha256(content).hexdigest() == stored.sha256 else None
+        if content is None:
+            with suppress(OSError):
+                os.utime(path, follow_symlinks=False)
+            raise self.damaged(name)
+        return content
+
+    def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
+        write_whole(path, content, before_rename=self.check_token, advice="", outlasts_power=False)
+        return StoredFile(len(content), sha256, path.stat().st_mtime_ns)
 
     def damaged(self, name: str, cause: str = "") -> RunError:
         """The error of a file that is not as it was stored."""
@@ -301,7 +299,7 @@ class TablesAtUrl(TableFolder):
     def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
         self.check_token()
         write_object(f"{self.url}/{path.relative_to(self.folder).as_posix()}", bytes(content))
-        return StoredFile(len(content), sha256, 0, 0)
+        return StoredFile(len(content), sha256, 0)
 
 
 _ASKED: dict[str, float] = {}
@@ -359,8 +357,8 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
             return None
         own = orjson.loads(job)
         names = tuple(own["files"])
-        stored = StoredFile(len(content), hashlib.sha256(content).hexdigest(), status.st_mtime_ns, status.st_ctime_ns)
-        record = job_record(own | {"key": key, "files": {name: vars(stored)}})
+        stored = StoredFile(len(content), hashlib.sha256(content).hexdigest(), status.st_mtime_ns)
+        record = job_record(own | {"key": key, "files": {name: stored}})
     except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
         return None
     return (record, names) if name in names else None
@@ -371,14 +369,15 @@ def job_record(entry: dict[str, Any]) -> JobRecord:
 
     Raises
     ------
-    ValueError, TypeError, LookupError, AttributeError
+    ValueError, TypeError, AttributeError
         They are not those of a job, or a file is named that is not a table of a run.
     """
-    files = {name: StoredFile(**stored) for name, stored in entry["files"].items()}
-    if wrong := [name for name in files if not _TABLE_NAME.fullmatch(name)]:
+    record = JobRecord(**entry)
+    record.files = {name: StoredFile(*stored) for name, stored in record.files.items()}
+    if wrong := [name for name in record.files if not _TABLE_NAME.fullmatch(name)]:
         raise ValueError(f"{wrong[0]!r} is not the name of a table of a run")
-    steps = tuple((name, seconds) for name, seconds in entry.get("steps", ()))
-    return JobRecord(**entry | {"files": files, "reads": tuple(entry["reads"]), "steps": steps})
+    record.reads, record.steps = tuple(record.reads), tuple((name, seconds) for name, seconds in record.steps)
+    return record
 
 
 def _job_in_footer(record: JobRecord, names: Iterable[str]) -> str:

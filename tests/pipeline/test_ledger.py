@@ -19,7 +19,7 @@ from fidpipe.schemas.errors import RunError
 
 
 def record(pair_id, stage="graph", **facts):
-    file = StoredFile(3, "ab", 1, 2)
+    file = StoredFile(3, "ab", 1)
     files = {f"{stage}/{pair_id}": file}
     return JobRecord(stage, pair_id, "real", "key", files, ("read",), facts, (("graph", 0.25),), "token")
 
