@@ -245,7 +245,7 @@ class TableFolder:
         Raises
         ------
         RunError
-            It is damaged or gone. If its time does not show it, as after a fault of the disk, it gets another one, so
+            It is damaged or gone. If its time does not show it, as on a failing disk, it gets another one, so
             that the next run recomputes it.
         StoreError
             It cannot be read there.
