@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import cycle, islice
-from pathlib import Path
 
 import numpy as np
+
+from .data_files import read_data
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class SensorModel:
 
 
 def _read_sensors() -> Iterator[SensorModel]:
-    for name, values in tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8")).items():
+    for name, values in read_data("sensor_models").items():
         blocks = values.pop("uniform", [])
         elevation = values.pop("elevation_deg", [angle for block in blocks for angle in np.linspace(*block).tolist()])
         offset = islice(cycle(values.pop("azimuth_offset_deg", [0.0])), len(elevation))

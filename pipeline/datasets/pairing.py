@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -248,8 +249,7 @@ def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IntArray:
     after = np.clip(np.searchsorted(among_s, of_s), 1, max(len(among_s) - 1, 1))
     before = after - 1
     after = np.minimum(after, len(among_s) - 1)
-    ids: IntArray = np.where(of_s - among_s[before] <= among_s[after] - of_s, before, after)
-    return ids
+    return np.where(of_s - among_s[before] <= among_s[after] - of_s, before, after)
 
 
 def scans_in(folder: Path) -> list[Path]:
@@ -269,17 +269,17 @@ def read_numbers(path: Path, widths: tuple[int, ...]) -> FloatArray:
     """(n, width) float64, the lines of a file; those that begin with # are left out."""
     wanted = " or ".join(map(str, widths))
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        rows = [[float(word) for word in line.split()] for line in lines if line.strip() and line.lstrip()[0] != "#"]
+        with warnings.catch_warnings(action="ignore"):  # of a file without lines
+            rows = np.loadtxt(path, ndmin=2, encoding="utf-8")
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror or error})") from error
     except ValueError as error:
         raise DatasetError(f"{path}: expected lines of {wanted} numbers ({error})") from error
-    counts = {len(row) for row in rows}
-    if len(counts) != 1 or counts.pop() not in widths:
-        found = ", ".join(map(str, sorted({len(row) for row in rows}))) or "no"
-        raise DatasetError(f"{path}: expected lines of {wanted} numbers, got lines of {found}")
-    return np.array(rows)
+    if not len(rows) or rows.shape[1] not in widths:
+        raise DatasetError(
+            f"{path}: expected lines of {wanted} numbers, got lines of {rows.shape[1] if len(rows) else 'no'}"
+        )
+    return rows
 
 
 def write_dataset(

@@ -1,4 +1,4 @@
-"""Catalogue of causes, and those that the estimates of a run name."""
+"""Causes of the catalogue that the estimates of a run name."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...schemas.cause_catalogue import CAUSES, CauseModel
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.diagnose.evidence import UNEVEN
 from ...stages.diagnose.gain import Shares
 from ...stages.diagnose.motion import PARAMETERS
 from ...stages.statistics.comparison import block_means
-from ..results.causes import DISPLACEMENTS, mean_interval, size_words
+from ..results.causes import mean_interval, size_words
 
 #: Below this distance over the floor, metres, gains are not shares.
 LEAST_EXCESS_M = 0.005
@@ -25,95 +26,6 @@ _UNEVEN = 0.01  # variance between directions that is still random, and the squa
 #: More of the points in other places, with both of these, are a bent world.
 _BENT, _ALONE = 0.03, ("missing pieces", "invented pieces")
 _ENOUGH = 4  # blocks that all lie beyond a tolerance
-
-
-@dataclass(frozen=True)
-class CauseModel:
-    """A flaw of the catalogue.
-
-    tolerance : without a floor it is named beyond this: the difference of two measurements of a scene, and for
-        positions what a poor twin shows without being displaced
-    resolution : accuracy of the estimate; over a floor the cause is named beyond it
-    words : with {size}, above 0, and below 0 unless the flaw has one direction
-    setting : what controls it, attributes of CARLA's blueprint where they fit
-    limbs : identifiers of PerCollECT's LidarLimbs cause tree (`data.json`, MIT) that fit
-    """
-
-    name: str
-    unit: str
-    tolerance: float
-    resolution: float
-    words: tuple[str, ...]
-    setting: str
-    limbs: tuple[int, ...] = ()
-
-
-_WORDS = {
-    "forward": ("world {size} too far ahead", "world {size} too far back"),
-    "sideways": ("world {size} too far left", "world {size} too far right"),
-    "height": ("world {size} too high", "world {size} too low"),
-    "roll": ("rolled by {size}, left side up", "rolled by {size}, right side up"),
-    "pitch": ("pitched by {size}, front down", "pitched by {size}, front up"),
-    "yaw": ("turned by {size} to the left", "turned by {size} to the right"),
-    "range scale": ("ranges {size} too long", "ranges {size} too short"),
-    "range bias": ("ranges {size} too long", "ranges {size} too short"),
-    "motion forward": ("{size} of motion forward per sweep too much", "{size} of motion forward per sweep missing"),
-    "motion sideways": ("{size} of motion sideways per sweep too much", "{size} of motion sideways per sweep missing"),
-    "road height": ("road {size} too high", "road {size} too low"),
-    "range noise": ("{size} of range noise too much", "{size} of range noise missing"),
-    "range steps": ("range steps {size} too coarse", "range steps {size} too fine"),
-    "lost returns": ("{size} of the returns lost", "{size} too many returns"),
-    "lost far returns": ("{size} of the returns beyond 25 m lost", "{size} too many returns beyond 25 m"),
-    "azimuth step": ("azimuth step {size} too wide", "azimuth step {size} too narrow"),
-    "beams": ("{size} beams too many", "{size} beams missing"),
-    "maximum range": ("sees {size} too far", "sees {size} too short"),
-    "minimum range": ("nothing within {size} that the real sensor sees",),
-    "missing pieces": ("missing pieces, {size} of the real points",),
-    "invented pieces": ("invented pieces, {size} of the simulated points",),
-    "moved pieces": ("pieces in other places, {size} of the real points",),
-    "solid foliage": ("foliage too solid: {size} of its rays stop early", "foliage too open: {size} go too far"),
-    "clutter": ("clutter near the sensor, {size} of the simulated points",),
-    "mixed pixels": ("stray returns, {size} on smooth surface",),
-    "blind sector": ("no returns in {size} of azimuth",),
-    "intensity by range": ("range explains {size} more of the intensity: no material",),
-    "intensity ranks": ("intensities are distributed differently, rank distance {size}",),
-}
-#: Tolerance and identifiers of the displacements.
-_DISPLACED: dict[str, tuple[float, tuple[int, ...]]] = {
-    **dict.fromkeys(("forward", "sideways"), (0.05, (14,))),
-    "height": (0.03, (7,)),
-    **dict.fromkeys(("roll", "pitch", "yaw"), (0.2, (14,))),
-    "range scale": (0.005, (145,)),
-    "range bias": (0.03, (145,)),
-    **dict.fromkeys(("motion forward", "motion sideways"), (0.3, (102,))),
-    "road height": (0.04, ()),
-}
-CAUSES = tuple(
-    CauseModel(name, unit, tolerance, resolution, _WORDS[name], setting, limbs)
-    for name, unit, tolerance, resolution, setting, limbs in (
-        *(
-            (name, unit, _DISPLACED[name][0], accuracy, setting, _DISPLACED[name][1])
-            for name, (unit, accuracy, setting) in DISPLACEMENTS.items()
-        ),
-        ("range noise", "m", 0.02, 0.005, "noise_stddev", (61,)),
-        ("range steps", "m", 0.01, 0.004, "range format", (70, 71)),
-        ("lost returns", "share", 0.05, 0.025, "dropoff_general_rate", (0, 39)),
-        ("lost far returns", "share", 0.15, 0.06, "atmosphere_attenuation_rate, dropoff_intensity_limit", (39, 104)),
-        ("azimuth step", "deg", 0.05, 0.02, "points_per_second, rotation_frequency", (17,)),
-        ("beams", "", 5, 3, "channels, upper_fov, lower_fov", ()),
-        ("maximum range", "m", 5.0, 3.0, "range", (39, 104)),
-        ("minimum range", "m", 0.5, 0.5, "minimum range", (73,)),
-        ("missing pieces", "share", 0.0015, 0.001, "assets", (0,)),
-        ("invented pieces", "share", 0.0015, 0.001, "assets", (1,)),
-        ("moved pieces", "share", 0.0015, 0.001, "places of objects; map; poses of moving objects", (0, 1)),
-        ("solid foliage", "share", 0.1, 0.03, "material of foliage", (110, 117)),
-        ("clutter", "share", 0.001, 0.001, "rain, dust, ego vehicle", (89,)),
-        ("mixed pixels", "share", 0.006, 0.005, "beam divergence", (106, 118)),
-        ("blind sector", "deg", 5.0, 5.0, "field of view, occlusion by the vehicle", (56, 79)),
-        ("intensity by range", "share", 0.3, 0.1, "intensity model", (111, 112)),
-        ("intensity ranks", "share", 0.15, 0.05, "intensity model", (111, 112)),
-    )
-)
 
 
 @dataclass(frozen=True)
@@ -157,12 +69,11 @@ def name_causes(
             np.array([pair.get(name, np.nan) for pair in pairs]) if pairs else np.zeros(len(estimates))
             for pairs in (estimates, floor)
         )
-        over: FloatArray = own - base
-        return over
+        return own - base
 
     named = []
     uneven, alone = np.nanmean(excess(UNEVEN)), min(np.nanmean(excess(name)) for name in _ALONE)
-    for model in CAUSES:
+    for model in CAUSES.values():
         values = excess(model.name)
         is_known = ~np.isnan(values)
         if 2 * is_known.sum() < len(values):

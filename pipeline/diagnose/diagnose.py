@@ -9,13 +9,14 @@ from typing import TypeVar
 
 import numpy as np
 
+from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...schemas.results import CauseEstimate, DiagnosedCause, Diagnosis, Evidence
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.diagnose.curves import AXES, KINDS, curves
+from ...stages.diagnose.curves import AXES, curves
 from ...stages.diagnose.evidence import PairEstimates, PairScans, amounts_of_floor, estimate
-from ...stages.diagnose.gain import RESTORED, Shares, changes, corrections, shares, surface_distance
+from ...stages.diagnose.gain import Shares, changes, corrections, shares, surface_distance
 from ...stages.diagnose.motion import PARAMETERS, Displacement
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, blocks_of
 from ..engine.progress import Reporter
@@ -25,7 +26,7 @@ from ..results.diagnosis import DIAGNOSIS, UNEXPLAINED, results_identity
 from ..results.finished import FinishedRun
 from ..storage.files import write_whole
 from ..storage.run_record import dumps
-from .causes import CAUSES, LEAST_EXCESS_M, NamedCause, confirm, name_causes
+from .causes import LEAST_EXCESS_M, NamedCause, confirm, name_causes
 from .latency import AHEAD, follow, latency_words, speed_m_s
 
 #: A larger rest over the floor, metres, that is more than half of the distance over the floor, is the first cause.
@@ -207,7 +208,7 @@ def _changes(
 
 
 def _curves(run: FinishedRun, pair_id: str, found: PairEstimates, named: Sequence[NamedCause]) -> Drawn:
-    scans, kinds = read_pair(run, pair_id), {KINDS[own.model.name] for own in named if own.model.name in KINDS}
+    scans, kinds = read_pair(run, pair_id), {own.model.curve for own in named if own.model.curve}
     return {kind: curves(scans, found, kind) for kind in kinds}
 
 
@@ -254,10 +255,10 @@ def _cause(
         n_pairs=len(own.values),
         gain_m=gain_m,
         gain=None if excess_m is None or gain_m is None else gain_m / excess_m,
-        is_upper_bound=model.name in RESTORED,
+        is_upper_bound=model.is_restored,
         setting=remark[1] if remark else model.setting,
         limbs=model.limbs,
-        evidence=_evidence(KINDS[model.name], drawn) if model.name in KINDS else None,
+        evidence=_evidence(model.curve, drawn) if model.curve else None,
     )
 
 
@@ -278,7 +279,7 @@ def _evidence(kind: str, drawn: Sequence[Drawn]) -> Evidence:
 
 
 def _estimate_rows(names: Sequence[str], amounts: Sequence[dict[str, float]]) -> Iterator[CauseEstimate]:
-    for model in CAUSES:
+    for model in CAUSES.values():
         values = {name: own[model.name] for name, own in zip(names, amounts, strict=True) if model.name in own}
         if values:
             yield CauseEstimate(

@@ -113,7 +113,7 @@ def _parquet(columns: Columns) -> bytes:
     import pyarrow.parquet as pq
 
     content = io.BytesIO()
-    pq.write_table(pa.table({name: pa.array(column) for name, column in columns.items()}), content)
+    pq.write_table(pa.table(columns), content)
     return content.getvalue()
 
 
@@ -125,10 +125,8 @@ def ply_content(rows: NDArray[Any], comments: Iterable[str] = ()) -> bytes:
 
 
 def _ply(columns: Columns) -> bytes:
-    rows = np.empty(len(columns["x"]), [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
-    for name, column in columns.items():
-        rows[name] = column
-    return ply_content(rows)
+    layout = [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()]
+    return ply_content(np.rec.fromarrays([*columns.values()], dtype=layout))
 
 
 def _pcd(columns: Columns) -> bytes:

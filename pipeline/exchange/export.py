@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from enum import IntEnum
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
 
     from ..results.finished import FinishedRun
 
-    #: Writes a message: topic, type of message, nanoseconds, its fields.
-    _Write = Callable[[str, str, int, dict[str, Any]], None]
+    #: Writes a message: topic, nanoseconds, points or text.
+    _Write = Callable[[str, int, NDArray[np.void] | str], None]
 
 
 class Status(IntEnum):
@@ -68,7 +69,6 @@ OBJECT = np.dtype(
 TOPIC = "/fidpipe"
 FRAME = "real_sensor"
 LEGEND = ", ".join(f"{status.value} {status.name.lower()}" for status in Status)
-_CLOUD, _TEXT = "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
 _POINT_FIELDS = {"<i4": 5, "|u1": 2, "<f8": 8}  # PointField.INT32, UINT8, FLOAT64
 _PLY_START = b"ply\nformat binary_little_endian 1.0\ncomment fidpipe export"
 _NS = 1_000_000_000
@@ -90,30 +90,6 @@ class Exported:
     n_pairs: int
     n_bytes: int
     has_times: bool
-
-
-@dataclass(frozen=True)
-class SideClouds:
-    """One side of a pair: its clean points, (n,) of `POINT`, and its objects, (c,) of `OBJECT`."""
-
-    points: NDArray[np.void]
-    objects: NDArray[np.void]
-
-
-def need_rosbags() -> None:
-    """Nothing, if MCAP can be written here.
-
-    Raises
-    ------
-    FidpipeError
-        The library that writes it is not installed.
-    """
-    try:
-        import rosbags  # noqa: F401
-    except ImportError as error:
-        raise FidpipeError(
-            'writing MCAP needs rosbags, which is not installed; install it with: pip install "fidpipe[ros]"'
-        ) from error
 
 
 def export_run(
@@ -142,25 +118,30 @@ def export_run(
     FidpipeError
         rosbags is not installed.
     """
-    if mcap:
-        need_rosbags()
+    if mcap and find_spec("rosbags") is None:
+        raise FidpipeError(
+            'writing MCAP needs rosbags, which is not installed; install it with: pip install "fidpipe[ros]"'
+        )
     names = run.select(pattern)
     bag = folder / f"{run.folder.resolve().name}.mcap" if mcap else None
     plys = {(name, side): folder / f"{file_stem(name)}.{side}.ply" for name in names for side in SIDES} if ply else {}
     written = [*([bag] if bag else []), *plys.values()]
-    _refuse_others([] if replace else written)
+    for path in [] if replace else written:
+        if path.exists() and not _is_ours(path):
+            raise RunError(
+                f"{path}: already exists and is not from fidpipe export; add --replace, or choose another --out"
+            )
     stamps_ns, has_times = message_times(run, names)
     with _bag(bag, run) if bag else nullcontext() as write:
         for n_done, name in enumerate(sorted(names, key=stamps_ns.__getitem__), 1):
-            clouds = pair_clouds(run, name)
-            for side, cloud in clouds.items():
+            for side, (points, objects) in pair_clouds(run, name).items():
                 if ply:
-                    write_whole(plys[name, side], _ply(run, name, side, cloud.points))
+                    write_whole(plys[name, side], _ply(run, name, side, points))
                 if write:
-                    write(f"{TOPIC}/{side}", _CLOUD, stamps_ns[name], _cloud(cloud.points))
-                    write(f"{TOPIC}/{side}_objects", _CLOUD, stamps_ns[name], _cloud(cloud.objects))
+                    write(f"{TOPIC}/{side}", stamps_ns[name], points)
+                    write(f"{TOPIC}/{side}_objects", stamps_ns[name], objects)
             if write:
-                write(f"{TOPIC}/scores", _TEXT, stamps_ns[name], {"data": json.dumps(run.row(name), allow_nan=False)})
+                write(f"{TOPIC}/scores", stamps_ns[name], json.dumps(run.row(name), allow_nan=False))
             pair_done(n_done, len(names))
     n_bytes = sum(path.stat().st_size for path in written)
     return Exported(bag, tuple(plys.values()), len(names), n_bytes, has_times)
@@ -179,8 +160,8 @@ def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int
     return {row["pair_id"]: second * _NS for second, row in enumerate(run.scored, 1)}, False
 
 
-def pair_clouds(run: FinishedRun, pair_id: str) -> dict[str, SideClouds]:
-    """Points and objects of both sides of a scored pair.
+def pair_clouds(run: FinishedRun, pair_id: str) -> dict[str, tuple[NDArray[np.void], NDArray[np.void]]]:
+    """Points and objects of both sides of a scored pair: by side, (n,) of `POINT` and (c,) of `OBJECT`.
 
     `distance_m` is that of an object point to the nearest one of the other side, as in the table `coverage`. Objects
     without a point, as the reference preset has them on the simulated side, have no place and are left out.
@@ -190,54 +171,28 @@ def pair_clouds(run: FinishedRun, pair_id: str) -> dict[str, SideClouds]:
     RunError
         A table is damaged or gone.
     """
-    every = run.objects_of([pair_id])
+    every = run.objects_of([pair_id]).rename(columns={"cx": "x", "cy": "y", "cz": "z", "community_id": "community"})
+    status = every["status"].where(every["fate"] == "matched", every["fate"].replace("remnant", "missing"))
+    every["status"] = [Status[word.upper()].value for word in status]
     frames = {side: run.points(pair_id, side) for side in SIDES}
     places = [frame.loc[~frame.is_ground, ["x", "y", "z"]].to_numpy() for frame in frames.values()]
     clouds = {}
-    for side, distance_m in zip(SIDES, nearest_distances(*places), strict=True):
-        objects = _objects(every[every["side"] == side])
-        clouds[side] = SideClouds(_points(frames[side], objects, distance_m), objects[objects["n_points"] > 0])
+    for (side, frame), distance_m in zip(frames.items(), nearest_distances(*places), strict=True):
+        objects = every[every["side"] == side]
+        frame["community"] = frame.community_id.fillna(-1).astype(int)
+        frame.loc[frame.community >= 0, "distance_m"] = distance_m
+        points = frame.merge(objects[["community", "r_lambda", "cdc", "status"]], on="community", how="left")
+        points["status"] = points.status.fillna(Status.GROUND.value)
+        clouds[side] = _rows(points, POINT), _rows(objects[objects["n_points"] > 0], OBJECT)
     return clouds
 
 
-def _objects(rows: pd.DataFrame) -> NDArray[np.void]:
-    """The objects of a side by id."""
-    objects = np.zeros(len(rows), OBJECT)
-    own = {"x": "cx", "y": "cy", "z": "cz", "community": "community_id"}
-    for name in OBJECT.names or ():
-        if name != "status":
-            objects[name] = rows[own.get(name, name)]
-    status = rows["status"].where(rows["fate"] == "matched", rows["fate"].replace("remnant", "missing"))
-    objects["status"] = [Status[word.upper()] for word in status]
-    return objects
-
-
-def _points(frame: pd.DataFrame, objects: NDArray[np.void], distance_m: NDArray[np.float64]) -> NDArray[np.void]:
-    """The points of a side; distances are of its object points."""
-    points = np.zeros(len(frame), POINT)
-    for name in ("x", "y", "z"):
-        points[name] = frame[name]
-    points["community"] = frame.community_id.fillna(-1)
-    is_object = points["community"] >= 0
-    ids = points["community"][is_object]
-    points["status"][is_object] = objects["status"][ids]
-    for name, values in {
-        "r_lambda": objects["r_lambda"][ids],
-        "cdc": objects["cdc"][ids],
-        "distance_m": distance_m,
-    }.items():
-        points[name] = np.nan
-        points[name][is_object] = values
-    return points
-
-
-def _refuse_others(files: Sequence[Path]) -> None:
-    """Raises `RunError` if a file that is in the way was not written by fidpipe export."""
-    for path in files:
-        if path.exists() and not _is_ours(path):
-            raise RunError(
-                f"{path}: already exists and is not from fidpipe export; add --replace, or choose another --out"
-            )
+def _rows(frame: pd.DataFrame, dtype: np.dtype[np.void]) -> NDArray[np.void]:
+    """Columns of a data frame as a structured array."""
+    rows = np.empty(len(frame), dtype)
+    for name in dtype.names or ():
+        rows[name] = frame[name]
+    return rows
 
 
 def _is_ours(path: Path) -> bool:
@@ -267,25 +222,23 @@ def _ply(run: FinishedRun, pair_id: str, side: str, points: NDArray[np.void]) ->
     )
 
 
-def _cloud(rows: NDArray[np.void]) -> dict[str, Any]:
-    """The fields of a PointCloud2; each row becomes a point, each of its columns a field."""
-    return {
-        "height": 1,
-        "width": len(rows),
-        "fields": [(name, *_field(rows.dtype, name)) for name in rows.dtype.names or ()],
-        "is_bigendian": False,
-        "point_step": rows.dtype.itemsize,
-        "row_step": rows.nbytes,
-        "data": np.frombuffer(rows.tobytes(), np.uint8),
-        "is_dense": True,
-    }
-
-
-def _field(dtype: np.dtype[Any], name: str) -> tuple[int, int]:
-    """Offset and type of a PointField."""
-    fields: Any = dtype.fields
-    own, offset = fields[name][:2]
-    return offset, _POINT_FIELDS[own.str]
+def _message(types: Any, content: NDArray[np.void] | str, time_ns: int) -> Any:
+    """A text; or a PointCloud2 with a point for each row of an array, and a field for each of its columns."""
+    if isinstance(content, str):
+        return types["std_msgs/msg/String"](content)
+    columns: Any = content.dtype.fields
+    field, stamp = types["sensor_msgs/msg/PointField"], types["builtin_interfaces/msg/Time"](*divmod(time_ns, _NS))
+    return types["sensor_msgs/msg/PointCloud2"](
+        header=types["std_msgs/msg/Header"](stamp, FRAME),
+        height=1,
+        width=len(content),
+        fields=[field(name, offset, _POINT_FIELDS[own.str], 1) for name, (own, offset) in columns.items()],
+        is_bigendian=False,
+        point_step=content.dtype.itemsize,
+        row_step=content.nbytes,
+        data=np.frombuffer(content.tobytes(), np.uint8),
+        is_dense=True,
+    )
 
 
 @contextmanager
@@ -295,7 +248,6 @@ def _bag(path: Path, run: FinishedRun) -> Iterator[_Write]:
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    types = store.types
     connections: dict[str, Any] = {}
     with named_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -305,16 +257,11 @@ def _bag(path: Path, run: FinishedRun) -> Iterator[_Write]:
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             writer.set_custom_data("fidpipe", f"{run.record.fidpipe}, preset {run.preset}, status {LEGEND}")
 
-            def write(topic: str, kind: str, time_ns: int, values: dict[str, Any]) -> None:
+            def write(topic: str, time_ns: int, content: NDArray[np.void] | str) -> None:
+                message = _message(store.types, content, time_ns)
                 if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, kind, typestore=store)
-                if kind == _CLOUD:
-                    stamp = types["builtin_interfaces/msg/Time"](*divmod(time_ns, _NS))
-                    header = types["std_msgs/msg/Header"](stamp, FRAME)
-                    field = types["sensor_msgs/msg/PointField"]
-                    fields = [field(*each, count=1) for each in values["fields"]]
-                    values = values | {"header": header, "fields": fields}
-                writer.write(connections[topic], time_ns, store.serialize_cdr(types[kind](**values), kind))
+                    connections[topic] = writer.add_connection(topic, message.__msgtype__, typestore=store)
+                writer.write(connections[topic], time_ns, store.serialize_cdr(message, message.__msgtype__))
 
             with writer:
                 yield write

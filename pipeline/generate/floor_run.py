@@ -7,7 +7,6 @@ scan and the pair's name alone; the manifest is written last.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
@@ -25,8 +24,9 @@ from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_data
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..engine.engine import Machines
+from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
-from ..engine.tasks import map_tasks
+from ..engine.tasks import counting
 from ..object_store import name_in_records, recorded_path
 from ..results.floor import AS_MEASURED, FLOOR_AMOUNTS, FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
 from ..run import RunOutcome, run_dataset, select_pairs
@@ -43,20 +43,6 @@ _KEY, _NOISE_M, _LOST_SHARE, _REASON = b"fidpipe.floor", b"noise_m", b"lost_shar
 _AMOUNTS = (_NOISE_M, _LOST_SHARE, _REASON)
 #: Every measured point: the settings of the run crop both sides in the same way.
 _ALL = InputSettings(min_range_m=0.0, max_range_m=FARTHEST_M)
-
-
-@dataclass(frozen=True)
-class _Task:
-    """One second measurement, to be written to `path` under a key."""
-
-    pair_id: str
-    source: Path
-    path: Path
-    key: str
-    recipe: FloorRecipe
-    frame: FrameName
-    columns: tuple[str, ...] | None
-    label_names: dict[int, str]
 
 
 def run_floor(
@@ -164,13 +150,13 @@ def _write_dataset(
     refuse_link(folder / "sim")
     (folder / MANIFEST).unlink(missing_ok=True)
     paths = {pair.pair_id: folder / "sim" / f"{file_stem(pair.pair_id)}.parquet" for pair in source.pairs}
-    tasks = {
-        pair.pair_id: task
-        for pair in source.pairs
-        if pair.pair_id in selected or paths[pair.pair_id].exists()
-        if (task := _task(recipe, settings, source, pair, partners[pair.pair_id], paths[pair.pair_id], run.ledger))
+    scans = {name: partner.real for name, partner in partners.items() if partner.real is not None}
+    keys = {
+        name: _key(recipe, name, scan, settings, source.label_names, run.ledger)
+        for name, scan in scans.items()
+        if name in selected or paths[name].exists()
     }
-    current = {name for name, task in tasks.items() if _metadata(task.path).get(_KEY, b"").decode() == task.key}
+    current = {name for name, key in keys.items() if _metadata(paths[name]).get(_KEY, b"").decode() == key}
     for path in {*(folder / "sim").glob("*.parquet")} - {paths[name] for name in current}:
         path.unlink()
     write_whole(folder / FLOOR_RECIPE, recipe.to_toml().encode())
@@ -178,11 +164,12 @@ def _write_dataset(
         write_whole(folder / LABEL_NAMES, label_names.read_bytes())
     else:
         (folder / LABEL_NAMES).unlink(missing_ok=True)
-    missing = {name: task for name, task in tasks.items() if name in selected - current}
-    _, failures = map_tasks(_remeasure, missing, reporter)  # in this process: a hundredth of the run's time
-    if failures:
-        raise RunError(next(iter(failures.values())))
-    names = {name: f"sim/{task.path.name}" for name, task in tasks.items() if task.path.exists()}
+    missing = [name for name in keys if name in selected - current]
+    with counting(reporter) as pair_done, one_blas_thread():  # in this process: a hundredth of the run's time
+        for n_done, name in enumerate(missing, 1):
+            _remeasure(scans[name], paths[name], keys[name], name, recipe, settings, source.label_names)
+            pair_done(n_done, len(missing))
+    names = {name: f"sim/{paths[name].name}" for name in keys if paths[name].exists()}
     if AS_MEASURED in (recipe.noise_m, recipe.lost_share):
         _report_amounts({name: _metadata(paths[name]) for name in names}, folder, reporter)
     pairs = [pair for pair in source.pairs if pair.pair_id in selected | current]
@@ -207,25 +194,16 @@ def _report_amounts(by_pair: dict[str, dict[bytes, bytes]], folder: Path, report
         )
 
 
-def _task(
-    recipe: FloorRecipe,
-    settings: InputSettings,
-    dataset: Dataset,
-    pair: ScanPair,
-    source: ScanPair,
-    path: Path,
-    ledger: Ledger,
-) -> _Task | None:
-    """The second measurement of a pair; None if it has no real scan."""
-    if pair.real is None or source.real is None:
-        return None
+def _key(
+    recipe: FloorRecipe, pair_id: str, scan: Path, settings: InputSettings, label_names: dict[int, str], ledger: Ledger
+) -> str:
+    """Hash of all that the second measurement of a scan depends on."""
     hashes = ("", "")
     with suppress(ScanError):  # reported by the run that follows
-        content = scan_content(source.real, ledger.input_hash)
+        content = scan_content(scan, ledger.input_hash)
         hashes = content.sha256, content.label_sha256
-    columns, frame, names = settings.columns_of("real"), settings.frame_of("real"), dataset.label_names
-    key = key_of(RECIPE_VERSION, recipe.words, pair.pair_id, hashes, sorted(names.items()), columns, frame)
-    return _Task(pair.pair_id, source.real, path, key, recipe, frame, columns, names)
+    columns, frame = settings.columns_of("real"), settings.frame_of("real")
+    return key_of(RECIPE_VERSION, recipe.words, pair_id, hashes, sorted(label_names.items()), columns, frame)
 
 
 def _metadata(path: Path) -> dict[bytes, bytes]:
@@ -236,15 +214,23 @@ def _metadata(path: Path) -> dict[bytes, bytes]:
         return {}
 
 
-def _remeasure(task: _Task) -> None:
+def _remeasure(
+    source: Path,
+    path: Path,
+    key: str,
+    pair_id: str,
+    recipe: FloorRecipe,
+    settings: InputSettings,
+    label_names: dict[int, str],
+) -> None:
     """Write one measurement: x, y, z, and labels and instances of the points if the scan has them."""
     try:
-        scan = read_scan(task.source, task.columns, task.label_names)
+        scan = read_scan(source, settings.columns_of("real"), label_names)
     except ScanError:  # reported by the run, which reads it too
         return
-    clean, recipe = clean_scan(scan.points, _ALL), task.recipe
-    rng = np.random.default_rng([recipe.seed, *task.pair_id.encode()])
-    noise_m, lost_share, reason, gaps = _amounts(task, scan)
+    clean = clean_scan(scan.points, _ALL)
+    rng = np.random.default_rng([recipe.seed, *pair_id.encode()])
+    noise_m, lost_share, reason, gaps = _amounts(recipe, scan, settings.frame_of("real"))
     filled, filled_ids = fill_gaps(scan.points, gaps.rows, gaps.n_lost)
     points, kept = remeasure(np.concatenate([clean.points, filled]), noise_m, lost_share, rng)
     rows = np.concatenate([clean.point_ids, filled_ids])[kept]
@@ -252,22 +238,22 @@ def _remeasure(task: _Task) -> None:
     columns |= {} if scan.labels is None else {"label": scan.labels[rows]}
     columns |= {} if scan.instances is None else {"instance": scan.instances[rows]}
     amounts = {_NOISE_M: str(noise_m), _LOST_SHARE: str(lost_share), _REASON: reason}
-    table = pa.table(columns).replace_schema_metadata({_KEY: task.key} | amounts)
+    table = pa.table(columns).replace_schema_metadata({_KEY: key} | amounts)
     content = BytesIO()
     pq.write_table(table, content)
-    write_whole(task.path, content.getbuffer())
+    write_whole(path, content.getbuffer())
 
 
-def _amounts(task: _Task, scan: Scan) -> tuple[float, float, str, SurfaceGaps]:
+def _amounts(recipe: FloorRecipe, scan: Scan, frame: FrameName) -> tuple[float, float, str, SurfaceGaps]:
     """Noise and losses of a measurement, the reason if one of them cannot be measured, and the gaps that it fills.
 
     A second measurement loses other pulses than the first. If losses are those of the scan, the pulses that it lost
     within surfaces return; otherwise losses would add up to twice the share.
     """
-    noise_m, lost_share = task.recipe.noise_m, task.recipe.lost_share
+    noise_m, lost_share = recipe.noise_m, recipe.lost_share
     if AS_MEASURED not in (noise_m, lost_share):
         return float(noise_m), float(lost_share), "", NO_GAPS
-    sensor, gaps = describe_with_gaps(as_ros(scan.points, task.frame), scan.rings)
+    sensor, gaps = describe_with_gaps(as_ros(scan.points, frame), scan.rings)
     if lost_share != AS_MEASURED or sensor.lost_in_all is None:
         gaps = NO_GAPS
     reasons, amounts = [], []

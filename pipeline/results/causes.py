@@ -101,26 +101,6 @@ CAUSE_KINDS = (
 )
 
 
-_AT, _MOVING, _RANGES = (
-    "position of the sensor, T_real_sim",
-    "poses and time stamps; one pose per sweep",
-    "of the ranges",
-)
-#: Displacements, by parameter of `motion.PARAMETERS`: unit, accuracy of the estimate, and what controls it.
-DISPLACEMENTS = {
-    "forward": ("m", 0.02, _AT),
-    "sideways": ("m", 0.02, _AT),
-    "height": ("m", 0.02, "mount height"),
-    "roll": ("deg", 0.1, _AT),
-    "pitch": ("deg", 0.1, _AT),
-    "yaw": ("deg", 0.1, _AT),
-    "range scale": ("share", 0.003, f"scale {_RANGES}"),
-    "range bias": ("m", 0.02, f"offset {_RANGES}"),
-    "motion forward": ("m", 0.15, _MOVING),
-    "motion sideways": ("m", 0.15, _MOVING),
-    "road height": ("m", 0.04, "road height of the map"),
-}
-
 #: Columns of `pairs` that the causes are estimated from.
 CAUSE_COLUMNS = (
     *dict.fromkeys(kind.column.format(side=side) for kind in CAUSE_KINDS for side in SIDES),

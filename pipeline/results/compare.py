@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, RunError
 from ...schemas.metric_catalogue import SEEDED_SCORES
@@ -33,7 +34,7 @@ from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..datasets.stubs import recorded_dataset
 from ..storage.table_files import table_name
-from .causes import CAUSE_KINDS, DISPLACEMENTS
+from .causes import CAUSE_KINDS
 from .diagnosis import read_diagnosis
 from .displaced import MovedWorld, find_moved
 from .families import FamilyChange, ScoreChange, judge_families, overall
@@ -310,7 +311,7 @@ def _confirmed(causes: tuple[CauseChange, ...], moved: MovedWorld | None) -> tup
     ]
     known = {own.name for own in seen}
     first = [
-        CauseChange(name, DISPLACEMENTS[name][0], DISPLACEMENTS[name][2], own)
+        CauseChange(name, CAUSES[name].unit, CAUSES[name].setting, own)
         for name, own in moved.changes.items()
         if name not in known
     ]

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...schemas.cause_catalogue import CAUSES
 from ...stages.arrays import BoolArray, FloatArray, IntArray
 from ...stages.diagnose.motion import PARAMETERS, fit_displacement
 from ...stages.statistics.comparison import Difference, paired_difference
-from .causes import DISPLACEMENTS
 from .finished import FinishedRun
 
 #: Pairs that are fitted, evenly over all (60 ms each).
@@ -36,7 +36,7 @@ class MovedWorld:
     @property
     def changes(self) -> dict[str, Difference]:
         """Those that moved by more than their half interval and the accuracy of the estimate, the largest first."""
-        ratio = {name: self._size(name) / DISPLACEMENTS[name][1] for name in self.measured}
+        ratio = {name: self._size(name) / CAUSES[name].resolution for name in self.measured}
         beyond = [name for name in self.measured if ratio[name] > 1 and self._size(name) > self._reach(name)]
         return {name: self.measured[name] for name in sorted(beyond, key=lambda name: -ratio[name])}
 
@@ -44,7 +44,7 @@ class MovedWorld:
     def ranges_alone(self) -> bool:
         """True if ranges became longer or shorter, and the intervals exclude that anything else moved noticeably."""
         others = self.measured.keys() - _OF_RANGES
-        is_still = all(self._size(own) + self._reach(own) <= _STILL * DISPLACEMENTS[own][1] for own in others)
+        is_still = all(self._size(own) + self._reach(own) <= _STILL * CAUSES[own].resolution for own in others)
         return is_still and bool(self.changes.keys() & _OF_RANGES)
 
     def allows(self, name: str, change: float) -> bool:

@@ -13,18 +13,6 @@ from .evidence import PairEstimates, PairScans, find_unmatched, foliage_steps
 
 _POINTS = 4000  # of the simulated side, evenly
 _REACH_M = 0.5
-#: Kind of curve of each cause; the others have none.
-KINDS = {
-    **dict.fromkeys(("height", "roll", "pitch", "road height"), "road"),
-    **dict.fromkeys(("forward", "sideways", "yaw", "motion forward", "motion sideways"), "objects"),
-    **dict.fromkeys(("range scale", "range bias"), "objects"),
-    "range noise": "roughness",
-    **dict.fromkeys(("lost returns", "lost far returns", "maximum range", "minimum range"), "range"),
-    **dict.fromkeys(("missing pieces", "invented pieces", "moved pieces", "clutter"), "pieces"),
-    "solid foliage": "foliage",
-    "beams": "elevation",
-    "blind sector": "azimuth",
-}
 
 
 @dataclass(frozen=True)
@@ -86,12 +74,9 @@ def _along(kind: str, points: FloatArray) -> FloatArray:
     if kind == "range":
         return range_m
     if kind == "azimuth":
-        azimuth: FloatArray = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
-        return azimuth
-    elevation: FloatArray = np.degrees(np.arcsin(points[:, 2] / np.maximum(range_m, 1e-9)))
-    return elevation
+        return np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+    return np.degrees(np.arcsin(points[:, 2] / np.maximum(range_m, 1e-9)))
 
 
 def _percent(values: FloatArray, edges: FloatArray, n_all: int) -> FloatArray:
-    percent: FloatArray = 100.0 * np.histogram(values, edges)[0] / max(1, n_all)
-    return percent
+    return 100.0 * np.histogram(values, edges)[0] / max(1, n_all)

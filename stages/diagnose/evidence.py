@@ -56,8 +56,7 @@ class Side:
     @property
     def rays(self) -> FloatArray:
         """(n, 3) directions."""
-        directions: FloatArray = self.points / self.range_m[:, None]
-        return directions
+        return self.points / self.range_m[:, None]
 
     @classmethod
     def of(cls, points: FloatArray, is_ground: BoolArray) -> Side:

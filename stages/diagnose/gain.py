@@ -26,16 +26,6 @@ from .motion import PARAMETERS, Displacement
 
 #: Distances to the other side count up to this.
 REACH_M = 1.0
-#: Causes that are corrected by adding real points, so that the gain is an upper bound.
-RESTORED: tuple[str, ...] = (
-    "lost returns",
-    "lost far returns",
-    "azimuth step",
-    "beams",
-    "maximum range",
-    "minimum range",
-)
-RESTORED += ("missing pieces", "moved pieces", "blind sector", "solid foliage")
 _SAMPLE = 4000
 _NEIGHBOURS = 16
 _MOST_MOVED = 0.1  # of a range, from a return's own to that of the plane through it
@@ -224,8 +214,7 @@ def _seen_m(rays: FloatArray, real: Side) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):
         met_m = (normal * real.points[near]).sum(axis=1) / (normal * rays).sum(axis=1)
         is_met = np.abs(met_m - range_m) < _MOST_MOVED * range_m
-    seen_m: FloatArray = np.where(is_met, met_m, range_m)
-    return seen_m
+    return np.where(is_met, met_m, range_m)
 
 
 def _as_simulated(real: Side, sim: Side, is_lost: IndexArray) -> FloatArray:
@@ -233,8 +222,7 @@ def _as_simulated(real: Side, sim: Side, is_lost: IndexArray) -> FloatArray:
     points = real.points[is_lost]
     normal = fit_planes(real.points, points, _NEIGHBOURS).normal
     _, near = cKDTree(sim.points).query(points)
-    moved: FloatArray = points + ((sim.points[near] - points) * normal).sum(axis=1, keepdims=True) * normal
-    return moved
+    return points + ((sim.points[near] - points) * normal).sum(axis=1, keepdims=True) * normal
 
 
 def _density(

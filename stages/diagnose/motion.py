@@ -16,6 +16,7 @@ PARAMETERS = (
     *("forward", "sideways", "height", "roll", "pitch", "yaw", "range scale", "range bias"),
     *("motion forward", "motion sideways", "road height"),
 )
+_IS_ANGLE = np.isin(PARAMETERS, ("roll", "pitch", "yaw"))
 _VOXEL_M = 0.5
 _MOST_PLACES = 6000
 _NEIGHBOURS = 16
@@ -39,8 +40,7 @@ class Displacement:
 
     def of(self, points: FloatArray, is_ground: BoolArray) -> FloatArray:
         """(n, 3) metres, displacement of real points."""
-        moved: FloatArray = _columns(points, is_ground) @ _internal(self.values)
-        return moved
+        return _columns(points, is_ground) @ np.where(_IS_ANGLE, np.radians(self.values), self.values)
 
     def undo(self, points: FloatArray, is_ground: BoolArray) -> FloatArray:
         """(n, 3) simulated points without the displacement: two steps of a fixed point."""
@@ -88,14 +88,13 @@ def fit_displacement(real: FloatArray, sim: FloatArray, is_ground: BoolArray) ->
         if is_fine:
             weighted *= _biweight(gap - slopes[met] @ values)[:, None]
         values = np.linalg.solve(weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0), weighted.T @ gap)
-    return Displacement(_external(values))
+    return Displacement(np.where(_IS_ANGLE, np.degrees(values), values))
 
 
 def _biweight(residual: FloatArray) -> FloatArray:
     """Weights of distances (Tukey), their spread from the median of the absolute ones."""
     spread = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_SPREAD_M)
-    weight: FloatArray = np.maximum(1.0 - (residual / (_TUKEY * spread)) ** 2, 0.0) ** 2
-    return weight
+    return np.maximum(1.0 - (residual / (_TUKEY * spread)) ** 2, 0.0) ** 2
 
 
 def _columns(points: FloatArray, is_ground: BoolArray) -> FloatArray:
@@ -112,15 +111,3 @@ def _columns(points: FloatArray, is_ground: BoolArray) -> FloatArray:
     columns[:, 0, 8] = columns[:, 1, 9] = turn
     columns[:, 2, 10] = is_ground
     return columns
-
-
-def _internal(values: FloatArray) -> FloatArray:
-    internal = values.copy()
-    internal[3:6] = np.radians(values[3:6])
-    return internal
-
-
-def _external(values: FloatArray) -> FloatArray:
-    external = values.copy()
-    external[3:6] = np.degrees(values[3:6])
-    return external

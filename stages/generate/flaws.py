@@ -113,8 +113,7 @@ def carried(points: FloatArray, intensity: FloatArray, altered: FloatArray) -> F
     if len(points) == len(altered) or not len(altered):
         return intensity[: len(altered)]
     _, nearest = cKDTree(points).query(altered)
-    own: FloatArray = intensity[nearest]
-    return own
+    return intensity[nearest]
 
 
 def is_foliage(points: FloatArray) -> BoolArray:
@@ -124,8 +123,7 @@ def is_foliage(points: FloatArray) -> BoolArray:
     ----------
     points : (n, 3) float64, metres
     """
-    scattered: BoolArray = fit_planes(points, points, _NEIGHBOURS).scattering >= SCATTERED
-    return scattered
+    return fit_planes(points, points, _NEIGHBOURS).scattering >= SCATTERED
 
 
 def lose_foliage(points: FloatArray, share: float, rng: Generator, where: BoolArray | None = None) -> FloatArray:
@@ -147,8 +145,7 @@ def lose_foliage(points: FloatArray, share: float, rng: Generator, where: BoolAr
 def _lose_far(points: FloatArray, share: float, rng: Generator, beyond_m: float) -> FloatArray:
     """Remove a share of the points with a range above `beyond_m`, each independently."""
     is_far = np.sqrt((points**2).sum(axis=1)) > beyond_m
-    left: FloatArray = points[~(is_far & (rng.random(len(points)) < share))]
-    return left
+    return points[~(is_far & (rng.random(len(points)) < share))]
 
 
 def _cut_holes(points: FloatArray, n_holes: float, rng: Generator, radius_m: float) -> FloatArray:
@@ -157,8 +154,7 @@ def _cut_holes(points: FloatArray, n_holes: float, rng: Generator, radius_m: flo
     if not len(centres):
         return points.copy()
     apart, _ = cKDTree(centres).query(points, distance_upper_bound=np.nextafter(radius_m, np.inf))
-    left: FloatArray = points[np.isinf(apart)]
-    return left
+    return points[np.isinf(apart)]
 
 
 def _blur(points: FloatArray, radius_m: float, rng: Generator) -> FloatArray:
@@ -195,8 +191,7 @@ def _misalign_beams(points: FloatArray, std_deg: float, rng: Generator) -> Float
         slid_m = (planes.normal * points).sum(axis=1) / (planes.normal * directions).sum(axis=1)
     is_plane = (planes.variance[:, 1] > _THIN * planes.variance[:, 2]) & (planes.scattering < SCATTERED)
     slides = is_plane & (np.abs(slid_m - range_m) <= _MAX_SLIDE * range_m)
-    altered: FloatArray = directions * np.where(slides, slid_m, range_m)[:, None]
-    return altered
+    return directions * np.where(slides, slid_m, range_m)[:, None]
 
 
 def _shift(points: FloatArray, shift_m: float, rng: Generator) -> FloatArray:
@@ -208,8 +203,7 @@ def _turn(points: FloatArray, angle_deg: float, rng: Generator) -> FloatArray:
 
 
 def _mirror(points: FloatArray, is_mirrored: float, rng: Generator) -> FloatArray:
-    altered: FloatArray = points * np.array([1.0, -1.0 if is_mirrored else 1.0, 1.0])
-    return altered
+    return points * np.array([1.0, -1.0 if is_mirrored else 1.0, 1.0])
 
 
 def _keep(points: FloatArray, _: float, rng: Generator) -> FloatArray:
@@ -221,8 +215,7 @@ def _constant(points: FloatArray, _: FloatArray, amount: float) -> FloatArray:
 
 
 def _attenuated(points: FloatArray, _: FloatArray, per_m: float) -> FloatArray:
-    intensity: FloatArray = np.exp(-per_m * np.linalg.norm(points, axis=1))
-    return intensity
+    return np.exp(-per_m * np.linalg.norm(points, axis=1))
 
 
 def _scaled(_: FloatArray, intensity: FloatArray, factor: float) -> FloatArray:

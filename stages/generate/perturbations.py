@@ -163,8 +163,7 @@ def move_rigidly(points: FloatArray, angle_deg: float, shift_m: float, rng: Gene
     angle, heading = np.radians(angle_deg), rng.uniform(0.0, 2 * np.pi)
     cos, sin = np.cos(angle), np.sin(angle)
     R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    moved: FloatArray = points @ R.T + shift_m * np.array([np.cos(heading), np.sin(heading), 0.0])
-    return moved
+    return points @ R.T + shift_m * np.array([np.cos(heading), np.sin(heading), 0.0])
 
 
 def add_clusters(points: FloatArray, share: float, rng: Generator) -> FloatArray:

@@ -149,8 +149,7 @@ def return_probability(
     signal = (
         reflectivity * np.sqrt(cos_incidence) * (sensor.signal_range_m / np.maximum(range_m, sensor.min_range_m)) ** 2
     )
-    probability: FloatArray = (1.0 - sensor.lost_share) * -np.expm1(-signal)
-    return probability
+    return (1.0 - sensor.lost_share) * -np.expm1(-signal)
 
 
 def measure_ranges(sensor: SensorModel, range_m: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -164,5 +163,4 @@ def measure_ranges(sensor: SensorModel, range_m: FloatArray, rng: np.random.Gene
     noisy: FloatArray = range_m + rng.normal(0.0, sensor.range_noise_m, len(range_m))
     if not sensor.range_quantum_m:
         return noisy
-    reported: FloatArray = np.round(noisy / sensor.range_quantum_m) * sensor.range_quantum_m
-    return reported
+    return np.round(noisy / sensor.range_quantum_m) * sensor.range_quantum_m

@@ -193,8 +193,7 @@ def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
     _, first = np.unique(columns * _DIRECTION_CELLS[1] + rows, return_index=True)
     added = np.sort(first[~is_near[columns[first], rows[first]]])
     returns = np.concatenate([own, others[added]])
-    directions: FloatArray = returns / np.sqrt((returns**2).sum(axis=1))[:, None]
-    return directions
+    return returns / np.sqrt((returns**2).sum(axis=1))[:, None]
 
 
 def _direction_cells(points: FloatArray) -> tuple[IndexArray, IndexArray]:
@@ -209,8 +208,7 @@ def _bands(points: FloatArray) -> IndexArray:
     """The band of range of each point, (n,) intp: 0 within 15 m, 1 to 30 m, 2 to 60 m, 3 beyond."""
     range_m = np.sqrt((points**2).sum(axis=1))
     limits = _FULL_DETAIL_M * 2.0 ** np.arange(_BANDS - 1)
-    bands: IndexArray = np.searchsorted(limits, range_m, side="left")
-    return bands
+    return np.searchsorted(limits, range_m, side="left")
 
 
 def _discs(centre: FloatArray, normal: FloatArray, radius_m: FloatArray) -> tuple[FloatArray, IndexArray]:

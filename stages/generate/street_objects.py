@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...schemas.data_files import read_data
 from ..arrays import BoolArray, FloatArray, IndexArray
 
 #: Class names by number, as in `.label` files.
@@ -18,19 +19,7 @@ KINDS = ("ground", "wall", "car", "tree", "vegetation", "pole")
 UP = np.array([0.0, 0.0, 1.0])
 GLASS = 0.02
 _EDGE_M = 0.01
-_CAR_SIZES_M = np.array([[4.6, 1.82, 1.45], [4.0, 1.76, 1.48], [4.6, 1.88, 1.66], [5.2, 2.0, 2.1]])
-#: Place along the car from its rear (share of its length) and height there (share of its height).
-# fmt: off
-_CAR_PROFILES = (
-    ((0, 0.4), (0.01, 0.62), (0.04, 0.7), (0.16, 0.73), (0.3, 0.96), (0.42, 1), (0.55, 0.98), (0.7, 0.7), (0.85, 0.65),
-     (0.96, 0.57), (1, 0.4)),
-    ((0, 0.4), (0.01, 0.66), (0.05, 0.85), (0.14, 0.97), (0.3, 1), (0.52, 0.98), (0.7, 0.72), (0.85, 0.66),
-     (0.96, 0.57), (1, 0.4)),
-    ((0, 0.4), (0.01, 0.66), (0.06, 0.95), (0.12, 0.99), (0.35, 1), (0.54, 0.98), (0.69, 0.72), (0.86, 0.68),
-     (0.97, 0.58), (1, 0.4)),
-    ((0, 0.3), (0.01, 0.96), (0.03, 1), (0.3, 1), (0.6, 1), (0.74, 0.96), (0.86, 0.62), (0.96, 0.52), (1, 0.3)),
-)
-# fmt: on
+_CARS = [*read_data("cars").values()]
 _LEAF_AREA = 0.72  # mean area of a triangle with three random corners on the unit sphere, in squared radii
 
 
@@ -186,9 +175,9 @@ def build_house(corner: FloatArray, front: FloatArray, size_m: tuple[float, floa
 
 
 def build_car(foot: FloatArray, heading_rad: float, style: int, reflectivity: float, rng: np.random.Generator) -> Mesh:
-    """A parked car: body, glass and wheels. Styles: 0 saloon, 1 hatchback, 2 estate or off-roader, 3 van."""
-    length, width, height = _CAR_SIZES_M[style] * rng.uniform(0.95, 1.05, 3)
-    profile = np.array(_CAR_PROFILES[style])
+    """A parked car: body, glass and wheels. Styles as in `cars.toml`: 0 saloon, 1 hatchback, 2 estate, 3 van."""
+    length, width, height = _CARS[style]["size_m"] * rng.uniform(0.95, 1.05, 3)
+    profile = np.array(_CARS[style]["profile"])
     x, top = (profile[:, 0] - 0.5) * length, profile[:, 1] * height
     belt = np.minimum(0.62 * height if style < 3 else 0.55 * height, top - 0.03)
     half = width / 2 * np.clip(1.08 - 1.6 * np.abs(profile[:, 0] - 0.5) ** 3, 0.0, 1.0)

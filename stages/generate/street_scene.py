@@ -81,15 +81,13 @@ class Street:
         raised = np.where(off_road & ~self.is_crossed(s), _KERB_M, 0.0)
         camber = 0.01 * np.minimum(np.abs(n), self.half_road_m)
         swell = 0.01 * np.sin(s / 7.0) * np.cos(n / 5.0)
-        height: FloatArray = -self.sensor_height_m + self.grade * s + raised - camber + swell
-        return height
+        return -self.sensor_height_m + self.grade * s + raised - camber + swell
 
     def is_crossed(self, s: ArrayLike, margin_m: float = 0.0) -> BoolArray:
         """True if s is within the side street or a margin of it."""
         if self.crossing_m is None:
             return np.zeros(np.shape(s), dtype=np.bool_)
-        is_crossed: BoolArray = np.abs(np.asarray(s) - self.crossing_m) < self.half_road_m + margin_m
-        return is_crossed
+        return np.abs(np.asarray(s) - self.crossing_m) < self.half_road_m + margin_m
 
 
 def draw_street(rng: np.random.Generator, leaf_scale: float = 1.0) -> Street:

@@ -158,8 +158,7 @@ def smooth_field(places: FloatArray, rng: np.random.Generator) -> FloatArray:
     waves = 2 * np.pi * direction / np.linalg.norm(direction, axis=1, keepdims=True) / wavelength
     phases = rng.uniform(0.0, 2 * np.pi, n_waves)
     amplitudes = rng.normal(size=(n_waves, 3))
-    field: FloatArray = np.sqrt(2.0 / n_waves) * np.cos(places @ waves.T + phases) @ amplitudes
-    return field
+    return np.sqrt(2.0 / n_waves) * np.cos(places @ waves.T + phases) @ amplitudes
 
 
 def smooth_mesh(mesh: Mesh, times: int = 1) -> Mesh:

@@ -217,8 +217,7 @@ def _stretched(observed: FloatArray, table: FloatArray, unit_deg: float) -> Floa
     usual = table[first] - table[first - 1]
     together = np.where((gap > 0.6 * usual) & (gap < 1.6 * usual), score[0][:, None] + score[1], -1.0)
     low, high = np.unravel_index(together.argmax(), together.shape)
-    stretched: FloatArray = np.concatenate([tried[0][low], tried[1][high]])
-    return stretched
+    return np.concatenate([tried[0][low], tried[1][high]])
 
 
 def _matched(observed: FloatArray, table: FloatArray, tolerance_deg: FloatArray) -> FloatArray:
@@ -243,15 +242,13 @@ def _score(
 def _distance(places: FloatArray, ascending: FloatArray) -> FloatArray:
     """Distance from each place to the nearest of some ascending values."""
     after = np.searchsorted(ascending, places).clip(1, len(ascending) - 1)
-    distance: FloatArray = np.minimum(np.abs(places - ascending[after - 1]), np.abs(places - ascending[after]))
-    return distance
+    return np.minimum(np.abs(places - ascending[after - 1]), np.abs(places - ascending[after]))
 
 
 def _spacing(ascending: FloatArray) -> FloatArray:
     """Distance from each value to the nearer of its neighbours, (b,) float64."""
     gap = np.diff(ascending)
-    spacing: FloatArray = np.minimum(np.append(gap, np.inf), np.insert(gap, 0, np.inf))
-    return spacing
+    return np.minimum(np.append(gap, np.inf), np.insert(gap, 0, np.inf))
 
 
 def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
@@ -264,16 +261,10 @@ def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
         tangent, nearness = tangent[is_far], nearness[is_far]
     elevation = _elevation(tangent, nearness, heights, block_deg)
     count = np.bincount(((elevation + 90.0) / _BIN_DEG).astype(np.intp), minlength=int(180 / _BIN_DEG) + 1)
-    best: tuple[float, float, IndexArray] | None = None
-    for width in _WIDTHS_DEG:
-        peaks = _peaks(count, width)
-        if len(peaks) >= 2:
-            explained = _explained(count, peaks, width)
-            if best is None or explained > best[0]:
-                best = explained, width, peaks
-    if best is None:
+    found = [(width, peaks) for width in _WIDTHS_DEG if len(peaks := _peaks(count, width)) >= 2]
+    if not found:
         return None
-    explained, width, peaks = best
+    explained, width, peaks = max(((_explained(count, own[1], own[0]), *own) for own in found), key=lambda own: own[0])
     ordered = np.sort(elevation)
     starts, stops = (np.searchsorted(ordered, (peaks + 0.5) * _BIN_DEG - 90.0 + side * width) for side in (-2, 2))
     centre = np.array([np.median(ordered[a:b]) for a, b in zip(starts, stops, strict=True)])
@@ -353,8 +344,7 @@ def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
         scipy.ndimage.gaussian_filter1d(count.astype(np.float64), sigma, mode="constant") * np.sqrt(2 * np.pi) * sigma
     )
     peaks, shape = find_peaks(smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2)
-    standing: IndexArray = peaks[shape["prominences"] > 0.5 * smooth[peaks]]
-    return standing
+    return peaks[shape["prominences"] > 0.5 * smooth[peaks]]
 
 
 def _explained(count: IndexArray, peaks: IndexArray, width_deg: float) -> float:

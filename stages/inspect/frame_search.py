@@ -13,6 +13,7 @@ from importlib.util import find_spec
 import numpy as np
 import scipy
 
+from ...schemas.data_files import read_data
 from ...schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import as_ros, clean_scan
@@ -40,29 +41,12 @@ _SCALES = {"centimetres": 0.01, "millimetres": 0.001, "feet": 0.3048}
 _SIMILAR_REACH = {"feet": 1.6}  # ratio of the reach of both sides in a unit; 10 in units that are farther apart
 _GROUND_STEP_M = 0.1
 
-_NAMED = {
-    AS_GIVEN: (1, 1, 1),
-    "mirrored in y": (1, -1, 1),
-    "mirrored in x": (-1, 1, 1),
-    "rotated by 180 degrees": (-1, -1, 1),
-    "upside down, rotated about x": (1, -1, -1),
-    "upside down, rotated about y": (-1, 1, -1),
-    "mirrored in z": (1, 1, -1),
-    "mirrored in x, y and z": (-1, -1, -1),
-}
-_QUARTER_ROTATIONS = {
-    "rotated by 90 degrees": ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
-    "rotated by 270 degrees": ((0, 1, 0), (-1, 0, 0), (0, 0, 1)),
-    "with x and y exchanged": ((0, 1, 0), (1, 0, 0), (0, 0, 1)),
-    "with x and y exchanged and negated": ((0, -1, 0), (-1, 0, 0), (0, 0, 1)),
-}
 _FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name in FRAME_AXES}  # p_ros = F p
 
 
 def _rotations() -> dict[str, FloatArray]:
     """Rotations and mirrors by name: usual mistakes, and those of either scan in one of the known frames."""
-    turns = {name: np.diag(np.array(signs, dtype=np.float64)) for name, signs in _NAMED.items()}
-    turns |= {name: np.array(rows, dtype=np.float64) for name, rows in _QUARTER_ROTATIONS.items()}
+    turns = {name: np.array(rows, dtype=np.float64) for name, rows in read_data("axis_mistakes").items()}
     for real, F_real in _FRAMES.items():
         for sim, F_sim in _FRAMES.items():
             turn = F_real.T @ F_sim
@@ -379,13 +363,11 @@ def _units_that_fit(sim: FloatArray, real: FloatArray) -> dict[str, float]:
 
 
 def _placed(points: FloatArray, M: FloatArray) -> FloatArray:
-    placed: FloatArray = points @ M[:, :3].T + M[:, 3]
-    return placed
+    return points @ M[:, :3].T + M[:, 3]
 
 
 def _is_inside(points: FloatArray, box: Box | None) -> BoolArray:
     if box is None:
         return np.ones(len(points), dtype=np.bool_)
     low, high = np.array(box[:3]), np.array(box[3:])
-    inside: BoolArray = np.logical_and.reduce((points >= low) & (points <= high), axis=1)
-    return inside
+    return np.logical_and.reduce((points >= low) & (points <= high), axis=1)

@@ -436,8 +436,7 @@ def _surface_firings(sweep: _Sweep, step_deg: float | None) -> IndexArray:
     n_firings = np.nan_to_num(np.round(sweep.gap_deg / step_deg))
     low_m, high_m = np.sort([sweep.range_m[:-1], sweep.range_m[1:]], axis=0)
     is_surface = (n_firings <= HOLE + 1) & (high_m - low_m < 0.03 * low_m + 0.05)
-    firings: IndexArray = np.where(is_surface, n_firings, 0).astype(np.intp)
-    return firings
+    return np.where(is_surface, n_firings, 0).astype(np.intp)
 
 
 def _lost_share(

@@ -218,8 +218,7 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
 
 def _apart(points: FloatArray, tree: cKDTree) -> FloatArray:
     distance, _ = tree.query(points, distance_upper_bound=_FARTHEST_M) if len(points) else (np.empty(0), None)
-    cut: FloatArray = np.minimum(distance, _FARTHEST_M)
-    return cut
+    return np.minimum(distance, _FARTHEST_M)
 
 
 def _staying(own: FloatArray, others: Sequence[cKDTree]) -> FloatArray:
@@ -238,5 +237,4 @@ def _staying(own: FloatArray, others: Sequence[cKDTree]) -> FloatArray:
     piece = connected_components(links, directed=False)[1][cell]
     reach = np.zeros(piece.max() + 1)
     np.maximum.at(reach, piece, np.hypot(own[:, 0], own[:, 1]))
-    staying: FloatArray = own[reach[piece] < _EGO_M]
-    return staying
+    return own[reach[piece] < _EGO_M]

@@ -30,8 +30,7 @@ class LocalPlanes:
     @property
     def scattering(self) -> FloatArray:
         """l3 / l1 (Demantke et al., ISPRS 2011): 0 on a plane or a line, 1 for equal variance on all axes."""
-        scattering: FloatArray = self.variance[:, 0] / np.maximum(self.variance[:, 2], 1e-300)
-        return scattering
+        return self.variance[:, 0] / np.maximum(self.variance[:, 2], 1e-300)
 
 
 def fit_planes(points: FloatArray, places: FloatArray, n_most: int, reach_m: float = np.inf) -> LocalPlanes:
@@ -100,5 +99,4 @@ def voxel_ids(points: FloatArray, edge_m: float) -> IndexArray:
     edge_m : of a voxel
     """
     cells = np.floor(points / edge_m).astype(np.int64) + 2**20
-    ids: IndexArray = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
-    return ids
+    return (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]

@@ -10,7 +10,6 @@ from fidpipe.pipeline.diagnose.diagnose import diagnose_run
 from fidpipe.pipeline.diagnose.latency import follow, latency_words, speed_m_s
 from fidpipe.pipeline.report.page.run_data import page_data
 from fidpipe.pipeline.report.run_frames import read_results
-from fidpipe.pipeline.results.causes import DISPLACEMENTS
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.diagnosis import DIAGNOSIS
 from fidpipe.pipeline.results.finished import FinishedRun
@@ -19,6 +18,7 @@ from fidpipe.schemas.results import Diagnosis
 from fidpipe.schemas.settings import load
 from fidpipe.stages.diagnose.evidence import PairScans
 from fidpipe.stages.diagnose.gain import Shares
+from fidpipe.stages.diagnose.motion import PARAMETERS
 from runs import command, run
 from scenes import write_bin
 
@@ -84,7 +84,7 @@ def test_what_moved_is_measured_between_the_simulated_scans(two_runs):
     good, low, long = (two_runs / f"run-{name}" for name in ("good", "low", "long"))
     for other, name, amount_m in ((low, "height", -TOO_LOW_M), (long, "range bias", TOO_LONG_M)):
         found = {own.name: own.difference for own in compare_runs([good, other])[0].causes}
-        assert found.keys() & DISPLACEMENTS.keys() == {name}
+        assert found.keys() & set(PARAMETERS) == {name}
         assert found[name].difference == pytest.approx(amount_m, abs=0.01)
     diagnosed = diagnose_run(long, good)
     assert (diagnosed.causes[0].name, diagnosed.causes[0].estimate) == (

@@ -8,17 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from ....schemas.errors import ScanError
-from .scan import Scan, check_promise, check_unpacked, scan_from_columns
+from .scan import CLASSES, Scan, check_promise, check_unpacked, scan_from_columns
 
 _N_RECORDS_AT, _RECORD_HEAD_BYTES = 100, 54  # LAS Specification 1.4 R15, tables 3 and 7
-
-#: ASPRS, LAS Specification 1.4 R15, tables 9 and 17.
-_CLASSES = {
-    **{1: "unclassified", 2: "ground", 3: "low vegetation", 4: "medium vegetation", 5: "high vegetation"},
-    **{6: "building", 7: "low noise", 9: "water", 10: "rail", 11: "road surface", 13: "wire guard"},
-    **{14: "wire conductor", 15: "transmission tower", 16: "wire connector", 17: "bridge deck", 18: "high noise"},
-    **{19: "overhead structure", 20: "ignored ground", 21: "snow", 22: "temporal exclusion"},
-}
 
 
 def read(path: Path) -> Scan:
@@ -50,7 +42,7 @@ def read(path: Path) -> Scan:
         columns["label"] = classes
     if n_points != header.point_count:
         raise ScanError(f"{path}: {n_points} points found, the header says {header.point_count}; it is truncated")
-    return scan_from_columns(path, columns, _CLASSES)
+    return scan_from_columns(path, columns, CLASSES["las"])
 
 
 def _check_records(path: Path) -> None:

@@ -53,7 +53,9 @@ def read(address: Address) -> Scan:
             messages = list(bag.messages(connections, time_ns, time_ns + 1))
             messages = messages[number - times_ns.index(time_ns) :]
         connection, _, content = messages[0]
-        message = _deserialized(address.file, content, connection.msgtype)
+        types = _types(is_ros1 := _is_ros1(address.file))
+        deserialize = types.deserialize_ros1 if is_ros1 else types.deserialize_cdr
+        message = deserialize(content, connection.msgtype)
         if connection.msgtype == _CLOUD:
             columns = _cloud_columns(address.file, message)
         else:
@@ -157,12 +159,6 @@ def _types(is_ros1: bool) -> Any:
         text = _ROS2_PACKET if name == _PACKET and not is_ros1 else definition
         types.register(get_types_from_msg(text, name))
     return types
-
-
-def _deserialized(file: Path, content: bytes, msgtype: str) -> Any:
-    is_ros1 = _is_ros1(file)
-    types = _types(is_ros1)
-    return types.deserialize_ros1(content, msgtype) if is_ros1 else types.deserialize_cdr(content, msgtype)
 
 
 def _cloud_columns(file: Path, cloud: Any) -> dict[str, NDArray[Any]]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....schemas.data_files import read_data
 from ....schemas.errors import ScanError
 from ....stages.arrays import FloatArray, IntArray
 
@@ -31,17 +32,10 @@ _LONGEST_CAUSE = 300
 MOST_UNPACKED_BYTES = 64 * 2**20
 MOST_UNPACKED_A_BYTE = 100
 
-#: Tags of CARLA from 0.9.14 on: carla/rpc/ObjectLabel.h, `CityObjectLabel`.
-CARLA_TAGS = dict(
-    enumerate(
-        (
-            *("None", "Roads", "Sidewalks", "Buildings", "Walls", "Fences", "Poles", "TrafficLight", "TrafficSigns"),
-            *("Vegetation", "Terrain", "Sky", "Pedestrians", "Rider", "Car", "Truck", "Bus", "Train", "Motorcycle"),
-            *("Bicycle", "Static", "Dynamic", "Other", "Water", "RoadLines", "Ground", "Bridge", "RailTrack"),
-            "GuardRail",
-        )
-    )
-)
+#: Names of classes by number, by format.
+CLASSES = {
+    name: {int(number): label for number, label in labels.items()} for name, labels in read_data("class_names").items()
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -115,7 +109,7 @@ def scan_from_columns(
         incidence=None if incidence is None else _numbers(path, "incidence", incidence),
         rings=None if rings is None else _ring_numbers(path, rings),
         times_s=None if times is None else _numbers(path, "time", times) * (1e-9 if times.dtype.kind in "iu" else 1.0),
-        label_names=label_names or (CARLA_TAGS if labels is not None and labels is by_name.get("objtag") else {}),
+        label_names=label_names or (CLASSES["carla"] if labels is not None and labels is by_name.get("objtag") else {}),
     )
 
 

@@ -63,19 +63,19 @@ def decoded(path: Path, packets: Sequence[tuple[float, bytes]]) -> dict[str, NDA
     import velodyne_decoder as vd
 
     listed = vd.PacketVector([vd.VelodynePacket(stamp, data) for stamp, data in packets])
-    _, rows = vd.ScanDecoder(_config(path)).decode(listed, False)
+    _, rows = vd.ScanDecoder(_config(path, path.stat().st_mtime_ns)).decode(listed, False)
     names = ("x", "y", "z", "intensity", "time", "ring")
     return {name: rows[:, int(getattr(vd.PointField, name))] for name in names}
 
 
 @lru_cache(maxsize=16)
-def _frames(file: Path, _mtime_ns: int) -> list[_Frame]:
+def _frames(file: Path, mtime_ns: int) -> list[_Frame]:
     """The turns in a capture; reads and decodes it once."""
     import velodyne_decoder as vd
 
     found: list[_Frame] = []
     start, stop = None, 0
-    decoder = vd.StreamDecoder(_config(file))
+    decoder = vd.StreamDecoder(_config(file, mtime_ns))
     for (begin, end), stamp, data in _packets(file):
         start, stop = begin if start is None else start, end
         turn = decoder.decode(stamp, data, False)
@@ -118,31 +118,23 @@ def _packets(
 
 
 @lru_cache(maxsize=16)
-def _calibration(file: Path, _mtime_ns: int) -> tuple[Any, Any]:
-    """Model and calibration, which an HDL-64E sends among its packets; (None, None) of other sensors.
+def _config(file: Path, _mtime_ns: int) -> Any:
+    """Configuration of a decoder, with the model and calibration that an HDL-64E sends among its packets.
 
     As `velodyne_decoder.hdl64e.detect_hdl64e` finds them, which opens `.pcap` files alone.
     """
-    if file.suffix.lower() not in (".pcap", ".pcapng"):
-        return None, None
-    endings = [data[-2:] for _, _, data in islice(_packets(file), _PACKETS_TOLD_BY)]
-    if len(endings) < _PACKETS_TOLD_BY or len(set(endings)) == 1:  # model and return mode: the same in newer sensors
-        return None, None
     import velodyne_decoder as vd
     import yaml
 
+    config = vd.Config()
+    if file.suffix.lower() not in (".pcap", ".pcapng"):
+        return config
+    endings = [data[-2:] for _, _, data in islice(_packets(file), _PACKETS_TOLD_BY)]
+    if len(endings) < _PACKETS_TOLD_BY or len(set(endings)) == 1:  # model and return mode: the same in newer sensors
+        return config
     found = vd.hdl64e.status_info_to_calib_dict(vd.hdl64e.read_status_info(data for _, _, data in _packets(file)))
     if found["status"]["Calibration Time"] is None or [one["laser_id"] for one in found["lasers"]] != list(range(64)):
         raise ValueError("packets of an HDL-64E without its calibration")
-    model = vd.Model.HDL64E_S2 if found["status"]["Model"] == "S2" else vd.Model.HDL64E_S3
-    return model, vd.Calibration.from_string(yaml.dump(found))
-
-
-def _config(file: Path) -> Any:
-    import velodyne_decoder as vd
-
-    config = vd.Config()
-    model, calibration = _calibration(file, file.stat().st_mtime_ns)
-    if model is not None:
-        config.model, config.calibration = model, calibration
+    config.model = vd.Model.HDL64E_S2 if found["status"]["Model"] == "S2" else vd.Model.HDL64E_S3
+    config.calibration = vd.Calibration.from_string(yaml.dump(found))
     return config

@@ -1,0 +1,43 @@
+"""Catalogue of the causes that `fidpipe diagnose` knows, from `causes.toml`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from .data_files import read_data
+
+
+@dataclass(frozen=True)
+class CauseModel:
+    """A flaw of the catalogue.
+
+    tolerance : without a floor it is named beyond this: the difference of two measurements of a scene, and for
+        positions what a poor twin shows without being displaced
+    resolution : accuracy of the estimate; over a floor the cause is named beyond it
+    words : with {size}, above 0, and below 0 unless the flaw has one direction
+    setting : what controls it, attributes of CARLA's blueprint where they fit
+    limbs : identifiers of PerCollECT's LidarLimbs cause tree (`data.json`, MIT) that fit
+    curve : kind of its curve in the report, see `stages/diagnose/curves.py`; "" for none
+    is_restored : it is corrected by adding real points, so that the gain is an upper bound
+    """
+
+    name: str
+    unit: str
+    tolerance: float
+    resolution: float
+    words: tuple[str, ...]
+    setting: str
+    limbs: tuple[int, ...] = ()
+    curve: str = ""
+    is_restored: bool = False
+
+
+def _read_causes() -> Iterator[CauseModel]:
+    for name, values in read_data("causes").items():
+        lists = {key: tuple(value) for key, value in values.items() if isinstance(value, list)}
+        yield CauseModel(name, **{**values, **lists})
+
+
+#: Causes by name, the displacements (`motion.PARAMETERS`) first.
+CAUSES = {cause.name: cause for cause in _read_causes()}
