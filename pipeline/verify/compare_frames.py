@@ -1,15 +1,18 @@
-"""Comparison of a stored table with the recomputed one, with one rule per column."""
+"""Comparison of stored tables with recomputed ones, with one rule per column, and the tally of its results."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from ...schemas.columns import Row
 from ...schemas.metric_catalogue import SHIFT_COLUMNS
+from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 
 #: Tolerance of every number without a rule: metres, shares, eigenvalues. Counts and ids are exact all the same.
@@ -38,6 +41,34 @@ RULES: dict[str, float | str] = {
 }
 #: Columns and tables that are not recomputed, and why.
 NOT_COMPARED = {name: rule for name, rule in RULES.items() if isinstance(rule, str)}
+#: Compared values of each table, in the order of the report.
+COMPARED = {
+    "files": "unchanged content (SHA-256)",
+    "rows": "names of pair and side, order by keys, no duplicates",
+    "scan": "points kept of the scan, and their coordinates",
+    "ground": "cut, heights, flags of all points",
+    "sensor": "description of the scan, by the same code",
+    "graph": "all edge lengths; all edges of drawn nodes",
+    "communities": "Louvain again; numbering; reference: nearest real points",
+    "objects": "sizes; place and shape of drawn objects",
+    "matching": "matched objects and their distances",
+    "coverage": "drawn objects, from all distances",
+    "surface": "displacement of drawn objects",
+    "pieces": "counts, shares and moves of all pieces",
+    "rays": "outcomes, from stored ranges; the rest by the same code",
+    "ray_scores": "scores of stored rays",
+    "selection": "influence, kept nodes, optimal alignment",
+    "metrics": "scores from dense matrices",
+    "baselines": "baseline metrics",
+    "seeds": "row of the configured seed",
+    "nvs": "all scores, pixel by pixel",
+    "pairs": "counts, cuts, means, deviations, medians",
+    "run.json": "means and deviations over pairs",
+}
+#: Table of the values of checks with another name.
+TABLE_OF = {"scan": "ground"}
+#: Mismatches listed per table.
+MAX_LISTED = 5
 
 
 @dataclass(frozen=True)
@@ -70,38 +101,33 @@ def compare(
     """
     if not stored.index.equals(recomputed.index):
         is_twice = stored.index.duplicated()
-        is_surplus = is_twice | ~stored.index.isin(recomputed.index) if is_whole else np.zeros(len(stored), dtype=bool)
+        is_surplus = (is_twice | ~stored.index.isin(recomputed.index)) & is_whole
         is_missing = ~recomputed.index.isin(stored.index)
-        for rows, words in (
-            (stored.index[is_surplus], ("present", "absent")),
-            (recomputed.index[is_missing], ("absent", "present")),
+        for rows, a, b in (
+            (stored.index[is_surplus], "present", "absent"),
+            (recomputed.index[is_missing], "absent", "present"),
         ):
-            if len(rows):
-                a, b = (np.full(len(rows), word, dtype=object) for word in words)
-                yield ColumnComparison("row", rows, a, b, np.zeros(len(rows)), np.ones(len(rows), dtype=bool))
+            if n := len(rows):
+                yield ColumnComparison("row", rows, [a] * n, [b] * n, np.zeros(n), np.ones(n, dtype=np.bool_))
         recomputed = recomputed[~is_missing]
         stored = stored[~is_twice].reindex(recomputed.index)
     for name in stored.index.names if is_whole else ():
-        if name is not None:
+        if name is not None:  # equal, as the rows are
             key = recomputed.index.get_level_values(str(name)).to_numpy()
-            yield ColumnComparison(str(name), recomputed.index, key, key, np.zeros(len(key)), np.zeros(len(key), bool))
+            nowhere = np.zeros(len(key))
+            yield ColumnComparison(str(name), recomputed.index, key, key, nowhere, nowhere.astype(np.bool_))
     for column in recomputed.columns:
         tolerance = RULES.get(f"{table}.{column}", DEFAULT_TOLERANCE)
         assert isinstance(tolerance, float), f"{table}.{column} is recomputed though a rule says it is not"
-        yield _compare_column(column, stored[column], recomputed[column], tolerance)
-
-
-def _compare_column(
-    name: str, stored: pd.Series[Any], recomputed: pd.Series[Any], tolerance: float
-) -> ColumnComparison:
-    a, b = _values(stored), _values(recomputed)
-    if object in (a.dtype, b.dtype):
-        is_wrong = np.array([x != y for x, y in zip(a.tolist(), b.tolist(), strict=True)], dtype=np.bool_)
-        return ColumnComparison(name, recomputed.index, a, b, np.zeros(len(a)), is_wrong)
-    difference = np.abs(a - b)
-    allowed = tolerance + _RELATIVE * np.abs(b) if tolerance else 0.0
-    is_wrong = ~((np.isnan(a) & np.isnan(b)) | (difference <= allowed))
-    return ColumnComparison(name, recomputed.index, a, b, np.nan_to_num(difference), is_wrong)
+        a, b = _values(stored[column]), _values(recomputed[column])
+        if object in (a.dtype, b.dtype):
+            is_wrong = np.array([x != y for x, y in zip(a.tolist(), b.tolist(), strict=True)], dtype=np.bool_)
+            difference = np.zeros(len(a))
+        else:
+            difference = np.abs(a - b)
+            allowed = tolerance + _RELATIVE * np.abs(b) if tolerance else 0.0
+            is_wrong = ~((np.isnan(a) & np.isnan(b)) | (difference <= allowed))
+        yield ColumnComparison(column, recomputed.index, a, b, np.nan_to_num(difference), is_wrong)
 
 
 def _values(column: pd.Series[Any]) -> Any:
@@ -111,3 +137,140 @@ def _values(column: pd.Series[Any]) -> Any:
     values = column.to_numpy(dtype=object, copy=True)
     values[pd.isna(values)] = None
     return values if any(isinstance(value, str) for value in values) else values.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """A stored value that differs from the recomputed one."""
+
+    table: str
+    pair_id: str
+    side: str
+    object: str
+    column: str
+    stored: str
+    recomputed: str
+
+
+@dataclass
+class TableCheck:
+    """The comparisons of one table.
+
+    columns : columns with at least one compared value
+    largest : largest absolute difference; 0 if all are equal
+    where : pair, row and column of the largest difference
+    n_wrong : values that differ by more than rounding allows
+    """
+
+    table: str
+    what: str
+    columns: tuple[str, ...] = ()
+    n_numbers: int = 0
+    largest: float = 0.0
+    where: str = ""
+    n_wrong: int = 0
+
+
+@dataclass
+class Tally:
+    """Results of all comparisons of a run.
+
+    compared, excused : columns (`table.column`) with compared values; columns or tables that need no comparison
+    skipped : reasons why something is not recomputed
+    n_rows : by table, of whole tables and of drawn objects; a table without any of either kind cannot be compared
+    """
+
+    checks: dict[str, TableCheck] = field(default_factory=dict)
+    mismatches: dict[str, list[Mismatch]] = field(default_factory=dict)
+    skipped: Counter[str] = field(default_factory=Counter)
+    compared: set[str] = field(default_factory=set)
+    excused: set[str] = field(default_factory=lambda: {*NOT_COMPARED})
+    n_rows: Counter[tuple[str, bool]] = field(default_factory=Counter)
+    is_damaged: bool = False
+
+    def compare(
+        self,
+        table: str,
+        stored: pd.DataFrame,
+        recomputed: pd.DataFrame,
+        *,
+        pair_id: str = "",
+        side: str = "",
+        is_whole: bool = True,
+    ) -> None:
+        """Compare rows of a table; see `compare`."""
+        name, check = TABLE_OF.get(table, table), self.check(table)
+        self.n_rows[name, is_whole] += len(recomputed)
+        for own in compare(name, stored, recomputed, is_whole=is_whole):
+            check.n_numbers += len(own.rows)
+            check.n_wrong += int(own.is_wrong.sum())
+            if not len(own.rows):
+                continue
+            self.compared.add(own.column if "." in own.column else f"{name}.{own.column}")
+            i = int(own.difference.argmax())
+            if own.difference[i] > check.largest:
+                words = (f"pair {pair_id}" if pair_id else "", _object(own.rows, i, side) or side, own.column)
+                check.largest, check.where = float(own.difference[i]), ", ".join(filter(None, words))
+            for i in np.flatnonzero(own.is_wrong)[:MAX_LISTED].tolist():
+                values = _word(own.stored[i]), _word(own.recomputed[i])
+                self._list(Mismatch(table, pair_id, side, _object(own.rows, i, side), own.column, *values))
+
+    def compare_values(
+        self, table: str, stored: Row, recomputed: Row, *, pair_id: str = "", side: str = "", **keys: Any
+    ) -> None:
+        """Compare single values by name, such as metadata of a job; `keys` identify the owner."""
+        index = pd.MultiIndex.from_arrays([[key] for key in keys.values()], names=list(keys)) if keys else None
+        a, b = (pd.DataFrame([row], index=index, columns=list(recomputed)) for row in (stored, recomputed))
+        self.compare(table, a, b, pair_id=pair_id, side=side, is_whole=False)
+
+    def skip(self, why: str, *columns: str) -> None:
+        """Note why something is not recomputed; its columns (`table.column`) or tables need no comparison."""
+        self.skipped.update([why] if why else [])
+        self.excused.update(columns)
+
+    def check(self, table: str) -> TableCheck:
+        """Result of a table, created if necessary."""
+        return self.checks.setdefault(table, TableCheck(table, COMPARED[table]))
+
+    def reject(self, table: str, pair_id: str, why: str) -> None:
+        """Count an unusable table as a mismatch."""
+        self.is_damaged = True
+        self.check(table).n_wrong += 1
+        self._list(Mismatch(table, pair_id, "", "", "the table", "is unusable", why))
+
+    def unknown(self, tables: Iterable[str]) -> Iterator[str]:
+        """Columns that were not compared without a declared reason; empty if a table is damaged."""
+        without_rows = {table for (table, _), n in self.n_rows.items() if not n}
+        for table in tables:
+            if not (self.is_damaged or table in self.excused | without_rows):
+                columns = (f"{table}.{name}" for name in TABLES[table].schema.names)
+                yield from (name for name in columns if name not in self.compared | self.excused)
+
+    def results(self) -> tuple[tuple[TableCheck, ...], tuple[Mismatch, ...]]:
+        """Checks with their compared columns, and the listed mismatches, in the order of the report."""
+        checks = [self.checks[table] for table in COMPARED if table in self.checks]
+        for check in checks:
+            names = TABLES[check.table].schema.names if check.table in TABLES else []
+            check.columns = tuple(name for name in names if f"{check.table}.{name}" in self.compared)
+        return tuple(checks), tuple(own for check in checks for own in self.mismatches.get(check.table, ()))
+
+    def _list(self, mismatch: Mismatch) -> None:
+        listed = self.mismatches.setdefault(mismatch.table, [])
+        if len(listed) < MAX_LISTED:
+            listed.append(mismatch)
+
+
+def _object(rows: pd.Index[Any], i: int, side: str) -> str:
+    """Text of the keys of a row, such as "real 3, sim 5" or "point 12"; "" for single values and whole sides."""
+    key = rows[i] if isinstance(rows, pd.MultiIndex) else (rows[i],)
+    named = {str(name): value for name, value in zip(rows.names, key, strict=True) if name is not None and value != -1}
+    side = named.pop("side", side) if len(named) > 1 else side
+    of_side = {"community_id": side}
+    return ", ".join(f"{of_side.get(name, name.removesuffix('_id'))} {value}" for name, value in named.items())
+
+
+def _word(value: object) -> str:
+    """Text of a value with all its digits."""
+    if isinstance(value, float | np.floating):
+        return "null" if np.isnan(value) else repr(float(value))
+    return "null" if value is None else str(value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from typing import Any
@@ -13,7 +13,6 @@ import pyarrow as pa
 from scipy import sparse
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.record import BaselineSummary
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IndexArray
@@ -22,59 +21,29 @@ from ..datasets.pairs import ScanPair
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..results.finished import FinishedRun
-from ..storage.run_record import library_versions
-
-#: Table of the values of checks with another name.
-TABLE_OF = {"scan": "ground"}
-
-
-@dataclass(frozen=True)
-class Sample:
-    """Part of a pair that is recomputed.
-
-    rows : rows of `matching`
-    all_nodes : compare the edges of every node, not only of some nodes of the drawn objects
-    whole_sides : compare the values of both whole sides
-    rng : source of the random nodes
-    """
-
-    rows: list[int]
-    all_nodes: bool
-    whole_sides: bool
-    rng: np.random.Generator
-
-
-@dataclass(frozen=True)
-class Part:
-    """Rows of a table, stored and recomputed, with the same keys as index; for `is_whole` see `compare`."""
-
-    table: str
-    stored: pd.DataFrame
-    recomputed: pd.DataFrame
-    side: str = ""
-    is_whole: bool = True
-
-
-@dataclass(frozen=True)
-class Skipped:
-    """Reason why something is not recomputed, and the columns (`table.column`) or tables without comparison."""
-
-    why: str
-    columns: Sequence[str] = ()
+from .compare_frames import TABLE_OF, Tally
 
 
 @dataclass
 class StoredPair:
-    """The tables of one pair as stored.
+    """The tables of one pair as stored, and the sample of it that is recomputed.
 
-    sample : part that is recomputed
+    tally : of the comparisons
+    drawn : rows of `matching` to recompute
+    all_nodes : compare the edges of every node, not only of some nodes of the drawn objects
+    whole_sides : compare the values of both whole sides
+    rng : source of the random nodes
     scans : scans of the pair; None if they are missing or have changed
     """
 
     run: FinishedRun
     pair_id: str
     settings: Settings
-    sample: Sample
+    tally: Tally
+    drawn: list[int]
+    all_nodes: bool
+    whole_sides: bool
+    rng: np.random.Generator
     scans: ScanPair | None = None
     label_names: dict[int, str] = field(default_factory=dict)
 
@@ -91,16 +60,21 @@ class StoredPair:
                 frame[key] = frame[key].fillna(-1).astype(np.intp)
         return frame
 
-    def part(self, table: str, recomputed: Any, side: str = "", *, is_whole: bool = True) -> Part:
-        """Recomputed rows of a table, a list of rows or columns by name, next to the stored ones, by their keys."""
+    def compare(self, table: str, recomputed: Any, side: str = "", *, is_whole: bool = True) -> None:
+        """Compare recomputed rows of a table, as a list or columns by name, with the stored ones by their keys."""
         name = TABLE_OF.get(table, table)
         keys = list(TABLES[name].keys)
         frame = pd.DataFrame(recomputed, columns=None if len(recomputed) else keys).set_index(keys)
-        return Part(table, self.table(name, side).set_index(keys), frame, side, is_whole)
+        stored = self.table(name, side).set_index(keys)
+        self.tally.compare(table, stored, frame, pair_id=self.pair_id, side=side, is_whole=is_whole)
 
-    def in_pairs(self, recomputed: Row) -> Part:
-        """Recomputed columns of the pair's row of `pairs`."""
-        return values("pairs", {name: self.row[name] for name in recomputed}, recomputed)
+    def compare_values(self, table: str, stored: Row, recomputed: Row, side: str = "", **keys: Any) -> None:
+        """Compare single values by name; see `Tally.compare_values`."""
+        self.tally.compare_values(table, stored, recomputed, pair_id=self.pair_id, side=side, **keys)
+
+    def compare_row(self, recomputed: Row) -> None:
+        """Compare recomputed columns of the pair's row of `pairs`."""
+        self.compare_values("pairs", {name: self.row[name] for name in recomputed}, recomputed)
 
     def scan(self, side: str) -> Scan | None:
         """Scan of a side, None if it is missing or has changed."""
@@ -109,9 +83,8 @@ class StoredPair:
 
     @cached_property
     def matching(self) -> list[Row]:
-        """Rows of `matching`; None for null."""
-        rows: list[Row] = self.run.read_table("matching", self.pair_id).to_pylist()
-        return rows
+        """Rows of `matching`; -1 for no object."""
+        return rows_of(self.table("matching"))
 
     @property
     def matched(self) -> list[Row]:
@@ -121,12 +94,12 @@ class StoredPair:
     @property
     def drawn_matches(self) -> list[Row]:
         """Matched rows of the sample."""
-        return [self.matching[i] for i in self.sample.rows if self.matching[i]["status"] == "matched"]
+        return [self.matching[i] for i in self.drawn if self.matching[i]["status"] == "matched"]
 
     def drawn_ids(self, side: str) -> list[int]:
         """Objects of a side in the sample."""
-        ids = [self.matching[i][f"{side}_id"] for i in self.sample.rows]
-        return [i for i in ids if i is not None]
+        ids = [self.matching[i][f"{side}_id"] for i in self.drawn]
+        return [i for i in ids if i >= 0]
 
     def n_kept(self, match: Row) -> int:
         """Expected number of aligned nodes of a matched object: the points of the smaller side."""
@@ -147,9 +120,9 @@ class StoredPair:
         rows = self.selected(match)
         return {side: self.sides[side].index(rows[f"{side}_point_id"]) for side in SIDES}
 
-    def has_same_library(self, name: str) -> bool:
-        """True if the installed version of a library is that of the run."""
-        return self.run.record.libraries.get(name) == library_versions([name])[name]
+    def laplacians(self, nodes: dict[str, IndexArray]) -> tuple[FloatArray, FloatArray]:
+        """Normalised Laplacians, dense, of the graphs among some nodes of both sides."""
+        return self.sides["real"].laplacian(nodes["real"]), self.sides["sim"].laplacian(nodes["sim"])
 
     def metadata(self, stage: str, side: str = "") -> dict[str, Any]:
         """Stored metadata of the job of a stage."""
@@ -159,6 +132,12 @@ class StoredPair:
     def sides(self) -> dict[str, StoredSide]:
         """Both sides."""
         return {side: StoredSide(self, side) for side in SIDES}
+
+
+def rows_of(frame: pd.DataFrame) -> list[Row]:
+    """Rows of a frame as dictionaries by column."""
+    rows: Any = frame.to_dict("records")
+    return list(rows)
 
 
 class StoredSide:
@@ -224,22 +203,6 @@ class StoredSide:
         row = slice(self.adjacency.indptr[node], self.adjacency.indptr[node + 1])
         return set(self.adjacency.indices[row].tolist())
 
-    def matrix(self, nodes: IndexArray) -> FloatArray:
-        """Edge lengths among some nodes, (k, k), dense."""
-        dense: FloatArray = self.adjacency[nodes][:, nodes].toarray()
-        return dense
-
-
-def values(table: str, stored: Row, recomputed: Row, side: str = "", **keys: Any) -> Part:
-    """Single values, such as metadata of a job, as frames of one row; `keys` identify the owner."""
-    index = pd.MultiIndex.from_arrays([[key] for key in keys.values()], names=list(keys)) if keys else None
-    a, b = (pd.DataFrame([row], index=index, columns=list(recomputed)) for row in (stored, recomputed))
-    return Part(table, a, b, side, is_whole=False)
-
-
-def summaries(stored: Sequence[BaselineSummary], recomputed: Sequence[tuple[Any, ...]]) -> Part:
-    """Means over pairs in `run.json`, and the recomputed ones as baseline, level, mean, std, n, n_null."""
-    columns = ["baseline", "level", "mean", "std", "n", "n_null"]
-    rows = [tuple(getattr(summary, name) for name in columns) for summary in stored]
-    a, b = (pd.DataFrame(own, columns=columns).set_index(columns[:2]) for own in (rows, recomputed))
-    return Part("run.json", a, b)
+    def laplacian(self, nodes: IndexArray) -> FloatArray:
+        """Normalised Laplacian of the graph among some nodes, (k, k), dense."""
+        return literal_method.laplacian(self.adjacency[nodes][:, nodes].toarray())

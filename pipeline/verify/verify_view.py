@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from ...schemas.columns import SIDES
 from ..report.view import Note, Table, View
-from .verify import Mismatch, Verification
+from .compare_frames import Mismatch
+from .verify import Verification
 
 _UNKNOWN = "it is missing in stages/literal, and not declared as not compared"
 

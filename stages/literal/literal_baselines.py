@@ -12,7 +12,7 @@ from scipy.spatial.distance import cdist
 from scipy.stats import wasserstein_distance
 
 from ..arrays import FloatArray
-from .literal_method import distances, laplacian, nearest_distances
+from .literal_method import distances, nearest_distances
 from .literal_surfaces import visiting_order
 
 
@@ -104,28 +104,25 @@ def assignment_mean(a: FloatArray, b: FloatArray) -> float:
     return float(cost[linear_sum_assignment(cost)].mean())
 
 
-def netlsd(A_real: FloatArray, A_sim: FloatArray, settings: dict[str, float]) -> float:
+def netlsd(L_real: FloatArray, L_sim: FloatArray, settings: dict[str, float]) -> float:
     """Distance of the mean heat traces of two whole objects.
 
     Parameters
     ----------
-    A_real, A_sim : (n, n), (m, m) float64, edge lengths
+    L_real, L_sim : (n, n), (m, m) float64, normalised Laplacians
     """
-    spectra = [np.linalg.eigvalsh(laplacian(A)) for A in (A_real, A_sim)]
-    low, high, n = settings["heat_time_min"], settings["heat_time_max"], int(settings["heat_times"])
-    times = [low * (high / low) ** (i / (n - 1)) for i in range(n)]
-    return math.sqrt(sum(float(np.exp(-t * spectra[0]).mean() - np.exp(-t * spectra[1]).mean()) ** 2 for t in times))
+    a, b = np.linalg.eigvalsh(L_real), np.linalg.eigvalsh(L_sim)
+    times = np.geomspace(settings["heat_time_min"], settings["heat_time_max"], int(settings["heat_times"])).tolist()
+    return math.sqrt(sum(float(np.exp(-t * a).mean() - np.exp(-t * b).mean()) ** 2 for t in times))
 
 
-def r_h(L_real: FloatArray, L_sim: FloatArray, t: float, change: float) -> float:
-    """|exp(-t L_sim) - exp(-t L_real)| / (t |dL|); 0 if |dL| is that of identical objects.
+def r_h(L_real: FloatArray, L_sim: FloatArray, t: float) -> float:
+    """|exp(-t L_sim) - exp(-t L_real)| / (t |dL|), largest absolute eigenvalues; 0 if |dL| is that of equal objects.
 
     Parameters
     ----------
     L_real, L_sim : (n, n) float64, nodes aligned
-    change : |L_sim - L_real|, largest absolute eigenvalue
     """
-    if change <= 1e-5:
-        return 0.0
     heat = scipy.linalg.expm(-t * L_sim) - scipy.linalg.expm(-t * L_real)
-    return min(1.0, float(abs(np.linalg.eigvalsh((heat + heat.T) / 2)).max()) / (t * change))
+    change, of_heat = (float(abs(np.linalg.eigvalsh(own)).max()) for own in (L_sim - L_real, (heat + heat.T) / 2))
+    return min(1.0, of_heat / (t * change)) if change > 1e-5 else 0.0

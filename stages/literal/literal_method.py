@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from statistics import median
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import scipy.linalg
 from scipy import sparse
 from scipy.optimize import linear_sum_assignment
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray
 
 _MAX_TILT_DEG = 10
 _ALIKE = 1e-9
@@ -31,6 +31,9 @@ _ROS_AXES: dict[str, Callable[[float, float, float], list[float]]] = {
     "nuscenes": lambda right, forward, up: [forward, -right, up],
     "kitti-cam": lambda right, down, forward: [forward, -right, -down],
 }
+#: Columns of `describe`.
+PLACE = ("n_points", "cx", "cy", "cz", "range_m", "extent_x", "extent_y", "extent_z")
+SHAPE = ("linearity", "planarity", "scattering")
 #: Scores of `spectral`.
 SPECTRAL = (
     *("r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change"),
@@ -75,26 +78,7 @@ def clean(
     return rows, np.array(kept).reshape(-1, 3)
 
 
-@dataclass(frozen=True)
-class Cut:
-    """Ground cut: axis (3,), tilt, heights of the points along the axis (n,), heights of road and cut.
-
-    `is_unique` : False if the points have the same variance along another axis
-    """
-
-    is_unique: bool
-    axis: FloatArray
-    tilt_deg: float
-    height_m: FloatArray
-    peak_m: float
-    threshold_m: float
-    loss: float
-    iterations: int
-
-    @property
-    def is_ground(self) -> BoolArray:
-        """True for points below the cut, (n,)."""
-        return self.height_m < self.threshold_m
+Cut = dict[str, Any]  #: axis (3,), tilt_deg, peak_m, threshold_m, loss and iterations of a ground cut
 
 
 def ground(
@@ -103,14 +87,14 @@ def ground(
     max_loss: float = 0.01,
     loss: str = "removed",
     default_axis: FloatArray | None = None,
-) -> Cut:
-    """The PCA Z-cut of a scan.
+) -> tuple[Cut, FloatArray, bool]:
+    """The PCA Z-cut of a scan, heights of its points along the axis (n,), and False if another axis has the same right.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, cleaned
     prior_m, max_loss, loss : as in the settings of ground
-    default_axis : (3,) axis if the points do not determine one
+    default_axis : (3,) axis if the points have the same variance along two axes
     """
     scale = float(np.ptp(points, axis=0).max()) or 1.0  # squares of 1e-200 m would be 0
     values, vectors = np.linalg.eigh(np.cov(((points - points.mean(axis=0)) / scale).T))
@@ -122,17 +106,22 @@ def ground(
     if tilt_deg > _MAX_TILT_DEG:
         axis = np.array([0.0, 0.0, 1.0])
     height = np.array([float(p @ axis) for p in points])
-    near = sorted(h for h, p in zip(height.tolist(), points.tolist(), strict=True) if math.hypot(*p) <= _NEAR_M)
-    near = near or sorted(height.tolist())
-    windows = [bisect_right(near, h + _WINDOW_M) - i for i, h in enumerate(near)]
-    start = windows.index(max(windows))
-    peak = float(np.median(near[start : start + windows[start]]))
+    near = [h for h, p in zip(height.tolist(), points.tolist(), strict=True) if math.hypot(*p) <= _NEAR_M]
+    peak = _median_of_fullest_window(near or height.tolist())
     z, iterations = peak + prior_m, 0
     while variance_loss(points, height, z, peak, loss) > max_loss and z > peak + 1e-9:
         z, iterations = max(z - _STEP_M, peak), iterations + 1
-    return Cut(
-        bool(is_unique), axis, tilt_deg, height, peak, z, variance_loss(points, height, z, peak, loss), iterations
-    )
+    lost = variance_loss(points, height, z, peak, loss)
+    cut = {"axis": axis, "tilt_deg": tilt_deg, "peak_m": peak, "threshold_m": z, "loss": lost, "iterations": iterations}
+    return cut, height, bool(is_unique)
+
+
+def _median_of_fullest_window(heights: Sequence[float]) -> float:
+    """Median of the most heights that are within 0.1 m."""
+    ascending = sorted(heights)
+    ends = [bisect_right(ascending, h + _WINDOW_M) for h in ascending]
+    start = max(range(len(ends)), key=lambda i: ends[i] - i)
+    return median(ascending[start : ends[start]])
 
 
 def road_offset(real: FloatArray, sim: FloatArray, axis: FloatArray) -> float | None:
@@ -149,12 +138,8 @@ def road_offset(real: FloatArray, sim: FloatArray, axis: FloatArray) -> float | 
             if math.hypot(*p) <= _NEAR_M:
                 cell = (math.floor(p[0] / _CELL_M), math.floor(p[1] / _CELL_M))
                 cells.setdefault(cell, []).append(sum(axis[i] * p[i] for i in range(3)))
-    above = sorted(median(own) - median(heights[0][cell]) for cell, own in heights[1].items() if cell in heights[0])
-    if len(above) < _FEWEST_CELLS:
-        return None
-    windows = [bisect_right(above, h + _WINDOW_M) - i for i, h in enumerate(above)]
-    start = windows.index(max(windows))
-    return median(above[start : start + windows[start]])
+    above = [median(own) - median(heights[0][cell]) for cell, own in heights[1].items() if cell in heights[0]]
+    return _median_of_fullest_window(above) if len(above) >= _FEWEST_CELLS else None
 
 
 def variance_loss(points: FloatArray, height: FloatArray, threshold_m: float, peak_m: float, loss: str) -> float:
@@ -238,41 +223,27 @@ def best_merge_gain(labels: IndexArray, src: IndexArray, dst: IndexArray, length
     src, dst, length_m : (m,) both ends of each edge by node, and its length
     """
     a, b = labels[src], labels[dst]
-    degree = np.bincount(a, length_m, labels.max() + 1) + np.bincount(b, length_m, labels.max() + 1)
-    two_m, best = float(degree.sum()), -math.inf
-    apart = a != b
-    ends = np.stack([np.minimum(a, b)[apart], np.maximum(a, b)[apart]])
-    pairs, of_pair = np.unique(ends[0] * len(degree) + ends[1], return_inverse=True)
-    between = np.bincount(of_pair, length_m[apart], len(pairs))
-    for code, w in zip(pairs.tolist(), between.tolist(), strict=True):
-        c, d = divmod(code, len(degree))
-        best = max(best, 2 * (w / two_m - float(degree[c]) * float(degree[d]) / two_m**2))
-    return best
+    ends = np.concatenate([a, b]), np.concatenate([b, a])
+    between = sparse.coo_array((np.concatenate([length_m, length_m]), ends)).tocsr()
+    degree = between.sum(axis=1)
+    c, d, w = sparse.find(between)
+    gain = 2 * (w / degree.sum() - degree[c] * degree[d] / degree.sum() ** 2)
+    return float(gain[c != d].max(initial=-math.inf))
 
 
-def canonical(labels: Sequence[int]) -> list[int]:
-    """Renumber communities by size, largest first, then by smallest node."""
+def canonical(labels: Sequence[int] | IndexArray, order: Iterable[int] | None = None) -> list[int]:
+    """Renumber communities by size, largest first, then by the first of their nodes in an order; -1 is kept."""
     members: dict[int, list[int]] = {}
-    for node, label in enumerate(labels):
-        members.setdefault(label, []).append(node)
-    order = sorted(members.values(), key=lambda nodes: (-len(nodes), nodes[0]))
-    new = {node: i for i, nodes in enumerate(order) for node in nodes}
-    return [new[node] for node in range(len(labels))]
+    for node in range(len(labels)) if order is None else order:
+        if labels[node] >= 0:
+            members.setdefault(int(labels[node]), []).append(node)
+    ranked = sorted(members.values(), key=len, reverse=True)  # of equal sizes the first stays first
+    new = {node: i for i, nodes in enumerate(ranked) for node in nodes}
+    return [new.get(node, -1) for node in range(len(labels))]
 
 
-@dataclass(frozen=True)
-class Description:
-    """Description of points: number, centroid (3,), range, extent (3,), linearity, planarity, scattering."""
-
-    n_points: int
-    centroid: FloatArray
-    range_m: float
-    extent: FloatArray
-    shape: tuple[float, float, float]
-
-
-def describe(points: FloatArray) -> Description:
-    """Size, place and shape of the points of one community.
+def describe(points: FloatArray) -> dict[str, float]:
+    """Size, place and shape of the points of one community, by column of `objects`.
 
     Parameters
     ----------
@@ -283,7 +254,8 @@ def describe(points: FloatArray) -> Description:
     l1, l2, l3 = [*(sizes / (sizes[0] or 1.0)) ** 2, 0.0, 0.0][:3]
     shape = ((l1 - l2) / l1, (l2 - l3) / l1, l3 / l1) if l1 > 0 else (0.0, 0.0, 0.0)
     extent = points.max(axis=0) - points.min(axis=0)
-    return Description(len(points), centroid, math.hypot(*centroid), extent, shape)
+    about = (len(points), *centroid, math.hypot(*centroid), *extent, *shape)
+    return dict(zip((*PLACE, *SHAPE), about, strict=True))
 
 
 Matches = list[tuple[int, int, float]]  #: real id, simulated id, distance of their centroids

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
+from statistics import median
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -18,12 +19,10 @@ _ROWS, _COLUMNS, _UP_DEG, _FOV_DEG, _FARTHEST_M = 66, 1030, 2.0, 26.9, 80.0
 _WINDOW = 7
 _CELLS, _HALF_M = 100, 80.0
 
-Image = list[list[float]]
 
-
-def project(points: FloatArray, intensity: Sequence[float] | None = None) -> tuple[Image, Image]:
+def project(points: FloatArray, intensity: Sequence[float] | None = None) -> tuple[FloatArray, FloatArray]:
     """Ranges and intensities of the nearest return of each pixel, 0 for none."""
-    ranges, intensities = ([[0.0] * _COLUMNS for _ in range(_ROWS)] for _ in range(2))
+    ranges, intensities = np.zeros((2, _ROWS, _COLUMNS))
     for i, (x, y, z) in enumerate(points.tolist()):
         range_m = math.sqrt(x * x + y * y + z * z)
         if range_m >= _FARTHEST_M:
@@ -31,37 +30,33 @@ def project(points: FloatArray, intensity: Sequence[float] | None = None) -> tup
         above = math.atan2(z, math.sqrt(x * x + y * y)) + math.radians(_FOV_DEG - _UP_DEG)
         column = round((math.pi - math.atan2(y, x)) / (2 * math.pi / _COLUMNS))
         row = round(_ROWS - above / (math.radians(_FOV_DEG) / _ROWS))
-        if 0 <= row < _ROWS and 0 <= column < _COLUMNS and not 0 < ranges[row][column] <= range_m:
-            ranges[row][column] = range_m
-            intensities[row][column] = 0.0 if intensity is None else float(intensity[i])
+        if 0 <= row < _ROWS and 0 <= column < _COLUMNS and not 0 < ranges[row, column] <= range_m:
+            ranges[row, column] = range_m
+            intensities[row, column] = 0.0 if intensity is None else float(intensity[i])
     return ranges, intensities
 
 
-def unproject(ranges: Image) -> FloatArray:
+def unproject(ranges: FloatArray) -> FloatArray:
     """(n, 3) metres, a point in the direction of each pixel with a return."""
     points = []
-    for row, column in ((row, column) for row in range(_ROWS) for column in range(_COLUMNS)):
-        if ranges[row][column]:
-            azimuth = -(column - _COLUMNS / 2) / _COLUMNS * 2 * math.pi
-            elevation = math.radians(_UP_DEG - row / _ROWS * _FOV_DEG)
-            level = ranges[row][column] * math.cos(elevation)
-            height = ranges[row][column] * math.sin(elevation)
-            points.append((level * math.cos(azimuth), level * math.sin(azimuth), height))
+    for row, column in zip(*np.nonzero(ranges), strict=True):
+        azimuth = -(column - _COLUMNS / 2) / _COLUMNS * 2 * math.pi
+        elevation = math.radians(_UP_DEG - row / _ROWS * _FOV_DEG)
+        level, height = (ranges[row, column] * part for part in (math.cos(elevation), math.sin(elevation)))
+        points.append((level * math.cos(azimuth), level * math.sin(azimuth), height))
     return np.array(points).reshape(-1, 3)
 
 
-def image_scores(real: Image, sim: Image, largest: float) -> dict[str, float | None]:
+def image_scores(real: FloatArray, sim: FloatArray, largest: float) -> dict[str, float | None]:
     """RMSE, MedAE, PSNR and SSIM over all pixels."""
-    clipped = [[[min(max(own, 1e-6), largest) for own in row] for row in image] for image in (real, sim)]
-    pixels = [[own for row in image for own in row] for image in clipped]
-    errors = sorted(abs(a - b) for a, b in zip(*pixels, strict=True))
-    n = len(errors)
-    square = math.fsum(error * error for error in errors) / n
+    real, sim = (np.minimum(np.maximum(image, 1e-6), largest) for image in (real, sim))
+    errors = abs(real - sim).ravel().tolist()
+    square = math.fsum(error * error for error in errors) / len(errors)
     return {
         "rmse": math.sqrt(square),
-        "medae": (errors[(n - 1) // 2] + errors[n // 2]) / 2,
+        "medae": median(errors),
         "psnr_db": 10 * math.log10(largest**2 / square) if square else None,
-        "ssim": _similarity(np.array(clipped[0]), np.array(clipped[1]), max(pixels[0]) - min(pixels[0])),
+        "ssim": _similarity(real, sim, float(real.max() - real.min())),
     }
 
 
@@ -84,16 +79,14 @@ def _similarity(real: FloatArray, sim: FloatArray, extent: float) -> float | Non
     return math.fsum(values) / len(values)
 
 
-def hit_scores(real: Image, sim: Image) -> dict[str, float | None]:
+def hit_scores(real: FloatArray, sim: FloatArray) -> dict[str, float | None]:
     """Scores of the hits, 1 where there is a return: RMSE, accuracy, F1 from precision and recall."""
-    hits = [(float(a > 0), float(b > 0)) for own, other in zip(real, sim, strict=True)
-            for a, b in zip(own, other, strict=True)]  # fmt: skip
-    both = sum(1 for a, b in hits if a and b)
-    found, true = sum(b for _, b in hits), sum(a for a, _ in hits)
-    precision, recall = (both / n if n else 0.0 for n in (found, true))
+    hits = list(zip((real > 0).ravel().tolist(), (sim > 0).ravel().tolist(), strict=True))
+    both, accuracy = hits.count((True, True)), sum(a == b for a, b in hits) / len(hits)
+    precision, recall = (both / n if n else 0.0 for n in (sum(b for _, b in hits), sum(a for a, _ in hits)))
     return {
-        "raydrop_rmse": math.sqrt(math.fsum((a - b) ** 2 for a, b in hits) / len(hits)),
-        "raydrop_accuracy": sum(1 for a, b in hits if a == b) / len(hits),
+        "raydrop_rmse": math.sqrt(sum(a != b for a, b in hits) / len(hits)),
+        "raydrop_accuracy": accuracy,
         "raydrop_hit_f1": 2 * precision * recall / (precision + recall) if both else None,
     }
 
@@ -102,10 +95,10 @@ def cloud_scores(real: FloatArray, sim: FloatArray) -> dict[str, float | None]:
     """Chamfer distance of squares and F-score of two clouds, from all distances."""
     if not len(real) or not len(sim):
         return {"chamfer_m2": None, "f_score_0p05m2": None}
-    squares = [[d * d for d in nearest_distances(a, b).tolist()] for a, b in ((sim, real), (real, sim))]
-    precision, recall = (sum(1 for square in own if square < 0.05) / len(own) for own in squares)
+    squares = [nearest_distances(a, b) ** 2 for a, b in ((sim, real), (real, sim))]
+    precision, recall = (float((own < 0.05).mean()) for own in squares)
     return {
-        "chamfer_m2": math.fsum(math.fsum(own) / len(own) for own in squares),
+        "chamfer_m2": float(sum(own.mean() for own in squares)),
         "f_score_0p05m2": 2 * precision * recall / (precision + recall) if precision + recall else 0.0,
     }
 

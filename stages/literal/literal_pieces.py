@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from .literal_method import Description, canonical, describe, distances
+from .literal_method import PLACE, canonical, describe, distances
 
 _MOVED_WITHIN_M = 3.0
-_SIZE_SLACK_M, _SIZE_SLACK = 0.5, 1 / 3
+_SLACK_M, _SLACK = 0.5, 1 / 3
 _ROUNDED_DIGITS = 9
 
 
@@ -37,16 +37,6 @@ def components(points: FloatArray, link_m: float) -> list[int]:
     return labels
 
 
-@dataclass(frozen=True)
-class Piece:
-    """Surface piece: points by index, their description, bearing, and height of the lowest point above the road."""
-
-    members: list[int]
-    about: Description
-    bearing_deg: float
-    height_m: float
-
-
 def pieces(
     points: FloatArray,
     is_ground: BoolArray,
@@ -55,8 +45,8 @@ def pieces(
     reach_m: float,
     link_m: float,
     min_points: int,
-) -> list[Piece]:
-    """Pieces of a side, largest first, for equal sizes by x, y, z.
+) -> list[tuple[list[int], dict[str, float]]]:
+    """Pieces of a side, their points by index and a row of `pieces`; largest first, for equal sizes by x, y, z.
 
     Parameters
     ----------
@@ -72,29 +62,40 @@ def pieces(
         members = [i for i, label in zip(uncovered, labels, strict=True) if label == piece]
         if len(members) >= min_points:
             about = describe(points[members])
-            bearing = math.degrees(math.atan2(about.centroid[1], about.centroid[0]))
-            found.append(Piece(members, about, bearing, float(min(height_m[members]))))
+            place = {name: about[name] for name in PLACE}
+            bearing_deg = math.degrees(math.atan2(about["cy"], about["cx"]))
+            low = float(min(height_m[members]))
+            found.append((members, place | {"piece_id": piece, "bearing_deg": bearing_deg, "height_m": low}))
     return found
 
 
-Place = tuple[Sequence[float], Sequence[float]]  #: centroid and extent, x, y and z
+def fates(missing: Sequence[Mapping[str, Any]], invented: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Fate of each piece, its partner and move by column of `pieces`: the rows of the real side, then of the other.
 
-
-def moved(missing: Sequence[Place], invented: Sequence[Place]) -> dict[int, int]:
-    """Invented piece to which each missing one moved, by id: near, of similar size, and each is the other's nearest.
+    A piece moved if one of the other side is near and of similar size, and each is the other's nearest.
 
     Parameters
     ----------
-    missing, invented : of both sides, by id
+    missing, invented : rows of `pieces` of both sides, by id
     """
     apart: dict[tuple[int, int], float] = {}
-    for i, (own, size) in enumerate(missing):
-        for j, (other, other_size) in enumerate(invented):
-            apart_m = round(math.dist(own, other), _ROUNDED_DIGITS)
-            slack = [max(_SIZE_SLACK_M, _SIZE_SLACK * max(a, b)) for a, b in zip(size, other_size, strict=True)]
-            is_like = all(abs(a - b) <= s for a, b, s in zip(size, other_size, slack, strict=True))
-            if is_like and apart_m <= _MOVED_WITHIN_M:
-                apart[i, j] = apart_m
-    nearest_sim = {i: min((d, j) for (a, j), d in apart.items() if a == i)[1] for i, _ in apart}
-    nearest_real = {j: min((d, i) for (i, b), d in apart.items() if b == j)[1] for _, j in apart}
-    return {i: j for i, j in nearest_sim.items() if nearest_real[j] == i}
+    for i, a in enumerate(missing):
+        for j, b in enumerate(invented):
+            distance_m = math.hypot(*(a[f"c{axis}"] - b[f"c{axis}"] for axis in "xyz"))
+            sizes = [(a[f"extent_{axis}"], b[f"extent_{axis}"]) for axis in "xyz"]
+            is_like = all(abs(own - other) <= max(_SLACK_M, _SLACK * max(own, other)) for own, other in sizes)
+            if is_like and round(distance_m, _ROUNDED_DIGITS) <= _MOVED_WITHIN_M:
+                apart[i, j] = round(distance_m, _ROUNDED_DIGITS)
+    ids = [("real", i) for i in range(len(missing))] + [("sim", j) for j in range(len(invented))]
+    move: dict[str, float | None] = {f"moved_{axis}_m": None for axis in "xyz"}
+    rows: dict[tuple[str, int], dict[str, Any]] = {
+        (side, i): {"side": side, "piece_id": i, "fate": "gone", "partner_id": None} | move for side, i in ids
+    }
+    for i, j in apart:
+        nearest_sim = min((d, b) for (a, b), d in apart.items() if a == i)[1]
+        nearest_real = min((d, a) for (a, b), d in apart.items() if b == j)[1]
+        if (nearest_real, nearest_sim) == (i, j):
+            move = {f"moved_{axis}_m": invented[j][f"c{axis}"] - missing[i][f"c{axis}"] for axis in "xyz"}
+            rows["real", i] |= {"fate": "moved", "partner_id": j} | move
+            rows["sim", j] |= {"fate": "moved", "partner_id": i} | move
+    return list(rows.values())

@@ -86,21 +86,10 @@ def local_plane(points: FloatArray, place: FloatArray) -> Plane:
     )
 
 
-@dataclass(frozen=True)
-class Offset:
-    """Displacement of a piece of surface: number of points, observable directions, (x, y, z), length.
-
-    Values that are not observable are None.
-    """
-
-    n_points: int
-    n_directions: int
-    shift_m: tuple[float | None, float | None, float | None]
-    distance_m: float | None
-
-
-def offset(planes: Iterable[Plane], sim: FloatArray) -> Offset:
+def offset(planes: Iterable[Plane], sim: FloatArray) -> dict[str, float | None]:
     """Translation of the simulated surface against some real planes, point to plane, by least squares.
+
+    By column of `surface`; values that are not observable are None.
 
     Parameters
     ----------
@@ -120,15 +109,16 @@ def offset(planes: Iterable[Plane], sim: FloatArray) -> Offset:
                 n_points += 1
         sizes, axes = np.linalg.eigh(squares)
         is_seen = (sizes >= _MIN_SHARE * n_points) & (n_points >= _MIN_POINTS)
-        before, t = (
-            t,
-            sum((axes[:, i] * (axes[:, i] @ targets) / sizes[i] for i in range(3) if is_seen[i]), np.zeros(3)),
-        )
+        before, t = t, np.zeros(3)
+        for i in np.flatnonzero(is_seen).tolist():
+            t = t + axes[:, i] * (axes[:, i] @ targets) / sizes[i]
         if max(abs(t - before)) <= _MIN_STEP_M:
             break
-    leaning = [sum(axes[a, i] ** 2 for i in range(3) if not is_seen[i]) for a in range(3)]
-    x, y, z = (float(t[a]) if leaning[a] <= _MAX_LEANING else None for a in range(3))
-    return Offset(n_points, int(is_seen.sum()), (x, y, z), math.hypot(*t) if is_seen.any() else None)
+    row: dict[str, float | None] = {"n_points": n_points, "n_directions": int(is_seen.sum())}
+    for a, axis in enumerate("xyz"):
+        leaning = sum(axes[a, i] ** 2 for i in range(3) if not is_seen[i])
+        row[f"shift_{axis}_m"] = float(t[a]) if leaning <= _MAX_LEANING else None
+    return row | {"shift_m": math.hypot(*t) if is_seen.any() else None}
 
 
 def area_between(real: Sequence[float], sim: Sequence[float]) -> float:

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from sknetwork.clustering import Louvain
 
-from fidpipe.pipeline.verify import verify
+from fidpipe.pipeline.verify import compare_frames
 from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.schemas.metric_catalogue import OBJECT_METRICS
 from fidpipe.schemas.settings import load
@@ -184,7 +184,7 @@ def test_a_score_that_is_wrong_in_every_table_is_found_by_its_objects(forged):
 
 
 def test_all_forged_numbers_of_a_record_are_found(forged, monkeypatch):
-    monkeypatch.setattr(verify, "_MAX_LISTED", 10**6)
+    monkeypatch.setattr(compare_frames, "MAX_LISTED", 10**6)
     forgeries = {
         ("summary", "match_rate", "n_pairs"): 2,
         **{("summary", name, "mean"): 0.4321 for name in ("cdc_mean", "cdc_unmatched_worst_mean", "covered_real_1m")},

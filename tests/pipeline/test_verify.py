@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 
 from fidpipe.pipeline.jobs import EXTRAS, STAGES
-from fidpipe.pipeline.verify import recompute, verify
+from fidpipe.pipeline.verify import compare_frames, recompute
 from fidpipe.pipeline.verify.compare_frames import NOT_COMPARED, compare
 from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.pipeline.verify.verify_view import verify_view
@@ -172,7 +172,7 @@ def test_an_edited_number_is_found_though_the_ledger_agrees(whole, plain, tmp_pa
 
 @pytest.mark.parametrize("table", AT_ONCE)
 def test_each_edited_column_is_named_though_all_of_a_table_are_edited_at_once(copy, monkeypatch, table):
-    monkeypatch.setattr(verify, "_MAX_LISTED", 10**6)
+    monkeypatch.setattr(compare_frames, "MAX_LISTED", 10**6)
     names = {*COLUMNS[table]} - ONE_BY_ONE
     for name in names:
         forge_column(copy, table, name)
@@ -181,7 +181,7 @@ def test_each_edited_column_is_named_though_all_of_a_table_are_edited_at_once(co
 
 
 def test_each_edited_column_of_rays_is_named(with_rays, tmp_path, monkeypatch):
-    monkeypatch.setattr(verify, "_MAX_LISTED", 10**6)
+    monkeypatch.setattr(compare_frames, "MAX_LISTED", 10**6)
     copy = shutil.copytree(with_rays, tmp_path / "run")
     rays, scores, keys = TABLES["rays"].schema.names, TABLES["ray_scores"].schema.names, {"pair_id", "by", "band"}
     assert len(pd.read_parquet(copy / "rays")) > 1000
@@ -267,7 +267,7 @@ def test_a_mismatch_names_table_pair_object_column_and_both_values(copy):
 
 
 def test_a_flipped_bit_is_found_in_any_file(copy, monkeypatch):
-    monkeypatch.setattr(verify, "_MAX_LISTED", 10**6)
+    monkeypatch.setattr(compare_frames, "MAX_LISTED", 10**6)
 
     def flip(name):
         content = bytearray((copy / name).read_bytes())
