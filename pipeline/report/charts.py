@@ -108,12 +108,12 @@ def _quadrants(results: RunResults) -> CaptionedChart:
     ]
     histogram = {"type": "histogram", "marker": {"color": GREY}, "showlegend": False, "hoverinfo": "skip"}
     data = [histogram | values for values in data]
-    for key, title in QUADRANTS.items():
+    for key in QUADRANTS:
         own = dots[dots.quadrant == key]
         data.append(
             {
                 "mode": "markers",
-                "name": f"{title}: {counted[key]['n']} ({100 * counted[key]['share']:.0f} %)",
+                "name": f"{key}: {counted[key]['n']} ({100 * counted[key]['share']:.0f} %)",
                 "x": own.cdc.to_numpy(np.float32),
                 "y": own.r_lambda.to_numpy(np.float32),
                 **_opening(own, "object", own.real_id),
@@ -283,10 +283,9 @@ def evidence_chart(evidence: Evidence) -> CaptionedChart:
     ]
     small = {"size": 9}
     layout = {
-        "title": {"text": evidence.x_label, "font": small, "x": 0, "y": 0.01, "yanchor": "bottom"},
         "xaxis": {"nticks": 6},
         "yaxis": {"nticks": 4, "title": {"text": evidence.y_label, "font": small}},
-        **{"showlegend": False, "margin": {"l": 36, "r": 8, "t": 8, "b": 34}, "font": small},
+        **{"showlegend": False, "margin": {"l": 36, "r": 8, "t": 8, "b": 18}, "font": small},
     }
     return _chart(data, layout), f"{evidence.y_label} over {evidence.x_label}, {x[0]:.3g} to {x[-1]:.3g}"
 
@@ -334,7 +333,7 @@ def change_chart(scores: Sequence[ScoreChange]) -> Chart:
         },
         "showlegend": False,
         "height": 34 * n + 24,
-        "margin": {"l": 10, "r": 75, "t": 12, "b": 12},
+        "margin": {"l": 10, "r": 85, "t": 12, "b": 12},
     }  # fmt: skip
     return _chart(data, layout)
 

@@ -5,6 +5,7 @@ The camera looks from the sensor's side, where the points are; the drawings have
 
 from __future__ import annotations
 
+import cmath
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -40,6 +41,7 @@ class Picture:
 
     link : address of the object in the report
     layers : SVG paths of points: "others" in grey, then those of the sides
+    ahead : SVG path of a needle that points ahead
     bar, bar_m : a bar of some metres as the scale
     """
 
@@ -47,6 +49,7 @@ class Picture:
     words: str
     link: str
     layers: dict[str, str]
+    ahead: str
     bar: float
     bar_m: float
 
@@ -91,7 +94,12 @@ class _Box:
             dots = zip(FRAME[0] / 2 + right, FRAME[1] / 2 - up, strict=True)
             paths[kind] = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in dots)
         bar_m = max((m for m in _BARS_M if m * scale <= FRAME[0] / 3), default=_BARS_M[0])
-        return Picture(title, words, self.link, paths, bar_m * scale, bar_m)
+        needle = 16 * complex(*self.axes[:, 0] * (1, -1))
+        barbs = [needle * cmath.rect(0.4, turn) for turn in (2.6, -2.6)]
+        middle_px = complex(FRAME[0] - 66, FRAME[1] - 8)
+        ends = [middle_px - needle / 2, tip := middle_px + needle / 2, tip + barbs[0], tip, tip + barbs[1]]
+        ahead = "M" + "L".join(f"{end.real:.1f} {end.imag:.1f}" for end in ends)
+        return Picture(title, words, self.link, paths, ahead, bar_m * scale, bar_m)
 
 
 def draw_pieces(results: RunResults, pieces: Sequence[Piece]) -> list[Picture]:

@@ -15,7 +15,7 @@ from ...schemas.errors import RunError
 from ..results.floor import RunExcess
 from ..results.gate import Criterion, judge_run
 from ..results.overview import over_floor
-from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, UNKNOWN
+from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from .aggregates import quadrants
 from .pictures import draw_pieces
 from .run_frames import RunResults
@@ -56,8 +56,8 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
             dataset_table(record, _SCORES),
             Note("Unmatched as worst: each missing and each invented object counted with the worst value."),
             coverage_table(record),
-            Note("Real points that are not covered are missing surface, simulated ones invented surface."),
             surface_table(overview),
+            Note("Real points that are not covered are missing surface, simulated ones invented surface."),
             *map(Note, (*unmatched_lines(record), surface_line(record))),
         ],
     }
@@ -82,7 +82,7 @@ def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]
     counted = quadrants(results)
     n_missing = int((results.unmatched.status == "missing").sum())
     n_all = max(1, len(results.matched) + n_missing)
-    fates = {**{name: counted[key]["n"] for key, name in {**QUADRANTS, UNKNOWN: UNKNOWN}.items()}, "missing": n_missing}
+    fates = {**{key: own["n"] for key, own in counted.items()}, "missing": n_missing}
     kinds = (*QUADRANTS, "unknown", "real step3")
     shares = [(kind, name, n / n_all) for kind, (name, n) in zip(kinds, fates.items(), strict=True)]
     return [*bars, {"name": "Real objects", "value": f"{percent(shares[0][2])} faithful", "parts": shares}]

@@ -225,13 +225,18 @@ def test_no_name_reaches_the_page_as_markup_and_nothing_is_fetched(versions):
         assert name in page.text
 
 
-def test_the_chart_has_a_dot_for_each_pair_and_the_interval_of_each_score_the_clearest_first(versions):
+def test_charts_have_a_dot_for_each_pair_and_the_interval_of_each_score_the_clearest_first_and_undecided_apart(
+    versions,
+):
     found = compare_runs(versions)
-    chart = embedded(compare_page(found))["charts"]["changes_0"]
-    dots, intervals = ([of for of in chart["data"] if ("error_x" in of) == is_bar] for is_bar in (False, True))
+    charts = [embedded(compare_page(found))["charts"][name] for name in ("changes_0", "undecided_0")]
+    traces = [of for chart in charts for of in chart["data"]]
+    dots, intervals = ([of for of in traces if ("error_x" in of) == is_bar] for is_bar in (False, True))
     decided = ("worse", "better", "mixed")
     ordered = sorted(found[0].scores, key=lambda of: (of.verdict not in decided, -abs(of.clarity)))
-    assert chart["layout"]["yaxis"]["ticktext"] == [f"{of.name} {of.mark}" for of in ordered]
+    names = [chart["layout"]["yaxis"]["ticktext"] for chart in charts]
+    assert names[0] + names[1] == [f"{of.name} {of.mark}" for of in ordered]
+    assert len(names[0]) == sum(of.verdict in decided for of in ordered)
     n_known = [sum(value is not None for value in of.of_pairs.values()) for of in ordered]
     assert [len(of["x"]) for of in dots] == n_known
     assert len(intervals) == sum(of.difference.low is not None for of in ordered) > 0

@@ -355,7 +355,7 @@ def test_comparison_and_history_draw_their_charts_in_the_theme_and_fit_the_windo
     (comparison,), history = compare_runs([report_run] * 2), read_history([report_run] * 3)
     resize(browser, width, dark)
     for text, marks, chart, n_marks in (
-        (compare_page([comparison]), "#changes_0 .ytick", "changes_0", len(comparison.scores)),
+        (compare_page([comparison]), "#undecided_0 .ytick", "undecided_0", len(comparison.scores)),
         (history_page(history), ".chart .js-line", "history_0", len(history.families)),
     ):
         path = tmp_path / f"{chart}.html"
@@ -550,6 +550,55 @@ def test_both_scenes_turn_together(page):
 
 
 @pytest.mark.exhaustive
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_box_of_a_whole_pair_is_inside_of_the_scene_with_room_for_its_labels(page, width):
+    resize(page, width)
+    choose(page, "object", "real 0")
+    choose(page, "object", "")
+    pixels(page, "scene")
+    seen = page.execute_script(
+        """const {scene} = document.getElementById('scene')._fullLayout;
+        const {_scene: {glplot, dataScale}, xaxis, yaxis, zaxis} = scene;
+        const {model, view, projection} = glplot.cameraParams;
+        const apply = (m, v) => [0, 1, 2, 3].map((row) => v.reduce((sum, x, k) => sum + m[4 * k + row] * x, 0));
+        return [...Array(8).keys()].map((i) => {
+          const corner = [xaxis, yaxis, zaxis].map(({range}, k) => range[(i >> k) & 1] * dataScale[k]);
+          const [x, y, , w] = apply(projection, apply(view, apply(model, [...corner, 1])));
+          return [x / w, y / w];
+        })"""
+    )
+    size = by_id(page, "scene").size
+    room = 1 - 60 / np.array([size["width"], size["height"]])
+    assert (np.abs(seen) < room).all()
+    assert np.abs(seen).max() > 0.5, "not far away"
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("width", WIDTHS)
+def test_tables_hint_at_columns_on_the_right_and_keep_rows_low_and_the_first_column(
+    browser, report_run, tmp_path, width
+):
+    resize(browser, width)
+    (tmp_path / "compare.html").write_text(compare_page(compare_runs([report_run] * 2)), encoding="utf-8")
+    for path in (report_run.with_name("report") / "report.html", tmp_path / "compare.html"):
+        open_page(browser, path)
+        browser.execute_script("for (const one of document.querySelectorAll('details')) one.open = true")
+        settle(browser)
+        tables = browser.execute_script(
+            """return [...document.querySelectorAll('.scroll')].map((hint) => {
+              const box = hint.nextElementSibling;
+              const rows = [...box.querySelectorAll('tbody tr')].map((row) => row.offsetHeight);
+              box.scrollLeft = 9999;
+              const first = box.querySelector('td').getBoundingClientRect().left - box.getBoundingClientRect().left;
+              return [!hint.hidden, box.scrollWidth - box.clientWidth, Math.max(...rows), first];
+            })"""
+        )
+        assert all(is_hinted == (hidden_px > 2) for is_hinted, hidden_px, _, _ in tables)
+        assert all(height < 70 and abs(first) < 2 for _, _, height, first in tables)
+        assert width == WIDTHS[0] or any(hidden_px > 2 for _, hidden_px, *_ in tables)
+
+
+@pytest.mark.exhaustive
 def test_charts_are_drawn_when_they_come_into_view(browser, page_path):
     resize(browser, WIDTHS[0])
     browser.get("about:blank")
@@ -654,7 +703,7 @@ def test_every_chart_has_a_text_alternative(page):
 def test_no_label_of_a_chart_is_cut(page, width):
     resize(page, width)
     see_all(page)
-    script = """return [...document.querySelectorAll('.chart[aria-label] .main-svg text')].flatMap((text) => {
+    script = """return [...document.querySelectorAll('.chart .main-svg text')].flatMap((text) => {
       const [own, all] = [text.getBoundingClientRect(), text.closest('.chart').getBoundingClientRect()];
       const isIn = own.left >= all.left - 1 && own.right <= all.right + 1 && own.bottom <= all.bottom + 1;
       return isIn || !own.width || text.closest('.hoverlayer') ? [] : [[text.closest('.chart').id, text.textContent]];

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -60,7 +61,12 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
     )
     sections = [_section(one, start) for one in comparisons]
     data = {
-        "charts": {f"changes_{i}": change_chart(section["by_effect"]) for i, section in enumerate(sections)},
+        "charts": {
+            f"{kind}_{i}": change_chart(scores)
+            for i, section in enumerate(sections)
+            for kind, scores in (("changes", section["decided"]), ("undecided", section["open"]))
+            if scores
+        },
         "steering": STEERING,
         "colours": PAGE_COLOURS,
         "places": [[draw_change(one, section["runs"]) for one in section["worst"]] for section in sections],
@@ -109,8 +115,12 @@ def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
         "comparison": comparison,
         "decision": decision(comparison),
         "chance": chance(comparison),
-        "by_effect": by_effect,
-        "families": [family_table(comparison, families[True]), score_table(comparison, by_effect[:n_decided])],
+        "decided": by_effect[:n_decided],
+        "open": by_effect[n_decided:],
+        "families": [
+            replace(family_table(comparison, families[True]), title="Decided, the clearest change first"),
+            score_table(comparison, by_effect[:n_decided]),
+        ],
         "undecided": [family_table(comparison, families[False]), score_table(comparison, by_effect[n_decided:])],
         "n_decided": (len(families[True]), len(families[False])),
         "causes": [cause_table(comparison)] if comparison.causes else [],

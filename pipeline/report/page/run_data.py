@@ -59,8 +59,13 @@ _FACT_DIGITS, _METRE_DIGITS = 3, 2
 def page_data(results: RunResults) -> dict[str, Any]:
     """Data of the whole run for the page's JavaScript: charts, colours, tables; no points."""
     found = read_diagnosis(results.run.folder, results.run.record)
-    evidence = {cause.name: cause.evidence for cause in (found.causes if found else ()) if cause.evidence}
-    charts = run_charts(results) | {f"cause_{name}": evidence_chart(curves) for name, curves in evidence.items()}
+    # Causes with the same curves show them once.
+    evidence = {
+        cause.evidence.model_dump_json(): (cause.name, cause.evidence)
+        for cause in reversed(found.causes if found else ())
+        if cause.evidence
+    }
+    charts = run_charts(results) | {f"cause_{name}": evidence_chart(curves) for name, curves in evidence.values()}
     pairs_note = "Worst first, by the mean of the ranks in match rate, CDC and r_lambda."
     return {
         "steering": STEERING,

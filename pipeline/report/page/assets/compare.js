@@ -1,7 +1,7 @@
 // The comparison of runs: charts, and the worst changes in 3D, before and after side by side.
 
 import { drawInView, paint, ready, report, startCharts } from "./draw.js";
-import { cameraAt, dots, drawInSpace, extent, say, sideColour, sizeOf, turnTogether } from "./points.js";
+import { cameraOn, dots, drawInSpace, extent, say, sideColour, turnTogether } from "./points.js";
 
 const MARGIN_M = 0.3;
 const WHEN = ["before", "after"];
@@ -21,7 +21,7 @@ function drawPlace(section, place) {
       dots("simulated", sideColour("sim"), 2.4, setOf(sims[k].own)),
     ];
     drawInView(id, () => {
-      drawInSpace(id, data, cameraAt(ranges, ranges, 1.1 * sizeOf(ranges)), ranges);
+      drawInSpace(id, data, cameraOn(id, ranges, ranges), ranges);
       turnTogether(ids);
     });
   });

@@ -106,6 +106,16 @@ export function startCharts() {
   });
 }
 
+// Hints at columns on the right above each table that is wider than its place.
+const widths = new ResizeObserver((changes) => {
+  for (const { target } of changes) {
+    const box = target.closest(".wide, .box");
+    box.previousElementSibling.hidden = box.scrollWidth <= box.clientWidth + 2;
+  }
+});
+
 export const ready = () => {
+  for (const { nextElementSibling: box } of document.querySelectorAll(".scroll"))
+    for (const one of [box, box.firstElementChild]) widths.observe(one);
   root.dataset.ready = "yes";
 };

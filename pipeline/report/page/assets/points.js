@@ -7,6 +7,7 @@ import { element, number, records, shorten, shown } from "./tables.js";
 export const SIDES = ["real", "sim"];
 export const SIDE_WORDS = { real: "real", sim: "simulated" };
 export const FAR = 255; // the distance to the other side is a byte, this one for report.far_m and more
+const LABELS_PX = { x: 140, y: 110 };
 const AXES = { x: "x forward (m)", y: "y left (m)", z: "z up (m)" };
 export const sideColour = (side) => paint(report.colours.sides[side]);
 export const say = (id, text) => {
@@ -112,8 +113,6 @@ export const extent = (sets, margin_m = 0) =>
     return [low - margin_m, high + margin_m];
   });
 
-export const sizeOf = ({ x, y, z }) => Math.hypot(x[1] - x[0], y[1] - y[0], z[1] - z[0]);
-
 export function objectTitle(object) {
   const ids = object.side ? object.name : `real ${object.real_id}, sim ${object.sim_id}`;
   const scores = object.side ? object.fate : `CDC ${number(object.cdc, 2)}, r_lambda ${number(object.r_lambda, 2)}`;
@@ -157,7 +156,7 @@ const rampBar = (from, stops, to) => {
 };
 
 // How points are coloured: `colours` of some places of a side (one for all or one each), `words` of a place (or none),
-// the colour of a road point, and the legend.
+// the colour of a road point, the side that is context only (`faint`), and the legend.
 export function colouring({ objects, points }, by) {
   const { none, sides, fates, quadrants, signed, ramps } = report.colours;
   const ramp = ramps[isDark() ? "dark" : "light"];
@@ -206,6 +205,7 @@ export function colouring({ objects, points }, by) {
       );
       const reach = `${report.signed_ramp_m} m or more`;
       return {
+        faint: "real",
         colours: ofPoints((side, i) => (side === "real" ? line : shades[points.sim.signed[i]])),
         road: (step) => shades[step],
         words: (side, i) => (side === "sim" ? signedWords(points.sim.signed[i]) : ""),
@@ -242,12 +242,13 @@ export function strokes(name, color, ends, width) {
   return { type: "scatter3d", mode: "lines", name, ...axes, line: { color, width }, hoverinfo: "skip" };
 }
 
+const cornersOf = ({ x, y, z }) =>
+  Array.from({ length: 8 }, (_, i) => ({ x: x[i & 1], y: y[(i >> 1) & 1], z: z[(i >> 2) & 1] }));
+
 // The twelve edges of the box around an extent.
-export function boxEdges({ x, y, z }) {
-  const corner = (i) => ({ x: x[i & 1], y: y[(i >> 1) & 1], z: z[(i >> 2) & 1] });
-  const ends = [];
-  for (let i = 0; i < 8; i += 1) for (const bit of [1, 2, 4]) if (!(i & bit)) ends.push(corner(i), corner(i | bit));
-  return ends;
+export function boxEdges(ranges) {
+  const corners = cornersOf(ranges);
+  return corners.flatMap((corner, i) => [1, 2, 4].flatMap((bit) => (i & bit ? [] : [corner, corners[i | bit]])));
 }
 
 // The same direction of view at a place's own distance, for two places that turn together.
@@ -282,8 +283,11 @@ export function drawInSpace(id, data, camera, ranges, config) {
     aspectratio: xyz((axis) => (ranges[axis][1] - ranges[axis][0]) / unit),
     camera,
   };
-  for (const [axis, text] of Object.entries(AXES))
-    scene[`${axis}axis`] = { title: { text }, range: ranges[axis], autorange: false, nticks: 5 };
+  const longest = Math.max(...Object.values(scene.aspectratio));
+  for (const [axis, text] of Object.entries(AXES)) {
+    const nticks = Math.max(2, Math.round((10 * scene.aspectratio[axis]) / longest));
+    scene[`${axis}axis`] = { title: { text }, range: ranges[axis], autorange: false, nticks };
+  }
   draw(id, { data, layout: { margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, scene } }, config);
 }
 
@@ -292,13 +296,35 @@ function unitOf(ranges) {
   return Math.cbrt(Object.values(ranges).reduce((product, [low, high]) => product * (high - low), 1));
 }
 
-// A camera that looks at the middle of an extent, from the side of the sensor and from above.
-export function cameraAt(target, ranges, distance_m) {
-  const unit = unitOf(ranges);
+// A camera that sees all of an extent in a place of the page, with room for labels, from the side of the sensor and from
+// above; around the sensor so that the longer side of the extent lies along that of the place.
+export function cameraOn(id, target, ranges) {
   const middle = xyz((axis) => (target[axis][0] + target[axis][1]) / 2);
-  const far = Math.hypot(middle.x, middle.y) || 1;
-  const steps = { x: (-0.75 * middle.x) / far, y: (-0.75 * middle.y) / far, z: 0.66 };
-  const center = xyz((axis) => (middle[axis] - (ranges[axis][0] + ranges[axis][1]) / 2) / unit);
-  const eye = xyz((axis) => center[axis] + (steps[axis] * distance_m) / unit);
-  return { center, eye, up: { x: 0, y: 0, z: 1 } };
+  const isAround = [target.x, target.y].every(([low, high]) => low <= 0 && high >= 0);
+  const { offsetWidth, offsetHeight } = byId(id);
+  const isAcross = target.x[1] - target.x[0] > target.y[1] - target.y[0] === offsetWidth > offsetHeight;
+  const [x, y] = isAround ? [isAcross ? 0.6 : 1, isAcross ? 1 : 0.6] : [middle.x, middle.y];
+  const back = scaled({ x: -x, y: -y, z: 0.75 * Math.hypot(x, y) });
+  const right = scaled({ x: -back.y, y: back.x, z: 0 });
+  const up = { x: -back.z * right.y, y: back.z * right.x, z: Math.hypot(back.x, back.y) };
+  // Plotly's field of view is 45 degrees high. What a metre far may be to the right and up:
+  const slopes = [offsetWidth - LABELS_PX.x, offsetHeight - LABELS_PX.y].map(
+    (size) => (Math.tan(Math.PI / 8) * size) / offsetHeight,
+  );
+  let [aim, away] = [middle, 0];
+  for (let i = 0; i < 4; i += 1) {
+    const own = cornersOf(target).map((corner) => xyz((axis) => corner[axis] - aim[axis]));
+    away = Math.max(...own.flatMap((a) => [right, up].map((b, k) => dot(a, back) + Math.abs(dot(a, b)) / slopes[k])));
+    const [along, above] = [right, up].map((b) => {
+      const seen = own.map((a) => dot(a, b) / (away - dot(a, back)));
+      return (away * (Math.min(...seen) + Math.max(...seen))) / 2;
+    });
+    aim = xyz((axis) => aim[axis] + along * right[axis] + above * up[axis]);
+  }
+  const unit = unitOf(ranges);
+  const center = xyz((axis) => (aim[axis] - (ranges[axis][0] + ranges[axis][1]) / 2) / unit);
+  return { center, eye: xyz((axis) => center[axis] + (back[axis] * away) / unit), up: { x: 0, y: 0, z: 1 } };
 }
+
+const dot = (a, b) => a.x * b.x + a.y * b.y + a.z * b.z;
+const scaled = (a) => xyz((axis) => a[axis] / Math.sqrt(dot(a, a)));

@@ -5,7 +5,7 @@ import { describe, describePoints } from "./object.js";
 import {
   at,
   boxEdges,
-  cameraAt,
+  cameraOn,
   colouring,
   distanceWords,
   dots,
@@ -24,7 +24,6 @@ import {
   say,
   sideColour,
   signedMetres,
-  sizeOf,
   strokes,
   swatch,
   turnTogether,
@@ -36,6 +35,7 @@ const MOST_DRAWN = 9000; // of a side in the whole pair, and of each object at l
 const FEWEST_DRAWN = 80;
 const BOX_MARGIN_M = 0.2;
 const PANEL_MARGIN_M = 0.3;
+const AROUND_M = 1.5;
 const SENSOR_AXIS_M = 4;
 // pair: {name, view, objects, points, drawn, ranges}, the open one; opening: the name of the one being opened
 const scene = { pair: null, opening: null, chosen: null, hovered: null };
@@ -106,7 +106,7 @@ function drawSigned() {
     return { type: "histogram", histnorm: "percent", name, x, xbins, opacity: 0.6, marker };
   });
   const line = { type: "line", x0: 0, x1: 0, y0: 0, y1: 1, yref: "paper", line: { width: 1, dash: "dash" } };
-  const xaxis = { title: { text: "simulated behind (−) or in front of (+) the real surface (m)" } };
+  const xaxis = { title: { text: "simulated behind (−) or in front of (+)<br>the real surface (m)" } };
   draw("signed", { data, layout: { xaxis, yaxis: { title: { text: "%" } }, shapes: [line], barmode: "overlay" } });
   const words = said.length ? `${said.join("; ")}.` : "no simulated point has a real plane next to it.";
   say("signed_note", `Signed distance of the simulated points to the real planes next to them. ${words}`);
@@ -170,7 +170,8 @@ function drawScene(camera) {
   const traces = SIDES.map((side) => {
     const [own, places] = [pair.points[side], pair.drawn[side]];
     const words = (i) => [titles[own.object[i]], shades.words?.(side, i)].filter(Boolean).join("<br>");
-    return dots(side, shades.colours(side, places), 1.8, {
+    return dots(side, shades.colours(side, places), shades.faint === side ? 1 : 1.8, {
+      opacity: shades.faint === side ? 0.4 : 1,
       ...at(own, places),
       visible: byId(`show_${side}`).checked,
       text: places.map(words),
@@ -233,9 +234,7 @@ function drawObject({ objects, points }, place, isNew) {
     const lines = own.flatMap((_, k) => ends.map((end) => xyz((axis) => end[axis][k])));
     data.push(strokes("lines", paint("var(--soft)"), lines, 1.5));
   }
-  const { layout, offsetWidth, offsetHeight } = byId("overlay");
-  const farther = Math.max(1.25, (1.3 * offsetHeight) / offsetWidth); // where the window is narrow
-  const camera = (!isNew && layout?.scene?.camera) || cameraAt(ranges, ranges, farther * sizeOf(ranges));
+  const camera = (!isNew && byId("overlay").layout?.scene?.camera) || cameraOn("overlay", ranges, ranges);
   drawInSpace("overlay", data, camera, ranges);
   describePoints(object, places, isAligned);
 }
@@ -270,23 +269,8 @@ function extentOf(place, margin_m) {
   );
 }
 
-function wholePair() {
-  const { points, ranges } = scene.pair;
-  const farthest_m = Math.max(
-    ...Object.values(extent([points.real]))
-      .slice(0, 2)
-      .flat()
-      .map(Math.abs),
-  );
-  const flatter = Math.min(1, Math.cbrt((ranges.z[1] - ranges.z[0]) / 15));
-  const eye = { x: -0.75, y: -0.75, z: flatter * Math.min(1.1, 0.6 + 20 / farthest_m) };
-  return { eye, center: { x: 0, y: 0, z: -0.1 } };
-}
-
-function cameraOn(place) {
-  const own = extentOf(place);
-  return cameraAt(own, scene.pair.ranges, Math.max(6, 1.8 * sizeOf(own)));
-}
+const wholePair = () => cameraOn("scene", scene.pair.ranges, scene.pair.ranges);
+const objectInPair = (place) => cameraOn("scene", extentOf(place, AROUND_M), scene.pair.ranges);
 
 // A press and release on one spot chooses the object under it. Plotly's own click event comes once a frame as long as
 // the button is down, and not at all for a fast click; its hover event is reliable.
@@ -328,7 +312,7 @@ function chooseObject(name, looksAt = false, isAsked = true) {
     describe(pair, pair.objects[placeOf(name)], link);
     showPanel(true);
   }
-  look(looksAt ? (name === null ? wholePair() : cameraOn(placeOf(name))) : undefined);
+  look(looksAt ? (name === null ? wholePair() : objectInPair(placeOf(name))) : undefined);
 }
 
 // Marks the row of the chosen object in the table of objects, if that shows it now.

@@ -96,7 +96,7 @@ export function startTable(place, what, { columns, rows: lists, note }, linkOf) 
   );
   const state = { sort: null, isUp: true, n: ROWS_AT_ONCE };
   const part = (selector) => place.querySelector(selector);
-  const [filter, count, hint, box, body] = ["input", ".count", ".scroll", ".box", "tbody"].map(part);
+  const [filter, count, body] = ["input", ".count", "tbody"].map(part);
   const [clear, more] = [".clear", ".more"].map(part);
   filter.title = `Words, and bounds on columns: ${columns.map(({ title }) => title).join("; ")}`;
   const heads = columns.map((column) => {
@@ -117,9 +117,6 @@ export function startTable(place, what, { columns, rows: lists, note }, linkOf) 
     fill();
     filter.focus();
   });
-  const isWider = () => hint.classList.toggle("needed", box.scrollWidth - box.clientWidth - box.scrollLeft > 2);
-  box.addEventListener("scroll", isWider);
-  new ResizeObserver(isWider).observe(box);
 
   function cellOf(row, column, isFirst) {
     const value = row[column.key];
