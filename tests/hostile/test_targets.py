@@ -31,8 +31,8 @@ NOT_ATTACKED = {
     "pipeline.remote_run": "its own index, and files that are read as a run afterwards",
     "pipeline.generate.floor_run": "copies labels.toml, which the dataset's reader has read",
     "pipeline.generate.twin": "copies scans and labels, which the reader of scans has read",
+    "schemas.data_files": "its own tables",
     "schemas.metric_catalogue": "its own table",
-    "schemas.sensor_models": "its own table",
     "schemas.tables": "its own table",
     "stages.ground": "/dev/null",
 }
