@@ -158,7 +158,7 @@ def _influence_tables(outcome: AblateOutcome) -> list[Table]:
         setting, score = influence.name.removesuffix("_m"), metric_of(influence.metric).label
         result = "within the spread" if influence.is_within_spread else "beyond the spread"
         result = result if influence.range_of_means else "no change"
-        paper = INFLUENCES.get((influence.name, influence.metric), "")
+        paper = INFLUENCES[influence.name].get(influence.metric, "")
         rows.append((setting, score, influence.range_of_means, influence.std_over_pairs, result, paper))
     title = "Change of a score over the values of a setting, compared with its spread over pairs"
     columns = ("setting", "score", "range of means", "std over pairs", "result", "the paper")

@@ -17,11 +17,10 @@ def timings_view(mean: Mapping[str, Mapping[str, float]]) -> View:
     ]
     rows = []
     for timing in TIMINGS:
-        seconds = sum(
-            value for stage, step in timing.steps for name, value in mean.get(stage, {}).items() if step in ("", name)
-        )
-        text = timing.text or ", ".join(f"{stage} {step}" for stage, step in timing.steps)
-        rows.append((timing.name, text, 1e3 * seconds, timing.milliseconds))
+        counted = timing["steps"]
+        seconds = sum(v for stage, step in counted for name, v in mean.get(stage, {}).items() if step in ("", name))
+        text = timing.get("text", ", ".join(f"{stage} {step}" for stage, step in counted))
+        rows.append((timing["name"], text, 1e3 * seconds, timing["milliseconds"]))
     headings = ("step", "counted here", "here (ms)", "paper (ms)")
     title = "Time per pair (mean over pairs, both sides, one core)"
     return [

@@ -1,5 +1,7 @@
 """The paper's claims about its perturbations, checked on the sweeps of a scan.
 
+The claims are rows of `schemas/paper.toml`; each names its metric, levels and objects, and one of the tests below.
+
 An order between classes (the wall is most robust) carries the error of its means over the repeats of the alteration:
 the points that noise and dropout hit are random. It is the order of these very objects, one of each class: it does not
 predict other walls and cars.
@@ -8,40 +10,31 @@ predict other walls and cars.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise, product
+from typing import Any
 
 from scipy.stats import t as student_t
 from scipy.stats import ttest_ind_from_stats
 
+from ...schemas.data_files import read_data
 from ..generate.perturbations import Perturbation
 from ..statistics.comparison import CONFIDENCE
 from .claim_rules import IN_WORDS, UNDECIDED, Claim, Interval, decided, within
-from .sweep_means import SPECTRA, Mean, Means
+from .sweep_means import Mean, Means
 
-RIGID_D_LAMBDA = 1e-5
-RIGID_R_LAMBDA = 0.01
-RIGID_R_GAP = 1e-4
-LINEAR_TOLERANCE = 1e-3
 _TIE = 1e-12
-#: The paper's four objects, and its values for them at 40 % dropout (section "Point Dropout").
+#: The paper's four objects (section "Point Dropout").
 _CLASSES = ("vegetation", "car", "tree", "wall")
-_DROPOUT_SHARE = 0.4
-_R_LAMBDA_AT_SHARE = {"car": 0.40, "vegetation": 0.35}
-_WALL_R_GAP = 0.004
 
-_Levels = Sequence[Perturbation]
 #: Means of a metric at some levels, by object; None is the whole scan.
-_Curves = dict[str | None, list[Mean]]
+_Curves = Mapping[str | None, Sequence[Mean]]
+_Levels = Sequence[Perturbation]
 #: The values as text, and the verdict.
 _Finding = tuple[str, str]
-_Test = Callable[[_Curves], _Finding]
-#: `_check` with the means of the sweeps.
-_Check = Callable[..., Iterator[Claim]]
 
 
-def check_sweep_claims(means: Means, levels: Sequence[Perturbation]) -> list[Claim]:
+def check_sweep_claims(means: Means, levels: _Levels) -> list[Claim]:
     """The claims about these levels, in the paper's order; none if no value exists.
 
     A claim is not decided if one of its levels has no value.
@@ -51,174 +44,156 @@ def check_sweep_claims(means: Means, levels: Sequence[Perturbation]) -> list[Cla
     means : of the sweeps
     levels : the swept levels
     """
-    noise, dropout, rigid = (
-        sorted((level for level in levels if level.kind == kind), key=lambda level: (level.shift_m, level.amount))
-        for kind in ("noise", "dropout", "rigid")
-    )
-    check = partial(_check, means)
-    claims = [*_rigid_claims(check, rigid, means.objects)]
-    if len(dropout) > 1:
-        claims += _dropout_claims(check, dropout, means.objects)
-    if noise and dropout:
-        claims += _noise_claims(check, means, noise, dropout, rigid)
-    return claims
-
-
-def _rigid_claims(check: _Check, rigid: _Levels, objects: Sequence[str]) -> Iterator[Claim]:
-    every = partial(_smallest, digits=4, holds=lambda rate: rate == 1)
-    yield from check("rigid motion keeps every object matched", "match rate 1", "match_rate", rigid, every)
-    spectra = ("rigid motion keeps the spectra", "d_lambda below 1e-5", SPECTRA, rigid)
-    yield from check(*spectra, partial(_below, bound=RIGID_D_LAMBDA))
-    rotations = [level for level in rigid if level.shift_m == 0 and level.amount]
-
-    def is_linear(curves: _Curves) -> _Finding:
-        slopes = [value / abs(level.amount) for level, value in zip(rotations, _values(curves[None]), strict=True)]
-        off = max(slopes) / min(slopes) - 1 if min(slopes) > 0 else math.inf
-        return f"{slopes[0]:.4f} m per degree, the same within {off:.0e}", decided(off < LINEAR_TOLERANCE)
-
-    if len(rotations) > 1:
-        claim, paper = "d_cent is linear in the angle", "0.4126 m per degree"
-        yield from check(claim, paper, "centroid_distance_m_mean", rotations, is_linear)
-    for metric, bound in (("r_lambda", RIGID_R_LAMBDA), ("r_gap", RIGID_R_GAP)):
-        claim = f"rigid motion leaves {metric} of objects at 0"
-        yield from check(claim, f"below {bound:g}", metric, rigid, partial(_below, bound=bound), objects)
-
-
-def _dropout_claims(check: _Check, dropout: _Levels, objects: Sequence[str]) -> Iterator[Claim]:
-    for metric in ("r_lambda", "r_gap"):
-        claim = f"{metric} rises with dropout, object by object"
-        yield from check(claim, "all four", metric, dropout, partial(_for_each_object, holds=_is_rising), objects)
-    if {*_CLASSES} <= {*objects}:
-        yield from _class_claims(check, dropout)
-    for claim, paper, metric, sign in (
-        ("the match rate falls with dropout", "0.915, 0.884, 0.854", "match_rate", -1),
-        ("d_lambda rises with dropout", "0.100, 0.300, 0.786", SPECTRA, 1),
-    ):
-        yield from check(claim, paper, metric, dropout, partial(_moves, sign=sign))
-
-
-def _class_claims(check: _Check, dropout: _Levels) -> Iterator[Claim]:
-    """The paper's claims about its four classes under dropout; only if objects have labels, not shapes."""
-    most = dropout[-1]
-    for metric in ("r_lambda", "r_gap"):
-        for text, upper, lower in (
-            ("the wall is most robust", ("vegetation", "car", "tree"), ("wall",)),
-            ("car and vegetation are most sensitive", ("car", "vegetation"), ("tree", "wall")),
-        ):
-            test = partial(_order, value=lambda own: own[-1], upper=upper, lower=lower)
-            yield from check(f"dropout: {text} by {metric}", IN_WORDS, metric, [most], test, _CLASSES)
-
-    def is_small(curves: _Curves) -> _Finding:
-        ends = [_ends(mean) for mean in curves["wall"]]
-        interval = Interval(low=max(low for low, _ in ends), high=max(high for _, high in ends))
-        here = f"up to {max(_values(curves['wall'])):.4f}, 95 % below {interval.high:.4f}"
-        return here, within(interval, -math.inf, _WALL_R_GAP)
-
-    claim = "dropout: r_gap of the wall stays small"
-    yield from check(claim, f"below {_WALL_R_GAP:g}", "r_gap", dropout, is_small, ["wall"])
-
-    def is_near(curves: _Curves, paper: float) -> _Finding:
-        ((mean,),) = curves.values()
-        low, high = _ends(mean)
-        return f"{low:.3f} to {high:.3f}", within(Interval(low=low, high=high), 0.9 * paper, 1.1 * paper)
-
-    if most.amount == _DROPOUT_SHARE:
-        for name, paper in _R_LAMBDA_AT_SHARE.items():
-            claim = f"r_lambda of the {name} at {_DROPOUT_SHARE:.0%} dropout, within a tenth"
-            yield from check(claim, f"{paper:.2f}", "r_lambda", [most], partial(is_near, paper=paper), [name])
-
-
-def _noise_claims(check: _Check, means: Means, noise: _Levels, dropout: _Levels, rigid: _Levels) -> Iterator[Claim]:
-    nearly = partial(_smallest, digits=3, holds=lambda rate: rate > 0.95)
-    yield from check("noise keeps nearly all objects matched", "above 0.95", "match_rate", noise, nearly)
-    n = len(noise)
-    if any(all(means.series(name, own, "r_lambda") for own in (noise, dropout)) for name in means.objects):
-        claim = "r_lambda under the most noise is below that under the most dropout"
-        is_less = partial(_for_each_object, holds=lambda values: max(values[:n]) < max(values[n:]))
-        yield from check(claim, "all four", "r_lambda", [*noise, *dropout], is_less, means.objects)
-    if {*_CLASSES} <= {*means.objects} and n > 1:
-        claim = "noise: r_lambda of the tree is near-flat (moves least)"
-        test = partial(_order, value=_move, upper=("vegetation", "car", "wall"), lower=("tree",))
-        yield from check(claim, IN_WORDS, "r_lambda", noise, test, _CLASSES)
-    kinds = {"noise": noise, "dropout": dropout, "rigid": rigid}
-    series = {kind: means.series(None, levels, SPECTRA) for kind, levels in kinds.items()}
-    most = {kind: max(values) for kind, values in series.items() if values}
-    if "dropout" in most and len(most) > 1:
-        here = ", ".join(f"{kind} {value:.2g}" for kind, value in most.items())
-        verdict = decided(max(most, key=lambda kind: most[kind]) == "dropout")
-        claim = "of noise, dropout and rigid motion dropout changes the spectra most"
-        every = [*noise, *dropout, *rigid]
-        yield from check(claim, "d_lambda 0.044, 0.79, 7e-06", SPECTRA, every, lambda _: (here, verdict))
+    by_kind: dict[str, list[Perturbation]] = {"noise": [], "dropout": [], "rigid": []}
+    for level in sorted(levels, key=lambda level: (level.shift_m, level.amount)):
+        by_kind.setdefault(level.kind, []).append(level)
+    by_kind["rotation"] = [level for level in by_kind["rigid"] if level.shift_m == 0 and level.amount]
+    by_kind["most dropout"] = by_kind["dropout"][-1:]
+    by_kind["dropout of 40 %"] = [level for level in by_kind["most dropout"] if level.amount == 0.4]
+    claims = (_check(means, by_kind, **row) for row in read_data("paper")["sweep_claims"])
+    return [claim for claim in claims if claim is not None]
 
 
 def _check(
     means: Means,
+    by_kind: Mapping[str, _Levels],
+    *,
     claim: str,
-    paper: str,
     metric: str,
-    levels: _Levels,
-    test: _Test,
-    objects: Sequence[str | None] = (None,),
-) -> Iterator[Claim]:
-    """The claim with its verdict: none if no value exists, undecided if one is missing.
+    levels: Sequence[str],
+    test: str,
+    paper: str = IN_WORDS,
+    needs: Mapping[str, int] | None = None,
+    objects: str = "scan",
+    only: str = "",
+    **bounds: Any,
+) -> Claim | None:
+    """A claim with its verdict; undecided if a value is missing, None if there is nothing to check.
 
     Parameters
     ----------
-    metric, levels : of the curves
-    test : the values as text and the verdict; gets the curves of the objects with values, all complete
-    objects : of the curves; None is the whole scan
+    metric, levels : of the curves, the levels by kind
+    test : in `_TESTS`; gets the curves of the objects with values, all complete, their levels, and the bounds
+    needs : the fewest levels of each kind
+    objects : of the curves: "scan", "each", or "classes", all of which must have been altered
+    only : one of the classes
     """
-    curves = {name: [means.get(name, level, metric) for level in levels] for name in objects}
-    curves = {name: own for name, own in curves.items() if _values(own)}
+    if any(len(by_kind[kind]) < n for kind, n in (needs or {}).items()):
+        return None
+    names: Sequence[str | None] = {"scan": (None,), "each": means.objects, "classes": _CLASSES}[objects]
+    if objects == "classes" and not {*_CLASSES} <= {*means.objects}:
+        return None
+    names = [only] if only else names
+    swept = [by_kind[kind] for kind in levels if by_kind[kind]]
+    if not any(swept and all(means.series(name, own, metric) for own in swept) for name in names):
+        return None
+    every = [level for own in swept for level in own]
+    curves = {
+        name: [means.get(name, level, metric) for level in every] for name in names if means.series(name, every, metric)
+    }
     missing = [
         f"{level.kind} {level.amount:g}" + (f" of {name}" if name else "")
-        for name in objects
-        for level in means.missing(name, levels, metric)
+        for name in names
+        for level in means.missing(name, every, metric)
     ]
-    if curves:
-        here, verdict = (f"no value for {', '.join(missing)}", UNDECIDED) if missing else test(curves)
-        yield Claim(claim=claim, paper=paper, here=here, verdict=verdict)
+    if missing:
+        return Claim(claim=claim, paper=paper, here=f"no value for {', '.join(missing)}", verdict=UNDECIDED)
+    here, verdict = _TESTS[test](curves, every, **bounds)
+    return Claim(claim=claim, paper=paper, here=here, verdict=verdict)
 
 
-def _below(curves: _Curves, bound: float) -> _Finding:
+def _is_below(curves: _Curves, _: _Levels, bound: float) -> _Finding:
     """Test that all values are below a bound."""
     most = max(max(_values(own)) for own in curves.values())
     return f"{most:.1e}", decided(most < bound)
 
 
-def _smallest(curves: _Curves, digits: int, holds: Callable[[float], bool]) -> _Finding:
-    """Test that the smallest value meets a condition."""
+def _is_above(curves: _Curves, _: _Levels, bound: float, digits: int) -> _Finding:
+    """Test that all shares are above a bound; a bound of 1 is met by 1."""
     least = min(min(_values(own)) for own in curves.values())
-    return f"{least:.{digits}f}", decided(holds(least))
+    return f"{least:.{digits}f}", decided(least > bound or least == 1)
 
 
-def _for_each_object(curves: _Curves, holds: Callable[[list[float]], bool]) -> _Finding:
-    """Test that the values of every object meet a condition."""
-    others = [str(name) for name, own in curves.items() if not holds(_values(own))]
-    n = len(curves)
-    return f"{n - len(others)} of {n}, not {', '.join(others)}" if others else f"all {n}", decided(not others)
+def _is_linear(curves: _Curves, levels: _Levels, tolerance: float) -> _Finding:
+    """Test that the values are proportional to the amount."""
+    slopes = [value / abs(level.amount) for level, value in zip(levels, _values(curves[None]), strict=True)]
+    off = max(slopes) / min(slopes) - 1 if min(slopes) > 0 else math.inf
+    return f"{slopes[0]:.4f} m per degree, the same within {off:.0e}", decided(off < tolerance)
 
 
-def _moves(curves: _Curves, sign: int) -> _Finding:
+def _moves(curves: _Curves, _: _Levels, sign: int) -> _Finding:
     """Test that the values of the whole scan rise (`sign` 1) or fall (-1)."""
     values = _values(curves[None])
     return ", ".join(f"{value:.3f}" for value in values), decided(_is_rising([sign * value for value in values]))
 
 
-def _order(
-    curves: _Curves, value: Callable[[list[Mean]], Mean], upper: Iterable[str], lower: Iterable[str]
-) -> _Finding:
-    """Test that a value of each object in `upper` is larger than that of each in `lower`.
+def _all_rise(curves: _Curves, _: _Levels) -> _Finding:
+    """Test that the values of every object rise."""
+    return _for_each_object(curves, _is_rising)
+
+
+def _is_noise_less(curves: _Curves, levels: _Levels) -> _Finding:
+    """Test that of every object the most noise does less than the most dropout."""
+    n = sum(level.kind == "noise" for level in levels)
+    return _for_each_object(curves, lambda values: max(values[:n]) < max(values[n:]))
+
+
+def _does_dropout_most(curves: _Curves, levels: _Levels) -> _Finding:
+    """Test that dropout reaches the largest value."""
+    most: dict[str, float] = {}
+    for level, value in zip(levels, _values(curves[None]), strict=True):
+        most[level.kind] = max(value, most.get(level.kind, value))
+    here = ", ".join(f"{kind} {value:.2g}" for kind, value in most.items())
+    return here, decided(max(most, key=lambda kind: most[kind]) == "dropout")
+
+
+def _is_small(curves: _Curves, _: _Levels, bound: float) -> _Finding:
+    """Test that the intervals of the means of an object are below a bound."""
+    (own,) = curves.values()
+    lows, highs = zip(*map(_ends, own), strict=True)
+    here = f"up to {max(_values(own)):.4f}, 95 % below {max(highs):.4f}"
+    return here, within(Interval(low=max(lows), high=max(highs)), -math.inf, bound)
+
+
+def _is_near(curves: _Curves, _: _Levels, value: float) -> _Finding:
+    """Test that the interval of a mean is within a tenth of a value."""
+    ((mean,),) = curves.values()
+    low, high = _ends(mean)
+    return f"{low:.3f} to {high:.3f}", within(Interval(low=low, high=high), 0.9 * value, 1.1 * value)
+
+
+def _is_ordered(curves: _Curves, levels: _Levels, upper: Iterable[str], lower: Iterable[str]) -> _Finding:
+    """Test that the value of each object in `upper`, or its move over several levels, is larger than in `lower`.
 
     It holds if each of the differences is beyond chance, and fails if one is beyond chance in the other direction
     (together at 5 %, each at 5 % over their number: Bonferroni).
     """
-    values = {name: value(own) for name, own in curves.items()}
+    values = {name: _move(own) if len(levels) > 1 else own[0] for name, own in curves.items()}
     ranked = sorted(values, key=lambda name: -(values[name].mean or 0.0))
     both = list(product(upper, lower))
     signs = [_sign(values[a], values[b], (1 - CONFIDENCE) / len(both)) for a, b in both]
     here = ", ".join(f"{name} {values[name].mean or 0.0:.3g}" for name in ranked)
     return here, decided(min(signs) > 0, min(signs) < 0)
+
+
+_TESTS: dict[str, Callable[..., _Finding]] = {
+    "below": _is_below,
+    "above": _is_above,
+    "linear": _is_linear,
+    "moves": _moves,
+    "rising": _all_rise,
+    "noise below dropout": _is_noise_less,
+    "dropout most": _does_dropout_most,
+    "small": _is_small,
+    "near": _is_near,
+    "order": _is_ordered,
+}
+
+
+def _for_each_object(curves: _Curves, holds: Callable[[list[float]], bool]) -> _Finding:
+    others = [str(name) for name, own in curves.items() if not holds(_values(own))]
+    n = len(curves)
+    return f"{n - len(others)} of {n}, not {', '.join(others)}" if others else f"all {n}", decided(not others)
 
 
 def _sign(a: Mean, b: Mean, chance: float) -> int:
