@@ -113,7 +113,8 @@ def seen(real, sim):
     start = time.process_time()
     samples = SideSamples(pairs, SETTINGS)
     for pair, *scans in zip(pairs, real, sim, strict=True):
-        samples.add(pair, {side: Scan(points) for side, points in zip(("real", "sim"), scans, strict=True)})
+        if pair.pair_id in samples.pair_ids:
+            samples.add(pair, {side: Scan(points) for side, points in zip(("real", "sim"), scans, strict=True)})
     counts = {
         side: [len(clean_scan(points, SETTINGS).points) for points in scans]
         for side, scans in zip(("real", "sim"), (real, sim), strict=True)

@@ -11,7 +11,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import ScanError
 from ..storage.files import file_marks, hash_file, key_of
 from .pairs import ScanPair
-from .readers import files_of, formats, stem_of, suffix_of
+from .readers import files_of, format_of, stem_of
 from .readers.frame_address import address_of
 from .readers.scan import label_path_of
 from .stubs import n_bytes_of
@@ -57,8 +57,7 @@ def scan_content(path: Path, hash_of: Callable[[Path], str] = file_hash) -> Scan
     ScanError
         The file is missing, empty or cannot be opened.
     """
-    address, suffix = address_of(path), suffix_of(path)
-    known = formats().get(suffix or "")
+    address, known = address_of(path), format_of(path)
     try:
         files = files_of(path)
         n_bytes = sum(map(n_bytes_of, files))
@@ -69,10 +68,10 @@ def scan_content(path: Path, hash_of: Callable[[Path], str] = file_hash) -> Scan
         label_sha256 = hash_of(label_path) if label_path.exists() else ""
     except OSError as error:
         raise ScanError(f"{path}: cannot be read ({error.strerror})") from error
-    if not label_sha256 and known is not None and not known.columns:
+    if not label_sha256 and known.module and not known.columns:
         label_sha256 = "column"
     n_points = n_bytes // _BYTES_PER_POINT
-    if known is not None and known.holds_frames:
+    if known.holds_frames:
         sha256 = key_of(hashes, address.topic, address.frame)
         return ScanContent(sha256, label_sha256, min(n_points, _MOST_POINTS_PER_FRAME))
     return ScanContent(hashes[0], label_sha256, n_points)

@@ -14,6 +14,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
 from ...schemas.results import JsonObject
 from ...schemas.settings import InputSettings, Settings
+from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan, too_few_left
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.inspect.frame_search import FrameCheck, check_frames
@@ -67,6 +68,7 @@ class PairCheck:
     `fault` : reason why the pair could not be checked; the sides have those of their files
     """
 
+    pair: ScanPair
     sides: dict[str, ScanCheck] = field(default_factory=dict)
     frames: FrameCheck | None = None
     fault: str | None = None
@@ -76,7 +78,6 @@ class PairCheck:
 class DatasetCheck:
     """Result of checking a dataset.
 
-    pairs : each with the results of its sides; a missing file has none
     sensors : of the two sides
     settings : of the simulated sensor, each compared with its scans; those that differ are warnings too
     notes : of each side as a whole, one line each, that is nothing wrong
@@ -84,7 +85,7 @@ class DatasetCheck:
     """
 
     folder: Path
-    pairs: list[tuple[ScanPair, dict[str, ScanCheck]]]
+    pairs: list[PairCheck]
     sensors: SensorCheck
     notes: list[str]
     faults: list[str]
@@ -111,43 +112,41 @@ def check_dataset(folder: Path, settings: Settings, sensor_settings: Mapping[str
     names, own = dataset.label_names, settings.input
     checks = _check_pairs(dataset.pairs, own, names)
     samples = SideSamples(dataset.pairs, own)
-    for pair, check in zip(dataset.pairs, checks, strict=True):
-        if pair.pair_id in samples.pair_ids:
-            samples.add(pair, {side: _read(pair, side, scan, own, names) for side, scan in check.sides.items()})
-    pairs = [(pair, check.sides) for pair, check in zip(dataset.pairs, checks, strict=True)]
+    for check in checks:
+        if check.pair.pair_id in samples.pair_ids:
+            samples.add(check.pair, {side: _read(check, side, own, names) for side in check.sides})
     faults, warnings = [], [*dataset.warnings, *swapped_sides(dataset.pairs, folder)]
     warnings += shared_files(
-        {pair.pair_id: {side: scan.sha256 for side, scan in sides.items()} for pair, sides in pairs}
+        {check.pair.pair_id: {side: scan.sha256 for side, scan in check.sides.items()} for check in checks}
     )
-    for check, (pair, sides) in zip(checks, pairs, strict=True):
-        own_faults = [pair.fault, check.fault, *(scan.fault for scan in sides.values())]
-        faults += [f"pair {pair.pair_id}: {fault}" for fault in own_faults if fault]
-        found = {side: scan.inspection for side, scan in sides.items() if scan.inspection}
-        warnings += pair_warnings(pair, found, check.frames)
+    for check in checks:
+        own_faults = [check.pair.fault, check.fault, *(scan.fault for scan in check.sides.values())]
+        faults += [f"pair {check.pair.pair_id}: {fault}" for fault in own_faults if fault]
+        found = {side: scan.inspection for side, scan in check.sides.items() if scan.inspection}
+        warnings += pair_warnings(check.pair, found, check.frames)
     counts = {side: [check.sides[side].n_clean for check in checks if side in check.sides] for side in SIDES}
     warnings += samples.warnings(counts)
     compared = check_sensor_settings(sensor_settings or {}, samples.evidence())
     warnings += [f"simulated sensor: {setting.text}" for setting in compared if setting.verdict == DIFFERS]
-    return DatasetCheck(folder, pairs, samples.sensors(), samples.notes(), faults, warnings, compared)
+    return DatasetCheck(folder, checks, samples.sensors(), samples.notes(), faults, warnings, compared)
 
 
 def check_scan(
-    path: Path, side: str, T_real_sim: tuple[float, ...] | None, settings: InputSettings, label_names: dict[int, str]
+    path: Path, side: str, T_real_sim: FloatArray | None, settings: InputSettings, label_names: dict[int, str]
 ) -> tuple[ScanCheck, Scan]:
     """Check one scan file; returns the scan too, without points if it cannot be read.
 
     Parameters
     ----------
-    side : "real" or "sim"; the simulated side is mirrored and moved before it is cut by `include_box`
-    T_real_sim : of the pair, or None
+    side : "real" or "sim"
+    T_real_sim : (3, 4) float64, by which the scan is moved before it is cut by `include_box`, or None
     """
     try:
         content = scan_content(path)
         scan = read_scan(path, settings.columns_of(side), label_names)
     except FidpipeError as error:
         return ScanCheck(fault=str(error)), Scan(np.empty((0, 3)))
-    T = np.array(T_real_sim).reshape(3, 4) if side == "sim" and T_real_sim else None
-    clean = clean_scan(scan.points, settings, frame=settings.frame_of(side), T_real_sim=T)
+    clean = clean_scan(scan.points, settings, frame=settings.frame_of(side), T_real_sim=T_real_sim)
     n_left, fault = len(clean.points), None
     if n_left < MIN_OBJECT_POINTS:
         fault = f"{path}: {too_few_left(n_left, MIN_OBJECT_POINTS, clean.dropped, settings)}"
@@ -167,14 +166,14 @@ def check_scan(
 def check_pair(task: tuple[ScanPair, InputSettings, dict[int, str]]) -> PairCheck:
     """Check the files of a pair, and the frames of both scans."""
     pair, settings, label_names = task
+    T = np.array(pair.T_real_sim).reshape(3, 4) if pair.T_real_sim else None
     sides, scans = {}, {}
     for side in SIDES:
         if (path := pair.path(side)) is not None:
-            sides[side], scans[side] = check_scan(path, side, pair.T_real_sim, settings, label_names)
+            sides[side], scans[side] = check_scan(path, side, T if side == "sim" else None, settings, label_names)
     if len(sides) < len(SIDES):
-        return PairCheck(sides)
-    T = np.array(pair.T_real_sim).reshape(3, 4) if pair.T_real_sim else None
-    return PairCheck(sides, check_frames(scans["real"].points, scans["sim"].points, settings, T))
+        return PairCheck(pair, sides)
+    return PairCheck(pair, sides, check_frames(scans["real"].points, scans["sim"].points, settings, T))
 
 
 def _check_pairs(pairs: tuple[ScanPair, ...], settings: InputSettings, label_names: dict[int, str]) -> list[PairCheck]:
@@ -187,12 +186,12 @@ def _check_pairs(pairs: tuple[ScanPair, ...], settings: InputSettings, label_nam
         n_workers=None if in_workers else 1,
         may_end_workers=in_workers,
     )
-    return [checks.get(pair.pair_id) or PairCheck(fault=failures[pair.pair_id]) for pair in pairs]
+    return [checks.get(pair.pair_id) or PairCheck(pair, fault=failures[pair.pair_id]) for pair in pairs]
 
 
-def _read(pair: ScanPair, side: str, check: ScanCheck, settings: InputSettings, label_names: dict[int, str]) -> Scan:
+def _read(check: PairCheck, side: str, settings: InputSettings, label_names: dict[int, str]) -> Scan:
     """A scan that was read before without an error; one without points if it cannot be read."""
-    path = pair.path(side)
-    if path is None or check.inspection is None:
+    path = check.pair.path(side)
+    if path is None or check.sides[side].inspection is None:
         return Scan(np.empty((0, 3)))
     return read_scan(path, settings.columns_of(side), label_names)

@@ -74,9 +74,7 @@ class SideSamples:
         self._intensity: dict[str, tuple[FloatArray, FloatArray]] = {}  # of the first scan that has it, with its ranges
 
     def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
-        """Add the samples of a pair; scans that could not be read have no points."""
-        if pair.pair_id not in self.pair_ids:
-            return
+        """Add the samples of one of `pair_ids`; scans that could not be read have no points."""
         for side, scan in scans.items():
             frame = self._settings.frame_of(side)
             own_axes = as_ros(scan.points, frame)  # neither cleaned nor moved: beams are those of its frame

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...schemas.data_files import read_data
 from ..arrays import FloatArray
 from ..surface import describe_surface, signed_distances
 from .evidence import PairEstimates, PairScans, find_unmatched, foliage_steps
@@ -24,16 +25,9 @@ class Axis:
     edges: FloatArray
 
 
-_SIGNED = np.linspace(-_REACH_M, _REACH_M, 41)
+#: Axes by kind of curve.
 AXES = {
-    "road": Axis("road behind (-) or in front of (+) the real one, m", "% of the points", _SIGNED),
-    "objects": Axis("surface behind (-) or in front of (+) the real one, m", "% of the points", _SIGNED),
-    "roughness": Axis("residual of planes, m", "% of the planes", np.linspace(0.0, 0.15, 31)),
-    "pieces": Axis("range, m", "% of the side's points", np.linspace(0.0, 100.0, 21)),
-    "foliage": Axis("simulated minus real range in foliage, m", "% of the rays", np.linspace(-4.0, 4.0, 41)),
-    "range": Axis("range, m", "returns as % of the real ones", np.linspace(0.0, 100.0, 41)),
-    "elevation": Axis("elevation, degrees", "returns as % of the real ones", np.linspace(-30.0, 20.0, 201)),
-    "azimuth": Axis("azimuth, degrees", "returns as % of the real ones", np.linspace(-180.0, 180.0, 73)),
+    kind: Axis(own["label"], own["values"], np.linspace(*own["edges"])) for kind, own in read_data("curves").items()
 }
 
 

@@ -80,13 +80,19 @@ def suffix_of(path: Path) -> str | None:
     file = address_of(path).file
     name, known = _name_of(file).lower(), formats()
     by_name = (suffix for suffix in sorted(known, key=len, reverse=True) if name.endswith(suffix))
-    return next(by_name, None) or next((suffix for suffix in known if suffix[0] == "/" and _holds(file, suffix)), None)
+    return next(by_name, None) or next(
+        (suffix for suffix in known if suffix[0] == "/" and (file / suffix[1:]).is_file()), None
+    )
+
+
+def format_of(path: Path) -> Format:
+    """The format of a file, or of that which a frame is in; that of no module if it is not known."""
+    return formats().get(suffix_of(path) or "", Format(""))
 
 
 def may_crash(path: Path) -> bool:
     """True if reading a file may end the process; see `Format`."""
-    suffix = suffix_of(path)
-    return suffix is not None and formats()[suffix].may_crash
+    return format_of(path).may_crash
 
 
 def stem_of(path: Path) -> str:
@@ -111,8 +117,7 @@ def is_scan_path(path: Path) -> bool:
 
 def holds_frames(path: Path) -> bool:
     """True if a path is a recording, or a frame of one."""
-    suffix = suffix_of(path)
-    return suffix is not None and formats()[suffix].holds_frames
+    return format_of(path).holds_frames
 
 
 def files_of(path: Path) -> list[Path]:
@@ -129,10 +134,10 @@ def frames_of(path: Path) -> list[Path]:
     ScanError
         The recording is missing or broken, or has several topics and no topic is given.
     """
-    suffix = suffix_of(path)
-    if suffix is None or not formats()[suffix].holds_frames:
+    known = format_of(path)
+    if not known.holds_frames:
         raise ScanError(f"{path}: expected a bag or a capture of packets: files of this format hold no frames")
-    with _reader(path, formats()[suffix]) as reader:
+    with _reader(path, known) as reader:
         found: list[Path] = reader.frames(address_of(path))
     return found
 
@@ -156,12 +161,11 @@ def read_scan(
         The file is missing, empty, truncated or of another format; or the library that reads it is missing.
     """
     path = Path(path)
-    suffix, address = suffix_of(path), address_of(path)
-    if suffix is None:
+    known, address = format_of(path), address_of(path)
+    if not known.module:
         raise ScanError(f"{path}: unknown format; known are {', '.join(formats())}")
-    known = formats()[suffix]
     if address.file != path and not known.holds_frames:
-        raise ScanError(f"{path}: a {suffix} file holds one scan; it is named without #")
+        raise ScanError(f"{path}: a {suffix_of(path)} file holds one scan; it is named without #")
     if known.holds_frames and is_stub(address.file):
         raise ScanError(f"{path}: recordings are not read by URL; copy it, or use fidpipe convert")
     with local_scan(address.file, label_path_of(address.file, stem_of(path))) as file, _reader(path, known) as reader:
@@ -217,7 +221,3 @@ def _other_formats() -> dict[str, Format]:
             )
         found[suffix] = Format(entry.value, may_crash=True)
     return found
-
-
-def _holds(folder: Path, suffix: str) -> bool:
-    return (folder / suffix[1:]).is_file()

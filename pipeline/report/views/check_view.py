@@ -23,8 +23,9 @@ RUNS = Path("runs")  #: where runs lie unless --out says otherwise
 def check_json(dataset: DatasetCheck) -> JsonObject:
     """The same for programs: inspection of each scan by pair and side (null if it is missing), and problems."""
     pairs: list[JsonValue] = [
-        {"pair_id": pair.pair_id, **{side: sides[side].as_dict() if side in sides else None for side in SIDES}}
-        for pair, sides in dataset.pairs
+        {"pair_id": own.pair.pair_id}
+        | {side: own.sides[side].as_dict() if side in own.sides else None for side in SIDES}
+        for own in dataset.pairs
     ]
     return {
         "dataset": str(dataset.folder),
@@ -41,9 +42,9 @@ def check_json(dataset: DatasetCheck) -> JsonObject:
 def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
     """The pairs of a dataset with points, extents and dropped points, then warnings, errors and the next command."""
     rows: list[tuple[object, ...]] = []
-    for pair, sides in dataset.pairs:
+    for own in dataset.pairs:
         for side in SIDES:
-            facts, name = sides.get(side), pair.pair_id if side == "real" else ""
+            facts, name = own.sides.get(side), own.pair.pair_id if side == "real" else ""
             if facts is None or facts.fault:
                 rows.append((name, side, None, None, "", "cannot be used" if facts else "missing"))
                 continue
@@ -80,7 +81,7 @@ def _sensor_lines(sensors: SensorCheck) -> list[Note]:
 
 def _disk_bytes(dataset: DatasetCheck) -> int:
     """Disk space that the tables of a run may take."""
-    return CostModel().disk_bytes(sum(facts.n_raw for _, sides in dataset.pairs for facts in sides.values()))
+    return CostModel().disk_bytes(sum(facts.n_raw for own in dataset.pairs for facts in own.sides.values()))
 
 
 def _space_needed(need: int) -> Note:
