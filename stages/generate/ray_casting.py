@@ -6,6 +6,7 @@ A static scene, a sensor that does not move during its revolution, one return pe
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -82,12 +83,10 @@ def require_ray_caster() -> None:
     FidpipeError
         embreex, the ray casting library, is not installed.
     """
-    try:
-        import embreex  # noqa: F401
-    except ImportError as error:
+    if find_spec("embreex") is None:
         raise FidpipeError(
             'ray casting requires embreex, which is not installed; install it with: pip install "fidpipe[synth]"'
-        ) from error
+        )
 
 
 class RayTarget:
