@@ -40,7 +40,7 @@ from fidpipe.pipeline.results.families import judge_families, overall
 from fidpipe.stages.paper.claim_rules import HOLDS
 from fidpipe.stages.paper.run_claims import check_run_claims
 from fidpipe.stages.statistics.comparison import adjusted_p_values, holm
-from fidpipe.stages.statistics.findings import MatchedObjects, SideObjects
+from fidpipe.stages.statistics.findings import Objects
 
 N_FAMILIES, N_SCORES = 8, 4
 SIZES = (3, 5, 6, 8, 10, 20, 50)
@@ -214,12 +214,13 @@ def objects(rng, n_pairs, scores, alone, n_objects=N_OBJECTS):
     has_partner = np.zeros(len(pair), dtype=bool)
     has_partner[rows] = True
     n_real, n_sim = (np.exp(rng.normal(5, 0.3, len(rows))).astype(np.int32) for _ in range(2))
-    cdc, r_lambda, r_gap = scores(rng, pair[rows], range_m[rows], label[rows])
+    found = np.full((5, len(pair)), np.nan)
+    found[:, rows] = n_real, n_sim, *scores(rng, pair[rows], range_m[rows], label[rows])
+    nothing = np.full((5, len(sim_pair)), np.nan)
     names = [str(i) for i in range(n_pairs)]
     return (
-        SideObjects(pair, range_m, label, has_partner),
-        SideObjects(sim_pair, sim_range_m, sim_label, is_matched),
-        MatchedObjects(pair[rows], range_m[rows], label[rows], n_real, n_sim, cdc, r_lambda, r_gap),
+        Objects(pair, range_m, label, has_partner, *found),
+        Objects(sim_pair, sim_range_m, sim_label, is_matched, *nothing),
         names,
         names,
         [120.0 * i for i in range(n_pairs)],
@@ -262,7 +263,7 @@ def as_the_paper(rng, n_pairs):
 def copied(rng, n_pairs, n_copies=8):
     """Noise, and the same with further copies of its first pair: the arguments of `check_run_claims` for both."""
     once = noise(rng, n_pairs, own_level=0.1)
-    real, sim, matched, names, _, times_s = once
+    real, sim, names, _, times_s = once
     names = [*names, *["0"] * (n_copies - 1)]
 
     def repeated(side):
@@ -272,7 +273,7 @@ def copied(rng, n_pairs, n_copies=8):
         values["pair"][len(side.pair) :] = np.repeat(np.arange(n_copies - 1, dtype=np.int32) + n_pairs, len(own))
         return type(side)(**values)
 
-    return once, (*map(repeated, (real, sim, matched)), names, names, [*times_s, *[None] * (n_copies - 1)])
+    return once, (*map(repeated, (real, sim)), names, names, [*times_s, *[None] * (n_copies - 1)])
 
 
 CLAIM_CASES = (

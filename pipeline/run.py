@@ -33,7 +33,7 @@ from .engine.progress import Reporter
 from .inspect.frame_checks import frame_suspect, inspection_of, pair_warnings, shared_files, swapped_sides
 from .jobs import stages_under
 from .results.causes import CAUSE_COLUMNS
-from .results.overview import Tally, cautions, describe_objects
+from .results.overview import cautions, describe_objects
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of, write_whole
 from .storage.folder import RunFolder, check_folder
@@ -349,8 +349,6 @@ class _Run:
         self, scored: list[Row], times_s: dict[str, float | None], *, is_same: bool
     ) -> tuple[Findings | None, Overview | None, MetricsSummary]:
         """Findings, overview and unmatched objects; those of the last record if its tables are the same."""
-        if not scored:
-            return None, None, Tally().unmatched()
         last = self._last
         if is_same and last is not None and last.overview is not None and last.metrics is not None:
             return last.findings, last.overview, last.metrics

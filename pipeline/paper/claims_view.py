@@ -18,7 +18,7 @@ def claims_of(run: FinishedRun) -> list[Claim]:
     names = [row["pair_id"] for row in run.scored]
     if not names:
         return []
-    objects = arrays_of([run.objects_of(names, STATISTICS_COLUMNS)])
+    objects = arrays_of(run.objects_of(names, STATISTICS_COLUMNS))
     times_s = recorded_times_s(run)
     contents, real_scans = ([run.record.inputs[name][key] for name in names] for key in ("content", "real"))
     return check_run_claims(*objects, contents, real_scans, [times_s.get(name) for name in names])

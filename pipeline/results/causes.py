@@ -9,8 +9,9 @@ share of the real one, and missing or invented points as a share of all points.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,12 @@ from ...schemas.results import Cause
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.statistics.findings import BAND_EDGES_M
 from .places import short_label
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    #: Points of a side by pair (rows) and group (columns), and those of them without a counterpart within 0.3 m.
+    GroupPoints = tuple[pd.DataFrame, pd.DataFrame]
 
 #: Names of the causes from coverage by range and by class.
 FAR, CLASS = "far surface", "class"
@@ -35,9 +42,21 @@ _FIRST_FAR = BAND_EDGES_M.index(20.0)
 _FEWEST_POINTS = 50
 
 
+class Columns(dict[str, FloatArray]):
+    """Columns of some rows of `pairs`, read when first used; NaN for null, and if the rows lack the column."""
+
+    def __init__(self, rows: Iterable[Row]) -> None:
+        super().__init__()
+        self._rows = [*rows]
+
+    def __missing__(self, name: str) -> FloatArray:
+        self[name] = np.array([row.get(name) for row in self._rows], dtype=np.float64)
+        return self[name]
+
+
 @dataclass(frozen=True)
 class CauseKind:
-    """A flaw that can be estimated from one row of `pairs`.
+    """A flaw that can be estimated from columns of `pairs`.
 
     column : of both sides ("{side}" is replaced), or of their difference
     tolerance, relative : not named within `tolerance` plus `relative` times the smaller of both values
@@ -60,32 +79,33 @@ class CauseKind:
     count: str = ""
     null_as: float | None = None
 
-    def sides(self, row: Row) -> tuple[float | None, float | None]:
-        """The values of the real and the simulated side; a difference has 0 on the real side."""
+    def sides(self, pairs: Columns) -> list[FloatArray]:
+        """The values of the real and the simulated side, (n,) each; a difference has 0 on the real side."""
         if "{side}" not in self.column:
-            return 0.0, row.get(self.column)
-        values = [row.get(self.column.format(side=side)) for side in SIDES]
-        has_sensor = [row.get(f"sensor_{side}_beams") is not None for side in SIDES]
-        real, sim = (self.null_as if v is None and has else v for v, has in zip(values, has_sensor, strict=True))
-        return real, sim
+            return [np.zeros(len(pairs[self.column])), pairs[self.column]]
+        values = [pairs[self.column.format(side=side)] for side in SIDES]
+        if self.null_as is None:
+            return values
+        is_known = [pairs[f"sensor_{side}_beams"] > 0 for side in SIDES]
+        return [np.where(np.isnan(v) & has, self.null_as, v) for v, has in zip(values, is_known, strict=True)]
 
-    def value(self, row: Row) -> float | None:
-        """The estimate of one pair: simulated minus real, 0 without the flaw; None if it is not known.
+    def value(self, pairs: Columns) -> FloatArray:
+        """The estimate of each pair, (n,): simulated minus real, 0 without the flaw; NaN if it is not known.
 
         Examples
         --------
-        >>> CAUSE_KINDS[0].value({"ground_real_peak_m": -1.75, "ground_sim_peak_m": -2.0})
-        -0.25
+        >>> CAUSE_KINDS["height"].value(Columns([{"ground_real_peak_m": -1.75, "ground_sim_peak_m": -2.0}]))
+        array([-0.25])
         """
-        real, sim = self.sides(row)
-        return None if real is None or sim is None else sim - real
+        real, sim = self.sides(pairs)
+        return sim - real
 
 
 _WORLD, _PIECES = "simulated world {size} too {way}", "{count} %s pieces per pair, {size} of the points"
 _MOUNT, _FOV, _RATE = "mount height, T_real_sim", "channels, upper_fov, lower_fov", "points_per_second"
 _NOISE, _STEP, _QUANTUM = (f"{name} {{sim}}, real {{real}}" for name in ("range noise", "azimuth step", "range steps"))
 _LOST, _BEAMS = "{sim} of the pulses lost, real {real}", "{sim} beams, real {real}"
-CAUSE_KINDS = (
+_KINDS = (
     CauseKind("height", "m", "ground_{side}_peak_m", 0.03, 0, 0.3, _WORLD, _MOUNT, ("high", "low")),
     CauseKind("forward", "m", "shift_x_m", 0.1, 0, 0.3, _WORLD, "T_real_sim", ("far ahead", "far back")),
     CauseKind("sideways", "m", "shift_y_m", 0.1, 0, 0.3, _WORLD, "T_real_sim", ("far left", "far right")),
@@ -99,30 +119,15 @@ CAUSE_KINDS = (
         for what, count in (("missing", "n_missing_pieces"), ("invented", "n_invented_pieces"))
     ),
 )
-
+#: The flaws by name.
+CAUSE_KINDS = {kind.name: kind for kind in _KINDS}
 
 #: Columns of `pairs` that the causes are estimated from.
 CAUSE_COLUMNS = (
-    *dict.fromkeys(kind.column.format(side=side) for kind in CAUSE_KINDS for side in SIDES),
-    *(kind.count for kind in CAUSE_KINDS if kind.count),
+    *dict.fromkeys(kind.column.format(side=side) for kind in _KINDS for side in SIDES),
+    *(kind.count for kind in _KINDS if kind.count),
     "shift_z_m",
 )
-
-
-@dataclass(frozen=True)
-class GroupCoverage:
-    """Object points of a side by group (range band or class), and those without a counterpart within 0.3 m.
-
-    n_points, n_alone : (n_pairs, n_groups) float64
-    """
-
-    names: tuple[str, ...]
-    n_points: FloatArray
-    n_alone: FloatArray
-
-    def of_group(self, i: int) -> tuple[float, float]:
-        """Points of a group over all pairs, and those without a counterpart."""
-        return float(self.n_points[:, i].sum()), float(self.n_alone[:, i].sum())
 
 
 def find_causes(
@@ -136,16 +141,17 @@ def find_causes(
     floor : by pair, rows of a floor, whose values are subtracted
     surface : from `surface_causes`
     """
-    named = [cause for kind in CAUSE_KINDS if (cause := _cause_of(kind, rows, floor or {}))]
+    pairs, floors = Columns(rows), Columns((floor or {}).get(row["pair_id"], {}) for row in rows)
+    named = [cause for kind in _KINDS if (cause := _cause_of(kind, pairs, floors))]
     return sorted([*named, *surface], key=lambda cause: -cause.severity)
 
 
-def surface_causes(bands: GroupCoverage, classes: GroupCoverage) -> list[Cause]:
+def surface_causes(bands: GroupPoints, classes: GroupPoints) -> list[Cause]:
     """Range bands and classes of which much more is missing than of the rest.
 
     Parameters
     ----------
-    bands, classes : of the real side, by range band (`BAND_EDGES_M`) and by class ("" for none)
+    bands, classes : of the real side, by range band (index in `BAND_EDGES_M`) and by class ("" for none)
     """
     far = [
         _coverage_cause(FAR, f"beyond {edge_m:g} m {{sim}} of the surface missing", "range, dropoff", bands, is_far)
@@ -155,9 +161,9 @@ def surface_causes(bands: GroupCoverage, classes: GroupCoverage) -> list[Cause]:
     farthest = max((cause for cause in far if cause), key=_contrast, default=None)
     named = [
         _coverage_cause(CLASS, f"{short_label(name)}: {{sim}} of the surface missing", "assets", classes, is_own)
-        for i, name in enumerate(classes.names)
+        for name in classes[0].columns
         if name
-        for is_own in [np.arange(len(classes.names)) == i]
+        for is_own in [classes[0].columns == name]
     ]
     return [cause for cause in (farthest, *named) if cause]
 
@@ -201,76 +207,67 @@ def _contrast(cause: Cause) -> float:
     return cause.estimate**2 * share * (1 - share)
 
 
-def _cause_of(kind: CauseKind, rows: Sequence[Row], floor: Mapping[str, Row]) -> Cause | None:
-    known = [row for row in rows if kind.value(row) is not None]
-    if not known:
+def _cause_of(kind: CauseKind, pairs: Columns, floors: Columns) -> Cause | None:
+    values = kind.value(pairs)
+    known = ~np.isnan(values)
+    if not known.any():
         return None
-    over = [kind.value(floor[row["pair_id"]]) if row["pair_id"] in floor else None for row in known]
-    values = np.array([kind.value(row) for row in known]) - np.array([value or 0.0 for value in over])
-    real, sim = np.array([kind.sides(row) for row in known], dtype=np.float64).mean(axis=0).tolist()
-    mean, low, high = mean_interval(values)
+    n = int(known.sum())
+    mean, low, high = mean_interval((values - np.nan_to_num(kind.value(floors)))[known])
+    real, sim = np.column_stack(kind.sides(pairs))[known].mean(axis=0).tolist()
     if max(low, -high) <= kind.tolerance + kind.relative * min(abs(real), abs(sim)):
         return None
-    words, setting, detail = kind.words, kind.setting, ""
+    words, setting, detail = kind.words, kind.setting, []
     if kind.name == "height":
-        shifts = [row["shift_z_m"] for row in known if row.get("shift_z_m") is not None]
-        shift, shift_low, shift_high = mean_interval(np.array(shifts)) if shifts else (0.0, 0.0, 0.0)
+        shifts = pairs["shift_z_m"][known & ~np.isnan(pairs["shift_z_m"])]
+        shift, shift_low, shift_high = mean_interval(shifts) if len(shifts) else (0.0, 0.0, 0.0)
         if shift / mean < _FOLLOWS:
             words, setting = words.replace("world", "road"), "road height of the map"
-        detail = f"road {sim:.2f} against {real:.2f} m"
-        if shifts:
-            detail = f"shift z {_signed(shift, shift_high - shift_low, len(shifts))}, {detail}"
+        detail = [f"shift z {_signed(shift, shift_high - shift_low, len(shifts))}"] * bool(len(shifts))
+        detail = [", ".join([*detail, f"road {sim:.2f} against {real:.2f} m"])]
     elif kind.ways[0]:
-        detail = f"{kind.column.removesuffix('_m').replace('_', ' ')} {_signed(mean, high - low, len(known))}"
-    count = np.mean([row[kind.count] for row in known]) if kind.count else 0.0
-    if len(known) < LEAST_FOR_INTERVAL:
-        few = f"{len(known)} pair{'s' * (len(known) > 1)}, no interval: confirm with diagnose"
-        detail = f"{detail}; {few}" if detail else few
+        detail = [f"{kind.column.removesuffix('_m').replace('_', ' ')} {_signed(mean, high - low, n)}"]
+    if n < LEAST_FOR_INTERVAL:
+        detail.append(f"{n} pair{'s' * (n > 1)}, no interval: confirm with diagnose")
+    sizes = {name: size_words(value, kind.unit) for name, value in (("size", mean), ("real", real), ("sim", sim))}
+    count = f"{pairs[kind.count][known].mean():.1f}" if kind.count else ""
     return Cause(
         name=kind.name,
-        words=words.format(
-            size=size_words(mean, kind.unit),
-            way=kind.ways[mean < 0],
-            real=size_words(real, kind.unit),
-            sim=size_words(sim, kind.unit),
-            count=f"{count:.1f}",
-        ),
-        detail=detail,
+        words=words.format(way=kind.ways[mean < 0], count=count, **sizes),
+        detail="; ".join(detail),
         setting=setting,
         estimate=mean,
-        low=low if len(known) >= LEAST_FOR_INTERVAL else None,
-        high=high if len(known) >= LEAST_FOR_INTERVAL else None,
+        low=low if n >= LEAST_FOR_INTERVAL else None,
+        high=high if n >= LEAST_FOR_INTERVAL else None,
         unit=kind.unit,
-        n_pairs=len(known),
+        n_pairs=n,
         real=real,
         sim=sim,
         severity=min(1.0, abs(mean) / (kind.full or abs(real) or 1.0)),
     )
 
 
-def _coverage_cause(name: str, words: str, setting: str, groups: GroupCoverage, is_inside: BoolArray) -> Cause | None:
+def _coverage_cause(name: str, words: str, setting: str, groups: GroupPoints, is_inside: BoolArray) -> Cause | None:
     """A cause for the chosen groups if more of them is missing than of the others, pair by pair."""
-    inside, outside = (
-        np.stack([groups.n_points[:, own].sum(axis=1), groups.n_alone[:, own].sum(axis=1)])
-        for own in (is_inside, ~is_inside)
+    (n, alone), (n_rest, alone_rest) = (
+        [points.to_numpy()[:, own].sum(axis=1) for points in groups] for own in (is_inside, ~is_inside)
     )
-    judged = (inside[0] >= _FEWEST_POINTS) & (outside[0] >= _FEWEST_POINTS)
+    judged = (n >= _FEWEST_POINTS) & (n_rest >= _FEWEST_POINTS)
     if not judged.any():
         return None
-    (n, alone), (n_rest, alone_rest) = inside[:, judged], outside[:, judged]
+    n, alone, n_rest, alone_rest = (values[judged] for values in (n, alone, n_rest, alone_rest))
     mean, low, high = mean_interval(alone / n - alone_rest / n_rest)
     if low <= _MORE_MISSING:
         return None
     sim, real = float((alone / n).mean()), float((alone_rest / n_rest).mean())
-    has_interval = len(n) >= LEAST_FOR_INTERVAL
     return Cause(
         name=name,
         words=words.format(sim=size_words(sim, "share")),
         detail=f"{size_words(real, 'share')} {'nearer' if name == FAR else 'elsewhere'}",
         setting=setting,
         estimate=mean,
-        low=low if has_interval else None,
-        high=high if has_interval else None,
+        low=low if len(n) >= LEAST_FOR_INTERVAL else None,
+        high=high if len(n) >= LEAST_FOR_INTERVAL else None,
         unit="share",
         n_pairs=len(n),
         real=real,

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES
-from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, RunError
 from ...schemas.metric_catalogue import SEEDED_SCORES
-from ...schemas.results import JsonObject
-from ...stages.arrays import IntArray
+from ...schemas.results import CauseEstimate, JsonObject
+from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import (
     BLOCK_S,
     KINDS,
@@ -34,7 +33,7 @@ from ...stages.statistics.spread import spread
 from ..datasets.pairs import read_dataset
 from ..datasets.stubs import recorded_dataset
 from ..storage.table_files import table_name
-from .causes import CAUSE_KINDS
+from .causes import CAUSE_KINDS, CauseKind, Columns
 from .diagnosis import read_diagnosis
 from .displaced import MovedWorld, find_moved
 from .families import FamilyChange, ScoreChange, judge_families, overall
@@ -48,6 +47,9 @@ from .sectors import N_SECTORS, sector_rows
 MOST_RUNS = 8
 #: A cause changed if its estimate moved by more than this share of the tolerance within which it is not named.
 _LEAST_OF_TOLERANCE = 0.1
+#: A cause, its estimates before and after, the least change that matters, that without an interval, and the unit of
+#: the changes by which causes are ordered.
+_Estimates = tuple[CauseKind | CauseEstimate, FloatArray, FloatArray, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -218,6 +220,7 @@ def compare_two(
     floors = {} if excess is None else {column: own.floor_from_equal for column, own in excess[0].scores.items()}
     preset = base.preset if base.preset == other.preset else "paper"
     moved = find_moved(base, other, names, blocks)
+    causes = _changed(_diagnosed(base, other, names), blocks) or _changed(_estimated(base, other, names), blocks)
     return Comparison(
         base=base.folder,
         other=other.folder,
@@ -229,7 +232,7 @@ def compare_two(
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
         families=judge_families(preset, rows, blocks, noise, floors, sectors, moved) if names else (),
-        causes=_confirmed(_diagnosed_causes(base, other, names, blocks) or _causes([*rows.values()], blocks), moved),
+        causes=_confirmed(causes, moved),
         objects=tuple(changes),
         n_blocks=n_blocks,
         blocking=blocking,
@@ -286,17 +289,35 @@ def _blocks(base: FinishedRun, other: FinishedRun, names: Sequence[str], indepen
     return blocks, f"{n} {unit}, taken as independent ({why})"
 
 
-def _causes(rows: Sequence[tuple[Row, Row]], blocks: IntArray) -> tuple[CauseChange, ...]:
+def _estimated(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> Iterator[_Estimates]:
+    before, after = (Columns(run.row(name) for name in names) for run in (base, other))
+    for kind in CAUSE_KINDS.values():
+        real = np.abs(kind.sides(before)[0])
+        real = real[~np.isnan(real)]
+        tolerance = kind.tolerance + kind.relative * float(real.mean() if len(real) else 0.0)
+        least, scale = _LEAST_OF_TOLERANCE * tolerance, kind.tolerance or 1.0
+        yield kind, kind.value(before), kind.value(after), least, kind.tolerance, scale
+
+
+def _diagnosed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> Iterator[_Estimates]:
+    found = [read_diagnosis(run.folder, run.record) for run in (base, other)]
+    if not (found[0] and found[1]):
+        return
+    first = {estimate.name: estimate for estimate in found[0].estimates}
+    for own in found[1].estimates:
+        if own.name in first:
+            before, after = (
+                np.array([each.values.get(name, np.nan) for name in names]) for each in (first[own.name], own)
+            )
+            yield own, before, after, own.resolution, 0.0, own.resolution
+
+
+def _changed(estimates: Iterable[_Estimates], blocks: IntArray) -> tuple[CauseChange, ...]:
     found = []
-    for kind in CAUSE_KINDS:
-        values = np.array([[kind.value(row) for row in pair] for pair in rows], dtype=np.float64).reshape(-1, 2)
-        own = paired_difference(values[:, 0], values[:, 1], blocks)
-        size = abs(own.difference or 0.0)
-        reach = kind.tolerance if own.low is None or own.high is None else (own.high - own.low) / 2
-        real = [abs(value) for before, _ in rows if (value := kind.sides(before)[0]) is not None]
-        matters = _LEAST_OF_TOLERANCE * (kind.tolerance + kind.relative * float(np.mean(real or 0.0)))
-        if size > max(reach, matters):
-            found.append((size / (kind.tolerance or 1.0), CauseChange(kind.name, kind.unit, kind.setting, own)))
+    for cause, before, after, least, without_interval, scale in estimates:
+        own = paired_difference(before, after, blocks)
+        if own.size > max(least, without_interval if own.half_width is None else own.half_width):
+            found.append((own.size / scale, CauseChange(cause.name, cause.unit, cause.setting, own)))
     return tuple(change for _, change in sorted(found, key=lambda each: -each[0]))
 
 
@@ -316,26 +337,6 @@ def _confirmed(causes: tuple[CauseChange, ...], moved: MovedWorld | None) -> tup
         if name not in known
     ]
     return (*first, *seen)
-
-
-def _diagnosed_causes(
-    base: FinishedRun, other: FinishedRun, names: Sequence[str], blocks: IntArray
-) -> tuple[CauseChange, ...]:
-    """Changes of the estimates of both runs' diagnoses beyond their accuracy; () unless both runs have one."""
-    found = [read_diagnosis(run.folder, run.record) for run in (base, other)]
-    if not (found[0] and found[1]):
-        return ()
-    before = {estimate.name: estimate for estimate in found[0].estimates}
-    changes = []
-    for after in found[1].estimates:
-        if after.name in before:
-            values = [[own.values.get(name, np.nan) for name in names] for own in (before[after.name], after)]
-            own = paired_difference(np.array(values[0]), np.array(values[1]), blocks)
-            size = abs(own.difference or 0.0)
-            reach = 0.0 if own.low is None or own.high is None else (own.high - own.low) / 2
-            if size > max(reach, after.resolution):
-                changes.append((size / after.resolution, CauseChange(after.name, after.unit, after.setting, own)))
-    return tuple(change for _, change in sorted(changes, key=lambda each: -each[0]))
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:

@@ -36,27 +36,24 @@ class MovedWorld:
     @property
     def changes(self) -> dict[str, Difference]:
         """Those that moved by more than their half interval and the accuracy of the estimate, the largest first."""
-        ratio = {name: self._size(name) / CAUSES[name].resolution for name in self.measured}
-        beyond = [name for name in self.measured if ratio[name] > 1 and self._size(name) > self._reach(name)]
+        ratio = {name: own.size / CAUSES[name].resolution for name, own in self.measured.items()}
+        beyond = [name for name, own in self.measured.items() if ratio[name] > 1 and own.size > (own.half_width or 0.0)]
         return {name: self.measured[name] for name in sorted(beyond, key=lambda name: -ratio[name])}
 
     @property
     def ranges_alone(self) -> bool:
         """True if ranges became longer or shorter, and the intervals exclude that anything else moved noticeably."""
         others = self.measured.keys() - _OF_RANGES
-        is_still = all(self._size(own) + self._reach(own) <= _STILL * CAUSES[own].resolution for own in others)
+        is_still = all(self._most(name) <= _STILL * CAUSES[name].resolution for name in others)
         return is_still and bool(self.changes.keys() & _OF_RANGES)
 
     def allows(self, name: str, change: float) -> bool:
         """True if the interval of a parameter reaches a change that was estimated in another way."""
-        return self._size(name) + self._reach(name) >= abs(change)
+        return self._most(name) >= abs(change)
 
-    def _size(self, name: str) -> float:
-        return abs(self.measured[name].difference or 0.0)
-
-    def _reach(self, name: str) -> float:
-        own = self.measured[name]
-        return 0.0 if own.low is None or own.high is None else (own.high - own.low) / 2
+    def _most(self, name: str) -> float:
+        """The larger end of the interval of a parameter, regardless of its sign."""
+        return self.measured[name].size + (self.measured[name].half_width or 0.0)
 
 
 def find_moved(base: FinishedRun, other: FinishedRun, names: Sequence[str], blocks: IntArray) -> MovedWorld | None:

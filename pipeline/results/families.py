@@ -26,6 +26,7 @@ from ...stages.statistics.comparison import (
     holm,
     paired_difference,
 )
+from .causes import CAUSE_KINDS, Columns
 from .displaced import MovedWorld
 
 PairRows = Mapping[str, tuple[Row, Row]]  #: by pair, its rows before and after
@@ -49,18 +50,6 @@ ERRORS: dict[str, Callable[[FloatArray], FloatArray]] = {
 #: The same in headings.
 MARKS = {"high": "↑", "low": "↓", "zero": "→0", "one": "→1"}
 MARKS_NOTE = "↑ higher is better, ↓ lower is better, →0 and →1 nearer to it is better (simulated minus, or over, real)"
-
-
-class Columns(dict[str, FloatArray]):
-    """Columns of some rows of `pairs`, read when first used; NaN for null, and if the rows lack the column."""
-
-    def __init__(self, rows: Sequence[Row]) -> None:
-        super().__init__()
-        self._rows = rows
-
-    def __missing__(self, name: str) -> FloatArray:
-        self[name] = np.array([row.get(name) for row in self._rows], dtype=np.float64)
-        return self[name]
 
 
 Reading = Callable[[Columns], FloatArray]
@@ -124,8 +113,7 @@ class ScoreChange:
     @property
     def clarity(self) -> float:
         """Change in standard deviations of the blocks' changes."""
-        own = self.difference
-        return abs(own.difference or 0.0) / (own.std or math.inf)
+        return self.difference.size / (self.difference.std or math.inf)
 
     @property
     def beyond_seeds(self) -> bool | None:
@@ -186,9 +174,10 @@ def judge_families(
         leave few blocks. A change must then be consistent over the sectors of the places, and over the frames, too
     world : what moved between the simulated scans, if it is known
     """
-    noise, floors = seed_noise or {}, floors or {}
+    noise, floors, pairs = seed_noise or {}, floors or {}, _columns(rows)
+    parts = None if sectors is None else (_columns(sectors[0]), sectors[1])
     found = [
-        FamilyChange(name, "undecided", None, "", "", _changes(compared, rows, blocks, noise, floors, sectors))
+        FamilyChange(name, "undecided", None, "", "", _changes(compared, [*rows], pairs, blocks, noise, floors, parts))
         for name, compared in families(preset).items()
     ]
     found = [family for family in found if family.scores]
@@ -211,21 +200,22 @@ def judge_families(
     )
     decided = {name for name, words in called.items() if {"better", "worse"} & words}
     is_scaled = world is not None and world.ranges_alone and RAYS in decided
-    moved = _Moved(better, worse, POSITION in decided and not is_scaled, is_scaled, *_points_change(rows))
+    moved = _Moved(better, worse, POSITION in decided and not is_scaled, is_scaled, *_points_change(pairs))
     return tuple(_decided(family, moved) for family in found)
 
 
 def _changes(
     compared: Sequence[ComparedScore],
-    rows: PairRows,
+    pair_ids: Sequence[str],
+    pairs: Sequence[Columns],
     blocks: IntArray,
     seed_noise: Mapping[str, float | None],
     floors: Mapping[str, float | None],
-    sectors: tuple[PairRows, IntArray] | None,
+    sectors: tuple[Sequence[Columns], IntArray] | None,
 ) -> tuple[ScoreChange, ...]:
     """The scores of a family that have values, without verdicts, the most clearly changed first."""
-    values = _read([score.value for score in compared], rows)
-    change, worse_by = (np.diff(own)[..., 0] for own in (values, _read([score.error for score in compared], rows)))
+    values = _read([score.value for score in compared], pairs)
+    change, worse_by = (np.diff(own)[..., 0] for own in (values, _read([score.error for score in compared], pairs)))
     least, step = (np.array([getattr(score, field) for score in compared]) for field in ("least", "step"))
     p_values = adjusted_p_values(block_means(change, blocks), least, step)
     if sectors is not None:
@@ -238,7 +228,7 @@ def _changes(
     for i, score in enumerate(compared):
         own = paired_difference(values[i, :, 0], values[i, :, 1], blocks)
         if own.n_pairs:
-            towards = ("worse" if np.nanmean(worse_by[i]) > 0 else "better") if abs(own.difference or 0) > ALIKE else ""
+            towards = ("worse" if np.nanmean(worse_by[i]) > 0 else "better") if own.size > ALIKE else ""
             is_same = own.low == own.high == 0 or (own.n_blocks > 1 and bool(np.isnan(p_values[i])))
             scores.append(
                 ScoreChange(
@@ -250,7 +240,7 @@ def _changes(
                     towards="" if is_same else towards,
                     is_direct=score.is_direct,
                     of_pairs={
-                        name: None if math.isnan(x) else x for name, x in zip(rows, change[i].tolist(), strict=True)
+                        name: None if math.isnan(x) else x for name, x in zip(pair_ids, change[i].tolist(), strict=True)
                     },
                     seed_noise=seed_noise.get(score.column),
                     floor=floors.get(score.column),
@@ -259,9 +249,14 @@ def _changes(
     return tuple(sorted(scores, key=lambda score: (2.0 if score.p is None else score.p, -score.clarity)))
 
 
-def _read(reads: Sequence[Reading], rows: PairRows) -> FloatArray:
+def _columns(rows: PairRows) -> list[Columns]:
+    """Before and after."""
+    return [Columns(own) for own in zip(*rows.values(), strict=True)]
+
+
+def _read(reads: Sequence[Reading], pairs: Sequence[Columns]) -> FloatArray:
     """(m, n, 2) by score and pair, before and after; NaN if null."""
-    return np.stack([[read(own) for read in reads] for own in map(Columns, zip(*rows.values(), strict=True))], axis=-1)
+    return np.stack([[read(own) for read in reads] for own in pairs], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -283,10 +278,10 @@ class _Moved:
     density: float
 
 
-def _points_change(rows: PairRows) -> tuple[float, float, float]:
+def _points_change(pairs: Sequence[Columns]) -> tuple[float, float, float]:
     """See `_Moved`."""
     counts = []
-    for own in map(Columns, zip(*rows.values(), strict=True)):
+    for own in pairs:
         n = own["n_sim_points"]
         right = n * np.mean([own[f"covered_sim_{reach}"] for reach in COVERAGE_REACHES], axis=0)
         counts.append([right.mean(), (n - right).mean(), n.mean()])
@@ -390,16 +385,6 @@ def _sensor(what: str, heading: str) -> ComparedScore:
     return ComparedScore(f"{heading} ratio", ratio, "one", 0.05)
 
 
-def _excess_quantum(columns: Columns) -> FloatArray:
-    """Range steps of the simulated sensor minus the real one; a recognised sensor without any has 0."""
-    sim, real = (
-        np.where(np.isnan(step) & (columns[f"sensor_{side}_beams"] > 0), 0.0, step)
-        for side in ("sim", "real")
-        for step in [columns[f"sensor_{side}_range_quantum_m"]]
-    )
-    return sim - real
-
-
 def _excess(sim: str, real: str, heading: str, least: float) -> ComparedScore:
     """The simulated value minus the real one."""
     return ComparedScore(heading, lambda columns: columns[sim] - columns[real], "zero", least)
@@ -446,7 +431,7 @@ def families(preset: str) -> dict[str, tuple[ComparedScore, ...]]:
         "sensor": (
             _sensor("beams", "beams"),
             _sensor("azimuth_step_deg", "azimuth step"),
-            ComparedScore("range steps (m)", _excess_quantum, "zero", 0.005),
+            ComparedScore("range steps (m)", CAUSE_KINDS["range steps"].value, "zero", 0.005),
             _excess("sensor_sim_lost_share", "sensor_real_lost_share", "pulses lost", 0.02),
         ),
         RAYS: (

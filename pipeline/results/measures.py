@@ -13,7 +13,7 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.errors import DatasetError, ScanError, SettingsError, nearest
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...stages.arrays import BoolArray, FloatArray, IndexArray
-from ...stages.statistics.findings import MatchedObjects, SideObjects, distribution
+from ...stages.statistics.findings import Objects, distribution
 from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, read_dataset
 from ..datasets.stubs import recorded_dataset
@@ -99,7 +99,7 @@ class Measures:
         return _statistic(np.array([*own.of_pairs.values()], dtype=np.float64), stat, "pair", f"{score} in both runs")
 
     def _of_objects(self, label: str | None, score: str, stat: str) -> float:
-        *_, matched = self._objects
+        matched = self._objects[0].matched
         values: FloatArray = getattr(matched, score)
         if label is None:
             return _statistic(values, stat, "matched object", score)
@@ -107,8 +107,7 @@ class Measures:
         return _statistic(values[matched.label == label], stat, f"matched object of class {label}", score)
 
     def _unmatched(self, label: str | None, what: str, within: str | None, count: str | None) -> float:
-        *sides, _ = self._objects
-        side = sides[_UNMATCHED[what]]
+        side = self._objects[_UNMATCHED[what]]
         chosen: BoolArray = np.ones(len(side.pair), dtype=np.bool_)
         if label is not None:
             chosen &= side.label == label
@@ -123,8 +122,7 @@ class Measures:
         return _counted(np.bincount(alone, minlength=len(self.run.scored)), count or "total")
 
     def _refuse_unknown_class(self, label: str) -> None:
-        *sides, _ = self._objects
-        labels = np.unique(np.concatenate([own.label for own in sides])).tolist()
+        labels = np.unique(np.concatenate([own.label for own in self._objects])).tolist()
         if label not in labels:
             known = ", ".join(filter(None, labels)) or "none"
             raise _AbsentError(f"no object has the class {label}; classes are {known}")
@@ -173,9 +171,9 @@ class Measures:
         return self.run.scored
 
     @cached_property
-    def _objects(self) -> tuple[SideObjects, SideObjects, MatchedObjects]:
+    def _objects(self) -> tuple[Objects, Objects]:
         names = [row["pair_id"] for row in self._scored]
-        return arrays_of([self.run.objects_of(names, STATISTICS_COLUMNS)])
+        return arrays_of(self.run.objects_of(names, STATISTICS_COLUMNS))
 
 
 def _column(score: str) -> str:

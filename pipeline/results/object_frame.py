@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...schemas.columns import SIDES, Row
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.statistics.findings import BAND_EDGES_M, MatchedObjects, SideObjects
+from ...stages.statistics.findings import BAND_EDGES_M, Objects
 from ...stages.statistics.typical_objects import SHAPES
 from ..storage.folder import RunFolder
 from .quadrants import quadrant_of
@@ -173,24 +173,17 @@ def counted(objects: pd.DataFrame, side: str) -> pd.DataFrame:
 STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", "cdc", "r_lambda", "r_gap")
 
 
-def arrays_of(objects: Sequence[pd.DataFrame]) -> tuple[SideObjects, SideObjects, MatchedObjects]:
-    """All objects of either side, and the matched ones, for the statistics over all objects."""
-    import pandas as pd
-
-    real, sim = (pd.concat([counted(part, side) for part in objects]) for side in SIDES)
-    sides = [
-        SideObjects(
-            pair=own["pair"].to_numpy(),
-            range_m=own["range_m"].to_numpy(),
+def arrays_of(objects: pd.DataFrame) -> tuple[Objects, Objects]:
+    """The objects of either side for the statistics over all objects."""
+    real, sim = (
+        Objects(
             label=own["label"].fillna("").to_numpy(dtype=np.str_),
             is_matched=(own["fate"] == "matched").to_numpy(),
+            **{name: own[name].to_numpy() for name in ("pair", *STATISTICS_COLUMNS) if name != "label"},
         )
-        for own in (real, sim)
-    ]
-    is_matched = sides[0].is_matched
-    scores = {name: real[name].to_numpy()[is_matched] for name in STATISTICS_COLUMNS[2:]}
-    places = {name: getattr(sides[0], name)[is_matched] for name in ("pair", "range_m", "label")}
-    return sides[0], sides[1], MatchedObjects(**places, **scores)
+        for own in (counted(objects, side) for side in SIDES)
+    )
+    return real, sim
 
 
 def plain_rows(rows: pd.DataFrame) -> list[Row]:

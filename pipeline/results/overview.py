@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.record import FrameSuspect, MetricsSummary, RunRecord, SurfaceStates, UnmatchedSurface
+from ...schemas.record import SURFACE_STATES, FrameSuspect, MetricsSummary, RunRecord, SurfaceStates, UnmatchedSurface
 from ...schemas.results import Caution, Findings, Overview, Piece, SurfaceGroup
 from ...schemas.settings import MatchingSettings
 from ...schemas.tables import TABLES
@@ -26,7 +26,7 @@ from ...stages.statistics.findings import BAND_NAMES, summarise_objects
 from ..object_store import recorded_path
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
-from .causes import CLASS, FAR, GroupCoverage, find_causes, surface_causes
+from .causes import CLASS, FAR, find_causes, surface_causes
 from .diagnosis import read_diagnosis
 from .finished import FinishedRun
 from .floor import FLOOR_RECIPE
@@ -35,6 +35,8 @@ from .places import moved_words, place_words
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from .causes import GroupPoints
 
 #: Number of the largest pieces that are kept.
 N_PIECES = 4
@@ -48,6 +50,7 @@ _MANY_BADLY_ALIGNED = 0.05
 _NUMBER = re.compile(r"[-+]?[0-9]+\.[0-9]+")
 BAD_ALIGNMENT_WORDS = f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
 NO_LABEL = "(no label)"
+_KEYS = ["pair", "side", "fate", "n_points"]
 #: Columns of the frame of objects that the overview uses.
 OVERVIEW_COLUMNS = ("band", "label", "covered_0p3m", "road_share", "r_lambda", "alignment_rms_m", "diagonal_m")
 
@@ -83,92 +86,91 @@ def describe_objects(
     hashes: Mapping[str, Mapping[str, str]],
     *,
     by_reference: bool,
-) -> tuple[Findings, Overview, MetricsSummary]:
-    """The findings, the overview and the states of unmatched objects, of all scored pairs.
+) -> tuple[Findings | None, Overview | None, MetricsSummary]:
+    """The findings, the overview without the limits to the trust in it, and the states of unmatched objects.
 
     Parameters
     ----------
-    rows : of `pairs`, the scored ones; at least one
+    rows : of `pairs`, the scored ones
     timestamps_s : by pair
     hashes : by pair, content hash of its real scan (`real`)
     by_reference : True if the real side fixes the objects
     """
+    import pandas as pd
+
+    if not rows:
+        none = SurfaceStates(there=0, partly=0, absent=0, road=0)
+        return None, None, MetricsSummary(unmatched=UnmatchedSurface(missing=none, hallucinated=none))
     pair_ids = [row["pair_id"] for row in rows]
-    tally, kept = Tally(), []
-    columns = {*STATISTICS_COLUMNS, *OVERVIEW_COLUMNS}
-    for part in object_parts(store, pair_ids, columns, by_reference=by_reference):
-        tally.add(part)
-        kept.append(part[["pair", "side", "fate", *STATISTICS_COLUMNS]])
-    objects = arrays_of(kept)
+    columns = list({*STATISTICS_COLUMNS, *OVERVIEW_COLUMNS})
+    parts = object_parts(store, pair_ids, columns, by_reference=by_reference)
+    objects = pd.concat([part.loc[part["fate"] != "remnant", [*_KEYS, *columns]] for part in parts])
+    objects["label"] = objects["label"].fillna("")
     times = [timestamps_s.get(pair_id) for pair_id in pair_ids]
     n_independent = len(np.unique(blocks_of([hashes[pair_id]["real"] for pair_id in pair_ids], times)))
-    findings = Findings(n_independent=n_independent, **vars(summarise_objects(*objects, pair_ids, times)))
-    return findings, tally.overview(rows, largest_pieces(store, pair_ids)), tally.unmatched()
+    found = summarise_objects(*arrays_of(objects), pair_ids, times)
+    findings = Findings(n_independent=n_independent, **vars(found))
+    return findings, _overview(objects, rows, largest_pieces(store, pair_ids)), _unmatched(objects)
 
 
-class Tally:
-    """Sums over the objects of a run, some pairs at a time, so that they need not be in memory together."""
+def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
+    """Counts of unmatched objects whose surface the other side has, and of those that are road."""
+    counts = {}
+    for fate in UnmatchedSurface.model_fields:
+        own = objects[objects["fate"] == fate]
+        states = Counter(map(surface_state, own["covered_0p3m"]))
+        n_road = int((own["road_share"] > ROAD).sum())
+        counts[fate] = SurfaceStates(**{state: states[state] for state in SURFACE_STATES}, road=n_road)
+    return MetricsSummary(unmatched=UnmatchedSurface(**counts))
 
-    def __init__(self) -> None:
-        self._points: list[pd.DataFrame] = []
-        self._n_aligned = self._n_badly_aligned = 0
-        self._unmatched = {fate: Counter[str]() for fate in UnmatchedSurface.model_fields}
 
-    def add(self, objects: pd.DataFrame) -> None:
-        """Count the objects of some more pairs: a part of the frame of `objects`, with `OVERVIEW_COLUMNS`."""
-        own = objects[objects["fate"] != "remnant"]
-        alone = own["n_points"] * (1 - own["covered_0p3m"].fillna(0.0))
-        points = own[["side", "pair", "band"]].assign(label=own["label"].fillna(""), n=own["n_points"], alone=alone)
-        for kind in ("band", "label"):
-            sums = points.groupby(["side", "pair", kind], as_index=False)[["n", "alone"]].sum()
-            self._points.append(sums.rename(columns={kind: "group"}).assign(kind=kind))
-        scored = own[(own["side"] == "real") & own["r_lambda"].notna()]
-        is_bad = alignment_is_bad(scored["alignment_rms_m"].to_numpy(), scored["diagonal_m"].to_numpy())
-        self._n_aligned += len(scored)
-        self._n_badly_aligned += int(np.count_nonzero(is_bad))
-        for fate, states in self._unmatched.items():
-            unmatched = own[own["fate"] == fate]
-            states.update(map(surface_state, unmatched["covered_0p3m"]))
-            states["road"] += int((unmatched["road_share"] > ROAD).sum())
+def _overview(objects: pd.DataFrame, rows: Sequence[Row], pieces: Sequence[Piece]) -> Overview:
+    import pandas as pd
 
-    def unmatched(self) -> MetricsSummary:
-        """Counts of unmatched objects whose surface the other side has, and of those that are road."""
-        counts = {
-            fate: SurfaceStates(**{state: states[state] for state in SurfaceStates.model_fields})
-            for fate, states in self._unmatched.items()
-        }
-        return MetricsSummary(unmatched=UnmatchedSurface(**counts))
+    points = objects.assign(
+        n=objects["n_points"], alone=objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0))
+    )
+    bands = _coverage(points, "band", pd.RangeIndex(len(BAND_NAMES)), len(rows))
+    classes = _coverage(points, "label", pd.Index(sorted(set(objects["label"]))), len(rows))
+    scored = objects[(objects["side"] == "real") & objects["r_lambda"].notna()]
+    is_bad = alignment_is_bad(scored["alignment_rms_m"].to_numpy(), scored["diagonal_m"].to_numpy())
+    return Overview(
+        causes=tuple(find_causes(rows, surface=surface_causes(bands["real"], classes["real"]))),
+        pieces=tuple(pieces),
+        surface=(*_groups("range", bands, BAND_NAMES), *_groups("class", classes)),
+        n_aligned=len(scored),
+        n_badly_aligned=int(np.count_nonzero(is_bad)),
+    )
 
-    def overview(self, rows: Sequence[Row], pieces: Sequence[Piece]) -> Overview:
-        """The overview of the counted objects, without the limits to the trust in it.
 
-        Parameters
-        ----------
-        rows : of `pairs`, the scored ones
-        pieces : the largest ones
-        """
-        import pandas as pd
+def _coverage(points: pd.DataFrame, kind: str, groups: pd.Index[Any], n_pairs: int) -> dict[str, GroupPoints]:
+    """By side, its points by pair and group, and those without a counterpart within 0.3 m."""
 
-        points = pd.concat(self._points, ignore_index=True)
-        labels = sorted(set(points.loc[points["kind"] == "label", "group"]))
-        bands, classes = (
-            {side: _coverage(points, kind, side, groups, len(rows)) for side in SIDES}
-            for kind, groups in (("band", list(range(len(BAND_NAMES)))), ("label", labels))
+    def sums(side: str, what: str) -> pd.DataFrame:
+        found = points[points["side"] == side].pivot_table(index="pair", columns=kind, values=what, aggfunc="sum")
+        return found.reindex(index=range(n_pairs), columns=groups).fillna(0.0)
+
+    return {side: (sums(side, "n_points"), sums(side, "alone")) for side in SIDES}
+
+
+def _groups(kind: str, coverage: dict[str, GroupPoints], names: Sequence[str] = ()) -> list[SurfaceGroup]:
+    found = []
+    for i, name in enumerate(names or coverage["real"][0].columns):
+        (n_real, missing), (n_sim, invented) = (
+            [float(own.to_numpy()[:, i].sum()) for own in coverage[side]] for side in SIDES
         )
-        names = {"range": BAND_NAMES, "class": labels}
-        surface = [
-            _group(kind, name, *(own[side].of_group(i) for side in SIDES))
-            for kind, own in (("range", bands), ("class", classes))
-            for i, name in enumerate(names[kind])
-            if name
-        ]
-        return Overview(
-            causes=tuple(find_causes(rows, surface=surface_causes(bands["real"], classes["real"]))),
-            pieces=tuple(pieces),
-            surface=tuple(surface),
-            n_aligned=self._n_aligned,
-            n_badly_aligned=self._n_badly_aligned,
-        )
+        if name:
+            found.append(
+                SurfaceGroup(
+                    group=kind,
+                    name=name,
+                    n_real=int(n_real),
+                    missing_share=missing / n_real if n_real else None,
+                    n_sim=int(n_sim),
+                    invented_share=invented / n_sim if n_sim else None,
+                )
+            )
+    return found
 
 
 def over_floor(run: FinishedRun, floor: Path) -> Overview | None:
@@ -226,31 +228,6 @@ def _piece(row: Row) -> Piece:
         extents_m=extents,
         words=place_words(row["label"], extents, row["range_m"], row["bearing_deg"]),
         fate_words=moved_words(*(row[f"moved_{axis}_m"] for axis in "xyz")) if fate == "moved" else fate,
-    )
-
-
-def _coverage(points: pd.DataFrame, kind: str, side: str, groups: list[Any], n_pairs: int) -> GroupCoverage:
-    """Points of a side by pair and group, and those without a counterpart within 0.3 m."""
-    own = points[(points["kind"] == kind) & (points["side"] == side)]
-    n_points, n_alone = (
-        own.pivot(index="pair", columns="group", values=column)
-        .reindex(index=range(n_pairs), columns=groups)
-        .fillna(0.0)
-        .to_numpy(dtype=np.float64)
-        for column in ("n", "alone")
-    )
-    return GroupCoverage(BAND_NAMES if kind == "band" else tuple(groups), n_points, n_alone)
-
-
-def _group(kind: str, name: str, real: tuple[float, float], sim: tuple[float, float]) -> SurfaceGroup:
-    shares = [alone / n if n else None for n, alone in (real, sim)]
-    return SurfaceGroup(
-        group=kind,
-        name=name,
-        n_real=int(real[0]),
-        missing_share=shares[0],
-        n_sim=int(sim[0]),
-        invented_share=shares[1],
     )
 
 

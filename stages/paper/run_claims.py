@@ -22,8 +22,7 @@ from ..statistics.comparison import blocks_of
 from ..statistics.findings import (
     DENSE_RATIO,
     SPARSE_RATIO,
-    MatchedObjects,
-    SideObjects,
+    Objects,
     chain_apart,
     peak_density,
     std_by_pair,
@@ -52,9 +51,8 @@ _COPY = -1
 
 
 def check_run_claims(
-    real: SideObjects,
-    sim: SideObjects,
-    matched: MatchedObjects,
+    real: Objects,
+    sim: Objects,
     contents: Sequence[str],
     real_scans: Sequence[str],
     timestamps_s: Sequence[float | None],
@@ -63,7 +61,7 @@ def check_run_claims(
 
     Parameters
     ----------
-    real, sim, matched : the objects of all pairs
+    real, sim : the objects of all pairs
     contents : by pair, a hash of all inputs of its scores: a copy of an earlier pair is left out
     real_scans : by pair, a hash of its real scan: pairs of one real scan count as one
     timestamps_s : by pair, time of the scan, None if unknown: scans within 10 s count as one
@@ -73,7 +71,7 @@ def check_run_claims(
     blocks = np.full(len(contents), _COPY, dtype=np.int32)
     blocks[kept] = blocks_of([real_scans[i] for i in kept], [timestamps_s[i] for i in kept])
     apart = [kept[i] for i in chain_apart([timestamps_s[i] for i in kept])]
-    data = _RunObjects(real, sim, matched, blocks, apart)
+    data = _RunObjects(real, sim, blocks, apart)
     return [data.check(**row) for row in read_data("paper")["run_claims"]]
 
 
@@ -83,14 +81,13 @@ class _RunObjects:
     `block` is the independent pair of a row; pairs that count as one have the same.
     """
 
-    def __init__(
-        self, real: SideObjects, sim: SideObjects, matched: MatchedObjects, blocks: IntArray, apart: Sequence[int]
-    ) -> None:
+    def __init__(self, real: Objects, sim: Objects, blocks: IntArray, apart: Sequence[int]) -> None:
         columns = {name: np.concatenate([own, getattr(sim, name)]) for name, own in vars(real).items()}
         columns |= {
             "is_unmatched": ~columns["is_matched"],
             "side": np.repeat(["real", "sim"], [len(real.pair), len(sim.pair)]),
         }
+        matched = real.matched
         ratio, excess = matched.n_sim / matched.n_real, matched.cdc - matched.r_lambda
         matches = vars(matched) | {"ratio": ratio, "excess": excess, "is_scored": ~np.isnan(excess)}
         matches |= {
@@ -129,7 +126,7 @@ class _RunObjects:
 
 
 def _of_pairs(
-    real: SideObjects, sim: SideObjects, matched: MatchedObjects, n_pairs: int, apart: Sequence[int]
+    real: Objects, sim: Objects, matched: Objects, n_pairs: int, apart: Sequence[int]
 ) -> dict[str, NDArray[Any]]:
     """Columns of the pairs: matches and match rate, mean scores, and how much more r_lambda varies than CDC.
 

@@ -61,6 +61,16 @@ class Difference:
     low: float | None = None
     high: float | None = None
 
+    @property
+    def size(self) -> float:
+        """Magnitude of the change; 0 if it cannot be computed."""
+        return abs(self.difference or 0.0)
+
+    @property
+    def half_width(self) -> float | None:
+        """Half the width of the interval; None without one."""
+        return None if self.low is None or self.high is None else (self.high - self.low) / 2
+
 
 def block_means(values: FloatArray, blocks: IntArray) -> FloatArray:
     """(..., b) means over the pairs of each block; NaN if none has a value.

@@ -46,57 +46,45 @@ _QUANTILES = {"min": 0.0, "q05": 0.05, "q25": 0.25, "median": 0.5, "q75": 0.75, 
 
 
 @dataclass(frozen=True)
-class SideObjects:
+class Objects:
     """Objects of one side of all pairs.
 
     pair : (n,) index of the pair
     range_m : (n,) distance of the centroid from the sensor
     label : (n,) class, "" if the object has none
     is_matched : (n,) True if the other side has it too
+    n_real, n_sim : (n,) points of a matched object on both sides
+    cdc, r_lambda, r_gap : (n,) scores of a matched object, NaN for null
     """
 
     pair: IntArray
     range_m: FloatArray
     label: NDArray[np.str_]
     is_matched: BoolArray
-
-
-@dataclass(frozen=True)
-class MatchedObjects:
-    """Matched objects of all pairs.
-
-    pair : (m,) index of the pair
-    range_m, label : (m,) of the real object
-    n_real, n_sim : (m,) points
-    cdc, r_lambda, r_gap : (m,) scores, NaN for null
-    """
-
-    pair: IntArray
-    range_m: FloatArray
-    label: NDArray[np.str_]
     n_real: IntArray
     n_sim: IntArray
     cdc: FloatArray
     r_lambda: FloatArray
     r_gap: FloatArray
 
+    @property
+    def matched(self) -> Objects:
+        """The matched ones."""
+        return Objects(**{name: values[self.is_matched] for name, values in vars(self).items()})
+
 
 def summarise_objects(
-    real: SideObjects,
-    sim: SideObjects,
-    matched: MatchedObjects,
-    pair_ids: Sequence[str],
-    timestamps_s: Sequence[float | None],
+    real: Objects, sim: Objects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]
 ) -> ObjectFindings:
     """Compute distributions, ranges, classes, density ratios, correlation, and the four scans; None for missing values.
 
     Parameters
     ----------
     real, sim : objects of each side
-    matched : objects of both sides
     pair_ids : name of each pair
     timestamps_s : time of the scan of each pair; None if unknown
     """
+    matched = real.matched
     median_m = _median(np.concatenate([real.range_m, sim.range_m]))
     unmatched_m = np.concatenate([real.range_m[~real.is_matched], sim.range_m[~sim.is_matched]])
     return ObjectFindings(
@@ -108,12 +96,12 @@ def summarise_objects(
         rank_correlation=rank_correlation(matched.cdc, matched.r_lambda),
         density_ratio=density_ratio(matched.n_real, matched.n_sim),
         range_m=RangeFindings(
-            median_matched=_median(real.range_m[real.is_matched]),
+            median_matched=_median(matched.range_m),
             median_unmatched=_median(unmatched_m),
             bands=by_range(real, sim),
             halves=by_range(real, sim, (0.0,) if median_m is None else (0.0, median_m)),
         ),
-        classes=by_class(real, sim, matched),
+        classes=by_class(real, sim),
         within_pairs=within_pairs(matched, len(pair_ids)),
         scans=compare_scans(matched, pair_ids, timestamps_s),
     )
@@ -178,7 +166,7 @@ def density_ratio(n_real: IntArray, n_sim: IntArray) -> DensityRatio:
     )
 
 
-def by_range(real: SideObjects, sim: SideObjects, edges_m: Sequence[float] = BAND_EDGES_M) -> tuple[RangeBand, ...]:
+def by_range(real: Objects, sim: Objects, edges_m: Sequence[float] = BAND_EDGES_M) -> tuple[RangeBand, ...]:
     """Missing and hallucinated objects by distance from the sensor on their side; the last band has no end."""
     bands = []
     for low, high in zip(edges_m, [*edges_m[1:], None], strict=True):
@@ -187,7 +175,7 @@ def by_range(real: SideObjects, sim: SideObjects, edges_m: Sequence[float] = BAN
     return tuple(bands)
 
 
-def by_class(real: SideObjects, sim: SideObjects, matched: MatchedObjects) -> tuple[ClassFindings, ...]:
+def by_class(real: Objects, sim: Objects) -> tuple[ClassFindings, ...]:
     """Missing, hallucinated and scores by class, the class with most objects first; () without labels.
 
     A matched object has the class of its real side. Each score has its mean, standard deviation (n - 1) and number of
@@ -195,7 +183,7 @@ def by_class(real: SideObjects, sim: SideObjects, matched: MatchedObjects) -> tu
     nearer than the median range of the class, and over the others.
     """
     labels, counts = np.unique(np.concatenate([real.label, sim.label]), return_counts=True)
-    rows = []
+    matched, rows = real.matched, []
     for label in labels[np.argsort(-counts, kind="stable")].tolist():
         if not label:
             continue
@@ -228,7 +216,7 @@ def _group_mean(values: FloatArray) -> GroupMean:
     return GroupMean(mean=mean, std=std, n=int(np.count_nonzero(~np.isnan(values))))
 
 
-def within_pairs(matched: MatchedObjects, n_pairs: int) -> WithinPairs:
+def within_pairs(matched: Objects, n_pairs: int) -> WithinPairs:
     """Number of pairs in which r_lambda varies more than CDC over the objects of the pair (standard deviation)."""
     spread = [std_by_pair(scores, matched.pair, n_pairs) for scores in (matched.cdc, matched.r_lambda)]
     both = ~(np.isnan(spread[0]) | np.isnan(spread[1]))
@@ -247,7 +235,7 @@ def std_by_pair(values: FloatArray, pair: IntArray, n_pairs: int) -> FloatArray:
     return found
 
 
-def compare_scans(matched: MatchedObjects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]) -> Scans:
+def compare_scans(matched: Objects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]) -> Scans:
     """CDC and r_lambda in four scans that were taken more than a minute apart (the paper's box plots).
 
     If fewer than two scans are known to be a minute apart, four pairs evenly spaced by name are used instead, and
@@ -296,7 +284,7 @@ def _evenly(items: Sequence[int]) -> list[int]:
     return [items[i] for i in np.linspace(0, len(items) - 1, N_SCANS).round().astype(int).tolist()]
 
 
-def _unmatched(real: SideObjects, sim: SideObjects, in_real: BoolArray, in_sim: BoolArray) -> Unmatched:
+def _unmatched(real: Objects, sim: Objects, in_real: BoolArray, in_sim: BoolArray) -> Unmatched:
     """Objects of each side in a group, and those of them that the other side lacks."""
     n_real, n_sim = int(np.count_nonzero(in_real)), int(np.count_nonzero(in_sim))
     n_missing = int(np.count_nonzero(in_real & ~real.is_matched))

@@ -1,16 +1,16 @@
 """Causes from rows of `pairs` written by hand: what is named, in which order, and what is not."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from fidpipe import evaluate_pair
-from fidpipe.pipeline.results.causes import CAUSE_KINDS, GroupCoverage, find_causes, surface_causes
+from fidpipe.pipeline.results.causes import CAUSE_KINDS, Columns, find_causes, surface_causes
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import load
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.statistics.findings import BAND_EDGES_M
 
-NO_CLASSES = GroupCoverage(("",), np.ones((4, 1)), np.ones((4, 1)))
 #: A healthy pair: the second measurement has a little more noise and loss.
 HEALTHY = {
     "ground_real_peak_m": -1.77,
@@ -47,6 +47,14 @@ def rows_of(n=5, **changes):
         | {name: (HEALTHY[name] or 0) + change * (1 + wobble[i]) for name, change in changes.items()}
         for i in range(n)
     ]
+
+
+def of_real_side(names, n_points, alone):
+    """Points of four pairs by group, and those of them without a counterpart."""
+    return tuple(pd.DataFrame(np.broadcast_to(own, (4, len(names))), columns=names) for own in (n_points, alone))
+
+
+NO_CLASSES = of_real_side([""], 1.0, 1.0)
 
 
 def names(causes):
@@ -118,24 +126,21 @@ def test_a_floor_is_subtracted():
 def test_unknown_values_name_nothing():
     rows = [{"pair_id": "a"} | dict.fromkeys(HEALTHY)] * 3
     assert find_causes(rows) == []
-    assert all(kind.value(rows[0]) is None for kind in CAUSE_KINDS)
+    assert all(np.isnan(kind.value(Columns(rows))).all() for kind in CAUSE_KINDS.values())
 
 
 def test_far_surface_is_named_at_the_distance_where_it_stands_out():
-    n_points = np.full((4, len(BAND_EDGES_M)), 1000.0)
-    missing = n_points * [0.1, 0.12, 0.1, 0.14, 0.78]
-    (far,) = surface_causes(GroupCoverage(("",) * 5, n_points, missing), NO_CLASSES)
+    bands, missing = range(len(BAND_EDGES_M)), np.array([100.0, 120.0, 100.0, 140.0, 780.0])
+    (far,) = surface_causes(of_real_side(bands, 1000.0, missing), NO_CLASSES)
     assert far.words == "beyond 50 m 78 % of the surface missing"
     assert far.setting == "range, dropoff"
     assert far.severity == pytest.approx((0.78 - 0.115) / 5)
-    assert surface_causes(GroupCoverage(("",) * 5, n_points, n_points * 0.4), NO_CLASSES) == []
+    assert surface_causes(of_real_side(bands, 1000.0, 400.0), NO_CLASSES) == []
 
 
 def test_a_class_is_named_where_much_more_of_it_is_missing():
-    n_points = np.full((4, 3), 500.0)
-    classes = GroupCoverage(("car", "pole", "tree"), n_points, n_points * [0.1, 0.9, 0.2])
-    bands = GroupCoverage(("",) * 5, np.full((4, 5), 500.0), np.full((4, 5), 100.0))
-    (pole,) = surface_causes(bands, classes)
+    classes = of_real_side(["car", "pole", "tree"], 500.0, [50.0, 450.0, 100.0])
+    (pole,) = surface_causes(of_real_side(range(5), 500.0, 100.0), classes)
     assert pole.words == "pole: 90 % of the surface missing"
 
 

@@ -3,8 +3,7 @@ import pytest
 
 from fidpipe.schemas.results import GroupMean, RankCorrelation, WithinPairs
 from fidpipe.stages.statistics.findings import (
-    MatchedObjects,
-    SideObjects,
+    Objects,
     density_ratio,
     distribution,
     rank_correlation,
@@ -13,33 +12,21 @@ from fidpipe.stages.statistics.findings import (
 )
 
 
-def side(pair, range_m, label, is_matched):
-    return SideObjects(
-        np.array(pair, dtype=np.int32), np.array(range_m, dtype=float), np.array(label, dtype=str), np.array(is_matched)
-    )
-
-
-def matched(pair, range_m, label, cdc, r_lambda, n_real=None, n_sim=None):
+def side(pair, range_m, label, is_matched, cdc=np.nan, r_lambda=np.nan):
+    """Objects of a side, of ten points each."""
     n = len(pair)
-    return MatchedObjects(
-        np.array(pair, dtype=np.int32),
-        np.array(range_m, dtype=float),
-        np.array(label, dtype=str),
-        np.array(n_real or [10] * n, dtype=np.int32),
-        np.array(n_sim or [10] * n, dtype=np.int32),
-        np.array(cdc, dtype=float),
-        np.array(r_lambda, dtype=float),
-        np.zeros(n),
-    )
+    scores = (np.array(np.broadcast_to(own, n), dtype=float) for own in (cdc, r_lambda, 0.0))
+    place = np.array(range_m, dtype=float), np.array(label, dtype=str), np.array(is_matched, dtype=bool)
+    return Objects(np.array(pair, dtype=np.int32), *place, *np.full((2, n), 10), *scores)
 
 
 @pytest.fixture
 def by_hand():
     """Two pairs: cars near and matched, trees far; one tree missing, one invented."""
-    real = side([0, 0, 1, 1], [5.0, 25.0, 5.0, 45.0], ["car", "tree", "car", "tree"], [True, True, True, False])
+    of_real = [5.0, 25.0, 5.0, 45.0], ["car", "tree", "car", "tree"], [True, True, True, False]
+    real = side([0, 0, 1, 1], *of_real, [0.1, 0.9, 0.3, np.nan], [0.2, 0.5, np.nan, np.nan])
     sim = side([0, 0, 1, 1], [5.0, 25.0, 6.0, 60.0], ["car", "tree", "car", "tree"], [True, True, True, False])
-    both = matched([0, 0, 1], [5.0, 25.0, 5.0], ["car", "tree", "car"], [0.1, 0.9, 0.3], [0.2, 0.5, np.nan])
-    return summarise_objects(real, sim, both, ["a", "b"], [0.0, 61.0])
+    return summarise_objects(real, sim, ["a", "b"], [0.0, 61.0])
 
 
 def test_unmatched_objects_are_counted_by_range_of_their_own_side(by_hand):
@@ -60,8 +47,8 @@ def test_a_class_is_that_of_the_real_object_and_nulls_are_left_out(by_hand):
 
 
 def test_scans_without_labels_have_no_classes():
-    one = side([0], [5.0], [""], [True])
-    found = summarise_objects(one, one, matched([0], [5.0], [""], [0.1], [0.2]), ["a"], [None])
+    one = side([0], [5.0], [""], [True], 0.1, 0.2)
+    found = summarise_objects(one, one, ["a"], [None])
     assert found.classes == ()
 
 
@@ -70,8 +57,8 @@ def test_the_spread_of_a_pair_is_that_of_its_objects(by_hand):
 
 
 def test_nothing_at_all_gives_nulls_and_no_error():
-    nothing = side([], [], [], np.array([], dtype=bool))
-    found = summarise_objects(nothing, nothing, matched([], [], [], [], []), ["a"], [None])
+    nothing = side([], [], [], [])
+    found = summarise_objects(nothing, nothing, ["a"], [None])
     assert found.distributions.cdc.mean is None
     assert found.rank_correlation == RankCorrelation(n=0, spearman=None, kendall=None)
     assert found.density_ratio.min is None
@@ -110,9 +97,8 @@ def test_exactly_a_minute_is_not_more_than_one():
 
 def test_without_timestamps_pairs_are_evenly_spaced_and_it_is_said():
     n = 9
-    one = side(range(n), [5.0] * n, [""] * n, [True] * n)
     scores = np.linspace(0.1, 0.9, n)
-    both = matched(range(n), [5.0] * n, [""] * n, scores, scores)
-    found = summarise_objects(one, one, both, list("abcdefghi"), [None] * n).scans
+    one = side(range(n), [5.0] * n, [""] * n, [True] * n, scores, scores)
+    found = summarise_objects(one, one, list("abcdefghi"), [None] * n).scans
     assert found.apart is False
     assert [scan.pair for scan in found.scans] == ["a", "d", "f", "i"]

@@ -268,6 +268,4 @@ def _p(p: float | None) -> str:
 
 def _interval(own: Difference) -> str:
     """A change with half the width of its interval."""
-    return signed(own.difference) + (
-        "" if own.low is None or own.high is None else f" ±{number((own.high - own.low) / 2)}"
-    )
+    return signed(own.difference) + ("" if own.half_width is None else f" ±{number(own.half_width)}")
