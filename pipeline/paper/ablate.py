@@ -8,7 +8,7 @@ paper states its choice (k = 90, tau = 0.2, delta = 5) but no ranges; those here
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import pandas as pd
 import pyarrow as pa
 
 from ...schemas.columns import SIDES
+from ...schemas.data_files import read_data
 from ...schemas.errors import SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
@@ -43,25 +44,20 @@ class Parameter:
     values : tried by default
     text : description in tables
     label : in figures
+    chosen : by the paper
+    influence : on a score according to the paper
     """
 
     group: str
-    values: tuple[float, ...]
+    values: Sequence[float]
     text: str
     label: str
+    chosen: float | None = None
+    influence: Mapping[str, str] = field(default_factory=dict)
 
 
 #: The ablated settings by name, which is also their column of `ablate`.
-PARAMETERS = {
-    "k": Parameter("graph", (30, 60, 90, 120, 150), "nearest neighbours of each point", "k, neighbours"),
-    "tau_m": Parameter(
-        "graph", (0.1, 0.2, 0.3, 0.5), "distance within which all points are connected, metres", "tau (m)"
-    ),
-    "delta_m": Parameter(
-        "matching", (1.0, 3.0, 5.0, 7.0, 10.0), "largest distance of matched centroids, metres", "delta (m)"
-    ),
-    "t": Parameter("selection", (0.1, 0.5, 1.0, 2.0, 5.0), "diffusion time of the heat kernel", "t, diffusion time"),
-}
+PARAMETERS = {name: Parameter(**row) for name, row in read_data("paper")["parameters"].items()}
 _NAMES = list(PARAMETERS)
 #: The parameters that the rule can choose.
 CHOSEN = ("k", "tau_m", "t")
@@ -127,13 +123,13 @@ class AblateOutcome(ExperimentOutcome):
     def scores(self, metric: str, tried: Sequence[ParameterSet]) -> FloatArray:
         """(n_pairs, n_sets) values of a column of `ablate`, without pairs where one is missing."""
         wide = self.rows.to_pandas().pivot(index="pair_id", columns=_NAMES, values=metric)
-        values: FloatArray = wide.reindex(columns=_index(tried)).dropna().to_numpy(dtype=np.float64)
+        values: FloatArray = wide.reindex(columns=pd.MultiIndex.from_tuples(tried)).dropna().to_numpy(dtype=np.float64)
         return values
 
     def spreads(self, columns: Sequence[str], tried: Sequence[ParameterSet] | None = None) -> pd.DataFrame:
         """Mean and std over pairs of some columns, one row per parameter set; by default all that exist, ascending."""
         spreads: pd.DataFrame = self.rows.to_pandas().groupby(_NAMES)[[*columns]].agg(["mean", "std"])
-        return spreads if tried is None else spreads.reindex(_index(tried))
+        return spreads if tried is None else spreads.reindex(pd.MultiIndex.from_tuples(tried))
 
     @property
     def n_pairs(self) -> int:
@@ -252,13 +248,9 @@ def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:
         A value is out of bounds.
     """
     plain: dict[str, Any] = settings.model_dump(mode="json")
-    for name, parameter in PARAMETERS.items():
-        plain[parameter.group][name] = getattr(parameters, name)
+    for (name, parameter), value in zip(PARAMETERS.items(), parameters, strict=True):
+        plain[parameter.group][name] = value
     return parse(plain)
-
-
-def _index(tried: Sequence[ParameterSet]) -> pd.MultiIndex:
-    return pd.MultiIndex.from_tuples([tuple(vars(parameters).values()) for parameters in tried])
 
 
 def _values(name: str, requested: Sequence[float], current: float) -> tuple[float, ...]:
@@ -278,6 +270,6 @@ def _parts(settings_of: dict[ParameterSet, Settings]) -> list[Part]:
     parts = []
     for (k, tau_m), own in by_graph.items():
         neutral = with_parameters(settings_of[own[0]], ParameterSet(k, tau_m, 1.0, 1.0))  # delta and t are arguments
-        arguments = ([[*vars(parameters).values()] for parameters in own],)
+        arguments = ([[*parameters] for parameters in own],)
         parts.append(Part(STAGE, f"k{k}-tau{tau_m!r}", arguments, neutral))
     return parts

@@ -175,17 +175,12 @@ class Experiment:
         self.folder.ledger.put_job(JobRecord(table.name, "", "", key, {path: stored}))
         return summary
 
-    def finish(self, results: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Write the outcome into `run.json` and return the fields of an `ExperimentOutcome`.
-
-        Parameters
-        ----------
-        results : further results for `run.json`
-        """
+    def finish(self) -> dict[str, Any]:
+        """Write the outcome into `run.json` and return the fields of an `ExperimentOutcome`."""
         failures, n_made, wall_s = self.engine.failures, self.engine.n_made, perf_counter() - self._start
         n_done = sum(len(plan.records) for plan in self._plans())
         jobs = {"made": n_made, "reused": n_done - n_made}
-        self._write_record({**self._request, **(results or {}), "failures": failures, "jobs": jobs, "wall_s": wall_s})
+        self._write_record({**self._request, "failures": failures, "jobs": jobs, "wall_s": wall_s})
         outcome = {"folder": self.folder.folder, "failures": failures, "wall_s": wall_s}
         return outcome | {f"n_{name}": n for name, n in jobs.items()}
 

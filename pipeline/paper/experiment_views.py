@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from ...schemas.metric_catalogue import METRIC, PaperMean, labels, metric_of, narrow_labels
 from ...stages.generate.perturbations import KINDS, Perturbation
-from ...stages.paper.paper_values import CHOSEN, INFLUENCES, TABLE_I, TABLE_I_SCORES
+from ...stages.paper.paper_values import TABLE_I, TABLE_I_SCORES
 from ...stages.paper.parameter_choice import RULE
 from ...stages.paper.sweep_claims import check_sweep_claims
 from ...stages.paper.sweep_means import OWN_METRICS, Mean, Means, react, strongest_levels
@@ -142,8 +142,8 @@ def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
         if n_pairs > 1:
             values[2:4] = [mean_and_spread(own[score, "mean"], own[score, "std"]) for score in _ABLATED_SCORES[:2]]
         cells.append((f"{'*' if point == outcome.base else ''}{getattr(point, name):g}", *values))
-    paper = f"; the paper chose {CHOSEN[name]:g}" if name in CHOSEN else ""
     parameter = PARAMETERS[name]
+    paper = "" if parameter.chosen is None else f"; the paper chose {parameter.chosen:g}"
     title = f"{parameter.group}.{name}: {parameter.text}; mean ± std over {n_pairs} pairs, * current{paper}"
     columns = (name.removesuffix("_m"), "objects\nreal", "\nsim", *narrow_labels(_ABLATED_SCORES))
     fixed = (0, *range(3, len(columns)))
@@ -158,7 +158,7 @@ def _influence_tables(outcome: AblateOutcome) -> list[Table]:
         setting, score = influence.name.removesuffix("_m"), metric_of(influence.metric).label
         result = "within the spread" if influence.is_within_spread else "beyond the spread"
         result = result if influence.range_of_means else "no change"
-        paper = INFLUENCES[influence.name].get(influence.metric, "")
+        paper = PARAMETERS[influence.name].influence.get(influence.metric, "")
         rows.append((setting, score, influence.range_of_means, influence.std_over_pairs, result, paper))
     title = "Change of a score over the values of a setting, compared with its spread over pairs"
     columns = ("setting", "score", "range of means", "std over pairs", "result", "the paper")

@@ -11,9 +11,7 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, SettingsError
@@ -27,7 +25,7 @@ from ...stages.statistics.typical_objects import ChosenObject
 from ..engine.engine import Machines
 from ..engine.plan import Part
 from ..engine.progress import Reporter
-from ..jobs.points_job import column
+from ..jobs.points_job import column, points_in
 from ..stage import Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder
@@ -38,15 +36,15 @@ from .perturb_objects import choose_objects, read_objects
 #: Difference of a scan from itself without a change, the first row of every table: one point less, rows in another
 #: order, another Louvain seed. Noise and rigid motion keep the order, dropout and the others do not.
 NULL = Perturbation("null", 1.0)
-#: Noise, dropout and rigid motion are those of the paper; the null row, hallucination and density are ours.
-LEVELS = (
-    NULL,
-    *(Perturbation("noise", std_m) for std_m in (1e-3, 1e-2, 1e-1)),
-    *(Perturbation("dropout", share) for share in (0.05, 0.2, 0.4)),
-    *(Perturbation("rigid", angle_deg, shift_m) for shift_m, angle_deg in ((0.0, 0.5), (0.0, 1.0), (0.05, 2.0))),
-    *(Perturbation("hallucination", share) for share in (0.05, 0.2, 0.4)),
-    *(Perturbation("density", factor) for factor in (0.25, 0.5, 2.0, 4.0)),
-)
+#: Amounts by kind. Noise, dropout and rigid motion are those of the paper; hallucination and density are ours.
+_AMOUNTS = {
+    "null": "1",
+    "noise": "0.001,0.01,0.1",
+    "dropout": "0.05,0.2,0.4",
+    "rigid": "0:0.5,0:1,0.05:2",
+    "hallucination": "0.05,0.2,0.4",
+    "density": "0.25,0.5,2,4",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +73,7 @@ def perturb_source(
     settings: Settings,
     reporter: Reporter,
     *,
-    levels: Sequence[Perturbation] = LEVELS,
+    levels: Sequence[Perturbation],
     repeats: int = 20,
     global_repeats: int = 5,
     seed: int = 0,
@@ -136,9 +134,7 @@ def perturb_source(
 def object_points(folder: Path, scan: str) -> tuple[FloatArray, IntArray]:
     """Object points of an unaltered scan, (n, 3) metres, and their communities, from the experiment's folder."""
     run_folder = RunFolder(folder)
-    ground = run_folder.read_table("ground", scan, "real", ["x", "y", "z", "is_ground"])
-    ground = ground.filter(pc.invert(ground.column("is_ground")))
-    points = np.column_stack([column(ground, axis) for axis in "xyz"])
+    _, points = points_in(run_folder.read_table("ground", scan, "real"))
     return points, column(run_folder.read_table("communities", scan, "real"), "community_id")
 
 
@@ -155,16 +151,13 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
     >>> parse_levels(["dropout=0.1", "rigid=0.05:2"])[1]
     Perturbation(kind='rigid', amount=2.0, shift_m=0.05)
     """
-    levels: dict[Perturbation, None] = {}
+    levels = []
     for word in words:
         kind, equals, amounts = word.partition("=")
         if kind not in KINDS:
             raise SettingsError(f"--sweep {word!r}: expected one of {', '.join(KINDS)}; got {kind!r}")
-        if equals:
-            levels |= dict.fromkeys(_level(word, kind, text) for text in amounts.split(","))
-        else:
-            levels |= dict.fromkeys(level for level in LEVELS if level.kind == kind)
-    return tuple(levels)
+        levels += [_level(word, kind, text) for text in (amounts if equals else _AMOUNTS[kind]).split(",")]
+    return tuple(dict.fromkeys(levels))
 
 
 def _level(word: str, kind: str, text: str) -> Perturbation:
@@ -181,6 +174,10 @@ def _level(word: str, kind: str, text: str) -> Perturbation:
     if not low <= level.amount <= high or not 0 <= level.shift_m <= 100:
         raise SettingsError(f"--sweep {word!r}: expected {low:g} to {high:g} for {kind}, got {text}")
     return level
+
+
+#: All default levels, that of the scan against itself first.
+LEVELS = parse_levels([*_AMOUNTS])
 
 
 def _parts(

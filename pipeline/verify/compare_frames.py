@@ -11,60 +11,16 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.columns import Row
-from ...schemas.metric_catalogue import SHIFT_COLUMNS
+from ...schemas.data_files import read_data
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 
 #: Tolerance of every number without a rule: metres, shares, eigenvalues. Counts and ids are exact all the same.
 DEFAULT_TOLERANCE = 1e-9
 _RELATIVE = 1e-12
-MERGE_GAIN = "modularity gained by joining two communities"
-
-#: By `table.column` or `table`: the absolute tolerance if it is not the default, or why it is not recomputed.
-RULES: dict[str, float | str] = {
-    "ground.intensity": 0.0,
-    "graph.length_m": 0.0,
-    # stored with nine decimals: two roundings may be one step apart
-    "selection.real_influence": 1.5e-9,
-    "selection.sim_influence": 1.5e-9,
-    **{f"surface.{name}": 1e-8 for name in SHIFT_COLUMNS},
-    # scikit-network's Louvain computes in single precision
-    f"communities.{MERGE_GAIN}": 1e-5,
-    # the arccosine is steep where the axis is upright
-    "ground.metadata tilt_deg": 1e-5,
-    "pairs.ground_real_tilt_deg": 1e-5,
-    "pairs.ground_sim_tilt_deg": 1e-5,
-    "baselines.reason": "text for people",
-    "nvs.reason": "text for people",
-    "pairs.reason": "why a pair failed: it is not tried again",
-    "timings": "seconds of a clock",
-}
+_RULES = read_data("verification")
 #: Columns and tables that are not recomputed, and why.
-NOT_COMPARED = {name: rule for name, rule in RULES.items() if isinstance(rule, str)}
-#: Compared values of each table, in the order of the report.
-COMPARED = {
-    "files": "unchanged content (SHA-256)",
-    "rows": "names of pair and side, order by keys, no duplicates",
-    "scan": "points kept of the scan, and their coordinates",
-    "ground": "cut, heights, flags of all points",
-    "sensor": "description of the scan, by the same code",
-    "graph": "all edge lengths; all edges of drawn nodes",
-    "communities": "Louvain again; numbering; reference: nearest real points",
-    "objects": "sizes; place and shape of drawn objects",
-    "matching": "matched objects and their distances",
-    "coverage": "drawn objects, from all distances",
-    "surface": "displacement of drawn objects",
-    "pieces": "counts, shares and moves of all pieces",
-    "rays": "outcomes, from stored ranges; the rest by the same code",
-    "ray_scores": "scores of stored rays",
-    "selection": "influence, kept nodes, optimal alignment",
-    "metrics": "scores from dense matrices",
-    "baselines": "baseline metrics",
-    "seeds": "row of the configured seed",
-    "nvs": "all scores, pixel by pixel",
-    "pairs": "counts, cuts, means, deviations, medians",
-    "run.json": "means and deviations over pairs",
-}
+NOT_COMPARED: dict[str, str] = _RULES["not_compared"]
 #: Table of the values of checks with another name.
 TABLE_OF = {"scan": "ground"}
 #: Mismatches listed per table.
@@ -117,8 +73,9 @@ def compare(
             nowhere = np.zeros(len(key))
             yield ColumnComparison(str(name), recomputed.index, key, key, nowhere, nowhere.astype(np.bool_))
     for column in recomputed.columns:
-        tolerance = RULES.get(f"{table}.{column}", DEFAULT_TOLERANCE)
-        assert isinstance(tolerance, float), f"{table}.{column} is recomputed though a rule says it is not"
+        name = f"{table}.{column}"
+        assert name not in NOT_COMPARED, f"{name} is recomputed though a rule says it is not"
+        tolerance = _RULES["tolerance"].get(name, DEFAULT_TOLERANCE)
         a, b = _values(stored[column]), _values(recomputed[column])
         if object in (a.dtype, b.dtype):
             is_wrong = np.array([x != y for x, y in zip(a.tolist(), b.tolist(), strict=True)], dtype=np.bool_)
@@ -230,7 +187,7 @@ class Tally:
 
     def check(self, table: str) -> TableCheck:
         """Result of a table, created if necessary."""
-        return self.checks.setdefault(table, TableCheck(table, COMPARED[table]))
+        return self.checks.setdefault(table, TableCheck(table, _RULES["compared"][table]))
 
     def reject(self, table: str, pair_id: str, why: str) -> None:
         """Count an unusable table as a mismatch."""
@@ -248,7 +205,7 @@ class Tally:
 
     def results(self) -> tuple[tuple[TableCheck, ...], tuple[Mismatch, ...]]:
         """Checks with their compared columns, and the listed mismatches, in the order of the report."""
-        checks = [self.checks[table] for table in COMPARED if table in self.checks]
+        checks = [self.checks[table] for table in _RULES["compared"] if table in self.checks]
         for check in checks:
             names = TABLES[check.table].schema.names if check.table in TABLES else []
             check.columns = tuple(name for name in names if f"{check.table}.{name}" in self.compared)

@@ -24,7 +24,7 @@ from ...stages.literal import literal_method, literal_pieces, literal_surfaces
 from ..jobs import EXTRAS, STAGES
 from ..stage import Stage
 from ..storage.run_record import library_versions
-from .compare_frames import DEFAULT_TOLERANCE, MERGE_GAIN
+from .compare_frames import DEFAULT_TOLERANCE
 from .recompute_nvs import nvs
 from .recompute_rays import rays
 from .stored import StoredPair, StoredSide, rows_of
@@ -57,14 +57,9 @@ def rows(pair: StoredPair) -> None:
         frame = pair.table(table, side)
         names = {"pair_id": pair.pair_id} | ({"side": side} if side else {})
         stored: Row = {f"{table}.{name}": int((frame[name] != own).sum()) for name, own in names.items()}
-        keys = [frame[key].replace(-1, np.inf) for key in TABLES[table].keys]  # nulls last
-        is_after = np.zeros(max(0, len(frame) - 1), dtype=bool)
-        is_same = ~is_after
-        for key in keys:
-            before, after = key.to_numpy()[:-1], key.to_numpy()[1:]
-            is_after |= is_same & (before < after)
-            is_same &= before == after
-        stored[f"rows of {table} not in order, or twice"] = int((~is_after).sum())
+        keys = pd.MultiIndex.from_frame(frame[[*TABLES[table].keys]].replace(-1, np.inf))  # nulls last
+        is_in_order = keys.is_unique and keys.is_monotonic_increasing
+        stored[f"rows of {table} not in order, or twice"] = int(not is_in_order)
         pair.compare_values("rows", stored, dict.fromkeys(stored, 0), side)
 
 
@@ -209,7 +204,8 @@ def _own_labels(pair: StoredPair, own: StoredSide) -> list[int]:
         pair.tally.skip("connected components of a graph without lengths")
         return stored
     gain = max(0.0, literal_method.best_merge_gain(own.labels, *own.edges))
-    pair.compare_values("communities", {MERGE_GAIN: gain}, {MERGE_GAIN: 0.0}, own.side)
+    what = "modularity gained by joining two communities"
+    pair.compare_values("communities", {what: gain}, {what: 0.0}, own.side)
     name = "scikit-network"
     if settings.backend != name or pair.run.record.libraries.get(name) != library_versions([name])[name]:
         pair.tally.skip(f"communities of a graph by another Louvain than that of the installed {name}")

@@ -6,8 +6,6 @@ from ...schemas.data_files import read_data
 from ...schemas.metric_catalogue import PaperMean
 
 _PAPER = read_data("paper")
-#: The settings that the paper chose in its ablation, and the influence of each on a score.
-CHOSEN, INFLUENCES = _PAPER["chosen"], _PAPER["influences"]
 #: Steps of the section "Pipeline Timing": name, milliseconds, the steps of ours that do that work, and their text.
 TIMINGS = _PAPER["timings"]
 #: The scores of Table I.

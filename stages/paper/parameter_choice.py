@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import t as student_t
@@ -23,8 +24,7 @@ LEAST_PAIRS = 3
 _ROUNDING = 1e-12
 
 
-@dataclass(frozen=True, order=True)
-class ParameterSet:
+class ParameterSet(NamedTuple):
     """Values of the four ablated settings: k, tau and delta in metres, diffusion time t."""
 
     k: int
@@ -32,9 +32,9 @@ class ParameterSet:
     delta_m: float
     t: float
 
-    def with_value(self, name: str, value: float) -> ParameterSet:
+    def with_value(self, name: str, value: Any) -> ParameterSet:
         """A copy with another value of one parameter."""
-        return ParameterSet(**(vars(self) | {name: value}))
+        return self._replace(**{name: value})
 
 
 @dataclass(frozen=True)

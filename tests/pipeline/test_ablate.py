@@ -137,7 +137,7 @@ def made_up(tmp_path, rates, r_lambdas):
     rows = [
         {
             "pair_id": f"{pair}",
-            **vars(ParameterSet(k, 0.2, 5.0, 1.0)),
+            **ParameterSet(k, 0.2, 5.0, 1.0)._asdict(),
             **dict.fromkeys(("n_communities_real", "n_communities_sim", "n_matched"), 1),
             "match_rate": rate,
             "r_lambda_mean": r_lambda,
