@@ -104,8 +104,7 @@ def as_ros(points: FloatArray, frame: FrameName) -> FloatArray:
     if frame == "ros":
         return points
     columns, signs = _AXES[frame]
-    converted: FloatArray = points[:, columns] * np.array(signs)
-    return converted
+    return points[:, columns] * np.array(signs)
 
 
 def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], settings: InputSettings) -> str:
@@ -147,5 +146,4 @@ def _inside(points: FloatArray, box: Box | None, *, default: bool) -> BoolArray:
 
 def _all(flags: BoolArray) -> BoolArray:
     """True for rows that are all true, (n,) bool."""
-    rows: BoolArray = np.logical_and.reduce(flags, axis=1)
-    return rows
+    return np.logical_and.reduce(flags, axis=1)

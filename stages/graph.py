@@ -112,8 +112,7 @@ def _nearest_of_one(
     ball = np.array(tree.query_ball_point(points[i], radius * (1 + _SLACK)), dtype=np.intp)
     ball = ball[ball != i]
     distance = _distance(points, np.full(len(ball), i), ball)
-    nearest: IndexArray = ball[np.lexsort((precedence[ball], distance))[:k]]
-    return nearest
+    return ball[np.lexsort((precedence[ball], distance))[:k]]
 
 
 def _within(points: FloatArray, tau_m: float) -> IndexArray:

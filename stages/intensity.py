@@ -114,8 +114,7 @@ def mean_ranks(values: FloatArray) -> FloatArray:
     [0.25, 0.625, 0.25, 0.875]
     """
     _, ids, counts = np.unique(values, return_inverse=True, return_counts=True)
-    ranks: FloatArray = ((np.cumsum(counts) - counts / 2) / len(values))[ids]
-    return ranks
+    return ((np.cumsum(counts) - counts / 2) / len(values))[ids]
 
 
 def _equal_counts(values: FloatArray, is_chosen: BoolArray) -> IndexArray:

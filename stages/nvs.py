@@ -50,8 +50,7 @@ class RangeImage:
         elevation = (FOV_UP_DEG - row / HEIGHT * FOV_DEG) / 180 * np.pi
         level = np.cos(elevation)
         directions = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
-        points: FloatArray = directions * self.range_m[row, column, None]
-        return points
+        return directions * self.range_m[row, column, None]
 
 
 def project(points: FloatArray, intensity: FloatArray | None = None) -> RangeImage:

@@ -27,8 +27,7 @@ class Objects:
     @property
     def range_m(self) -> FloatArray:
         """Distance of the centroid from the sensor, (c,) float64, metres."""
-        range_m: FloatArray = np.linalg.norm(self.centroid, axis=1)
-        return range_m
+        return np.linalg.norm(self.centroid, axis=1)
 
 
 def describe_objects(points: FloatArray, labels: IntArray, n_ids: int = 0) -> Objects:

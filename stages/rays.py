@@ -96,8 +96,7 @@ class Rays:
         last = np.zeros(self.beam.max(initial=0) + 1, dtype=np.intp)
         np.maximum.at(last, self.beam, self.column)
         n_columns = last[np.unique(self.beam)].min(initial=self.column.max(initial=0)) + 1
-        middle: FloatArray = (np.minimum(self.column, n_columns - 1) + 0.5) * 360.0 / n_columns - 180.0
-        return middle
+        return (np.minimum(self.column, n_columns - 1) + 0.5) * 360.0 / n_columns - 180.0
 
 
 def compare_rays(
@@ -277,13 +276,11 @@ class _Side:
     def incidence_deg(self, at: IndexArray | IntArray, normal: FloatArray) -> FloatArray:
         """(k,) angle between the rays of some returns and the normals of the surface that they met."""
         cosine = np.abs(np.einsum("ij,ij->i", normal, self.points[at])) / self.range_m[at]
-        angle: FloatArray = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
-        return angle
+        return np.degrees(np.arccos(np.minimum(cosine, 1.0)))
 
     def across(self, cells: FloatArray) -> FloatArray:
         """A difference of azimuths, in cells, the short way round."""
-        difference: FloatArray = (cells + self.width / 2) % self.width - self.width / 2
-        return difference
+        return (cells + self.width / 2) % self.width - self.width / 2
 
     def normals(self, at: IndexArray | IntArray) -> FloatArray:
         """(k, 3) unit vectors of some returns, NaN if neighbours are missing.
@@ -335,8 +332,7 @@ def _is_first(values: IndexArray, n: int) -> BoolArray:
     """True where a value, from 0 to n - 1, occurs for the first time."""
     first, places = np.empty(n, dtype=np.intp), np.arange(len(values))
     first[values[::-1]] = places[::-1]  # the last assignment counts
-    is_first: BoolArray = first[values] == places
-    return is_first
+    return first[values] == places
 
 
 def _phase(a: _Side, row: IndexArray, azimuth: FloatArray) -> FloatArray:
@@ -351,8 +347,7 @@ def _phase(a: _Side, row: IndexArray, azimuth: FloatArray) -> FloatArray:
     n_blocks = int(a.width // _PHASE_CELLS) + 1
     block = a.beam * n_blocks + (a.place[:, 0] // _PHASE_CELLS).astype(np.intp)
     of_beam, of_block = (_mean_phase(place, row, azimuth)[place] for place in (a.beam, block))
-    phase: FloatArray = of_beam + (of_block - of_beam + 0.5) % 1.0 - 0.5
-    return phase
+    return of_beam + (of_block - of_beam + 0.5) % 1.0 - 0.5
 
 
 def _mean_phase(place: IndexArray, row: IndexArray, azimuth: FloatArray) -> FloatArray:
@@ -393,8 +388,7 @@ def _range_along(directions: FloatArray, points: FloatArray, normal: FloatArray)
     with np.errstate(invalid="ignore", divide="ignore"):
         meeting = np.einsum("ij,ij->i", points, normal) / cosine
         is_met = (np.abs(cosine) > _GRAZING) & (np.abs(meeting - own) < _MOST_MOVED * own)
-    ranges: FloatArray = np.where(is_met, meeting, own)
-    return ranges
+    return np.where(is_met, meeting, own)
 
 
 def _in_grid(beam: IndexArray, azimuth: FloatArray, n_beams: int, n_columns: int, **values: IntArray) -> Rays:

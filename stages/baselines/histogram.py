@@ -52,5 +52,4 @@ def _distance_shares(points: FloatArray, n_bins: int) -> FloatArray | None:
     if largest == 0:
         return None
     counts, _ = np.histogram(distance / largest, bins=n_bins, range=(0.0, 1.0))
-    shares: FloatArray = counts / len(distance)
-    return shares
+    return counts / len(distance)

@@ -70,8 +70,7 @@ def assign_nodes(a: FloatArray, b: FloatArray, *, arcs_per_node: int = ARCS_PER_
     if offset.any():  # far from the origin (UTM) single precision would not distinguish the candidates
         a, b = a - offset, b - offset
     if len(a) <= _DENSE_NODES:
-        sim_of_real: IndexArray = scipy.optimize.linear_sum_assignment(scipy.spatial.distance.cdist(a, b))[1]
-        return sim_of_real
+        return scipy.optimize.linear_sum_assignment(scipy.spatial.distance.cdist(a, b))[1]
     arcs = _candidate_arcs(a, b, _coarse_prices(a, b, arcs_per_node), arcs_per_node)
     is_first = True
     while True:
@@ -108,8 +107,7 @@ def _candidate_arcs(a: FloatArray, b: FloatArray, price_b: FloatArray, arcs_per_
     from_b, _ = _cheapest(b, a, price_a, arcs_per_node)
     arcs = from_a + from_b.T + scipy.sparse.csr_array((np.ones(n, np.int8), (_curve(a), _curve(b))), (n, n))
     arcs.sort_indices()
-    codes: IndexArray = np.repeat(np.arange(n) * n, np.diff(arcs.indptr)) + arcs.indices
-    return codes
+    return np.repeat(np.arange(n) * n, np.diff(arcs.indptr)) + arcs.indices
 
 
 def _cheapest(
@@ -171,8 +169,7 @@ def _tight_arcs(a: FloatArray, b: FloatArray, arcs: IndexArray, sim_of_real: Ind
     slack = np.sqrt(((a[i] - b[j]) ** 2).sum(axis=1)) - prices[0][i] - prices[1][j]
     n_tight = min(_TIGHT_ARCS_PER_NODE * n, len(arcs) - 1)
     is_tight = slack <= np.partition(slack, n_tight)[n_tight]
-    tight: IndexArray = arcs[is_tight | (j == sim_of_real[i])]
-    return tight
+    return arcs[is_tight | (j == sim_of_real[i])]
 
 
 def _promising_arcs(a: FloatArray, b: FloatArray, prices: Prices) -> IndexArray:

@@ -250,5 +250,4 @@ def _from_end(symmetric: scipy.sparse.csr_matrix) -> IndexArray:
         start = int(order[-1])
     order = scipy.sparse.csgraph.breadth_first_order(symmetric, start, directed=False, return_predecessors=False)
     others = np.setdiff1d(np.arange(symmetric.shape[0]), order)
-    whole_order: IndexArray = np.concatenate([order, others]).astype(np.intp)
-    return whole_order
+    return np.concatenate([order, others]).astype(np.intp)

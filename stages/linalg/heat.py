@@ -109,5 +109,4 @@ def _dense_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t
 
 def _dense_heat(laplacian: scipy.sparse.csr_matrix, t: float) -> FloatArray:
     values, vectors = scipy.linalg.eigh(laplacian.toarray(), check_finite=False)
-    heat: FloatArray = (vectors * np.exp(-t * values)) @ vectors.T
-    return heat
+    return (vectors * np.exp(-t * values)) @ vectors.T

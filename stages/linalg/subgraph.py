@@ -111,8 +111,7 @@ def _components(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]
     """The connected component of each node, (n,), numbered from 0."""
     joined = np.ones(len(src), dtype=np.bool_)
     graph = scipy.sparse.coo_matrix((joined, (src, dst)), shape=(n_nodes, n_nodes))
-    components: IndexArray = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
-    return components
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
 def split_by_community(

@@ -253,8 +253,7 @@ def kinds_of_change(
     fell, rose = (change < -LEAST_CHANGE).any(axis=1), (change > LEAST_CHANGE).any(axis=1)
     conditions = [~before & ~after, before & ~after, ~before & after, fell & rose, fell, rose]
     kinds = ["missing in both", "vanished", "appeared", "mixed", "better", "worse"]
-    found: NDArray[np.str_] = np.select(conditions, kinds, "alike")
-    return found
+    return np.select(conditions, kinds, "alike")
 
 
 @cache
@@ -268,5 +267,4 @@ def _directions(n: int) -> FloatArray:
         drawn = 1.0 - 2.0 * ((np.arange(1, 2 ** (n - 1))[:, None] >> np.arange(n)) & 1)
     else:
         drawn = rng.choice([-1.0, 1.0], size=(DRAWS, n))
-    directions: FloatArray = np.vstack([np.ones(n), drawn])
-    return directions
+    return np.vstack([np.ones(n), drawn])

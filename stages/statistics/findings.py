@@ -231,8 +231,7 @@ def std_by_pair(values: FloatArray, pair: IntArray, n_pairs: int) -> FloatArray:
     n = np.bincount(pair, minlength=n_pairs)
     mean = np.bincount(pair, values, n_pairs) / np.maximum(n, 1)
     squares = np.bincount(pair, (values - mean[pair]) ** 2, n_pairs)
-    found: FloatArray = np.where(n > 1, np.sqrt(squares / np.maximum(n - 1, 1)), np.nan)
-    return found
+    return np.where(n > 1, np.sqrt(squares / np.maximum(n - 1, 1)), np.nan)
 
 
 def compare_scans(matched: Objects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]) -> Scans:
