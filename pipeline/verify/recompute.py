@@ -14,7 +14,7 @@ import pandas as pd
 from scipy.spatial.distance import cdist
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import BASELINES, COVERAGE_REACHES, METRIC, OBJECT_METRICS, SHIFT_COLUMNS
+from ...schemas.metric_catalogue import BASELINES, COVERAGE_REACHES, OBJECT_METRICS, SHIFT_COLUMNS
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IndexArray
 from ...stages.clean import as_ros
@@ -44,6 +44,7 @@ _FROM_SCANS = ("point_id", "x", "y", "z", "intensity", "label", "instance")
 _OF_OBJECTS = ("emd", "netlsd", "r_h")
 UNMATCHED = {"real": "missing", "sim": "hallucinated"}
 _FATES = ("matched", *UNMATCHED.values())
+_KEYS = ["real_id", "sim_id"]
 
 
 def stages_of(pair: StoredPair) -> list[Stage]:
@@ -272,7 +273,7 @@ def matching(pair: StoredPair) -> None:
     tables = {side: pair.table("objects", side) for side in SIDES}
     real, sim = (tables[side][["cx", "cy", "cz"]].to_numpy() for side in SIDES)
     settings, of_reference = pair.settings.matching, pair.settings.communities.objects == "reference"
-    pairs = {row["real_id"]: row["sim_id"] for row in pair.matched}
+    pairs = dict(zip(pair.matches["real_id"].tolist(), pair.matches["sim_id"].tolist(), strict=True))
     if of_reference:
         n_real, n_sim = (tables[side]["n_points"].to_numpy() for side in SIDES)
         least = np.minimum(pair.settings.communities.min_points, n_real)
@@ -418,24 +419,22 @@ def _pieces(pair: StoredPair, side: str, other: str) -> list[Row]:
 
 def selection(pair: StoredPair) -> None:
     """Number of aligned nodes of every object; for the drawn ones the nodes, their influence and alignment."""
-    keys = ("real_id", "sim_id")
-    ranks = [{name: row[name] for name in keys} | {"rank": k} for row in pair.matched for k in range(pair.n_kept(row))]
-    pair.compare("selection", ranks)
+    ranks = pair.matches.loc[pair.matches.index.repeat(pair.matches["n_keep"]), _KEYS]
+    pair.compare("selection", ranks.assign(rank=ranks.groupby(level=0).cumcount()))
     expected: list[Row] = []
     for match in pair.drawn_matches:
-        members, own = pair.members(match), {name: match[name] for name in keys}
+        members, own = pair.members(match), {name: match[name] for name in _KEYS}
         if max(len(nodes) for nodes in members.values()) > MOST_NODES:
             columns = (f"selection.{side}_{what}" for side in SIDES for what in ("point_id", "influence"))
             why = f"influence and scores of an object of more than {MOST_NODES} points (dense matrices)"
             pair.tally.skip(why, *columns)
             continue
-        rows = [own | {"rank": k} for k in range(pair.n_kept(match))]
+        rows = [own | {"rank": k} for k in range(match["n_keep"])]
         for side in SIDES:
             for row, (node, influence) in zip(rows, _selected(pair, match, side, members[side]), strict=True):
                 row |= {f"{side}_point_id": pair.sides[side].point_ids[node], f"{side}_influence": influence}
         expected += rows
-        kept, what = pair.kept(match), "mean distance of aligned nodes, m"
-        a, b = (pair.sides[side].points[kept[side]] for side in SIDES)
+        (a, b), what = pair.points(pair.kept(match)), "mean distance of aligned nodes, m"
         cost = cdist(a - a.mean(axis=0), b - b.mean(axis=0))
         least = literal_method.least_total(cost) / len(cost)
         pair.compare_values("selection", {what: math.fsum(np.diag(cost)) / len(cost)}, {what: least}, **own)
@@ -448,7 +447,7 @@ def _selected(pair: StoredPair, match: Row, side: str, members: IndexArray) -> l
     The stored nodes are accepted if no other node has more influence, up to rounding; the real ones in the order of
     their influence.
     """
-    own, rows, n_keep = pair.sides[side], pair.selected(match), pair.n_kept(match)
+    own, rows, n_keep = pair.sides[side], pair.selected(match), match["n_keep"]
     expected = literal_method.influence(own.laplacian(members), pair.settings.selection.t)
     of_node = dict(zip(members.tolist(), expected.tolist(), strict=True))
     chosen, stored = own.index(rows[f"{side}_point_id"]).tolist(), rows[f"{side}_influence"].tolist()
@@ -464,20 +463,13 @@ def _selected(pair: StoredPair, match: Row, side: str, members: IndexArray) -> l
 
 def metrics(pair: StoredPair) -> None:
     """Scores of the drawn objects, from the nodes that the selection kept."""
-    keys, sizes = ["real_id", "sim_id"], {side: pair.table("objects", side)["n_points"] for side in SIDES}
-    known = [
-        {name: match[name] for name in (*keys, "centroid_distance_m")}
-        | {f"n_{side}": sizes[side][match[f"{side}_id"]] for side in SIDES}
-        | {"n_keep": pair.n_kept(match)}
-        for match in pair.matched
-    ]
-    pair.compare("metrics", known)
+    pair.compare("metrics", pair.matches)
     pair.compare("metrics", [], is_whole=False)
     for match in pair.drawn_matches:
         members, kept = pair.members(match), pair.kept(match)
-        row: Row = {name: match[name] for name in keys}
-        row["cdc"] = literal_method.cdc(*(pair.sides[side].points[members[side]] for side in SIDES))
-        row["alignment_rms_m"] = literal_method.alignment_rms(*(pair.sides[side].points[kept[side]] for side in SIDES))
+        row: Row = {name: match[name] for name in _KEYS}
+        row["cdc"] = literal_method.cdc(*pair.points(members))
+        row["alignment_rms_m"] = literal_method.alignment_rms(*pair.points(kept))
         n_keep = len(kept["real"])
         if n_keep > MOST_NODES:
             why = f"spectra of an object of more than {MOST_NODES} aligned nodes (dense matrices)"
@@ -497,20 +489,16 @@ def baselines(pair: StoredPair) -> None:
     chosen = [metric for metric in BASELINES if metric.method in pair.settings.metrics.baselines]
     if not chosen:
         return
-    of_scans = [metric for metric in chosen if metric.method not in _OF_OBJECTS]
-    named = [((row["real_id"], row["sim_id"]), metric) for row in pair.matched for metric in chosen]
-    named += [((-1, -1), metric) for metric in of_scans]
-    columns = ("real_id", "sim_id", "baseline", "unit")
-    rows = [(*ids, metric.column, METRIC[metric.column].unit or None) for ids, metric in named]
-    pair.compare("baselines", [dict(zip(columns, row, strict=True)) for row in rows])
-    drawn = [(row["real_id"], row["sim_id"], chosen, _distances(pair, row)) for row in pair.drawn_matches]
+    units = pd.DataFrame([{"baseline": metric.column, "unit": metric.unit or None} for metric in chosen])
+    of_scans = units[[metric.method not in _OF_OBJECTS for metric in chosen]].assign(real_id=-1, sim_id=-1)
+    pair.compare("baselines", pd.concat([pair.matches[_KEYS].merge(units, how="cross"), of_scans]))
+    drawn = [(match["real_id"], match["sim_id"], units, _distances(pair, match)) for match in pair.drawn_matches]
     if pair.whole_sides:
         real, sim = (pair.sides[side].points for side in SIDES)
-        whole = distances.of_points(real, sim, pair.settings.metrics.model_dump())
-        drawn.append((-1, -1, of_scans, whole))
+        drawn.append((-1, -1, of_scans, distances.of_points(real, sim, pair.settings.metrics.model_dump())))
     expected = []
     for real_id, sim_id, of_object, values in drawn:
-        for name in (metric.column for metric in of_object):
+        for name in of_object["baseline"]:
             if name in values:
                 expected.append({"real_id": real_id, "sim_id": sim_id, "baseline": name, "value": values[name]})
             else:
@@ -521,8 +509,7 @@ def baselines(pair: StoredPair) -> None:
 def _distances(pair: StoredPair, match: Row) -> dict[str, float | None]:
     """Baseline metrics of a matched object by name, as far as the literal twin has them."""
     settings, members, kept = pair.settings.metrics.model_dump(), pair.members(match), pair.kept(match)
-    real, sim = (pair.sides[side].points[members[side]] for side in SIDES)
-    a, b = (pair.sides[side].points[kept[side]] for side in SIDES)
+    (real, sim), (a, b) = pair.points(members), pair.points(kept)
     expected = distances.of_points(real, sim, settings)
     expected["emd_centred_mean_m"] = float(np.linalg.norm((a - a.mean(axis=0)) - (b - b.mean(axis=0)), axis=1).mean())
     n_most = max(len(real), len(sim))

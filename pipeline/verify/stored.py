@@ -82,28 +82,23 @@ class StoredPair:
         return read_scan(path, self.settings.input.columns_of(side), self.label_names) if path else None
 
     @cached_property
-    def matching(self) -> list[Row]:
-        """Rows of `matching`; -1 for no object."""
-        return rows_of(self.table("matching"))
-
-    @property
-    def matched(self) -> list[Row]:
-        """Rows of `matching` with an object of each side."""
-        return [row for row in self.matching if row["status"] == "matched"]
+    def matches(self) -> pd.DataFrame:
+        """Rows of `matching` with an object of each side, their sizes, and `n_keep`, the smaller one."""
+        rows = self.table("matching")
+        rows = rows[rows["status"] == "matched"].drop(columns=["pair_id", "status"])
+        for side in SIDES:
+            rows[f"n_{side}"] = self.table("objects", side)["n_points"].to_numpy()[rows[f"{side}_id"]]
+        return rows.assign(n_keep=rows[["n_real", "n_sim"]].min(axis=1))
 
     @property
     def drawn_matches(self) -> list[Row]:
         """Matched rows of the sample."""
-        return [self.matching[i] for i in self.drawn if self.matching[i]["status"] == "matched"]
+        return rows_of(self.matches[self.matches.index.isin(self.drawn)])
 
     def drawn_ids(self, side: str) -> list[int]:
         """Objects of a side in the sample."""
-        ids = [self.matching[i][f"{side}_id"] for i in self.drawn]
-        return [i for i in ids if i >= 0]
-
-    def n_kept(self, match: Row) -> int:
-        """Expected number of aligned nodes of a matched object: the points of the smaller side."""
-        return min(int(self.table("objects", side)["n_points"][match[f"{side}_id"]]) for side in SIDES)
+        ids = self.table("matching")[f"{side}_id"].iloc[self.drawn]
+        return [i for i in ids.tolist() if i >= 0]
 
     def members(self, match: Row) -> dict[str, IndexArray]:
         """Points of a matched object, by side."""
@@ -119,6 +114,10 @@ class StoredPair:
         """Aligned nodes of a matched object, by side."""
         rows = self.selected(match)
         return {side: self.sides[side].index(rows[f"{side}_point_id"]) for side in SIDES}
+
+    def points(self, nodes: dict[str, IndexArray]) -> tuple[FloatArray, FloatArray]:
+        """Some points of both sides, (n, 3) and (m, 3)."""
+        return self.sides["real"].points[nodes["real"]], self.sides["sim"].points[nodes["sim"]]
 
     def laplacians(self, nodes: dict[str, IndexArray]) -> tuple[FloatArray, FloatArray]:
         """Normalised Laplacians, dense, of the graphs among some nodes of both sides."""
