@@ -5,8 +5,6 @@ from __future__ import annotations
 from io import BytesIO
 from pathlib import Path
 
-import numpy as np
-
 from ..report.figures import style
 from ..report.view import Note, Table, View, number
 from ..storage.files import write_whole
@@ -59,17 +57,13 @@ def summary(found: TellApart) -> str:
 def draw_map(found: TellApart, path: Path) -> None:
     """Write a PNG: both sides seen from above, points coloured by the probability of being simulated."""
     frame = style.frame_of(*(points for points, _ in found.maps))
-    width_m, height_m = frame[1] - frame[0]
-    with style.new_figure(
-        9.6, 1.25 + float(np.clip(3.9 * height_m / width_m, 1.5, 6.0)), style.shown_name(found.title, 80)
-    ) as figure:
-        axes = figure.subplots(1, 2, sharex=True, sharey=True)
-        for axis, (points, probability), name in zip(axes, found.maps, ("real", "simulated"), strict=True):
-            dots = style.dots(axis, points, 2.0, probability, cmap="coolwarm", vmin=0, vmax=1)
-            axis.set_title(f"{name} points")
-            style.from_above(axis, frame)
-        bar = axes[-1].inset_axes((1.03, 0, 0.04, 1))
-        figure.colorbar(dots, cax=bar, label="probability of being simulated")
+    look = {"cmap": "coolwarm", "vmin": 0, "vmax": 1}
+    panels: dict[str, list[style.Layer]] = {
+        f"{name} points": [(points, 2.0, probability, look)]
+        for (points, probability), name in zip(found.maps, ("real", "simulated"), strict=True)
+    }
+    title, label = style.shown_name(found.title, 80), "probability of being simulated"
+    with style.new_maps(frame, panels, title, label=label) as (figure, _):
         content = BytesIO()
         figure.savefig(content, format="png", bbox_inches="tight", pad_inches=0.08)
     write_whole(path, content.getvalue())

@@ -7,7 +7,7 @@ points are in a piece.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -32,27 +32,43 @@ OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
 OBJECT_ROAD = tuple(f"road_share_{side}" for side in SIDES)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RunResults:
     """A finished run.
 
     run : its folder, its record (`run.json`), and where single tables are read from
     pairs : `pairs.parquet`, the scored pairs only, worst first
     failures : why each failed pair failed
-    matched : `metrics` with place and class (`group`) of the real object, and `quadrant`; worst first
-    unmatched : `objects` that only one side has, with class and `status` (missing or hallucinated); largest first
+    objects : matched objects once, with the place of the real one, worst first; then those that only one side has,
+        largest first
     class_is : "class" where the scans are labelled, else "shape"
 
-    Objects also have `pair`, the position of their pair among `pairs`, `name`, such as "real 3" (a matched one that of
-    its real side), and the columns `OBJECT_COVERAGE` and `OBJECT_ROAD`, null for a side that does not have the object.
+    Objects have the columns of `object_frame`, and
+
+    - pair : index of their pair in `pairs`
+    - name, object : such as "real 3" (a matched one that of its real side), and "real 3, sim 5"
+    - real_id, sim_id : -1 for a side that does not have the object
+    - status : that of the scores if matched, else missing or hallucinated
+    - group : class or shape
+    - n_real, n_sim, `OBJECT_COVERAGE`, `OBJECT_ROAD` : null for a side that does not have the object
+    - n_keep, quadrant : null if it is not matched
     """
 
     run: FinishedRun
     pairs: pd.DataFrame
     failures: dict[str, str]
-    matched: pd.DataFrame
-    unmatched: pd.DataFrame
+    objects: pd.DataFrame
     class_is: str
+
+    @cached_property
+    def matched(self) -> pd.DataFrame:
+        """The objects that both sides have, worst first."""
+        return self.objects[self.objects.partner >= 0]
+
+    @cached_property
+    def unmatched(self) -> pd.DataFrame:
+        """The objects that only one side has, largest first."""
+        return self.objects[self.objects.partner < 0]
 
     def select(self, pattern: str | None) -> list[str]:
         """Names of the scored pairs that match, worst first.
@@ -90,48 +106,68 @@ def read_results(folder: Path) -> RunResults:
     objects = run.objects_of(names)
     is_labelled = bool(objects["label"].notna().any())
     objects["group"] = objects["label"].fillna(NO_LABEL) if is_labelled else objects["shape"]
+    return RunResults(run, pairs, failures, _both_sides(objects), "class" if is_labelled else "shape")
+
+
+def _both_sides(objects: pd.DataFrame) -> pd.DataFrame:
+    """One row per object, with the columns of either side."""
+    is_matched = objects["partner"] >= 0
+    of_sides = objects.set_index(["pair", "side", "community_id"])[["covered_0p3m", "road_share"]]
+    other = objects["side"].map(dict(zip(SIDES, SIDES[::-1], strict=True)))
+    partners = of_sides.reindex(pd.MultiIndex.from_arrays([objects["pair"], other, objects["partner"]]))
+    for side, covered, road in zip(SIDES, OBJECT_COVERAGE, OBJECT_ROAD, strict=True):
+        is_own, n_points = objects["side"] == side, f"n_{side}"
+        objects[f"{side}_id"] = objects["community_id"].where(is_own, objects["partner"])
+        objects[n_points] = objects[n_points].where(is_matched, objects["n_points"].where(is_own)).astype("Int64")
+        for name, source in ((covered, "covered_0p3m"), (road, "road_share")):
+            objects[name] = objects[source].where(is_own, partners[source].to_numpy())
+    objects["n_keep"] = objects["n_keep"].where(is_matched).astype("Int64")
+    objects["quadrant"] = objects["quadrant"].where(is_matched)
+    objects["status"] = objects["status"].where(is_matched, objects["fate"])
     objects["name"] = objects["side"] + " " + objects["community_id"].astype(str)
-    for column, of_sides in (("covered_0p3m", OBJECT_COVERAGE), ("road_share", OBJECT_ROAD)):
-        for name, side in zip(of_sides, SIDES, strict=True):
-            objects[name] = objects[column].where(objects["side"] == side)
-    matched, unmatched = _matched_and_not(objects)
-    return RunResults(
-        run=run,
-        pairs=pairs,
-        failures=failures,
-        matched=matched,
-        unmatched=unmatched,
-        class_is="class" if is_labelled else "shape",
-    )
+    objects["object"] = objects["name"] + (", sim " + objects["partner"].astype(str)).where(is_matched, "")
+    matched = _worst_first(objects[is_matched & (objects["side"] == "real")], ("cdc", "r_lambda"))
+    unmatched = objects[~is_matched & (objects["fate"] != "remnant")]
+    unmatched = unmatched.sort_values(["n_points", "pair_id"], ascending=[False, True])
+    return pd.concat([matched, unmatched], ignore_index=True)
 
 
-#: Columns of `ground` for a `Cloud`.
-GROUND_COLUMNS = ["point_id", "x", "y", "z", "is_ground"]
+def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
+    """Rows by the mean of their ranks, worst first; a null in any of the columns goes last."""
+    ranks = [rows[column].rank(ascending=column == "match_rate", pct=True) for column in by]
+    ordered = rows.assign(_order=sum(ranks)).sort_values(["_order", "pair_id"], na_position="last", kind="stable")
+    plain: pd.DataFrame = ordered.drop(columns="_order").reset_index(drop=True)
+    return plain
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """The object points of one side.
+    """The points of one side.
 
-    point_ids : (n,) int32, ascending
-    points : (n, 3) float64, metres, real sensor's frame
+    point_ids : (n,) int32, ascending, of the object points
+    points : (n, 3) float64, the object points, metres, real sensor's frame
     community : (n,) int32
+    road : (r, 3) float64, the points that were removed as ground
     """
 
     point_ids: IntArray
     points: FloatArray
     community: IntArray
-
-    @classmethod
-    def of(cls, ground: pd.DataFrame, communities: pd.DataFrame) -> Cloud:
-        """The object points of a side, from the rows of its tables."""
-        points = ground[~ground.is_ground]
-        return cls(points.point_id.to_numpy(), points[["x", "y", "z"]].to_numpy(), communities.community_id.to_numpy())
+    road: FloatArray
 
     def members(self, community_id: int) -> FloatArray:
         """The points of one object, (m, 3)."""
         members: FloatArray = self.points[self.community == community_id]
         return members
+
+
+def read_cloud(run: FinishedRun, pair_id: str, side: str) -> Cloud:
+    """The points of a side; `RunError` if a table is damaged or gone."""
+    ground = run.read_table("ground", pair_id, side, ["point_id", "x", "y", "z", "is_ground"])
+    community = run.read_table("communities", pair_id, side, ["community_id"])["community_id"].to_numpy()
+    is_ground = ground["is_ground"].to_numpy()
+    points = np.column_stack([ground[axis] for axis in "xyz"])
+    return Cloud(ground["point_id"].to_numpy()[~is_ground], points[~is_ground], community, points[is_ground])
 
 
 class PairFrames:
@@ -144,25 +180,15 @@ class PairFrames:
     """
 
     def __init__(self, results: RunResults, pair_id: str) -> None:
-        self.matched = results.matched[results.matched.pair_id == pair_id]
-        self.unmatched = results.unmatched[results.unmatched.pair_id == pair_id]
+        self.objects, self.matched, self.unmatched = (
+            rows[rows.pair_id == pair_id] for rows in (results.objects, results.matched, results.unmatched)
+        )
         self._run, self._pair_id = results.run, pair_id
 
     @cached_property
-    def _ground(self) -> dict[str, pd.DataFrame]:
-        return {side: self._columns("ground", side, GROUND_COLUMNS) for side in SIDES}
-
-    @cached_property
-    def road(self) -> dict[str, FloatArray]:
-        """The points that were removed as ground, (r, 3) metres, by side."""
-        return {side: rows.loc[rows.is_ground, ["x", "y", "z"]].to_numpy() for side, rows in self._ground.items()}
-
-    @cached_property
     def clouds(self) -> dict[str, Cloud]:
-        """The object points by side."""
-        return {
-            side: Cloud.of(self._ground[side], self._columns("communities", side, ["community_id"])) for side in SIDES
-        }
+        """The points by side."""
+        return {side: read_cloud(self._run, self._pair_id, side) for side in SIDES}
 
     @cached_property
     def sensors(self) -> dict[str, SensorDescription]:
@@ -173,7 +199,7 @@ class PairFrames:
     @cached_property
     def ray_image(self) -> NDArray[np.uint8]:
         """(beams, columns) place in `OUTCOME_COLOURS`, 255 for none; left on the left, the highest beam on top."""
-        rays = self._columns("rays", "", ["beam", "column", "outcome"])
+        rays = self._columns("rays", ["beam", "column", "outcome"])
         return ray_image(rays, outcome_places(rays), 255)
 
     @cached_property
@@ -182,18 +208,16 @@ class PairFrames:
         real, sim = (self.clouds[side].points for side in SIDES)
         return dict(zip(SIDES, nearest_distances(real, sim), strict=True))
 
-    def is_piece(self, side: str) -> BoolArray:
-        """Mask of the object points of a side that are in a missing (real side) or an invented piece, (n,)."""
+    @cached_property
+    def is_piece(self) -> dict[str, BoolArray]:
+        """Mask of the object points that are in a missing (real side) or an invented piece, (n,), by side."""
         settings = PieceSettings.model_validate(self._run.record.settings["pieces"])
-        points, other = (
-            np.concatenate([self.clouds[one].points, self.road[one]])
-            for one in (SIDES if side == "real" else SIDES[::-1])
-        )
-        n = len(self.clouds[side].points)
-        own = CutScan(points, np.arange(len(points)) >= n, np.empty(0))
-        labels = label_pieces(own, CutScan(other, np.empty(0, dtype=np.bool_), np.empty(0)), settings)
-        is_piece: BoolArray = labels[:n] >= 0
-        return is_piece
+        scans = []
+        for cloud in self.clouds.values():
+            points = np.concatenate([cloud.points, cloud.road])
+            scans.append(CutScan(points, np.arange(len(points)) >= len(cloud.points), np.empty(0)))
+        labels = [label_pieces(own, other, settings) for own, other in zip(scans, scans[::-1], strict=True)]
+        return {side: own[: len(self.clouds[side].points)] >= 0 for side, own in zip(SIDES, labels, strict=True)}
 
     @cached_property
     def alignment_moves(self) -> dict[int, FloatArray]:
@@ -211,11 +235,15 @@ class PairFrames:
     @cached_property
     def selection(self) -> pd.DataFrame:
         """The kept nodes of each matched object, in aligned pairs: real_id, real_point_id, sim_point_id."""
-        return self._columns("selection", "", ["real_id", "real_point_id", "sim_point_id"])
+        return self._columns("selection", ["real_id", "real_point_id", "sim_point_id"])
 
-    def _columns(self, table: str, side: str, columns: list[str]) -> pd.DataFrame:
-        rows: pd.DataFrame = self._run.read_table(table, self._pair_id, side, columns).to_pandas()
+    def _columns(self, table: str, columns: list[str]) -> pd.DataFrame:
+        rows: pd.DataFrame = self._run.read_table(table, self._pair_id, columns=columns).to_pandas()
         return rows
+
+
+#: The tables of a pair, kept for a while: pictures of its pieces and its view read the same ones.
+frames_of = lru_cache(maxsize=8)(PairFrames)
 
 
 def ray_image(rays: pd.DataFrame, values: NDArray[Any], empty: float) -> NDArray[Any]:
@@ -235,26 +263,3 @@ def outcome_places(rays: pd.DataFrame) -> NDArray[np.uint8]:
     places = {name: place for place, name in enumerate(OUTCOME_COLOURS)}
     found: NDArray[np.uint8] = np.array(rays.outcome.map(places).fillna(255), dtype=np.uint8)
     return found
-
-
-def _matched_and_not(objects: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The matched objects by their real side, worst first; the objects without a partner, largest first."""
-    of_sim = (OBJECT_COVERAGE[1], OBJECT_ROAD[1])
-    is_matched, is_real = objects["partner"] >= 0, objects["side"] == "real"
-    sim = objects.loc[is_matched & ~is_real, ["pair", "community_id", *of_sim]]
-    real = objects[is_matched & is_real].drop(columns=[*of_sim, "n_points"])
-    real = real.rename(columns={"community_id": "real_id", "partner": "sim_id"})
-    matched = real.merge(sim.rename(columns={"community_id": "sim_id"}), on=["pair", "sim_id"], validate="1:1")
-    unmatched = objects[objects["fate"].isin(["missing", "hallucinated"])]
-    unmatched = unmatched.assign(status=unmatched["fate"])
-    unmatched = unmatched.sort_values(["n_points", "pair_id"], ascending=[False, True], ignore_index=True)
-    return _worst_first(matched, ("cdc", "r_lambda")), unmatched
-
-
-def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
-    """Rows by the mean of their ranks, worst first; a null in any of the columns goes last."""
-    ranks = [rows[column].rank(ascending=column == "match_rate", pct=True) for column in by]
-    order = sum(ranks[1:], ranks[0])
-    ordered = rows.assign(_order=order).sort_values(["_order", "pair_id"], na_position="last", kind="stable")
-    plain: pd.DataFrame = ordered.drop(columns="_order").reset_index(drop=True)
-    return plain

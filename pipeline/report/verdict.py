@@ -15,7 +15,7 @@ from ...schemas.errors import RunError
 from ..results.floor import RunExcess
 from ..results.gate import Criterion, judge_run
 from ..results.overview import over_floor
-from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
+from ..results.quadrants import QUADRANTS
 from .aggregates import quadrants
 from .pictures import draw_pieces
 from .run_frames import RunResults
@@ -86,17 +86,6 @@ def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]
     kinds = (*QUADRANTS, "unknown", "real step3")
     shares = [(kind, name, n / n_all) for kind, (name, n) in zip(kinds, fates.items(), strict=True)]
     return [*bars, {"name": "Real objects", "value": f"{percent(shares[0][2])} faithful", "parts": shares}]
-
-
-def limits_in_words() -> str:
-    """The four quadrants and where they part."""
-    faithful, lost, displaced, failed = QUADRANTS.values()
-    return (
-        f"{faithful}: CDC at most {CDC_LIMIT} and r_lambda at most {R_LAMBDA_LIMIT}; {lost}: r_lambda above "
-        f"{R_LAMBDA_LIMIT}; {displaced}: CDC above {CDC_LIMIT}; {failed}: both above. The limits are fidpipe's, "
-        "not the paper's: each side about half a metre from the other on average, and the upper end of what is usual "
-        "for a twin that was meshed from scans"
-    )
 
 
 def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | None, list[str]]:

@@ -505,7 +505,7 @@ def test_an_unmatched_object_says_how_much_of_it_is_road_and_cannot_be_aligned(p
         choose(page, "object", f"{row.side} {row.community_id}")
         share = getattr(row, f"road_share_{row.side}")
         page.execute_script("document.getElementById('all_numbers').open = true")
-        shown = shown_numbers(page, "more_numbers")[f"road_share_{row.side}"]
+        shown = (shown_numbers(page) | shown_numbers(page, "more_numbers"))[f"road_share_{row.side}"]
         assert float(shown) == pytest.approx(share, abs=5e-4)
         other = {"real": "simulated", "sim": "real"}[row.side]
         said = f"{round(100 * share)} % of it is road on the {other} side" in by_id(page, "panel_sentence").text
@@ -593,8 +593,8 @@ def test_tables_hint_at_columns_on_the_right_and_keep_rows_low_and_the_first_col
               return [!hint.hidden, box.scrollWidth - box.clientWidth, Math.max(...rows), first];
             })"""
         )
-        assert all(is_hinted == (hidden_px > 2) for is_hinted, hidden_px, _, _ in tables)
-        assert all(height < 70 and abs(first) < 2 for _, _, height, first in tables)
+        assert [one for one in tables if one[0] != (one[1] > 2) or abs(one[3]) > 2] == []
+        assert width == WIDTHS[0] or max(height for _, _, height, _ in tables) < 60
         assert width == WIDTHS[0] or any(hidden_px > 2 for _, hidden_px, *_ in tables)
 
 

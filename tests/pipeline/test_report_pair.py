@@ -38,8 +38,8 @@ def test_a_page_has_every_point_of_every_object_and_no_other(run_of, request):
             kept = cloud.point_ids[nearest[unpacked(view)[f"{side}_kept"] == 1]]
             assert set(kept) == set(tables.selection[f"{side}_point_id"])
             road = points_in(view, f"{side}_road")
-            assert 0 < len(road) <= len(tables.road[side])
-            assert cKDTree(tables.road[side]).query(road)[0].max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
+            assert 0 < len(road) <= len(cloud.road)
+            assert cKDTree(cloud.road).query(road)[0].max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
 
 
 def test_aligned_points_lie_as_the_alignment_error_is_measured(report_run):

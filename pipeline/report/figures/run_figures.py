@@ -10,13 +10,14 @@ import pandas as pd
 
 from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import METRIC
+from ....stages.arrays import FloatArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.statistics.typical_objects import SHAPES
 from ...results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ...storage.files import remove_stale
 from ..aggregates import FEWEST_IN_BOX, SCORES, axis_title, quadrants
 from ..look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SIDE_COLOURS
-from ..run_frames import PairFrames, RunResults
+from ..run_frames import PairFrames, RunResults, frames_of
 from . import style
 
 NAMES = ("overview", "coverage", "unmatched", "distributions", "box_plots", "objects")
@@ -58,81 +59,78 @@ def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[P
 
 def draw_overview(results: RunResults, pair_id: str, folder: Any) -> Any:
     """Seen from above: the objects of the real scan, both sides with matched centroids joined, the map of r_lambda."""
-    tables = PairFrames(results, pair_id)
+    tables = frames_of(results, pair_id)
     real, matched = tables.clouds["real"], tables.matched
     n_objects = int(real.community.max()) + 1
-    frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
-    with style.new_figure(11, style.panel_height(frame, 3.2), f"pair {style.shown_name(pair_id)}") as figure:
-        objects, sides, fidelity = figure.subplots(1, 3, sharex=True, sharey=True)
-        style.dots(objects, real.points, 1.2, style.community_colours(n_objects + 1)[real.community])
-        objects.set_title(f"(A) {n_objects} objects of the real scan")
-
-        _draw_sides(sides, tables)
+    values = np.full(n_objects + 1, np.nan)  # the last of points of no object, -1
+    values[matched.real_id] = matched.r_lambda.to_numpy(dtype=float)
+    of_point = values[real.community]
+    known, ramp = ~np.isnan(of_point), {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": 1}
+    panels: dict[str, list[style.Layer]] = {
+        f"(A) {n_objects} objects of the real scan": [
+            (real.points, 1.2, style.community_colours(n_objects + 1)[real.community], {})
+        ],
+        f"(B) real and simulated, {len(matched)} matched centroids joined": _both_sides(tables),
+        "(C) structural fidelity of the real objects": [
+            (real.points[~known], 1.2, "#cccccc", {"label": "no counterpart, no score"}),
+            (real.points[known], 1.2, of_point[known], ramp),
+        ],
+    }
+    with style.new_maps(_frame(tables), panels, _title(pair_id), label=axis_title("r_lambda")) as (figure, axes):
         ends = [
             np.array([cloud.members(i)[:, :2].mean(axis=0) for i in matched[f"{side}_id"]]).reshape(-1, 2)
             for side, cloud in tables.clouds.items()
         ]
-        sides.plot(*np.stack(ends).transpose(2, 0, 1), color="black", linewidth=0.8)
+        axes[1].plot(*np.stack(ends).transpose(2, 0, 1), color="black", linewidth=0.8)
         for side, centroids in zip(SIDES, ends, strict=True):
-            sides.scatter(*centroids.T, s=13, c=SIDE_COLOURS[side], edgecolors="black", linewidths=0.6, zorder=3)
-        sides.set_title(f"(B) real and simulated, {len(matched)} matched centroids joined")
-
-        values = np.full(n_objects + 1, np.nan)  # the last of points of no object, -1
-        values[matched.real_id] = matched.r_lambda.to_numpy(dtype=float)
-        of_point = values[real.community]
-        known = ~np.isnan(of_point)
-        style.dots(fidelity, real.points[~known], 1.2, "#cccccc", label="no counterpart, no score")
-        coloured = style.dots(
-            fidelity, real.points[known], 1.2, of_point[known], cmap=style.fidelity_colours(), vmin=0, vmax=1
-        )
-        fidelity.set_title("(C) structural fidelity of the real objects")
-        figure.colorbar(coloured, cax=fidelity.inset_axes((1.03, 0, 0.04, 1)), label=axis_title("r_lambda"))
-        for axis in (objects, sides, fidelity):
-            style.from_above(axis, frame)
+            look = {"edgecolors": "black", "linewidths": 0.6, "zorder": 3}
+            axes[1].scatter(*centroids.T, s=13, c=SIDE_COLOURS[side], **look)
         return style.save(figure, folder, "overview")
 
 
 def draw_coverage(results: RunResults, pair_id: str, folder: Any) -> Any:
     """Seen from above: the points of each side by their distance to the other one, far ones on top."""
-    tables = PairFrames(results, pair_id)
+    tables = frames_of(results, pair_id)
     pair = results.pairs.set_index("pair_id").loc[pair_id]
-    frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
     is_worst = len(results.pairs) > 1 and pair_id == results.pairs.pair_id[0]
-    title = f"pair {style.shown_name(pair_id)}{', the worst' if is_worst else ''}"
-    with style.new_figure(9.6, style.panel_height(frame, 3.9), title) as figure:
-        axes = figure.subplots(1, 2, sharex=True, sharey=True)
-        for axis, (side, cloud), words in zip(axes, tables.clouds.items(), _UNCOVERED, strict=True):
-            order = np.argsort(tables.distances_m[side], kind="stable")
-            look = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
-            coloured = style.dots(axis, cloud.points[order], 1.2, tables.distances_m[side][order], **look)
-            share = 100 * (1 - pair[f"covered_{side}_0p3m"])
-            axis.set_title(words.format(share))
-            style.from_above(axis, frame)
-        label = "distance to the other side (m)"
-        figure.colorbar(coloured, cax=axes[-1].inset_axes((1.03, 0, 0.04, 1)), label=label, extend="max")
+    ramp = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
+    panels: dict[str, list[style.Layer]] = {}
+    for (side, cloud), words in zip(tables.clouds.items(), _UNCOVERED, strict=True):
+        distance_m = tables.distances_m[side]
+        order = np.argsort(distance_m, kind="stable")
+        share = 100 * (1 - pair[f"covered_{side}_0p3m"])
+        panels[words.format(share)] = [(cloud.points[order], 1.2, distance_m[order], ramp)]
+    title, bar = f"{_title(pair_id)}{', the worst' * is_worst}", {"label": "distance to the other side (m)"}
+    with style.new_maps(_frame(tables), panels, title, **bar, extend="max") as (figure, _):
         return style.save(figure, folder, "coverage")
 
 
 def draw_unmatched(results: RunResults, pair_id: str, folder: Any) -> Any:
     """Seen from above: left both sides, right the objects that only one side has."""
-    tables = PairFrames(results, pair_id)
-    alone = tables.unmatched
-    frame = style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
-    with style.new_figure(9, style.panel_height(frame, 4.0), f"pair {style.shown_name(pair_id)}") as figure:
-        sides, unmatched = figure.subplots(1, 2, sharex=True, sharey=True)
-        _draw_sides(sides, tables)
-        sides.set_title("all objects")
-        for cloud in tables.clouds.values():
-            style.dots(unmatched, cloud.points, 0.4, "#dddddd")
-        for (side, cloud), fate in zip(tables.clouds.items(), ("missing", "hallucinated"), strict=True):
-            ids = alone[alone.status == fate].community_id
-            points = cloud.points[np.isin(cloud.community, ids)]
-            style.dots(unmatched, points, 1.5, FATE_COLOURS[fate], label=f"{len(ids)} {fate} ({side} only)")
-        median_m = f", median range {alone.range_m.median():.0f} m" if len(alone) else ""
-        unmatched.set_title(f"unmatched objects{median_m}")
-        for axis in (sides, unmatched):
-            style.from_above(axis, frame)
+    tables = frames_of(results, pair_id)
+    alone, layers = tables.unmatched, list[style.Layer]()
+    for side, fate in zip(SIDES, ("missing", "hallucinated"), strict=True):
+        cloud, ids = tables.clouds[side], alone[alone.status == fate].community_id
+        label = {"label": f"{len(ids)} {fate} ({side} only)"}
+        layers.insert(0, (cloud.points, 0.4, "#dddddd", {}))
+        layers.append((cloud.points[np.isin(cloud.community, ids)], 1.5, FATE_COLOURS[fate], label))
+    median_m = f", median range {alone.range_m.median():.0f} m" if len(alone) else ""
+    panels = {"all objects": _both_sides(tables), f"unmatched objects{median_m}": layers}
+    with style.new_maps(_frame(tables), panels, _title(pair_id)) as (figure, _):
         return style.save(figure, folder, "unmatched")
+
+
+def _title(pair_id: str) -> str:
+    return f"pair {style.shown_name(pair_id)}"
+
+
+def _frame(tables: PairFrames) -> FloatArray:
+    return style.frame_of(*(cloud.points for cloud in tables.clouds.values()))
+
+
+def _both_sides(tables: PairFrames) -> list[style.Layer]:
+    look = {"alpha": 0.5}
+    return [(cloud.points, 0.8, SIDE_COLOURS[side], look | {"label": side}) for side, cloud in tables.clouds.items()]
 
 
 def draw_objects(results: RunResults, folder: Any) -> Any:
@@ -148,7 +146,7 @@ def draw_objects(results: RunResults, folder: Any) -> Any:
         grid = figure.add_gridspec(3, len(chosen), height_ratios=(1, 1, 0.3))
         for place, index in enumerate(chosen):
             row = results.matched.iloc[index]
-            clouds = PairFrames(results, row.pair_id).clouds
+            clouds = frames_of(results, row.pair_id).clouds
             members = {side: cloud.members(row[f"{side}_id"]) for side, cloud in clouds.items()}
             corner, size = style.box_of(np.concatenate(list(members.values())))
             for level, (side, points) in enumerate(members.items()):
@@ -224,22 +222,11 @@ def _draw_groups(axis: Any, groups: dict[str, pd.DataFrame]) -> list[Any]:
     """Two boxes per group; returns the legend entry of each score."""
     handles = []
     for offset, score in zip((-0.2, 0.2), SCORES, strict=True):
-        values: dict[float, Any] = {
-            i + offset: rows[score].dropna().to_numpy() for i, rows in enumerate(groups.values())
-        }
-        known = {place: own for place, own in values.items() if len(own) >= FEWEST_IN_BOX}
+        values = {i + offset: rows[score].dropna().to_numpy() for i, rows in enumerate(groups.values())}
+        known = {place: own for place, own in values.items() if len(own) >= FEWEST_IN_BOX} or {0.0: np.empty(0)}
         box = {"facecolor": SCORE_COLOURS[score], "linewidth": 0.6}
-        flier = {"marker": "o", "markersize": 2.5, "markerfacecolor": box["facecolor"], "markeredgewidth": 0}
-        axis.boxplot(
-            [*known.values()] or [[]],
-            positions=[*known] or [0],
-            widths=0.32,
-            patch_artist=True,
-            boxprops=box,
-            medianprops={"color": "black"},
-            flierprops=flier,
-            manage_ticks=False,
-        )
+        flier, look = {"markerfacecolor": box["facecolor"]}, {"widths": 0.32, "manage_ticks": False}
+        axis.boxplot([*known.values()], positions=[*known], patch_artist=True, boxprops=box, flierprops=flier, **look)
         handles.append(axis.bar(0, 0, edgecolor="black", label=METRIC[score].label, **box))
     names = [(style.shown_name(name, most=16), len(rows)) for name, rows in groups.items()]
     is_narrow = len(names) * max((len(name) for name, _ in names), default=0) > _MOST_LETTERS
@@ -258,11 +245,9 @@ def _choose_objects(results: RunResults) -> list[int]:
     labels; others show the shape classes, then the largest objects.
     """
     scored = results.matched[results.matched.r_lambda.notna()]
-    frequent = scored.group.value_counts().index
     first = _CLASSES if results.class_is == "class" else tuple(SHAPES.values())
-    classes = [name for name in first if name in frequent]
-    if results.class_is == "class":
-        classes += [name for name in frequent if name not in classes]
+    frequent = scored.group.value_counts().index
+    classes = sorted(frequent, key=lambda name: first.index(name) if name in first else len(first))
     chosen = []
     for name in classes[:4]:
         rows = scored[scored.group == name]
@@ -270,8 +255,3 @@ def _choose_objects(results: RunResults) -> list[int]:
         chosen.append(int(large.index[len(large) // 2]))
     largest = scored.drop(chosen).sort_values("n_keep", ascending=False, kind="stable").index.tolist()
     return [*chosen, *largest][:4]
-
-
-def _draw_sides(axis: Any, tables: PairFrames) -> None:
-    for side, cloud in tables.clouds.items():
-        style.dots(axis, cloud.points, 0.8, SIDE_COLOURS[side], alpha=0.5, label=side)

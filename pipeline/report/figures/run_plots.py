@@ -84,18 +84,18 @@ def plot_pieces(run: FinishedRun, pair_id: str) -> Figure:
         scans.append(CutScan(rows[["x", "y", "z"]].to_numpy(), rows.is_ground.to_numpy(), rows.height_m.to_numpy()))
     found = find_pieces(scans[0], scans[1], PieceSettings.model_validate(run.record.settings["pieces"]))
     frame = style.frame_of(*(scan.points[~scan.is_ground] for scan in scans))
+    panels: dict[str, list[style.Layer]] = {
+        title.format(len(own.partner), 100 * own.share): [
+            (scan.points[~scan.is_ground & (own.labels < 0)], 1.2, "#bbbbbb", {}),
+            (scan.points[own.labels >= 0], 2, colour, {}),
+        ]
+        for scan, own, (title, colour) in zip(scans, found, _PIECES, strict=True)
+    }
     figure: Figure
-    with style.new_figure(
-        10, style.panel_height(frame, 4.4), f"pair {style.shown_name(pair_id)}", _ShownFigure
-    ) as figure:
-        axes = figure.subplots(1, 2, sharex=True, sharey=True)
-        for axis, scan, own, (title, colour) in zip(axes, scans, found, _PIECES, strict=True):
-            style.dots(axis, scan.points[~scan.is_ground & (own.labels < 0)], 1.2, "#bbbbbb")
-            style.dots(axis, scan.points[own.labels >= 0], 2, colour)
+    with style.new_maps(frame, panels, f"pair {style.shown_name(pair_id)}", kind=_ShownFigure) as (figure, axes):
+        for axis, own in zip(axes, found, strict=True):
             for piece_id, place in enumerate(own.objects.centroid[:_MOST_NUMBERS, :2]):
                 axis.annotate(str(piece_id), place, xytext=(4, 4), textcoords="offset points", clip_on=True)
-            axis.set_title(title.format(len(own.partner), 100 * own.share))
-            style.from_above(axis, frame)
         return figure
 
 

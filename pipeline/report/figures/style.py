@@ -5,7 +5,7 @@ matplotlib is imported by its first use here, with a backend that needs no displ
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -79,10 +79,33 @@ def frame_of(*clouds: FloatArray) -> FloatArray:
     return np.stack([low - margin, high + margin])
 
 
-def panel_height(frame: FloatArray, panel_width_in: float) -> float:
-    """Inches of a figure whose panels are as wide as given, with room for titles and legends."""
+#: Points in one look: (n, 3) metres, size, colour or one value each, and more for `dots`.
+Layer = tuple[FloatArray, float, Any, dict[str, Any]]
+
+
+@contextmanager
+def new_maps(
+    frame: FloatArray, panels: Mapping[str, Sequence[Layer]], title: str, kind: Any = None, **bar: str
+) -> Iterator[tuple[Any, Any]]:
+    """A figure of maps side by side, and their axes: each panel has a title, and layers seen from above.
+
+    Parameters
+    ----------
+    bar : of the colour bar of the last layer, such as its label
+    """
     width, height = frame[1] - frame[0]
-    return float(np.clip(panel_width_in * height / width, 1.5, 6)) + 1.25
+    panel_in = {2: 4.0, 3: 3.2}[len(panels)]
+    figure_in = (panel_in * len(panels) + 1.4, float(np.clip(panel_in * height / width, 1.5, 6)) + 1.25)
+    with new_figure(*figure_in, title, kind) as figure:
+        axes = figure.subplots(1, len(panels), sharex=True, sharey=True)
+        for axis, (words, layers) in zip(axes, panels.items(), strict=True):
+            for points, size, colour, look in layers:
+                drawn = dots(axis, points, size, colour, **look)
+            axis.set_title(words)
+            from_above(axis, frame)
+        if bar:
+            figure.colorbar(drawn, cax=axis.inset_axes((1.03, 0, 0.04, 1)), **bar)
+        yield figure, axes
 
 
 def from_above(axis: Any, frame: FloatArray) -> None:

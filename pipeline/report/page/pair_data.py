@@ -18,26 +18,16 @@ from ....stages.arrays import FloatArray, IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.surface import signed_distances
 from ..aggregates import plain_rows
-from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults
+from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults, frames_of
 
-#: Properties shown of a chosen object.
+#: Properties shown of a chosen object, the first ones at first sight; an object shows those that it has.
 FACTS = (
-    *("cdc", "r_lambda", "r_gap", "quadrant", *OBJECT_COVERAGE, *OBJECT_ROAD, "centroid_distance_m", "alignment_rms_m"),
-    *("n_points", "n_real", "n_sim", "n_keep", "range_m", "bearing_deg", "group", "status", "reason"),
+    *("range_m", "cdc", "r_lambda", *OBJECT_COVERAGE, "centroid_distance_m", "n_real", "n_sim", "bearing_deg"),
+    *("r_gap", "quadrant", *OBJECT_ROAD, "alignment_rms_m", "n_keep", "group", "status", "reason"),
     *("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim"),
 )
-#: Those at first sight; an object shows the ones that it has.
-FIRST_FACTS = (
-    *("range_m", "cdc", "r_lambda", *OBJECT_COVERAGE, "centroid_distance_m", "n_real", "n_sim", "bearing_deg"),
-    "n_points",
-)
-_PLACE = ("cx", "cy", "cz")
 #: Columns of the objects, in the order of their rows in the page.
-MATCHED_COLUMNS = ("real_id", "sim_id", *_PLACE, *(name for name in FACTS if name != "n_points"))
-UNMATCHED_COLUMNS = (
-    *("side", "community_id", "group", "status", "range_m", "bearing_deg", "n_points"),
-    *(*_PLACE, *OBJECT_COVERAGE, *OBJECT_ROAD),
-)
+OBJECT_COLUMNS = ("name", "real_id", "sim_id", "cx", "cy", "cz", *FACTS)
 #: The distance of a point to the other side is a byte, the largest for this many metres and more.
 FAR_M = COVERAGE_DISTANCES_M[-1]
 _FAR = 255
@@ -64,8 +54,8 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
     RunError
         One of the pair's tables is damaged.
     """
-    tables = PairFrames(results, pair_id)
-    clouds = [*(tables.clouds[side].points for side in SIDES), *tables.road.values()]
+    tables = frames_of(results, pair_id)
+    clouds = [points for cloud in tables.clouds.values() for points in (cloud.points, cloud.road)]
     step_m = max(float(np.abs(points).max(initial=0.0)) for points in clouds) / _STEPS
     shown, sides = {}, {}
     for side, cloud in tables.clouds.items():
@@ -79,8 +69,7 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
         "n_beams": len(tables.ray_image),
         "packed": _packed(_points(tables, shown, step_m) | {"rays": tables.ray_image.ravel()}),
         "moves": {str(real_id): np.round(move, 4).tolist() for real_id, move in tables.alignment_moves.items()},
-        "matched": plain_rows(tables.matched, MATCHED_COLUMNS),
-        "unmatched": plain_rows(tables.unmatched, UNMATCHED_COLUMNS),
+        "objects": plain_rows(tables.objects, OBJECT_COLUMNS),
     }
 
 
@@ -117,24 +106,23 @@ def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> 
     columns: dict[str, Any] = {}
     lines = np.ones(len(tables.selection), dtype=bool)
     places = {}
-    real = np.concatenate([tables.clouds["real"].points, tables.road["real"]])
+    real = np.concatenate([tables.clouds["real"].points, tables.clouds["real"].road])
     for side, own in shown.items():
-        cloud, road = tables.clouds[side], _some_road(tables.road[side])
+        cloud, road = tables.clouds[side], _some_road(tables.clouds[side].road)
         place = np.full(len(cloud.points), -1)
         place[own] = np.arange(len(own))
         nodes = np.searchsorted(cloud.point_ids, tables.selection[f"{side}_point_id"])
         places[side] = place[nodes]
         lines &= places[side] >= 0
         columns |= _in_steps(side, cloud.points[own], step_m)
-        columns[f"{side}_distance"] = np.rint(np.minimum(tables.distances_m[side][own] / FAR_M, 1) * _FAR).astype(
-            np.uint8
-        )
+        columns[f"{side}_distance"] = _in_bytes(tables.distances_m[side][own] / FAR_M, _FAR)
         columns[f"{side}_kept"] = np.isin(own, nodes).astype(np.uint8)
-        columns[f"{side}_piece"] = tables.is_piece(side)[own].astype(np.uint8)
+        columns[f"{side}_piece"] = tables.is_piece[side][own].astype(np.uint8)
         columns |= _in_steps(f"{side}_road", road, step_m)
         if side == "sim":
             signed = signed_distances(np.concatenate([cloud.points[own], road]), real, SIGNED_M)
-            columns["sim_signed"], columns["sim_road_signed"] = np.split(_signed_bytes(signed), [len(own)])
+            signs = _in_bytes((signed / SIGNED_M + 1) / 2, _NO_SIGN - 1)
+            columns["sim_signed"], columns["sim_road_signed"] = np.split(signs, [len(own)])
     order = np.argsort(places["real"][lines], kind="stable")
     return columns | {f"{side}_line": places[side][lines][order].astype(np.int32) for side in SIDES}
 
@@ -152,9 +140,9 @@ def _in_steps(name: str, points: FloatArray, step_m: float) -> dict[str, Any]:
     return {f"{name}_{axis}": values for axis, values in zip("xyz", steps.T, strict=True)}
 
 
-def _signed_bytes(distance_m: FloatArray) -> Any:
-    steps = np.rint((np.clip(distance_m / SIGNED_M, -1, 1) + 1) / 2 * (_NO_SIGN - 1))
-    return np.where(np.isnan(steps), _NO_SIGN, steps).astype(np.uint8)
+def _in_bytes(share: FloatArray, whole: int) -> Any:
+    """Shares of `whole`, cut off at 0 and 1; NaN is `_NO_SIGN`."""
+    return np.nan_to_num(np.rint(whole * np.clip(share, 0, 1)), nan=_NO_SIGN).astype(np.uint8)
 
 
 def _packed(columns: dict[str, Any]) -> dict[str, Any]:

@@ -11,17 +11,15 @@ export function describe(pair, object, link) {
   say("panel_title", `Pair ${shorten(pair.name, 60)}, ${objectTitle(object)}`);
   byId("object_link").href = link;
   say("panel_sentence", judged(object));
-  const isKnown = (key) => key in object && (object[key] !== null || !(object.side || key === "reason"));
-  const known = Object.keys(report.facts).filter(isKnown);
-  const first = report.first_facts.filter((key) => known.includes(key)).slice(0, MOST_FIRST);
-  byId("panel_numbers").replaceChildren(...first.map((key) => factOf(object, key)));
-  const rest = known.filter((key) => !first.includes(key));
-  byId("more_numbers").replaceChildren(...rest.map((key) => factOf(object, key)));
+  const isKnown = (key) => object[key] !== null || !(object.side || key === "reason");
+  const facts = report.facts.filter(isKnown).map((key) => factOf(object, key));
+  byId("panel_numbers").replaceChildren(...facts.slice(0, MOST_FIRST));
+  byId("more_numbers").replaceChildren(...facts.slice(MOST_FIRST));
   for (const id of ["lie", "show_lines"]) byId(id).disabled = !object.move;
 }
 
 function factOf(object, key) {
-  const { title, digits } = report.facts[key];
+  const { title, digits } = report.columns[key];
   const value = object[key];
   const text = typeof value === "number" ? number(value, digits) : (value ?? NULL_SIGN);
   const shownValue = element("span", text, { class: "value", "data-key": key, title: value ?? "no value" });
@@ -59,7 +57,7 @@ function judged(object) {
 
 // places: of the drawn points by side; isAligned: simulated ones are moved onto the real ones.
 export function describePoints(object, places, isAligned) {
-  const all = (side) => (object.side ? object.n_points : object[`n_${side}`]);
+  const all = (side) => object[`n_${side}`];
   const sides = Object.keys(object.owns);
   const parts = sides.map(
     (side) => `${counted(places[side].length)} of ${counted(all(side))} ${SIDE_WORDS[side]} points`,

@@ -41,24 +41,14 @@ function summed(bytes, width, n) {
   return values;
 }
 
-// Rows of the page as objects: what each is called, its fate, which communities it owns on which side.
+// Rows of the page as objects, with their fate, which communities they own on which side, and the side if only one.
 export function objectsOf(view) {
-  const matched = records(report.matched_columns, view.matched).map((row) => ({
-    ...row,
-    name: `real ${row.real_id}`,
-    fate: row.status === "too_small" ? "too small" : "matched",
-    owns: { real: row.real_id, sim: row.sim_id },
-    move: view.moves[row.real_id],
-  }));
-  const unmatched = records(report.unmatched_columns, view.unmatched).map((row) => ({
-    ...row,
-    name: `${row.side} ${row.community_id}`,
-    fate: row.status,
-    owns: { [row.side]: row.community_id },
-    cdc: null,
-    r_lambda: null,
-  }));
-  return [...matched, ...unmatched];
+  return records(report.object_columns, view.objects).map((row) => {
+    const owns = Object.fromEntries(SIDES.map((side) => [side, row[`${side}_id`]]).filter(([, id]) => id >= 0));
+    const [side, partner] = Object.keys(owns);
+    if (!partner) return { ...row, owns, side, fate: row.status };
+    return { ...row, owns, fate: row.status === "too_small" ? "too small" : "matched", move: view.moves[row.real_id] };
+  });
 }
 
 // By side the points, each with the place of its object among the objects (`object`), whether it is a kept node, its

@@ -87,13 +87,11 @@ function order(a, b, isUp) {
   return isUp ? step : -step;
 }
 
-// table: {columns: [{key, title, about, text, up, digits}], rows, note}
+// table: {keys, rows, note}; report.columns describes each key: {title, about, text, up, digits}
 // linkOf(row): the address that the row's first cell leads to, or null
-export function startTable(place, what, { columns, rows: lists, note }, linkOf) {
-  const rows = records(
-    columns.map(({ key }) => key),
-    lists,
-  );
+export function startTable(place, what, { keys, rows: lists, note }, linkOf) {
+  const rows = records(keys, lists);
+  const columns = keys.map((key) => ({ key, ...report.columns[key] }));
   const state = { sort: null, isUp: true, n: ROWS_AT_ONCE };
   const part = (selector) => place.querySelector(selector);
   const [filter, count, body] = ["input", ".count", "tbody"].map(part);
