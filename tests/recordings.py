@@ -1,4 +1,4 @@
-"""Recordings as others write them: bags by rosbags, captures as packets of UDP, CARLA's files by its own format."""
+"""Files as others write them: bags by rosbags, captures as packets of UDP, LAS by laspy, CARLA's by its own format."""
 
 import struct
 
@@ -51,13 +51,14 @@ def cloud(types, rows, time_ns=0, height=1, padding=0, big_endian=False):
     )
 
 
-def write_bag(path, messages):
+def write_bag(path, messages, packed=None):
     """A bag by its suffix (.bag; or a folder, of mcap where its name says so); messages as (topic, time_ns, make).
 
     make : of the types, gives the message
+    packed : compression of chunks: "BZ2" or "LZ4" in ROS 1, "ZSTD" or "LZ4" in mcap
     """
     from rosbags.rosbag1 import Writer as Ros1Writer
-    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
     from rosbags.rosbag2 import Writer as Ros2Writer
 
     is_ros1 = path.suffix == ".bag"
@@ -65,9 +66,12 @@ def write_bag(path, messages):
     if is_ros1:
         writer = Ros1Writer(path)
     else:
-        writer = Ros2Writer(
-            path, version=9, storage_plugin=StoragePlugin.MCAP if "mcap" in path.name else StoragePlugin.SQLITE3
-        )
+        plugin = StoragePlugin.MCAP if "mcap" in path.name else StoragePlugin.SQLITE3
+        writer = Ros2Writer(path, version=9, storage_plugin=plugin)
+    if packed and is_ros1:
+        writer.set_compression(Ros1Writer.CompressionFormat[packed])
+    elif packed:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat[packed])
     with writer as bag:
         connections = {}
         for topic, time_ns, make in messages:
@@ -99,6 +103,19 @@ def write_pcap(path, packets):
         frame = bytes(12) + b"\x08\x00" + ip
         content += struct.pack("<IIII", int(stamp), round(stamp % 1 * 1e6), len(frame), len(frame)) + frame
     path.write_bytes(content)
+    return path
+
+
+def write_las(path, points, intensity=0, classes=0, *, version="1.4", point_format=6, scale=0.001, offset=0.0):
+    """A LAS file, or LAZ by its suffix."""
+    import laspy
+
+    header = laspy.LasHeader(version=version, point_format=point_format)
+    header.scales, header.offsets = [scale] * 3, [offset] * 3
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    las.intensity, las.classification = np.broadcast_arrays(intensity, classes, points[:, 0])[:2]
+    las.write(path)
     return path
 
 

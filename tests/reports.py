@@ -1,11 +1,15 @@
 """Names of pairs and classes that try to break what they are written into, and what a page holds."""
 
 import base64
+import io
 import json
 import re
 import zlib
 
 import numpy as np
+from rich.console import Console
+
+from fidpipe.pipeline.report.render import terminal
 
 HOSTILE_PAIRS = (
     "<script>alert(1)</script>",
@@ -14,6 +18,13 @@ HOSTILE_PAIRS = (
     "雪 \u202eabc\\u003c</bdi>",
 )
 HOSTILE_CLASS = "</script><img src=x onerror=alert(1)>"
+
+
+def text_of(view, width=80, **options):
+    """A view as a terminal of this width shows it."""
+    console = Console(file=io.StringIO(), width=width, highlight=False, **options)
+    console.print(terminal(view))
+    return console.file.getvalue()
 
 
 def embedded(page):

@@ -27,6 +27,7 @@ from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.pipeline.storage.table_files import StoredFile
 from fidpipe.schemas.settings import Settings
 
+QUIET = Reporter(Console(quiet=True))
 FIDPIPE = str(Path(sys.executable).with_name("fidpipe"))
 #: Commands that start worker processes, unless they are given one worker.
 WITH_WORKERS = ("run", "synth", "perturb", "ablate", "floor", "twin")
@@ -51,8 +52,13 @@ def run(
 ):
     """A run in this process, or on workers or a pool; it may replace what was made with other settings."""
     machines = Machines(workers, scheduler, pool, policy or Policy(), pair_timeout_s)
-    reporter = Reporter(Console(quiet=True))
-    return run_dataset(dataset, out, settings or Settings(), reporter, machines=machines, replace=replace, **options)
+    return run_dataset(dataset, out, settings or Settings(), QUIET, machines=machines, replace=replace, **options)
+
+
+def listening():
+    """A reporter, and the text that it writes into."""
+    said = io.StringIO()
+    return Reporter(Console(file=said, width=1000)), said
 
 
 def own_process(*words, timeout=300, **options):

@@ -8,15 +8,13 @@ import shutil
 
 import numpy as np
 from filelock import FileLock
-from rich.console import Console
 
 from fidpipe.pipeline.engine.engine import Machines
-from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate.floor_run import run_floor
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.schemas.settings import Settings, load
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
-from runs import run
+from runs import QUIET, run
 from scenes import box, drifted, street, write_bin, write_dataset
 
 
@@ -71,9 +69,7 @@ def extras(folder):
 def floor(folder):
     """Three streets with their run, and their floor in `floor`."""
     plain(folder)
-    run_floor(
-        folder / "streets", folder / "floor", Settings(), Reporter(Console(quiet=True)), machines=Machines(workers=1)
-    )
+    run_floor(folder / "streets", folder / "floor", Settings(), QUIET, machines=Machines(1))
 
 
 SCENARIOS = {make.__name__: make for make in (plain, labelled, reference, failed, extras, floor)}

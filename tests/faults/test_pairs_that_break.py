@@ -8,10 +8,10 @@ import struct
 import time
 from contextlib import contextmanager
 
-import laspy
 import numpy as np
 import pytest
 
+from recordings import write_las
 from runs import own_process, run, some_of
 from scenes import drifted, street, write_dataset
 from tries import Started, assert_resumes, lines_of, n_lost
@@ -158,10 +158,7 @@ def test_check_names_a_pair_whose_reader_crashes_and_reads_the_others(dataset):
 def test_a_damaged_laz_that_ends_its_reader_fails_alone_and_is_named(tmp_path):
     data = write_dataset(tmp_path / "streets", 3)
     (data / "real" / "001.bin").unlink()
-    las = laspy.LasData(laspy.LasHeader())
-    las.x, las.y, las.z = street().T
-    las.write(data / "real" / "001.laz")
-    content = bytearray((data / "real" / "001.laz").read_bytes())
+    content = bytearray(write_las(data / "real" / "001.laz", street()).read_bytes())
     (start,) = struct.unpack_from("<I", content, 96)
     (table,) = struct.unpack_from("<q", content, start)
     struct.pack_into("<I", content, table + 4, 2**32 - 1)  # chunks, for which lazrs takes memory before it reads them

@@ -83,27 +83,6 @@ def test_a_killed_worker_costs_a_run_nothing(dataset, finished, tmp_path, work_s
     assert temporary_files(out) == []
 
 
-@pytest.mark.exhaustive
-def test_workers_that_are_killed_each_time_they_start_are_started_until_they_stay(dataset, finished, tmp_path):
-    out, killed = tmp_path / "run", set()
-    started = start(dataset, out)
-    assert started.wait_for((out / "ground").exists)  # the cluster is there as a whole
-    while len(killed) < 10 and started.process.poll() is None:
-        for worker in started.workers():
-            if worker.pid not in killed:
-                with suppress(psutil.NoSuchProcess):
-                    worker.kill()
-                killed.add(worker.pid)
-        time.sleep(0.2)
-    code, errors = started.end()
-    assert "Traceback" not in errors
-    if code == 3:  # the same pair had lost its worker twice
-        assert "the worker process died, and again when the pair ran alone" in errors
-    else:
-        assert code == 0, errors
-    assert_resumes(dataset, out, finished)
-
-
 @pytest.mark.parametrize(
     ("number", "n_signals", "seed"),
     some_of(

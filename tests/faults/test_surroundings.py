@@ -5,15 +5,13 @@ import re
 import shutil
 import signal
 import subprocess
-from pathlib import Path
 
 import pytest
 
-from runs import assert_same_tables, own_process, run, some_of
+from runs import own_process, run, some_of
 from scenes import drifted, street, write_bin
 from tries import Started, assert_resumes, lines_of
 
-FAKETIME = [*Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1")]
 N_PAIRS = 4
 
 
@@ -65,29 +63,6 @@ def test_scans_that_change_and_change_back_between_two_runs_change_nothing(datas
     (data / "sim" / "003.bin").write_bytes(kept)
     os.utime(data / "sim" / "003.bin", (0, 0))  # older than all that was made of it
     assert_resumes(data, out, finished)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.skipif(not FAKETIME, reason="no libfaketime here (apt install libfaketime)")
-def test_a_clock_that_is_set_back_changes_nothing(dataset, finished, tmp_path):
-    now, out = tmp_path / "now", tmp_path / "run"
-    now.write_text("+10d\n")
-    clock = {
-        "LD_PRELOAD": str(FAKETIME[0]),
-        "FAKETIME_TIMESTAMP_FILE": str(now),
-        "FAKETIME_NO_CACHE": "1",
-        "FAKETIME_DONT_FAKE_MONOTONIC": "1",
-    }
-    started = Started("run", dataset, "--out", out, "--workers", 2, **clock)
-    assert started.wait_for((out / "ground" / "000.real.parquet").exists)
-    now.write_text("-3650d\n")
-    code, errors = started.end()
-    assert (code, "Traceback" in errors) == (0, False), errors
-    assert_same_tables(out, finished)
-    again = own_process("run", dataset, "--out", out, "--workers", 1, env={**os.environ, **clock})
-    assert again.returncode == 0, again.stderr
-    assert " 0 jobs done" in " " + again.stdout + again.stderr
-    assert_resumes(dataset, out, finished)
 
 
 def test_files_from_the_future_and_the_past_are_judged_by_what_they_hold(dataset, finished, tmp_path):

@@ -1,23 +1,39 @@
-"""Files that fidpipe wrote itself, or that lie where it writes, changed by others: recipes, records, label names."""
+"""Recipes, records and run folders made by others: nothing outside is touched, and what is damaged is named."""
 
+import io
 import json
+import shutil
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
+import orjson
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
-from rich.console import Console
 
 from campaign import campaign
 from fidpipe.pipeline.cli import completion
-from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.exchange.convert import convert
 from fidpipe.pipeline.generate import synth, twin
 from fidpipe.pipeline.generate.recordings import Recording
 from fidpipe.pipeline.generate.sensor_files import read_sensor
+from fidpipe.pipeline.report.render import csv_table, terminal
+from fidpipe.pipeline.report.verdict import _last_criteria
+from fidpipe.pipeline.report.view import Table
+from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.floor import FLOOR_DATASET, FLOOR_RECIPE, read_recipe
+from fidpipe.pipeline.results.status import run_status
+from fidpipe.pipeline.storage.files import hash_file
+from fidpipe.pipeline.storage.folder import RunFolder
+from fidpipe.pipeline.storage.ledger import LEDGER
+from fidpipe.pipeline.storage.run_record import read_run
+from fidpipe.pipeline.storage.table_files import read_footer
+from fidpipe.pipeline.terminal import Terminal
 from fidpipe.schemas.errors import DatasetError, FidpipeError, RunError
+from runs import QUIET, command, rewrite, run
 
-QUIET = Reporter(Console(quiet=True))
 TWIN = 'version = 1\nseed = 0\nsensor = "x"\ninputs_sha256 = "00"\nfiles = {}\n'
 
 
@@ -109,3 +125,151 @@ def test_names_of_labels_of_any_content_are_added_to_or_refused(tmp_path, names)
     with pytest.raises(DatasetError, match=r'labels\.toml: expected lines such as 4 = "tree"|labels.toml: 1 is'):
         convert(tmp_path / "scan.csv", tmp_path / "out" / "a.ply")
     assert (tmp_path / "out" / "labels.toml").read_text() == names
+
+
+ESCAPE = "\x1b]0;owned\x07\x1b[2J\u202eevil\x9b31m"
+
+
+def ledger_entries(folder, pair_id):
+    with closing(sqlite3.connect(folder / LEDGER)) as db, db:
+        return orjson.loads(db.execute("SELECT entry FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()[0])
+
+
+def forged(folder, pair_id, entries):
+    """Puts entries into a ledger, with the hash that belongs to it."""
+    with closing(sqlite3.connect(folder / LEDGER)) as db, db:
+        db.execute("INSERT OR REPLACE INTO jobs VALUES (?, ?)", (pair_id, orjson.dumps(entries)))
+    (folder / "ledger.sha256").write_text(hash_file(folder / LEDGER))
+
+
+@pytest.mark.parametrize("name", ["../victim", "metrics/../../victim", "/etc/hostname", "metrics/.hidden", "run.json"])
+def test_a_ledger_that_names_a_file_elsewhere_is_not_believed(again, dataset, tmp_path, name):
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    entries = ledger_entries(again, "000")
+    for entry in entries:
+        entry["files"][name] = next(iter(entry["files"].values()))
+    forged(again, "000", entries)
+    with pytest.raises(RunError, match="damaged; remove it"):
+        run(dataset, again)
+    assert victim.read_text() == "precious"
+    (again / LEDGER).unlink()
+    assert run(dataset, again).n_made == 0
+
+
+@pytest.mark.parametrize("content", [5, [[]], [None], "text", [{"stage": 1}]])
+def test_an_entry_of_another_shape_is_named(again, content):
+    forged(again, "000", content)
+    with pytest.raises(RunError, match="damaged; remove it"):
+        RunFolder(again).ledger.jobs("000")
+
+
+def test_a_ledger_that_others_changed_is_made_again_from_the_tables(again, dataset):
+    with closing(sqlite3.connect(again / LEDGER)) as db, db:
+        db.execute("CREATE TRIGGER evil AFTER INSERT ON files BEGIN DELETE FROM jobs; END")
+    outcome = run(dataset, again)
+    assert (outcome.failures, outcome.n_made) == ({}, 0)
+    with closing(sqlite3.connect(again / LEDGER)) as db, db:
+        assert db.execute("SELECT count(*) FROM sqlite_master WHERE type = 'trigger'").fetchone() == (0,)
+
+
+@pytest.mark.parametrize("name", ["metrics", "ledger.sqlite", ".writer", "run.json", "pairs.parquet", "report"])
+def test_a_link_in_a_run_folder_is_refused_and_what_it_leads_to_stays(again, dataset, tmp_path, name):
+    outside = tmp_path / "outside"
+    if (again / name).exists():
+        shutil.move(again / name, outside)
+    else:
+        outside.mkdir()
+    files = [outside] if outside.is_file() else [*outside.iterdir()]
+    before = {path: path.read_bytes() for path in files}
+    (again / name).symlink_to(outside)
+    for use in (lambda: run(dataset, again), lambda: FinishedRun(again), lambda: RunFolder(again).ledger):
+        with pytest.raises(RunError, match="symbolic link"):
+            use()
+            raise RunError("not refused")
+    assert {path: path.read_bytes() for path in files} == before
+
+
+def test_a_table_that_is_a_link_is_damaged(again, tmp_path):
+    table = next((again / "metrics").glob("*.parquet"))
+    shutil.move(table, tmp_path / "outside.parquet")
+    table.symlink_to(tmp_path / "outside.parquet")
+    with pytest.raises(RunError, match="is damaged or gone"):
+        _ = FinishedRun(again).metrics
+    assert read_footer(again, f"metrics/{table.name}") is None
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"[]",
+        b"5",
+        b'"text"',
+        b"\xff\xfe",
+        b"[" * 100_000,
+        b'{"settings": 5}',
+        b'{"settings": {"graph": 5}}',
+        b'{"libraries": {"numpy": 5}}',
+        b'{"libraries": {"../x": "1"}, "wall_s": {}}',
+        b'{"dataset": 7}',
+        b'{"inputs": {"000": 3}, "wall_s": 1}',
+        b'{"wall_s": {}, "summary": {"cdc_mean": {}}, "pairs": {}, "written": "x", "fidpipe": "y"}',
+        b'{"dataset": "\\u0000", "settings": {}}',
+        b'{"experiment": {}}',
+    ],
+)
+def test_a_record_of_any_content_is_read_or_refused_in_one_line(again, dataset, content):
+    (again / "run.json").write_bytes(content)
+    for use in (read_run, FinishedRun, run_status, lambda folder: run(dataset, folder)):
+        try:
+            use(again)
+        except FidpipeError as error:
+            assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("kind", ["without a column", "with one more", "of other types", "empty of columns"])
+def test_a_table_of_other_columns_is_refused(again, kind):
+    name = "pairs.parquet"
+    table = pq.read_table(again / name)
+    other = {
+        "without a column": table.drop_columns(["status"]),
+        "with one more": table.append_column("more", pa.array([1] * len(table))),
+        "of other types": table.set_column(0, "pair_id", pa.array([1.5] * len(table))),
+        "empty of columns": pa.table({}),
+    }[kind]
+    rewrite(again, name, lambda rows: other)
+    with pytest.raises(RunError, match=r"pairs\.parquet is damaged or gone \(table pairs"):
+        FinishedRun(again)
+
+
+def test_no_name_steers_the_terminal():
+    out = io.StringIO()
+    console = Terminal(file=out, width=100, force_terminal=True, color_system="truecolor")
+    console.print(terminal([Table("title", ("pair", "value"), [(ESCAPE, 1.0)])]))
+    console.print(f"pair {ESCAPE}", markup=False, style="red")
+    for sign in ("\x1b]", "\x1b[2J", "\x07", "\u202e", "\x9b"):
+        assert sign not in out.getvalue()
+    assert "\\u001b]0;owned" in out.getvalue()
+    assert "\x1b[31m" in out.getvalue(), "colours of our own stay"
+
+
+def test_no_message_steers_the_terminal(tmp_path):
+    folder = tmp_path / f"a{ESCAPE}\n[red]forged line"
+    done = command("check", folder)
+    assert done.returncode == 1
+    assert "\x1b" not in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_no_cell_begins_a_formula():
+    names = ["=cmd|' /C calc'!A0", "+1+1", "-1+1", "@sum(A1)", "\t=1", "-5", "+2.5", "plain"]
+    text = csv_table(Table("", ["pair"], [[name] for name in names]))
+    cells = [line.strip('"') for line in text.splitlines()[1:]]
+    assert cells == ["'=cmd|' /C calc'!A0", "'+1+1", "'-1+1", "'@sum(A1)", "\\u0009=1", "-5", "+2.5", "plain"]
+
+
+@pytest.mark.parametrize("criteria", ["5", "[5]", '[{"name": "a"}]', '[{"name": 1, "measure": [], "limit": "x"}]', "["])
+def test_criteria_that_no_gate_wrote_are_not_believed(tmp_path, criteria):
+    path = tmp_path / "gate.json"
+    path.write_text(f'{{"criteria": {criteria * (50_000 if criteria == "[" else 1)}}}')
+    assert _last_criteria(path) is None

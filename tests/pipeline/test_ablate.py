@@ -1,5 +1,6 @@
 """`fidpipe ablate`: what is tried, that work is shared, and which setting is chosen."""
 
+import json
 import shutil
 from dataclasses import replace
 
@@ -8,11 +9,9 @@ import pandas as pd
 import pyarrow.compute as pc
 import pytest
 from matplotlib.image import imread
-from rich.console import Console
 
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.engine import Machines
-from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.pipeline.paper.ablate import (
     AblateOutcome,
@@ -27,7 +26,7 @@ from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
 from fidpipe.stages import method
 from fidpipe.stages.paper.parameter_choice import ParameterSet
-from runs import command
+from runs import QUIET, command
 
 N_POINTS = 100
 
@@ -35,10 +34,8 @@ SETTINGS = load(None, ["graph.k=12"])
 VALUES = {"k": (8, 12), "tau_m": (0.2,), "delta_m": (0.5, 5.0), "t": (0.5, 1.0)}
 
 
-def ablated(dataset, out, *, workers=1, **options):
-    options = {"settings": SETTINGS, "values": VALUES} | options
-    settings, machines = options.pop("settings"), Machines(workers)
-    return ablate_dataset(dataset, out, settings, Reporter(Console(quiet=True)), machines=machines, **options)
+def ablated(dataset, out, **options):
+    return ablate_dataset(dataset, out, SETTINGS, QUIET, machines=Machines(1), **{"values": VALUES, **options})
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +114,7 @@ def test_a_broken_pair_is_listed_and_the_others_are_there(dataset, tmp_path):
     (data / "sim" / "001.bin").write_bytes(b"")
     outcome = ablated(data, tmp_path / "run")
     assert list(outcome.failures) == ["001"]
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["failures"] == outcome.failures
     assert set(outcome.rows.column("pair_id").to_pylist()) == {"000"}
 
 

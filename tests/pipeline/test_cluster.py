@@ -14,14 +14,12 @@ import psutil
 import pytest
 from clusters import TEST_MODULES, Cluster
 from distributed import LocalCluster
-from rich.console import Console
 
 import broken_jobs
 from fidpipe import __version__
 from fidpipe.pipeline.engine import cluster as engine_cluster
 from fidpipe.pipeline.engine.cluster import DaskPool, Requirements, code_hash, worker_fault
 from fidpipe.pipeline.engine.engine import Machines
-from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.generate.floor_run import run_floor
 from fidpipe.pipeline.jobs import STAGES, metrics_job, selection_job
@@ -31,13 +29,12 @@ from fidpipe.pipeline.storage.run_record import library_versions
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.generate.perturbations import Perturbation
-from runs import JOBS_PER_PAIR, assert_same_tables, own_process, run, some_of, temporary_files
+from runs import JOBS_PER_PAIR, QUIET, assert_same_tables, own_process, run, some_of, temporary_files
 
 N_PAIRS = 6
 LIMIT_S = 3.0  # a healthy pair takes 0.2 s
 ENDLESS_S = 900
 POISON_IN_METRICS = "002"
-QUIET = Reporter(Console(quiet=True))
 NO_VALUES = dict.fromkeys(("k", "tau_m", "delta_m", "t"), ())
 
 

@@ -12,14 +12,11 @@ from xml.etree import ElementTree
 import pandas as pd
 import pytest
 from plotly.offline import get_plotlyjs
-from rich.console import Console
-from typer.testing import CliRunner
 
-from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.report.page.compare_page import compare_page
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.pictures import draw_change
-from fidpipe.pipeline.report.render import csv_table, markdown, terminal
+from fidpipe.pipeline.report.render import csv_table, markdown
 from fidpipe.pipeline.report.views.compare_view import (
     chance,
     compare_records,
@@ -33,7 +30,7 @@ from fidpipe.pipeline.results.followed import worst_changes
 from fidpipe.pipeline.results.gate import judge_comparison
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
-from reports import embedded
+from reports import embedded, text_of
 from runs import command, run
 from scenes import drifted, street, write_bin
 
@@ -258,18 +255,11 @@ def test_a_difference_is_set_beside_what_seeds_alone_make(versions, tmp_path):
     assert "more than seeds make" in compare_page(compare_runs(runs))
 
 
-def shown(view):
-    console = Console(width=80, highlight=False)
-    with console.capture() as capture:
-        console.print(terminal(view))
-    return capture.get()
-
-
 def test_the_first_line_is_the_decision_and_the_second_says_on_what(versions):
     for order, word in ((versions, "worse"), (versions[::-1], "better"), ([versions[0]] * 2, "same")):
         found = compare_runs(order)[0]
         assert decision(found).startswith(f"{word}: ")
-        text = " ".join(shown(compare_view(found)).split())
+        text = " ".join(text_of(compare_view(found)).split())
         assert text.startswith(f"{word}: ")
         following = f"next: fidpipe diagnose {order[1]} --floor {order[0]}"
         assert text.endswith(following) == (word != "same")
@@ -293,7 +283,7 @@ def test_classes_and_ranges_count_every_real_object_and_average_those_in_both(ve
 
 
 def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
-    short, text = (shown(compare_view(compare_runs(versions)[0], with_all=with_all)) for with_all in (False, True))
+    short, text = (text_of(compare_view(compare_runs(versions)[0], with_all=with_all)) for with_all in (False, True))
     assert max(map(len, (short + text).splitlines())) <= 80
     assert len(short.splitlines()) < 24 < len(text.splitlines())
     rows = [line.split() for line in text.splitlines() if "xxxx" in line]
@@ -354,18 +344,15 @@ def test_a_changed_object_has_its_points_before_and_after(versions):
     assert after["words"].startswith("not matched; ")
 
 
-def gate(*words):
-    return CliRunner().invoke(app, ["compare", *map(str, words)])
-
-
 def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(versions, tmp_path):
     good, bad = versions
-    passed = gate(good, good, "--fail-on", "worse", "--out", tmp_path / "same")
-    assert passed.exit_code == 0, passed.output
-    assert "gate on worse: passed" in passed.output
-    failed = gate(good, bad, "--fail-on", "worse", "--junit", tmp_path / "a.xml", "--json-file", tmp_path / "a.json")
-    assert failed.exit_code == 4
-    assert gate(bad, good, "--fail-on", "worse", "--out", tmp_path / "better").exit_code == 0
+    passed = command("compare", good, good, "--fail-on", "worse", "--out", tmp_path / "same")
+    assert passed.returncode == 0, passed.stderr
+    assert "gate on worse: passed" in passed.stdout
+    files = ("--junit", tmp_path / "a.xml", "--json-file", tmp_path / "a.json")
+    failed = command("compare", good, bad, "--fail-on", "worse", *files)
+    assert failed.returncode == 4
+    assert command("compare", bad, good, "--fail-on", "worse", "--out", tmp_path / "better").returncode == 0
     (judged,) = json.loads((tmp_path / "a.json").read_text())["comparisons"]
     assert (judged["decision"], judged["passed"]) == ("worse", False)
     faults = {check["name"]: check["fault"] for check in judged["checks"]}
@@ -403,9 +390,9 @@ def test_a_run_in_which_every_pair_fails_is_worse_and_leaves_files_for_ci(versio
     for i in range(len(HOSTILE)):
         (data / f"sim{i}.bin").write_bytes(b"")
     run(data, tmp_path / "run")
-    result = gate(versions[0], tmp_path / "run", "--fail-on", "worse")
-    assert result.exit_code == 4, result.output
-    assert result.output.startswith("worse: all 6 pairs that were scored before fail now")
+    result = command("compare", versions[0], tmp_path / "run", "--fail-on", "worse")
+    assert result.returncode == 4, result.stderr
+    assert result.stdout.startswith("worse: all 6 pairs that were scored before fail now")
     assert (tmp_path / "run" / "compare.xml").exists()
     assert json.loads((tmp_path / "run" / "compare.json").read_text())["comparisons"][0]["decision"] == "worse"
     page = compare_page(compare_runs([versions[0], tmp_path / "run"]))
@@ -440,9 +427,9 @@ def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_se
     ],
 )
 def test_options_that_do_not_go_together_are_wrong_usage(versions, words, fault):
-    result = gate(*versions, *words)
-    assert result.exit_code == 2
-    assert fault in " ".join(result.output.replace("│", " ").split())
+    result = command("compare", *versions, *words)
+    assert result.returncode == 2
+    assert fault in " ".join(result.stderr.replace("│", " ").split())
 
 
 def test_datasets_are_evaluated_and_compared(tmp_path):

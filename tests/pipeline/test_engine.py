@@ -1,15 +1,10 @@
 """Parts of an experiment on a pool of the test's own: what they see, and what a dying worker takes along."""
 
-from io import StringIO
-
-from rich.console import Console
-
 from fidpipe.pipeline.datasets.content import ScanContent
 from fidpipe.pipeline.datasets.pairs import ScanPair, read_dataset
 from fidpipe.pipeline.engine.engine import Machines, RunEngine, Survey
 from fidpipe.pipeline.engine.plan import Part, Planner
 from fidpipe.pipeline.engine.pool import Pool
-from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.stage import Grain, Inputs, JobResult, Stage
 from fidpipe.pipeline.storage.folder import RunFolder
@@ -17,6 +12,7 @@ from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import Settings
 from fidpipe.schemas.tables import TABLES
 from pools import DyingPool, WatchedPool
+from runs import QUIET, listening
 
 N_BASE = 7  # both sides of ground, graph and communities, and matching
 
@@ -46,7 +42,7 @@ def make_parts(dataset, out, parts, pool):
     planner = Planner(up_to_matching, Settings(), {})
     folder = RunFolder(out)
     machines = Machines(pool=pool)
-    with folder.locked(), RunEngine(folder, Settings(), machines, Reporter(Console(quiet=True))) as engine:
+    with folder.locked(), RunEngine(folder, Settings(), machines, QUIET) as engine:
         engine.hash_files(pairs)
 
         def plan(pair):
@@ -60,16 +56,15 @@ def make_parts(dataset, out, parts, pool):
 
 
 def test_a_pair_of_many_points_is_announced_with_its_memory_and_minutes(tmp_path):
-    folder, text = RunFolder(tmp_path / "run"), StringIO()
-    reporter = Reporter(Console(file=text, width=1000))
+    folder, (reporter, said) = RunFolder(tmp_path / "run"), listening()
     with folder.locked(), RunEngine(folder, Settings(), Machines(pool=Pool()), reporter) as engine:
         for n in (200_000, 1_000_000):
             engine.contents[str(n)] = dict.fromkeys(("real", "sim"), ScanContent("", "", n))
         survey = Survey(todo=[ScanPair(name, None, None) for name in engine.contents])
         with engine.scheduling_missing(survey, lambda pair: None):
             pass
-    assert "1 of 2 pairs have 500,000 points or more; the largest has about 2,000,000; with all" in text.getvalue()
-    assert "it takes some 11 GiB of memory and 17 minutes or more; thin both sides" in text.getvalue()
+    assert "1 of 2 pairs have 500,000 points or more; the largest has about 2,000,000; with all" in said.getvalue()
+    assert "it takes some 11 GiB of memory and 17 minutes or more; thin both sides" in said.getvalue()
 
 
 def test_a_part_sees_what_was_made_after_another_part_had_begun(dataset, tmp_path):

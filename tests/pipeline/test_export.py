@@ -189,15 +189,6 @@ def test_ply_read_by_trimesh_holds_the_same_points_as_scalar_fields(exported):
                 np.testing.assert_array_equal(column, points[name])
 
 
-def test_without_times_in_the_dataset_the_pairs_are_one_second_apart(exported):
-    run, folder = exported
-    for messages in read_mcap(folder / "streets.mcap").values():
-        assert [time_ns for time_ns, _ in messages] == [1_000_000_000, 2_000_000_000, 3_000_000_000]
-    times_ns, has_times = message_times(run, ["002"])
-    assert not has_times
-    assert times_ns["002"] == 3_000_000_000  # the same as among all
-
-
 @pytest.mark.parametrize(
     ("stamps", "wanted"),
     [

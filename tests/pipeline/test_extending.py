@@ -1,6 +1,5 @@
 """The worked examples of docs/extending.md do what the page says, in the files that it names and no others."""
 
-import ast
 import json
 import os
 import re
@@ -9,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from importlib.metadata import EntryPoint
+from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,13 +16,10 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
-from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.datasets import readers
-from fidpipe.pipeline.datasets.readers import Format, read_scan
-from fidpipe.schemas.errors import DatasetError, ScanError
-from runs import JOBS_PER_PAIR, own_process
+from fidpipe.schemas.errors import DatasetError
+from runs import JOBS_PER_PAIR, command, own_process
 from scenes import drifted, street, write_bin
 
 N_POINTS = 100
@@ -30,14 +27,8 @@ N_POINTS = 100
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 FILE = re.compile(r"`([\w/]+\.(?:py|csv))`")
+COMMAND = "from fidpipe.pipeline.cli.main import main; main()"
 MOST_FILES = {"A reader": 2, "A setting": 2, "A baseline metric": 4, "A score": 4, "A stage": 5}
-
-
-class Block(NamedTuple):
-    """One example: its file, the one that was named last before it, and its code."""
-
-    path: str
-    code: str
 
 
 def section_of(title):
@@ -45,9 +36,9 @@ def section_of(title):
 
 
 def blocks_of(title):
-    """The Python and CSV of a section, block by block."""
+    """File and code of each block of Python or CSV of a section; the file is the one named last before it."""
     texts = re.split(r"```(?:python|csv)\n(.*?)```", section_of(title), flags=re.DOTALL)
-    return [Block(FILE.findall("".join(texts[:i:2]))[-1], texts[i]) for i in range(1, len(texts), 2)]
+    return [(FILE.findall("".join(texts[:i:2]))[-1], texts[i]) for i in range(1, len(texts), 2)]
 
 
 def files_of(title):
@@ -56,119 +47,12 @@ def files_of(title):
     return [named[0] for item in items if (named := FILE.findall(item))]
 
 
-# Places of a block in an existing file. Each function takes the file's text and the block.
-
-
-def last_in(name):
-    """At the end of the value of this name, or of what the function of this name returns.
-
-    A block that repeats a call has `...` for the arguments that are there.
-    """
-
-    def edit(text, code):
-        node = statement(text, name)
-        value = node.body[-1].value if isinstance(node, ast.FunctionDef) else node.value
-        if isinstance(value, ast.DictComp):
-            value = value.generators[0].iter
-        if isinstance(node, ast.FunctionDef) and isinstance(value, ast.Call):
-            code = ", ".join(ast.unparse(argument) for argument in ast.parse(code).body[0].value.keywords)
-        end = offset(text, value.end_lineno, value.end_col_offset) - 1
-        head = text[:end].rstrip()
-        return f"{head}{'' if head.endswith(',') else ','}\n{code.rstrip().removesuffix(',')},\n{text[end:]}"
-
-    return edit
-
-
-def at_the_end(text, code):
-    return text + code
-
-
-def last_of_group(text, code):
-    """Behind the last row of its group."""
-    group = code.partition(",")[0]
-    last = max(i for i, line in enumerate(text.splitlines(), 1) if line.startswith(f"{group},"))
-    return insert(text, last + 1, code)
-
-
-def field_in(name):
-    """After the last field of the class of this name."""
-
-    def edit(text, code):
-        last = [node for node in statement(text, name).body if isinstance(node, ast.AnnAssign)][-1]
-        return insert(text, last.end_lineno + 1, code, indent=4)
-
-    return edit
-
-
-def before(name):
-    """Before what has this name."""
-    return lambda text, code: insert(text, statement(text, name).lineno, f"{code}\n\n")
-
-
-def before_return_of(name):
-    """Before the function of this name returns."""
-    return lambda text, code: insert(text, statement(text, name).body[-1].lineno, code, indent=4)
-
-
-def after_imports(text, code):
-    """Behind the last import."""
-    last = [node for node in ast.parse(text).body if isinstance(node, ast.ImportFrom)][-1]
-    return insert(text, last.end_lineno + 1, code)
-
-
-def raised_version(text):
-    """The file with the version of its stage raised by one."""
-    raised, n = re.subn(r"\bversion=(\d+),", lambda old: f"version={int(old[1]) + 1},", text)
-    assert n == 1
-    return raised
-
-
-def statement(text, name):
-    (node,) = [node for node in ast.parse(text).body if name in likeness(node)]
-    return node
-
-
-def likeness(node):
-    """The names that a statement binds; else the statement itself."""
-    match node:
-        case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
-            return (name,)
-        case ast.ClassDef(name=name) | ast.FunctionDef(name=name):
-            return (name,)
-    return (node,)
-
-
-def offset(text, line, column):
-    return sum(map(len, text.splitlines(keepends=True)[: line - 1])) + column
-
-
-def insert(text, line, code, indent=0):
-    at = offset(text, line, 0)
-    return text[:at] + re.sub(r"^(?=.)", " " * indent, code, flags=re.MULTILINE) + text[at:]
-
-
-#: Of each section, where its blocks go; None is a new file.
-PLACES = {
-    "A reader": [None, last_in("FORMATS")],
-    "A setting": [field_in("GraphSettings"), before_return_of("build_graph")],
-    "A baseline metric": [last_of_group, None, after_imports, last_in("BASELINES")],
-    "A score": [
-        last_of_group,
-        field_in("Scores"),
-        last_in("score_object"),
-        last_in("SPECTRAL"),
-        last_in("spectral"),
-    ],
-    "A stage": [
-        at_the_end,
-        before("Settings"),
-        field_in("Settings"),
-        None,
-        None,
-        after_imports,
-        last_in("STAGES"),
-    ],
-}
+def written(text, block):
+    """The file with a block in its place: between the lines at the block's beginning and end that the file has."""
+    lines = block.splitlines(keepends=True)
+    parts = ("".join(lines[:i] + lines[j:]) for i, j in combinations(range(len(lines) + 1), 2))
+    known = max((part for part in parts if text.count(part) == 1), key=len, default="")
+    return text.replace(known, block) if known else text + block
 
 
 class Extended(NamedTuple):
@@ -176,34 +60,22 @@ class Extended(NamedTuple):
 
     folder: Path
 
+    def start(self, *words):
+        environment = os.environ | {"PYTHONPATH": str(self.folder)}
+        call = list(map(str, words))
+        return subprocess.run(call, capture_output=True, text=True, check=False, env=environment, cwd=self.folder)
+
     def fidpipe(self, *words, exit_code=0):
         """The command of the copy."""
-        result = self.python("from fidpipe.pipeline.cli.main import main; main()", *words)
+        result = self.start(sys.executable, "-c", COMMAND, *words)
         assert result.returncode == exit_code, result.stdout + result.stderr
         return result
-
-    def python(self, code, *words):
-        environment = os.environ | {"PYTHONPATH": str(self.folder)}
-        call = [sys.executable, "-c", code, *map(str, words)]
-        return subprocess.run(call, capture_output=True, text=True, check=False, env=environment, cwd=self.folder)
 
     def breaks_no_layer(self):
         """True if imports go downwards only, else the linter's output."""
         shutil.copy(ROOT / "pyproject.toml", self.folder)
-        lint = [Path(sys.executable).with_name("lint-imports"), "--no-cache"]
-        environment = os.environ | {"PYTHONPATH": str(self.folder)}
-        result = subprocess.run(lint, capture_output=True, text=True, check=False, env=environment, cwd=self.folder)
+        result = self.start(Path(sys.executable).with_name("lint-imports"), "--no-cache")
         return result.returncode == 0 or result.stdout
-
-    def run_examples(self, module):
-        """Runs the examples in the docstrings of a module; gives how many there are."""
-        code = (
-            f"import doctest, {module} as module; result = doctest.testmod(module); "
-            "assert not result.failed; print(result.attempted, module.__file__)"
-        )
-        n, path = self.python(code).stdout.split()
-        assert path.startswith(str(self.folder))
-        return int(n)
 
 
 def extended(title, folder):
@@ -213,21 +85,23 @@ def extended(title, folder):
         shutil.copytree(ROOT / part, package / part, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "__init__.py", package)
     touched = []
-    for block, edit in zip(blocks_of(title), PLACES[title], strict=True):
-        path = package / block.path
-        assert path.exists() == (edit is not None), block.path
-        path.write_text(block.code if edit is None else edit(path.read_text(), block.code))
-        touched.append(block.path)
+    for name, code in blocks_of(title):
+        path = package / name
+        path.write_text(written(path.read_text(), code) if path.exists() else code)
+        touched.append(name)
     if title == "A score":
         path = package / files_of(title)[-1]
-        path.write_text(raised_version(path.read_text()))
+        text = path.read_text()
+        (version,) = re.findall(r"\bversion=(\d+),", text)
+        path.write_text(text.replace(f"version={version},", f"version={int(version) + 1},"))
         touched.append(files_of(title)[-1])
-    for path in (path for path in touched if path.endswith(".py")):
-        compile((package / path).read_text(), path, "exec")
+    for name in touched:
+        if name.endswith(".py"):
+            compile((package / name).read_text(), name, "exec")
     return Extended(folder), touched
 
 
-@pytest.mark.parametrize("title", PLACES)
+@pytest.mark.parametrize("title", MOST_FILES)
 def test_an_example_touches_the_files_that_its_section_names_and_they_are_few(title, tmp_path):
     _, touched = extended(title, tmp_path)
     files = files_of(title)
@@ -317,7 +191,9 @@ def test_the_score_is_in_every_table_and_nothing_stale_is_kept(again, dataset, t
 def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
     package, _ = extended("A stage", tmp_path)
     assert package.breaks_no_layer() is True
-    assert package.run_examples("fidpipe.stages.neighbours") == 1
+    examples = "import doctest, fidpipe.stages.neighbours as own; print(doctest.testmod(own), own.__file__)"
+    shown = package.start(sys.executable, "-c", examples).stdout
+    assert shown.startswith(f"TestResults(failed=0, attempted=1) {package.folder}")
     run = ("run", dataset, "--out", again)
     result = package.fidpipe(*run, "--workers", 1)
     assert made_again(result) == set()
@@ -344,19 +220,6 @@ def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
         assert pq.read_table(path).equals(pq.read_table(again / "neighbours" / path.name))
 
 
-@pytest.fixture
-def xyz_reader(tmp_path, monkeypatch):
-    """The documented reader in a file of the readers' package, and its row in the table."""
-    reader, row = blocks_of("A reader")
-    folder = tmp_path / "readers"
-    folder.mkdir()
-    (folder / "xyz.py").write_text(reader.code)
-    monkeypatch.setattr(readers, "__path__", [*readers.__path__, str(folder)])
-    monkeypatch.setattr(readers, "FORMATS", readers.FORMATS | eval(f"{{{row.code}}}", {"Format": Format}))
-    yield
-    sys.modules.pop(f"{readers.__name__}.xyz", None)
-
-
 def write(folder, save):
     """One small pair, as a writer of some format saves it."""
     scan = street()
@@ -374,18 +237,20 @@ def save_npy(stem, points):
     np.save(f"{stem}.npy", points)
 
 
-def fidpipe(*words):
-    return CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
-
-
-def test_a_run_over_the_new_format_gives_the_numbers_of_a_known_one(tmp_path, xyz_reader):
-    for name, save in (("xyz", save_xyz), ("npy", save_npy)):
-        dataset = write(tmp_path / name, save)
-        assert fidpipe("run", dataset, "--out", tmp_path / f"run-{name}", "--workers", 1).exit_code == 0
+def test_a_new_format_is_checked_and_gives_the_numbers_of_a_known_one(tmp_path):
+    package, _ = extended("A reader", tmp_path)
+    streets = {name: write(tmp_path / name, save) for name, save in (("xyz", save_xyz), ("npy", save_npy))}
+    assert "no scan pairs found" in command("check", streets["xyz"]).stderr
+    assert "1 of 1 pairs can be evaluated" in package.fidpipe("check", streets["xyz"]).stdout
+    for name, dataset in streets.items():
+        package.fidpipe("run", dataset, "--out", tmp_path / f"run-{name}", "--workers", 1)
     for table in ("objects/a.real", "objects/a.sim", "metrics/a"):
-        new, known = (pq.read_table(tmp_path / run / f"{table}.parquet") for run in ("run-xyz", "run-npy"))
+        new, known = (pq.read_table(tmp_path / f"run-{name}" / f"{table}.parquet") for name in streets)
         assert new.num_rows
         assert new.equals(known)
+    (streets["xyz"] / "sim" / "a.xyz").write_text("1 2\n3 4\n")
+    shown = package.fidpipe("check", streets["xyz"], exit_code=1)
+    assert "a.xyz: expected 3 columns (x y z), got 2" in shown.stdout
 
 
 @pytest.fixture
@@ -409,16 +274,10 @@ def save_pts(stem, points):
     np.savetxt(f"{stem}.pts", rows, fmt="%.17g", header=str(len(rows)), comments="")
 
 
-def test_a_package_of_others_adds_a_format_that_check_and_run_read(tmp_path, pts_package):
+def test_a_package_of_others_adds_a_format(tmp_path, pts_package):
     dataset = write(tmp_path / "streets", save_pts)
-    environment = os.environ | {"PYTHONPATH": str(pts_package)}
-    code = "from fidpipe.pipeline.cli.main import main; main()"
-    call = [sys.executable, "-c", code, "check", str(dataset)]
-    shown = subprocess.run(call, capture_output=True, text=True, check=False, env=environment)
-    assert shown.returncode == 0, shown.stdout + shown.stderr
-    without = subprocess.run(call, capture_output=True, text=True, check=False)
-    assert without.returncode == 1
-    assert "no scan pairs found" in without.stderr
+    assert "no scan pairs found" in command("check", dataset).stderr
+    Extended(pts_package).fidpipe("check", dataset)
 
 
 def test_two_readers_of_one_suffix_are_refused_and_both_named(monkeypatch):
@@ -428,17 +287,3 @@ def test_two_readers_of_one_suffix_are_refused_and_both_named(monkeypatch):
     with pytest.raises(DatasetError, match=r"two readers of \.ply files are installed, ply and other_package\.ply"):
         readers.formats()
     readers._other_formats.cache_clear()
-
-
-def test_check_reads_the_new_format_and_names_what_is_wrong_with_a_file(tmp_path, request):
-    dataset = write(tmp_path / "streets", save_xyz)
-    with pytest.raises(DatasetError, match="no scan pairs found"):
-        fidpipe("check", dataset)
-    request.getfixturevalue("xyz_reader")
-    shown = fidpipe("check", dataset)
-    assert shown.exit_code == 0, shown.output
-    (dataset / "sim" / "a.xyz").write_text("1 2\n3 4\n")
-    shown = fidpipe("check", dataset)
-    assert shown.exit_code == 1
-    with pytest.raises(ScanError, match=r"a\.xyz: expected 3 columns \(x y z\), got 2"):
-        read_scan(dataset / "sim" / "a.xyz")

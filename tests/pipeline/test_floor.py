@@ -3,21 +3,16 @@
 import json
 import shutil
 from dataclasses import replace
-from io import StringIO
 
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 from scipy.spatial import cKDTree
 from scipy.stats import wasserstein_distance
-from typer.testing import CliRunner
 
-from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.engine import Machines
-from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate.floor_run import run_floor
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.views.compare_view import remarks
@@ -32,22 +27,19 @@ from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor_description import describe_sensor
-from runs import assert_same_tables, command, run
+from runs import QUIET, assert_same_tables, command, listening, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 
 REFERENCE = load(preset="reference")
 
 
-def floor(dataset, out, reporter=None, **options):
-    settings = options.pop("settings", Settings())
-    return run_floor(
-        dataset, out, settings, reporter or Reporter(Console(quiet=True)), machines=Machines(workers=1), **options
-    )
+def floor(dataset, out, reporter=QUIET, *, settings=None, workers=1, **options):
+    return run_floor(dataset, out, settings or Settings(), reporter, machines=Machines(workers), **options)
 
 
 def shown(*words, code=0):
-    result = CliRunner().invoke(app, list(map(str, words)))
-    assert result.exit_code == code, result.output
+    result = command(*words)
+    assert result.returncode == code, result.stderr
     return result.stdout
 
 
@@ -58,11 +50,9 @@ def folder(scenario):
 
 
 def test_without_noise_and_dropout_it_is_exactly_perfect(folder, tmp_path):
-    text = Console(record=True, width=200, file=StringIO())
-    made = floor(
-        folder / "streets", tmp_path / "floor", Reporter(text), settings=REFERENCE, noise_m=0.0, lost_share=0.0
-    )
-    assert "warning" not in text.export_text()
+    reporter, said = listening()
+    made = floor(folder / "streets", tmp_path / "floor", reporter, settings=REFERENCE, noise_m=0.0, lost_share=0.0)
+    assert "warning" not in said.getvalue()
     for row in made.rows:
         assert row["match_rate"] == 1
         assert {row[f"{metric}_mean"] for metric in OBJECT_METRICS} == {0}
@@ -74,14 +64,14 @@ def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_n
     for side in ("real", "sim"):
         write_bin(tmp_path / "data" / side / "cast.bin", rows[:, :3])
         write_bin(tmp_path / "data" / side / "street.bin", street())
-    text = Console(record=True, width=500, file=StringIO())
-    made = floor(tmp_path / "data", tmp_path / "floor", Reporter(text), settings=REFERENCE)
+    reporter, said = listening()
+    made = floor(tmp_path / "data", tmp_path / "floor", reporter, settings=REFERENCE)
     used = pd.read_csv(tmp_path / "floor" / "dataset" / "floor.csv", index_col=0)
     own = describe_sensor(rows[:, :3].astype(np.float32).astype(float))
     assert (used.noise_m["cast"], used.lost_share["cast"]) == (own.range_noise_m, own.lost_in_all)
     assert (used.noise_m["street"], used.lost_share["street"]) == (0.03, 0.03)
-    shown_text = text.export_text()
-    assert "1 of 2 real scans: noise or losses cannot be measured" in shown_text and "--noise-m" in shown_text
+    text = said.getvalue()
+    assert "1 of 2 real scans: noise or losses cannot be measured" in text and "--noise-m" in text
     again = read_scan(tmp_path / "floor" / "dataset" / "sim" / "cast.parquet").points
     second = describe_sensor(again)
     assert own.lost_in_all > 0.1 and second.lost_in_all == pytest.approx(own.lost_in_all, abs=0.02)
@@ -109,8 +99,7 @@ def test_neither_the_simulated_side_nor_the_workers_matter(folder, tmp_path):
     data = write_dataset(tmp_path / "streets", 3)
     (data / "sim" / "000.bin").write_bytes(b"")
     settings = load(assignments=["input.sim_flip_y=true"])
-    reporter, machines = Reporter(Console(quiet=True)), Machines(workers=2)
-    assert not run_floor(data, tmp_path / "floor", settings, reporter, machines=machines).failures
+    assert not floor(data, tmp_path / "floor", settings=settings, workers=2).failures
     assert_same_tables(tmp_path / "floor", folder / "floor")
 
 

@@ -8,10 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import fidpipe
-from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.pipeline.jobs import sensor_job
@@ -105,8 +103,7 @@ def test_two_arrays_in_other_frames_are_warned_of_with_both_figures_and_the_sett
 def test_a_gate_fails_on_a_suspect_pair_unless_it_is_allowed(finished):
     out, _ = finished
     assert Measures(FinishedRun(out)).named("pairs.frame_suspect").value == 1
-    result = CliRunner().invoke(app, ["gate", str(out), "--min", "match_rate.mean=0"])
-    assert result.exit_code == 4
+    assert command("gate", out, "--min", "match_rate.mean=0").returncode == 4
     allowed = judge_run(out, [parse_word("pairs.frame_suspect=1", "max")])
     assert allowed.passed
     assert [own.criterion.limit for own in allowed.judged if own.criterion.measure == "pairs.frame_suspect"] == [1]

@@ -7,9 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
-from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.report.views.gate_view import gate_checks, junit_xml
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import Criterion, judge_run, parse_word, read_criteria
@@ -180,8 +178,8 @@ def test_a_run_without_a_scored_pair_fails_with_files_for_ci(tmp_path):
     run(data, tmp_path / "run")
     measures = ("missing.within_20m", "objects.cdc.mean", "class.car.missing.total", "class.car.cdc.mean", "cdc.mean")
     words = [word for measure in measures for word in ("--max", f"{measure}=1")]
-    result = CliRunner().invoke(app, ["gate", str(tmp_path / "run"), *words])
-    assert result.exit_code == 4, result.output
+    result = command("gate", tmp_path / "run", *words)
+    assert result.returncode == 4, result.stderr
     assert (tmp_path / "run" / "gate.xml").exists()
     found = json.loads((tmp_path / "run" / "gate.json").read_text())["criteria"]
     why = {of["measure"]: of["why"] for of in found if of["measure"] in measures}

@@ -7,17 +7,14 @@ import shutil
 
 import pandas as pd
 import pytest
-from rich.console import Console
-from typer.testing import CliRunner
 
-from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.report.page.compare_page import history_page
-from fidpipe.pipeline.report.render import csv_table, terminal
+from fidpipe.pipeline.report.render import csv_table
 from fidpipe.pipeline.report.views.history_view import history_decision, history_records, history_remarks, history_view
 from fidpipe.pipeline.results.history import read_history
 from fidpipe.schemas.errors import RunError
-from reports import embedded
-from runs import run
+from reports import embedded, text_of
+from runs import command, run
 from scenes import drifted, street, write_bin
 
 LONG = "n008-2018-08-01-15-16-36-0400__LIDAR_TOP__1533151603597909"
@@ -74,10 +71,8 @@ def test_runs_stand_as_given_or_by_date(runs):
 
 
 def test_eight_runs_with_long_names_fit_80_columns(runs):
-    console = Console(width=80, highlight=False)
-    with console.capture() as capture:
-        console.print(terminal(history_view(read_history([runs[0], *[runs[1]] * 6, runs[2]], independent=True))))
-    lines = capture.get().splitlines()
+    found = read_history([runs[0], *[runs[1]] * 6, runs[2]], independent=True)
+    lines = text_of(history_view(found)).splitlines()
     assert max(map(len, lines)) <= 80
     assert sum("…" in line and line.endswith("1603597909") for line in map(str.rstrip, lines)) == 6, "one line a run"
     (covered,) = (line.split() for line in lines if line.strip().startswith("position"))
@@ -105,14 +100,13 @@ def test_the_page_has_a_line_for_each_score_with_its_intervals(runs):
 
 
 def test_the_command_takes_up_to_eight_runs(runs, tmp_path):
-    words = ["compare", *map(str, runs), "--history", "--html", str(tmp_path / "page.html"), "--markdown"]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
-    assert result.output.startswith("**run 3 against run 1: ")
+    result = command("compare", *runs, "--history", "--html", tmp_path / "page.html", "--markdown")
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith("**run 3 against run 1: ")
     assert (tmp_path / "page.html").exists()
-    refused = CliRunner().invoke(app, ["compare", *[str(runs[0])] * 9, "--history"])
-    assert refused.exit_code == 2
-    assert "9 runs given; expected 2 to 8" in refused.output
+    refused = command("compare", *[runs[0]] * 9, "--history")
+    assert refused.returncode == 2
+    assert "9 runs given; expected 2 to 8" in refused.stderr
 
 
 def test_runs_without_a_pair_that_all_have_are_refused(runs, tmp_path):

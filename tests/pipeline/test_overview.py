@@ -8,11 +8,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
-from rich.console import Console
-from typer.testing import CliRunner
 
-from fidpipe.pipeline.cli.main import app
-from fidpipe.pipeline.report.render import terminal
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.pipeline.report.views.pair_view import pair_view
@@ -22,6 +18,7 @@ from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.overview import describe_objects, largest_pieces
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
+from reports import text_of
 from runs import command, run
 from scenes import drifted, street, write_bin
 
@@ -41,16 +38,6 @@ def finished(tmp_path_factory):
     long = "movable_object.pushable_pullable_and_more_words_than_fit"
     (folder / "streets" / "labels.toml").write_text(f'1 = "{long}.a"\n2 = "{long}.b"\n3 = "car"\n')
     return folder / "streets", folder / "run", run(folder / "streets", folder / "run")
-
-
-def text_of(view, width=80):
-    console = Console(file=StringIO(), width=width)
-    console.print(terminal(view))
-    return console.file.getvalue()
-
-
-def invoked(*words):
-    return CliRunner().invoke(app, list(map(str, words)))
 
 
 def test_the_overview_of_the_record_is_that_of_the_tables(finished):
@@ -210,7 +197,7 @@ def test_run_as_json_is_json_alone_and_what_show_gives(by_command):
     assert done.returncode == 0
     assert found["jobs"]["made"] > 0
     assert found["failures"] == {}
-    shown = json.loads(invoked("show", out, "--json").stdout)
+    shown = json.loads(command("show", out, "--json").stdout)
     assert {name: found[name] for name in shown} == shown
     assert {"causes", "pieces", "surface", "trust"} < set(found["record"]["overview"])
 
@@ -218,9 +205,9 @@ def test_run_as_json_is_json_alone_and_what_show_gives(by_command):
 def test_check_as_json_names_each_scan_and_fault(finished, tmp_path):
     data = shutil.copytree(finished[0], tmp_path / "streets")
     (data / "sim" / f"{NUSCENES[1]}.bin").write_bytes(b"")
-    done = invoked("check", data, "--json")
+    done = command("check", data, "--json")
     found = json.loads(done.stdout)
-    assert done.exit_code == 1
+    assert done.returncode == 1
     assert [pair["pair_id"] for pair in found["pairs"]] == NUSCENES
     assert found["pairs"][0]["real"]["n_clean"] > 0
     assert "empty" in found["pairs"][1]["sim"]["fault"]
@@ -231,30 +218,30 @@ def test_check_as_json_names_each_scan_and_fault(finished, tmp_path):
 
 def test_show_gives_csv_that_pandas_reads_and_markdown_tables(by_command):
     _, out = by_command
-    pairs = pd.read_csv(StringIO(invoked("show", out, "--csv").stdout))
+    pairs = pd.read_csv(StringIO(command("show", out, "--csv").stdout))
     assert pairs.cdc_mean.tolist() == pd.read_parquet(out / "pairs.parquet").cdc_mean.tolist()
-    objects = pd.read_csv(StringIO(invoked("show", out, NUSCENES[0], "--csv").stdout))
+    objects = pd.read_csv(StringIO(command("show", out, NUSCENES[0], "--csv").stdout))
     metrics = pd.read_parquet(out / "metrics").query("pair_id == @NUSCENES[0]").set_index("real_id")
     matched = objects[objects.status == "matched"].set_index("real_id")
     assert matched.cdc.to_dict() == metrics.cdc.to_dict()
-    one = pd.read_csv(StringIO(invoked("show", out, NUSCENES[0], 0, "--csv").stdout), index_col=0)
+    one = pd.read_csv(StringIO(command("show", out, NUSCENES[0], 0, "--csv").stdout), index_col=0)
     assert float(one.score["cdc"]) == metrics.cdc[0]
-    markdown = invoked("show", out, "--markdown").stdout
+    markdown = command("show", out, "--markdown").stdout
     assert markdown.startswith("**streets: 2 pairs, preset paper**")
     assert "\nsurface: " in markdown
-    assert NUSCENES[0] in invoked("show", out, NUSCENES[0], "--markdown").stdout
+    assert NUSCENES[0] in command("show", out, NUSCENES[0], "--markdown").stdout
 
 
 @pytest.mark.parametrize("words", [("--csv", "--json"), ("--markdown", "--csv"), ("--markdown", "--paper")])
 def test_formats_exclude_each_other(by_command, words):
-    done = invoked("show", by_command[1], *words)
-    assert done.exit_code == 2
+    done = command("show", by_command[1], *words)
+    assert done.returncode == 2
     assert done.stdout == ""
 
 
 def test_status_answers_in_ten_lines_and_times_only_when_asked(by_command):
-    shown = invoked("status", by_command[1]).stdout
+    shown = command("status", by_command[1]).stdout
     assert len(shown.splitlines()) <= 10
     assert "done of all pairs: ground, sensor, graph" in shown
     assert "Time per pair" not in shown
-    assert "Time per pair" in invoked("status", by_command[1], "--timings").stdout
+    assert "Time per pair" in command("status", by_command[1], "--timings").stdout

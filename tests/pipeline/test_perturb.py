@@ -1,21 +1,16 @@
 """`fidpipe perturb`: altered scans, repeating and resuming, and the claims of the paper."""
 
-import json
 import shutil
 from dataclasses import replace
-from io import StringIO
 
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.image import imread
-from rich.console import Console
 from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.plan import Part
-from fidpipe.pipeline.engine.pool import Pool
-from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.paper.experiment import experimenting, read_source
 from fidpipe.pipeline.paper.perturb import LEVELS as DEFAULT_LEVELS
 from fidpipe.pipeline.paper.perturb import (
@@ -34,17 +29,16 @@ from fidpipe.stages.graph import build_graph
 from fidpipe.stages.method import partition
 from fidpipe.stages.paper.sweep_means import react
 from fidpipe.stages.statistics.typical_objects import ScanObjects
-from runs import command, contents, some_of
+from runs import QUIET, command, contents, listening, some_of
 from scenes import street, write_bin, write_dataset
 
 SETTINGS = load(None, ["graph.k=12"])
 LEVELS = parse_levels(["noise=0.01", "dropout=0.1,0.4", "rigid=0:1,0:2"])
 
 
-def perturbed(source, out, *, workers=1, pool=None, reporter=None, **options):
-    options = {"levels": LEVELS, "repeats": 3, "global_repeats": 2, "settings": SETTINGS} | options
-    settings, machines = options.pop("settings"), Machines(workers, pool=pool)
-    reporter = reporter or Reporter(Console(quiet=True))
+def perturbed(source, out, *, settings=SETTINGS, pool=None, reporter=QUIET, **options):
+    options = {"levels": LEVELS, "repeats": 3, "global_repeats": 2} | options
+    machines = Machines(1, pool=pool)
     return perturb_source(source, out, settings, reporter, machines=machines, **options)
 
 
@@ -182,43 +176,6 @@ def test_a_damaged_file_is_made_again_and_what_is_not_asked_for_is_removed(done,
     assert set(again.summary.column("kind").to_pylist()) == {"noise", "dropout"}
 
 
-class Interrupted(Pool):
-    """A pool whose tasks are interrupted after some."""
-
-    def __init__(self, n_tasks):
-        super().__init__()
-        self.n_left = n_tasks
-
-    def next_done(self):
-        self.n_left -= 1
-        if self.n_left < 0:
-            raise KeyboardInterrupt
-        return super().next_done()
-
-
-@pytest.mark.parametrize("n_tasks", some_of([0, 1, 3, 9], [0, 3]))
-def test_an_interrupted_experiment_goes_on_where_it_was(done, scan, tmp_path, n_tasks):
-    with pytest.raises(KeyboardInterrupt):
-        perturbed(scan, tmp_path / "run", pool=Interrupted(n_tasks))
-    again = perturbed(scan, tmp_path / "run")
-    n_done = 3 + (n_tasks - 1) if n_tasks else 0  # ground, graph and communities are one task
-    assert (again.n_made, again.n_reused) == (done.n_made - n_done, n_done)
-    assert again.summary.equals(done.summary)
-
-
-def test_a_job_that_fails_is_listed_and_the_others_are_there(scan, tmp_path, monkeypatch):
-    def make(context):
-        if context.arguments[0].kind == "noise":
-            raise MemoryError("much")
-        return GLOBAL.make(context)
-
-    monkeypatch.setattr("fidpipe.pipeline.paper.perturb.GLOBAL", replace(GLOBAL, make=make))
-    outcome = perturbed(scan, tmp_path / "run", repeats=1, global_repeats=1)
-    assert outcome.failures == {"street, noise-0.01": "out of memory (much)"}
-    assert json.loads((tmp_path / "run" / "run.json").read_text())["failures"] == outcome.failures
-    assert set(rows(tmp_path / "run", "perturb_global").kind) == {"dropout", "rigid"}
-
-
 def test_labelled_objects_are_the_classes_of_the_paper(labelled, tmp_path):
     outcome = perturbed(labelled, tmp_path / "run", levels=LEVELS[:1], repeats=1, global_repeats=0)
     assert [of.name for of in outcome.objects] == ["car", "tree", "wall"]
@@ -243,10 +200,10 @@ def test_objects_can_be_named_by_number_and_by_label(labelled, tmp_path):
 def test_an_object_that_is_named_twice_is_altered_once_and_a_note_says_so(labelled, tmp_path):
     options = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 0}
     (car,) = perturbed(labelled, tmp_path / "run", objects=("car",), **options).objects
-    said = Console(record=True, width=200, file=StringIO())
+    reporter, said = listening()
     words = ("car", str(car.community_id))
-    assert perturbed(labelled, tmp_path / "run", objects=words, reporter=Reporter(said), **options).objects == (car,)
-    assert f"object {car.community_id} of scan street is already chosen as car; left out" in said.export_text()
+    assert perturbed(labelled, tmp_path / "run", objects=words, reporter=reporter, **options).objects == (car,)
+    assert f"object {car.community_id} of scan street is already chosen as car; left out" in said.getvalue()
     assert len(rows(tmp_path / "run")) == 1
 
 
@@ -269,7 +226,7 @@ def test_no_object_stands_for_two_shapes(shapes, chosen, n_notes):
 
 def test_two_parts_of_one_name_are_refused_before_anything_is_removed(done, scan, tmp_path):
     out = shutil.copytree(done.folder, tmp_path / "run")
-    at = (read_source(scan), out, SETTINGS, Reporter(Console(quiet=True)))
+    at = (read_source(scan), out, SETTINGS, QUIET)
     part = Part(GLOBAL, "noise-1.0", (Perturbation("noise", 1.0), [1]))
     with experimenting("perturb", *at, stages=(GLOBAL,), sides=("real",), machines=Machines(workers=1)) as experiment:
         experiment.prepare()

@@ -14,7 +14,7 @@ from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import load, overrides, parse, preset_of
 from fidpipe.schemas.settings_text import to_toml
-from runs import changed_files, command, marks, run, tables
+from runs import command, run, tables
 from scenes import box, drifted, street, write_bin, write_dataset
 
 REFERENCE = load(None, preset="reference")
@@ -36,26 +36,6 @@ def dataset(tmp_path_factory):
 def finished(dataset, tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "run"
     return out, run(dataset, out, REFERENCE)
-
-
-def test_a_second_run_makes_nothing_and_the_record_names_the_preset(dataset, finished):
-    out, outcome = finished
-    assert not outcome.failures
-    before = marks(out)
-    assert run(dataset, out, REFERENCE).n_made == 0
-    assert not changed_files(out, before)
-    assert FinishedRun(out).preset == "reference"
-
-
-def test_another_simulator_has_the_same_real_objects(dataset, finished, tmp_path):
-    out, _ = finished
-    scan = read_scan(dataset / "real" / "001.bin").points
-    write_bin(tmp_path / "data" / "real" / "001.bin", scan)
-    write_bin(tmp_path / "data" / "sim" / "001.bin", drifted(scan, seed=9, noise=0.2, keep=0.5))
-    run(tmp_path / "data", tmp_path / "other", REFERENCE)
-    for table in ("communities", "objects"):
-        a, b = (pd.read_parquet(folder / table / "001.real.parquet") for folder in (out, tmp_path / "other"))
-        pd.testing.assert_frame_equal(a, b)
 
 
 def test_missing_and_invented_objects_are_told_alike_everywhere(finished):

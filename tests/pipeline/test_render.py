@@ -1,12 +1,9 @@
 """One view in each medium: what is bold, coloured, listed or left out, and names that no cell can break."""
 
-from io import StringIO
-
-from rich.console import Console
-
 from fidpipe.pipeline.report.page.page_templates import _environment
-from fidpipe.pipeline.report.render import csv_table, markdown, terminal
+from fidpipe.pipeline.report.render import csv_table, markdown
 from fidpipe.pipeline.report.view import Answers, Note, Table, shortened
+from reports import text_of
 
 TABLE = Table(
     "Scores",
@@ -19,21 +16,15 @@ TABLE = Table(
 VIEW = [Note("worse: CDC", "bold red"), TABLE, Note("plain"), Note("note: one", "yellow"), Note("note: two", "yellow")]
 
 
-def in_terminal(view, width=80, **options):
-    console = Console(file=StringIO(), width=width, **options)
-    console.print(terminal(view))
-    return console.file.getvalue()
-
-
 def test_a_terminal_hides_wide_columns_shortens_words_and_colours_verdicts():
-    text = in_terminal(VIEW, 40)
+    text = text_of(VIEW, 40)
     assert max(map(len, text.splitlines())) <= 40
     assert "[bold]a|b" in text
     assert "0.51 " in text
     assert "value" not in text
     assert "…" in text
-    assert "x" * 60 in in_terminal(VIEW, 120)
-    assert "\x1b[31mworse" in in_terminal(VIEW, force_terminal=True, color_system="standard")
+    assert "x" * 60 in text_of(VIEW, 120)
+    assert "\x1b[31mworse" in text_of(VIEW, force_terminal=True, color_system="standard")
 
 
 def test_markdown_has_every_column_a_bold_heading_and_warnings_as_a_list():
@@ -71,7 +62,7 @@ def test_csv_has_numbers_in_full():
 
 def test_answers_stand_by_their_headings_and_lists_become_lists():
     answers = [Answers([("Next", [("go", "", "")]), ("Fix first", [("1  a", "b", "c"), ("2  d", "", "")])])]
-    assert in_terminal(answers).splitlines()[0] == "Next          go"
+    assert text_of(answers).splitlines()[0] == "Next          go"
     assert markdown(answers) == "Next: go\n\nFix first:\n\n- 1  a; b; c\n- 2  d\n"
 
 

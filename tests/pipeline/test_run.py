@@ -6,16 +6,24 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
-from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.schemas.tables import TABLES
-from runs import FOLDERS, JOBS_PER_PAIR, STAGE_NAMES, assert_same_tables, changed_files, marks, run, temporary_files
+from runs import (
+    FOLDERS,
+    JOBS_PER_PAIR,
+    STAGE_NAMES,
+    assert_same_tables,
+    changed_files,
+    command,
+    marks,
+    run,
+    temporary_files,
+)
 from scenes import drifted, street, write_bin, write_dataset
 
 N_PAIRS = 3
@@ -197,7 +205,7 @@ def test_road_peaks_that_differ_by_over_5_cm_are_noted_where_each_side_is_cut_at
     (note,) = notes["paper"]["a"]
     assert note.startswith("the simulated road's peak is 11 cm above the real one")
     assert any(note in caution.words for caution in FinishedRun(tmp_path / "paper").record.overview.trust)
-    assert note in CliRunner().invoke(app, ["show", str(tmp_path / "paper"), "a"]).output.replace("\n", " ")
+    assert note in command("show", tmp_path / "paper", "a").stdout.replace("\n", " ")
 
 
 def test_the_record_tells_what_the_run_was_made_with(finished, dataset):

@@ -2,19 +2,17 @@
 
 import json
 import shutil
-from io import StringIO
 
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from fidpipe.pipeline import run as run_module
 from fidpipe.pipeline.paper.claims_view import claims_of
-from fidpipe.pipeline.report.render import terminal
 from fidpipe.pipeline.report.views.run_view import summary_view
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
+from reports import text_of
 from runs import command, run
 from scenes import street, write_bin, write_dataset
 
@@ -142,10 +140,8 @@ def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp
     summary, n_scored = outcome.record.summary, outcome.record.pairs.scored
     assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (n_scored - 1, n_scored)
     assert summary["cdc_unmatched_worst_mean"].n_pairs == n_scored
-    console = Console(file=StringIO(), width=300)
     view = summary_view(outcome.folder, [first], outcome.record, outcome.record.overview, with_all=True)
-    console.print(terminal(view))
-    (line,) = (line for line in console.file.getvalue().splitlines() if "geometry: 0 for the same " in line)
+    (line,) = (line for line in text_of(view, 300).splitlines() if "geometry: 0 for the same " in line)
     assert f"{n_scored - 1} of {n_scored} " in line
     assert f"{summary['cdc_unmatched_worst_mean'].mean:.3f}" in line
     alone = run(data, tmp_path / "alone", pattern="000").record.summary["cdc_unmatched_worst_mean"].mean

@@ -5,9 +5,7 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
-from fidpipe.pipeline.cli.main import app
 from fidpipe.pipeline.report.view import Table, number
 from fidpipe.pipeline.report.views.pair_view import pair_view
 from fidpipe.pipeline.results.finished import FinishedRun, object_facts, pair_facts
@@ -20,9 +18,8 @@ FIRST, BROKEN = HOSTILE_PAIRS[0], "broken <b>pair</b>"
 
 
 def shown(*words):
-    result = CliRunner().invoke(app, ["show", *map(str, words)])
-    assert result.exit_code == 0, result.output
-    assert result.stderr == ""
+    result = command("show", *words)
+    assert (result.returncode, result.stderr) == (0, "")
     return result.stdout
 
 

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import shutil
-from io import StringIO
 
 import numpy as np
 import pytest
 import tomli_w
-from rich.console import Console
 from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
-from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate import synth
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.sensor_models import SENSORS
@@ -22,7 +19,7 @@ from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.generate.street_objects import KINDS
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.ground import remove_ground
-from runs import files_in
+from runs import files_in, listening
 
 N_POINTS = 400  # of a small scan
 CLASSES = ("wall", "car", "tree", "vegetation")
@@ -30,8 +27,8 @@ CLASSES = ("wall", "car", "tree", "vegetation")
 
 def make_dataset(out, **options):
     """Makes the dataset; gives the lines that were said."""
-    said = StringIO()
-    synth.make_dataset(out, Reporter(Console(file=said, width=200)), **options)
+    reporter, said = listening()
+    synth.make_dataset(out, reporter, **options)
     return said.getvalue().splitlines()
 
 

@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
-from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.generate import twin
 from fidpipe.pipeline.generate.recordings import read_recording
 from fidpipe.schemas.errors import DatasetError, FidpipeError
@@ -20,7 +18,7 @@ from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.generate.flaws import FLAWS, parse_flaws
 from fidpipe.stages.generate.rescan import RECORDED
-from runs import command, files_in, run, tables
+from runs import QUIET, command, files_in
 from scenes import box, moved, rigid, write_bin
 
 DOCUMENTATION = Path(__file__).resolve().parents[2] / "docs" / "twin.md"
@@ -68,9 +66,7 @@ def drive(tmp_path_factory):
 def make(out, drive, *flaws, **options):
     """Make twins of the drive, with flaws as text."""
     options = {"sensor": SMALL, **options}
-    return twin.make_twins(
-        read_recording(drive), out, Reporter(Console(quiet=True)), flaws=parse_flaws(flaws), **options
-    )
+    return twin.make_twins(read_recording(drive), out, QUIET, flaws=parse_flaws(flaws), **options)
 
 
 @pytest.fixture(scope="module")
@@ -80,12 +76,12 @@ def twins(drive, tmp_path_factory):
     return out
 
 
-def sim(folder, name):
-    return np.fromfile(folder / "sim" / f"{name}.bin", dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float64)
+def sim(folder, name, side="sim"):
+    return read_scan(folder / side / f"{name}.bin").points
 
 
 def real(folder, name):
-    return np.fromfile(folder / "real" / f"{name}.bin", dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float64)
+    return sim(folder, name, "real")
 
 
 def near(points, place, within_m=1.0):
@@ -224,14 +220,6 @@ def test_foliage_may_be_told_by_its_label(twins, drive, tmp_path):
         make(tmp_path / "typo", drive, "foliage=1", foliage=("hegde",))
 
 
-def test_a_run_takes_the_twins_and_sees_a_flaw(twins, drive, tmp_path):
-    make(tmp_path / "bad", drive, "offset=1")
-    for folder in (twins, tmp_path / "bad"):
-        assert not run(folder, tmp_path / f"run-{folder.name}", pattern="*1").failures
-    good, bad = (tables(tmp_path / f"run-{name}")["pairs.parquet"] for name in ("plain", "bad"))
-    assert bad.column("cdc_mean")[0].as_py() > 2 * good.column("cdc_mean")[0].as_py()
-
-
 def test_finished_twins_of_another_recipe_are_replaced_on_purpose_only(twins, drive, tmp_path):
     out = shutil.copytree(twins, tmp_path / "out")
     before = files_in(out)
@@ -247,11 +235,7 @@ def test_finished_twins_of_another_recipe_are_replaced_on_purpose_only(twins, dr
     assert (sim(out, "000")[:50] != sim(twins, "000")[:50]).all()
 
 
-def test_a_folder_with_other_things_and_the_recording_itself_are_left_alone(drive, tmp_path):
-    (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(FidpipeError, match="holds other things than a dataset of fidpipe"):
-        make(tmp_path, drive)
-    assert files_in(tmp_path) == {"thesis.tex": b"years of work"}
+def test_the_recording_itself_is_left_alone(drive, tmp_path):
     with pytest.raises(FidpipeError, match="is the recording; expected a new or empty folder"):
         make(drive, drive)
     with pytest.raises(FidpipeError, match='input.real_frame: expected "ros", got "nuscenes"'):

@@ -24,15 +24,6 @@ def test_words_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
     assert (settings.ground.method, settings.input.exclude_box) == ("none", (-1, -1, -1, 1, 1, 1))
 
 
-def test_what_is_written_is_read_back(tmp_path):
-    settings = load(
-        None, ["graph.k=33", "input.columns=x,y,z,intensity,ring", "ground.shared=true", "input.sim_frame=carla"]
-    )
-    file = tmp_path / "s.toml"
-    file.write_text(to_toml(settings))
-    assert load(file) == settings
-
-
 @pytest.mark.parametrize(
     ("word", "fault"),
     [
@@ -75,14 +66,6 @@ def test_a_wrong_file_is_named(tmp_path, text, fault):
     file.write_text(text)
     with pytest.raises(SettingsError, match=fault):
         load(file)
-
-
-def test_every_setting_is_written_also_at_its_default():
-    groups = load(None, []).model_dump(mode="json")
-    assert {f"{group}.{name}" for group, values in groups.items() for name in values} == {
-        f"{group}.{name}" for group, model in Settings.model_fields.items() for name in model.annotation.model_fields
-    }
-    assert 'real_frame = "ros"' in to_toml(Settings())
 
 
 def test_the_mirror_is_the_frame_of_carla():

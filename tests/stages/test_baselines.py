@@ -1,14 +1,30 @@
+"""Baseline metrics by hand, and where they cannot be computed."""
+
+import math
 import sys
 
 import numpy as np
 import pytest
+import scipy.linalg
+from scipy import sparse
+from scipy.optimize import linear_sum_assignment, linprog
+from scipy.spatial.distance import cdist
 
 from fidpipe.schemas.metric_catalogue import BASELINE_NAMES
 from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
 from fidpipe.stages.baselines import compare_objects, compare_points, emd
+from fidpipe.stages.baselines.chamfer import chamfer
 from fidpipe.stages.baselines.dcd import density_aware_chamfer
+from fidpipe.stages.baselines.emd import aligned_distance, earth_movers
+from fidpipe.stages.baselines.f_score import f_score
+from fidpipe.stages.baselines.hausdorff import hausdorff
 from fidpipe.stages.baselines.histogram import histogram_distance
 from fidpipe.stages.baselines.icp import register
+from fidpipe.stages.baselines.netlsd import heat_trace_distance
+from fidpipe.stages.baselines.r_h import diffusion_change
+from fidpipe.stages.baselines.sliced_wasserstein import sliced_wasserstein
+from fidpipe.stages.linalg.heat import heat_row_sums
+from fidpipe.stages.linalg.laplacian import normalised_laplacian
 from fidpipe.stages.literal import literal_baselines as literal
 from fidpipe.stages.selection import Selection, select_nodes
 from scenes import box, moved, rigid, subgraph
@@ -153,3 +169,182 @@ def test_a_transport_that_the_solver_could_not_finish_is_null_with_its_reason(ca
     exact, kept, _ = earth_moved(car, car[:90] + [1, 0, 0], 50)
     assert (exact.value, exact.reason) == (None, "the network simplex ended without the optimum")
     assert kept.value == pytest.approx(1)
+
+
+REAL = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
+SIM = np.array([[0.0, 0, 1], [1, 0, 3]])
+# nearest: real -> sim 1, sqrt 2, sqrt 5 (all to the first); sim -> real 1, 3
+
+
+@pytest.fixture
+def clouds(rng):
+    return rng.normal(0, 1, (40, 3)), rng.normal(0.2, 1, (70, 3))
+
+
+def test_chamfer_by_hand():
+    distance = chamfer(REAL, SIM)
+    assert distance.mean_m == pytest.approx((1 + math.sqrt(2) + math.sqrt(5)) / 3 + (1 + 3) / 2)
+    assert distance.squared_m2 == pytest.approx((1 + 2 + 5) / 3 + (1 + 9) / 2)
+    assert distance.one_way_sum_m == pytest.approx(1 + math.sqrt(2) + math.sqrt(5))
+
+
+def test_hausdorff_by_hand_is_the_worst_point_of_either_side():
+    assert hausdorff(REAL, SIM) == 3
+    assert hausdorff(SIM, REAL) == 3
+
+
+def test_f_score_by_hand():
+    # within 1.2 m: one of three real points, one of two simulated ones
+    assert f_score(REAL, SIM, 1.2) == pytest.approx(2 * (1 / 3) * (1 / 2) / (1 / 3 + 1 / 2))
+    assert f_score(REAL, SIM, 0.9) == 0
+    assert f_score(REAL, SIM, 10) == 1
+
+
+def test_a_point_at_the_very_distance_is_not_found():
+    assert f_score(REAL[:1], SIM[:1], 1.0) == 0
+
+
+def test_dcd_of_equal_sizes_by_hand():
+    # diagonal of the real box 1, so alpha is per square metre; both simulated points are nearest to the first real one
+    real, sim = np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[-0.1, 0, 0], [0, 0.2, 0]])
+    from_real = (1 - math.exp(-10 * 0.01) + 1 - math.exp(-10 * 1.04)) / 2  # to the first and to the second one
+    from_sim = (1 - 0.5 * math.exp(-10 * 0.01) + 1 - 0.5 * math.exp(-10 * 0.04)) / 2
+    distance = density_aware_chamfer(real, sim, 10)
+    assert distance.dcd == pytest.approx((from_real + from_sim) / 2)
+    assert distance.n_cut == 0
+
+
+def test_dcd_of_unequal_sizes_cuts_the_weights_at_one_and_counts_them():
+    # three real points for one simulated one: from the real side each weight is (3 / 1) / 3 = 1, from the simulated
+    # side (1 / 3) / 1; with a second simulated point far off, its first neighbour weighs (3 / 2) / 3, the other none
+    real = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0, 0]])
+    distance = density_aware_chamfer(real, np.array([[0.5, 0, 0]]), 1.0)
+    from_real = np.mean([1 - math.exp(-0.25), 1 - math.exp(-0.25), 0])
+    assert (distance.dcd, distance.n_cut) == (pytest.approx((from_real + 1 - 1 / 3) / 2), 0)
+    # two of three real points at one simulated point, the third alone at the other: weights 3/4, 3/4 and 3/2, cut
+    distance = density_aware_chamfer(real, np.array([[0.25, 0, 0], [1, 0, 0]]), 1.0)
+    from_real = np.mean([1 - 0.75 * math.exp(-0.0625), 1 - 0.75 * math.exp(-0.0625), 0])
+    from_sim = np.mean([1 - 2 / 3 * math.exp(-0.0625), 1 - 2 / 3])
+    assert (distance.dcd, distance.n_cut) == (pytest.approx((from_real + from_sim) / 2), 1)
+
+
+def test_dcd_does_not_depend_on_the_unit_of_length(clouds):
+    real, sim = clouds
+    assert density_aware_chamfer(9 * real, 9 * sim, 1000).dcd == pytest.approx(
+        density_aware_chamfer(real, sim, 1000).dcd
+    )
+
+
+def test_dcd_of_a_single_real_place_cannot_be_computed():
+    assert density_aware_chamfer(np.zeros((4, 3)), SIM, 1000) is None
+
+
+def test_a_set_is_at_distance_zero_from_itself(clouds):
+    real = clouds[0]
+    assert vars(chamfer(real, real)) == {"mean_m": 0, "squared_m2": 0, "one_way_sum_m": 0}
+    assert (hausdorff(real, real), f_score(real, real, 1e-9), density_aware_chamfer(real, real, 1000).dcd) == (0, 1, 0)
+
+
+def transport(a, b):
+    """The definition itself: the least cost of all flows that empty every point of a and fill every point of b."""
+    n, m = len(a), len(b)
+    leaves, reaches = np.kron(np.eye(n), np.ones(m)), np.kron(np.ones(n), np.eye(m))
+    shares = np.concatenate([np.full(n, 1 / n), np.full(m, 1 / m)])
+    return linprog(cdist(a, b).ravel(), A_eq=np.vstack([leaves, reaches]), b_eq=shares).fun
+
+
+def test_earth_movers_by_hand():
+    # crossing over costs 3 and 1, staying 1 and 1 (in the second coordinate)
+    a, b = np.array([[0.0, 0, 0], [2, 0, 0]]), np.array([[2.0, 1, 0], [0, 1, 0]])
+    assert earth_movers(a, b) == 1
+
+
+def test_earth_movers_of_a_wall_that_lost_its_last_post_by_hand():
+    # posts at 0, 1, 2, 3 m hold 1/4 each, at 0, 1, 2 m 1/3: 3/12 go from 3 to 2, 2/12 from 2 to 1, 1/12 from 1 to 0
+    posts = np.array([[0.0, 5, 1], [1, 5, 1], [2, 5, 1], [3, 5, 1]])
+    assert earth_movers(posts, posts[:3]) == pytest.approx(6 / 12, abs=1e-15)
+    assert earth_movers(posts[:3], posts) == pytest.approx(6 / 12, abs=1e-15)
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (1, 5), (3, 7), (8, 6), (12, 12), (13, 29)])
+def test_earth_movers_agrees_with_a_linear_programme(rng, n, m):
+    a, b = rng.normal(0, 1, (n, 3)), rng.normal(1, 2, (m, 3))
+    assert earth_movers(a, b) == pytest.approx(transport(a, b), abs=1e-9)
+
+
+@pytest.mark.parametrize("n", [2, 50, 700])
+def test_earth_movers_of_equal_sizes_agrees_with_the_best_assignment(rng, n):
+    a = rng.uniform(0, 3, (n, 3))
+    b = rng.uniform(0, 3, (n, 3)) * [1, 0.5, 1] + [4, 0, 0]
+    distances = cdist(a, b)
+    assert earth_movers(a, b) == pytest.approx(distances[linear_sum_assignment(distances)].mean(), abs=1e-9)
+
+
+def test_earth_movers_of_a_set_with_itself_is_nothing_whatever_the_order_and_however_often_each_point_stands(rng):
+    a = rng.normal(0, 1, (90, 3))
+    assert earth_movers(a, a) == 0
+    assert earth_movers(a, a[::-1].copy()) == 0
+    assert earth_movers(a, np.vstack([a, a, a])) == 0
+    assert earth_movers(np.ones((4, 3)), np.ones((7, 3))) == 0
+
+
+def test_earth_movers_of_a_shift_is_its_length_and_of_a_common_motion_the_same(rng):
+    a, b = rng.normal(0, 1, (60, 3)), rng.normal(1, 2, (41, 3))
+    assert earth_movers(a, a + [2, 3, 6]) == pytest.approx(7, abs=1e-9)
+    turn = rigid(40, [500_000.0, 4_000_000.0, 3.0])
+    assert earth_movers(moved(a, turn), moved(b, turn)) == pytest.approx(earth_movers(a, b), abs=1e-8)
+    assert earth_movers(b, a) == pytest.approx(earth_movers(a, b), abs=1e-12)
+
+
+def test_the_aligned_distance_is_row_by_row():
+    assert aligned_distance(np.zeros((2, 3)), np.array([[3.0, 4, 0], [0, 0, 1]])) == 3
+
+
+def test_sliced_wasserstein_of_a_shift_is_half_of_it():
+    # the mean of |cos| of the angle between a fixed vector and a random direction in space is 1/2
+    points = np.random.default_rng(0).normal(0, 1, (30, 3))
+    assert sliced_wasserstein(points, points + [0, 0, 4], 4000) == pytest.approx(2, rel=0.03)
+
+
+TIMES = np.geomspace(0.01, 100, 50)
+
+
+def random_laplacian(rng, n, density=0.3):
+    weights = np.triu(rng.uniform(0.1, 1, (n, n)) * (rng.random((n, n)) < density), 1)
+    return normalised_laplacian(sparse.csr_matrix(weights + weights.T))
+
+
+def path(n):
+    return normalised_laplacian(sparse.csr_matrix(np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)))
+
+
+@pytest.mark.parametrize("t", [0.1, 1.0, 7.0, 100.0])
+def test_the_heat_row_sums_agree_with_the_dense_exponential(rng, t):
+    pieces = random_laplacian(rng, 60), sparse.csr_matrix((1, 1))  # and an isolated node
+    L = sparse.block_diag(pieces, format="csr")
+    np.testing.assert_allclose(heat_row_sums(L, t), scipy.linalg.expm(-t * L.toarray()).sum(axis=1), atol=1e-12)
+
+
+def test_heat_traces_of_an_edge_and_of_a_path_by_hand():
+    # spectra 0, 2 and 0, 1, 2
+    edge, three = (1 + np.exp(-2 * TIMES)) / 2, (1 + np.exp(-TIMES) + np.exp(-2 * TIMES)) / 3
+    assert heat_trace_distance(path(2), path(3), TIMES) == pytest.approx(np.linalg.norm(edge - three))
+
+
+def test_heat_traces_do_not_depend_on_how_nodes_are_numbered(rng):
+    a = random_laplacian(rng, 20)
+    order = rng.permutation(20)
+    assert heat_trace_distance(a, a[order][:, order], TIMES) == pytest.approx(0, abs=1e-12)
+
+
+def test_the_diffusion_change_of_a_small_change_in_a_short_time_is_nearly_one():
+    # d exp(-tL) = -t dL + O(t^2)
+    a = path(6)
+    length = 1 + 0.1 * np.arange(5)
+    b = normalised_laplacian(sparse.csr_matrix(np.diag(length, 1) + np.diag(length, -1)))
+    assert diffusion_change(a, b, 1e-4, 1e-5) == pytest.approx(1, abs=1e-3)
+
+
+def test_identical_laplacians_have_no_diffusion_change(rng):
+    a = random_laplacian(rng, 90)
+    assert diffusion_change(a, a.copy(), 1.0, 1e-5) == 0

@@ -1,9 +1,22 @@
+"""Graphs, communities and their matching."""
+
+import tracemalloc
+
+import community as python_louvain
+import networkx as nx
 import numpy as np
 import pytest
+from sknetwork.clustering import Louvain
 
 from fidpipe.schemas.errors import StageError
-from fidpipe.schemas.settings import GraphSettings
+from fidpipe.schemas.settings import CommunitySettings, GraphSettings, MatchingSettings
+from fidpipe.stages.communities import find_communities, modularity
 from fidpipe.stages.graph import build_graph
+from fidpipe.stages.linalg.subgraph import Edges, adjacency
+from fidpipe.stages.literal import literal_method
+from fidpipe.stages.matching import match_communities
+from fidpipe.stages.objects import describe_objects, majority_labels
+from scenes import box
 
 
 def as_dict(edges):
@@ -52,3 +65,163 @@ def test_a_crowd_is_only_one_where_its_pairs_are_joined(rng):
     assert len(build_graph(crowd, GraphSettings(k=1, edges="intersection")).src) < 15_000
     with pytest.raises(StageError, match="pairs of points within 0 m"):
         build_graph(crowd * 1e-200, GraphSettings(k=1, edges="intersection"))
+
+
+BACKENDS = ["scikit-network", "python-louvain"]
+
+
+@pytest.fixture(scope="module")
+def three_boxes():
+    points = np.vstack(
+        [box([0, 0, 0], [1, 1, 1], 60, 1), box([9, 0, 0], [1, 2, 1], 90, 2), box([0, 9, 0], [1, 1, 1], 30, 3)]
+    )
+    return points, build_graph(points, GraphSettings(k=8))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_separate_objects_are_never_joined_and_ids_go_by_size(three_boxes, backend):
+    points, edges = three_boxes
+    labels = find_communities(len(points), edges, CommunitySettings(backend=backend)).labels
+    for community in range(labels.max() + 1):
+        members = np.flatnonzero(labels == community)
+        assert len(set(np.digitize(members, [60, 150]))) == 1
+    sizes = np.bincount(labels)
+    assert (np.diff(sizes) <= 0).all()
+    np.testing.assert_array_equal(labels, literal_method.canonical(labels.tolist()))
+
+
+def test_the_reference_backend_is_python_louvain_itself(three_boxes):
+    points, edges = three_boxes
+    partition = find_communities(len(points), edges, CommunitySettings(backend="python-louvain", seed=3))
+    as_dict = {(i, j): w for i, j, w in zip(edges.src.tolist(), edges.dst.tolist(), edges.length_m, strict=True)}
+    G = nx.Graph()
+    G.add_nodes_from(range(len(points)))
+    G.add_weighted_edges_from((i, j, float(length)) for (i, j), length in as_dict.items())
+    found = python_louvain.best_partition(G, random_state=3)
+    np.testing.assert_array_equal(partition.labels, literal_method.canonical([found[i] for i in range(len(points))]))
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_nodes_are_shuffled_as_scikit_network_shuffles_them(rng, seed):
+    points = rng.uniform(0, 10, (600, 3))
+    edges = build_graph(points, GraphSettings(k=12))
+    own = Louvain(
+        resolution=1, shuffle_nodes=True, tol_optimization=1e-3, tol_aggregation=1e-7, random_state=seed
+    ).fit_predict(adjacency(len(points), edges))
+    ours = find_communities(len(points), edges, CommunitySettings(seed=seed)).labels
+    assert {tuple(np.flatnonzero(ours == label)) for label in set(ours)} == {
+        tuple(np.flatnonzero(own == label)) for label in set(own)
+    }
+
+
+def test_the_seed_fixes_the_partition(rng):
+    points = rng.normal(0, 3, (500, 3))
+    edges = build_graph(points, GraphSettings(k=10))
+    runs = [find_communities(500, edges, CommunitySettings(seed=seed)).labels for seed in (1, 1, 2)]
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert (runs[0] != runs[2]).any()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_without_edges_every_node_is_alone(backend):
+    empty = np.empty(0, dtype=np.int32)
+    partition = find_communities(4, Edges(empty, empty, empty.astype(np.float32)), CommunitySettings(backend=backend))
+    assert partition.labels.tolist() == [0, 1, 2, 3]
+    assert partition.modularity == 0
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_an_isolated_node_is_a_community_of_its_own(backend):
+    edges = Edges(np.array([0, 0, 1], np.int32), np.array([1, 2, 2], np.int32), np.ones(3, np.float32))
+    assert find_communities(4, edges, CommunitySettings(backend=backend)).labels.tolist() == [0, 0, 0, 1]
+
+
+def test_of_equal_sizes_the_community_with_the_smallest_node_comes_first():
+    edges = Edges(np.array([0, 1], np.int32), np.array([3, 2], np.int32), np.ones(2, np.float32))
+    assert find_communities(4, edges, CommunitySettings()).labels.tolist() == [0, 1, 1, 0]
+
+
+def test_modularity_of_two_halves_by_hand():
+    # Two edges of length 1, apart: each community holds half of the weight, Q = 1 - 2 * (1/2)^2.
+    edges = Edges(np.array([0, 2], np.int32), np.array([1, 3], np.int32), np.ones(2, np.float32))
+    assert modularity(np.array([0, 0, 1, 1], np.int32), edges) == pytest.approx(0.5)
+
+
+def test_objects_are_described_by_hand():
+    line = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])
+    square = np.array([[0.0, 0, 5], [2, 0, 5], [0, 2, 5], [2, 2, 5]])
+    objects = describe_objects(np.vstack([line, square]), np.array([0] * 5 + [1] * 4, np.int32))
+    assert objects.n_points.tolist() == [5, 4]
+    np.testing.assert_allclose(objects.centroid, [[2, 0, 0], [1, 1, 5]])
+    np.testing.assert_allclose(objects.extent, [[4, 0, 0], [2, 2, 0]])
+    np.testing.assert_allclose(objects.shape, [[1, 0, 0], [0, 1, 0]], atol=1e-12)
+
+
+def test_a_single_point_has_no_shape():
+    objects = describe_objects(np.ones((1, 3)), np.zeros(1, np.int32))
+    assert objects.shape.tolist() == [[0, 0, 0]]
+
+
+def test_the_majority_names_an_object_and_the_alphabet_breaks_ties():
+    labels = np.array([0, 0, 0, 1, 1, 2], np.int32)
+    assert majority_labels(labels, ["car", "wall", "car", "wall", "car", None]) == ["car", "car", None]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("exponent", [-50, -200, -310])
+def test_where_no_edge_has_a_length_the_connected_pieces_are_the_communities(three_boxes, backend, exponent):
+    points, _ = three_boxes
+    edges = build_graph(points * 10.0**exponent, GraphSettings(k=8))
+    assert not edges.length_m.any()
+    apart = Edges(*(ends[edges.src < 60] for ends in (edges.src, edges.dst, edges.length_m)))
+    apart = Edges(*(ends[apart.dst < 60] for ends in (apart.src, apart.dst, apart.length_m)))
+    partition = find_communities(90, apart, CommunitySettings(backend=backend))
+    assert np.bincount(partition.labels).tolist() == [60] + [1] * 30
+    assert partition.modularity == 0.0
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("exponent", [-36, -20, 8])
+def test_communities_do_not_depend_on_the_unit(three_boxes, backend, exponent):
+    points, edges = three_boxes
+    own = CommunitySettings(backend=backend)
+    labels = find_communities(len(points), edges, own).labels
+    scaled = Edges(edges.src, edges.dst, edges.length_m * np.float32(10.0**exponent))
+    assert len(np.unique(find_communities(len(points), scaled, own).labels)) == len(np.unique(labels))
+
+
+def pairs(matching):
+    return list(zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), matching.distance_m.tolist(), strict=True))
+
+
+def test_greedy_takes_what_comes_first_and_optimal_what_is_best():
+    # Real 0 is near sim 0, but real 1 has no other partner.
+    real, sim = np.array([[0.0, 0, 0], [3, 0, 0]]), np.array([[1.0, 0, 0], [-4, 0, 0]])
+    assert [pair[:2] for pair in pairs(match_communities(real, sim, MatchingSettings()))] == [(0, 0)]
+    optimal = match_communities(real, sim, MatchingSettings(method="optimal"))
+    assert [pair[:2] for pair in pairs(optimal)] == [(0, 1), (1, 0)]
+
+
+def test_a_centroid_at_exactly_delta_does_not_match():
+    matching = match_communities(np.zeros((1, 3)), np.array([[5.0, 0, 0]]), MatchingSettings(delta_m=5))
+    assert (matching.missing.tolist(), matching.hallucinated.tolist(), matching.match_rate) == ([0], [0], 0.0)
+
+
+def test_of_equally_near_centroids_the_smaller_id_is_taken():
+    matching = match_communities(np.zeros((1, 3)), np.array([[0.0, 1, 0], [1, 0, 0]]), MatchingSettings())
+    assert matching.sim_ids.tolist() == [0]
+
+
+def test_the_match_rate_counts_the_side_that_has_more():
+    matching = match_communities(np.zeros((1, 3)), np.array([[1.0, 0, 0], [50, 0, 0], [70, 0, 0]]), MatchingSettings())
+    assert matching.match_rate == pytest.approx(1 / 3)
+
+
+def test_thousands_of_objects_are_matched_one_row_at_a_time():
+    places = np.random.default_rng(0).uniform(0, 1e4, (4000, 3))
+    tracemalloc.start()
+    matching = match_communities(places, places[::-1], MatchingSettings())
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert (matching.sim_ids == np.arange(4000)[::-1][matching.real_ids]).all()
+    assert peak_bytes < 8 * 4000**2 / 10  # no matrix of all distances

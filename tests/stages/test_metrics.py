@@ -1,9 +1,19 @@
+"""Scores of an object by hand, Laplacians, and eigenvalues against LAPACK, also where they are hard to tell apart."""
+
+import ctypes
+
 import numpy as np
 import pytest
 from scipy import sparse
+from scipy.linalg import eigvalsh, qr
 
-from fidpipe.schemas.settings import SelectionSettings
-from fidpipe.stages.linalg.subgraph import Subgraph
+from fidpipe.schemas.settings import GraphSettings, SelectionSettings
+from fidpipe.stages.graph import build_graph
+from fidpipe.stages.linalg.band_reduction import kernels_from
+from fidpipe.stages.linalg.laplacian import induced_laplacian, normalised_laplacian
+from fidpipe.stages.linalg.spectrum import BANDED_FROM_NODES, eigenvalues, spectral_norm
+from fidpipe.stages.linalg.subgraph import Subgraph, adjacency, split_by_community
+from fidpipe.stages.literal import literal_method
 from fidpipe.stages.metrics import chamfer_density_aware, score_object
 from fidpipe.stages.selection import Selection, select_nodes
 from scenes import box, moved, rigid, subgraph
@@ -71,3 +81,220 @@ def test_two_nodes_have_no_spectral_score_but_a_reason(n):
     assert scores.reason == f"{n} aligned nodes, at least 3 are needed for a spectrum"
     assert all(getattr(scores, name) is None for name in SPECTRAL)
     assert scores.cdc > 0
+
+
+def laplacian(points, k=8):
+    return normalised_laplacian(adjacency(len(points), build_graph(points, GraphSettings(k=k))))
+
+
+def banded(symmetric, **options):
+    """The eigenvalues by way of the band, however small the matrix."""
+    return eigenvalues(symmetric, banded_from_nodes=0, **options)
+
+
+@pytest.mark.parametrize("n", [3, 20, 41, 42, 43, 81, 82, 120, 333])
+def test_the_band_has_the_eigenvalues_of_the_matrix(rng, n):
+    dense = rng.normal(0, 1, (n, n))
+    dense += dense.T
+    values = banded(sparse.csr_matrix(dense))
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(dense), atol=1e-12 * n)
+
+
+@pytest.mark.parametrize("bandwidth", [1, 39, 40, 41, 90, 130])
+def test_a_shuffled_band_matrix_has_the_eigenvalues_of_the_ordered_one(rng, bandwidth):
+    n = 401
+    dense = np.triu(np.tril(rng.normal(0, 1, (n, n)), bandwidth), -bandwidth)
+    dense += dense.T
+    order = rng.permutation(n)
+    values = banded(sparse.csr_matrix(dense[np.ix_(order, order)]))
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(dense), atol=1e-11)
+
+
+@pytest.mark.parametrize("half", [[2, 120, 5], [90, 3, 90, 1, 60], [0, 45, 0, 33]])
+def test_a_band_of_uneven_width_has_the_same_eigenvalues(rng, half):
+    reach = np.repeat(half, 400 // len(half))
+    n = len(reach)
+    row, column = np.indices((n, n))
+    dense = np.where(np.abs(row - column) <= np.minimum(reach[row], reach[column]), rng.normal(0, 1, (n, n)), 0)
+    dense += dense.T
+    np.testing.assert_allclose(banded(sparse.csr_matrix(dense)), np.linalg.eigvalsh(dense), atol=1e-11)
+
+
+def test_without_the_routines_for_parts_of_matrices_the_direct_way_is_taken(rng):
+    L = laplacian(rng.normal(0, 1, (90, 3)))
+    direct = eigvalsh(L.toarray(order="F"))
+    np.testing.assert_array_equal(banded(L, find_kernels=lambda: None), direct)
+    assert not np.array_equal(banded(L), direct)  # to the last bit they do differ
+
+
+@pytest.mark.parametrize("signature", [b"void (char *, long *, double *)", b"void (char *, double *)"])
+def test_routines_with_other_integers_are_not_called(signature):
+    assert kernels_from({"dgemm": capsule(signature)}) is None
+
+
+def capsule(signature):
+    """A capsule as Cython exports C functions, with this signature."""
+    new = ctypes.pythonapi.PyCapsule_New
+    new.restype, new.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+    return new(1, signature, None)
+
+
+def test_a_large_object_takes_the_band_and_agrees_with_the_direct_way(rng):
+    L = laplacian(rng.uniform(0, 1, (BANDED_FROM_NODES + 1, 3)) * [20, 2, 1], k=12)
+    np.testing.assert_allclose(eigenvalues(L), np.linalg.eigvalsh(L.toarray()), atol=1e-12)
+
+
+def test_the_norm_of_nothing_is_zero():
+    assert spectral_norm(sparse.csr_matrix((100, 100))) == 0
+
+
+def test_the_largest_negative_eigenvalue_counts_too():
+    assert spectral_norm(sparse.diags_array(np.linspace(-3, 1, 90)).tocsr()) == pytest.approx(3)
+
+
+def test_two_extremes_of_nearly_the_same_size_do_not_confuse_the_norm(rng):
+    diagonal = np.concatenate([[-1.0000001, 1.0], rng.uniform(-0.99, 0.99, 300)])
+    assert spectral_norm(sparse.diags_array(diagonal).tocsr()) == pytest.approx(1.0000001, rel=1e-9)
+
+
+# Both ways are backward stable: each finds the exact eigenvalues of a matrix within some eps |A|_2 of the given one,
+# and by Weyl's inequality no eigenvalue is farther off than that.
+EPS = np.finfo(np.float64).eps
+
+
+def weighted(rng, n, mean_degree, weights):
+    """The adjacency matrix of a random graph, shuffled, with the given weights of its edges."""
+    src, dst = rng.integers(0, n, (2, n * mean_degree // 2))
+    keep = src != dst
+    half = sparse.coo_matrix((weights(np.count_nonzero(keep)), (src[keep], dst[keep])), shape=(n, n)).tocsr()
+    return (half + half.T).tocsr()
+
+
+def ring(n, reach=3):
+    steps = [k for k in range(-reach, reach + 1) if k]
+    return sum(sparse.csr_matrix(np.roll(np.eye(n), k, axis=1)) for k in steps).tocsr()
+
+
+def rotated(rng, values):
+    """A dense matrix with these eigenvalues."""
+    Q, _ = qr(rng.normal(0, 1, (len(values), len(values))))
+    dense = (Q * values) @ Q.T
+    return sparse.csr_matrix((dense + dense.T) / 2)
+
+
+def wilkinson(n):
+    """W_n^+, whose largest eigenvalues come in pairs that agree to rounding."""
+    return sparse.diags_array(
+        [np.abs(np.arange(n) - n // 2), np.ones(n - 1), np.ones(n - 1)], offsets=[0, 1, -1]
+    ).tocsr()
+
+
+def decades(rng, size):
+    return 10.0 ** rng.uniform(-15, 0, size)
+
+
+HARD = {
+    "each eigenvalue of a ring twice": lambda rng, n: normalised_laplacian(ring(n)),
+    "twenty equal pieces": lambda rng, n: sparse.block_diag([normalised_laplacian(ring(n // 20))] * 20, format="csr"),
+    "a complete graph": lambda rng, n: normalised_laplacian(sparse.csr_matrix(np.ones((n, n)) - np.eye(n))),
+    "a star": lambda rng, n: normalised_laplacian(
+        sparse.csr_matrix((np.ones(2 * n - 2), ([0] * (n - 1) + [*range(1, n)], [*range(1, n)] + [0] * (n - 1))))
+    ),
+    "one eigenvalue and rounding": lambda rng, n: rotated(rng, 1 + EPS * rng.normal(0, 1, n)),
+    "clusters 1e-12 wide": lambda rng, n: rotated(rng, rng.integers(0, 5, n) / 2 + 1e-12 * rng.normal(0, 1, n)),
+    "geometric over fifteen decades": lambda rng, n: rotated(rng, np.geomspace(1e-15, 1, n)),
+    "Wilkinson's": lambda rng, n: wilkinson(n),
+    "half of the nodes alone": lambda rng, n: sparse.block_diag(
+        [
+            normalised_laplacian(weighted(rng, n // 2, 8, lambda size: rng.uniform(0.1, 1, size))),
+            sparse.csr_matrix((n // 2, n // 2)),
+        ],
+        format="csr",
+    ),
+    "pieces of five nodes": lambda rng, n: sparse.block_diag(
+        [normalised_laplacian(weighted(rng, 5, 4, lambda size: rng.uniform(0.1, 1, size))) for _ in range(n // 5)],
+        format="csr",
+    ),
+    "weights over fifteen decades": lambda rng, n: weighted(rng, n, 12, lambda size: decades(rng, size)),
+    "Laplacian of weights over fifteen decades": lambda rng, n: normalised_laplacian(
+        weighted(rng, n, 12, lambda size: decades(rng, size))
+    ),
+    "change of such a Laplacian": lambda rng, n: (
+        normalised_laplacian(weighted(rng, n, 12, lambda size: decades(rng, size)))
+        - normalised_laplacian(weighted(rng, n, 12, lambda size: decades(rng, size)))
+    ),
+    "tiny": lambda rng, n: weighted(rng, n, 12, lambda size: 1e-200 * decades(rng, size)),
+    "huge": lambda rng, n: weighted(rng, n, 12, lambda size: 1e100 * decades(rng, size)),
+}
+
+
+def most_eps(n):
+    """Bound of the error: n eps |A|, the usual bound of Householder's method (the largest error met is 0.7 n)."""
+    return n
+
+
+def error_in_eps(symmetric, **options):
+    """The largest error of an eigenvalue against LAPACK's dense solver, over eps |A|_2."""
+    wanted = eigvalsh(symmetric.toarray())
+    return np.abs(eigenvalues(symmetric, banded_from_nodes=0, **options) - wanted).max() / (EPS * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("n", [100, 600])
+@pytest.mark.parametrize("name", HARD)
+def test_by_way_of_the_band_a_hard_spectrum_is_that_of_lapack(rng, name, n):
+    assert error_in_eps(HARD[name](rng, n)) < most_eps(n)
+
+
+@pytest.mark.parametrize("width", [1, 5, 64])
+@pytest.mark.parametrize("name", ["twenty equal pieces", "clusters 1e-12 wide", "weights over fifteen decades"])
+def test_so_it_is_whatever_the_width_of_the_band(rng, name, width):
+    assert error_in_eps(HARD[name](rng, 200), band_width=width) < most_eps(200)
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_the_norm_of_a_hard_spectrum_is_that_of_lapack(rng, name):
+    symmetric = HARD[name](rng, 200)
+    wanted = np.abs(eigvalsh(symmetric.toarray())).max()
+    assert abs(spectral_norm(symmetric) - wanted) < 100 * EPS * wanted
+
+
+def test_a_wrong_eigenvalue_would_be_seen(rng):
+    symmetric = HARD["clusters 1e-12 wide"](rng, 100)
+    spoilt = symmetric + sparse.coo_matrix(([1e-13], ([3], [3])), shape=symmetric.shape)
+    wanted = eigvalsh(symmetric.toarray())
+    assert np.abs(eigenvalues(spoilt.tocsr(), banded_from_nodes=0) - wanted).max() < 1e-12
+    spoilt = symmetric + sparse.coo_matrix(([1e-11], ([3], [3])), shape=symmetric.shape)
+    far = np.abs(eigenvalues(spoilt.tocsr(), banded_from_nodes=0) - wanted).max()
+    assert far > most_eps(100) * EPS * np.abs(wanted).max()
+
+
+def test_an_isolated_node_has_a_zero_row():
+    A = sparse.csr_matrix(np.array([[0.0, 2, 0], [2, 0, 0], [0, 0, 0]]))
+    np.testing.assert_array_equal(normalised_laplacian(A).toarray()[2], 0)
+
+
+def test_the_laplacian_of_some_nodes_has_their_order_and_only_the_edges_among_them(rng):
+    graph = subgraph(rng.normal(0, 1, (40, 3)))
+    nodes = rng.permutation(40)[:25]
+    A = graph.adjacency.toarray()[np.ix_(nodes, nodes)]
+    np.testing.assert_allclose(induced_laplacian(graph, nodes).toarray(), literal_method.laplacian(A), atol=1e-15)
+
+
+def test_a_subgraph_has_the_edges_among_its_own_points(rng):
+    points = rng.normal(0, 1, (60, 3))
+    edges = build_graph(points, GraphSettings(k=7))
+    labels = rng.integers(0, 3, 60).astype(np.int32)
+    ids = np.arange(60, dtype=np.int32) * 2 + 5
+    A = adjacency(60, edges).toarray()
+    for community, graph in split_by_community(ids, points, edges, labels, [0, 2]).items():
+        members = np.flatnonzero(labels == community)
+        np.testing.assert_array_equal(graph.point_ids, ids[members])
+        np.testing.assert_array_equal(graph.adjacency.toarray(), A[np.ix_(members, members)])
+
+
+def test_ties_in_influence_go_by_point_id():
+    # In a regular ring every node has the same influence.
+    angle = 2 * np.pi * np.arange(12) / 12
+    ring = subgraph(np.column_stack([np.cos(angle), np.sin(angle), np.zeros(12)]), k=2)
+    small = subgraph(np.random.default_rng(0).normal(0, 1, (5, 3)), k=2)
+    assert select_nodes(ring, small, SelectionSettings()).real_nodes.tolist() == [0, 1, 2, 3, 4]

@@ -1,4 +1,4 @@
-"""Rays of two scans of a room whose walls, losses and errors of range are known, and of real recordings."""
+"""Rays and intensities of two scans of a room whose walls, losses and materials are known, and of real recordings."""
 
 from dataclasses import asdict
 
@@ -8,6 +8,7 @@ import pytest
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.ray_casting import fire
 from fidpipe.stages.inspect import sensor_description
+from fidpipe.stages.intensity import explained_share, intensity_law, score_intensity
 from fidpipe.stages.rays import OUTCOMES, RayGrid, Rays, compare_rays, find_rays, score_rays
 
 STEP_DEG = 0.4
@@ -189,3 +190,67 @@ def test_a_beam_with_more_returns_than_columns_turns_no_other_ray():
     assert azimuth[:10] == pytest.approx(np.arange(-162, 180, 36))
     assert azimuth[10:20] == pytest.approx(azimuth[:10])
     assert azimuth.max() <= 180
+
+
+@pytest.fixture(scope="module")
+def scan():
+    return room()
+
+
+@pytest.fixture(scope="module")
+def material(scan):
+    """Brightness of the walls by their place, with the speckle of each return."""
+    speckle = np.random.default_rng(0).lognormal(0, 0.3, len(scan))
+    return (0.3 + 0.2 * np.sign(scan[:, 0]) + 0.1 * np.sin(scan[:, 1])) * speckle
+
+
+def scores(scan, real, sim, *, moved=0.0, **options):
+    rays = compare_rays(scan, scan + moved, grid(), grid())
+    classes = np.where(rays.real_row >= 0, (scan[rays.real_row, 0] > 0).astype(int), -1)
+    return score_intensity(rays, [real, sim], classes, **options)
+
+
+def test_equal_intensities_agree_in_every_score(scan, material):
+    found = scores(scan, material, material, has_one_scale=True)
+    assert found["intensity_rank_corr"] == pytest.approx(1)
+    assert (found["intensity_rank_distance"], found["intensity_rmse"]) == (0, 0)
+    assert found["intensity_ratio"] == pytest.approx(1)
+    assert found["intensity_real_by_class"] > 0.3
+    assert found["intensity_note"] is None
+
+
+@pytest.mark.parametrize(
+    ("flaw", "note"),
+    [
+        (lambda scan, own: np.full(len(own), 0.3), "sim: constant (0.3)"),
+        (lambda scan, own: np.exp(-0.004 * np.linalg.norm(scan, axis=1)), "sim: a function of range alone"),
+        (lambda scan, own: 255 * own, None),
+    ],
+)
+def test_flaws_of_the_intensity_are_seen(scan, material, flaw, note):
+    found = scores(scan, material, flaw(scan, material))
+    assert found["intensity_note"] == note
+    if note is None:
+        assert found["intensity_ratio"] == pytest.approx(255)
+        assert found["intensity_rank_distance"] == pytest.approx(0)
+    else:
+        assert found["intensity_rank_distance"] > 0.15
+
+
+def test_a_change_of_geometry_does_not_change_what_is_decided(scan, material):
+    before, after = (scores(scan, material, material, moved=moved) for moved in (0.0, [0, 0, 0.03]))
+    for name in ("intensity_rank_distance", "intensity_ratio", "intensity_sim_by_range"):
+        assert after[name] == pytest.approx(before[name], abs=0.02)
+
+
+def test_a_side_without_intensity_has_no_scores_and_a_note(scan, material):
+    found = scores(scan, material, None)
+    assert found["intensity_note"] == "sim: no intensity"
+    assert "intensity_rank_corr" not in found
+    assert found["intensity_real_by_range"] is not None
+
+
+def test_few_returns_have_no_score(scan):
+    few = np.arange(50.0)
+    assert explained_share(few, np.zeros(50, dtype=int)) is None
+    assert intensity_law(few, few) == ""

@@ -1,4 +1,4 @@
-"""Sensors read from scans of a room, whose beams, step, quantum, noise and losses are known."""
+"""Sensors, time stamps and plausibility of scans of a room and of a turn that are known."""
 
 from dataclasses import replace
 
@@ -8,7 +8,10 @@ import pytest
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.ray_casting import fire, measure_ranges
 from fidpipe.stages.inspect.beam_patterns import BeamPattern, find_beams, recognise
+from fidpipe.stages.inspect.plausibility import implausible, widest_azimuth_gap_deg
 from fidpipe.stages.inspect.sensor_description import beams_text, describe_sensor, differences, sensor_lines
+from fidpipe.stages.inspect.stamps import describe_stamps, stamp_differences
+from scenes import road, street
 
 CORNERS_M = np.array([[-18.0, -12.0, -1.8], [31.0, 9.0, 6.0]])  # of the room
 TILT = np.array([[0.9962, 0, 0.0872], [0, 1, 0], [-0.0872, 0, 0.9962]])  # by five degrees
@@ -249,3 +252,152 @@ def test_rings_that_lie_upon_each_other_are_no_beams(rng):
     angle = np.linspace(0, 2 * np.pi, 2000)
     flat = 10 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(2000)])
     assert describe_sensor(flat, rng.integers(0, 32, 2000).astype(np.int32)).model is None
+
+
+TURN_S = 0.1
+
+
+def turn(n=6000, way=-1):
+    """Points and times of one turn, 16 beams, clockwise as a Velodyne goes."""
+    share = np.arange(n) / n
+    azimuth = way * 2 * np.pi * share + 1.0
+    points = np.column_stack([20 * np.cos(azimuth), 20 * np.sin(azimuth), np.arange(n) % 16 - 8.0])
+    return points, TURN_S * share
+
+
+def faults(times, points=None, stamp_s=None):
+    return describe_stamps(times, turn()[0] if points is None else points, stamp_s).faults
+
+
+def test_a_turn_whose_times_are_right_has_no_fault():
+    points, times = turn()
+    facts = describe_stamps(times, points, 0.0)
+    assert (facts.faults, facts.place, facts.rotation) == ((), "first", -1)
+    assert facts.span_s == pytest.approx(TURN_S, rel=1e-3)
+    assert describe_stamps(times, points * [1, -1, 1]).rotation == 1
+
+
+@pytest.mark.parametrize("wrong", [np.nan, 0.0])
+def test_half_as_many_times_as_points_are_seen(wrong):
+    _, times = turn()
+    times[::2] = wrong
+    (fault,) = faults(times)
+    assert fault.startswith("50% of the points have no time")
+
+
+def test_fewer_times_than_points_are_counted():
+    assert faults(turn()[1][:3000]) == ("expected 6000 times, one per point, got 3000",)
+
+
+def test_one_time_for_all_points_is_named():
+    (fault,) = faults(np.full(6000, 1.7e9))
+    assert fault.startswith("all points have one time")
+
+
+def test_points_without_a_return_need_no_time():
+    points, times = turn()
+    points[::2], times[::2] = 0.0, 0.0
+    points[1::4], times[1::4] = np.nan, np.nan
+    assert faults(times, points) == ()
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds"), (1e-6, "seconds")]
+)
+def test_another_unit_is_named(scale, unit):
+    (fault,) = faults(scale * turn()[1])
+    assert f"are they in {unit}" in fault
+
+
+@pytest.mark.parametrize(
+    "shuffle",
+    [lambda times: np.random.default_rng(0).permutation(times), lambda times: np.sort(times.reshape(-1, 16).T.ravel())],
+    ids=["anyhow", "by row of a file that is sorted by beam"],
+)
+def test_times_of_other_points_do_not_go_round(shuffle):
+    points, times = turn()
+    points = points.reshape(-1, 16, 3).swapaxes(0, 1).reshape(-1, 3)  # beam by beam, as organised clouds are
+    right = times.reshape(-1, 16).T.ravel()
+    assert faults(right, points) == ()
+    assert faults(shuffle(right), points) == ("times do not follow the azimuth; do they belong to other points?",)
+
+
+@pytest.mark.parametrize(("place", "at"), [("first", 0.0), ("middle", 0.5), ("last", 1.0)])
+@pytest.mark.parametrize("is_relative", [True, False])
+def test_it_is_told_of_which_point_the_time_of_the_scan_is(place, at, is_relative):
+    points, times = turn()
+    stamp_s = 1713492677.1
+    times = times - at * TURN_S + (0 if is_relative else stamp_s)
+    facts = describe_stamps(times, points, stamp_s)
+    assert (facts.place, facts.faults) == (place, ())
+    assert describe_stamps(times, points).place is None
+
+
+def test_a_time_of_the_scan_outside_of_its_turn_is_a_fault():
+    points, times = turn()
+    (fault,) = faults(1.7e9 + times, points, 1.7e9 + 5.0)
+    assert "the scan's own time is +5.000 s after its first point" in fault
+
+
+def test_sides_whose_times_are_of_other_points_or_go_another_way_differ():
+    points, times = turn()
+    first, last = describe_stamps(times, points, 0.0), describe_stamps(times - TURN_S, points * [1, -1, 1], 0.0)
+    assert stamp_differences(first, first) == stamp_differences(first, None) == []
+    places, ways = stamp_differences(first, last)
+    assert (
+        "of its first point, the time of a simulated scan that of its last point: scans with the same time are 0.1 s"
+        in places
+    )
+    assert ways == "by the times, the real sensor rotates clockwise and the simulated one anticlockwise"
+
+
+def test_few_and_no_returns_are_not_judged():
+    assert describe_stamps(np.empty(0), np.empty((0, 3))).faults == ()
+    assert faults(np.linspace(0, 0.1, 100), turn()[0][:100]) == ()
+    ahead = turn()[0]
+    ahead = np.abs(ahead) * [1, 1, 1]  # a quarter of a turn: no spinning sensor's
+    assert faults(np.random.default_rng(0).permutation(turn()[1]), ahead) == ()
+
+
+def test_plausible_scans_raise_no_warning():
+    assert implausible(np.vstack([street(), road(3000, 40)]), "real", 2.5) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "warning"),
+    [
+        (lambda p: p + [481000.0, 0, 0], "are they projected"),
+        (lambda p: p / 100, "expected metres"),
+        (lambda p: p[:, [2, 1, 0]], "are the columns right"),
+        (lambda p: np.vstack([p, np.random.default_rng(0).uniform(-1, 1, (3 * len(p), 3))]), "hits on the ego vehicle"),
+    ],
+)
+def test_an_implausible_scan_is_warned_of(change, warning):
+    assert any(warning in text for text in implausible(change(street()), "sim", 2.5))
+
+
+def test_camera_axes_are_named_with_the_setting_of_the_side():
+    scan = np.vstack([street(), road(3000, 40)])
+    (odd,) = implausible(scan[:, [1, 2, 0]] * [-1, -1, 1], "real", 2.5)  # right, down, forward
+    assert odd.endswith("is it in camera axes? set input.real_frame=kitti-cam")
+
+
+def test_near_hits_are_told_with_what_the_present_settings_leave_of_them():
+    ring = 2.0 * np.column_stack([np.cos(np.arange(3000)), np.sin(np.arange(3000)), np.zeros(3000)])
+    scan = np.vstack([road(1000), ring])
+    (dropped,) = implausible(scan, "real", 2.5)
+    assert "hits on the ego vehicle? 0.2% are kept by input.min_range_m=2.5; " in dropped
+    (left,) = implausible(scan, "real", 1.0)
+    assert "75.3% are kept by input.min_range_m=1; " in left and left.endswith(
+        "input.min_range_m=3 or input.exclude_box drops them"
+    )
+
+
+def test_the_widest_gap_is_found_across_the_seam():
+    angles = np.radians(np.arange(-60, 61, 5))
+    assert widest_azimuth_gap_deg(np.column_stack([-np.cos(angles), np.sin(angles), angles])) == pytest.approx(240)
+
+
+def test_a_reach_beyond_all_measure_is_told_in_short():
+    (text, *_) = implausible(street() * 1e300, "real", 2.5)
+    assert text.startswith("coordinates reach 2e+301 m; ")

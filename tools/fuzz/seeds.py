@@ -5,12 +5,13 @@ import struct
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from recordings import CLOUD, carla_ply, cloud, packets_message, typestore, write_bag, write_pcap
+from recordings import carla_ply, cloud, packets_message, write_bag, write_las, write_pcap
 
 POINTS = np.array([[1.5, -2.25, 0.5], [4, 5, 6], [-7, 8, 9.125], [3, 3, 3], [10, 0, -1.5]])
 _ROWS = np.zeros(5, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")])
@@ -154,39 +155,22 @@ def _parquet():
     return found
 
 
-def _las(name, point_format=3):
-    import laspy
+def _las(name):
+    def made(folder, point_format):
+        write_las(
+            folder / name,
+            POINTS,
+            0,
+            np.arange(5),
+            version="1.4" if point_format == 6 else "1.2",
+            point_format=point_format,
+        )
 
-    def made():
-        found = []
-        for kind in (0, point_format, 6):
-            header = laspy.LasHeader(point_format=kind, version="1.4" if kind == 6 else "1.2")
-            header.scales, header.offsets = [0.001] * 3, [0.0] * 3
-            las = laspy.LasData(header)
-            las.x, las.y, las.z = POINTS.T
-            las.classification = np.arange(5)
-            content = io.BytesIO()
-            las.write(content, do_compress=name.endswith("laz"))
-            found.append({name: content.getvalue()})
-        return found
-
-    return made
+    return lambda: [files_written(partial(made, point_format=own)) for own in (0, 3, 6)]
 
 
-def _clouds(path, compression=None):
-    messages = [("/points", 5 * 10**9 + i, lambda types: cloud(types, _ROWS)) for i in range(2)]
-    if compression is None:
-        return write_bag(path, messages)
-    from rosbags.rosbag1 import Writer
-
-    types = typestore(is_ros1=True)
-    bag = Writer(path)
-    bag.set_compression(compression)
-    with bag:
-        connection = bag.add_connection("/points", CLOUD, typestore=types)
-        for _, time_ns, make in messages:
-            bag.write(connection, time_ns, types.serialize_ros1(make(types), CLOUD))
-    return path
+def _clouds(path, packed=None, n=2):
+    return write_bag(path, [("/points", 5 * 10**9 + i, lambda types: cloud(types, _ROWS)) for i in range(n)], packed)
 
 
 def _packets():
@@ -202,33 +186,19 @@ def _packets():
 
 
 def _bag():
-    from rosbags.rosbag1 import Writer
-
-    kinds = (None, Writer.CompressionFormat.BZ2, Writer.CompressionFormat.LZ4)
-    found = [files_written(lambda folder, kind=kind: _clouds(folder / "a.bag", kind)) for kind in kinds]
+    found = [
+        files_written(lambda folder, packed=own: _clouds(folder / "a.bag", packed)) for own in (None, "BZ2", "LZ4")
+    ]
     message = [("/packets", 10**9, lambda types: packets_message(types, _packets()[:1]))]
     return [*found, files_written(lambda folder: write_bag(folder / "a.bag", message))]
 
 
 def _ros2_bags(name):
     """Folders of a bag, MCAP or SQLite by the name; the second one's chunks are compressed, the third's by lz4."""
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-
     found = [files_written(lambda folder: _clouds(folder / name))]
-    if "mcap" not in name:
-        return found
-    for kind in ("ZSTD", "LZ4"):
-
-        def write(folder, kind=kind):
-            types = typestore(is_ros1=False)
-            bag = Writer(folder / name, version=9, storage_plugin=StoragePlugin.MCAP)
-            bag.set_compression(CompressionMode.STORAGE, CompressionFormat[kind])
-            with bag:
-                connection = bag.add_connection("/points", CLOUD, typestore=types)
-                bag.write(connection, 10**9, types.serialize_cdr(cloud(types, _ROWS), CLOUD))
-
+    for packed in ("ZSTD", "LZ4") if "mcap" in name else ():
         with suppress(KeyError):
-            found.append(files_written(write))
+            found.append(files_written(lambda folder, packed=packed: _clouds(folder / name, packed, 1)))
     return found
 
 

@@ -1,0 +1,430 @@
+"""Statistics of runs: comparison, spread, summary, findings and neighbouring scans."""
+
+from itertools import product
+
+import false_alarms
+import numpy as np
+import pytest
+from scipy import stats
+
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.schemas.results import GroupMean, RankCorrelation, WithinPairs
+from fidpipe.stages.statistics.comparison import (
+    adjusted_p_values,
+    block_means,
+    blocks_of,
+    holm,
+    kinds_of_change,
+    mean_test,
+    paired_difference,
+)
+from fidpipe.stages.statistics.findings import (
+    Objects,
+    density_ratio,
+    distribution,
+    rank_correlation,
+    scans_apart,
+    summarise_objects,
+)
+from fidpipe.stages.statistics.neighbours import SAME_PLACE, map_place, neighbours, overlap
+from fidpipe.stages.statistics.spread import spread
+from fidpipe.stages.statistics.validation import area_validation_metric, double_validation_metric
+from fidpipe.stages.summary import mean_and_std, summarise_dataset, summarise_pair, with_unmatched_as_worst
+from scenes import box, moved, rigid
+
+
+def p_of(*changes, least=0.0, step=0.0):
+    rows = np.array(changes)
+    return adjusted_p_values(rows, np.full(len(rows), least), np.full(len(rows), step)).tolist()
+
+
+def test_nine_changes_of_one_sign_have_the_p_value_of_one_flip_in_256():
+    assert p_of([1.0] * 9) == [1 / 256]
+    assert p_of([-3.0, -1.0, -2.0, -1.0, -4.0, -1.0, -5.0, -9.0, -2.0]) == [1 / 256]
+
+
+def test_p_values_are_shares_of_all_joint_flips_that_reach_as_far(rng):
+    changes = rng.normal(0.6, 1, (2, 9))
+    highest = []
+    for signs in product([-1, 1], repeat=9):
+        flipped = changes * signs
+        highest.append(max(abs(row.sum()) / (row**2).sum() ** 0.5 for row in flipped))
+    own = [abs(row.sum()) / (row**2).sum() ** 0.5 for row in changes]
+    expected = [np.mean(np.array(highest) >= value - 1e-9) for value in own]
+    assert p_of(*changes) == pytest.approx(expected)
+
+
+def test_two_scores_that_say_the_same_cost_nothing(rng):
+    change = rng.normal(1, 1, 10)
+    assert p_of(change, 5 * change) == pytest.approx(p_of(change) * 2)
+
+
+def test_six_blocks_have_the_p_value_of_the_t_test(rng):
+    change = rng.normal(1, 1, 6)
+    assert p_of(change) == pytest.approx([stats.ttest_1samp(change, 0).pvalue], rel=0.15)
+
+
+def test_many_blocks_are_drawn_and_never_have_a_p_value_of_0():
+    assert p_of([0.1] * 30) == [1 / 20_001]
+
+
+def test_a_displacement_far_beyond_the_noise_is_decided_by_three_pairs_and_a_mere_trend_is_not():
+    assert p_of([-0.119, -0.122, -0.116])[0] < 0.05 / 6
+    assert p_of([0.1, 0.05, 0.2]) == [1.0]
+
+
+def test_changes_up_to_the_least_one_that_matters_are_none():
+    small = [0.004, 0.005, 0.006, 0.004, 0.005, 0.006, 0.004, 0.005, 0.005]
+    assert p_of(small) == [1 / 256]
+    assert np.isnan(p_of(small, least=0.005)).all(), "no signs make it larger"
+    assert p_of([0.02, -0.02, 0.02, -0.02, 0.02, -0.02, 0.02, -0.01, 0.0], least=0.005) == [1.0]
+    assert p_of(np.array(small) + 0.1, least=0.005) == [1 / 256]
+
+
+def test_few_equal_steps_of_a_count_may_be_chance_and_large_ones_are_not():
+    assert p_of([1.0, 1.0, 1.0], step=1.0) == [1.0]
+    assert p_of([9.0, 9.0, 9.0], step=1.0)[0] < 0.05
+
+
+def test_constant_and_absent_scores_have_no_p_value_and_take_no_share():
+    changing = [1.0, 2.0, 1.0, 2.0, 3.0, 1.0, 2.0, 1.0, 2.0]
+    found = p_of(changing, [0.0] * 9, [np.nan] * 9, [1e-12] * 9)
+    assert found[0] == 1 / 256
+    assert np.isnan(found[1:]).all()
+
+
+def test_a_score_that_some_pairs_lack_is_tested_on_the_others():
+    nan = float("nan")
+    assert p_of([1.0] * 8 + [nan] * 2) == [1 / 128]
+
+
+@pytest.mark.parametrize("n", [3, 5, 6, 8, 10])
+@pytest.mark.parametrize("kind", [name for name in false_alarms.DISTRIBUTIONS if "of mean 0" not in name])
+def test_equal_simulators_raise_a_false_alarm_in_at_most_one_of_twenty_cases(kind, n):
+    repeats = 150
+    rate = false_alarms.rates(*false_alarms.DISTRIBUTIONS[kind], n, repeats)[0]
+    assert rate <= 0.05 + 2.33 * (0.05 * 0.95 / repeats) ** 0.5  # and its binomial error, one-sided 1 %
+
+
+@pytest.mark.parametrize(("n", "one", "two"), [(6, 0.0, 0.2), (10, 0.1, 0.8), (20, 0.6, 1.0)])
+def test_changes_are_decided_the_more_often_the_more_pairs_there_are(n, one, two):
+    _, _, by_one, by_two = false_alarms.rates(*false_alarms.DISTRIBUTIONS["normal"], n, 60)
+    assert by_one >= one
+    assert by_two >= two
+
+
+def test_a_mean_over_blocks_leaves_out_what_is_null():
+    nan = float("nan")
+    values = np.array([[1.0, 3.0, 5.0, nan], [nan, 2.0, 4.0, nan]])
+    means = block_means(values, np.array([7, 7, 2, 3], dtype=np.int32))
+    assert np.array_equal(means, [[5.0, nan, 2.0], [4.0, nan, 2.0]], equal_nan=True)
+
+
+def test_the_interval_is_that_of_student_with_half_the_degrees_of_freedom():
+    change = np.array([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]) + 2.0
+    p, low, high = mean_test(change)
+    error = change.std(ddof=1) / 7**0.5
+    assert p == pytest.approx(2 * stats.t.sf(2 / error, 3))
+    assert (low, high) == pytest.approx(stats.t.interval(0.95, 3, 2, error))
+
+
+def test_differences_are_means_over_the_pairs_that_have_both_values():
+    found = paired_difference(np.array([1.0, np.nan, 3.0]), np.array([1.5, 2.0, np.nan]))
+    assert (found.n_pairs, found.difference, found.low) == (1, 0.5, None)
+    nothing = paired_difference(np.array([np.nan]), np.array([1.0]))
+    assert (nothing.n_pairs, nothing.difference) == (0, None)
+
+
+def test_rounding_is_no_difference():
+    same = paired_difference(np.array([0.1, 0.7]), np.array([0.1 + 6e-15, 0.7]))
+    assert (same.low, same.high) == (0.0, 0.0)
+
+
+def test_copies_of_a_scan_count_once(rng):
+    before, after = rng.normal(0, 1, 6), rng.normal(3, 1, 6)
+    once = paired_difference(before, after)
+    blocks = blocks_of(np.repeat([*"abcdef"], 8).tolist(), [None] * 48)
+    copied = paired_difference(np.repeat(before, 8), np.repeat(after, 8), blocks)
+    assert (copied.n_pairs, copied.n_blocks) == (48, 6)
+    assert (copied.low, copied.high) == pytest.approx((once.low, once.high))
+
+
+def test_scans_within_ten_seconds_are_one_block_and_untimed_ones_stand_alone():
+    assert blocks_of([*"abcdef"], [0.0, 9.9, 10.0, None, 30.0, 19.9]).tolist() == [0, 0, 2, 3, 4, 2]
+
+
+def test_neighbours_form_chains():
+    assert blocks_of([*"abcde"], [None] * 5, [(0, 1), (1, 2)]).tolist() == [0, 0, 0, 3, 4]
+    assert len(set(blocks_of([*"abcde"], [None] * 5, [(3, 4), (0, 1), (1, 3)]).tolist())) == 2
+
+
+def test_p_values_are_those_of_holm_by_hand():
+    assert holm([0.01, None, 0.04, 0.03]) == [0.03, None, 0.06, 0.06]
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+    assert holm([]) == []
+
+
+def test_the_kind_of_change_of_an_object_by_hand():
+    nan = np.nan
+    rows = [
+        (False, False, nan, nan, nan, nan, "missing in both"),
+        (True, False, 0.1, nan, 0.1, nan, "vanished"),
+        (False, True, nan, 0.1, nan, 0.1, "appeared"),
+        (True, True, 0.5, 0.4, 0.3, 0.3, "better"),
+        (True, True, 0.5, 0.5, 0.3, 0.4, "worse"),
+        (True, True, 0.5, 0.4, 0.3, 0.4, "mixed"),
+        (True, True, 0.5, 0.46, 0.3, 0.34, "alike"),
+        (True, True, 0.5, 0.4, nan, 0.9, "better"),
+    ]
+    before, after, *scores = (np.array(column) for column in list(zip(*rows, strict=True))[:6])
+    found = kinds_of_change(before, after, (scores[0], scores[1]), (scores[2], scores[3]))
+    assert found.tolist() == [row[-1] for row in rows]
+
+
+def test_a_score_without_noise_tells_any_difference():
+    found = spread(np.array([[0.5, 0.5, 0.5], [0.7, 0.7, 0.7]]))
+    assert found.mean == pytest.approx(0.6)
+    assert (found.std_seeds, found.least_pair, found.least_dataset) == pytest.approx((0, 0, 0), abs=1e-12)
+    assert found.std_pairs == pytest.approx(np.std([0.5, 0.7], ddof=1))
+
+
+def test_deviations_within_pairs_are_pooled_by_hand():
+    # within: sqrt(2) and sqrt(8); their root mean square sqrt(5); means 2 and 10
+    found = spread(np.array([[1.0, 3.0], [8.0, 12.0]]))
+    assert found.std_seeds == pytest.approx(5**0.5)
+    assert found.std_pairs == pytest.approx(32**0.5)
+    assert found.least_dataset == pytest.approx(found.least_pair / 2**0.5)
+
+
+def test_nulls_are_left_out():
+    found = spread(np.array([[1.0, np.nan, 3.0], [np.nan, np.nan, np.nan], [4.0, np.nan, np.nan]]))
+    assert (found.mean, found.std_seeds) == (pytest.approx(3), pytest.approx(2**0.5))
+    nothing = spread(np.full((2, 3), np.nan))
+    assert set(vars(nothing).values()) == {None}
+
+
+@pytest.mark.parametrize(("n_pairs", "n_seeds"), [(1, 2), (1, 5), (3, 2), (5, 5)])
+def test_the_repeatability_limit_covers_19_of_20_differences_however_few_the_repeats(n_pairs, n_seeds):
+    rng = np.random.default_rng(1)
+    n = 2000
+    found = [spread(rng.normal(0, 0.2, (n_pairs, n_seeds))) for _ in range(n)]
+    one, means = (np.abs(np.diff(rng.normal(0, 0.2 / k**0.5, (n, 2)))).ravel() for k in (1, n_pairs))
+    error = 3 * (0.05 * 0.95 / n) ** 0.5
+    assert np.mean(one < [own.least_pair for own in found]) == pytest.approx(0.95, abs=error)
+    assert np.mean(means < [own.least_dataset for own in found]) == pytest.approx(0.95, abs=error)
+    known = 1.959963984540054 * 2**0.5
+    covered_before = np.mean(one < [known * own.std_seeds for own in found])
+    assert covered_before < 0.95 - error
+    assert (covered_before < 0.75) == (n_pairs * (n_seeds - 1) == 1)
+
+
+def test_nulls_are_left_out_and_the_deviation_is_that_of_a_sample():
+    assert mean_and_std(np.array([1.0, np.nan, 3.0])) == (2.0, pytest.approx(np.sqrt(2)))
+
+
+def test_one_value_has_no_deviation_and_none_has_no_mean():
+    assert mean_and_std(np.array([4.0])) == (4.0, None)
+    assert mean_and_std(np.array([np.nan])) == (None, None)
+
+
+def test_a_pair_by_hand():
+    row = summarise_pair(
+        {"cdc": np.array([0.2, 0.4]), "r_lambda": np.array([0.0, np.nan])},
+        ["identical", "too_small"],
+        matched_range_m=np.array([5.0, 7.0]),
+        missing_range_m=np.array([20.0]),
+        hallucinated_range_m=np.array([30.0, 40.0]),
+    )
+    assert (row["n_matched"], row["n_missing"], row["n_hallucinated"]) == (2, 1, 2)
+    assert (row["n_scored"], row["n_identical"], row["n_too_small"]) == (0, 1, 1)
+    assert row["match_rate"] == 0.5
+    assert (row["median_range_matched_m"], row["median_range_unmatched_m"]) == (6.0, 30.0)
+    assert (row["cdc_mean"], row["r_lambda_mean"], row["r_lambda_std"]) == (pytest.approx(0.3), 0.0, None)
+
+
+def test_no_matches_are_a_rate_of_zero_and_no_medians():
+    row = summarise_pair({}, [], np.array([]), np.array([1.0]), np.array([]))
+    assert (row["match_rate"], row["median_range_matched_m"]) == (0.0, None)
+
+
+def test_the_dataset_is_the_mean_of_the_pairs_means():
+    summary = summarise_dataset({"cdc_mean": [0.2, None, 0.4]})
+    assert vars(summary["cdc_mean"]) == {"mean": pytest.approx(0.3), "std": pytest.approx(np.sqrt(0.02)), "n_pairs": 2}
+
+
+def test_losing_the_worst_object_makes_the_plain_mean_better_and_the_one_with_unmatched_worse():
+    before, after = with_unmatched_as_worst(0.6, 3, 0, 2.0), with_unmatched_as_worst(0.2, 2, 1, 2.0)
+    assert (before, after) == (pytest.approx(0.6), pytest.approx(0.8))
+
+
+def test_a_pair_without_a_match_is_the_worst_and_one_without_objects_has_no_score():
+    assert with_unmatched_as_worst(None, 0, 4, 2.0) == 2.0
+    assert with_unmatched_as_worst(None, 0, 0, 2.0) is None
+
+
+def test_bias_and_area_by_hand():
+    # 0, 0, 4 (mean 4/3) against 2, 2, 3 (mean 7/3): without the bias of 1 left are 1, 1, 2 against 0, 0, 4
+    found = double_validation_metric(np.array([0.0, 4, 0]), np.array([2.0, 3, 2]))
+    assert found.bias == pytest.approx(1)
+    assert found.area == pytest.approx((1 + 1 + 2) / 3)
+    assert area_validation_metric(np.array([0.0, 4, 0]), np.array([2.0, 3, 2])) == pytest.approx((2 + 2 + 1) / 3)
+
+
+def test_the_bias_is_the_signed_area_and_the_area_that_of_the_shapes(rng):
+    real, sim = rng.normal(0, 1, 40), rng.normal(0, 2, 60)
+    found, shifted = (double_validation_metric(real, own) for own in (sim, sim - 5))
+    assert shifted.bias == pytest.approx(found.bias - 5)
+    assert shifted.area == pytest.approx(found.area)
+    assert area_validation_metric(real, sim - 50) == pytest.approx(50 - found.bias)  # nowhere do they cross
+    scaled = double_validation_metric(3 * real, 3 * sim)
+    assert (scaled.bias, scaled.area) == pytest.approx((3 * found.bias, 3 * found.area))
+    back = double_validation_metric(sim, real)
+    assert (back.bias, back.area) == pytest.approx((-found.bias, found.area))
+
+
+def test_the_same_values_are_no_distance_apart_and_nulls_are_left_out(rng):
+    values = rng.normal(0, 1, 30)
+    same = double_validation_metric(values, rng.permutation(np.append(values, np.nan)))
+    assert (same.bias, same.area) == pytest.approx((0, 0), abs=1e-15)
+    exact = double_validation_metric(values, values)
+    assert (exact.bias, exact.area, exact.n_real, exact.n_sim) == (0, 0, 30, 30)
+    nothing = double_validation_metric(values, np.full(3, np.nan))
+    assert (nothing.bias, nothing.area, nothing.n_sim) == (None, None, 0)
+    assert area_validation_metric(values[:0], values) is None
+
+
+def test_the_area_of_one_distribution_shrinks_with_the_square_root_of_the_sizes():
+    rng = np.random.default_rng(0)
+    few, many = (
+        np.mean([double_validation_metric(*rng.normal(0, 1, (2, n))).area for _ in range(400)]) for n in (10, 160)
+    )
+    assert few > 0.2
+    assert few / many == pytest.approx(4, rel=0.15)
+
+
+def side(pair, range_m, label, is_matched, cdc=np.nan, r_lambda=np.nan):
+    """Objects of a side, of ten points each."""
+    n = len(pair)
+    scores = (np.array(np.broadcast_to(own, n), dtype=float) for own in (cdc, r_lambda, 0.0))
+    place = np.array(range_m, dtype=float), np.array(label, dtype=str), np.array(is_matched, dtype=bool)
+    return Objects(np.array(pair, dtype=np.int32), *place, *np.full((2, n), 10), *scores)
+
+
+@pytest.fixture
+def by_hand():
+    """Two pairs: cars near and matched, trees far; one tree missing, one invented."""
+    of_real = [5.0, 25.0, 5.0, 45.0], ["car", "tree", "car", "tree"], [True, True, True, False]
+    real = side([0, 0, 1, 1], *of_real, [0.1, 0.9, 0.3, np.nan], [0.2, 0.5, np.nan, np.nan])
+    sim = side([0, 0, 1, 1], [5.0, 25.0, 6.0, 60.0], ["car", "tree", "car", "tree"], [True, True, True, False])
+    return summarise_objects(real, sim, ["a", "b"], [0.0, 61.0])
+
+
+def test_unmatched_objects_are_counted_by_range_of_their_own_side(by_hand):
+    bands = {band.from_m: band for band in by_hand.range_m.bands}
+    assert (bands[0.0].n_real, bands[0.0].n_missing, bands[0.0].missing_share) == (2, 0, 0.0)
+    assert (bands[30.0].n_real, bands[30.0].missing_share, bands[30.0].n_sim) == (1, 1.0, 0)
+    assert (bands[50.0].n_hallucinated, bands[50.0].missing_share) == (1, None)
+    assert by_hand.range_m.median_matched == 5.0
+    assert by_hand.range_m.median_unmatched == 52.5
+
+
+def test_a_class_is_that_of_the_real_object_and_nulls_are_left_out(by_hand):
+    classes = {row.label: row for row in by_hand.classes}
+    car = classes["car"]
+    assert (car.n_matched, car.scores["cdc"].mean) == (2, 0.2)
+    assert car.scores["r_lambda"] == GroupMean(mean=0.2, std=None, n=1)
+    assert (classes["tree"].missing_share, classes["tree"].hallucinated_share) == (0.5, 0.5)
+
+
+def test_scans_without_labels_have_no_classes():
+    one = side([0], [5.0], [""], [True], 0.1, 0.2)
+    found = summarise_objects(one, one, ["a"], [None])
+    assert found.classes == ()
+
+
+def test_the_spread_of_a_pair_is_that_of_its_objects(by_hand):
+    assert by_hand.within_pairs == WithinPairs(n_pairs=1, n_r_lambda_wider=0)
+
+
+def test_nothing_at_all_gives_nulls_and_no_error():
+    nothing = side([], [], [], [])
+    found = summarise_objects(nothing, nothing, ["a"], [None])
+    assert found.distributions.cdc.mean is None
+    assert found.rank_correlation == RankCorrelation(n=0, spearman=None, kendall=None)
+    assert found.density_ratio.min is None
+
+
+def test_a_distribution_by_hand():
+    found = distribution(np.array([0.0, 0.01, 0.02, 1.0, np.nan]))
+    assert (found.n, found.min, found.max) == (4, 0.0, 1.0)
+    assert found.peak_density == pytest.approx(0.75 / 0.05)
+    assert found.cv == pytest.approx(np.std([0, 0.01, 0.02, 1], ddof=1) / 0.2575)
+
+
+def test_a_rank_correlation_sees_order_only():
+    a = np.array([1.0, 2.0, 3.0, 100.0, np.nan])
+    assert vars(rank_correlation(a, -(a**3))) == {"n": 4, "spearman": pytest.approx(-1), "kendall": pytest.approx(-1)}
+    assert rank_correlation(a, np.ones(5)).kendall is None
+
+
+def test_density_ratios_are_simulated_over_real():
+    found = density_ratio(np.array([100, 10, 10]), np.array([10, 10, 50]))
+    assert (found.min, found.median, found.max) == (0.1, 1.0, 5.0)
+    assert found.share_below_quarter == found.share_above_four == pytest.approx(1 / 3)
+
+
+def test_scans_apart_are_more_than_a_minute_apart_and_spread_over_time():
+    times = [10.0 * i for i in range(100)]
+    chosen = scans_apart(times)
+    assert len(chosen) == 4
+    assert np.diff([times[i] for i in chosen]).min() > 60
+    assert chosen[0] == 0 and times[chosen[-1]] > 900
+
+
+def test_exactly_a_minute_is_not_more_than_one():
+    assert scans_apart([0.0, 60.0]) == [0]
+
+
+def test_without_timestamps_pairs_are_evenly_spaced_and_it_is_said():
+    n = 9
+    scores = np.linspace(0.1, 0.9, n)
+    one = side(range(n), [5.0] * n, [""] * n, [True] * n, scores, scores)
+    found = summarise_objects(one, one, list("abcdefghi"), [None] * n).scans
+    assert found.apart is False
+    assert [scan.pair for scan in found.scans] == ["a", "d", "f", "i"]
+
+
+def town(seed):
+    """Twelve boxes at random places within 45 m."""
+    rng = np.random.default_rng(seed)
+    sizes = rng.uniform([2, 2, 2], [12, 4, 5], (12, 3))
+    return np.vstack([box([*rng.uniform(-45, 45, 2), 1], size, 400, seed + i) for i, size in enumerate(sizes)])
+
+
+def test_a_place_is_recognised_after_some_metres_and_another_is_not():
+    here = map_place(town(0))
+    assert overlap(here, here) == pytest.approx(1.0, abs=1e-4)
+    assert overlap(here, map_place(moved(town(0), rigid(2, [7, -3, 0])))) > SAME_PLACE
+    assert max(overlap(here, map_place(town(100 * seed))) for seed in range(1, 5)) < SAME_PLACE
+
+
+def test_an_empty_scan_is_nowhere():
+    assert overlap(map_place(np.empty((0, 3))), map_place(town(0))) == 0.0
+
+
+def test_only_scans_within_the_window_are_compared():
+    assert neighbours([town(0), town(100), town(0)]) == [(0, 2)]
+    assert neighbours([town(0), town(100), town(0)], window=1) == []
+
+
+def object_points(path):
+    points = read_scan(path).points
+    points = points[np.isfinite(points).all(axis=1) & (np.hypot(points[:, 0], points[:, 1]) > 2.5)]
+    return points[points[:, 2] > -1.3]
+
+
+def test_ten_neighbouring_frames_are_one_place_and_other_recordings_are_not(real_data):
+    frames = [map_place(object_points(path)) for path in sorted((real_data / "kitti_sequence").glob("*.bin"))]
+    others = [next((real_data / folder).glob("*.bin")) for folder in ("nuscenes", "rellis", "carla")]
+    assert min(overlap(frames[0], other) for other in frames) > SAME_PLACE + 0.1
+    assert max(overlap(frames[0], map_place(object_points(path))) for path in others) < SAME_PLACE - 0.1
