@@ -9,10 +9,12 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     ValidationError,
@@ -20,6 +22,9 @@ from pydantic import (
     model_validator,
 )
 
+from .columns import FARTHEST_M
+from .data_files import parse_toml, read_toml
+from .docstrings import split_docstring
 from .errors import SettingsError
 from .metric_catalogue import BASELINE_NAMES
 
@@ -36,61 +41,84 @@ FRAME_AXES: dict[FrameName, str] = {
     "kitti-cam": "x right, y down, z forward",
 }
 
-#: The farthest that a range or a motion may reach: squares, sums and single precision hold it with room to spare.
-FARTHEST_M = 1e9
-
 
 class _Group(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    """Settings of a stage; the docstring has the description of each."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        cls.__doc__, meanings = split_docstring(cls.__doc__ or "")
+        for name, meaning in meanings.items():
+            cls.model_fields[name].description = meaning
+
+
+def _split_words(value: Any) -> Any:
+    """`x,y,z,intensity` and `x y z intensity` are read as lists."""
+    return value.replace(",", " ").split() if isinstance(value, str) else value
+
+
+def _check_columns(value: tuple[str, ...] | None) -> tuple[str, ...] | None:
+    if value is not None and not {"x", "y", "z"} <= set(value):
+        raise ValueError("expected x, y and z among the names")
+    if value is not None and len(set(value)) != len(value):
+        raise ValueError("expected each name once")
+    return value
+
+
+def _split_box(value: Any) -> Any:
+    words = _split_words(value)
+    if isinstance(words, list | tuple) and len(words) != 6:
+        raise ValueError(f"expected six numbers (xmin ymin zmin xmax ymax zmax), got {len(words)}")
+    return words
+
+
+def _check_box(value: Box | None) -> Box | None:
+    if value is not None and any(value[i] >= value[i + 3] for i in range(3)):
+        raise ValueError("expected each minimum below its maximum (xmin ymin zmin xmax ymax zmax)")
+    return value
+
+
+_Columns = Annotated[
+    tuple[str, ...] | None,
+    BeforeValidator(_split_words, json_schema_input_type=tuple[str, ...] | str),
+    AfterValidator(_check_columns),
+]
+_Box = Annotated[Box | None, BeforeValidator(_split_box, json_schema_input_type=Box | str), AfterValidator(_check_box)]
 
 
 class InputSettings(_Group):
-    """Reading and cleaning of scans."""
+    """Reading and cleaning of scans.
 
-    columns: tuple[str, ...] | None = Field(
-        None,
-        description="names of the float32 columns of a .bin file; by default x y z intensity (and ring in .pcd.bin)",
-        examples=[_COLUMNS],
-    )
-    real_columns: tuple[str, ...] | None = Field(
-        None, description="the same for the real side only", examples=[_COLUMNS]
-    )
-    sim_columns: tuple[str, ...] | None = Field(
-        None, description="the same for the simulated side only", examples=[_COLUMNS]
-    )
-    min_range_m: float = Field(2.5, ge=0, description="nearer points are dropped (3-D range, own frame)")
-    max_range_m: float = Field(100.0, gt=0, le=FARTHEST_M, description="farther points are dropped")
-    exclude_box: Box | None = Field(
-        None,
-        description="xmin ymin zmin xmax ymax zmax, metres, own frame: points inside are dropped (the ego vehicle)",
-        examples=[[-1.5, -1.0, -2.0, 2.5, 1.0, 0.5]],
-    )
-    include_box: Box | None = Field(
-        None,
-        description="xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped",
-        examples=[[-50.0, -20.0, -5.0, 50.0, 20.0, 10.0]],
-    )
-    sim_flip_y: bool = Field(
-        False, description='negate y of the simulated side: the same as sim_frame = "carla"; only with sim_frame "ros"'
-    )
+    columns : names of the float32 columns of a .bin file; by default x y z intensity (and ring in .pcd.bin)
+    real_columns : the same for the real side only
+    sim_columns : the same for the simulated side only
+    min_range_m : nearer points are dropped (3-D range, own frame)
+    max_range_m : farther points are dropped
+    exclude_box : xmin ymin zmin xmax ymax zmax, metres, own frame: points inside are dropped (the ego vehicle)
+    include_box : xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped
+    sim_flip_y : negate y of the simulated side: the same as sim_frame = "carla"; only with sim_frame "ros"
+    sim_frame : axes of the simulated scans, metres; see real_frame
+    intensity_scale : same: intensities of both sides have one scale, so that their RMSE is computed
+    """
+
+    columns: _Columns = Field(None, examples=[_COLUMNS])
+    real_columns: _Columns = Field(None, examples=[_COLUMNS])
+    sim_columns: _Columns = Field(None, examples=[_COLUMNS])
+    min_range_m: float = Field(2.5, ge=0)
+    max_range_m: float = Field(100.0, gt=0, le=FARTHEST_M)
+    exclude_box: _Box = Field(None, examples=[[-1.5, -1.0, -2.0, 2.5, 1.0, 0.5]])
+    include_box: _Box = Field(None, examples=[[-50.0, -20.0, -5.0, 50.0, 20.0, 10.0]])
+    sim_flip_y: bool = False
     real_frame: FrameName = Field(
         "ros",
         description="axes of the real scans, metres: "
         + "; ".join(f"{name} {axes}" for name, axes in FRAME_AXES.items())
         + ". Converted to ros before T_real_sim is applied",
     )
-    sim_frame: FrameName = Field("ros", description="axes of the simulated scans, metres; see real_frame")
-    intensity_scale: Literal["unknown", "same"] = Field(
-        "unknown", description="same: intensities of both sides have one scale, so that their RMSE is computed"
-    )
-
-    @field_validator(
-        "columns", "real_columns", "sim_columns", mode="before", json_schema_input_type=tuple[str, ...] | str
-    )
-    @classmethod
-    def _split_words(cls, value: Any) -> Any:
-        """`x,y,z,intensity` and `x y z intensity` are read as lists."""
-        return value.replace(",", " ").split() if isinstance(value, str) else value
+    sim_frame: FrameName = "ros"
+    intensity_scale: Literal["unknown", "same"] = "unknown"
 
     @field_validator("real_frame", "sim_frame", mode="before")
     @classmethod
@@ -100,31 +128,6 @@ class InputSettings(_Group):
             raise ValueError(
                 f"expected one of {known}, metres, got {value!r}; for another frame set T_real_sim in pairs.csv"
             )
-        return value
-
-    @field_validator("columns", "real_columns", "sim_columns")
-    @classmethod
-    def _columns_hold_xyz(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
-        if value is not None:
-            if not {"x", "y", "z"} <= set(value):
-                raise ValueError("expected x, y and z among the names")
-            if len(set(value)) != len(value):
-                raise ValueError("expected each name once")
-        return value
-
-    @field_validator("exclude_box", "include_box", mode="before", json_schema_input_type=Box | str)
-    @classmethod
-    def _box_has_six_numbers(cls, value: Any) -> Any:
-        words = value.replace(",", " ").split() if isinstance(value, str) else value
-        if isinstance(words, list | tuple) and len(words) != 6:
-            raise ValueError(f"expected six numbers (xmin ymin zmin xmax ymax zmax), got {len(words)}")
-        return words
-
-    @field_validator("exclude_box", "include_box")
-    @classmethod
-    def _box_has_volume(cls, value: Box | None) -> Box | None:
-        if value is not None and any(value[i] >= value[i + 3] for i in range(3)):
-            raise ValueError("expected each minimum below its maximum (xmin ymin zmin xmax ymax zmax)")
         return value
 
     @model_validator(mode="after")
@@ -157,22 +160,23 @@ class InputSettings(_Group):
 
 
 class GroundSettings(_Group):
-    """Removal of the road."""
+    """Removal of the road.
 
-    method: Literal["pca", "patchwork", "none"] = Field(
-        "pca", description='PCA Z-cut, patchwork++ (needs `pip install "fidpipe[patchwork]"`), or no cut'
-    )
-    prior_m: float = Field(0.30, ge=0, le=5, description="a-priori threshold above the road's peak")
-    max_variance_loss: float = Field(0.01, ge=0, le=1, description="the threshold is lowered while the loss is above")
-    loss: Literal["removed", "total"] = Field(
-        "removed", description="scatter of the removed points along the axis, or relative change of the total variance"
-    )
-    shared: bool = Field(False, description="cut both sides with the real side's axis and threshold (method pca)")
-    peak: Literal["own", "real"] = Field(
-        "own",
-        description="road of the simulated side: its own fullest window; or axis, peak and threshold of the real side, "
-        "moved by the height of the simulated road above the real one (of no effect with shared = true)",
-    )
+    method : PCA Z-cut, patchwork++ (needs `pip install "fidpipe[patchwork]"`), or no cut
+    prior_m : a-priori threshold above the road's peak
+    max_variance_loss : the threshold is lowered while the loss is above
+    loss : scatter of the removed points along the axis, or relative change of the total variance
+    shared : cut both sides with the real side's axis and threshold (method pca)
+    peak : road of the simulated side: its own fullest window; or axis, peak and threshold of the real side, moved
+        by the height of the simulated road above the real one (of no effect with shared = true)
+    """
+
+    method: Literal["pca", "patchwork", "none"] = "pca"
+    prior_m: float = Field(0.30, ge=0, le=5)
+    max_variance_loss: float = Field(0.01, ge=0, le=1)
+    loss: Literal["removed", "total"] = "removed"
+    shared: bool = False
+    peak: Literal["own", "real"] = "own"
 
     @model_validator(mode="after")
     def _shared_needs_pca(self) -> GroundSettings:
@@ -182,42 +186,40 @@ class GroundSettings(_Group):
 
 
 class GraphSettings(_Group):
-    """Edges between points."""
+    """Edges between points.
 
-    k: int = Field(90, ge=1, le=2000, description="nearest neighbours of each point")
-    tau_m: float = Field(0.2, ge=0, le=10, description="all points within this distance are connected")
-    edges: Literal["union", "intersection"] = Field("union", description="kNN or tau pairs, or kNN pairs within tau")
-    ties: Literal["point_id", "coordinates"] = Field(
-        "point_id",
-        description="of equally near points: the smaller id, or by coordinates, independent of row order",
-    )
+    k : nearest neighbours of each point
+    tau_m : all points within this distance are connected
+    edges : kNN or tau pairs, or kNN pairs within tau
+    ties : of equally near points: the smaller id, or by coordinates, independent of row order
+    """
+
+    k: int = Field(90, ge=1, le=2000)
+    tau_m: float = Field(0.2, ge=0, le=10)
+    edges: Literal["union", "intersection"] = "union"
+    ties: Literal["point_id", "coordinates"] = "point_id"
 
 
 class CommunitySettings(_Group):
-    """Partition of the graph into objects."""
+    """Partition of the graph into objects.
 
-    backend: Literal["scikit-network", "python-louvain"] = Field("scikit-network", description="Louvain implementation")
-    seed: int = Field(0, ge=0, lt=2**31, description="seed of the node order")
-    objects: Literal["independent", "reference"] = Field(
-        "independent",
-        description="each side partitioned independently, or the simulated one by the real objects",
-    )
-    reference: Literal["louvain", "labels", "instances"] = Field(
-        "louvain",
-        description="objects of the real side: communities, connected components of a label, or input instances",
-    )
-    leave_out: tuple[str, ...] = Field(
-        ("0", "unlabelled", "unlabeled", "void"),
-        description="reference labels or instances: classes of the real side whose points belong to no object, by name "
-        "in any case (by number if labels.toml has no name); unlabelled also stands for points without a label",
-        examples=[["0", "unlabelled", "road"]],
-    )
-    reach_m: float = Field(
-        1.0,
-        gt=0,
-        description="largest distance of a simulated point to its object; longest edge in a labelled component",
-    )
-    min_points: int = Field(8, ge=1, description="fewest points of a simulated object, or of a component of one label")
+    backend : Louvain implementation
+    seed : seed of the node order
+    objects : each side partitioned independently, or the simulated one by the real objects
+    reference : objects of the real side: communities, connected components of a label, or input instances
+    leave_out : reference labels or instances: classes of the real side whose points belong to no object, by name in
+        any case (by number if labels.toml has no name); unlabelled also stands for points without a label
+    reach_m : largest distance of a simulated point to its object; longest edge in a labelled component
+    min_points : fewest points of a simulated object, or of a component of one label
+    """
+
+    backend: Literal["scikit-network", "python-louvain"] = "scikit-network"
+    seed: int = Field(0, ge=0, lt=2**31)
+    objects: Literal["independent", "reference"] = "independent"
+    reference: Literal["louvain", "labels", "instances"] = "louvain"
+    leave_out: tuple[str, ...] = Field(("0", "unlabelled", "unlabeled", "void"), examples=[["0", "unlabelled", "road"]])
+    reach_m: float = Field(1.0, gt=0)
+    min_points: int = Field(8, ge=1)
 
     @field_validator("leave_out", mode="before", json_schema_input_type=tuple[str, ...] | str)
     @classmethod
@@ -239,32 +241,36 @@ class CommunitySettings(_Group):
 
 
 class MatchingSettings(_Group):
-    """Matching of real and simulated objects."""
+    """Matching of real and simulated objects.
 
-    delta_m: float = Field(5.0, gt=0, description="centroids at this distance or farther do not match")
-    method: Literal["greedy", "optimal"] = Field(
-        "greedy", description="Algorithm 1, or most matches at least total distance"
-    )
+    delta_m : centroids at this distance or farther do not match
+    method : Algorithm 1, or most matches at least total distance
+    """
+
+    delta_m: float = Field(5.0, gt=0)
+    method: Literal["greedy", "optimal"] = "greedy"
 
 
 class PieceSettings(_Group):
-    """Definition of a missing or invented piece of surface."""
+    """Definition of a missing or invented piece of surface.
 
-    reach_m: float = Field(
-        1.0, gt=0, description="object points with no point of the other side within this distance form pieces"
-    )
-    link_m: float = Field(
-        0.6,
-        gt=0,
-        description="points within this distance belong to the same piece, or to the same hallucinated object",
-    )
-    min_points: int = Field(10, ge=1, description="fewest points of a piece")
+    reach_m : object points with no point of the other side within this distance form pieces
+    link_m : points within this distance belong to the same piece, or to the same hallucinated object
+    min_points : fewest points of a piece
+    """
+
+    reach_m: float = Field(1.0, gt=0)
+    link_m: float = Field(0.6, gt=0)
+    min_points: int = Field(10, ge=1)
 
 
 class SelectionSettings(_Group):
-    """Selection of the nodes that represent an object."""
+    """Selection of the nodes that represent an object.
 
-    t: float = Field(1.0, gt=0, le=100, description="diffusion time of the heat kernel")
+    t : diffusion time of the heat kernel
+    """
+
+    t: float = Field(1.0, gt=0, le=100)
 
 
 if TYPE_CHECKING:
@@ -276,37 +282,43 @@ else:
 
 
 class MetricsSettings(_Group):
-    """Baseline metrics to compute in addition to the scores, and their parameters."""
+    """Baseline metrics to compute in addition to the scores, and their parameters.
+
+    f_score_distance_m : F-score: nearer points count as found
+    dcd_alpha : DCD: weight of the squared distance, objects of unit size
+    emd_max_points : EMD of all points: larger objects are left out, one may take over a minute
+    projections : sliced Wasserstein: random directions
+    histogram_points : histogram: points sampled per side, all pairs of which are measured
+    histogram_bins : histogram: equal bins from 0 to 1
+    histogram_order : histogram: order of the Minkowski distance
+    icp_distance_m : ICP: largest distance of corresponding points
+    heat_times : NetLSD: number of times, log-spaced
+    heat_time_min : NetLSD: first time
+    heat_time_max : NetLSD: last time
+    heat_max_nodes : NetLSD: larger objects are left out, their dense matrices would not fit
+    """
 
     baselines: tuple[BaselineName, ...] = Field(
         (), description=f'any of {", ".join(BASELINE_NAMES)}; "all" for all of them; by default none'
     )
-    f_score_distance_m: float = Field(0.2, gt=0, description="F-score: nearer points count as found")
-    dcd_alpha: float = Field(1000.0, gt=0, description="DCD: weight of the squared distance, objects of unit size")
-    emd_max_points: int = Field(
-        8000, ge=2, description="EMD of all points: larger objects are left out, one may take over a minute"
-    )
-    projections: int = Field(200, ge=1, le=10_000, description="sliced Wasserstein: random directions")
-    histogram_points: int = Field(
-        2000, ge=2, le=10_000, description="histogram: points sampled per side, all pairs of which are measured"
-    )
-    histogram_bins: int = Field(100, ge=2, le=10_000, description="histogram: equal bins from 0 to 1")
-    histogram_order: float = Field(2.0, ge=1, description="histogram: order of the Minkowski distance")
-    icp_distance_m: float = Field(1.0, gt=0, description="ICP: largest distance of corresponding points")
-    heat_times: int = Field(250, ge=2, le=10_000, description="NetLSD: number of times, log-spaced")
-    heat_time_min: float = Field(0.01, gt=0, description="NetLSD: first time")
-    heat_time_max: float = Field(100.0, gt=0, description="NetLSD: last time")
-    heat_max_nodes: int = Field(
-        8000, ge=2, description="NetLSD: larger objects are left out, their dense matrices would not fit"
-    )
+    f_score_distance_m: float = Field(0.2, gt=0)
+    dcd_alpha: float = Field(1000.0, gt=0)
+    emd_max_points: int = Field(8000, ge=2)
+    projections: int = Field(200, ge=1, le=10_000)
+    histogram_points: int = Field(2000, ge=2, le=10_000)
+    histogram_bins: int = Field(100, ge=2, le=10_000)
+    histogram_order: float = Field(2.0, ge=1)
+    icp_distance_m: float = Field(1.0, gt=0)
+    heat_times: int = Field(250, ge=2, le=10_000)
+    heat_time_min: float = Field(0.01, gt=0)
+    heat_time_max: float = Field(100.0, gt=0)
+    heat_max_nodes: int = Field(8000, ge=2)
 
     @field_validator("baselines", mode="before", json_schema_input_type=tuple[BaselineName, ...] | str)
     @classmethod
     def _read_names(cls, value: Any) -> Any:
         """`all` is every one; `chamfer,emd` is read as a list."""
-        if isinstance(value, str):
-            value = BASELINE_NAMES if value == "all" else value.replace(",", " ").split()
-        return value
+        return BASELINE_NAMES if value == "all" else _split_words(value)
 
     @field_validator("baselines")
     @classmethod
@@ -324,30 +336,30 @@ class MetricsSettings(_Group):
 
 
 class StabilitySettings(_Group):
-    """Repetition of each pair with other seeds."""
+    """Repetition of each pair with other seeds.
 
-    seeds: int = Field(
-        1, ge=1, le=1000, description="number of seeds of the communities: the configured seed and those that follow it"
-    )
+    seeds : number of seeds of the communities: the configured seed and those that follow it
+    """
+
+    seeds: int = Field(1, ge=1, le=1000)
 
 
 class NvsSettings(_Group):
-    """Scores of papers on LiDAR synthesis (novel view synthesis), to compare with their tables."""
+    """Scores of papers on LiDAR synthesis (novel view synthesis), to compare with their tables.
 
-    scores: bool = Field(
-        False, description="compute errors of range images as LiDAR4D defines them, and distances of maps from above"
-    )
+    scores : compute errors of range images as LiDAR4D defines them, and distances of maps from above
+    """
+
+    scores: bool = False
 
 
 class MachineSettings(_Group):
-    """Limits on the machine's resources; no result depends on them."""
+    """Limits on the machine's resources; no result depends on them.
 
-    memory_gib: float | None = Field(
-        None,
-        gt=0,
-        description="most memory of all worker processes together; by default four fifths of the machine's",
-        examples=[8.0],
-    )
+    memory_gib : most memory of all worker processes together; by default four fifths of the machine's
+    """
+
+    memory_gib: float | None = Field(None, gt=0, examples=[8.0])
 
 
 class Settings(_Group):
@@ -478,25 +490,6 @@ def parse(values: Mapping[str, Any]) -> Settings:
         return Settings.model_validate(values)
     except ValidationError as error:
         raise SettingsError(_first_problem(error)) from error
-
-
-def parse_toml(text: str) -> dict[str, Any]:
-    """Values of a TOML text; `tomllib.TOMLDecodeError`, a ValueError, also for lists nested too deeply."""
-    try:
-        return tomllib.loads(text)
-    except RecursionError as error:
-        raise tomllib.TOMLDecodeError("nested too deeply") from error
-
-
-def read_toml(path: Path, kind: str) -> dict[str, Any]:
-    """Values of a TOML file of some kind; `SettingsError` if it cannot be read or is not valid."""
-    try:
-        return parse_toml(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"{kind} {path}: not valid TOML ({error})") from error
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise SettingsError(f"{kind} {path}: cannot be read ({reason})") from error
 
 
 def _toml_value(text: str) -> Any:

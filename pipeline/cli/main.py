@@ -13,7 +13,6 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from inspect import cleandoc
 from pathlib import Path
 from time import monotonic
 from typing import Annotated, Any
@@ -21,6 +20,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
+from ...schemas.docstrings import split_docstring
 from .datasets import convert, pair, synth, twin
 from .diagnosing import diagnose
 from .experiments import ablate, perturb
@@ -36,9 +36,6 @@ _REFUSALS = (
     *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EIO, errno.ESTALE),
 )
-#: The section of a docstring on parameters, and each of them in it.
-_PARAMETERS = re.compile(r"^Parameters\n-+\n((?:.+\n)+)\n", re.MULTILINE)
-_MEANING = re.compile(r"^(\w+) : (.+)$", re.MULTILINE)
 _FILES = (errno.EMFILE, errno.ENFILE)  # too many are open
 
 
@@ -63,9 +60,8 @@ class _Command(_ShortTypes, TyperCommand):
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        text = re.sub(r"^(fidpipe .*)\n\n(?=fidpipe )", r"\1  \n", cleandoc(self.help or ""), flags=re.MULTILINE)
-        self.help = _PARAMETERS.sub("", text)
-        meanings = dict(_MEANING.findall("".join(_PARAMETERS.findall(text))))
+        text, meanings = split_docstring(self.help or "")
+        self.help = re.sub(r"^(fidpipe .*)\n\n(?=fidpipe )", r"\1  \n", text, flags=re.MULTILINE)
         param: Any
         for param in self.params:
             param.help = meanings.get(param.name, param.help)
@@ -74,21 +70,6 @@ class _Command(_ShortTypes, TyperCommand):
 
 class _Group(_ShortTypes, TyperGroup):
     """All commands."""
-
-
-app = typer.Typer(
-    name="fidpipe",
-    cls=_Group,
-    help="How faithful is this simulated LiDAR, and where does it fail?\n\n"
-    "fidpipe compares real and simulated scans object by object: what is missing, what is invented, and how far the "
-    "geometry (CDC) and the structure (r_lambda, r_gap) of each common object have drifted.\n\n"
-    "Begin with check, run, show and compare.\n\n"
-    "Example: fidpipe run dataset/, where dataset/real and dataset/sim hold files of the same names",
-    rich_markup_mode="markdown",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
 
 
 def main() -> None:
@@ -100,7 +81,7 @@ def main() -> None:
         signal.signal(number, _Stop())
     try:
         with _local_arguments():
-            code = app(standalone_mode=False)
+            code = _application(*sys.argv[1:2])(standalone_mode=False)
         _ignore_interrupts()
     except FidpipeError as error:
         _complain(f"error: {error}")
@@ -217,22 +198,46 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    pass
+    """Measure how faithful simulated LiDAR is, and where it fails.
+
+    fidpipe compares real and simulated scans object by object: what is missing, what is invented, and how far the
+    geometry (CDC) and the structure (r_lambda, r_gap) of each common object have drifted.
+
+    Begin with check, run, show and compare.
+
+    Example: fidpipe run dataset/, where dataset/real and dataset/sim hold files of the same names
+    """
 
 
-_GROUPS = {
+_COMMANDS = {
     "Evaluate": (check, run, show, report),
     "Compare": (compare, gate, floor),
     "Data": (pair, convert, synth, twin),
     "Research": (diagnose, perturb, ablate, verify),
     "Other": (status, export, settings),
 }
-for _group, _commands in _GROUPS.items():
-    for _command in _commands:
-        app.command(cls=_Command, rich_help_panel=_group)(_command)
+
+
+def _application(name: str = "") -> typer.Typer:
+    """The command of this name, or all if there is none: each takes some milliseconds to be set up."""
+    application = typer.Typer(
+        name="fidpipe",
+        cls=_Group,
+        rich_markup_mode="markdown",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    application.callback()(_root)
+    commands = [(command, heading) for heading, own in _COMMANDS.items() for command in own]
+    for command, heading in [each for each in commands if each[0].__name__ == name] or commands:
+        application.command(cls=_Command, rich_help_panel=heading)(command)
+    return application
+
+
+app = _application()

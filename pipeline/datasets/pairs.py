@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.columns import SIDES
+from ...schemas.columns import FARTHEST_M, SIDES
+from ...schemas.data_files import parse_toml
 from ...schemas.errors import DatasetError, ScanError, nearest
-from ...schemas.settings import FARTHEST_M, parse_toml
 from ...stages.arrays import FloatArray
 from ..object_store import is_url
 from .readers import formats, holds_frames, is_scan_path, stem_of, suffix_of

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from ...schemas.columns import SIDES
+from ...schemas.data_files import parse_toml
 from ...schemas.errors import FidpipeError
-from ...schemas.settings import parse_toml
 from ..datasets.pairs import LABEL_NAMES, MANIFEST
 from ..storage.files import csv_bytes, refuse_link, write_whole
 from ..storage.folder import refuse_other_content, refuse_overwrite

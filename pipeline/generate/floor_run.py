@@ -14,8 +14,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ...schemas.columns import FARTHEST_M
 from ...schemas.errors import DatasetError, RunError, ScanError
-from ...schemas.settings import FARTHEST_M, FrameName, InputSettings, Settings
+from ...schemas.settings import FrameName, InputSettings, Settings
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.perturbations import fill_gaps, remeasure
 from ...stages.inspect.sensor_description import NO_GAPS, SurfaceGaps, describe_with_gaps

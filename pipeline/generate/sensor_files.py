@@ -9,9 +9,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ...schemas.data_files import read_toml
 from ...schemas.errors import FidpipeError, suggestion
 from ...schemas.sensor_models import SENSORS, SensorModel
-from ...schemas.settings import expected_and_got, read_toml
+from ...schemas.settings import expected_and_got
 from ...stages.generate.rescan import RECORDED
 from ..datasets.readers.scan import cause_of
 

@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import orjson
 
-from ...schemas.data_files import read_data
+from ...schemas.data_files import parse_toml, read_data
 from ...schemas.errors import FidpipeError, suggestion
-from ...schemas.settings import parse_toml
 from ...stages.arrays import FloatArray
 from ...stages.inspect.sensor_description import HOLE, LOST_BANDS_M, SensorDescription
 from ..datasets.readers.scan import cause_of

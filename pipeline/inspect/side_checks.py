@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...schemas.columns import SIDES
-from ...schemas.settings import FARTHEST_M, InputSettings
+from ...schemas.columns import FARTHEST_M, SIDES
+from ...schemas.settings import InputSettings
 from ...stages.arrays import FloatArray
 from ...stages.clean import as_ros, clean_scan
 from ...stages.inspect.sensor_description import SensorDescription, describe_sensor, differences, unlike_others

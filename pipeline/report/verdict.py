@@ -99,12 +99,12 @@ def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | 
     except (RunError, ValueError) as error:
         return None, [f"The criteria of {folder / 'gate.json'} cannot be evaluated again: {error}"]
     unmet = [verdict for verdict in result.judged if not verdict.passed]
-    on_scores = [verdict for verdict in result.judged if not verdict.criterion.measure.startswith("pairs.")]
+    on_scores = [verdict for verdict in result.judged if not verdict.measure.startswith("pairs.")]
     n_met = sum(verdict.passed for verdict in on_scores)
     met = f"{n_met} of {len(on_scores)} acceptance criteria on scores are met"
     if not unmet:
         return True, [f"Yes: {met}, and those on the run itself (complete, no pair failed, nothing changed since)."]
-    why = [f"{one.criterion.name}: {one.why or number(one.value)}" for one in unmet[:3]]
+    why = [f"{one.name}: {one.why or number(one.value)}" for one in unmet[:3]]
     return False, [f"No: {met}.", *map(sentence, why)]
 
 

@@ -15,10 +15,10 @@ from typing import Literal
 import numpy as np
 from pydantic import TypeAdapter
 
+from ...schemas.data_files import parse_toml
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import OBJECT_METRICS, RUN_SCORES, metric_of
 from ...schemas.results import JsonObject
-from ...schemas.settings import parse_toml
 from ...stages.arrays import FloatArray
 from ...stages.statistics.validation import double_validation_metric
 from ...stages.summary import mean_and_std

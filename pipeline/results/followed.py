@@ -6,12 +6,14 @@ The real side's objects are the same where scan and settings are; that is checke
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from ...stages.arrays import IndexArray
 from ...stages.statistics.comparison import KINDS, kinds_of_change
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from .object_frame import plain_rows
@@ -85,46 +87,33 @@ def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[list[ObjectChange
     ----------
     before, after : the real objects of both runs in the order of pairs and ids (`objects.object_parts`)
     """
-    differing = _differing_pairs(before, after)
-    before, after = (objects[~objects["pair"].isin(differing)] for objects in (before, after))
-    was_matched, is_matched = ((objects["partner"] >= 0).to_numpy() for objects in (before, after))
-    scores = {name: (before[name].to_numpy(), after[name].to_numpy()) for name in SHARED_SCORES}
-    columns = {name: before[name].to_numpy() for name in ("pair_id", "label", "shape", "range_m", "n_points")}
-    columns["real_id"] = before["community_id"].to_numpy()
-    columns["kind"] = kinds_of_change(was_matched, is_matched, scores["cdc"], scores["r_lambda"])
-    for i, (when, objects) in enumerate((("before", before), ("after", after))):
-        columns |= {f"{name}_{when}": scores[name][i] for name in SHARED_SCORES}
-        columns[f"sim_{when}"] = objects["partner"].astype("Int32").where(objects["partner"] >= 0).to_numpy()
+    both = before.merge(after, how="outer", on=["pair", "community_id"], suffixes=("_before", "_after"))
+    places = [both[[f"{name}_{when}" for name in _PLACE]].to_numpy(dtype=np.float64) for when in ("before", "after")]
+    is_other = ~((places[0] == places[1]) | np.isnan(places).all(axis=0)).all(axis=1)
+    differing = np.unique(both.loc[is_other, "pair"]).tolist()
+    both = both[~both["pair"].isin(differing)]
+    was_matched, is_matched = ((both[f"partner_{when}"] >= 0).to_numpy() for when in ("before", "after"))
+    cdc, r_lambda = ((both[f"{name}_before"].to_numpy(), both[f"{name}_after"].to_numpy()) for name in SHARED_SCORES)
+    columns: dict[str, Any] = {name: both[f"{name}_before"] for name in ("pair_id", "label", "shape", "range_m")}
+    columns |= {"real_id": both["community_id"], "n_points": both["n_points_before"].astype(int)}
+    columns |= {"kind": kinds_of_change(was_matched, is_matched, cdc, r_lambda)}
+    for when in ("before", "after"):
+        columns |= {f"{name}_{when}": both[f"{name}_{when}"] for name in SHARED_SCORES}
+        columns[f"sim_{when}"] = both[f"partner_{when}"].where(both[f"partner_{when}"] >= 0).astype("Int32")
     return [ObjectChange(**row) for row in plain_rows(pd.DataFrame(columns))], differing
-
-
-def _differing_pairs(before: pd.DataFrame, after: pd.DataFrame) -> list[int]:
-    """The pairs whose real objects differ in number, points or centroids."""
-    pairs = [objects["pair"].to_numpy() for objects in (before, after)]
-    n_pairs = 1 + max(int(own.max(initial=-1)) for own in pairs)
-    n_before, n_after = (np.bincount(own, minlength=n_pairs) for own in pairs)
-    differs = n_before != n_after
-    rows = [~differs[own] for own in pairs]
-    a, b = (
-        objects.loc[own, [*_PLACE]].to_numpy(dtype=np.float64)
-        for objects, own in zip((before, after), rows, strict=True)
-    )
-    moved = ((a != b) & ~(np.isnan(a) & np.isnan(b))).any(axis=1)
-    differs[pairs[0][rows[0]][moved]] = True
-    return [int(pair) for pair in np.flatnonzero(differs)]
 
 
 def by_class(changes: Sequence[ObjectChange]) -> tuple[GroupChange, ...]:
     """Real objects by class, or by shape where no scan is labelled; the largest group first."""
     is_labelled = any(change.label is not None for change in changes)
-    groups = _grouped(changes, lambda one: (one.label or "(no label)") if is_labelled else one.shape)
+    groups = _grouped(changes, [one.label or "(no label)" if is_labelled else one.shape for one in changes])
     return tuple(sorted(groups, key=lambda group: (-group.n, group.name)))
 
 
 def by_range(changes: Sequence[ObjectChange]) -> tuple[GroupChange, ...]:
     """Real objects by distance from the sensor, near ones first; bands without an object are left out."""
-    groups = _grouped(changes, lambda one: BAND_NAMES[np.searchsorted(BAND_EDGES_M, one.range_m, "right") - 1])
-    return tuple(sorted(groups, key=lambda group: BAND_NAMES.index(group.name)))
+    bands: IndexArray = np.searchsorted(BAND_EDGES_M, [one.range_m for one in changes], "right") - 1
+    return tuple(replace(group, name=BAND_NAMES[int(group.name)]) for group in _grouped(changes, bands))
 
 
 def worst_changes(changes: Sequence[ObjectChange], most: int = 5) -> list[ObjectChange]:
@@ -139,21 +128,21 @@ def _by_change(one: ObjectChange) -> tuple[float, int, str, int]:
     return -abs(one.change), -one.n_points, one.pair_id, one.real_id
 
 
-def _grouped(changes: Sequence[ObjectChange], name_of: Callable[[ObjectChange], str]) -> list[GroupChange]:
-    own: dict[str, list[ObjectChange]] = {}
-    for change in changes:
-        own.setdefault(name_of(change), []).append(change)
-    return [_group(name, objects) for name, objects in own.items()]
-
-
-def _group(name: str, objects: Sequence[ObjectChange]) -> GroupChange:
-    count = Counter(change.kind for change in objects)
-    steps = {score: [step for one in objects if (step := one.step(score)) is not None] for score in SHARED_SCORES}
-    return GroupChange(
-        name=name,
-        n=len(objects),
-        kinds={kind: count[kind] for kind in KINDS},
-        n_pairs=len({change.pair_id for change in objects}),
-        n_both=sum(one.sim_before is not None and one.sim_after is not None for one in objects),
-        **{score: float(np.mean(own)) if own else None for score, own in steps.items()},
-    )
+def _grouped(changes: Sequence[ObjectChange], names: Sequence[str] | IndexArray) -> list[GroupChange]:
+    if not changes:
+        return []
+    groups = []
+    for name, own in pd.DataFrame(map(vars, changes)).groupby(np.asarray(names)):
+        count = Counter(own["kind"])
+        steps = {s: (own[f"{s}_after"] - own[f"{s}_before"]).dropna().to_numpy(dtype=np.float64) for s in SHARED_SCORES}
+        groups.append(
+            GroupChange(
+                name=str(name),
+                n=len(own),
+                kinds={kind: count[kind] for kind in KINDS},
+                n_pairs=own["pair_id"].nunique(),
+                n_both=int(own[["sim_before", "sim_after"]].notna().all(axis=1).sum()),
+                **{score: float(step.mean()) if len(step) else None for score, step in steps.items()},
+            )
+        )
+    return groups

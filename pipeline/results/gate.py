@@ -15,9 +15,10 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ...schemas.data_files import read_toml
 from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
-from ...schemas.settings import expected_and_got, read_toml
+from ...schemas.settings import expected_and_got
 from ...stages.statistics.comparison import LEAST_PAIRS
 from .compare import Comparison
 from .families import FamilyChange
@@ -46,12 +47,11 @@ class Criterion:
 
 
 @dataclass(frozen=True)
-class Judged:
+class Judged(Criterion):
     """A criterion with the value in the run; `why` is the reason if it is None."""
 
-    criterion: Criterion
-    value: float | None
-    passed: bool
+    value: float | None = None
+    passed: bool = False
     why: str = ""
 
 
@@ -71,16 +71,8 @@ class GateResult:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for `gate.json`."""
-        return {
-            "run": str(self.run),
-            "dataset": self.dataset,
-            "passed": self.passed,
-            "notes": list(self.notes),
-            "criteria": [
-                vars(verdict.criterion) | {"value": verdict.value, "passed": verdict.passed, "why": verdict.why}
-                for verdict in self.judged
-            ],
-        }
+        found: JsonObject = {"run": str(self.run), "dataset": self.dataset, "passed": self.passed}
+        return found | {"notes": [*self.notes], "criteria": [dict(vars(verdict)) for verdict in self.judged]}
 
 
 def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = None) -> GateResult:
@@ -117,13 +109,14 @@ def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = 
         own.append(
             Criterion("scans and labels are those that were evaluated", "pairs.changed", "max", 0, "else run it again")
         )
-    judged = []
-    for criterion in [*(each for each in own if (each.measure, each.bound) not in given), *wanted]:
-        measured = measures.named(criterion.measure)
-        value = measured.value
-        met = value is not None and (value <= criterion.limit if criterion.bound == "max" else value >= criterion.limit)
-        judged.append(Judged(criterion, value, met, measured.why and f"could not be computed: {measured.why}"))
-    return GateResult(folder, run.record.dataset, tuple(judged), tuple(notes))
+    criteria = [*(each for each in own if (each.measure, each.bound) not in given), *wanted]
+    judged = tuple(_judged(criterion, *measures.named(criterion.measure)) for criterion in criteria)
+    return GateResult(folder, run.record.dataset, judged, tuple(notes))
+
+
+def _judged(criterion: Criterion, value: float | None, why: str) -> Judged:
+    passed = value is not None and (value <= criterion.limit if criterion.bound == "max" else value >= criterion.limit)
+    return Judged(**vars(criterion), value=value, passed=passed, why=why and f"could not be computed: {why}")
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...schemas.columns import SIDES, Row
+from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, ScanError, SettingsError, nearest
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
-from ...stages.arrays import BoolArray, FloatArray, IndexArray
-from ...stages.statistics.findings import Objects, distribution
+from ...stages.arrays import FloatArray, IndexArray
+from ...stages.statistics.findings import distribution
 from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, read_dataset
 from ..datasets.stubs import recorded_dataset
@@ -30,17 +30,9 @@ from .measure_names import (
     PLAIN_NAMES,
     STATES,
 )
-from .object_frame import STATISTICS_COLUMNS, arrays_of
 
-_UNMATCHED = {"missing": 0, "hallucinated": 1}
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A number, or None with the reason."""
-
-    value: float | None
-    why: str = ""
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class _AbsentError(Exception):
@@ -53,21 +45,20 @@ class Measures:
     def __init__(self, run: FinishedRun, excess: RunExcess | None = None) -> None:
         self.run, self._excess = run, excess
 
-    def named(self, name: str) -> Measured:
-        """The number of that name.
+    def named(self, name: str) -> tuple[float | None, str]:
+        """The number of that name; or None, and the reason.
 
         Raises
         ------
         SettingsError
             The name is unknown, or needs a floor that is not given.
         """
-        for pattern, measure in _MEASURES:
-            match = pattern.fullmatch(name)
-            if match:
+        for pattern, measure in _MEASURES.items():
+            if match := re.fullmatch(pattern, name, re.DOTALL):
                 try:
-                    return Measured(float(measure(self, **match.groupdict())))
+                    return float(measure(self, **match.groupdict())), ""
                 except _AbsentError as why:
-                    return Measured(None, str(why))
+                    return None, str(why)
         near = f"{name}.mean" if f"{name}.mean" in PLAIN_NAMES else nearest(name, PLAIN_NAMES)
         hint = f"did you mean {near}? (fidpipe gate --help lists more)" if near else f"known are {'; '.join(KNOWN)}"
         raise SettingsError(f"criterion {name!r}: no such measure; {hint}")
@@ -99,33 +90,30 @@ class Measures:
         return _statistic(np.array([*own.of_pairs.values()], dtype=np.float64), stat, "pair", f"{score} in both runs")
 
     def _of_objects(self, label: str | None, score: str, stat: str) -> float:
-        matched = self._objects[0].matched
-        values: FloatArray = getattr(matched, score)
-        if label is None:
-            return _statistic(values, stat, "matched object", score)
-        self._refuse_unknown_class(label)
-        return _statistic(values[matched.label == label], stat, f"matched object of class {label}", score)
+        own = self._objects_of("real", label)
+        what = "matched object" if label is None else f"matched object of class {label}"
+        return _statistic(own.loc[own["fate"] == "matched", score].to_numpy(), stat, what, score)
 
     def _unmatched(self, label: str | None, what: str, within: str | None, count: str | None) -> float:
-        side = self._objects[_UNMATCHED[what]]
-        chosen: BoolArray = np.ones(len(side.pair), dtype=np.bool_)
-        if label is not None:
-            chosen &= side.label == label
-            self._refuse_unknown_class(label)
-        if within is not None:
-            chosen &= side.range_m < float(within)
+        side = {"missing": "real", "hallucinated": "sim"}[what]
+        own = self._objects_of(side, label)
+        own = own if within is None else own[own["range_m"] < float(within)]
         if count == "share":
-            if not chosen.any():
-                raise _AbsentError(f"the {SIDES[_UNMATCHED[what]]} side has no such object")
-            return float(np.mean(~side.is_matched[chosen]))
-        alone = side.pair[chosen & ~side.is_matched]
+            if own.empty:
+                raise _AbsentError(f"the {side} side has no such object")
+            return float((own["fate"] == what).mean())
+        alone = own.loc[own["fate"] == what, "pair"]
         return _counted(np.bincount(alone, minlength=len(self.run.scored)), count or "total")
 
-    def _refuse_unknown_class(self, label: str) -> None:
-        labels = np.unique(np.concatenate([own.label for own in self._objects])).tolist()
+    def _objects_of(self, side: str, label: str | None) -> pd.DataFrame:
+        """The objects of a side, or those of a class."""
+        objects = self._objects[self._objects["side"] == side]
+        if label is None:
+            return objects
+        labels = sorted(self._objects["label"].dropna().unique())
         if label not in labels:
-            known = ", ".join(filter(None, labels)) or "none"
-            raise _AbsentError(f"no object has the class {label}; classes are {known}")
+            raise _AbsentError(f"no object has the class {label}; classes are {', '.join(labels) or 'none'}")
+        return objects[objects["label"] == label]
 
     def _both(self, count: str) -> float:
         return _counted(np.array([row["n_matched"] for row in self._scored]), count)
@@ -171,9 +159,10 @@ class Measures:
         return self.run.scored
 
     @cached_property
-    def _objects(self) -> tuple[Objects, Objects]:
+    def _objects(self) -> pd.DataFrame:
         names = [row["pair_id"] for row in self._scored]
-        return arrays_of(self.run.objects_of(names, STATISTICS_COLUMNS))
+        objects = self.run.objects_of(names, ["range_m", "label", *DISTRIBUTED])
+        return objects[objects["fate"] != "remnant"]
 
 
 def _column(score: str) -> str:
@@ -201,24 +190,14 @@ def _either(name: str, words: Iterable[str]) -> str:
 
 _CLASS = r"(?:class\.(?P<label>.+)\.)"
 _WITHIN = r"(?:\.within_(?P<within>[0-9]+(?:\.[0-9]+)?)m)?"
-_MEASURES: tuple[tuple[re.Pattern[str], Callable[..., float]], ...] = tuple(
-    (re.compile(pattern, re.DOTALL), measure)
-    for pattern, measure in (
-        (
-            rf"{_either('score', (*PAIR_SCORES, *map(re.escape, DOTTED)))}\.{_either('stat', OF_PAIRS)}",
-            Measures._of_pairs,
-        ),
-        (
-            rf"excess\.{_either('score', (*PAIR_SCORES, *map(re.escape, DOTTED)))}"
-            rf"\.{_either('stat', (*OF_PAIRS, *OF_DISTRIBUTIONS))}",
-            Measures._over_floor,
-        ),
-        (
-            rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', OF_OBJECTS)}",
-            Measures._of_objects,
-        ),
-        (rf"{_CLASS}?{_either('what', _UNMATCHED)}{_WITHIN}(?:\.{_either('count', COUNTS)})?", Measures._unmatched),
-        (rf"matched\.{_either('count', ('total', 'mean', 'min'))}", Measures._both),
-        (rf"pairs\.{_either('state', STATES)}", Measures._pairs),
-    )
-)
+_SCORE = _either("score", (*PAIR_SCORES, *map(re.escape, DOTTED)))
+_MEASURES: dict[str, Callable[..., float]] = {
+    rf"{_SCORE}\.{_either('stat', OF_PAIRS)}": Measures._of_pairs,
+    rf"excess\.{_SCORE}\.{_either('stat', (*OF_PAIRS, *OF_DISTRIBUTIONS))}": Measures._over_floor,
+    rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', OF_OBJECTS)}": Measures._of_objects,
+    rf"{_CLASS}?{_either('what', ('missing', 'hallucinated'))}{_WITHIN}(?:\.{_either('count', COUNTS)})?": (
+        Measures._unmatched
+    ),
+    rf"matched\.{_either('count', ('total', 'mean', 'min'))}": Measures._both,
+    rf"pairs\.{_either('state', STATES)}": Measures._pairs,
+}

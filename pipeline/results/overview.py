@@ -17,7 +17,6 @@ import numpy as np
 from ...schemas.columns import SIDES, Row
 from ...schemas.record import SURFACE_STATES, FrameSuspect, MetricsSummary, RunRecord, SurfaceStates, UnmatchedSurface
 from ...schemas.results import Caution, Findings, Overview, Piece, SurfaceGroup
-from ...schemas.settings import MatchingSettings
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.coverage import ROAD, surface_state
@@ -43,8 +42,9 @@ N_PIECES = 4
 #: An alignment is bad beyond this share of the diagonal of the real object's bounding box. Paired at random, the points
 #: of a filled cube give 0.41: the distance of two of them (root mean square: edge / sqrt 2) over edge sqrt 3.
 BAD_ALIGNMENT = 0.25
-#: So far apart it is bad regardless of the object's size: as far as centroids may lie for two objects to be matched.
-BAD_ALIGNMENT_M = MatchingSettings().delta_m
+#: So far apart it is bad regardless of the object's size: as far as centroids may lie for two objects to be matched
+#: (the default of matching.delta_m).
+BAD_ALIGNMENT_M = 5.0
 #: From this share of badly aligned objects on it is reported.
 _MANY_BADLY_ALIGNED = 0.05
 _NUMBER = re.compile(r"[-+]?[0-9]+\.[0-9]+")

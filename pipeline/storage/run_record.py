@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import orjson
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -23,11 +23,13 @@ from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, RUN_SCORES
 from ...schemas.record import Machine, RunHeader, RunRecord, Seconds
 from ...schemas.results import PreviousRun, ScoreSummary
-from ...schemas.settings import Settings, overrides, preset_of
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from ..object_store import name_in_records, url_or_path
 from .files import write_whole
 from .table_files import JobRecord
+
+if TYPE_CHECKING:
+    from ...schemas.settings import Settings
 
 #: Columns of `pairs` that the summary of a run is made from.
 SUMMARISED = ("status", "n_matched", "n_missing", "n_hallucinated", "n_too_small", *RUN_SCORES)
@@ -155,6 +157,8 @@ def run_header(
     stages : code version by stage
     previous : the finished results that it replaces
     """
+    from ...schemas.settings import overrides, preset_of  # not needed to read a record
+
     return RunHeader(
         fidpipe=_version("fidpipe"),
         written=datetime.now(UTC).isoformat(timespec="seconds"),

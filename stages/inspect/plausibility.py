@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...schemas.settings import FARTHEST_M, InputSettings
+from ...schemas.columns import FARTHEST_M
+from ...schemas.settings import InputSettings
 from ..arrays import FloatArray
 from ..clean import as_ros
 

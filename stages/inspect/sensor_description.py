@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ...schemas.settings import FARTHEST_M
+from ...schemas.columns import FARTHEST_M
 from ..arrays import FloatArray, IndexArray, IntArray
 from .beam_patterns import BeamPattern, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg

@@ -102,11 +102,11 @@ def test_two_arrays_in_other_frames_are_warned_of_with_both_figures_and_the_sett
 
 def test_a_gate_fails_on_a_suspect_pair_unless_it_is_allowed(finished):
     out, _ = finished
-    assert Measures(FinishedRun(out)).named("pairs.frame_suspect").value == 1
+    assert Measures(FinishedRun(out)).named("pairs.frame_suspect")[0] == 1
     assert command("gate", out, "--min", "match_rate.mean=0").returncode == 4
     allowed = judge_run(out, [parse_word("pairs.frame_suspect=1", "max")])
     assert allowed.passed
-    assert [own.criterion.limit for own in allowed.judged if own.criterion.measure == "pairs.frame_suspect"] == [1]
+    assert [own.limit for own in allowed.judged if own.measure == "pairs.frame_suspect"] == [1]
 
 
 def test_frames_are_compared_again_only_where_files_or_input_settings_changed(mirrored, tmp_path, monkeypatch):

@@ -26,29 +26,33 @@ def incomplete(scenario):
 
 def judged(folder, *words):
     criteria = [parse_word(word.partition(" ")[2], word.partition(" ")[0]) for word in words]
-    return {of.criterion.measure: of for of in judge_run(folder, criteria).judged}
+    return {of.measure: of for of in judge_run(folder, criteria).judged}
 
 
 def test_measures_are_the_numbers_of_the_tables(finished):
-    of = Measures(FinishedRun(finished)).named
+    measures = Measures(FinishedRun(finished))
+
+    def of(name):
+        return measures.named(name)[0]
+
     pairs = pd.read_parquet(finished / "pairs.parquet")
     metrics = pd.read_parquet(finished / "metrics")
     objects = pd.read_parquet(finished / "objects")
     matching = pd.read_parquet(finished / "matching")
-    assert of("r_lambda.mean").value == pytest.approx(pairs.r_lambda_mean.mean())
-    assert of("match_rate.min").value == pairs.match_rate.min()
-    assert of("alignment_rms_m.std").value == pytest.approx(pairs.alignment_rms_m_mean.std())
-    assert of("objects.cdc.q95").value == pytest.approx(metrics.cdc.quantile(0.95))
+    assert of("r_lambda.mean") == pytest.approx(pairs.r_lambda_mean.mean())
+    assert of("match_rate.min") == pairs.match_rate.min()
+    assert of("alignment_rms_m.std") == pytest.approx(pairs.alignment_rms_m_mean.std())
+    assert of("objects.cdc.q95") == pytest.approx(metrics.cdc.quantile(0.95))
     alone = matching[matching.status == "missing"].merge(
         objects[objects.side == "real"], left_on=["pair_id", "real_id"], right_on=["pair_id", "community_id"]
     )
-    assert of("missing.total").value == of("missing").value == len(alone) > 0
-    assert of("missing.max").value == alone.groupby("pair_id").size().max()
-    assert of("missing.within_12m").value == (alone.range_m < 12).sum()
+    assert of("missing.total") == of("missing") == len(alone) > 0
+    assert of("missing.max") == alone.groupby("pair_id").size().max()
+    assert of("missing.within_12m") == (alone.range_m < 12).sum()
     near = objects[(objects.side == "real") & (objects.range_m < 12)]
-    assert of("missing.within_12m.share").value == pytest.approx((alone.range_m < 12).sum() / len(near))
-    assert of("matched.mean").value == pytest.approx(pairs.n_matched.mean())
-    assert [of(f"pairs.{state}").value for state in ("scored", "failed", "to_do", "changed")] == [3, 0, 0, 0]
+    assert of("missing.within_12m.share") == pytest.approx((alone.range_m < 12).sum() / len(near))
+    assert of("matched.mean") == pytest.approx(pairs.n_matched.mean())
+    assert [of(f"pairs.{state}") for state in ("scored", "failed", "to_do", "changed")] == [3, 0, 0, 0]
 
 
 @pytest.mark.parametrize(
@@ -60,7 +64,7 @@ def test_an_unknown_measure_is_named_with_those_that_are_known(finished, name):
 
 
 def test_bounds_are_inclusive(finished):
-    value = Measures(FinishedRun(finished)).named("r_lambda.mean").value
+    value = Measures(FinishedRun(finished)).named("r_lambda.mean")[0]
     result = judge_run(
         finished,
         [
@@ -70,7 +74,7 @@ def test_bounds_are_inclusive(finished):
             Criterion("d", "r_lambda.mean", "min", value + 1e-9),
         ],
     )
-    verdict = {of.criterion.name: of.passed for of in result.judged}
+    verdict = {of.name: of.passed for of in result.judged}
     assert [verdict[name] for name in "abcd"] == [True, True, False, False]
 
 
@@ -159,7 +163,7 @@ def test_labels_their_names_and_T_real_sim_count_as_changes(moved):
 def test_a_dataset_that_is_there_but_broken_fails_with_the_reason(moved):
     (moved / "streets" / "pairs.csv").write_text("pair_id,real\n")
     result = judge_run(moved / "run", [parse_word("match_rate.mean=0", "min")])
-    found = {of.criterion.measure: of for of in result.judged}
+    found = {of.measure: of for of in result.judged}
     assert not any("is not here" in note for note in result.notes)
     for measure in ("pairs.changed", "pairs.to_do"):
         assert (found[measure].value, found[measure].passed) == (None, False)
@@ -168,7 +172,7 @@ def test_a_dataset_that_is_there_but_broken_fails_with_the_reason(moved):
 
 def test_a_min_does_not_switch_off_the_max_of_failed_pairs(incomplete):
     result = judge_run(incomplete, [parse_word("pairs.failed=0", "min")])
-    found = {of.criterion.bound: of.passed for of in result.judged if of.criterion.measure == "pairs.failed"}
+    found = {of.bound: of.passed for of in result.judged if of.measure == "pairs.failed"}
     assert found == {"max": False, "min": True}
 
 

@@ -15,8 +15,8 @@ from fidpipe.pipeline.report.views.pair_view import pair_view
 from fidpipe.pipeline.report.views.run_view import outcome_view
 from fidpipe.pipeline.report.views.show_view import show_view
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
-from fidpipe.pipeline.results.overview import describe_objects, largest_pieces
-from fidpipe.schemas.settings import Settings
+from fidpipe.pipeline.results.overview import BAD_ALIGNMENT_M, describe_objects, largest_pieces
+from fidpipe.schemas.settings import MatchingSettings, Settings
 from fidpipe.stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from reports import text_of
 from runs import command, run
@@ -38,6 +38,10 @@ def finished(tmp_path_factory):
     long = "movable_object.pushable_pullable_and_more_words_than_fit"
     (folder / "streets" / "labels.toml").write_text(f'1 = "{long}.a"\n2 = "{long}.b"\n3 = "car"\n')
     return folder / "streets", folder / "run", run(folder / "streets", folder / "run")
+
+
+def test_nodes_are_badly_aligned_where_centroids_would_not_match():
+    assert MatchingSettings().delta_m == BAD_ALIGNMENT_M
 
 
 def test_the_overview_of_the_record_is_that_of_the_tables(finished):

@@ -6,8 +6,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from degenerate import OPEN, evaluated, faults_of
+from fidpipe.schemas.columns import FARTHEST_M
 from fidpipe.schemas.errors import FidpipeError
-from fidpipe.schemas.settings import FARTHEST_M, MetricsSettings, load
+from fidpipe.schemas.settings import MetricsSettings, load
 from fidpipe.stages.baselines import compare_points
 from fidpipe.stages.coverage import nearest_distances
 from fidpipe.stages.method import graph_of

@@ -19,8 +19,7 @@ _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 def gate_view(result: GateResult) -> View:
     """Each criterion with value, bound and verdict; then the failed ones with the reason for each criterion."""
     rows = [
-        (own.criterion.name, own.criterion.measure, _value(own), _bound(own), "pass" if own.passed else "FAIL")
-        for own in result.judged
+        (own.name, own.measure, _value(own), _bound(own), "pass" if own.passed else "FAIL") for own in result.judged
     ]
     failed = [own for own in result.judged if not own.passed]
     verdict = f"{len(failed)} of {len(result.judged)} criteria failed" if failed else "all criteria are met"
@@ -47,7 +46,7 @@ def gate_checks(result: GateResult) -> list[Check]:
     """The criteria as text, for JUnit."""
     words = {True: "bound", False: "not computed"}
     return [
-        Check(judged.criterion.name, _in_words(judged), "" if judged.passed else words[judged.value is not None])
+        Check(judged.name, _in_words(judged), "" if judged.passed else words[judged.value is not None])
         for judged in result.judged
     ]
 
@@ -75,9 +74,8 @@ def _counts(checks: Sequence[Check]) -> dict[str, str]:
 
 
 def _in_words(judged: Judged) -> str:
-    criterion = judged.criterion
-    here = judged.why if judged.value is None else f"{criterion.measure} is {_value(judged)}, expected {_bound(judged)}"
-    return f"{criterion.name}: {here}{f' ({criterion.reason})' if criterion.reason else ''}"
+    here = judged.why if judged.value is None else f"{judged.measure} is {_value(judged)}, expected {_bound(judged)}"
+    return f"{judged.name}: {here}{f' ({judged.reason})' if judged.reason else ''}"
 
 
 def _value(judged: Judged) -> str:
@@ -85,7 +83,7 @@ def _value(judged: Judged) -> str:
 
 
 def _bound(judged: Judged) -> str:
-    return f"{'<=' if judged.criterion.bound == 'max' else '>='} {judged.criterion.limit:g}"
+    return f"{'<=' if judged.bound == 'max' else '>='} {judged.limit:g}"
 
 
 def _clean(text: str) -> str:

@@ -31,7 +31,6 @@ from ....schemas.record import (
     SurfaceStates,
 )
 from ....schemas.results import ClassFindings, Findings, Overview, Unmatched
-from ....schemas.settings import PRESET_OBJECTS
 from ....stages.coverage import ABSENT, THERE
 from ...object_store import url_or_path
 from ...results.diagnosis import diagnosed
@@ -263,6 +262,8 @@ def unmatched_lines(record: RunRecord) -> list[str]:
 
 def preset_line(record: RunRecord) -> str:
     """The preset of a run, the kind of its objects, and the settings that differ from the preset."""
+    from ....schemas.settings import PRESET_OBJECTS  # takes as long to load as all else here
+
     differing = f", but {' '.join(record.departures)}" if record.departures else ""
     return f"preset {record.preset} ({PRESET_OBJECTS[record.preset]}){differing}"
 
