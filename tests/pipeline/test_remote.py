@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import threading
 import time
+from collections import Counter
 from functools import partial
 from urllib.request import Request, urlopen
 
@@ -35,13 +36,18 @@ LOST = "/data/set/sim/001.bin"
 
 
 class Faulty(http.server.BaseHTTPRequestHandler):
-    """A proxy of the server that answers each 20th request with 503, cuts the next off, and has lost an object."""
+    """A proxy of the server that answers each 20th request with 503, cuts the next off, and has lost an object.
+
+    The same request never fails three times in a row, however many run at once.
+    """
 
     protocol_version = "HTTP/1.1"
-    n, lost, requests = 0, None, []
+    n, lost, requests, failed = 0, None, [], Counter()
 
     def relay(self):
         Faulty.n += 1
+        fault = Faulty.n % 20 if Faulty.failed[self.command, self.path] < 2 else 0
+        Faulty.failed[self.command, self.path] = Faulty.failed[self.command, self.path] + 1 if fault in (7, 8) else 0
         Faulty.requests.append((self.command, self.path))
         body = self.rfile.read(int(self.headers.get("Content-Length") or 0)) or None
         headers = {name: value for name, value in self.headers.items() if name.lower() != "connection"}
@@ -52,7 +58,7 @@ class Faulty(http.server.BaseHTTPRequestHandler):
                 status, content, found = answer.status, answer.read(), answer.headers
         except OSError as error:
             status, content, found = error.code, error.read(), error.headers
-        if Faulty.n % 20 == 7:
+        if fault == 7:
             status, content = 503, b""
         if self.path == Faulty.lost and self.command == "GET":
             status, content = 404, b""
@@ -63,8 +69,8 @@ class Faulty(http.server.BaseHTTPRequestHandler):
         length = found["Content-Length"] if self.command == "HEAD" else len(content)
         self.send_header("Content-Length", length)
         self.end_headers()
-        self.wfile.write(content[: len(content) // 2] if Faulty.n % 20 == 8 else content)
-        self.close_connection = Faulty.n % 20 == 8
+        self.wfile.write(content[: len(content) // 2] if fault == 8 else content)
+        self.close_connection = fault == 8
 
     do_GET = do_PUT = do_HEAD = do_DELETE = do_POST = relay
 
