@@ -21,7 +21,7 @@ import orjson
 
 from ...schemas.errors import RunError
 from .files import disk_full, file_marks, hash_file, write_whole
-from .table_files import JobRecord, job_record
+from .table_files import JobRecord, job_record, plain_record
 
 LEDGER = "ledger.sqlite"
 SEAL = "ledger.sha256"
@@ -31,7 +31,7 @@ _SECONDS_FOR_READERS = 60.0
 
 _TABLES = """
 PRAGMA page_size = 16384;
-CREATE TABLE jobs (pair_id TEXT PRIMARY KEY, entry BLOB); -- JSON: files are [size, sha256, mtime_ns]
+CREATE TABLE jobs (pair_id TEXT PRIMARY KEY, entry BLOB); -- JSON: values of each JobRecord
 CREATE TABLE files (name TEXT PRIMARY KEY, pair_id TEXT) WITHOUT ROWID;
 CREATE TABLE hashes (path BLOB PRIMARY KEY, marks TEXT, sha256 TEXT) WITHOUT ROWID;
 CREATE TABLE failures (pair_id TEXT PRIMARY KEY, key TEXT, reason TEXT) WITHOUT ROWID;
@@ -146,10 +146,7 @@ class Ledger:
 
     def _put_records(self, pair_id: str, records: list[JobRecord]) -> None:
         if records:
-            plain = [
-                vars(record) | {"files": {name: [*own] for name, own in record.files.items()}} for record in records
-            ]
-            entry = orjson.dumps(plain, option=orjson.OPT_SERIALIZE_NUMPY)
+            entry = orjson.dumps([plain_record(record) for record in records], option=orjson.OPT_SERIALIZE_NUMPY)
             self._change("INSERT OR REPLACE INTO jobs VALUES (?, ?)", pair_id, entry)
         else:
             self._change("DELETE FROM jobs WHERE pair_id = ?", pair_id)

@@ -358,21 +358,27 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
         own = orjson.loads(job)
         names = tuple(own["files"])
         stored = StoredFile(len(content), hashlib.sha256(content).hexdigest(), status.st_mtime_ns)
-        record = job_record(own | {"key": key, "files": {name: stored}})
+        job_id = own["stage"], own["pair_id"], own["part"]
+        record = job_record([*job_id, key, {name: stored}, own["reads"], own["metadata"], (), ""])
     except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
         return None
     return (record, names) if name in names else None
 
 
-def job_record(entry: dict[str, Any]) -> JobRecord:
-    """A finished job from the values that `vars` of it returns, after JSON.
+def plain_record(record: JobRecord) -> list[Any]:
+    """The values of a finished job, for JSON."""
+    return [*(vars(record) | {"files": {name: [*stored] for name, stored in record.files.items()}}).values()]
+
+
+def job_record(values: list[Any]) -> JobRecord:
+    """A finished job from its plain values.
 
     Raises
     ------
     ValueError, TypeError, AttributeError
         They are not those of a job, or a file is named that is not a table of a run.
     """
-    record = JobRecord(**entry)
+    record = JobRecord(*values)
     record.files = {name: StoredFile(*stored) for name, stored in record.files.items()}
     if wrong := [name for name in record.files if not _TABLE_NAME.fullmatch(name)]:
         raise ValueError(f"{wrong[0]!r} is not the name of a table of a run")

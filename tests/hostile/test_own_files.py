@@ -148,7 +148,8 @@ def test_a_ledger_that_names_a_file_elsewhere_is_not_believed(again, dataset, tm
     victim.write_text("precious")
     entries = ledger_entries(again, "000")
     for entry in entries:
-        entry["files"][name] = next(iter(entry["files"].values()))
+        files = next(own for own in entry if isinstance(own, dict))
+        files[name] = next(iter(files.values()))
     forged(again, "000", entries)
     with pytest.raises(RunError, match="damaged; remove it"):
         run(dataset, again)

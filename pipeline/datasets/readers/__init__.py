@@ -79,7 +79,7 @@ def suffix_of(path: Path) -> str | None:
     """The known suffix of a file, or of that which a frame is in; in lower case, or None."""
     file = address_of(path).file
     name, known = _name_of(file).lower(), formats()
-    by_name = (suffix for suffix in sorted(known, key=len, reverse=True) if name.endswith(suffix))
+    by_name = (name[i:] for i, sign in enumerate(name) if sign == "." and name[i:] in known)
     return next(by_name, None) or next(
         (suffix for suffix in known if suffix[0] == "/" and (file / suffix[1:]).is_file()), None
     )
