@@ -14,6 +14,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from ..schemas.columns import Row, Table
@@ -47,13 +48,11 @@ from .storage.run_record import (
     replaced_results,
     run_header,
     summarise_pairs,
-    timing_rows,
     what_changed,
     write_record,
 )
 from .storage.table_files import JobRecord
 
-_PAIRS_AT_ONCE = 500
 _MOST_ALIKE = 10  # warnings of a kind that are written out
 _PEAKS = ("ground_real_peak_m", "ground_sim_peak_m")
 
@@ -406,10 +405,16 @@ class _Run:
 
     def _timing_parts(self, pair_ids: Iterable[str]) -> Iterator[pa.Table]:
         """The rows of `timings`, some pairs at a time."""
-        for names in _chunks(sorted(pair_ids)):
-            yield TABLES["timings"].from_rows(
-                row for record in self._records(names) for row in timing_rows(record, self._folder.token)
-            )
+        for names in _chunks(sorted(pair_ids), 100):
+            rows = [
+                (record.pair_id, record.part or None, record.stage, step, seconds, record.made_by != self._folder.token)
+                for record in self._records(names)
+                for step, seconds in record.steps
+            ]
+            columns = np.array(rows, dtype=object).reshape(-1, 6).T  # pyarrow would import pandas for lists
+            by_name = zip(("pair_id", "side", "stage", "step", "seconds", "reused"), columns, strict=True)
+            table = TABLES["timings"].build(dict(by_name))
+            yield table.sort_by([(key, "ascending") for key in TABLES["timings"].keys])
 
     def _end_phase(self, name: str) -> None:
         now = perf_counter()
@@ -417,8 +422,8 @@ class _Run:
         self._phase_start = now
 
 
-def _chunks(names: Iterable[str]) -> Iterator[list[str]]:
+def _chunks(names: Iterable[str], n_names: int = 500) -> Iterator[list[str]]:
     """Some names at a time."""
     left = iter(names)
-    while chunk := list(islice(left, _PAIRS_AT_ONCE)):
+    while chunk := list(islice(left, n_names)):
         yield chunk

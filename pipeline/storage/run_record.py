@@ -8,7 +8,7 @@ import platform
 import re
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -258,19 +258,6 @@ class StageSeconds:
         """`mean`, and seconds by pair and stage, rounded to microseconds."""
         pairs = {pair_id: {stage: round(s, 6) for stage, s in own.items()} for pair_id, own in self._pairs.items()}
         return Seconds(mean=self.mean(), pairs=dict(sorted(pairs.items())))
-
-
-def timing_rows(record: JobRecord, run_token: str) -> Iterator[Row]:
-    """Rows of `timings` of a finished job; one that this run did not make is reused."""
-    for step, seconds in record.steps:
-        yield {
-            "pair_id": record.pair_id,
-            "side": record.part or None,
-            "stage": record.stage,
-            "step": step,
-            "seconds": seconds,
-            "reused": record.made_by != run_token,
-        }
 
 
 def what_changed(before: Mapping[str, Any], settings: Settings, stages: Mapping[str, int]) -> list[str]:
