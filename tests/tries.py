@@ -2,7 +2,6 @@
 
 import os
 import re
-import signal
 import subprocess
 import time
 
@@ -69,12 +68,6 @@ class Started:
         _, errors = self.process.communicate(timeout=timeout)
         assert_no_process(self)
         return self.process.returncode, errors
-
-    def kill(self):
-        """Kill the command at once, as the system does when memory is short."""
-        self.process.send_signal(signal.SIGKILL)
-        self.process.communicate()
-        assert_no_process(self)
 
 
 def assert_no_process(started, within_s=60):

@@ -32,84 +32,52 @@ def start(dataset, out, workers=2):
     return started
 
 
-def started_for(dataset, folder, moments):
-    """A command that still works after a random time; another moment is drawn if it ended before."""
+def at_work(dataset, folder, work_s, seed):
+    """A command with workers after a random part of its work, its folder, and the random numbers that follow."""
+    rng = random.Random(seed)
     for i in range(20):
-        out = folder / f"run{i}"
-        started, moment = start(dataset, out), next(moments)
-        if not started.ends_within(moment):
-            return started, out, moment
+        started, moment = start(dataset, folder / f"run{i}"), rng.uniform(0.0, work_s)
+        if not started.ends_within(moment) and started.wait_for(started.workers):
+            print(f"seed {seed}: {moment:.3f} s after the command opened its folder")
+            return started, folder / f"run{i}", rng
         assert started.end()[0] == 0
     raise TimeoutError("the command always ended first")
 
 
-def random_moments(seed, longest_s):
-    rng = random.Random(seed)
-    while True:
-        yield rng.uniform(0.0, longest_s)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("seed", range(10))
-def test_a_command_that_is_killed_goes_on_where_it_was(dataset, finished, tmp_path, work_s, seed):
-    started, out, moment = started_for(dataset, tmp_path, random_moments(seed, work_s))
-    print(f"seed {seed}: kill -9 of the command {moment:.3f} s after it opened its folder")
-    started.kill()
-    told = assert_resumes(dataset, out, finished, workers=1 + seed % 2)
-    assert "preset paper" in told
-
-
 @pytest.mark.parametrize("seed", some_of(range(10), [0]))
 def test_a_killed_worker_costs_a_run_nothing(dataset, finished, tmp_path, work_s, seed):
-    rng = random.Random(1000 + seed)
-    for i in range(20):
-        out = tmp_path / f"run{i}"
-        started = start(dataset, out)
-        moment = rng.uniform(0.0, work_s / 2)
-        if started.wait_for(started.workers) and not started.ends_within(moment) and (there := started.workers()):
-            break
-        assert started.end()[0] == 0
-    else:
-        raise TimeoutError("the command always ended first")
-    victim = rng.choice(sorted(there, key=lambda process: process.pid))
-    print(f"seed {seed}: kill -9 of worker {victim.pid} {moment:.3f} s after the first of them was there")
-    try:
-        victim.kill()
-    except psutil.NoSuchProcess:
-        pytest.skip("the worker ended by itself in that moment")
+    started, out, rng = at_work(dataset, tmp_path, work_s, seed)
+    with suppress(psutil.NoSuchProcess, IndexError):  # it may end by itself in that moment
+        rng.choice(started.workers()).kill()
     code, errors = started.end()
     assert (code, "Traceback" in errors) == (0, False), errors
     assert_same_tables(out, finished)
     assert temporary_files(out) == []
 
 
-@pytest.mark.parametrize(
-    ("number", "n_signals", "seed"),
-    some_of(
-        [(number, n, seed) for number in (signal.SIGINT, signal.SIGTERM) for n in (1, 2) for seed in range(3)],
-        [(signal.SIGINT, 2, 0), (signal.SIGTERM, 1, 0)],
-    ),
-)
-def test_a_command_that_is_told_to_stop_says_so_once(dataset, finished, tmp_path, work_s, number, n_signals, seed):
-    moments = random_moments(f"{seed} {number} {n_signals}", work_s)
-    started, out, moment = started_for(dataset, tmp_path, moments)
-    pause = next(moments) / 4
-    print(f"seed {seed}: {n_signals} times {number!r} after {moment:.3f} s, {pause:.3f} s apart")
+STOPS = [(number, n, seed) for number in (signal.SIGINT, signal.SIGTERM) for n in (1, 2) for seed in range(3)]
+STOPS += [(signal.SIGKILL, 1, seed) for seed in range(10)]
+
+
+@pytest.mark.parametrize(("number", "n_signals", "seed"), some_of(STOPS, [STOPS[3], STOPS[6]]))
+def test_a_command_that_is_killed_or_told_to_stop_resumes(dataset, finished, tmp_path, work_s, number, n_signals, seed):
+    started, out, rng = at_work(dataset, tmp_path, work_s, f"{seed} {number} {n_signals}")
     for i in range(n_signals):
-        time.sleep(pause if i else 0.0)
+        time.sleep(rng.uniform(0.0, work_s / 4) if i else 0.0)
         send(started, number)
     code, errors = started.end()
     if code == 0:  # all was written; it only ended
         assert (out / "pairs.parquet").exists()
+    elif number == signal.SIGKILL:
+        assert code == -number
     else:
-        assert (code, lines_of(errors)[-1:]) == (130, [INTERRUPTED]), errors
-        assert errors.count(INTERRUPTED) == 1
-        assert "Traceback" not in errors
-    assert_resumes(dataset, out, finished)
+        assert (code, lines_of(errors)[-1:], errors.count(INTERRUPTED)) == (130, [INTERRUPTED], 1), errors
+    assert "Traceback" not in errors
+    assert "preset paper" in assert_resumes(dataset, out, finished, workers=1 + seed % 2)
 
 
 def send(started, number):
-    """Ctrl-C as a terminal sends it, to the workers too; an order to end as a batch system does, to the command."""
+    """Ctrl-C as a terminal sends it, to the workers too; another signal to the command alone."""
     if started.process.poll() is not None:
         return
     if number == signal.SIGINT:

@@ -1,4 +1,4 @@
-"""The overview of a run against its tables, the last lines of a run, and its line on the run that it replaced."""
+"""Overview and findings of a run against its tables, its last lines, and its line on the run that it replaced."""
 
 import json
 import shutil
@@ -9,32 +9,37 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
+from fidpipe.pipeline import run as run_module
+from fidpipe.pipeline.paper.claims_view import claims_of
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.report.verdict import verdict_of
 from fidpipe.pipeline.report.views.pair_view import pair_view
-from fidpipe.pipeline.report.views.run_view import outcome_view
+from fidpipe.pipeline.report.views.run_view import outcome_view, summary_view
 from fidpipe.pipeline.report.views.show_view import show_view
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.overview import BAD_ALIGNMENT_M, describe_objects, largest_pieces
+from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.settings import MatchingSettings, Settings
 from fidpipe.stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from reports import text_of
 from runs import command, run
-from scenes import drifted, street, write_bin
+from scenes import drifted, street, write_bin, write_dataset
 
-NUSCENES = [f"n008-2018-08-01-15-16-36-0400__LIDAR_TOP__15331516{i}7909" for i in (3597, 3647)]
+NUSCENES = [f"n008-2018-08-01-15-16-36-0400__LIDAR_TOP__15331516{i}7909" for i in (3597, 3647, 3697)]
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("overview")
+    """Three labelled pairs with long names, over a minute apart; dataset, run and outcome."""
+    folder, manifest = tmp_path_factory.mktemp("overview"), "pair_id,real,sim,timestamp_s\n"
     for i, name in enumerate(NUSCENES):
         scan = street(i)
         for side, points in (("real", scan), ("sim", drifted(scan, noise=0.3, keep=0.4))):
             write_bin(folder / "streets" / side / f"{name}.bin", points)
-            (np.arange(len(points)) * 7 // 100 % 3 + 1).astype("<u4").tofile(
-                folder / "streets" / side / f"{name}.label"
-            )
+            labels = (np.arange(len(points)) * 7 // 100 % 3 + 1).astype("<u4")
+            labels.tofile(folder / "streets" / side / f"{name}.label")
+        manifest += f"{name},real/{name}.bin,sim/{name}.bin,{100 * i}\n"
+    (folder / "streets" / "pairs.csv").write_text(manifest)
     long = "movable_object.pushable_pullable_and_more_words_than_fit"
     (folder / "streets" / "labels.toml").write_text(f'1 = "{long}.a"\n2 = "{long}.b"\n3 = "car"\n')
     return folder / "streets", folder / "run", run(folder / "streets", folder / "run")
@@ -69,7 +74,7 @@ def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_n
     assert again.record.overview == outcome.record.overview
     for module in (object_frame, overview):
         monkeypatch.setattr(module, "PAIRS_AT_ONCE", 1)
-    rows, times = again.scored, dict.fromkeys(NUSCENES)
+    rows, times = again.scored, {name: 100.0 * i for i, name in enumerate(NUSCENES)}
     findings, found, metrics = describe_objects(again.store, rows, times, again.record.inputs, by_reference=False)
     assert findings == again.record.findings
     assert metrics == again.record.metrics
@@ -150,7 +155,7 @@ def test_a_run_that_was_stopped_keeps_the_results_that_it_was_replacing(finished
 def test_a_run_ends_with_surface_pieces_causes_places_scores_trust_and_the_next_step(finished):
     _, folder, outcome = finished
     lines = text_of(outcome_view(outcome), 200).splitlines()
-    assert lines[0].startswith("streets: 2 pairs in ")
+    assert lines[0].startswith("streets: 3 pairs in ")
     assert lines[0].endswith(" s, preset paper")
     headings = [line[:14].strip() for line in lines[1:] if line[:14].strip()]
     assert headings == ["surface", "pieces", "Fix first", "Worst places", "Objects", "Trust", "Next"]
@@ -160,8 +165,8 @@ def test_a_run_ends_with_surface_pieces_causes_places_scores_trust_and_the_next_
     assert "faithful" not in text
     assert "r_lambda" in text
     assert "(paper 0.37)" in text, "under preset paper"
-    assert "2 independent pairs: too few for a verdict (6)" in text
-    assert "2 pairs, preset paper" in text_of(show_view(FinishedRun(folder), None, None)).splitlines()[0]
+    assert "3 independent pairs: too few for a verdict (6)" in text
+    assert "3 pairs, preset paper" in text_of(show_view(FinishedRun(folder), None, None)).splitlines()[0]
 
 
 @pytest.mark.parametrize("name", [None, NUSCENES[0]])
@@ -173,7 +178,7 @@ def test_no_line_is_wider_than_80_columns_with_long_names_and_labels(finished, n
         assert "…" in shown, "some name was shortened"
     if name is None:
         first = [line.split()[0] for line in shown.splitlines() if line.startswith(" n008")]
-        assert len(set(first)) == 2, "shortened names can be told apart"
+        assert len(set(first)) == 3, "shortened names can be told apart"
         assert all(line.rstrip()[-1].isdigit() for line in shown.splitlines() if line.startswith(" n008")), "in a line"
 
 
@@ -231,7 +236,7 @@ def test_show_gives_csv_that_pandas_reads_and_markdown_tables(by_command):
     one = pd.read_csv(StringIO(command("show", out, NUSCENES[0], 0, "--csv").stdout), index_col=0)
     assert float(one.score["cdc"]) == metrics.cdc[0]
     markdown = command("show", out, "--markdown").stdout
-    assert markdown.startswith("**streets: 2 pairs, preset paper**")
+    assert markdown.startswith("**streets: 3 pairs, preset paper**")
     assert "\nsurface: " in markdown
     assert NUSCENES[0] in command("show", out, NUSCENES[0], "--markdown").stdout
 
@@ -249,3 +254,119 @@ def test_status_answers_in_ten_lines_and_times_only_when_asked(by_command):
     assert "done of all pairs: ground, sensor, graph" in shown
     assert "Time per pair" not in shown
     assert "Time per pair" in command("status", by_command[1], "--timings").stdout
+
+
+def recorded(folder):
+    def refuse(word):
+        raise AssertionError(f"{word} is not JSON")
+
+    return json.loads((folder / "run.json").read_text(), parse_constant=refuse)
+
+
+def test_the_findings_agree_with_the_tables(finished):
+    _, folder, _ = finished
+    found = recorded(folder)["findings"]
+    metrics = pd.read_parquet(folder / "metrics")
+    objects = pd.read_parquet(folder / "objects")
+    matching = pd.read_parquet(folder / "matching")
+    assert found["n_matched"] == len(metrics)
+    assert found["distributions"]["r_lambda"]["median"] == pytest.approx(metrics.r_lambda.median())
+    assert found["distributions"]["cdc"]["q95"] == pytest.approx(metrics.cdc.quantile(0.95))
+    assert found["density_ratio"]["max"] == pytest.approx((metrics.n_sim / metrics.n_real).max())
+    assert found["rank_correlation"]["spearman"] == pytest.approx(metrics.cdc.corr(metrics.r_lambda, method="spearman"))
+    for side, what in (("real", "missing"), ("sim", "hallucinated")):
+        assert sum(band[f"n_{side}"] for band in found["range_m"]["bands"]) == (objects.side == side).sum()
+        assert sum(band[f"n_{what}"] for band in found["range_m"]["bands"]) == (matching.status == what).sum()
+        assert sum(row[f"n_{side}"] for row in found["classes"]) == (objects.side == side).sum()
+    assert [scan["pair"] for scan in found["scans"]["scans"]] == NUSCENES
+    assert found["scans"]["apart"] is True
+
+
+def test_a_run_with_nothing_new_reads_no_table_again(finished, monkeypatch):
+    data, folder, outcome = finished
+    monkeypatch.setattr(run_module, "describe_objects", lambda *_, **__: pytest.fail("the tables were read"))
+    assert run(data, folder).record.as_dict()["findings"] == outcome.record.as_dict()["findings"]
+
+
+def test_other_timestamps_make_other_findings(finished):
+    data, folder, before = finished
+    manifest = (data / "pairs.csv").read_text()
+    try:
+        (data / "pairs.csv").write_text(manifest.replace(",200", ",130"))
+        after = run(data, folder)
+        assert after.n_made == 0
+        assert [scan["pair"] for scan in after.record.as_dict()["findings"]["scans"]["scans"]] == NUSCENES[:2]
+    finally:
+        (data / "pairs.csv").write_text(manifest)
+    assert run(data, folder).record.as_dict()["findings"] == before.record.as_dict()["findings"]
+
+
+def test_a_run_without_a_scored_pair_has_no_findings(tmp_path):
+    data = write_dataset(tmp_path / "streets", 1)
+    (data / "sim" / "000.bin").write_bytes(b"")
+    record = run(data, tmp_path / "run").record.as_dict()
+    assert record["findings"] == {}
+    assert record["pairs"] == {"scored": 0, "failed": 1, "to_do": 0}
+
+
+def test_seconds_are_kept_by_stage_and_pair_and_status_shows_them(finished):
+    _, folder, _ = finished
+    seconds = recorded(folder)["seconds"]
+    timings = pd.read_parquet(folder / "timings.parquet")
+    assert set(seconds["pairs"]) == {*NUSCENES}
+    total = timings.groupby(["pair_id", "stage"]).seconds.sum()
+    assert seconds["pairs"][NUSCENES[1]]["metrics"] == pytest.approx(total[NUSCENES[1], "metrics"], abs=1e-6)
+    louvain = timings[timings.step == "louvain"].seconds.sum() / 3
+    assert seconds["mean"]["communities"]["louvain"] == pytest.approx(louvain)
+    assert run_status(folder).mean_seconds == seconds["mean"]
+    shown = command("status", folder, "--timings").stdout
+    for figure in ("544", "596", "1505", "1532", "7120"):
+        assert figure in shown
+
+
+def test_a_run_shows_findings_and_the_claims(finished):
+    data, folder, _ = finished
+    result = command("run", data, "--out", folder, "--workers", 1)
+    assert result.returncode == 0
+    shown = command("show", folder, "--all").stdout
+    assert "Rank correlation of CDC and r_lambda" in shown
+    assert "car" in shown
+    claims = command("show", folder, "--paper")
+    assert claims.returncode == 0
+    assert "0.37 ± 0.03" in claims.stdout
+    assert "expected at least 6 pairs, got 3" in claims.stdout
+    for claim in json.loads(command("show", folder, "--paper", "--json").stdout):
+        if "above 0" in claim["rule"]:
+            assert claim["verdict"] == "not decided"
+            assert claim["n_pairs"] <= 3
+
+
+def test_copies_of_a_pair_count_once_in_the_claims(tmp_path):
+    data = write_dataset(tmp_path / "streets", 1)
+    once = run(data, tmp_path / "once")
+    for side in ("real", "sim"):
+        for name in ("copy", "another"):
+            shutil.copy(data / side / "000.bin", data / side / f"{name}.bin")
+    copied = run(data, tmp_path / "copied")
+    assert copied.record.findings.n_independent == once.record.findings.n_independent == 1
+    claims = [claims_of(FinishedRun(tmp_path / name)) for name in ("once", "copied")]
+    assert claims[0] == claims[1]
+    assert "3 pairs count as 1" in command("show", tmp_path / "copied", "--paper").stdout
+
+
+def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp_path):
+    data = write_dataset(tmp_path / "streets", 2)
+    write_bin(data / "sim" / "001.bin", street() + [60, 0, 0])
+    outcome = run(data, tmp_path / "run")
+    first = next(row for row in outcome.rows if row["pair_id"] == "000")
+    n_unmatched = first["n_missing"] + first["n_hallucinated"]
+    worst = (first["cdc_mean"] * first["n_matched"] + 2 * n_unmatched) / (first["n_matched"] + n_unmatched)
+    summary, n_scored = outcome.record.summary, outcome.record.pairs.scored
+    assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (n_scored - 1, n_scored)
+    assert summary["cdc_unmatched_worst_mean"].n_pairs == n_scored
+    view = summary_view(outcome.folder, [first], outcome.record, outcome.record.overview, with_all=True)
+    (line,) = (line for line in text_of(view, 300).splitlines() if "geometry: 0 for the same " in line)
+    assert f"{n_scored - 1} of {n_scored} " in line
+    assert f"{summary['cdc_unmatched_worst_mean'].mean:.3f}" in line
+    alone = run(data, tmp_path / "alone", pattern="000").record.summary["cdc_unmatched_worst_mean"].mean
+    assert alone == pytest.approx(worst)

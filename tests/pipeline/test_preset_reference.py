@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import judge_run, parse_word
@@ -15,49 +14,29 @@ from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import load, overrides, parse, preset_of
 from fidpipe.schemas.settings_text import to_toml
 from runs import command, run, tables
-from scenes import box, drifted, street, write_bin, write_dataset
-
-REFERENCE = load(None, preset="reference")
+from scenes import box, drifted, street, write_bin
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    """Three streets; in the first one a house is not simulated, and a box is invented."""
-    folder = write_dataset(tmp_path_factory.mktemp("data") / "streets", 3)
-    real = read_scan(folder / "real" / "000.bin").points
-    sim = drifted(real, seed=0)
-    lost = np.linalg.norm(real - real[real[:, 2].argmax()], axis=1) < 6
-    sim = np.vstack([drifted(real[~lost], seed=0), box([-30, -30, 2], [2, 2, 2], 150)])
-    write_bin(folder / "sim" / "000.bin", sim)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def finished(dataset, tmp_path_factory):
-    out = tmp_path_factory.mktemp("runs") / "run"
-    return out, run(dataset, out, REFERENCE)
-
-
-def test_missing_and_invented_objects_are_told_alike_everywhere(finished):
-    out, outcome = finished
-    row = outcome.rows[0]
-    matching = pd.read_parquet(out / "matching" / "000.parquet")
-    objects = {side: pd.read_parquet(out / "objects" / f"000.{side}.parquet") for side in ("real", "sim")}
+def test_missing_and_invented_objects_are_told_alike_everywhere(by_reference):
+    pairs = pd.read_parquet(by_reference / "pairs.parquet")
+    row = pairs.iloc[0]
+    matching = pd.read_parquet(by_reference / "matching" / "0.parquet")
+    objects = {side: pd.read_parquet(by_reference / "objects" / f"0.{side}.parquet") for side in ("real", "sim")}
     counts = matching.status.value_counts()
     assert counts.get("missing", 0) == row["n_missing"] > 0
     assert counts.get("hallucinated", 0) == row["n_hallucinated"] > 0
     assert (matching.sim_id[matching.status == "hallucinated"] >= len(objects["real"])).all()
     empty = objects["sim"].n_points == 0
     assert objects["sim"].loc[empty, ["cx", "range_m", "linearity"]].isna().all(axis=None)
-    facts = pair_facts(FinishedRun(out), "000")
+    facts = pair_facts(FinishedRun(by_reference), "0")
     assert [each.status for each in facts.objects].count("hallucinated") == row["n_hallucinated"]
-    findings = json.loads((out / "run.json").read_text())["findings"]
+    findings = json.loads((by_reference / "run.json").read_text())["findings"]
     n_hallucinated = sum(band["n_hallucinated"] for band in findings["range_m"]["bands"])
-    assert n_hallucinated == sum(row["n_hallucinated"] for row in outcome.rows)
+    assert n_hallucinated == pairs.n_hallucinated.sum()
 
 
-def test_the_terminal_the_comparison_and_the_gate_take_it(finished):
-    out, _ = finished
+def test_the_terminal_the_comparison_and_the_gate_take_it(by_reference):
+    out = by_reference
     shown = command("show", out, "--all")
     assert shown.returncode == 0, shown.stderr
     assert "Surface" in shown.stdout
