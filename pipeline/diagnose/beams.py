@@ -1,0 +1,125 @@
+"""Table of the beams of a run: what each of them returned, and its errors of range and elevation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import scipy
+
+from ...schemas.columns import SIDES
+from ...schemas.errors import RunError
+from ..report.view import Note, Table, View
+from ..results.causes import size_words
+from ..results.finished import FinishedRun
+
+_BEAMS = 5
+_RAYS = ["beam", "outcome", "real_range_m", "sim_range_m", "real_point_id", "sim_point_id"]
+#: A beam stands out by an error of which the interval lies beyond both: this many standard deviations of all beams'
+#: errors (from the median absolute deviation), and the least error.
+_DEVIATIONS, _LEAST = 3.0, {"range_error_m": 0.01, "elevation_error_deg": 0.02}
+_COLUMNS = (
+    *("n_pairs", "elevation_deg", "n_rays", "lost", "added"),
+    *("range_error_m", "range_half_m", "elevation_error_deg", "elevation_half_deg"),
+)
+_HEADINGS = (
+    *("beam", "pairs", "at °", "rays", "only real", "only sim"),
+    *("range cm", "±", "angle °", "±"),
+)
+
+
+def beam_table(folder: Path, floor: Path | None = None, pattern: str | None = None) -> pd.DataFrame:
+    """Means over the pairs by beam of the real sensor, from the lowest up.
+
+    Parameters
+    ----------
+    floor : run on the same real scans whose errors are subtracted
+    pattern : only these pairs
+
+    Returns
+    -------
+    n_pairs : in which the beam returned
+    elevation_deg : of its real returns, median
+    n_rays : with a return on either side, per pair
+    lost, added : shares of them that only the real and only the simulated side returned
+    range_error_m, elevation_error_deg : medians of simulated minus real over the rays that both returned (minus that of
+        the floor), minus the running median over five beams: flaws of the world change neighbouring beams equally
+    range_half_m, elevation_half_deg : half of the 95 % interval over pairs, Student's t
+
+    Raises
+    ------
+    RunError
+        A folder is not a finished run, or no pair has rays.
+    """
+    run, base = FinishedRun(folder), None if floor is None else FinishedRun(floor)
+    names = run.select(pattern)
+    if base:
+        names = [name for name in names if name in {row["pair_id"] for row in base.scored}]
+    found = {name: own for name in names if len(own := _of_pair(run, name))}
+    if not found:
+        raise RunError(f"run {folder}: no pair has rays; fidpipe show {folder} PAIR says why")
+    errors = ["range_error_m", "elevation_error_deg"]
+    for name, own in found.items():
+        if base:
+            own[errors] -= _of_pair(base, name)[errors]
+        own[errors] -= own[errors].rolling(_BEAMS, center=True, min_periods=_BEAMS // 2 + 1).median()
+    by_beam = pd.concat(found, names=["pair_id"]).groupby("beam")
+    table: pd.DataFrame = by_beam.mean()
+    table.insert(0, "n_pairs", by_beam.size())
+    reach = scipy.stats.t.ppf(0.975, table.n_pairs - 1) / np.sqrt(table.n_pairs)
+    for error, half in zip(errors, ("range_half_m", "elevation_half_deg"), strict=True):
+        table[half] = by_beam[error].std() * reach
+    return table
+
+
+def _of_pair(run: FinishedRun, pair_id: str) -> pd.DataFrame:
+    """Quantities of the beams of one pair, without rows if it has no rays."""
+    rays = run.read_table("rays", pair_id, columns=_RAYS).to_pandas()
+    for side in SIDES:
+        points = run.read_table("ground", pair_id, side, ["point_id", "x", "y", "z"]).to_pandas()
+        elevation = np.degrees(np.arctan2(points.z, np.hypot(points.x, points.y)))
+        rays[side] = rays[f"{side}_point_id"].map(pd.Series(elevation.to_numpy(), points.point_id))
+    rays = rays[rays.outcome != "none"].assign(
+        range_error_m=rays.sim_range_m - rays.real_range_m, elevation_error_deg=rays.sim - rays.real
+    )
+    by_beam = rays.groupby("beam")
+    errors = by_beam[["range_error_m", "elevation_error_deg"]].median()
+    return pd.DataFrame(
+        {
+            "elevation_deg": by_beam.real.median(),
+            "n_rays": by_beam.size(),
+            "lost": rays.sim_range_m.isna().groupby(rays.beam).mean(),
+            "added": rays.real_range_m.isna().groupby(rays.beam).mean(),
+        }
+    ).join(errors)
+
+
+def beam_view(table: pd.DataFrame, has_floor: bool) -> View:
+    """A row per beam, and the beams that stand out."""
+    shown = table.assign(range_error_m=100 * table.range_error_m, range_half_m=100 * table.range_half_m)
+    rows = shown[[*_COLUMNS]]
+    notes = [
+        "range, angle: errors, simulated minus real, over the rays that both returned"
+        f"{', minus those of the floor' * has_floor}, minus the running median over {_BEAMS} beams"
+    ]
+    notes += outstanding(table) or ["no beam stands out"]
+    plain = rows.astype(object).where(rows.notna(), None).reset_index().to_numpy().tolist()
+    digits = {2: 1, 3: 0, 6: 1, 7: 1}
+    return [Table("Beams, mean over pairs", _HEADINGS, plain, words=(), digits=digits), *map(Note, notes)]
+
+
+def outstanding(table: pd.DataFrame) -> list[str]:
+    """Sentences on the beams that stand out by an error, largest first."""
+    found = []
+    for error, half, words in (
+        ("range_error_m", "range_half_m", ("too far", "too near")),
+        ("elevation_error_deg", "elevation_half_deg", ("too high", "too low")),
+    ):
+        values = table[error]
+        spread = 1.4826 * (values - values.median()).abs().median()
+        is_out = values.abs() - table[half].fillna(0.0) > max(_DEVIATIONS * spread, _LEAST[error])
+        unit = "m" if error == "range_error_m" else "degrees"
+        for beam, value in values[is_out].sort_values(key=lambda own: -own.abs()).items():
+            found.append(f"beam {beam}: {size_words(value, unit)} {words[value < 0]}")
+    return found
