@@ -82,19 +82,25 @@ def test_results_that_are_out_of_date_are_not_taken_for_lack_of_a_ledger(again, 
     assert_same_tables(again, tmp_path / "fresh")
 
 
+TWO_TABLES = ({"communities", "objects"}, {"rays", "ray_scores"})  # of one job
+
+
 @pytest.mark.parametrize("folder", some_of(FOLDERS, ["communities", "metrics"]))
 @pytest.mark.parametrize("where", ["page", "footer"])
 def test_without_a_ledger_a_damaged_table_alone_is_made_again(again, finished, dataset, folder, where):
     before = marks(again)
     path = sorted((again / folder).glob("*.parquet"))[0]
     lose_ledger(again)
+    has_values = where == "footer" or len(pd.read_parquet(path)) > 0
     flip(path, 40 if where == "page" else path.read_bytes().index(b"fidpipe.job") + 60)
     outcome, told = run_told(dataset, again)
+    assert_same_tables(again, finished)
+    if not has_values:  # the bytes of a page without rows are not read
+        return
     assert outcome.n_made == 1
-    of_one_job = {"communities", "objects"} if folder in ("communities", "objects") else {folder}
+    of_one_job = next((both for both in TWO_TABLES if folder in both), {folder})
     assert {name.split("/")[0] for name in changed_files(again, before)} == of_one_job
     assert f"removing {len(of_one_job)} file" in told
-    assert_same_tables(again, finished)
 
 
 def test_show_and_status_need_no_ledger(again, finished):
