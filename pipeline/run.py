@@ -28,7 +28,7 @@ from ..stages.ground import peaks_note
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
-from .engine.engine import Machines, RunEngine, Survey, current_records
+from .engine.engine import Machines, RunEngine, Survey
 from .engine.plan import PairPlan, Planner, with_results
 from .engine.progress import Reporter
 from .inspect.frame_checks import frame_suspect, inspection_of, pair_warnings, shared_files, swapped_sides
@@ -145,12 +145,7 @@ def run_dataset(
         survey = run.survey(selected)
         if not (replace or from_stage):
             engine.refuse_replacing(survey, f"run {out}", run.before)
-        if survey.todo:
-            engine.start(survey.todo)
-        run.replace(survey)
-        if survey.todo:
-            with engine.scheduling_missing(survey, run.plan) as schedule:
-                schedule.run()
+        engine.make(survey, run.plan, run.begin, run.changes)
         return run.write(survey)
 
 
@@ -234,7 +229,7 @@ class _Run:
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()
         self.before = read_run(self._out)
-        self._changes = what_changed(self.before, self._settings, self._versions)
+        self.changes = what_changed(self.before, self._settings, self._versions)
         self._last = last_results(self.before)
 
     def hash_files(self, selected: Iterable[ScanPair]) -> None:
@@ -263,11 +258,9 @@ class _Run:
 
         return self._engine.survey(self._dataset.pairs, self.plan, selected=chosen, redo=redo, complete=complete)
 
-    def replace(self, survey: Survey) -> None:
-        """Remove stale results; a finished record is replaced by its header only if there is something to do."""
-        if survey.todo or survey.stale:
-            self._write_record(self._header())
-        self._engine.replace(survey, self._changes, list(self._versions))
+    def begin(self) -> None:
+        """Replace a finished record by the header of this run."""
+        self._write_record(self._header())
 
     def write(self, survey: Survey) -> RunOutcome:
         """Write the tables of the whole run and its record."""
@@ -297,7 +290,8 @@ class _Run:
         extras: dict[str, Any] = {}
         for stage in self._stages:
             if stage.summarise:
-                extras |= stage.summarise(list(self._records(scored_ids, [stage.name])), self._settings)
+                own = [record for record in self._records(scored_ids) if record.stage == stage.name]
+                extras |= stage.summarise(own, self._settings)
         record = RunRecord(
             **dict(header),
             workers=self._engine.n_workers,
@@ -359,8 +353,10 @@ class _Run:
         previous = replaced_results(self.before, self._last, is_same=is_same)
         return run_header(self._dataset.folder, self._settings, self._versions, previous)
 
-    def _records(self, pair_ids: Iterable[str], stages: Iterable[str] | None = None) -> Iterator[JobRecord]:
-        return current_records(self._folder, pair_ids, stages or self._versions)
+    def _records(self, pair_ids: Iterable[str]) -> Iterator[JobRecord]:
+        """The current jobs of some pairs."""
+        for pair_id in pair_ids:
+            yield from (own for own in self._folder.ledger.jobs(pair_id).values() if own.stage in self._versions)
 
     def _write_table(self, table: Table, key: str, parts: Iterator[pa.Table]) -> pa.Table:
         """Write a table of the whole run, unless it exists under its key. Returns `pairs`."""

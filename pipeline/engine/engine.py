@@ -5,9 +5,8 @@ A run or an experiment only chooses pairs, stages and parts.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from shutil import rmtree
 from typing import Any, Self
@@ -25,7 +24,7 @@ from ..stage import Stage
 from ..storage.files import megabytes
 from ..storage.folder import RunFolder, refuse_overwrite
 from ..storage.run_record import LIBRARIES, changed_settings, has_ended, library_versions
-from ..storage.table_files import TOKEN_OBJECT, JobName, JobRecord
+from ..storage.table_files import TOKEN_OBJECT, JobId, JobName
 from .plan import NOT_REQUESTED, OUT_OF_DATE, PairPlan, with_results
 from .pool import Pool
 from .progress import Reporter
@@ -120,7 +119,7 @@ class RunEngine:
             self._pool.close(now=True)
 
     def start(self, pairs: Iterable[ScanPair]) -> Pool:
-        """Start the pool if it is not running, so that it fails, if it does, before anything is removed.
+        """The pool; started if it is not running, so that it fails, if it does, before anything is removed.
 
         Parameters
         ----------
@@ -277,44 +276,31 @@ class RunEngine:
             listed = ", ".join(dict.fromkeys((*(stage.name for stage in stages), *sorted(names))))
             refuse_overwrite(name, f"{listed} of {n_pairs} pair{'s' * (n_pairs > 1)}", why)
 
-    def replace(self, survey: Survey, changes: Sequence[str] = (), stages: Sequence[str] = ()) -> None:
-        """Report which results are replaced or removed and why, and remove them.
+    def make(self, survey: Survey, plan_pair: PlanPair, begin: Callable[[], None], changes: Sequence[str] = ()) -> None:
+        """Remove stale results and compute the missing ones.
 
         Parameters
         ----------
         survey : from `survey`
+        plan_pair : returns the plan of a pair
+        begin : called before anything is removed or written, once the workers have started
         changes : changes since the last run, as text
-        stages : in their order
         """
-        for reason in dict.fromkeys(survey.stale.values()):
-            names = [name for name, own in survey.stale.items() if own == reason]
-            count = Counter(stage for stage, _, _ in names)
-            listed = ", ".join(stage for stage in dict.fromkeys((*stages, *count)) if stage in count)
-            n_pairs = len({pair_id for _, pair_id, _ in names})
-            why = f"{reason} ({'; '.join(changes) or 'the input files changed'})" if reason == OUT_OF_DATE else reason
-            self.reporter.say(f"replacing {listed} of {n_pairs} pair{'s' * (n_pairs > 1)}: {why}")
-            for stage, pair_id, part in names:
-                record = self.folder.ledger.jobs(pair_id).get((stage, part))
-                if record is not None:
-                    self.folder.forget(record)
-        survey.stale.clear()
-        if n_strays := self.folder.remove_strays():
-            self.reporter.say(f"removing {n_strays} file{'s' * (n_strays > 1)} that no finished job accounts for")
-        self.folder.ledger.commit()
-
-    @contextmanager
-    def scheduling_missing(self, survey: Survey, plan_pair: PlanPair) -> Iterator[Schedule]:
-        """The schedule of the jobs to do."""
-        pool = self.start(survey.todo)
+        pool = self.start(survey.todo) if survey.todo else None
+        if survey.todo or survey.stale:
+            begin()
+        self._remove_stale(survey, changes)
+        if pool is None:
+            return
         self._warn_of_large_pairs(survey.todo)
         self._share_folder()  # without what was replaced
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
         try:
             self.reporter.start(len(survey.todo), survey.n_jobs)
-            yield Schedule(pool, self._for_workers(plans), len(survey.todo), self, self._machines.policy)
+            Schedule(pool, self._for_workers(plans), len(survey.todo), self, self._machines.policy).run()
         except DiskFullError as error:
-            n_raw = sum(map(self._n_points, survey.todo))
-            need, n_pairs = megabytes(self._machines.policy.costs.disk_bytes(n_raw)), len(survey.todo)
+            n_raw, n_pairs = sum(map(self._n_points, survey.todo)), len(survey.todo)
+            need = megabytes(self._machines.policy.costs.disk_bytes(n_raw))
             pairs = (
                 f"{n_pairs} pairs that were not finished need" if n_pairs > 1 else "pair that was not finished needs"
             )
@@ -323,8 +309,23 @@ class RunEngine:
             self.reporter.stop()
             self.folder.ledger.commit()
             rmtree(self.folder.folder / _TIME_NOTES, ignore_errors=True)
-        if survey.todo:
-            self.folder.remove_strays()  # of workers that died: complete and incomplete files
+        self.folder.remove_strays()  # of workers that died: complete and incomplete files
+
+    def _remove_stale(self, survey: Survey, changes: Sequence[str]) -> None:
+        """Report which results are replaced or removed and why, and remove them."""
+        by_reason: dict[str, defaultdict[str, set[JobId]]] = {}
+        for (stage, pair_id, part), reason in survey.stale.items():
+            by_reason.setdefault(reason, defaultdict(set))[pair_id].add((stage, part))
+        for reason, jobs in by_reason.items():
+            stages = {stage for own in jobs.values() for stage, _ in own}
+            listed = ", ".join(dict.fromkeys((*(own.name for own in self._stages if own.name in stages), *stages)))
+            why = f"{reason} ({'; '.join(changes) or 'the input files changed'})" if reason == OUT_OF_DATE else reason
+            self.reporter.say(f"replacing {listed} of {len(jobs)} pair{'s' * (len(jobs) > 1)}: {why}")
+            for pair_id, own in jobs.items():
+                self.folder.forget(pair_id, own)
+        if n_strays := self.folder.remove_strays():
+            self.reporter.say(f"removing {n_strays} file{'s' * (n_strays > 1)} that no finished job accounts for")
+        self.folder.ledger.commit()
 
     def _n_points(self, pair: ScanPair) -> int:
         """Points of both files of a pair, from their size."""
@@ -366,8 +367,7 @@ class RunEngine:
             rmtree(plan.limit.folder, ignore_errors=True)
         if required := [failure for failure in own if plan.jobs[failure.job].is_required]:
             own = required[:1]  # which of the others were begun depends on the number of workers
-            for record in self.folder.ledger.jobs(plan.pair_id).values():
-                self.folder.forget(record)
+            for record in self.folder.forget(plan.pair_id):
                 self.n_made -= record.made_by == self.folder.token
         if own:
             self.fail(plan.pair_id, failure_text(own))
@@ -378,12 +378,3 @@ class RunEngine:
             if trace not in self._traces:
                 self._traces.add(trace)
                 self.reporter.say(trace)
-
-
-def current_records(folder: RunFolder, pair_ids: Iterable[str], stages: Iterable[str]) -> Iterator[JobRecord]:
-    """The finished jobs of some stages, pair by pair."""
-    names = set(stages)
-    for pair_id in pair_ids:
-        for record in folder.ledger.jobs(pair_id).values():
-            if record.stage in names:
-                yield record

@@ -221,16 +221,13 @@ class Experiment:
             requested = self._request | {"pairs": [pair.pair_id for pair in self._source.pairs]}
             unrequested = _reductions(self._finished | {"pairs": existing}, requested)
             self.engine.refuse_replacing(survey, f"{self._name} {self.folder.folder}", self._finished, unrequested)
-        if survey.todo:
-            self.engine.start(survey.todo)
-        # If results are only added, the record of the finished experiment stays valid.
-        only_adds = stages is STAGES and self._finished and not survey.stale
-        if (survey.todo or survey.stale) and not only_adds:
-            self._write_record({})
-        self.engine.replace(survey, self._changes, [stage.name for stage in (*self._base, *self._own)])
-        if survey.todo:
-            with self.engine.scheduling_missing(survey, self._plan) as schedule:
-                schedule.run()
+
+        def begin() -> None:
+            """If results are only added, the record of the finished experiment stays valid."""
+            if survey.stale or not self._finished or stages is not STAGES:
+                self._write_record({})
+
+        self.engine.make(survey, self._plan, begin, self._changes)
 
 
 @contextmanager

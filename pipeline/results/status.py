@@ -12,7 +12,7 @@ from ...schemas.errors import RunError
 from ...schemas.settings import parse
 from ..datasets.pairs import read_dataset
 from ..datasets.stubs import recorded_dataset
-from ..engine.engine import Machines, RunEngine, current_records
+from ..engine.engine import Machines, RunEngine
 from ..engine.plan import Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import stages_under
@@ -81,7 +81,7 @@ def run_status(folder: Path) -> RunStatus:
                 else:
                     state = "failed" if pair.pair_id in failures else "stale" if is_stale else "to do"
                 states[stage.name][state] += 1
-            for own in current_records(run_folder, [pair.pair_id], states):
-                if own.name not in unwanted:
+            for own in ledger.jobs(pair.pair_id).values():
+                if own.stage in states and own.name not in unwanted:
                     seconds.add(own)
     return RunStatus(folder, record["dataset"], len(dataset.pairs), states, failures, seconds.mean())

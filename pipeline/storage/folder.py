@@ -6,7 +6,7 @@ import errno
 import os
 import secrets
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from ...stages.arrays import IntArray
 from ..object_store import delete_object, is_url, list_objects, name_in_records, url_of_cache
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, read_run
-from .table_files import AT_URL, JobRecord, TableFolder, read_footer, table_name
+from .table_files import AT_URL, JobId, JobRecord, TableFolder, read_footer, table_name
 
 _LOCK = ".lock"
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP)  # such as NFS without lockd
@@ -160,13 +160,15 @@ class RunFolder(TableFolder):
         """True if a file is expected at the URL alone; it is checked as it is read."""
         return bool(self.url) and not (self.folder / name).exists()
 
-    def forget(self, record: JobRecord) -> None:
-        """Removes a job's files and takes it out of the ledger."""
-        for name in record.files:
+    def forget(self, pair_id: str, jobs: Container[JobId] | None = None) -> list[JobRecord]:
+        """Remove some jobs of a pair, by default all, and their files; returns them."""
+        records = [own for own in self.ledger.jobs(pair_id).values() if jobs is None or own.job in jobs]
+        for name in (name for record in records for name in record.files):
             if self._is_at_url(name):
                 delete_object(f"{self.url}/{name}")
             (self.folder / name).unlink(missing_ok=True)
-        self.ledger.drop_job(record)
+        self.ledger.drop_jobs(pair_id, records)
+        return records
 
     def remove_strays(self) -> int:
         """Remove orphaned files, half-written ones included; return the number of intact ones."""

@@ -11,7 +11,7 @@ import os
 import sqlite3
 import weakref
 import zlib
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Collection, Container, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
@@ -97,7 +97,12 @@ class Ledger:
 
     def jobs(self, pair_id: str) -> dict[tuple[str, str], JobRecord]:
         """The finished jobs of a pair, by stage and part; those of the whole run under ""."""
-        return {(record.stage, record.part): record for record in self._records(pair_id)}
+        row = self._db.execute("SELECT entry FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()
+        try:
+            records = [] if row is None else [job_record(values) for values in orjson.loads(row[0])]
+        except (ValueError, TypeError, AttributeError) as error:  # of a run that was not closed in order
+            raise RunError(f"{self._path}: damaged; remove it, it is rebuilt from the tables") from error
+        return {record.job: record for record in records}
 
     def job_of_file(self, name: str) -> JobRecord | None:
         """The finished job that made a file, by its name relative to the run."""
@@ -117,34 +122,25 @@ class Ledger:
         for (pair_id,) in self._db.execute("SELECT pair_id FROM jobs WHERE pair_id != '' ORDER BY pair_id"):
             yield pair_id
 
-    def put_jobs(self, pair_id: str, records: Iterable[JobRecord]) -> None:
+    def put_jobs(self, pair_id: str, records: Collection[JobRecord]) -> None:
         """Adds finished jobs of a pair, in place of those of the same names; those of the whole run under ""."""
-        added = {record.name: record for record in records}
-        kept = [record for record in self._records(pair_id) if record.name not in added]
-        self._put_records(pair_id, [*kept, *added.values()])
-        for record in added.values():
-            for name in record.files:
-                self._change("INSERT OR REPLACE INTO files VALUES (?, ?)", name, pair_id)
+        jobs = self.jobs(pair_id) | {record.job: record for record in records}
+        self._put_records(pair_id, jobs.values())
+        for name in (name for record in records for name in record.files):
+            self._change("INSERT OR REPLACE INTO files VALUES (?, ?)", name, pair_id)
 
     def put_job(self, record: JobRecord) -> None:
         """Adds one finished job."""
         self.put_jobs(record.pair_id, [record])
 
-    def drop_job(self, record: JobRecord) -> None:
-        """Forgets a finished job."""
-        kept = [other for other in self._records(record.pair_id) if other.name != record.name]
-        self._put_records(record.pair_id, kept)
-        for name in record.files:
+    def drop_jobs(self, pair_id: str, records: Collection[JobRecord]) -> None:
+        """Forgets finished jobs of a pair."""
+        dropped = {record.job for record in records}
+        self._put_records(pair_id, [own for job, own in self.jobs(pair_id).items() if job not in dropped])
+        for name in (name for record in records for name in record.files):
             self._change("DELETE FROM files WHERE name = ?", name)
 
-    def _records(self, pair_id: str) -> list[JobRecord]:
-        row = self._db.execute("SELECT entry FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()
-        try:
-            return [] if row is None else [job_record(entry) for entry in orjson.loads(row[0])]
-        except (ValueError, TypeError, AttributeError) as error:  # of a run that was not closed in order
-            raise RunError(f"{self._path}: damaged; remove it, it is rebuilt from the tables") from error
-
-    def _put_records(self, pair_id: str, records: list[JobRecord]) -> None:
+    def _put_records(self, pair_id: str, records: Collection[JobRecord]) -> None:
         if records:
             entry = orjson.dumps([plain_record(record) for record in records], option=orjson.OPT_SERIALIZE_NUMPY)
             self._change("INSERT OR REPLACE INTO jobs VALUES (?, ?)", pair_id, entry)

@@ -49,9 +49,7 @@ def make_parts(dataset, out, parts, pool):
             return planner.plan(pair, engine.contents[pair.pair_id], parts)
 
         survey = engine.survey(pairs, plan, selected={pair.pair_id for pair in pairs})
-        engine.replace(survey)
-        with engine.scheduling_missing(survey, plan) as schedule:
-            schedule.run()
+        engine.make(survey, plan, lambda: None)
         return engine, {pair.pair_id: folder.ledger.jobs(pair.pair_id) for pair in pairs}
 
 
@@ -61,8 +59,9 @@ def test_a_pair_of_many_points_is_announced_with_its_memory_and_minutes(tmp_path
         for n in (200_000, 1_000_000):
             engine.contents[str(n)] = dict.fromkeys(("real", "sim"), ScanContent("", "", n))
         survey = Survey(todo=[ScanPair(name, None, None) for name in engine.contents])
-        with engine.scheduling_missing(survey, lambda pair: None):
-            pass
+        engine.make(
+            survey, lambda pair: Planner([], Settings(), {}).plan(pair, engine.contents[pair.pair_id]), lambda: None
+        )
     assert "1 of 2 pairs have 500,000 points or more; the largest has about 2,000,000; with all" in said.getvalue()
     assert "it takes some 11 GiB of memory and 17 minutes or more; thin both sides" in said.getvalue()
 

@@ -69,7 +69,7 @@ def test_entries_are_found_after_others_were_replaced_and_dropped(ledger, tmp_pa
         ledger.put_job(record(pair_id, n=1))
     ledger.put_job(record("a", "matching", n=5))
     ledger.put_job(record("a", n=2))
-    ledger.drop_job(record("c"))
+    ledger.drop_jobs("c", [record("c")])
     ledger.drop_failure("nobody")
     ledger.commit()
     jobs = {("graph", "real"): record("a", n=2), ("matching", "real"): record("a", "matching", n=5)}
