@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from ....schemas.columns import SIDES
 from ....stages.arrays import FloatArray, IndexArray
@@ -19,6 +20,7 @@ from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.surface import signed_distances
 from ..aggregates import plain_rows
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults, frames_of
+from ..views.pair_view import alone_judgement, judgement
 
 #: Properties shown of a chosen object, the first ones at first sight; an object shows those that it has.
 FACTS = (
@@ -27,7 +29,7 @@ FACTS = (
     *("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim"),
 )
 #: Columns of the objects, in the order of their rows in the page.
-OBJECT_COLUMNS = ("name", "real_id", "sim_id", "cx", "cy", "cz", *FACTS)
+OBJECT_COLUMNS = ("name", "real_id", "sim_id", "cx", "cy", "cz", "sentence", *FACTS)
 #: The distance of a point to the other side is a byte, the largest for this many metres and more.
 FAR_M = COVERAGE_DISTANCES_M[-1]
 _FAR = 255
@@ -69,8 +71,14 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
         "n_beams": len(tables.ray_image),
         "packed": _packed(_points(tables, shown, step_m) | {"rays": tables.ray_image.ravel()}),
         "moves": {str(real_id): np.round(move, 4).tolist() for real_id, move in tables.alignment_moves.items()},
-        "objects": plain_rows(tables.objects, OBJECT_COLUMNS),
+        "objects": plain_rows(tables.objects.assign(sentence=_sentences(tables.objects)), OBJECT_COLUMNS),
     }
+
+
+def _sentences(objects: pd.DataFrame) -> list[str]:
+    """Sentences on what is wrong with each object."""
+    rows: list[Any] = objects.astype(object).where(objects.notna(), None).to_dict("records")
+    return [judgement(row) if row["partner"] >= 0 else alone_judgement(row) for row in rows]
 
 
 def thinned(community: Iterable[int], most: int) -> IndexArray:

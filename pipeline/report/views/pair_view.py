@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
+from typing import Any
+
+import numpy as np
 
 from ....schemas.columns import SIDES, Row
 from ....schemas.metric_catalogue import COVERAGE_REACHES, METRIC, narrow_labels, reach_words
 from ....stages.coverage import surface_state
 from ...results.finished import ObjectFacts, PairFacts
 from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad
+from ...results.quadrants import UNKNOWN, quadrant_of
 from ..view import Note, Table, View, number, percent
 
 #: Columns of `metrics` in the order in which an object shows them: r_lambda is next to its components.
@@ -22,6 +26,9 @@ _MATCHED_SCORES = ("cdc", "r_lambda", "r_gap", "centroid_distance_m", "alignment
 _COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
 _OUTCOMES = ("rays_same", "rays_in_front", "rays_behind", "rays_dropped", "rays_no_surface", "rays_sim_only")
 _MOST_UNCOVERED = 10
+#: An object of which less surface is covered on a side is not called faithful.
+_LEAST_COVERED = 0.6
+_LEAST_ROAD = 0.005  # share that rounds to a per cent
 _MOST_ALIGNMENTS = 3
 _MOST_UNMATCHED = 10
 #: Columns of `objects` and `coverage`: place and shape, and how much of it the other side has.
@@ -190,8 +197,49 @@ def object_view(pair_id: str, facts: ObjectFacts) -> View:
     title = f"Scores ({scores['status']}, on {scores['n_keep']} aligned nodes)"
     values = [(METRIC[name].label, scores[name], METRIC[name].reading) for name in _OBJECT_SCORES]
     score_table = Table(title, ("score", "value", "how to read it"), values, words=(0, 2), digits={1: 4})
-    reason = [Note(f"null scores: {scores['reason']}")] if scores["reason"] else []
-    return [*alignment_warning([facts]), *reason, score_table, table]
+    own = {f"covered_{side}_0p3m": own and own["covered_0p3m"] for side, own in zip(SIDES, sides, strict=True)}
+    spectral = math.nan if scores["r_lambda"] is None else scores["r_lambda"]
+    (own["quadrant"],) = quadrant_of(np.array([scores["cdc"]]), np.array([spectral])).tolist()
+    own["diagonal_m"] = math.hypot(*(facts.real[f"extent_{axis}"] for axis in "xyz")) if facts.real else None
+    return [Note(judgement(scores | own)), score_table, table]
+
+
+def judgement(row: Mapping[str, Any]) -> str:
+    """Sentence on what is wrong with an object that both sides have.
+
+    Parameters
+    ----------
+    row : its scores, quadrant and coverage on both sides, as in `RunResults.objects`
+    """
+    real, sim = row["covered_real_0p3m"], row["covered_sim_0p3m"]
+    cdc, r_lambda = f"CDC {number(row['cdc'], 2)}", f"r_lambda {number(row['r_lambda'], 2)}"
+    words = {
+        "faithful": "Faithful" if min(real, sim) >= _LEAST_COVERED else f"Faithful by {cdc}, but its surface differs",
+        "structure lost": f"Structure lost ({r_lambda}), shape right",
+        "displaced": f"Displaced or misshapen ({cdc}), structure right",
+        "failed": f"Shape and structure differ ({cdc}, {r_lambda})",
+        UNKNOWN: f"Without a spectral score ({row['reason'] or row['status']})",
+    }
+    rms_m = row["alignment_rms_m"]
+    is_unsure = row["r_lambda"] is not None and rms_m is not None and alignment_is_bad(rms_m, row["diagonal_m"])
+    unsure = f" Its r_lambda is unreliable: the nodes were aligned {number(rms_m, 1)} m apart." if is_unsure else ""
+    return (
+        f"{words[row['quadrant']]}: {percent(real)} of the real surface is simulated within 0.3 m, {percent(sim)} of "
+        f"the simulated one is real; centroids {number(row['centroid_distance_m'], 2)} m apart.{unsure}"
+    )
+
+
+def alone_judgement(row: Mapping[str, Any]) -> str:
+    """Sentence on an object that only one side has; `row` is one of `RunResults.objects`."""
+    side = row["side"]
+    verdict, other = {
+        "real": ("Missing in the simulation", "simulated"),
+        "sim": ("Invented by the simulation", "real"),
+    }[side]
+    road = row[f"road_share_{side}"] or 0.0
+    more = f"; {percent(road)} of it is road on the {other} side" if road >= _LEAST_ROAD else ""
+    covered = percent(row[f"covered_{side}_0p3m"])
+    return f"{verdict}: {covered} of its points have one of the other side within 0.3 m{more}."
 
 
 def object_records(facts: ObjectFacts) -> Table:
