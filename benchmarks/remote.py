@@ -3,8 +3,9 @@
     python benchmarks/remote.py DATASET [N_SMALL] [POINTS]      by default 1000 small pairs of 300 points
 
 An S3 server (moto, in Python) runs on the same machine and takes part of it, so that ratios of wall time are upper
-limits. Local and remote runs of DATASET alternate, and one on a dask cluster whose workers keep no table; then N_SMALL
-small pairs, as in small_pairs.py.
+limits. Another one, with a bucket `bench`, is taken if AWS_ENDPOINT_URL and its keys are set; its requests and CPU are
+not counted then. Local and remote runs of DATASET alternate, and one on a dask cluster whose workers keep no table;
+then N_SMALL small pairs, as in small_pairs.py. With - as DATASET only these are run.
 """
 
 import collections
@@ -38,13 +39,16 @@ class Server:
     """An S3 server, which logs its requests."""
 
     def __init__(self, folder):
-        self._log = folder / "requests.log"
+        self._log, self._process = folder / "requests.log", None
+        self._log.touch()
+        os.environ.update({"AWS_ALLOW_HTTP": "true", "FIDPIPE_CACHE": str(folder / "cache")})
+        if "AWS_ENDPOINT_URL" in os.environ:
+            return
         self._process = subprocess.Popen([sys.executable, "-c", SERVER], stderr=self._log.open("w"))
         os.environ.update(
             {
-                **{"AWS_ENDPOINT_URL": f"http://127.0.0.1:{PORT}", "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1"},
+                **{"AWS_ENDPOINT_URL": f"http://127.0.0.1:{PORT}", "AWS_REGION": "us-east-1"},
                 **{"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret"},
-                "FIDPIPE_CACHE": str(folder / "cache"),
             }
         )
         for _ in range(100):
@@ -56,6 +60,8 @@ class Server:
         sys.exit("the server did not start")
 
     def cpu_s(self):
+        if self._process is None:
+            return 0.0
         times = psutil.Process(self._process.pid).cpu_times()
         return times.user + times.system
 
@@ -64,7 +70,8 @@ class Server:
         return collections.Counter(re.findall(r'"([A-Z]+) /', self._log.read_text()))
 
     def end(self):
-        self._process.kill()
+        if self._process is not None:
+            self._process.kill()
 
 
 def upload(dataset, url):
@@ -113,10 +120,11 @@ def main(dataset, n_small=1000, points=300):
     with scratch() as folder:
         server = Server(folder)
         try:
-            upload(Path(dataset), f"{URL}/set")
-            for i in range(REPEATS):
-                pair_of_runs(server, folder, dataset, f"{URL}/set", f"whole{i}")
-            on_a_cluster(server, folder, f"{URL}/set")
+            if dataset != "-":
+                upload(Path(dataset), f"{URL}/set")
+                for i in range(REPEATS):
+                    pair_of_runs(server, folder, dataset, f"{URL}/set", f"whole{i}")
+                on_a_cluster(server, folder, f"{URL}/set")
             small = folder / "small"
             weigh("synth", small, "--pairs", min(N_FILES, n_small), "--points", points, "--workers", WORKERS)
             upload(small, f"{URL}/small")
