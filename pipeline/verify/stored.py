@@ -92,8 +92,9 @@ class StoredPair:
 
     @property
     def drawn_matches(self) -> list[Row]:
-        """Matched rows of the sample."""
-        return rows_of(self.matches[self.matches.index.isin(self.drawn)])
+        """Matched rows of the sample that have stored nodes; that others have none is a difference of `selection`."""
+        is_stored = self.matches["real_id"].isin(self.table("selection")["real_id"])
+        return rows_of(self.matches[is_stored & self.matches.index.isin(self.drawn)])
 
     def drawn_ids(self, side: str) -> list[int]:
         """Objects of a side in the sample."""
