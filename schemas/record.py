@@ -87,10 +87,13 @@ class Seconds(Result):
     pairs: dict[str, dict[str, float]]
 
 
-class FrameSuspect(Result):
-    """A pair whose simulated scan fits the real one much better in another reading than as it is evaluated.
+ELSEWHERE = "of another place"  #: reading of a pair whose scans do not show the same place
 
-    reading : the candidate transform as text, such as "mirrored in y"
+
+class FrameSuspect(Result):
+    """A pair whose simulated scan fits the real one much better in another reading than as it is evaluated, or in none.
+
+    reading : the candidate transform as text, such as "mirrored in y"; `ELSEWHERE` if the scans show two places
     coverage, as_it_lies : 0 to 1, how well the scans cover each other in that reading, and as they are evaluated
     setting : what makes that reading the one that is evaluated
     """
@@ -163,7 +166,7 @@ class RunRecord(RunHeader):
     findings : None ({} in JSON) where no pair is scored
     overview : None if no pair is scored
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
-    frames : by pair, those whose simulated scan seems to lie in another frame
+    frames : by pair, those whose simulated scan seems to lie in another frame, or shows another place
     notes : by pair, notes on its ground cut
     metrics : what is behind the unmatched objects
     baselines, seeds, nvs : only if requested

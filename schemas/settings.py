@@ -25,7 +25,7 @@ from pydantic import (
 from .columns import FARTHEST_M
 from .data_files import parse_toml, read_toml
 from .docstrings import split_docstring
-from .errors import SettingsError
+from .errors import SettingsError, suggestion
 from .metric_catalogue import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
@@ -482,7 +482,7 @@ def parse(values: Mapping[str, Any]) -> Settings:
     values = dict(values)
     preset = values.pop("preset", "paper")
     if preset not in PRESETS:
-        raise SettingsError(f"preset {preset!r}: no such preset; known are {', '.join(PRESETS)}")
+        raise SettingsError(f"preset {preset!r}: no such preset; {suggestion(preset, PRESETS)}")
     for group, own in PRESETS[preset].items():
         given = values.get(group, {})
         values[group] = own | given if isinstance(given, dict) else given

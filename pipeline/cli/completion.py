@@ -35,7 +35,7 @@ def pairs(ctx: typer.Context, incomplete: str) -> list[str]:
 def stages(ctx: typer.Context, incomplete: str) -> list[str]:
     """Stages of the run that would be resumed: that of `--out`, or of the dataset's folder in runs."""
     dataset = next(iter(ctx.args), None)  # an option without its value ends the parsing: arguments are not named yet
-    folder = ctx.params.get("out") or (dataset and Path("runs") / Path(dataset).resolve().name)
+    folder = ctx.params.get("out") or (dataset and Path("runs") / Path(dataset).absolute().name)
     return _beginning(_recorded(folder, "stages"), incomplete)
 
 

@@ -58,7 +58,7 @@ def synth(
         workers=workers,
         replace=replace,
     )
-    print_line(f"{pairs} pairs in {out}; evaluate them with: fidpipe run {shlex.quote(str(out))}")
+    print_line(f"{pairs} pairs in {out}; evaluate them with: fidpipe run {shlex.quote(str(out))} --preset reference")
 
 
 def twin(
@@ -136,7 +136,9 @@ def twin(
         workers=workers,
         replace=replace,
     )
-    print_line(f"{outcome.n_pairs} pairs in {out}; evaluate them with: fidpipe run {shlex.quote(str(out))}")
+    print_line(
+        f"{outcome.n_pairs} pairs in {out}; evaluate them with: fidpipe run {shlex.quote(str(out))} --preset reference"
+    )
     raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
 
 

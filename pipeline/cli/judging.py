@@ -233,17 +233,23 @@ def _history(runs: list[Path], page: Path | None, output: str, **options: bool) 
 
 def _evaluated(folders: list[Path]) -> list[Path]:
     """Folders of runs; datasets, or several simulated sides after a real one, are evaluated first (`reference`)."""
+    from ...schemas.errors import RunError
     from ...schemas.settings import load
     from ..datasets.pairing import scans_in
     from ..datasets.readers import holds_frames
+    from ..datasets.readers.frame_address import address_of
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
+    from ..object_store import url_of_cache
     from ..run import run_dataset
     from ..storage.files import path_exists
 
     def has(folder: Path, *names: str) -> bool:
         return any(path_exists(folder / name) for name in names)
 
+    for folder in folders:
+        if not (url_of_cache(folder) or path_exists(address_of(folder).file)):
+            raise RunError(f"{folder}: no such file or folder; nothing was evaluated")
     real, reporter, found = folders[0], Reporter(), []
     is_known = has(real, "run.json", "pairs.parquet", "real", "pairs.csv")
     is_side = holds_frames(real) or (real.is_dir() and not is_known and bool(scans_in(real)))

@@ -89,7 +89,7 @@ def check_machines(workers: int | None, scheduler: str | None) -> None:
 
 def run_folder(dataset: Path) -> Path:
     """Default folder of the run of a dataset, or of the simulated side of one."""
-    path = Path(os.path.realpath(dataset))
+    path = Path(os.path.normpath(dataset.absolute()))
     return Path("runs") / ((path.parent if path.name == "sim" else path).name or "dataset")
 
 

@@ -80,7 +80,7 @@ def check(
     """Show what a run would read from a dataset, and what is wrong with it.
 
     Lengths are metres, angles degrees; scans have x forward, y left, z up unless input.real_frame or input.sim_frame
-    says otherwise. Exits with 1 if anything is wrong.
+    says otherwise. Exits with 1 if there is an error; warnings alone exit with 0.
 
     Parameters
     ----------
@@ -102,6 +102,8 @@ def check(
     from ..report.views.check_view import check_json, check_view
 
     options = [("--preset", preset), ("--settings", settings), *(("--set", own) for own in assignments or [])]
+    if not any(own for _, own in options):
+        options = [("--preset", "reference")]
     words = [*filter(None, (dataset, sim)), *chain.from_iterable(own for own in options if own[1])]
     run_command = shlex.join(["fidpipe", "run", *map(str, words)])
     if sim is not None:

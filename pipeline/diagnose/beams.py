@@ -16,9 +16,9 @@ from ..results.finished import FinishedRun
 
 _BEAMS = 5
 _RAYS = ["beam", "outcome", "real_range_m", "sim_range_m", "real_point_id", "sim_point_id"]
-#: A beam stands out by an error of which the interval lies beyond both: this many standard deviations of all beams'
-#: errors (from the median absolute deviation), and the least error.
-_DEVIATIONS, _LEAST = 3.0, {"range_error_m": 0.01, "elevation_error_deg": 0.02}
+#: A beam stands out by an error of which the interval lies beyond both: this many standard deviations of the errors of
+#: the beams around it (from their median absolute error), and the least error.
+_DEVIATIONS, _AROUND, _LEAST = 3.0, 9, {"range_error_m": 0.01, "elevation_error_deg": 0.02}
 _COLUMNS = (
     *("n_pairs", "elevation_deg", "n_rays", "lost", "added"),
     *("range_error_m", "range_half_m", "elevation_error_deg", "elevation_half_deg"),
@@ -110,16 +110,21 @@ def beam_view(table: pd.DataFrame, has_floor: bool) -> View:
 
 
 def outstanding(table: pd.DataFrame) -> list[str]:
-    """Sentences on the beams that stand out by an error, largest first."""
-    found = []
+    """Sentences on the beams that stand out by an error, largest first; none with fewer than three pairs.
+
+    The intervals hold for all beams and both errors at once (Bonferroni).
+    """
+    found, df = [], table.n_pairs - 1
+    wider = scipy.stats.t.ppf(1 - 0.025 / (2 * len(table)), df) / scipy.stats.t.ppf(0.975, df)
     for error, half, words in (
         ("range_error_m", "range_half_m", ("too far", "too near")),
         ("elevation_error_deg", "elevation_half_deg", ("too high", "too low")),
     ):
-        values = table[error]
-        spread = 1.4826 * (values - values.median()).abs().median()
-        is_out = values.abs() - table[half].fillna(0.0) > max(_DEVIATIONS * spread, _LEAST[error])
-        unit = "m" if error == "range_error_m" else "degrees"
-        for beam, value in values[is_out].sort_values(key=lambda own: -own.abs()).items():
-            found.append(f"beam {beam}: {size_words(value, unit)} {words[value < 0]}")
+        size, unit = table[error].abs(), "m" if error == "range_error_m" else "degrees"
+        spread = 1.4826 * size.rolling(_AROUND, center=True, min_periods=1).median()
+        is_out = (df > 1) & (size - wider * table[half] > (_DEVIATIONS * spread).clip(lower=_LEAST[error]))
+        for beam in size[is_out].sort_values(ascending=False).index:
+            direction = words[int(table[error][beam] < 0)]
+            own, reach = size_words(size[beam], unit), size_words(table[half][beam], unit)
+            found.append(f"beam {beam}: {own} {direction} (± {reach})")
     return found

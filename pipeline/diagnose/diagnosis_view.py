@@ -31,7 +31,7 @@ def diagnosis_view(found: Diagnosis) -> View:
         f"unexplained: {percent(found.unexplained)} of the distance{' over the floor' * bool(found.floor)} remains if "
         "all causes are corrected"
         if found.unexplained is not None
-        else "hardly any distance over the floor: gains are in cm, not shares",
+        else "hardly any distance over the floor: gains are in cm, not shares; causes are in the order of their size",
         f"intervals: 95 % over {found.over}" + ("" if found.floor else "; without --floor only clear causes are named"),
     ]
     if found.left_out:

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DiskFullError, ScanError
-from ...schemas.settings import Settings
+from ...schemas.settings import Settings, preset_of
 from ..datasets.content import ScanContent, scan_content
 from ..datasets.pairs import ScanPair
 from ..datasets.readers import files_of, may_crash, stem_of
@@ -267,6 +267,9 @@ class RunEngine:
         groups = {group for stage in stages for group in stage.settings}
         changed = changed_settings(before, self.settings)
         why = [text for group, texts in changed.items() if group in groups for text in texts]
+        preset = preset_of(self.settings)
+        if why and before.get("preset", preset) != preset:
+            why.insert(0, f"preset was {before['preset']}, is {preset}")
         versions = before.get("stages", {})
         if old := [stage.name for stage in stages if versions.get(stage.name, stage.version) != stage.version]:
             written = f"fidpipe {before.get('fidpipe')} on {before.get('written', '')[:10]}"

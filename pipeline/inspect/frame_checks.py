@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from ...schemas.columns import SIDES
-from ...schemas.record import FrameSuspect
+from ...schemas.record import ELSEWHERE, FrameSuspect
 from ...stages.inspect.frame_search import MIN_GAIN, MIN_SAME_PLACE, FrameCheck
 from ...stages.inspect.plausibility import HALF_SWEEP_GAP_DEG, ScanInspection
 from ..datasets.pairs import ScanPair
@@ -30,11 +30,11 @@ def inspection_of(jobs: Iterable[JobRecord]) -> tuple[dict[str, ScanInspection],
 
 
 def frame_suspect(check: FrameCheck | None) -> FrameSuspect | None:
-    """The entry of a run's record for a pair; None unless its simulated scan seems to be in another frame."""
-    if check is None or not check.is_suspect:
+    """The entry of a run's record for a pair; None unless its scans seem to be of two frames or of two places."""
+    if check is None or not (check.is_suspect or check.is_elsewhere):
         return None
     return FrameSuspect(
-        reading=check.reading,
+        reading=check.reading if check.is_suspect else ELSEWHERE,
         coverage=round(check.coverage, 4),
         as_it_lies=round(check.as_it_lies, 4),
         setting=check.setting,
@@ -60,8 +60,8 @@ def pair_warnings(pair: ScanPair, sides: Mapping[str, ScanInspection], frames: F
                 f"{name}: {pair.path(wide)}: no point in a sector of {wide_deg:.0f} degrees, {narrow_deg:.0f} on the "
                 f"{narrow} side; is it a half sweep (rotation frequency and tick rate of the simulator differ)?"
             )
-    if suspect := frame_suspect(frames):
-        warnings.append(f"{name}: {frame_warning(suspect)}")
+    if frames and frames.is_suspect:
+        warnings.append(f"{name}: {frame_warning(frames)}")
     if frames and frames.is_elsewhere:
         warnings.append(
             f"{name}: the two scans do not show the same place: the simulated scan covers {frames.coverage:.2f} of the "

@@ -299,6 +299,12 @@ def _value(path: Path, name: str, value: Any) -> Any:
     if isinstance(value, bool) or numbers.ndim != is_list or not np.isfinite(numbers).all():
         kind = "a list of numbers" if is_list else "a number"
         raise FidpipeError(f"{path}: {name}: expected {kind}, got {cause_of(repr(value))}")
+    low, high = _SETTINGS[name].get("range", (-np.inf, np.inf))
+    if (numbers < low).any() or (numbers > high).any():
+        bounds = f"from {low:g} to {high:g}" if np.isfinite(high) else f"of at least {low:g}"
+        raise FidpipeError(f"{path}: {name}: expected a number {bounds}, got {cause_of(repr(value))}")
+    if name == "channels" and numbers % 1:
+        raise FidpipeError(f"{path}: {name}: expected a whole number, got {cause_of(repr(value))}")
     return tuple(numbers.tolist()) if is_list else float(numbers)
 
 

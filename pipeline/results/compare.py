@@ -340,10 +340,17 @@ def _confirmed(causes: tuple[CauseChange, ...], moved: MovedWorld | None) -> tup
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
-    """Other differences that can change a number: stage code and libraries."""
+    """Other things that can change a number: scans that are not in one frame or place, code of stages, libraries."""
     a, b = base.record, other.record
+    unfit = [
+        f"{run.folder}: the scans of {n} pair{'s' * (n > 1)} are not in one frame or show two places, but count "
+        f"({next(iter(run.record.frames))}{' ...' * (n > 1)}); see fidpipe show {run.folder}"
+        for run in (base, other)
+        if (n := len(run.record.frames))
+    ]
     stages = [f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)]
-    return stages + [f"library {name}: {x} and {y}" for name, x, y in differences(a.libraries, b.libraries)]
+    libraries = [f"library {name}: {x} and {y}" for name, x, y in differences(a.libraries, b.libraries)]
+    return unfit + stages + libraries
 
 
 def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:

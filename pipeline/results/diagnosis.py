@@ -9,11 +9,12 @@ from pathlib import Path
 import orjson
 
 from ...schemas.record import RunRecord
-from ...schemas.results import Cause, DiagnosedCause, Diagnosis, Overview
+from ...schemas.results import Cause, Caution, DiagnosedCause, Diagnosis, Overview
 from .causes import CLASS, FAR, size_words
 
 DIAGNOSIS = "diagnosis.json"
 UNEXPLAINED = "unexplained"
+BASE = "base"  #: kind of the caution that the causes are over another run than a floor
 
 
 def results_identity(record: RunRecord) -> str:
@@ -36,12 +37,18 @@ def diagnosed(folder: Path, record: RunRecord, overview: Overview | None) -> Ove
 
     Without a floor the unexplained part comes after the causes that can be fixed: any two measurements differ.
     """
+    from .floor import read_recipe  # which imports finished runs
+
     found = read_diagnosis(folder, record)
     if overview is None or found is None:
         return overview
     surface = [cause for cause in overview.causes if cause.name in (FAR, CLASS)]
     causes = sorted(found.causes, key=lambda own: own.name == UNEXPLAINED and found.floor is None)
-    return overview.model_copy(update={"causes": (*map(_cause, causes), *surface)})
+    trust = [own for own in overview.trust if own.kind != "floor" or found.floor is None]
+    if found.floor and read_recipe(Path(found.floor)) is None:
+        words = f"diagnosed causes are changes against {found.floor}, the others against the real scans"
+        trust.insert(0, Caution(kind=BASE, words=words))
+    return overview.model_copy(update={"causes": (*map(_cause, causes), *surface), "trust": tuple(trust)})
 
 
 def gain_words(cause: DiagnosedCause) -> str:
@@ -62,8 +69,9 @@ def gain_words(cause: DiagnosedCause) -> str:
 
 
 def interval_words(cause: DiagnosedCause) -> str:
-    """The 95 % interval of an estimate, as text."""
-    low, high = (f"{'-' * (value < 0)}{size_words(value, cause.unit)}" for value in (cause.low, cause.high))
+    """The 95 % interval of the size of a cause, as text; a minus is the opposite of what its sentence says."""
+    ends = sorted((cause.low, cause.high)) if cause.estimate >= 0 else sorted((-cause.low, -cause.high))
+    low, high = (f"{'-' * (value < 0)}{size_words(value, cause.unit)}" for value in ends)
     return f"{low} to {high}"
 
 

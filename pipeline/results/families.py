@@ -318,7 +318,7 @@ def _of_rays(family: FamilyChange, score: ScoreChange, moved: _Moved) -> str:
     if family.name != RAYS:
         return ""
     if moved.is_displaced:
-        return f"follows from {POSITION}"
+        return "a displaced simulation is paired with other rays"
     other = next((own for own in family.scores if own.name == OPPOSED.get(score.name)), None)
     if other is None or {score.verdict, other.verdict} != {"better", "worse"}:
         return ""

@@ -169,7 +169,7 @@ def excess_over(run: FinishedRun, floor: Path, pairs: Sequence[str] | None = Non
     if recipe is None:
         raise RunError(
             f"floor {floor}: is not a floor (no {FLOOR_DATASET}/{FLOOR_RECIPE} of fidpipe in it); make one for run "
-            f"{run.folder} with: {_command(run)}"
+            f"{run.folder} with: {_command(run)}; for changes against another run: fidpipe compare, diagnose --floor"
         )
     other = FinishedRun(floor)
     _refuse_other_floor(run, other)

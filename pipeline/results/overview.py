@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.record import SURFACE_STATES, FrameSuspect, MetricsSummary, RunRecord, SurfaceStates, UnmatchedSurface
+from ...schemas.record import (
+    ELSEWHERE,
+    SURFACE_STATES,
+    FrameSuspect,
+    MetricsSummary,
+    RunRecord,
+    SurfaceStates,
+    UnmatchedSurface,
+)
 from ...schemas.results import Caution, Findings, Overview, Piece, SurfaceGroup
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
@@ -47,6 +55,7 @@ BAD_ALIGNMENT = 0.25
 BAD_ALIGNMENT_M = 5.0
 #: From this share of badly aligned objects on it is reported.
 _MANY_BADLY_ALIGNED = 0.05
+_MOST_NAMED = 3
 _NUMBER = re.compile(r"[-+]?[0-9]+\.[0-9]+")
 BAD_ALIGNMENT_WORDS = f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
 NO_LABEL = "(no label)"
@@ -239,8 +248,13 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
         yield Caution(kind="failed", words=f"{pairs.failed} of {n_pairs} pairs failed and count nowhere")
     if pairs.to_do:
         yield Caution(kind="to_do", words=f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet")
-    if record.frames:
-        yield Caution(kind="frames", words=_frames_summary(record.frames, n_pairs))
+    elsewhere = [pair_id for pair_id, own in record.frames.items() if own.reading == ELSEWHERE]
+    if suspects := {pair_id: own for pair_id, own in record.frames.items() if pair_id not in elsewhere}:
+        yield Caution(kind="frames", words=_frames_summary(suspects, n_pairs))
+    if elsewhere:
+        names = ", ".join(elsewhere[:_MOST_NAMED]) + ", ..." * (len(elsewhere) > _MOST_NAMED)
+        words = f"in {len(elsewhere)} of {n_pairs} pairs the two scans do not show the same place, but count ({names})"
+        yield Caution(kind="frames", words=words)
     if record.notes:
         pair_id, (note, *_) = next(iter(record.notes.items()))
         words = f"ground cut, notes on {len(record.notes)} of {n_pairs} pairs; {pair_id}: {note}"

@@ -118,7 +118,7 @@ def test_wrong_usage_ends_with_two(dataset, tmp_path, words):
 def test_check_ends_with_zero_on_good_data_and_one_on_any_fault(dataset, tmp_path):
     good = command("check", dataset)
     assert good.returncode == 0
-    assert good.stdout.endswith(f"2 of 2 pairs can be evaluated\nnext: fidpipe run {dataset}\n")
+    assert good.stdout.endswith(f"2 of 2 pairs can be evaluated\nnext: fidpipe run {dataset} --preset reference\n")
     with_settings = command("check", dataset, "--preset", "reference", "--set", "matching.delta_m=3")
     assert with_settings.stdout.endswith(f"fidpipe run {dataset} --preset reference --set matching.delta_m=3\n")
     data = shutil.copytree(dataset, tmp_path / "streets")

@@ -139,7 +139,7 @@ def test_rays_of_a_displaced_simulation_do_not_count():
     families, decision = judged(base=RAYS | {"shift_z_m": -0.12, "ground_sim_peak_m": -1.82}, **steps)
     assert (families["position"].verdict, families["rays"].why, decision) == (
         "better",
-        "follows from position",
+        "a displaced simulation is paired with other rays",
         "better",
     )
 
@@ -152,7 +152,10 @@ def test_longer_ranges_alone_are_no_displacement(moved):
     families, decision = judged(base=base, moved=moved, shift_z_m=-0.05, rays_bias_m=0.1)
     assert decision == "worse"
     if "height" in moved:
-        assert (families["position"].verdict, families["rays"].why) == ("worse", "follows from position")
+        assert (families["position"].verdict, families["rays"].why) == (
+            "worse",
+            "a displaced simulation is paired with other rays",
+        )
     else:
         assert families["position"].why == "follows from rays: longer or shorter ranges alone"
         assert (families["rays"].verdict, families["rays"].why) == ("worse", "")

@@ -84,6 +84,24 @@ def test_show_and_report_repeat_the_warning_of_the_run(finished, tmp_path):
     assert said == warning_of(done).replace("warning", "Warning")
 
 
+def test_a_pair_of_two_places_is_named_wherever_the_run_is_read(mirrored, tmp_path):
+    data = shutil.copytree(mirrored, tmp_path / "streets")
+    for i in range(2):
+        write_bin(data / "sim" / f"{i}.bin", drifted(scan(10 * i)))
+    run(data, tmp_path / "same", load(None, ["graph.k=10"]))
+    write_bin(data / "sim" / "1.bin", np.random.default_rng(0).uniform(-30, 30, (6000, 3)) * [1, 1, 0.3])
+    out, words = tmp_path / "run", "in 1 of 2 pairs the two scans do not show the same place, but count (1)"
+    ended = run(data, out, load(None, ["graph.k=10"]))
+    assert ended.record.frames["1"].reading == "of another place"
+    shown = " ".join(command("show", out).stdout.split())
+    assert f"warning: {words}" in shown
+    assert "nothing beyond" not in shown
+    assert words in html.unescape(write_report(out, out=tmp_path / "report").page.read_text())
+    assert not judge_run(out, [parse_word("r_lambda.mean=2", "max")]).passed
+    compared = command("compare", tmp_path / "same", out)
+    assert "the scans of 1 pair are not in one frame or show two places" in " ".join(compared.stdout.split())
+
+
 def test_two_arrays_in_other_frames_are_warned_of_with_both_figures_and_the_setting():
     real, sim = scan(0), drifted(scan(0))
     settings = {"graph": {"k": 10}}

@@ -93,7 +93,9 @@ def test_names_of_the_same_number_are_answered_with_the_command_that_pairs_them(
     advice = f"their numbers pair them: fidpipe run {data}/real {data}/sim"
     assert one_error(command("run", data, "--workers", 1)).endswith(advice)
     checked = command("check", data / "real", data / "sim", cwd=tmp_path)
-    assert checked.stdout.endswith(f"2 of 2 pairs can be evaluated\nnext: fidpipe run {data}/real {data}/sim\n")
+    assert checked.stdout.endswith(
+        f"2 of 2 pairs can be evaluated\nnext: fidpipe run {data}/real {data}/sim --preset reference\n"
+    )
 
 
 def test_some_scans_without_a_partner_are_counted_before_their_pairs_fail(tmp_path):

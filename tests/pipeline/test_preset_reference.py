@@ -125,7 +125,7 @@ def test_a_run_is_named_by_its_preset_and_what_departs_from_it(preset, words, na
 
 
 def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
-    with pytest.raises(SettingsError, match="preset 'papr': no such preset; known are paper, reference"):
+    with pytest.raises(SettingsError, match="preset 'papr': no such preset; did you mean paper"):
         load(None, preset="papr")
     named = tmp_path / "named.toml"
     named.write_text('preset = "reference"\n[graph]\nk = 60\n')

@@ -149,6 +149,9 @@ def test_an_empty_file_is_refused(tmp_path, name):
 def test_a_missing_file_and_an_unknown_format_are_refused(tmp_path):
     with pytest.raises(ScanError, match="cannot be read"):
         read_scan(tmp_path / "gone.bin")
+    with pytest.raises(ScanError, match="no such file"):
+        read_scan(tmp_path / "gone.xyz")
+    (tmp_path / "a.xyz").write_text("1 2 3")
     with pytest.raises(ScanError, match="unknown format; known are"):
         read_scan(tmp_path / "a.xyz")
 

@@ -111,7 +111,7 @@ def test_the_command_prints_what_its_options_say(tmp_path):
     wrong = command("settings", "--preset", "papper")
     assert (wrong.returncode, wrong.stderr) == (
         1,
-        "error: preset 'papper': no such preset; known are paper, reference, nvs\n",
+        "error: preset 'papper': no such preset; did you mean paper?\n",
     )
 
 

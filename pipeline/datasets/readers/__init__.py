@@ -163,6 +163,8 @@ def read_scan(
     path = Path(path)
     known, address = format_of(path), address_of(path)
     if not known.module:
+        if not address.file.exists():
+            raise ScanError(f"{path}: no such file")
         raise ScanError(f"{path}: unknown format; known are {', '.join(formats())}")
     if address.file != path and not known.holds_frames:
         raise ScanError(f"{path}: a {suffix_of(path)} file holds one scan; it is named without #")

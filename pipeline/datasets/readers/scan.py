@@ -204,7 +204,7 @@ def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
     if column.dtype.kind in _NO_NUMBERS:
         raise ScanError(f"{path}: column {name}: expected one real number per row, got {column.dtype} values")
     try:
-        with np.errstate(over="ignore"):  # what float64 does not hold is infinite
+        with np.errstate(over="ignore", invalid="ignore"):  # what float64 does not hold is infinite or NaN
             return column.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
         for row, value in enumerate(column.tolist()):

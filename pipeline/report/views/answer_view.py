@@ -9,6 +9,7 @@ from ....schemas.metric_catalogue import metric_of
 from ....schemas.record import RunRecord
 from ....schemas.results import Overview
 from ...object_store import url_or_path
+from ...results.diagnosis import BASE
 from ...results.floor import FloorRecipe, RunExcess, read_recipe, run_of_floor
 from ..view import Answers, Note, View, number, percent, shortened
 
@@ -17,8 +18,12 @@ _FEW = 5, 3, 2
 _PAIR = 16
 _SCORES = ("cdc_mean", "r_lambda_mean", "r_gap_mean")
 _COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
+_NO_CAUSE = (
+    "no cause is beyond the differences between two measurements in all pairs",
+    "no cause can be named before the warning above is dealt with",
+)
 #: Cautions that are shown above the answer.
-_SHOWN_ABOVE = ("failed", "frames")
+_SHOWN_ABOVE = ("failed", "frames", BASE)
 
 
 def answer_view(
@@ -45,6 +50,7 @@ def answer_view(
         return [line]
     n_causes, n_places, n_cautions = (None, None, None) if with_all else _FEW
     causes = [(f"{i}  {own.words}", own.detail, own.setting) for i, own in enumerate(overview.causes[:n_causes], 1)]
+    causes = [(own.words, "", "") for own in overview.trust if own.kind == BASE] + causes
     pieces = overview.pieces[:n_places]
     names = shortened({own.pair_id for own in pieces}, _PAIR)
     trust = [own.words for own in overview.trust if own.kind not in _SHOWN_ABOVE][:n_cautions]
@@ -58,7 +64,7 @@ def answer_view(
     sections = {
         "  surface": [(surface_words(record, excess), "", "")],
         "  pieces": [(pieces_words(record), "", "")],
-        "Fix first": causes or [("nothing beyond the differences between two measurements of a scene", "", "")],
+        "Fix first": causes or [(_NO_CAUSE[bool(record.frames)], "", "")],
         "Worst places": [(f"{names[own.pair_id]}  {own.words}", "", own.fate_words) for own in pieces],
         "Objects": [(scores_words(record), "", "")],
         "Last run": [(change_words(record), "", "")] if record.previous else [],

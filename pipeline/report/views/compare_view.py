@@ -89,10 +89,13 @@ def decision(comparison: Comparison) -> str:
         count = f"all {n_base}" if len(comparison.failed) == n_base else f"{len(comparison.failed)} of {n_base}"
         parts.append(f"{count} pairs that were scored before fail now")
     by_verdict = {
-        word: [family.name for family in comparison.families if family.verdict == word and not family.why]
+        word: [family for family in comparison.families if family.verdict == word and not family.why]
         for word in ("worse", "mixed", "better")
     }
-    parts += [f"{word}: {', '.join(names)}" for word, names in by_verdict.items() if names]
+    for word, families in by_verdict.items():
+        if families:
+            names = [_both_ways(own) if word == "mixed" else own.name for own in families]
+            parts.append(f"{'both ways' if word == 'mixed' else word}: {', '.join(names)}")
     if comparison.pairs and not any(by_verdict.values()):
         others = " of the others" * bool(comparison.failed)
         is_same = overall(comparison.families) == "same"
@@ -102,6 +105,12 @@ def decision(comparison: Comparison) -> str:
         parts.append(f"no score{others} changed" if is_same else unsure)
     words = [parts[0].removeprefix(f"{comparison.decision}: "), *parts[1:]] if parts else []
     return f"{comparison.decision}: {'; '.join(words)}"
+
+
+def _both_ways(family: FamilyChange) -> str:
+    """A family some scores of which are better and some worse."""
+    counted = [own for own in family.scores if not own.why and own.verdict in ("worse", "better")]
+    return f"{family.name} ({', '.join(f'{own.name} {own.verdict}' for own in counted)})"
 
 
 def chance(comparison: Comparison) -> str:
@@ -125,7 +134,7 @@ def remarks(comparison: Comparison) -> list[Note]:
     tending = [family.name for family in comparison.families if family.tendency == "worse"]
     if tending:
         lines.append(f"not decided, but with a tendency to the worse (p below 5 % alone): {', '.join(tending)}")
-    lines += [f"({own.verdict}) does not count: {own.name}: {own.why}" for own in comparison.families if own.why]
+    lines += [f"{own.name}: ({own.verdict}) does not count, {own.why}" for own in comparison.families if own.why]
     lines += _on_chance(comparison)
     n_unfollowed = len(comparison.unfollowed)
     if n_unfollowed:

@@ -59,7 +59,7 @@ def history_remarks(history: History) -> list[Note]:
     ]
     if history.n_blocks < LEAST_PAIRS:
         lines.append(
-            f"{history.n_blocks} independent pairs are too few for intervals and verdicts, {LEAST_PAIRS} are needed; "
+            f"too few independent pairs for intervals and verdicts: {history.n_blocks}, {LEAST_PAIRS} are needed; "
             "only moves to the worse far beyond the noise are named"
         )
     if history.left_out:
