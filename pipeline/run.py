@@ -407,7 +407,7 @@ class _Run:
                 for record in self._records(names)
                 for step, seconds in record.steps
             ]
-            columns = np.array(rows, dtype=object).reshape(-1, 6).T  # pyarrow would import pandas for lists
+            columns = np.array(rows, dtype=object).reshape(-1, 6).T  # also without rows
             by_name = zip(("pair_id", "side", "stage", "step", "seconds", "reused"), columns, strict=True)
             table = TABLES["timings"].build(dict(by_name))
             yield table.sort_by([(key, "ascending") for key in TABLES["timings"].keys])

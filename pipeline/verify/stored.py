@@ -92,7 +92,7 @@ class StoredPair:
 
     @property
     def drawn_matches(self) -> list[Row]:
-        """Matched rows of the sample that have stored nodes; that others have none is a difference of `selection`."""
+        """Matched rows of the sample that have stored nodes; others without them are a difference of `selection`."""
         is_stored = self.matches["real_id"].isin(self.table("selection")["real_id"])
         return rows_of(self.matches[is_stored & self.matches.index.isin(self.drawn)])
 
