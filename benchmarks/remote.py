@@ -87,10 +87,10 @@ def pair_of_runs(server, folder, dataset, url, name):
     remote = weigh("run", url, "--out", f"{URL}/runs/{name}", "--workers", WORKERS)
     used, server_s = server.requests() - before, server.cpu_s() - server_s
     local = weigh("run", dataset, "--out", folder / name, "--workers", WORKERS)
-    stored = list_objects(f"{URL}/runs/{name}")
     print(f"{name}: wall {local.wall_s:.1f} s local, {remote.wall_s:.1f} s remote: {remote.wall_s / local.wall_s:.2f}")
     print(f"  CPU {local.cpu_s:.1f} s local, {remote.cpu_s:.1f} s remote: {remote.cpu_s / local.cpu_s:.2f}", end="")
     print(f" (and {server_s:.1f} s of the server)")
+    stored = list_objects(f"{URL}/runs/{name}") if used else []
     print(f"  requests {dict(used)}; {len(stored)} objects, {sum(one.size for one in stored) / 1e6:.1f} MB written")
     peaks = [f"{of:.0f}" for of in (local.peaks[0], remote.peaks[0])]
     print(f"  peak memory of the command: {peaks[0]} MiB local, {peaks[1]} MiB remote", flush=True)
