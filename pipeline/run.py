@@ -145,7 +145,8 @@ def run_dataset(
         survey = run.survey(selected)
         if not (replace or from_stage):
             engine.refuse_replacing(survey, f"run {out}", run.before)
-        engine.make(survey, run.plan, run.begin, run.changes)
+        with engine.making(survey, run.plan, run.begin, run.changes) as schedule:
+            schedule.run()
         return run.write(survey)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from shutil import rmtree
 from typing import Any, Self
@@ -279,8 +280,11 @@ class RunEngine:
             listed = ", ".join(dict.fromkeys((*(stage.name for stage in stages), *sorted(names))))
             refuse_overwrite(name, f"{listed} of {n_pairs} pair{'s' * (n_pairs > 1)}", why)
 
-    def make(self, survey: Survey, plan_pair: PlanPair, begin: Callable[[], None], changes: Sequence[str] = ()) -> None:
-        """Remove stale results and compute the missing ones.
+    @contextmanager
+    def making(
+        self, survey: Survey, plan_pair: PlanPair, begin: Callable[[], None], changes: Sequence[str] = ()
+    ) -> Iterator[Schedule]:
+        """The schedule of the missing results, after the stale ones were removed.
 
         Parameters
         ----------
@@ -289,18 +293,19 @@ class RunEngine:
         begin : called before anything is removed or written, once the workers have started
         changes : changes since the last run, as text
         """
-        pool = self.start(survey.todo) if survey.todo else None
+        pool = self.start(survey.todo) if survey.todo else Pool()
         if survey.todo or survey.stale:
             begin()
         self._remove_stale(survey, changes)
-        if pool is None:
+        if not survey.todo:
+            yield Schedule(pool, (), 0, self)
             return
         self._warn_of_large_pairs(survey.todo)
         self._share_folder()  # without what was replaced
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
         try:
             self.reporter.start(len(survey.todo), survey.n_jobs)
-            Schedule(pool, self._for_workers(plans), len(survey.todo), self, self._machines.policy).run()
+            yield Schedule(pool, self._for_workers(plans), len(survey.todo), self, self._machines.policy)
         except DiskFullError as error:
             n_raw, n_pairs = sum(map(self._n_points, survey.todo)), len(survey.todo)
             need = megabytes(self._machines.policy.costs.disk_bytes(n_raw))

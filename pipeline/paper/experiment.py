@@ -227,7 +227,8 @@ class Experiment:
             if survey.stale or not self._finished or stages is not STAGES:
                 self._write_record({})
 
-        self.engine.make(survey, self._plan, begin, self._changes)
+        with self.engine.making(survey, self._plan, begin, self._changes) as schedule:
+            schedule.run()
 
 
 @contextmanager

@@ -49,7 +49,8 @@ def make_parts(dataset, out, parts, pool):
             return planner.plan(pair, engine.contents[pair.pair_id], parts)
 
         survey = engine.survey(pairs, plan, selected={pair.pair_id for pair in pairs})
-        engine.make(survey, plan, lambda: None)
+        with engine.making(survey, plan, lambda: None) as schedule:
+            schedule.run()
         return engine, {pair.pair_id: folder.ledger.jobs(pair.pair_id) for pair in pairs}
 
 
@@ -59,9 +60,8 @@ def test_a_pair_of_many_points_is_announced_with_its_memory_and_minutes(tmp_path
         for n in (200_000, 1_000_000):
             engine.contents[str(n)] = dict.fromkeys(("real", "sim"), ScanContent("", "", n))
         survey = Survey(todo=[ScanPair(name, None, None) for name in engine.contents])
-        engine.make(
-            survey, lambda pair: Planner([], Settings(), {}).plan(pair, engine.contents[pair.pair_id]), lambda: None
-        )
+        with engine.making(survey, lambda pair: None, lambda: None):
+            pass
     assert "1 of 2 pairs have 500,000 points or more; the largest has about 2,000,000; with all" in said.getvalue()
     assert "it takes some 11 GiB of memory and 17 minutes or more; thin both sides" in said.getvalue()
 
