@@ -50,21 +50,21 @@ def beam_table(folder: Path, floor: Path | None = None, pattern: str | None = No
     Raises
     ------
     RunError
-        A folder is not a finished run, or no pair has rays.
+        A folder is not a finished run, or no pair has rays (also in the floor).
     """
-    run, base = FinishedRun(folder), None if floor is None else FinishedRun(floor)
-    names = run.select(pattern)
-    if base:
-        names = [name for name in names if name in {row["pair_id"] for row in base.scored}]
-    found = {name: own for name in names if len(own := _of_pair(run, name))}
+    runs = [FinishedRun(path) for path in (folder, floor) if path]
+    scored = set.intersection(*({row["pair_id"] for row in run.scored} for run in runs))
+    found = {name: [_of_pair(run, name) for run in runs] for name in runs[0].select(pattern) if name in scored}
+    found = {name: parts for name, parts in found.items() if all(map(len, parts))}
     if not found:
-        raise RunError(f"run {folder}: no pair has rays; fidpipe show {folder} PAIR says why")
+        where = f" here and in {floor}" if floor else ""
+        raise RunError(f"run {folder}: no pair has rays{where}; fidpipe show {folder} PAIR says why")
     errors = ["range_error_m", "elevation_error_deg"]
-    for name, own in found.items():
+    for own, *base in found.values():
         if base:
-            own[errors] -= _of_pair(base, name)[errors]
+            own[errors] -= base[0][errors]
         own[errors] -= own[errors].rolling(_BEAMS, center=True, min_periods=_BEAMS // 2 + 1).median()
-    by_beam = pd.concat(found, names=["pair_id"]).groupby("beam")
+    by_beam = pd.concat({name: parts[0] for name, parts in found.items()}).groupby("beam")
     table: pd.DataFrame = by_beam.mean()
     table.insert(0, "n_pairs", by_beam.size())
     reach = scipy.stats.t.ppf(0.975, table.n_pairs - 1) / np.sqrt(table.n_pairs)

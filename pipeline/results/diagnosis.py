@@ -70,7 +70,8 @@ def gain_words(cause: DiagnosedCause) -> str:
 
 def interval_words(cause: DiagnosedCause) -> str:
     """The 95 % interval of the size of a cause, as text; a minus is the opposite of its sentence."""
-    ends = sorted((cause.low, cause.high)) if cause.estimate >= 0 else sorted((-cause.low, -cause.high))
+    sign = -1 if cause.estimate < 0 else 1
+    ends = sorted((sign * cause.low, sign * cause.high))
     low, high = (f"{'-' * (value < 0)}{size_words(value, cause.unit)}" for value in ends)
     return f"{low} to {high}"
 

@@ -436,6 +436,9 @@ def test_datasets_are_evaluated_and_compared(tmp_path):
     for i, name in enumerate(("a", "b")):
         write_bin(tmp_path / name / "real" / "0.bin", scan := street(seed=0, n=80))
         write_bin(tmp_path / name / "sim" / "0.bin", drifted(scan, seed=i))
+    missing = command("compare", "a", "typo", cwd=tmp_path)
+    assert (missing.returncode, missing.stderr) == (1, "error: typo: no such file or folder; nothing was evaluated\n")
+    assert not (tmp_path / "runs").exists()
     ended = command("compare", "a", "b", "--json", cwd=tmp_path, env=None)
     assert ended.returncode == 0, ended.stderr
     assert "its run is runs/a" in ended.stderr

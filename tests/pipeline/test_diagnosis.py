@@ -13,7 +13,7 @@ from fidpipe.pipeline.diagnose.latency import follow, latency_words, speed_m_s
 from fidpipe.pipeline.report.page.run_data import page_data
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.compare import compare_runs
-from fidpipe.pipeline.results.diagnosis import DIAGNOSIS
+from fidpipe.pipeline.results.diagnosis import DIAGNOSIS, interval_words
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.results import Diagnosis
@@ -78,7 +78,11 @@ def test_the_flaw_is_the_first_cause_everywhere(runs):
     chart = page_data(read_results(low))["charts"]["cause_height"]
     assert [curve["name"] for curve in chart["data"]] == ["simulated", "corrected"]
     assert json.loads((low / DIAGNOSIS).read_text()) == json.loads(shown.stdout)
-    assert "world 15 cm too low" in command("show", low).stdout
+    assert not interval_words(first).startswith("-"), "of the size that the sentence names"
+    summary = " ".join(command("show", low).stdout.split())
+    assert f"diagnosed causes are changes against {good}, the others against the real scans" in summary
+    assert "world 15 cm too low" in summary
+    assert "no floor yet" not in summary
     assert "world 15 cm too low" in command("diagnose", low, "--floor", good, "--markdown").stdout
     assert "height" not in {cause.name for cause in diagnose_run(good).causes}
     changes = compare_runs([good, low], independent=True)[0].causes
@@ -195,7 +199,7 @@ def room(rng, low_m=(-18.0, -12.0, -1.8), high_m=(31.0, 9.0, 6.0)):
     return directions * (range_m + rng.normal(0, 0.005, len(range_m)))[:, None], beam
 
 
-def test_beams_with_errors_of_their_own_stand_out(tmp_path):
+def test_beams_with_errors_of_their_own_stand_out(tmp_path, two_runs):
     """Beam 3 measures 8 cm too far, beam 6 lies 0.3 degrees too high, beam 11 loses half of its returns."""
     rng = np.random.default_rng(7)
     for i in range(3):
@@ -217,6 +221,8 @@ def test_beams_with_errors_of_their_own_stand_out(tmp_path):
     ]
     assert outstanding(beam_table(tmp_path / "run", pattern="[01]")) == [], "two pairs are too few"
     assert outstanding(beam_table(tmp_path / "run", tmp_path / "run")) == [], "over itself as the floor"
+    with pytest.raises(RunError, match="no pair has rays here and in"):
+        beam_table(tmp_path / "run", two_runs / "run-good")
     shown = command("diagnose", tmp_path / "run", "--beams")
     assert "beam 3: 8 cm too far" in shown.stdout, shown.stderr
     rows = json.loads(command("diagnose", tmp_path / "run", "--beams", "--json").stdout)["beams"]
@@ -225,8 +231,9 @@ def test_beams_with_errors_of_their_own_stand_out(tmp_path):
 
 
 def test_a_run_without_rays_has_no_beams(two_runs):
-    with pytest.raises(RunError, match="no pair has rays"):
-        beam_table(two_runs / "run-good")
+    for floor in (None, two_runs / "run-low"):
+        with pytest.raises(RunError, match="no pair has rays"):
+            beam_table(two_runs / "run-good", floor)
 
 
 @pytest.fixture(scope="module")
@@ -277,6 +284,7 @@ def test_two_sweeps_of_a_parked_sensor_are_indistinguishable(real_data):
     ("words", "code", "text"),
     [
         (("elsewhere",), 2, "--tell-apart"),
+        (("--tell-apart", "--beams"), 2, "one of --beams and --tell-apart"),
         (("--tell-apart", "--set", "input.min_range_m=1"), 2, "two folders"),
     ],
 )
