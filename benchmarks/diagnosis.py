@@ -287,8 +287,8 @@ def diagnose(pairs, floor):
 
 def judge(task):
     """The diagnoses of one flaw (or mixture) on one base: by number of pairs and floor."""
-    out, folder, base, label, flaws = task
-    file = out / f"{zlib.crc32(repr((str(folder), base, label)).encode()):08x}.pkl"
+    args, folder, base, label, flaws = task
+    file = args.out / f"{zlib.crc32(repr((str(folder), base, label)).encode()):08x}.pkl"
     if file.exists():
         return pickle.loads(file.read_bytes())
     scenes, found = SCENES[folder], []
@@ -297,7 +297,7 @@ def judge(task):
     for scene in scenes:
         scans = pair_of(scene, altered(scene, base, flaws))
         pairs.append((scans, estimate(scans)))
-    for n in (5, 10)[: 1 + (len(pairs) >= 10)]:
+    for n in args.pairs[: 1 + (len(pairs) >= args.pairs[-1])]:
         step = len(pairs) // n or 1
         some, over = pairs[::step][:n], floors[::step][:n]
         found.append((n, "floor", diagnose(some, over)))
@@ -337,21 +337,21 @@ def tasks_of(args):
             for name, (_, amounts) in FLAWS.items():
                 if not is_possible(name, folder):
                     continue
-                for i, (alter, _) in enumerate(amounts):
-                    yield args.out, folder, base, ("single", name, i), [(name, alter)]
+                for i in sorted({min(i, len(amounts) - 1) for i in args.amounts}):
+                    yield args, folder, base, ("single", name, i), [(name, amounts[i][0])]
             for name, alter in UNKNOWN.items():
-                yield args.out, folder, base, ("unknown", name, 0), [(name, alter)]
+                yield args, folder, base, ("unknown", name, 0), [(name, alter)]
             mixtures = random("mixtures").permutation([*combinations(FLAWS, 2)])[: args.mixed]
             for a, b in mixtures.tolist():
                 if not (is_possible(a, folder) and is_possible(b, folder)):
                     continue
                 chosen = [(name, FLAWS[name][1][-1 if len(FLAWS[name][1]) < 3 else 1][0]) for name in (a, b)]
-                yield args.out, folder, base, ("mixture", f"{a} + {b}", 0), chosen
+                yield args, folder, base, ("mixture", f"{a} + {b}", 0), chosen
         for i in range(args.healthy):
             rng = random("healthy", i)
             amounts = rng.uniform(0.01, 0.03), rng.uniform(0.01, 0.04)
-            yield args.out, folder, "real", ("healthy", str(i), 0), [(f"healthy {i}", again(*amounts))]
-            yield args.out, folder, "real", ("repeated", str(i), 0), [(f"repeated {i}", again(BASE_NOISE_M, BASE_LOSS))]
+            yield args, folder, "real", ("healthy", str(i), 0), [(f"healthy {i}", again(*amounts))]
+            yield args, folder, "real", ("repeated", str(i), 0), [(f"repeated {i}", again(BASE_NOISE_M, BASE_LOSS))]
 
 
 def again(noise_m, lost):
@@ -432,6 +432,8 @@ if __name__ == "__main__":
     parser.add_argument("--mixed", type=int, default=N_MIXED, help="mixtures of two flaws")
     parser.add_argument("--healthy", type=int, default=N_HEALTHY, help="healthy re-measurements")
     parser.add_argument("--kinds", nargs="*", help="only these: single, mixture, unknown, healthy, repeated")
+    parser.add_argument("--amounts", nargs="*", type=int, default=[0, 1, 2], help="single flaws in these amounts only")
+    parser.add_argument("--pairs", nargs="*", type=int, default=[5, 10], help="diagnoses of these numbers of pairs")
     parser.add_argument("--every-pair", type=int, default=1, help="take each n-th pair")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     arguments = parser.parse_args()
