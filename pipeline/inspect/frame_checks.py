@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 
@@ -113,15 +113,30 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
 
 def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
     """One line for each pair one of whose files is named after the other side, by its own name or its folders."""
-    lines = []
     resolve = cache(Path.resolve)  # of folders: many files share one
+
+    def resolved(file: Path) -> tuple[str, ...]:
+        return file.resolve().parts if file.is_symlink() else (*resolve(file.parent).parts, file.name)
+
+    @cache
+    def below(parent: Path) -> tuple[str, ...] | None:
+        """The parts of a folder below that of the dataset; None if it is elsewhere, or a link leads to it."""
+        parts = parent.relative_to(folder).parts if parent.is_relative_to(folder) else None
+        return parts if parts is not None and resolve(parent) == resolve(folder).joinpath(*parts) else None
+
+    def words(path: Path, other: Path) -> set[str]:
+        """Words in a file's name and in its folders, below the dataset's folder or else where the other's differ."""
+        folders = None if path.is_symlink() else below(path.parent)
+        parts = {*resolved(path)} - {*resolved(other)} if folders is None else (*folders, path.name)
+        return set(re.split("[^a-z]+", "/".join(parts).lower()))
+
+    lines = []
     for pair in pairs:
         if pair.real is None or pair.sim is None:
             continue
-        paths = {"real": (pair.real, pair.sim), "sim": (pair.sim, pair.real)}
-        words = {side: _words(*own, folder, resolve) for side, own in paths.items()}
+        found = {"real": words(pair.real, pair.sim), "sim": words(pair.sim, pair.real)}
         for side, other in (("real", "sim"), ("sim", "real")):
-            if words[side] & _WORDS[other] and not words[side] & _WORDS[side]:
+            if found[side] & _WORDS[other] and not found[side] & _WORDS[side]:
                 name = {"real": "real", "sim": "simulated"}
                 lines.append(
                     f"pair {pair.pair_id}: the {name[side]} scan is {pair.path(side)}, "
@@ -129,20 +144,3 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
                 )
                 break
     return lines
-
-
-def _words(path: Path, other: Path, folder: Path, resolve: Callable[[Path], Path]) -> set[str]:
-    """Words in a file's name and in its folders, below the dataset's folder or else where the other's differ."""
-
-    def resolved(file: Path) -> Path:
-        return file.resolve() if file.is_symlink() else resolve(file.parent) / file.name
-
-    if (
-        not path.is_symlink()
-        and path.is_relative_to(folder)
-        and resolved(path) == resolve(folder) / path.relative_to(folder)
-    ):
-        parts: Iterable[str] = path.relative_to(folder).parts
-    else:
-        parts = set(resolved(path).parts) - set(resolved(other).parts)
-    return {word for part in parts for word in re.split("[^a-z]+", part.lower())}
