@@ -13,11 +13,12 @@ from urllib.parse import quote, urlencode
 
 import numpy as np
 
+from ...schemas.columns import Row
 from ...schemas.metric_catalogue import METRIC
 from ...schemas.results import Piece
 from ...stages.arrays import BoolArray, FloatArray
 from ..results.finished import FinishedRun
-from ..results.followed import SHARED_SCORES, ObjectChange
+from ..results.followed import SHARED_SCORES
 from .aggregates import evenly
 from .figures.style import VIEW
 from .run_frames import RunResults, frames_of, read_cloud
@@ -121,7 +122,7 @@ def _arrow(shaft: complex) -> str:
     return "M" + "L".join(f"{end.real:.1f} {end.imag:.1f}" for end in ends)
 
 
-def draw_change(change: ObjectChange, runs: Sequence[FinishedRun]) -> list[dict[str, Any]]:
+def draw_change(change: Row, runs: Sequence[FinishedRun]) -> list[dict[str, Any]]:
     """The points of a real object, and the simulated ones before and after: words, own points, others in its box.
 
     Parameters
@@ -133,15 +134,15 @@ def draw_change(change: ObjectChange, runs: Sequence[FinishedRun]) -> list[dict[
     RunError
         A table is damaged or gone.
     """
-    pair = change.pair_id
+    pair = change["pair_id"]
     clouds = [read_cloud(runs[0], pair, "real"), *(read_cloud(run, pair, "sim") for run in runs)]
-    ids = (change.real_id, change.sim_before, change.sim_after)
+    ids = (change["real_id"], change["sim_before"], change["sim_after"])
     is_own = [np.equal(cloud.community, np.nan if i is None else i) for cloud, i in zip(clouds, ids, strict=True)]
     low, high = box_around(np.concatenate([cloud.points[own] for cloud, own in zip(clouds, is_own, strict=True)]))
     places = []
     for cloud, own, when in zip(clouds, is_own, ("", "before", "after"), strict=True):
         others = inside(cloud.points, low, high) & ~own
-        scores = {METRIC[score].label: getattr(change, f"{score}_{when}") for score in SHARED_SCORES if when}
+        scores = {METRIC[score].label: change[f"{score}_{when}"] for score in SHARED_SCORES if when}
         words = ", ".join([f"{own.sum():,} points", *(f"{name} {number(value)}" for name, value in scores.items())])
         if not own.any():
             words = f"not matched; {others.sum():,} points of other objects here"

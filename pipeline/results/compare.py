@@ -7,12 +7,12 @@ objects are followed from run to run (`followed`) as a description.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from ...schemas.cause_catalogue import CAUSES
 from ...schemas.errors import DatasetError, RunError
@@ -39,8 +39,8 @@ from .displaced import MovedWorld, find_moved
 from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
-from .followed import FOLLOWED_COLUMNS, GroupChange, ObjectChange, by_class, by_range, follow
-from .object_frame import object_parts
+from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, follow
+from .object_frame import object_parts, plain_rows
 from .sectors import N_SECTORS, sector_rows
 
 #: Largest number of runs that fit into one table.
@@ -79,6 +79,7 @@ class Comparison:
     families : what is decided, see `families`
     causes : those whose estimate changed by more than a tenth of its tolerance: the interval excludes 0, or if there is
         none, the change exceeds the tolerance; displacements only if `find_moved` confirms them
+    objects : the real objects and their fates, see `followed.follow`
     n_blocks : independent pairs: copies and neighbouring frames count once
     blocking : one sentence on how they were found
     by_direction : True if few blocks are left, so that changes must be consistent over frames and over directions
@@ -97,7 +98,7 @@ class Comparison:
     notes: tuple[str, ...]
     families: tuple[FamilyChange, ...]
     causes: tuple[CauseChange, ...]
-    objects: tuple[ObjectChange, ...]
+    objects: pd.DataFrame
     n_blocks: int
     blocking: str
     by_direction: bool
@@ -123,28 +124,17 @@ class Comparison:
     @property
     def kinds(self) -> dict[str, int]:
         """Number of real objects by fate."""
-        count = Counter(change.kind for change in self.objects)
-        return {kind: count[kind] for kind in KINDS}
-
-    @property
-    def by_class(self) -> tuple[GroupChange, ...]:
-        """Fates of the real objects of each class, or shape."""
-        return by_class(self.objects)
-
-    @property
-    def by_range(self) -> tuple[GroupChange, ...]:
-        """Fates of the real objects of each band of range."""
-        return by_range(self.objects)
+        count = self.objects["kind"].value_counts()
+        return {kind: int(count.get(kind, 0)) for kind in KINDS}
 
     def as_dict(self) -> JsonObject:
         """Plain values, for programs."""
         excess = None if self.excess is None else [each.as_dict() for each in self.excess]
-        groups = {"by_class": self.by_class, "by_range": self.by_range}
         return (
             asdict(replace(self, excess=None))
             | {"base": str(self.base), "other": str(self.other), "decision": self.decision}
-            | {"kinds": self.kinds, "excess": excess}
-            | {name: [asdict(group) for group in own] for name, own in groups.items()}
+            | {"kinds": self.kinds, "excess": excess, "objects": plain_rows(self.objects)}
+            | {"by_class": by_class(self.objects), "by_range": by_range(self.objects)}
         )
 
 
@@ -233,7 +223,7 @@ def compare_two(
         notes=tuple(_notes(base, other)),
         families=judge_families(preset, rows, blocks, noise, floors, sectors, moved) if names else (),
         causes=_confirmed(causes, moved),
-        objects=tuple(changes),
+        objects=changes,
         n_blocks=n_blocks,
         blocking=blocking,
         by_direction=sectors is not None,
@@ -242,14 +232,16 @@ def compare_two(
     )
 
 
-def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tuple[list[ObjectChange], list[str]]:
+def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tuple[pd.DataFrame, list[str]]:
     """Fates of the real objects of the pairs, and the pairs whose real objects differ."""
     parts = (
         object_parts(run.store, names, FOLLOWED_COLUMNS, by_reference=run.is_by_reference, sides=("real",))
         for run in (base, other)
     )
     found = [follow(before, after) for before, after in zip(*parts, strict=True)]
-    return [change for changes, _ in found for change in changes], [names[i] for _, own in found for i in own]
+    none = pd.DataFrame(columns=CHANGE_COLUMNS)
+    changes = pd.concat([own for own, _ in found], ignore_index=True) if found else none
+    return changes, [names[i] for _, own in found for i in own]
 
 
 def recorded_times_s(*runs: FinishedRun) -> dict[str, float]:

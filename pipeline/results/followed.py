@@ -5,15 +5,13 @@ The real side's objects are the same where scan and settings are; that is checke
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ...stages.arrays import IndexArray
+from ...schemas.columns import Row
 from ...stages.statistics.comparison import KINDS, kinds_of_change
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from .object_frame import plain_rows
@@ -23,63 +21,16 @@ SHARED_SCORES = ("cdc", "r_lambda")
 _PLACE = ("n_points", "cx", "cy", "cz")
 #: Columns of the frame of objects that `follow` reads.
 FOLLOWED_COLUMNS = (*_PLACE[1:], *SHARED_SCORES, "label", "shape", "range_m")
+#: Columns of the frame that it returns; `shape` is the name of an object without labels, and scores and simulated
+#: objects (`sim_before`, `sim_after`) are null where it is missing.
+CHANGE_COLUMNS = (
+    *("pair_id", "real_id", "label", "shape", "range_m", "n_points", "kind"),
+    *(f"{name}_{when}" for name in (*SHARED_SCORES, "sim") for when in ("before", "after")),
+)
 
 
-@dataclass(frozen=True)
-class ObjectChange:
-    """A real object before and after; scores are None if it is missing or a score is null.
-
-    shape : what it is called by where scans have no labels
-    sim_before, sim_after : the simulated object that it is matched with; None if it is missing
-    """
-
-    pair_id: str
-    real_id: int
-    label: str | None
-    shape: str
-    range_m: float
-    n_points: int
-    kind: str
-    cdc_before: float | None
-    cdc_after: float | None
-    r_lambda_before: float | None
-    r_lambda_after: float | None
-    sim_before: int | None
-    sim_after: int | None
-
-    @property
-    def change(self) -> float:
-        """The largest rise of a score, or fall where none rose; for sorting."""
-        return max((step for score in SHARED_SCORES if (step := self.step(score)) is not None), key=abs, default=0.0)
-
-    def step(self, score: str) -> float | None:
-        """Change of a score; None if it is null in either run."""
-        before, after = getattr(self, f"{score}_before"), getattr(self, f"{score}_after")
-        return None if before is None or after is None else float(after - before)
-
-
-@dataclass(frozen=True)
-class GroupChange:
-    """Fates of some real objects, counted: a description without a test of significance.
-
-    name : of the class, the shape or the band of range
-    n : real objects; kinds : of these, how many have become what
-    n_pairs : pairs that have such objects
-    n_both : objects that both runs have matched
-    cdc, r_lambda : mean change over those of them that have the score in both runs; None if no object has it
-    """
-
-    name: str
-    n: int
-    kinds: dict[str, int]
-    n_pairs: int
-    n_both: int
-    cdc: float | None
-    r_lambda: float | None
-
-
-def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[list[ObjectChange], list[int]]:
-    """Fate of each real object of some pairs, and the pairs whose real objects differ.
+def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, list[int]]:
+    """Fate of each real object of some pairs (`CHANGE_COLUMNS`), and the pairs whose real objects differ.
 
     Real objects differ if their number, their points or their centroids do.
 
@@ -100,49 +51,50 @@ def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[list[ObjectChange
     for when in ("before", "after"):
         columns |= {f"{name}_{when}": both[f"{name}_{when}"] for name in SHARED_SCORES}
         columns[f"sim_{when}"] = both[f"partner_{when}"].where(both[f"partner_{when}"] >= 0).astype("Int32")
-    return [ObjectChange(**row) for row in plain_rows(pd.DataFrame(columns))], differing
+    return pd.DataFrame(columns)[[*CHANGE_COLUMNS]], differing
 
 
-def by_class(changes: Sequence[ObjectChange]) -> tuple[GroupChange, ...]:
-    """Real objects by class, or by shape where no scan is labelled; the largest group first."""
-    is_labelled = any(change.label is not None for change in changes)
-    groups = _grouped(changes, [one.label or "(no label)" if is_labelled else one.shape for one in changes])
-    return tuple(sorted(groups, key=lambda group: (-group.n, group.name)))
+def by_class(objects: pd.DataFrame) -> list[Row]:
+    """Fates of the real objects by class, or by shape where no scan is labelled, counted; the largest group first.
+
+    A description without a test of significance. Each row has `name`, `n` (objects), `kinds` (of these, how many have
+    become what), `n_pairs` (pairs that have such objects), `n_both` (objects that both runs have matched), and the mean
+    change of each score over those of them that have it in both runs; None if no object has it.
+    """
+    is_labelled = objects["label"].notna().any()
+    names = objects["label"].fillna("").replace("", "(no label)") if is_labelled else objects["shape"]
+    return sorted(_grouped(objects, names), key=lambda group: (-group["n"], group["name"]))
 
 
-def by_range(changes: Sequence[ObjectChange]) -> tuple[GroupChange, ...]:
-    """Real objects by distance from the sensor, near ones first; bands without an object are left out."""
-    bands: IndexArray = np.searchsorted(BAND_EDGES_M, [one.range_m for one in changes], "right") - 1
-    return tuple(replace(group, name=BAND_NAMES[int(group.name)]) for group in _grouped(changes, bands))
+def by_range(objects: pd.DataFrame) -> list[Row]:
+    """The same by distance from the sensor, near objects first; bands without an object are left out."""
+    bands = np.searchsorted(BAND_EDGES_M, objects["range_m"].to_numpy(dtype=np.float64), "right") - 1
+    return [group | {"name": BAND_NAMES[group["name"]]} for group in _grouped(objects, bands)]
 
 
-def worst_changes(changes: Sequence[ObjectChange], most: int = 5) -> list[ObjectChange]:
+def by_change(objects: pd.DataFrame) -> pd.DataFrame:
+    """The objects in the order of the largest rise of a score, or fall where none rose; of equal ones the largest."""
+    steps = [(objects[f"{s}_after"] - objects[f"{s}_before"]).fillna(0.0).abs() for s in SHARED_SCORES]
+    keys = {"size": -pd.concat(steps, axis=1).max(axis=1), "points": -objects["n_points"]}
+    return objects.assign(**keys).sort_values([*keys, "pair_id", "real_id"]).drop(columns=[*keys])
+
+
+def worst_changes(objects: pd.DataFrame, most: int = 5) -> list[Row]:
     """The objects to look at first: in turn the one whose score rose most, and the largest that has vanished."""
-    worse = sorted((one for one in changes if one.kind == "worse"), key=_by_change)
-    vanished = sorted((one for one in changes if one.kind == "vanished"), key=_by_change)
-    in_turn = sorted([*enumerate(worse), *enumerate(vanished)], key=lambda placed: placed[0])
-    return [change for _, change in in_turn[:most]]
+    worst = by_change(objects[objects["kind"].isin(["worse", "vanished"])])
+    in_turn = worst.assign(turn=worst.groupby("kind").cumcount()).sort_values(["turn", "kind"], ascending=[True, False])
+    return plain_rows(in_turn.drop(columns="turn").head(most))
 
 
-def _by_change(one: ObjectChange) -> tuple[float, int, str, int]:
-    return -abs(one.change), -one.n_points, one.pair_id, one.real_id
-
-
-def _grouped(changes: Sequence[ObjectChange], names: Sequence[str] | IndexArray) -> list[GroupChange]:
-    if not changes:
-        return []
-    groups = []
-    for name, own in pd.DataFrame(map(vars, changes)).groupby(np.asarray(names)):
-        count = Counter(own["kind"])
+def _grouped(objects: pd.DataFrame, names: Any) -> Iterator[Row]:
+    for name, own in objects.groupby(names):
+        count = own["kind"].value_counts()
         steps = {s: (own[f"{s}_after"] - own[f"{s}_before"]).dropna().to_numpy(dtype=np.float64) for s in SHARED_SCORES}
-        groups.append(
-            GroupChange(
-                name=str(name),
-                n=len(own),
-                kinds={kind: count[kind] for kind in KINDS},
-                n_pairs=own["pair_id"].nunique(),
-                n_both=int(own[["sim_before", "sim_after"]].notna().all(axis=1).sum()),
-                **{score: float(step.mean()) if len(step) else None for score, step in steps.items()},
-            )
-        )
-    return groups
+        yield {
+            "name": name,
+            "n": len(own),
+            "kinds": {kind: int(count.get(kind, 0)) for kind in KINDS},
+            "n_pairs": own["pair_id"].nunique(),
+            "n_both": int(own[["sim_before", "sim_after"]].notna().all(axis=1).sum()),
+            **{score: float(step.mean()) if len(step) else None for score, step in steps.items()},
+        }

@@ -19,15 +19,18 @@ from fidpipe.pipeline.report.pictures import draw_change
 from fidpipe.pipeline.report.render import csv_table, markdown
 from fidpipe.pipeline.report.views.compare_view import (
     chance,
+    changed,
     compare_records,
     compare_view,
     decision,
+    object_view,
     score_table,
 )
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun
-from fidpipe.pipeline.results.followed import worst_changes
+from fidpipe.pipeline.results.followed import by_class, by_range, worst_changes
 from fidpipe.pipeline.results.gate import judge_comparison
+from fidpipe.pipeline.results.object_frame import plain_rows
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
 from reports import embedded, text_of
@@ -120,13 +123,13 @@ def test_objects_are_followed_through_the_real_side(versions):
     assert len(found.objects) == len(real) == sum(found.kinds.values())
     matching = [pd.read_parquet(folder / "matching").query("status == 'matched'") for folder in versions]
     matched = [set(zip(of.pair_id, of.real_id.astype(int), strict=True)) for of in matching]
-    vanished = {(of.pair_id, of.real_id) for of in found.objects if of.kind == "vanished"}
-    appeared = {(of.pair_id, of.real_id) for of in found.objects if of.kind == "appeared"}
+    of_kind = {kind: set(zip(own.pair_id, own.real_id, strict=True)) for kind, own in found.objects.groupby("kind")}
+    vanished, appeared = of_kind["vanished"], of_kind["appeared"]
     assert vanished == matched[0] - matched[1]
     assert appeared == matched[1] - matched[0]
     metrics = pd.read_parquet(versions[1] / "metrics").set_index(["pair_id", "real_id"]).cdc
-    for of in found.objects:
-        assert of.cdc_after == (metrics.get((of.pair_id, of.real_id)))
+    for of in plain_rows(found.objects):
+        assert of["cdc_after"] == (metrics.get((of["pair_id"], of["real_id"])))
 
 
 def test_a_run_against_itself_differs_in_nothing(versions):
@@ -156,7 +159,9 @@ def test_other_communities_of_the_same_scan_are_not_followed(versions, tmp_path)
     run(versions[1].parent / "data-bad", other, load(assignments=["graph.k=10"]))
     found = compare_runs([versions[0], other], allow_different_settings=True)[0]
     assert set(found.unfollowed) == set(HOSTILE)
-    assert found.objects == ()
+    assert found.objects.empty
+    assert by_class(found.objects) == by_range(found.objects) == worst_changes(found.objects) == []
+    assert object_view(found) == changed(found) == []
 
 
 def test_pairs_that_are_not_common_are_left_out_with_the_reason(versions, tmp_path):
@@ -271,15 +276,15 @@ def test_the_first_line_is_the_decision_and_the_second_says_on_what(versions):
 
 def test_classes_and_ranges_count_every_real_object_and_average_those_in_both(versions):
     found = compare_runs(versions)[0]
-    for groups in (found.by_class, found.by_range):
-        assert sum(group.n for group in groups) == len(found.objects)
+    for groups in (by_class(found.objects), by_range(found.objects)):
+        assert sum(group["n"] for group in groups) == len(found.objects)
         for kind in found.kinds:
-            assert sum(group.kinds[kind] for group in groups) == found.kinds[kind]
-    near = [of for of in found.objects if of.range_m < 10 and of.cdc_before is not None and of.cdc_after is not None]
-    group = next(group for group in found.by_range if group.name == "0 to 10 m")
-    assert group.n_both == len(near) > 0
-    assert group.cdc == pytest.approx(sum(of.cdc_after - of.cdc_before for of in near) / len(near))
-    assert {group.name for group in found.by_class} <= {"linear", "planar", "scattered"}
+            assert sum(group["kinds"][kind] for group in groups) == found.kinds[kind]
+    near = found.objects.query("range_m < 10 and cdc_before.notna() and cdc_after.notna()")
+    group = next(group for group in by_range(found.objects) if group["name"] == "0 to 10 m")
+    assert group["n_both"] == len(near) > 0
+    assert group["cdc"] == pytest.approx((near.cdc_after - near.cdc_before).mean())
+    assert {group["name"] for group in by_class(found.objects)} <= {"linear", "planar", "scattered"}
 
 
 def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
@@ -321,12 +326,12 @@ def test_the_worst_changes_are_in_3d_and_linked_into_both_reports(versions, tmp_
     found = compare_runs(runs)
     worst = worst_changes(found[0].objects)
     assert 0 < len(worst) <= 5
-    assert {one.kind for one in worst} <= {"worse", "vanished"}
+    assert {one["kind"] for one in worst} <= {"worse", "vanished"}
     page = Tags()
     page.feed(compare_page(found, tmp_path / "pages"))
     assert page.tags.count("option") == len(worst) + 3, "and three themes"
     links = [urlsplit(link) for link in page.links if link != "data:," and not link.startswith("#")]
-    wanted = {(one.pair_id, f"real {one.real_id}") for one in worst}
+    wanted = {(one["pair_id"], f"real {one['real_id']}") for one in worst}
     for folder in runs:
         own = [link for link in links if (tmp_path / "pages" / unquote(link.path)).resolve() == folder / "report.html"]
         told = [parse_qs(link.fragment, strict_parsing=True) for link in own]
@@ -336,9 +341,9 @@ def test_the_worst_changes_are_in_3d_and_linked_into_both_reports(versions, tmp_
 
 def test_a_changed_object_has_its_points_before_and_after(versions):
     found = compare_runs(versions)[0]
-    one = next(change for change in found.objects if change.kind == "vanished")
+    one = next(change for change in plain_rows(found.objects) if change["kind"] == "vanished")
     real, before, after = draw_change(one, [*map(FinishedRun, versions)])
-    assert [len(axis) for axis in real["own"]] == [min(one.n_points, 1000)] * 3
+    assert [len(axis) for axis in real["own"]] == [min(one["n_points"], 1000)] * 3
     assert len(before["own"][0]) > 0
     assert after["own"] == [[], [], []]
     assert after["words"].startswith("not matched; ")

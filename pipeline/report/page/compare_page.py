@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from ....schemas.columns import Row
 from ...results.compare import Comparison
 from ...results.families import MARKS_NOTE
 from ...results.finished import FinishedRun
-from ...results.followed import ObjectChange, worst_changes
+from ...results.followed import worst_changes
 from ...results.history import History
 from ...storage.table_files import file_stem
 from ...terminal import STEERING
@@ -144,13 +145,13 @@ def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
     }
 
 
-def _report_link(run: Path, change: ObjectChange, start: Path) -> str:
+def _report_link(run: Path, change: Row, start: Path) -> str:
     """The address of an object in its run's report, relative to a folder; "" if the run has no report."""
-    pages = (run / PAGE, run / PAGES / f"pair-{file_stem(change.pair_id)}.html")
+    pages = (run / PAGE, run / PAGES / f"pair-{file_stem(change['pair_id'])}.html")
     page = next((page for page in pages if page.exists()), None)
     if page is None:
         return ""
-    address = object_address(change.pair_id, f"real {change.real_id}")
+    address = object_address(change["pair_id"], f"real {change['real_id']}")
     try:
         return f"{quote(os.path.relpath(page.resolve(), start.resolve()))}{address}"
     except ValueError:  # another drive

@@ -5,12 +5,14 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 
+from ....schemas.columns import Row
 from ....schemas.metric_catalogue import METRIC
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_FOR_INTERVAL, LEAST_PAIRS, Difference
 from ...object_store import url_or_path
 from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, overall
-from ...results.followed import SHARED_SCORES, GroupChange, ObjectChange
+from ...results.followed import SHARED_SCORES, by_change, by_class, by_range
+from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
 from ..view import Note, Part, Table, View, number, percent, signed
 from .floor_view import both_excesses_table, excess_notes
@@ -46,7 +48,7 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
     ]
     if with_all:
         objects = changed(comparison)
-        few = [one for kind in _CHANGED for one in [own for own in objects if own.kind == kind][:_MOST_OBJECTS]]
+        few = [one for kind in _CHANGED for one in [own for own in objects if own["kind"] == kind][:_MOST_OBJECTS]]
         more = f" (of each kind the first {_MOST_OBJECTS})" if len(few) < len(objects) else ""
         first = [*first, *score_view(comparison), *object_view(comparison)]
         if few:
@@ -68,15 +70,15 @@ def score_view(comparison: Comparison) -> View:
 
 def object_view(comparison: Comparison) -> View:
     """The real objects by fate, by class or shape, and by range."""
-    if not comparison.objects:
+    objects, n_all = comparison.objects, len(comparison.objects)
+    if not n_all:
         return []
-    n_all = len(comparison.objects)
     rows = [(kind, str(n), percent(n / n_all)) for kind, n in comparison.kinds.items()]
-    kind = "class" if any(change.label is not None for change in comparison.objects) else "shape"
+    kind = "class" if objects["label"].notna().any() else "shape"
     return [
         Table("Real objects", ("what has become of them", "objects", "share"), rows),
-        _group_table(kind, comparison.by_class),
-        _group_table("range", comparison.by_range),
+        _group_table(kind, by_class(objects)),
+        _group_table("range", by_range(objects)),
         Note(GROUPS_NOTE),
     ]
 
@@ -167,12 +169,10 @@ def _on_chance(comparison: Comparison) -> list[str]:
     return lines
 
 
-def changed(comparison: Comparison) -> list[ObjectChange]:
+def changed(comparison: Comparison) -> list[Row]:
     """The objects that have changed: vanished ones, then those that got worse, most first, then the others."""
-    return sorted(
-        (change for change in comparison.objects if change.kind in _CHANGED),
-        key=lambda each: (_CHANGED.index(each.kind), -abs(each.change), -each.n_points, each.pair_id, each.real_id),
-    )
+    objects = by_change(comparison.objects[comparison.objects["kind"].isin(_CHANGED)])
+    return sorted(plain_rows(objects), key=lambda one: _CHANGED.index(one["kind"]))
 
 
 def family_table(comparison: Comparison, families: Sequence[FamilyChange] | None = None) -> Table:
@@ -227,14 +227,14 @@ def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = N
     return Table(title, (*headings, *beyonds), rows, words=(0, 1, 7), wide=wide)
 
 
-def object_table(title: str, changes: Sequence[ObjectChange]) -> Table:
+def object_table(title: str, changes: Sequence[Row]) -> Table:
     """One row per real object: pair, fate, class, place, scores before and after."""
     scores = [f"{name}_{when}" for name in SHARED_SCORES for when in ("before", "after")]
     headings = [heading for name in SHARED_SCORES for heading in (METRIC[name].label, "after")]
     rows = [
         (
-            *(one.pair_id, one.kind, f"{one.label or one.shape} {one.real_id}", one.range_m, one.n_points),
-            *(getattr(one, name) for name in scores),
+            *(one["pair_id"], one["kind"], f"{one['label'] or one['shape']} {one['real_id']}"),
+            *(one[name] for name in ("range_m", "n_points", *scores)),
         )
         for one in changes
     ]
@@ -242,14 +242,14 @@ def object_table(title: str, changes: Sequence[ObjectChange]) -> Table:
     return Table(title, columns, rows, words=(0, 1, 2), digits={3: 1})
 
 
-def _group_table(what: str, groups: Sequence[GroupChange]) -> Table:
+def _group_table(what: str, groups: Sequence[Row]) -> Table:
     """One row per class or band of range: number of objects by fate, and changes of scores."""
     kinds = ("vanished", "appeared", "worse", "better")
     changes = (f"{METRIC[score].label}\nchange" for score in SHARED_SCORES)
     rows = [
         (
-            *(group.name, group.n, *(group.kinds[kind] for kind in kinds), group.n_both),
-            *(signed(getattr(group, score)) for score in SHARED_SCORES),
+            *(group["name"], group["n"], *(group["kinds"][kind] for kind in kinds), group["n_both"]),
+            *(signed(group[score]) for score in SHARED_SCORES),
         )
         for group in groups
     ]
