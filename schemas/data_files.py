@@ -1,7 +1,8 @@
-"""TOML files: the tables of data next to this file, and those of users."""
+"""Tables of data next to this file, and TOML files of users."""
 
 from __future__ import annotations
 
+import csv
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,12 @@ from .errors import SettingsError
 def read_data(name: str) -> dict[str, Any]:
     """Values of `NAME.toml`."""
     return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text("utf-8"))
+
+
+def read_rows(name: str) -> list[dict[str, str]]:
+    """Rows of `NAME.csv` by column."""
+    with Path(__file__).with_name(f"{name}.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def parse_toml(text: str) -> dict[str, Any]:

@@ -8,11 +8,11 @@ the function that computes it.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
+
+from .data_files import read_rows
 
 _NUMBERS = ("low", "high", "equal", "paper_mean", "paper_std")
 
@@ -100,12 +100,11 @@ def unit_words(unit: str | None) -> str:
 
 
 def _read_metrics() -> Iterator[Metric]:
-    with Path(__file__).with_name("metrics.csv").open(encoding="utf-8", newline="") as file:
-        for row in csv.DictReader(file):
-            values: dict[str, Any] = row | {name: float(row[name]) if row[name] else None for name in _NUMBERS}
-            values |= {"unit": row["unit"] or None, "better": row["better"] or None, "flags": row["flags"].split()}
-            mean, std = values.pop("paper_mean"), values.pop("paper_std")
-            yield Metric(**values, paper=None if mean is None else PaperMean(mean, std))
+    for row in read_rows("metrics"):
+        values: dict[str, Any] = row | {name: float(row[name]) if row[name] else None for name in _NUMBERS}
+        values |= {"unit": row["unit"] or None, "better": row["better"] or None, "flags": row["flags"].split()}
+        mean, std = values.pop("paper_mean"), values.pop("paper_std")
+        yield Metric(**values, paper=None if mean is None else PaperMean(mean, std))
 
 
 #: Largest distance to the other side at which a point counts as covered, as in names of columns: 0.1, 0.3, 1 m.

@@ -12,15 +12,14 @@ is a string that is the same in all rows of a file.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from itertools import groupby
 from operator import itemgetter
-from pathlib import Path
 
 import pyarrow as pa
 
 from .columns import Table, column
+from .data_files import read_rows
 from .metric_catalogue import METRIC, OBJECT_METRICS
 
 
@@ -45,13 +44,12 @@ def _columns(row: dict[str, str]) -> Iterator[pa.Field]:
 
 
 def _read_tables() -> Iterator[Table]:
-    with Path(__file__).with_name("tables.csv").open(encoding="utf-8", newline="") as file:
-        for name, group in groupby(csv.DictReader(file), itemgetter("table")):
-            rows = list(group)
-            keys = sorted((int(row["key"]), row["column"]) for row in rows if row["key"])
-            fields = [field for row in rows for field in _columns(row)]
-            of_file = tuple(row["column"] for row in rows if row["type"] == "constant")
-            yield Table(name, pa.schema(fields), tuple(key for _, key in keys), of_file)
+    for name, group in groupby(read_rows("tables"), itemgetter("table")):
+        rows = list(group)
+        keys = sorted((int(row["key"]), row["column"]) for row in rows if row["key"])
+        fields = [field for row in rows for field in _columns(row)]
+        of_file = tuple(row["column"] for row in rows if row["type"] == "constant")
+        yield Table(name, pa.schema(fields), tuple(key for _, key in keys), of_file)
 
 
 #: All tables by name; the name is also the folder or file in a run.

@@ -8,14 +8,15 @@ invented surface explains is shown with its reason and does not count.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from ...schemas.columns import Row
-from ...schemas.metric_catalogue import COVERAGE_REACHES, SHIFT_COLUMNS, metric_of, reach_words
+from ...schemas.data_files import read_rows
+from ...schemas.metric_catalogue import COVERAGE_REACHES, metric_of
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import (
     ALIKE,
@@ -34,7 +35,6 @@ PairRows = Mapping[str, tuple[Row, Row]]  #: by pair, its rows before and after
 ERROR_RATE = 1 - CONFIDENCE
 #: Roughness says nothing if the number of simulated points changed by more than this share.
 SAME_DENSITY = 0.05
-Best = Literal["high", "low", "zero", "one"]
 SURFACE_MISSING, SURFACE_INVENTED, POSITION, OBJECTS = "surface missing", "surface invented", "position", "objects"
 RAYS = "rays"
 LOST, EXTRA, IN_FRONT, BEHIND = "returns lost", "returns added", "simulated in front", "simulated behind"
@@ -52,35 +52,76 @@ MARKS = {"high": "↑", "low": "↓", "zero": "→0", "one": "→1"}
 MARKS_NOTE = "↑ higher is better, ↓ lower is better, →0 and →1 nearer to it is better (simulated minus, or over, real)"
 
 
-Reading = Callable[[Columns], FloatArray]
-
-
 @dataclass(frozen=True)
 class ComparedScore:
-    """One score of pairs, read from columns of `pairs`; NaN if null.
+    """One score of pairs, a row of `schemas/compared_scores.csv`.
 
+    preset : whose runs have it; "" for all
     heading : with the unit
-    value : the number whose change is tested, with its sign
+    how : its value: the column itself (""), `columns` "minus" or "over" `others`, their "share" in the sum of both, or
+        of a "cause" (`causes`) simulated minus real; tested with its sign, NaN if null
     best : key of `ERRORS`
     least : a change of the mean up to this size does not matter to a user
     step : smallest step of the value, such as 1 for a count
+    error : columns whose length says which way is better, if that is not the value
     is_direct : False if it also depends on how dense the points are, so that alone it cannot show an improvement
-    error_of : reading whose error says which way is better, if that is not `value`
-    column : of `pairs`, if the value is one
     """
 
+    family: str
+    preset: str
     heading: str
-    value: Reading
-    best: Best
+    how: str
+    columns: list[str]
+    others: list[str]
+    best: str
     least: float
-    step: float = 0.0
-    is_direct: bool = True
-    error_of: Reading | None = None
-    column: str = ""
+    step: float
+    error: list[str]
+    is_direct: bool
 
-    def error(self, columns: Columns) -> FloatArray:
+    def value(self, pairs: Columns) -> FloatArray:
+        """Value of each pair."""
+        if self.how == "cause":
+            return CAUSE_KINDS[" ".join(self.columns)].value(pairs)
+        own, rest = (np.sum([pairs[name] for name in names], axis=0) for names in (self.columns, self.others))
+        if self.how == "minus":
+            return np.asarray(own - rest)
+        if self.how:
+            rest = own + rest if self.how == "share" else rest
+            return np.asarray(own / np.where(rest > 0, rest, np.nan))
+        return np.asarray(own)
+
+    def distance(self, pairs: Columns) -> FloatArray:
         """Distance from a perfect simulator; NaN if null."""
-        return ERRORS[self.best]((self.error_of or self.value)(columns))
+        if not self.error:
+            return ERRORS[self.best](self.value(pairs))
+        parts = np.stack([pairs[name] for name in self.error])  # those that are known
+        return np.where(np.isnan(parts).all(axis=0), np.nan, np.sqrt(np.nansum(parts**2, axis=0)))
+
+
+def _read_scores() -> Iterator[ComparedScore]:
+    for row in read_rows("compared_scores"):
+        values: dict[str, Any] = row | {name: row[name].split() for name in ("columns", "others", "error")}
+        values |= {name: float(row[name] or 0) for name in ("least", "step")}
+        values |= {"heading": row["heading"] or metric_of(row["columns"]).label, "is_direct": bool(row["is_direct"])}
+        yield ComparedScore(**values)
+
+
+_SCORES = tuple(_read_scores())
+
+
+def families(preset: str) -> dict[str, list[ComparedScore]]:
+    """The scores of each family, by its name; the first score represents it over many runs.
+
+    Parameters
+    ----------
+    preset : of both runs; "paper" compares the match rate in place of the share of real objects that are found
+    """
+    chosen: dict[str, list[ComparedScore]] = {}
+    for score in _SCORES:
+        if score.preset in ("", "paper" if preset == "paper" else "reference"):
+            chosen.setdefault(score.family, []).append(score)
+    return chosen
 
 
 @dataclass(frozen=True)
@@ -215,7 +256,7 @@ def _changes(
 ) -> tuple[ScoreChange, ...]:
     """The scores of a family that have values, without verdicts, the most clearly changed first."""
     values = _read([score.value for score in compared], pairs)
-    change, worse_by = (np.diff(own)[..., 0] for own in (values, _read([score.error for score in compared], pairs)))
+    change, worse_by = (np.diff(own)[..., 0] for own in (values, _read([score.distance for score in compared], pairs)))
     least, step = (np.array([getattr(score, field) for score in compared]) for field in ("least", "step"))
     p_values = adjusted_p_values(block_means(change, blocks), least, step)
     if sectors is not None:
@@ -228,6 +269,7 @@ def _changes(
     for i, score in enumerate(compared):
         own = paired_difference(values[i, :, 0], values[i, :, 1], blocks)
         if own.n_pairs:
+            column = "" if score.how else score.columns[0]
             towards = ("worse" if np.nanmean(worse_by[i]) > 0 else "better") if own.size > ALIKE else ""
             is_same = own.low == own.high == 0 or (own.n_blocks > 1 and bool(np.isnan(p_values[i])))
             scores.append(
@@ -242,8 +284,8 @@ def _changes(
                     of_pairs={
                         name: None if math.isnan(x) else x for name, x in zip(pair_ids, change[i].tolist(), strict=True)
                     },
-                    seed_noise=seed_noise.get(score.column),
-                    floor=floors.get(score.column),
+                    seed_noise=seed_noise.get(column),
+                    floor=floors.get(column),
                 )
             )
     return tuple(sorted(scores, key=lambda score: (2.0 if score.p is None else score.p, -score.clarity)))
@@ -254,7 +296,7 @@ def _columns(rows: PairRows) -> list[Columns]:
     return [Columns(own) for own in zip(*rows.values(), strict=True)]
 
 
-def _read(reads: Sequence[Reading], pairs: Sequence[Columns]) -> FloatArray:
+def _read(reads: Sequence[Callable[[Columns], FloatArray]], pairs: Sequence[Columns]) -> FloatArray:
     """(m, n, 2) by score and pair, before and after; NaN if null."""
     return np.stack([[read(own) for read in reads] for own in pairs], axis=-1)
 
@@ -347,113 +389,6 @@ def _consequence(family: str, score: ScoreChange, moved: _Moved) -> str:
     is_surface = family in (SURFACE_MISSING, SURFACE_INVENTED)
     follows = family == OBJECTS or (is_surface and moved.right <= moved.invented / 2)
     return f"follows from {' and '.join(sorted(moved.worse, reverse=True))}" if follows else ""
-
-
-def _column(column: str, best: Best, least: float, heading: str = "", **options: Any) -> ComparedScore:
-    words = heading or metric_of(column).label
-    return ComparedScore(words, lambda columns: columns[column], best, least, column=column, **options)
-
-
-def _covered(side: str) -> tuple[ComparedScore, ...]:
-    return tuple(
-        _column(f"covered_{side}_{reach}", "high", 0.001, f"{side} covered {reach_words(reach)}")
-        for reach in COVERAGE_REACHES
-    )
-
-
-def _pieces(kind: str) -> tuple[ComparedScore, ...]:
-    return (
-        _column(f"n_{kind}_pieces", "low", 0.1, f"{kind} pieces", step=1.0),
-        _column(f"{kind}_pieces_share", "low", 0.001, f"{kind} pieces, share"),
-    )
-
-
-def _shift_length(columns: Columns) -> FloatArray:
-    """Length of the displacement along the axes that are known."""
-    shift = np.stack([columns[name] for name in SHIFT_COLUMNS[:3]])
-    return np.where(np.isnan(shift).all(axis=0), np.nan, np.sqrt(np.nansum(shift**2, axis=0)))
-
-
-def _ratio(values: FloatArray, over: FloatArray) -> FloatArray:
-    return values / np.where(over > 0, over, np.nan)
-
-
-def _sensor(what: str, heading: str) -> ComparedScore:
-    def ratio(columns: Columns) -> FloatArray:
-        return _ratio(columns[f"sensor_sim_{what}"], columns[f"sensor_real_{what}"])
-
-    return ComparedScore(f"{heading} ratio", ratio, "one", 0.05)
-
-
-def _excess(sim: str, real: str, heading: str, least: float) -> ComparedScore:
-    """The simulated value minus the real one."""
-    return ComparedScore(heading, lambda columns: columns[sim] - columns[real], "zero", least)
-
-
-_BOTH = ("same", "in_front", "behind")
-
-
-def _rays(heading: str, outcomes: Sequence[str], others: Sequence[str]) -> ComparedScore:
-    """Share of rays with some outcomes among those with these or others."""
-
-    def share(columns: Columns) -> FloatArray:
-        own, rest = (np.sum([columns[f"rays_{name}"] for name in names], axis=0) for names in (outcomes, others))
-        return _ratio(own, own + rest)
-
-    return ComparedScore(heading, share, "low", 0.005)
-
-
-_FOUND = {
-    "paper": _column("match_rate", "high", 0.005, step=0.04),
-    "reference": _column("found", "high", 0.005, "objects found", step=0.04),
-}
-
-
-def families(preset: str) -> dict[str, tuple[ComparedScore, ...]]:
-    """The scores of each family, by its name; the first score represents it over many runs.
-
-    Parameters
-    ----------
-    preset : of both runs; "paper" compares the match rate in place of the share of real objects that are found
-    """
-    return {
-        SURFACE_MISSING: (*_covered("real")[1:], _covered("real")[0], *_pieces("missing")),
-        SURFACE_INVENTED: (*_covered("sim")[1:], _covered("sim")[0], *_pieces("invented")),
-        POSITION: (
-            *(_column(column, "zero", 0.01, error_of=_shift_length) for column in SHIFT_COLUMNS[2::-1]),
-            _excess("ground_sim_peak_m", "ground_real_peak_m", "road height (m)", 0.02),
-        ),
-        "surface noise": (
-            _column("roughness_bias_m", "zero", 0.003, is_direct=False),
-            _column("roughness_area_m", "low", 0.003, is_direct=False),
-            _excess("sensor_sim_range_noise_m", "sensor_real_range_noise_m", "range noise (m)", 0.005),
-        ),
-        "sensor": (
-            _sensor("beams", "beams"),
-            _sensor("azimuth_step_deg", "azimuth step"),
-            ComparedScore("range steps (m)", CAUSE_KINDS["range steps"].value, "zero", 0.005),
-            _excess("sensor_sim_lost_share", "sensor_real_lost_share", "pulses lost", 0.02),
-        ),
-        RAYS: (
-            _rays(LOST, ("dropped", "no_surface"), _BOTH),
-            _rays(EXTRA, ("sim_only",), _BOTH),
-            _rays(IN_FRONT, ("in_front",), ("same", "behind")),
-            _rays(BEHIND, ("behind",), ("same", "in_front")),
-            _column("rays_bias_m", "zero", 0.01),
-            _column("rays_scale", "zero", 0.001),
-        ),
-        "intensity": (
-            _column("intensity_rank_distance", "low", 0.02, "rank distance"),
-            _column("intensity_ratio", "one", 0.05),
-            _excess("intensity_sim_by_range", "intensity_real_by_range", "intensity by range", 0.05),
-        ),
-        OBJECTS: (
-            _column("cdc_mean", "low", 0.003),
-            _column("r_lambda_mean", "low", 0.005),
-            _column("r_gap_mean", "low", 0.003),
-            _FOUND.get(preset, _FOUND["reference"]),
-        ),
-    }
 
 
 def overall(decided: Sequence[FamilyChange]) -> str:

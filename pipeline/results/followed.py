@@ -21,8 +21,8 @@ SHARED_SCORES = ("cdc", "r_lambda")
 _PLACE = ("n_points", "cx", "cy", "cz")
 #: Columns of the frame of objects that `follow` reads.
 FOLLOWED_COLUMNS = (*_PLACE[1:], *SHARED_SCORES, "label", "shape", "range_m")
-#: Columns of the frame that it returns; `shape` is the name of an object without labels, and scores and simulated
-#: objects (`sim_before`, `sim_after`) are null where it is missing.
+#: Columns of the frame that it returns. Scores and simulated objects (`sim_before`, `sim_after`) are null if it is
+#: missing; an object without a label is called by its shape.
 CHANGE_COLUMNS = (
     *("pair_id", "real_id", "label", "shape", "range_m", "n_points", "kind"),
     *(f"{name}_{when}" for name in (*SHARED_SCORES, "sim") for when in ("before", "after")),
