@@ -12,7 +12,7 @@ from importlib.util import find_spec
 import numpy as np
 import scipy
 
-from ..schemas.metric_catalogue import METRIC, NVS_SCORES
+from ..schemas.metric_catalogue import NVS_SCORES
 from .arrays import BoolArray, FloatArray, Watch, unwatched
 from .baselines.interface import Baseline, Baselines
 from .coverage import nearest_distances
@@ -109,8 +109,7 @@ def score_pair(
 
 def baseline(column: str, value: float | str) -> Baseline:
     """A score of the catalogue with its value, or with the reason for having none."""
-    unit = METRIC[column].unit
-    return Baseline(column, unit, None, value) if isinstance(value, str) else Baseline(column, unit, value)
+    return Baseline(column, None, value) if isinstance(value, str) else Baseline(column, value)
 
 
 def image_errors(real: FloatArray, sim: FloatArray, largest: float) -> tuple[float, float, float | str, float | str]:

@@ -1,33 +1,32 @@
 """Baseline metrics: published distances of point clouds, to put the scores of an object into context.
 
-One file per distance: its mathematics, and a function `compare` that returns names, units and reasons. To add one: its
-file, a row in `BASELINES`, its name among the settings, a line in the documentation.
+One file per distance: its mathematics, and a function `compare` that returns names, values and reasons. To add one: its
+file, a row here and in the catalogue, a line in the documentation.
 """
 
 from __future__ import annotations
 
-from ...schemas.settings import BaselineName, MetricsSettings
+from ...schemas.settings import MetricsSettings
 from ..arrays import FloatArray, Watch, unwatched
 from ..linalg.subgraph import Subgraph
 from ..selection import Selection
 from . import chamfer, dcd, emd, f_score, hausdorff, histogram, icp, netlsd, r_h, sliced_wasserstein
-from .interface import Baseline, Baselines, MatchedObject, OfObjects, OfPoints
+from .interface import Baseline, Baselines, MatchedObject
 
-__all__ = ["BASELINES", "Baseline", "compare_objects", "compare_points"]
+__all__ = ["Baseline", "compare_objects", "compare_points"]
 
-#: Baseline metrics by their names in the settings.
-BASELINES: dict[BaselineName, OfPoints | OfObjects] = {
-    "chamfer": OfPoints(chamfer.compare),
-    "hausdorff": OfPoints(hausdorff.compare),
-    "f_score": OfPoints(f_score.compare),
-    "dcd": OfPoints(dcd.compare),
-    "emd": OfObjects(emd.compare),
-    "sliced_wasserstein": OfPoints(sliced_wasserstein.compare),
-    "histogram": OfPoints(histogram.compare),
-    "icp": OfPoints(icp.compare),
-    "netlsd": OfObjects(netlsd.compare),
-    "r_h": OfObjects(r_h.compare),
+#: Baseline metrics of two point sets by their names in the settings.
+OF_POINTS = {
+    "chamfer": chamfer.compare,
+    "hausdorff": hausdorff.compare,
+    "f_score": f_score.compare,
+    "dcd": dcd.compare,
+    "sliced_wasserstein": sliced_wasserstein.compare,
+    "histogram": histogram.compare,
+    "icp": icp.compare,
 }
+#: Those that need the graphs or the aligned nodes of a matched object.
+OF_OBJECTS = {"emd": emd.compare, "netlsd": netlsd.compare, "r_h": r_h.compare}
 
 
 def compare_points(
@@ -47,14 +46,13 @@ def compare_points(
     >>> from fidpipe.schemas.settings import MetricsSettings
     >>> points = np.array([[0.0, 0, 0], [1, 0, 0]])
     >>> compare_points(points, points + [0, 0, 3], MetricsSettings(baselines=("hausdorff",)))
-    (Baseline(name='hausdorff_m', unit='m', value=3.0, reason=None),)
+    (Baseline(name='hausdorff_m', value=3.0, reason=None),)
     """
     values: list[Baseline] = []
     for name in settings.baselines:
-        baseline = BASELINES[name]
-        if isinstance(baseline, OfPoints):
+        if name in OF_POINTS:
             with watch(name):
-                values += baseline.compare(real, sim, settings)
+                values += OF_POINTS[name](real, sim, settings)
     return tuple(values)
 
 
@@ -81,5 +79,8 @@ def compare_objects(
     values: list[Baseline] = []
     for name in settings.baselines:
         with watch(name):
-            values += BASELINES[name].compare_object(matched, settings)
+            if name in OF_POINTS:
+                values += OF_POINTS[name](real.points, sim.points, settings)
+            else:
+                values += OF_OBJECTS[name](matched, settings)
     return tuple(values)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...schemas.settings import MetricsSettings
@@ -12,26 +10,18 @@ from ..reference import nearest_points
 from .interface import Baseline, Baselines
 
 
-@dataclass(frozen=True)
-class DensityAware:
-    """The published density-aware Chamfer distance, and the number of weights limited to 1 to keep it in [0, 1]."""
-
-    dcd: float
-    n_cut: int
-
-
 def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
     """Baseline of `density_aware_chamfer` with `dcd_alpha`, with a note on limited weights."""
     distance = density_aware_chamfer(real, sim, settings.dcd_alpha)
     if distance is None:
-        return (Baseline("dcd", None, None, "the real points have no extent to scale by"),)
-    n_real, n_sim = len(real), len(sim)
-    cut = f"{n_real} real and {n_sim} simulated points: {distance.n_cut} of {n_real + n_sim} count weights cut at 1"
-    return (Baseline("dcd", None, distance.dcd, cut if distance.n_cut else None),)
+        return (Baseline("dcd", None, "the real points have no extent to scale by"),)
+    (dcd, n_cut), n_real, n_sim = distance, len(real), len(sim)
+    cut = f"{n_real} real and {n_sim} simulated points: {n_cut} of {n_real + n_sim} count weights cut at 1"
+    return (Baseline("dcd", dcd, cut if n_cut else None),)
 
 
-def density_aware_chamfer(real: FloatArray, sim: FloatArray, alpha: float) -> DensityAware | None:
-    """The published density-aware Chamfer distance, 0 to 1; None if the real points have no extent.
+def density_aware_chamfer(real: FloatArray, sim: FloatArray, alpha: float) -> tuple[float, int] | None:
+    """The published density-aware Chamfer distance, 0 to 1, and its limited weights; None for real points of no extent.
 
     DCD = 1/2 (mean_x (1 - w_x exp(-alpha |x - y'|^2)) + mean_y (1 - w_y exp(-alpha |y - x'|^2))), y' the nearest
     simulated point of x (for equal distances the first by x, y, z), w_x = (n / m) / (number of real points whose
@@ -54,7 +44,7 @@ def density_aware_chamfer(real: FloatArray, sim: FloatArray, alpha: float) -> De
         return None
     from_real, n_cut_real = _one_way(real, sim, alpha / squared_m2)
     from_sim, n_cut_sim = _one_way(sim, real, alpha / squared_m2)
-    return DensityAware((from_real + from_sim) / 2, n_cut_real + n_cut_sim)
+    return (from_real + from_sim) / 2, n_cut_real + n_cut_sim
 
 
 def _one_way(x: FloatArray, y: FloatArray, alpha: float) -> tuple[float, int]:

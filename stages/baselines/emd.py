@@ -27,9 +27,9 @@ def compare(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
     # The alignment is the optimal assignment of the centred nodes, so it is not solved again for these.
     centred_m = aligned_distance(real - real.mean(axis=0), sim - sim.mean(axis=0))
     return (
-        Baseline("emd_mean_m", "m", exact_m, reason),
-        Baseline("emd_kept_mean_m", "m", aligned_distance(real, sim[assign_nodes(real, sim)])),
-        Baseline("emd_centred_mean_m", "m", centred_m),
+        Baseline("emd_mean_m", exact_m, reason),
+        Baseline("emd_kept_mean_m", aligned_distance(real, sim[assign_nodes(real, sim)])),
+        Baseline("emd_centred_mean_m", centred_m),
     )
 
 

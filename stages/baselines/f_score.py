@@ -12,7 +12,7 @@ from .interface import Baseline, Baselines
 
 def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
     """Baseline of `f_score` at `f_score_distance_m`."""
-    return (Baseline("f_score", None, f_score(real, sim, settings.f_score_distance_m)),)
+    return (Baseline("f_score", f_score(real, sim, settings.f_score_distance_m)),)
 
 
 def f_score(real: FloatArray, sim: FloatArray, distance_m: float) -> float:

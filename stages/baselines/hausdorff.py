@@ -10,7 +10,7 @@ from .interface import Baseline, Baselines
 
 def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
     """Baseline of `hausdorff`."""
-    return (Baseline("hausdorff_m", "m", hausdorff(real, sim)),)
+    return (Baseline("hausdorff_m", hausdorff(real, sim)),)
 
 
 def hausdorff(real: FloatArray, sim: FloatArray) -> float:

@@ -18,7 +18,7 @@ def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Bas
     points, bins, order = settings.histogram_points, settings.histogram_bins, settings.histogram_order
     distance = histogram_distance(real, sim, points, bins, order)
     reason = "a side has no two points apart from each other" if distance is None else None
-    return (Baseline("histogram", None, distance, reason),)
+    return (Baseline("histogram", distance, reason),)
 
 
 def histogram_distance(real: FloatArray, sim: FloatArray, n_points: int, n_bins: int, order: float) -> float | None:

@@ -18,10 +18,10 @@ def compare(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
     n_most = max(len(real.points), len(sim.points))
     if n_most > settings.heat_max_nodes:
         reason = f"{n_most} points, metrics.heat_max_nodes allows {settings.heat_max_nodes}"
-        return (Baseline("netlsd", None, None, reason),)
+        return (Baseline("netlsd", None, reason),)
     times = np.geomspace(settings.heat_time_min, settings.heat_time_max, settings.heat_times)
     laplacians = normalised_laplacian(real.adjacency), normalised_laplacian(sim.adjacency)
-    return (Baseline("netlsd", None, heat_trace_distance(*laplacians, times)),)
+    return (Baseline("netlsd", heat_trace_distance(*laplacians, times)),)
 
 
 def heat_trace_distance(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, times: FloatArray) -> float:

@@ -16,9 +16,9 @@ def compare(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
     """Baseline of `diffusion_change` of the aligned nodes; None for fewer than 3 nodes."""
     nodes_real, nodes_sim = matched.selection.real_nodes, matched.selection.sim_nodes
     if len(nodes_real) < MIN_NODES:
-        return (Baseline("r_h", None, None, f"{len(nodes_real)} aligned nodes, at least {MIN_NODES} are needed"),)
+        return (Baseline("r_h", None, f"{len(nodes_real)} aligned nodes, at least {MIN_NODES} are needed"),)
     laplacians = induced_laplacian(matched.real, nodes_real), induced_laplacian(matched.sim, nodes_sim)
-    return (Baseline("r_h", None, diffusion_change(*laplacians, matched.t, IDENTICAL_CHANGE)),)
+    return (Baseline("r_h", diffusion_change(*laplacians, matched.t, IDENTICAL_CHANGE)),)
 
 
 def diffusion_change(

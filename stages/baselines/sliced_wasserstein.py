@@ -14,7 +14,7 @@ _DIRECTIONS_PER_STEP = 10  # bounds the memory: all points are projected on each
 
 def compare(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
     """Baseline of `sliced_wasserstein` with `projections` directions."""
-    return (Baseline("sliced_wasserstein_m", "m", sliced_wasserstein(real, sim, settings.projections)),)
+    return (Baseline("sliced_wasserstein_m", sliced_wasserstein(real, sim, settings.projections)),)
 
 
 def sliced_wasserstein(real: FloatArray, sim: FloatArray, n_projections: int) -> float:

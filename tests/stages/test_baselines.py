@@ -12,14 +12,12 @@ from scipy.spatial.distance import cdist
 
 from fidpipe.schemas.metric_catalogue import BASELINE_NAMES
 from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
-from fidpipe.stages.baselines import compare_objects, compare_points, emd
-from fidpipe.stages.baselines.chamfer import chamfer
+from fidpipe.stages.baselines import chamfer, compare_objects, compare_points, emd, icp
 from fidpipe.stages.baselines.dcd import density_aware_chamfer
 from fidpipe.stages.baselines.emd import aligned_distance, earth_movers
 from fidpipe.stages.baselines.f_score import f_score
 from fidpipe.stages.baselines.hausdorff import hausdorff
 from fidpipe.stages.baselines.histogram import histogram_distance
-from fidpipe.stages.baselines.icp import register
 from fidpipe.stages.baselines.netlsd import heat_trace_distance
 from fidpipe.stages.baselines.r_h import diffusion_change
 from fidpipe.stages.baselines.sliced_wasserstein import sliced_wasserstein
@@ -61,19 +59,19 @@ def test_large_sides_are_sampled_alike(rng):
 
 
 def test_icp_undoes_a_small_motion(car):
-    result = register(car, moved(car - [5, 3, 0], rigid(3, [0.1, -0.05, 0.1])) + [5, 3, 0], 1.0)
-    assert result.has_converged
-    assert result.fitness == 1
-    assert result.rmse_m == pytest.approx(0, abs=1e-5)
+    fitness, rmse_m = icp.compare(car, moved(car - [5, 3, 0], rigid(3, [0.1, -0.05, 0.1])) + [5, 3, 0], ALL)
+    assert (fitness.value, fitness.reason, rmse_m.reason) == (1, None, None)
+    assert rmse_m.value == pytest.approx(0, abs=1e-5)
 
 
 def test_icp_fitness_is_the_share_of_simulated_points_that_are_near(car):
     far = np.array([[5.0, 60, 0]]) + np.random.default_rng(0).normal(0, 1, (40, 3))
-    result = register(car, np.vstack([car, far]), 0.5)
-    assert result.fitness == pytest.approx(120 / 160)
-    assert result.rmse_m == pytest.approx(0, abs=1e-9)
-    nowhere = register(car, far, 0.5)
-    assert (nowhere.fitness, nowhere.rmse_m) == (0, None)
+    near = ALL.model_copy(update={"icp_distance_m": 0.5})
+    fitness, rmse_m = icp.compare(car, np.vstack([car, far]), near)
+    assert fitness.value == pytest.approx(120 / 160)
+    assert rmse_m.value == pytest.approx(0, abs=1e-9)
+    fitness, rmse_m = icp.compare(car, far, near)
+    assert (fitness.value, rmse_m.value, rmse_m.reason) == (0, None, "no points within 0.5 m of each other")
 
 
 def test_no_order_of_rows_changes_a_histogram_above_its_sample_or_dcd_at_ties(rng):
@@ -82,7 +80,7 @@ def test_no_order_of_rows_changes_a_histogram_above_its_sample_or_dcd_at_ties(rn
     real = np.unique(real, axis=0)
     turned = rng.permutation(len(real)), rng.permutation(len(sim))
     values = [
-        (histogram_distance(a, b, 60, 20, 2), density_aware_chamfer(a, b, 1.0).dcd)
+        (histogram_distance(a, b, 60, 20, 2), density_aware_chamfer(a, b, 1.0)[0])
         for a, b in ((real, sim), (real[turned[0]], sim[turned[1]]))
     ]
     assert values[0] == pytest.approx(values[1], abs=1e-12)
@@ -182,10 +180,10 @@ def clouds(rng):
 
 
 def test_chamfer_by_hand():
-    distance = chamfer(REAL, SIM)
-    assert distance.mean_m == pytest.approx((1 + math.sqrt(2) + math.sqrt(5)) / 3 + (1 + 3) / 2)
-    assert distance.squared_m2 == pytest.approx((1 + 2 + 5) / 3 + (1 + 9) / 2)
-    assert distance.one_way_sum_m == pytest.approx(1 + math.sqrt(2) + math.sqrt(5))
+    mean_m, squared_m2, one_way_sum_m = (baseline.value for baseline in chamfer.compare(REAL, SIM, ALL))
+    assert mean_m == pytest.approx((1 + math.sqrt(2) + math.sqrt(5)) / 3 + (1 + 3) / 2)
+    assert squared_m2 == pytest.approx((1 + 2 + 5) / 3 + (1 + 9) / 2)
+    assert one_way_sum_m == pytest.approx(1 + math.sqrt(2) + math.sqrt(5))
 
 
 def test_hausdorff_by_hand_is_the_worst_point_of_either_side():
@@ -209,9 +207,7 @@ def test_dcd_of_equal_sizes_by_hand():
     real, sim = np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[-0.1, 0, 0], [0, 0.2, 0]])
     from_real = (1 - math.exp(-10 * 0.01) + 1 - math.exp(-10 * 1.04)) / 2  # to the first and to the second one
     from_sim = (1 - 0.5 * math.exp(-10 * 0.01) + 1 - 0.5 * math.exp(-10 * 0.04)) / 2
-    distance = density_aware_chamfer(real, sim, 10)
-    assert distance.dcd == pytest.approx((from_real + from_sim) / 2)
-    assert distance.n_cut == 0
+    assert density_aware_chamfer(real, sim, 10) == (pytest.approx((from_real + from_sim) / 2), 0)
 
 
 def test_dcd_of_unequal_sizes_cuts_the_weights_at_one_and_counts_them():
@@ -220,19 +216,17 @@ def test_dcd_of_unequal_sizes_cuts_the_weights_at_one_and_counts_them():
     real = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0, 0]])
     distance = density_aware_chamfer(real, np.array([[0.5, 0, 0]]), 1.0)
     from_real = np.mean([1 - math.exp(-0.25), 1 - math.exp(-0.25), 0])
-    assert (distance.dcd, distance.n_cut) == (pytest.approx((from_real + 1 - 1 / 3) / 2), 0)
+    assert distance == (pytest.approx((from_real + 1 - 1 / 3) / 2), 0)
     # two of three real points at one simulated point, the third alone at the other: weights 3/4, 3/4 and 3/2, cut
     distance = density_aware_chamfer(real, np.array([[0.25, 0, 0], [1, 0, 0]]), 1.0)
     from_real = np.mean([1 - 0.75 * math.exp(-0.0625), 1 - 0.75 * math.exp(-0.0625), 0])
     from_sim = np.mean([1 - 2 / 3 * math.exp(-0.0625), 1 - 2 / 3])
-    assert (distance.dcd, distance.n_cut) == (pytest.approx((from_real + from_sim) / 2), 1)
+    assert distance == (pytest.approx((from_real + from_sim) / 2), 1)
 
 
 def test_dcd_does_not_depend_on_the_unit_of_length(clouds):
     real, sim = clouds
-    assert density_aware_chamfer(9 * real, 9 * sim, 1000).dcd == pytest.approx(
-        density_aware_chamfer(real, sim, 1000).dcd
-    )
+    assert density_aware_chamfer(9 * real, 9 * sim, 1000) == pytest.approx(density_aware_chamfer(real, sim, 1000))
 
 
 def test_dcd_of_a_single_real_place_cannot_be_computed():
@@ -241,8 +235,8 @@ def test_dcd_of_a_single_real_place_cannot_be_computed():
 
 def test_a_set_is_at_distance_zero_from_itself(clouds):
     real = clouds[0]
-    assert vars(chamfer(real, real)) == {"mean_m": 0, "squared_m2": 0, "one_way_sum_m": 0}
-    assert (hausdorff(real, real), f_score(real, real, 1e-9), density_aware_chamfer(real, real, 1000).dcd) == (0, 1, 0)
+    assert [baseline.value for baseline in chamfer.compare(real, real, ALL)] == [0, 0, 0]
+    assert (hausdorff(real, real), f_score(real, real, 1e-9), density_aware_chamfer(real, real, 1000)[0]) == (0, 1, 0)
 
 
 def transport(a, b):
