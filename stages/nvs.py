@@ -14,7 +14,7 @@ import scipy
 
 from ..schemas.metric_catalogue import NVS_SCORES
 from .arrays import BoolArray, FloatArray, Watch, unwatched
-from .baselines.interface import Baseline, Baselines
+from .baselines import Baseline, Baselines
 from .coverage import nearest_distances
 
 #: The range image: rows and columns, degrees from its upper edge to the horizon and to its lower edge, largest range.

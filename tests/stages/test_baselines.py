@@ -12,15 +12,22 @@ from scipy.spatial.distance import cdist
 
 from fidpipe.schemas.metric_catalogue import BASELINE_NAMES
 from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
-from fidpipe.stages.baselines import chamfer, compare_objects, compare_points, emd, icp
-from fidpipe.stages.baselines.dcd import density_aware_chamfer
-from fidpipe.stages.baselines.emd import aligned_distance, earth_movers
-from fidpipe.stages.baselines.f_score import f_score
-from fidpipe.stages.baselines.hausdorff import hausdorff
-from fidpipe.stages.baselines.histogram import histogram_distance
-from fidpipe.stages.baselines.netlsd import heat_trace_distance
-from fidpipe.stages.baselines.r_h import diffusion_change
-from fidpipe.stages.baselines.sliced_wasserstein import sliced_wasserstein
+from fidpipe.stages import baselines
+from fidpipe.stages.baselines import (
+    aligned_distance,
+    chamfer,
+    compare_objects,
+    compare_points,
+    density_aware_chamfer,
+    diffusion_change,
+    earth_movers,
+    f_score,
+    hausdorff,
+    heat_trace_distance,
+    histogram_distance,
+    icp,
+    sliced_wasserstein,
+)
 from fidpipe.stages.linalg.heat import heat_row_sums
 from fidpipe.stages.linalg.laplacian import normalised_laplacian
 from fidpipe.stages.literal import literal_baselines as literal
@@ -59,7 +66,7 @@ def test_large_sides_are_sampled_alike(rng):
 
 
 def test_icp_undoes_a_small_motion(car):
-    fitness, rmse_m = icp.compare(car, moved(car - [5, 3, 0], rigid(3, [0.1, -0.05, 0.1])) + [5, 3, 0], ALL)
+    fitness, rmse_m = icp(car, moved(car - [5, 3, 0], rigid(3, [0.1, -0.05, 0.1])) + [5, 3, 0], ALL)
     assert (fitness.value, fitness.reason, rmse_m.reason) == (1, None, None)
     assert rmse_m.value == pytest.approx(0, abs=1e-5)
 
@@ -67,10 +74,10 @@ def test_icp_undoes_a_small_motion(car):
 def test_icp_fitness_is_the_share_of_simulated_points_that_are_near(car):
     far = np.array([[5.0, 60, 0]]) + np.random.default_rng(0).normal(0, 1, (40, 3))
     near = ALL.model_copy(update={"icp_distance_m": 0.5})
-    fitness, rmse_m = icp.compare(car, np.vstack([car, far]), near)
+    fitness, rmse_m = icp(car, np.vstack([car, far]), near)
     assert fitness.value == pytest.approx(120 / 160)
     assert rmse_m.value == pytest.approx(0, abs=1e-9)
-    fitness, rmse_m = icp.compare(car, far, near)
+    fitness, rmse_m = icp(car, far, near)
     assert (fitness.value, rmse_m.value, rmse_m.reason) == (0, None, "no points within 0.5 m of each other")
 
 
@@ -163,7 +170,7 @@ def test_objects_too_large_to_move_all_earth_are_null_with_their_size(car):
 
 
 def test_a_transport_that_the_solver_could_not_finish_is_null_with_its_reason(car, monkeypatch):
-    monkeypatch.setattr(emd, "_MAX_PIVOTS", 5)
+    monkeypatch.setattr(baselines, "_MAX_PIVOTS", 5)
     exact, kept, _ = earth_moved(car, car[:90] + [1, 0, 0], 50)
     assert (exact.value, exact.reason) == (None, "the network simplex ended without the optimum")
     assert kept.value == pytest.approx(1)
@@ -180,7 +187,7 @@ def clouds(rng):
 
 
 def test_chamfer_by_hand():
-    mean_m, squared_m2, one_way_sum_m = (baseline.value for baseline in chamfer.compare(REAL, SIM, ALL))
+    mean_m, squared_m2, one_way_sum_m = (baseline.value for baseline in chamfer(REAL, SIM, ALL))
     assert mean_m == pytest.approx((1 + math.sqrt(2) + math.sqrt(5)) / 3 + (1 + 3) / 2)
     assert squared_m2 == pytest.approx((1 + 2 + 5) / 3 + (1 + 9) / 2)
     assert one_way_sum_m == pytest.approx(1 + math.sqrt(2) + math.sqrt(5))
@@ -235,7 +242,7 @@ def test_dcd_of_a_single_real_place_cannot_be_computed():
 
 def test_a_set_is_at_distance_zero_from_itself(clouds):
     real = clouds[0]
-    assert [baseline.value for baseline in chamfer.compare(real, real, ALL)] == [0, 0, 0]
+    assert [baseline.value for baseline in chamfer(real, real, ALL)] == [0, 0, 0]
     assert (hausdorff(real, real), f_score(real, real, 1e-9), density_aware_chamfer(real, real, 1000)[0]) == (0, 1, 0)
 
 

@@ -1,0 +1,514 @@
+"""Baseline metrics: published distances of point clouds, to put the scores of an object into context.
+
+To add one: a function of two point sets (or of a matched object) and the settings, which returns its values, each with
+its name in the catalogue and with a reason if it cannot be computed; a row in the tables at the end, and in the
+catalogue.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+import numpy as np
+import scipy
+
+from ..schemas.metric_catalogue import METRIC
+from ..schemas.settings import MetricsSettings
+from .arrays import FloatArray, Watch, unwatched
+from .coverage import nearest_distances
+from .linalg.assignment import assign_nodes
+from .linalg.heat import heat_change, heat_trace
+from .linalg.laplacian import induced_laplacian, normalised_laplacian
+from .linalg.spectrum import spectral_norm
+from .linalg.subgraph import Subgraph
+from .metrics import IDENTICAL_CHANGE, MIN_NODES
+from .reference import nearest_points, visiting_order
+from .selection import Selection
+
+_SEED = 0  # of samples and directions
+_MAX_PIVOTS = 10**12  # of the network simplex; far more than it needs, so that it always converges
+_DIRECTIONS_PER_STEP = 10  # bounds the memory: all points are projected on each
+_ICP_POINTS = 11  # the library warns of fewer
+_ICP_ITERATIONS = 100
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """One value of a baseline.
+
+    name : as in the table's rows, a column of the catalogue
+    value : None if it cannot be computed
+    reason : reason for None, or a note about the value
+    """
+
+    name: str
+    value: float | None
+    reason: str | None = None
+
+    @property
+    def unit(self) -> str | None:
+        """Unit by the catalogue: "m", "m2", or None for a plain number."""
+        return METRIC[self.name].unit
+
+
+Baselines = tuple[Baseline, ...]
+
+
+@dataclass(frozen=True)
+class MatchedObject:
+    """One object that both sides have.
+
+    real, sim : points and graph on each side
+    selection : aligned nodes
+    t : diffusion time of the selection
+    """
+
+    real: Subgraph
+    sim: Subgraph
+    selection: Selection
+    t: float
+
+    def aligned_points(self) -> tuple[FloatArray, FloatArray]:
+        """Aligned nodes of both sides, (n_keep, 3) each, metres; row i of one belongs to row i of the other."""
+        return self.real.points[self.selection.real_nodes], self.sim.points[self.selection.sim_nodes]
+
+
+def compare_points(
+    real: FloatArray, sim: FloatArray, settings: MetricsSettings, *, watch: Watch = unwatched
+) -> Baselines:
+    """Compute the requested baseline metrics of two point sets, in the order of the settings.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, in one frame, at least one point each
+    settings : names and parameters; those that need a graph are left out
+    watch : entered around each baseline
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fidpipe.schemas.settings import MetricsSettings
+    >>> points = np.array([[0.0, 0, 0], [1, 0, 0]])
+    >>> compare_points(points, points + [0, 0, 3], MetricsSettings(baselines=("hausdorff",)))
+    (Baseline(name='hausdorff_m', value=3.0, reason=None),)
+    """
+    values: list[Baseline] = []
+    for name in settings.baselines:
+        if name in OF_POINTS:
+            with watch(name):
+                values += OF_POINTS[name](real, sim, settings)
+    return tuple(values)
+
+
+def compare_objects(
+    real: Subgraph,
+    sim: Subgraph,
+    selection: Selection,
+    t: float,
+    settings: MetricsSettings,
+    *,
+    watch: Watch = unwatched,
+) -> Baselines:
+    """Compute all requested baseline metrics of one matched object, in the order of the settings.
+
+    Parameters
+    ----------
+    real, sim : one object on both sides, at least one point each
+    selection : its aligned nodes
+    t : diffusion time of r_H
+    settings : names and parameters
+    watch : entered around each baseline
+    """
+    matched = MatchedObject(real, sim, selection, t)
+    values: list[Baseline] = []
+    for name in settings.baselines:
+        with watch(name):
+            if name in OF_POINTS:
+                values += OF_POINTS[name](real.points, sim.points, settings)
+            else:
+                values += OF_OBJECTS[name](matched, settings)
+    return tuple(values)
+
+
+def chamfer(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
+    """Chamfer distance in three conventions, without centring; 0 if each point coincides with one of the other side.
+
+    chamfer_mean_m = mean_x min_y |x - y| + mean_y min_x |y - x|, x real, y simulated.
+    chamfer_squared_m2: the same with |.|^2, the form of Fan, Su and Guibas (A point set generation network for 3D
+    object reconstruction from a single image, CVPR 2017) and of Achlioptas et al. (Learning representations and
+    generative models for 3D point clouds, ICML 2018), with means in place of their sums.
+    chamfer_one_way_sum_m = sum_x min_y |x - y|: as the paper writes it (section "Related Work"), it grows with the
+    number of real points and does not see invented ones.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, at least one point each
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> found = chamfer(np.array([[0.0, 0, 0], [4, 0, 0]]), np.array([[1.0, 0, 0]]), MetricsSettings())
+    >>> [baseline.value for baseline in found]
+    [3.0, 6.0, 4.0]
+    """
+    to_sim, to_real = nearest_distances(real, sim)
+    return (
+        Baseline("chamfer_mean_m", float(to_sim.mean() + to_real.mean())),
+        Baseline("chamfer_squared_m2", float((to_sim**2).mean() + (to_real**2).mean())),
+        Baseline("chamfer_one_way_sum_m", float(to_sim.sum())),
+    )
+
+
+def hausdorff(real: FloatArray, sim: FloatArray) -> float:
+    """max(max_x min_y |x - y|, max_y min_x |y - x|) in metres: the worst point (Hausdorff, Mengenlehre, 1914).
+
+    See Huttenlocher, Klanderman and Rucklidge, Comparing images using the Hausdorff distance, IEEE PAMI 1993, eq. 1.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, not centred, at least one point each
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> hausdorff(np.array([[0.0, 0, 0], [4, 0, 0]]), np.array([[1.0, 0, 0]]))
+    3.0
+    """
+    to_sim, to_real = nearest_distances(real, sim)
+    return float(max(to_sim.max(), to_real.max()))
+
+
+def f_score(real: FloatArray, sim: FloatArray, distance_m: float) -> float:
+    """2 P R / (P + R), 1 best, 0 without near points (Knapitsch et al., Tanks and Temples, ACM TOG 2017, section 4).
+
+    Precision P is the share of simulated points nearer than `distance_m` to a real one, recall R the share of real
+    points nearer than that to a simulated one.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, not centred, at least one point each
+    distance_m : points at this distance or farther have no partner
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> f_score(np.array([[0.0, 0, 0], [9, 0, 0]]), np.array([[0.1, 0, 0], [0, 9, 0]]), 0.2)
+    0.5
+    """
+    to_sim, to_real = nearest_distances(real, sim)
+    recall, precision = float(np.mean(to_sim < distance_m)), float(np.mean(to_real < distance_m))
+    return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
+
+
+def _dcd(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
+    """The published density-aware Chamfer distance with `dcd_alpha`, with a note on limited weights."""
+    distance = density_aware_chamfer(real, sim, settings.dcd_alpha)
+    if distance is None:
+        return (Baseline("dcd", None, "the real points have no extent to scale by"),)
+    (dcd, n_cut), n_real, n_sim = distance, len(real), len(sim)
+    cut = f"{n_real} real and {n_sim} simulated points: {n_cut} of {n_real + n_sim} count weights cut at 1"
+    return (Baseline("dcd", dcd, cut if n_cut else None),)
+
+
+def density_aware_chamfer(real: FloatArray, sim: FloatArray, alpha: float) -> tuple[float, int] | None:
+    """The published density-aware Chamfer distance, 0 to 1, and its limited weights; None for real points of no extent.
+
+    DCD = 1/2 (mean_x (1 - w_x exp(-alpha |x - y'|^2)) + mean_y (1 - w_y exp(-alpha |y - x'|^2))), y' the nearest
+    simulated point of x (for equal distances the first by x, y, z), w_x = (n / m) / (number of real points whose
+    nearest is the same y'), and the other way round (Wu, Pan, Zhang, Wang, Liu and Lin, Density-aware Chamfer distance
+    as a comprehensive metric for point cloud completion, NeurIPS 2021, section 3). For equal sizes w is 1 over the
+    count. The squared distance and the factor n / m for unequal sizes are those of the authors' code (`calc_dcd`); the
+    article writes |x - y'|. With that factor a weight can be above 1, and its term below 0: such weights are limited to
+    1 and counted.
+
+    Its authors chose alpha = 1000 for objects of unit size, so both sides are scaled by the diagonal of the real
+    object's axis-aligned bounding box. This is not the score that the paper calls CDC (`metrics`).
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, at least one point each
+    alpha : per squared unit size
+    """
+    squared_m2 = float(np.linalg.norm(np.ptp(real, axis=0))) ** 2
+    if not squared_m2 or np.isinf(alpha / squared_m2):  # no extent, or its square underflows
+        return None
+    from_real, n_cut_real = _one_way(real, sim, alpha / squared_m2)
+    from_sim, n_cut_sim = _one_way(sim, real, alpha / squared_m2)
+    return (from_real + from_sim) / 2, n_cut_real + n_cut_sim
+
+
+def _one_way(x: FloatArray, y: FloatArray, alpha: float) -> tuple[float, int]:
+    """Mean of the terms of x, and number of its weights that were limited."""
+    nearest, distance = nearest_points(y, x)
+    weight = len(x) / len(y) / np.bincount(nearest, minlength=len(y))[nearest]
+    with np.errstate(over="ignore"):  # points at infinity have the term 1
+        term = 1 - np.minimum(weight, 1.0) * np.exp(-alpha * distance**2)
+    return float(term.mean()), int(np.count_nonzero(weight > 1.0))
+
+
+def sliced_wasserstein(real: FloatArray, sim: FloatArray, n_projections: int) -> float:
+    """Mean over random directions u of W1(u . real, u . sim), in metres; for sets of any sizes, in n log n.
+
+    The earth mover's distance of points on a line needs only sorting; its mean over the sphere of directions is the
+    sliced Wasserstein distance of order 1 (Rabin, Peyre, Delon and Bernot, Wasserstein barycenter and its application
+    to texture mixing, SSVM 2011; Bonneel, Rabin, Peyre and Pfister, JMIV 2015), here by Monte Carlo with a fixed seed.
+    It is at most the earth mover's distance: a shift by v costs |v| there, |v| / 2 here. POT's implementation.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, at least one point each; all points of a side have the same weight
+    n_projections : number of directions
+    """
+    import ot
+
+    directions = np.random.default_rng(_SEED).standard_normal((n_projections, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    total = 0.0
+    for start in range(0, n_projections, _DIRECTIONS_PER_STEP):
+        some = directions[start : start + _DIRECTIONS_PER_STEP].T
+        total += len(some.T) * float(ot.sliced_wasserstein_distance(real, sim, projections=some, p=1))
+    return total / n_projections
+
+
+def _histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
+    """Difference of the histograms of all distances within each side, with sample, bins and order of the settings."""
+    points, bins, order = settings.histogram_points, settings.histogram_bins, settings.histogram_order
+    distance = histogram_distance(real, sim, points, bins, order)
+    reason = "a side has no two points apart from each other" if distance is None else None
+    return (Baseline("histogram", distance, reason),)
+
+
+def histogram_distance(real: FloatArray, sim: FloatArray, n_points: int, n_bins: int, order: float) -> float | None:
+    """(sum_k |h_k(real) - h_k(sim)|^p)^(1/p); None if all points of a side coincide.
+
+    h_k is the share of pairwise distances, divided by the largest distance of the side, in the k-th of equal bins from
+    0 to 1: the paper's section "Related Work" after Wallace et al. (Validating simulation environments for automated
+    driving systems using 3D object comparison metric, IEEE IV 2022), who compare by the Minkowski distance; the
+    histogram itself is the shape distribution D2 of Osada, Funkhouser, Chazelle and Dobkin (Shape distributions, ACM
+    TOG 2002). It does not depend on position, rotation and size of the object. Sides of more than `n_points` points are
+    represented by a sample of that size, selected by a hash of the coordinates, independent of row order.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, at least one point each
+    n_points : maximum number of points of a side
+    n_bins : number of bins
+    order : p of the Minkowski distance, at least 1; 2 is the Euclidean one
+    """
+    samples = [points[visiting_order(points, _SEED)[:n_points]] for points in (real, sim)]
+    shares = [_distance_shares(points, n_bins) for points in samples]
+    if shares[0] is None or shares[1] is None:
+        return None
+    return float(np.linalg.norm(shares[0] - shares[1], order))
+
+
+def _distance_shares(points: FloatArray, n_bins: int) -> FloatArray | None:
+    """Share of the pairwise distances in each bin, (n_bins,); None if all points coincide."""
+    distance = scipy.spatial.distance.pdist(points)
+    largest = distance.max(initial=0.0)
+    if largest == 0:
+        return None
+    counts, _ = np.histogram(distance / largest, bins=n_bins, range=(0.0, 1.0))
+    return counts / len(distance)
+
+
+def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
+    """Register the simulated points to the real ones by point-to-point ICP: fitness and RMSE.
+
+    Besl and McKay, A method for registration of 3-D shapes, IEEE PAMI 1992, with correspondences up to
+    `icp_distance_m` only; small_gicp's implementation (Koide, small_gicp: efficient and parallel algorithms for point
+    cloud registration, JOSS 2024), started from the identity, one thread. With T the resulting motion and
+    d_y = min_x |x - T y|: fitness = share of y with d_y <= icp_distance_m, rmse = root mean d_y^2 over these, which are
+    the definitions of Open3D's `evaluate_registration` (Zhou, Park and Koltun 2018).
+
+    Both are None without the library (an extra) or with too few points, the RMSE also without correspondences.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    """
+    n_fewest, reason = min(len(real), len(sim)), None
+    if find_spec("small_gicp") is None:
+        reason = 'small_gicp is not installed; pip install "fidpipe[icp]"'
+    elif n_fewest < _ICP_POINTS:
+        reason = f"{n_fewest} points on a side, at least {_ICP_POINTS} are needed for ICP"
+    if reason:
+        return (Baseline("icp_fitness", None, reason), Baseline("icp_rmse_m", None, reason))
+    import small_gicp
+
+    centre = real.mean(axis=0)  # rounding of the normal equations grows with the distance from the origin
+    target, source = real - centre, sim - centre
+    result = small_gicp.align(
+        small_gicp.PointCloud(target),
+        small_gicp.PointCloud(source),
+        registration_type="ICP",
+        max_correspondence_distance=settings.icp_distance_m,
+        num_threads=1,
+        max_iterations=_ICP_ITERATIONS,
+    )
+    T_real_sim: FloatArray = result.T_target_source
+    apart, _ = scipy.spatial.cKDTree(target).query(source @ T_real_sim[:3, :3].T + T_real_sim[:3, 3])
+    near = apart[apart <= settings.icp_distance_m]
+    reason = None if result.converged else "ICP had not converged"
+    fitness = Baseline("icp_fitness", len(near) / len(apart), reason)
+    if not len(near):
+        return fitness, Baseline("icp_rmse_m", None, f"no points within {settings.icp_distance_m:g} m of each other")
+    return fitness, Baseline("icp_rmse_m", float(np.sqrt(np.mean(near**2))), reason)
+
+
+def _emd(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
+    """Earth mover's distance of all points, of the aligned nodes as given, and of these with both sides centred."""
+    n_most = max(len(matched.real.points), len(matched.sim.points))
+    exact_m = reason = None
+    if n_most > settings.emd_max_points:
+        reason = f"{n_most} points, metrics.emd_max_points allows {settings.emd_max_points}"
+    elif (exact_m := earth_movers(matched.real.points, matched.sim.points)) is None:
+        reason = "the network simplex ended without the optimum"
+    real, sim = matched.aligned_points()
+    # The alignment is the optimal assignment of the centred nodes, so it is not solved again for these.
+    centred_m = aligned_distance(real - real.mean(axis=0), sim - sim.mean(axis=0))
+    return (
+        Baseline("emd_mean_m", exact_m, reason),
+        Baseline("emd_kept_mean_m", aligned_distance(real, sim[assign_nodes(real, sim)])),
+        Baseline("emd_centred_mean_m", centred_m),
+    )
+
+
+def earth_movers(a: FloatArray, b: FloatArray) -> float | None:
+    """min_F sum_ij F_ij |a_i - b_j|, in metres; exact, for sets of any sizes; None if the solver finds no optimum.
+
+    F_ij >= 0 is the mass moved from a_i to b_j: 1 / n leaves each point of a, 1 / m reaches each of b (Rubner, Tomasi
+    and Guibas, The earth mover's distance as a metric for image retrieval, IJCV 2000, with equal weights). For equal
+    sizes it is the mean distance under the best one-to-one assignment; the paper's equation "d_EMD" is the sum. Network
+    simplex of POT (Bonneel, van de Panne, Paris and Heidrich, Displacement interpolation using Lagrangian mass
+    transport, SIGGRAPH Asia 2011), which computes distances on demand instead of storing n m of them. The solver gets
+    integer weights, so that the marginals hold without rounding.
+
+    Parameters
+    ----------
+    a, b : (n, 3), (m, 3) float64, metres, not centred; at least one point each
+
+    Examples
+    --------
+    >>> earth_movers(np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[1.0, 0, 2], [0, 0, 2]]))
+    2.0
+    >>> earth_movers(np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[1.0, 0, 0]]))
+    0.5
+    """
+    import ot
+
+    n, m = len(a), len(b)
+    shares = math.lcm(n, m)  # a point of a has shares / n of them, one of b shares / m
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the warning is also in the log
+        total_m, log = ot.emd2_lazy(
+            a,
+            b,
+            np.full(n, shares / n),
+            np.full(m, shares / m),
+            metric="euclidean",
+            numItermax=_MAX_PIVOTS,
+            log=True,
+            return_matrix=False,
+            center_dual=False,
+        )
+    return None if log["warning"] else float(total_m) / shares
+
+
+def aligned_distance(a: FloatArray, b: FloatArray) -> float:
+    """mean_i |a_i - b_i| in metres, for rows that are already assigned.
+
+    Parameters
+    ----------
+    a, b : (n, 3) float64, metres, at least one point
+    """
+    return float(np.linalg.norm(a - b, axis=1).mean())
+
+
+def _netlsd(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
+    """NetLSD of the whole object; None if a side has more than `heat_max_nodes`."""
+    real, sim = matched.real, matched.sim
+    n_most = max(len(real.points), len(sim.points))
+    if n_most > settings.heat_max_nodes:
+        reason = f"{n_most} points, metrics.heat_max_nodes allows {settings.heat_max_nodes}"
+        return (Baseline("netlsd", None, reason),)
+    times = np.geomspace(settings.heat_time_min, settings.heat_time_max, settings.heat_times)
+    laplacians = normalised_laplacian(real.adjacency), normalised_laplacian(sim.adjacency)
+    return (Baseline("netlsd", heat_trace_distance(*laplacians, times)),)
+
+
+def heat_trace_distance(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, times: FloatArray) -> float:
+    """|h(real) - h(sim)|_2, h(t) = tr exp(-tL) / n at the given times; 0 for isospectral graphs.
+
+    Tsitsulin, Mottin, Karras, Bronstein and Mueller, NetLSD: hearing the shape of a graph, KDD 2018, section 4, heat
+    kernel, normalised by the empty graph of n nodes as in their code; from all eigenvalues, without interpolation. The
+    graphs need no alignment and may differ in size.
+
+    Parameters
+    ----------
+    real, sim : (n, n), (m, m) CSR float64, normalised Laplacians, at least one node each
+    times : (k,) float64, positive; the authors take 250 from 0.01 to 100, log-spaced
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> edge, apart = scipy.sparse.csr_matrix([[1.0, -1], [-1, 1]]), scipy.sparse.csr_matrix((2, 2))
+    >>> round(heat_trace_distance(edge, apart, np.array([0.5])), 6)  # 1 - (1 + 1 / e) / 2
+    0.31606
+    """
+    return float(np.linalg.norm(heat_trace(real, times) - heat_trace(sim, times)))
+
+
+def _r_h(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
+    """Bounded diffusion change of the aligned nodes; None for fewer than 3 nodes."""
+    nodes_real, nodes_sim = matched.selection.real_nodes, matched.selection.sim_nodes
+    if len(nodes_real) < MIN_NODES:
+        return (Baseline("r_h", None, f"{len(nodes_real)} aligned nodes, at least {MIN_NODES} are needed"),)
+    laplacians = induced_laplacian(matched.real, nodes_real), induced_laplacian(matched.sim, nodes_sim)
+    return (Baseline("r_h", diffusion_change(*laplacians, matched.t, IDENTICAL_CHANGE)),)
+
+
+def diffusion_change(
+    real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: float, identical_change: float
+) -> float:
+    """r_H = |dH_t|_2 / (t |dL|_2), dH_t = exp(-t L_sim) - exp(-t L_real), 0 to 1.
+
+    "Bounded diffusion change" in the source of the paper (equation "rH", commented out there). The bound holds because
+    exp(-t .) changes by no more than t |dL| between matrices without negative eigenvalues (Duhamel's formula). The
+    norms are largest absolute eigenvalues by Lanczos iteration; that of dH_t is applied to vectors as a power series.
+    If |dL| is at most `identical_change` the result is 0, as for r_lambda.
+
+    Parameters
+    ----------
+    real, sim : (n, n) CSR float64, normalised Laplacians, nodes aligned
+    t : diffusion time
+    identical_change : see above
+    """
+    change = spectral_norm(sim - real)
+    if change <= identical_change:
+        return 0.0
+    return min(1.0, heat_change(real, sim, t) / (t * change))
+
+
+#: Baseline metrics of two point sets by their names in the settings.
+OF_POINTS: dict[str, Callable[[FloatArray, FloatArray, MetricsSettings], Baselines]] = {
+    "chamfer": chamfer,
+    "hausdorff": lambda real, sim, settings: (Baseline("hausdorff_m", hausdorff(real, sim)),),
+    "f_score": lambda real, sim, settings: (Baseline("f_score", f_score(real, sim, settings.f_score_distance_m)),),
+    "dcd": _dcd,
+    "sliced_wasserstein": lambda real, sim, settings: (
+        Baseline("sliced_wasserstein_m", sliced_wasserstein(real, sim, settings.projections)),
+    ),
+    "histogram": _histogram,
+    "icp": icp,
+}
+#: Those that need the graphs or the aligned nodes of a matched object.
+OF_OBJECTS: dict[str, Callable[[MatchedObject, MetricsSettings], Baselines]] = {
+    "emd": _emd,
+    "netlsd": _netlsd,
+    "r_h": _r_h,
+}
