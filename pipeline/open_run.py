@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .object_store import is_url
+from .datasets.pairs import local_folder
 from .results.finished import FinishedRun, ObjectFacts, PairFacts, object_facts, pair_facts
 
 if TYPE_CHECKING:
@@ -72,8 +72,4 @@ def open_run(folder: Path | str) -> Run:
     RunError
         The folder is not a run, the run has not ended, or its table of pairs is damaged.
     """
-    if isinstance(folder, str) and is_url(folder):
-        from .remote_run import local_of
-
-        folder = local_of(folder)
-    return Run(folder)
+    return Run(local_folder(str(folder)))

@@ -40,6 +40,10 @@ class ScanError(FidpipeError):
     """Problem of one scan file: its pair fails, the others run."""
 
 
+class StoreError(FidpipeError):
+    """Problem of a URL: it cannot be read or written."""
+
+
 class StageError(FidpipeError):
     """Input that a stage cannot process: its pair fails, the others run."""
 

@@ -18,6 +18,7 @@ SATELLITES = {
     "exchange": ("pipeline/exchange",),
     "diagnose": ("pipeline/diagnose", "stages/diagnose"),
     "inspect": ("pipeline/inspect", "stages/inspect"),
+    "remote": ("pipeline/remote",),
     "verify": ("pipeline/verify", "stages/literal"),
 }
 _NO_CODE = {

@@ -240,9 +240,9 @@ def _evaluated(folders: list[Path]) -> list[Path]:
     from ..datasets.readers.frame_address import address_of
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..object_store import url_of_cache
     from ..run import run_dataset
     from ..storage.files import path_exists
+    from ..storage.urls import url_of_cache
 
     def has(folder: Path, *names: str) -> bool:
         return any(path_exists(folder / name) for name in names)

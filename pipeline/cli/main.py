@@ -11,8 +11,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from time import monotonic
 from typing import Annotated, Any
@@ -112,17 +111,13 @@ def main() -> None:
     sys.exit(_flushed(code))
 
 
-@contextmanager
-def _local_arguments() -> Iterator[None]:
-    """Replace the URLs among the arguments by local paths while the command runs."""
-    if not any("://" in word for word in sys.argv[1:]):
-        yield
-        return
-    from ..remote_run import local_arguments
+def _local_arguments() -> AbstractContextManager[None]:
+    """Replaces the URLs among the arguments by local paths while the command runs."""
+    if not any("://" in word for word in sys.argv):
+        return nullcontext()
+    from ..remote.remote_run import local_arguments
 
-    with local_arguments(sys.argv[1:]) as words:
-        sys.argv[1:] = words
-        yield
+    return local_arguments(sys.argv)
 
 
 def _open_streams() -> None:

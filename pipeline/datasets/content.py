@@ -10,11 +10,11 @@ from pathlib import Path
 from ...schemas.columns import SIDES
 from ...schemas.errors import ScanError
 from ..storage.files import file_marks, hash_file, key_of
+from ..storage.urls import n_bytes_of
 from .pairs import ScanPair
 from .readers import files_of, format_of, stem_of
 from .readers.frame_address import address_of
 from .readers.scan import label_path_of
-from .stubs import n_bytes_of
 
 _BYTES_PER_POINT = 16
 _MOST_POINTS_PER_FRAME = 250_000

@@ -19,10 +19,10 @@ from ...schemas.columns import FARTHEST_M, SIDES
 from ...schemas.data_files import parse_toml
 from ...schemas.errors import DatasetError, ScanError, nearest
 from ...stages.arrays import FloatArray
-from ..object_store import is_url
+from ..storage.files import path_exists
+from ..storage.urls import STUB, is_stub, is_url, url_of_cache
 from .readers import formats, holds_frames, is_scan_path, stem_of, suffix_of
 from .readers.scan import LONGEST_LABEL
-from .stubs import STUB, is_stub, stubs_of
 
 MANIFEST = "pairs.csv"
 UNPAIRED = "unpaired.csv"
@@ -240,7 +240,7 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
             warnings.append(f"{manifest}: column {name} is not known, ignored")
     pairs = []
     seen: dict[str, int] = {}
-    stubs = stubs_of(name for row in rows for side in SIDES if is_url(name := row.get(side, "").strip()))
+    stubs = _stubs_of(manifest.parent, [row.get(side, "").strip() for row in rows for side in SIDES])
     for line, row in enumerate(rows, start=2):
         where = f"{manifest}, line {line}"
         if None in row:
@@ -258,6 +258,36 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
         T_real_sim, T_world_sensor = (_transform(where, name, row.get(name, "")) for name in _MANIFEST_COLUMNS[-2:])
         pairs.append(ScanPair(pair_id, real, sim, time_s, T_real_sim, no_real or no_sim, T_world_sensor))
     return pairs
+
+
+def local_folder(name: str) -> Path:
+    """The folder of a run or a dataset; that of a URL is fetched.
+
+    Raises
+    ------
+    DatasetError
+        The URL cannot be read.
+    """
+    if not is_url(name):
+        return Path(name)
+    from ..remote.remote_run import local_of
+
+    return local_of(name)
+
+
+def _stubs_of(folder: Path, names: list[str]) -> dict[str, Path | str]:
+    """The stub of each scan of a manifest that is in an object store, or the reason why there is none."""
+    base, urls = url_of_cache(folder), {}
+    for name in filter(None, names):
+        if is_url(name):
+            urls[name] = name
+        elif base and not any(path_exists(f"{folder / name}{ending}") for ending in ("", STUB)):
+            urls[name] = f"{base}/{name}"  # of a server that cannot list its objects
+    if not urls:
+        return {}
+    from ..remote.remote_dataset import stubs_of
+
+    return stubs_of(urls)
 
 
 def _named_scan(

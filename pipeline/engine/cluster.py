@@ -22,9 +22,9 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from ...schemas.errors import FidpipeError, RunError
-from ..object_store import StoreError, describe_object, is_url
+from ...schemas.errors import FidpipeError, RunError, StoreError
 from ..storage.run_record import library_versions
+from ..storage.urls import is_url
 from . import prefork
 from .costs import CostModel
 from .pool import (
@@ -451,6 +451,8 @@ def worker_fault(required: Requirements) -> str:
 def _beginning(path: str) -> bytes:
     """The first bytes of a file, or the etag of an object."""
     if is_url(path):
+        from ..remote.object_store import describe_object
+
         return describe_object(path).etag.encode()
     with Path(path).open("rb") as file:
         return file.read(_BEGINNING_BYTES)

@@ -19,13 +19,12 @@ from ..datasets.content import ScanContent, scan_content
 from ..datasets.pairs import ScanPair
 from ..datasets.readers import files_of, may_crash, stem_of
 from ..datasets.readers.scan import label_path_of
-from ..datasets.stubs import is_stub, stub_texts, url_of
-from ..remote_run import url_for_workers
 from ..stage import Stage
 from ..storage.files import megabytes
 from ..storage.folder import RunFolder, refuse_overwrite
 from ..storage.run_record import LIBRARIES, changed_settings, has_ended, library_versions
-from ..storage.table_files import TOKEN_OBJECT, JobId, JobName
+from ..storage.table_files import JobId, JobName
+from ..storage.urls import is_stub, read_stub, stub_texts, url_of_cache
 from .plan import NOT_REQUESTED, OUT_OF_DATE, PairPlan, with_results
 from .pool import Pool
 from .progress import Reporter
@@ -126,6 +125,10 @@ class RunEngine:
         ----------
         pairs : whose jobs it will run; if a reader may end its process, that is never the command's own
         """
+        if self._machines.scheduler and url_of_cache(self.folder.folder):
+            from ..remote.remote_run import share_folder
+
+            share_folder(self.folder)
         if self._pool is None:
             is_local = self._machines.scheduler is None
             reader_may_crash = is_local and any(may_crash(path) for pair in pairs for path in pair.paths)
@@ -153,16 +156,10 @@ class RunEngine:
 
     def _shared_files(self, pairs: Iterable[ScanPair]) -> list[str]:
         """A scan and the token of the run, which all workers must be able to read."""
-        self._share_folder()
         some_scan = [file for pair in pairs for path in pair.paths[:1] for file in files_of(path)][:1]
-        scans = [url_of(scan) if is_stub(scan) else str(scan.resolve()) for scan in some_scan]
-        url, path = self.folder.url, self.folder.token_path.resolve()
-        return [*scans, f"{url}/{TOKEN_OBJECT}" if url else str(path)]
-
-    def _share_folder(self) -> None:
-        """Make the URL of a remote run, on a cluster, the place of its tables: workers need not see the folder."""
-        if self._machines.scheduler and (url := url_for_workers(self.folder.folder, self.folder.token)):
-            self.folder.url = url
+        scans = [read_stub(scan)[0] if is_stub(scan) else str(scan.resolve()) for scan in some_scan]
+        url, token = self.folder.url, self.folder.token_path
+        return [*scans, f"{url}/{token.name}" if url else str(token.resolve())]
 
     def _for_workers(self, plans: Iterable[PairPlan]) -> Iterator[PairPlan]:
         """The plans with the time limit of their pairs, and all that workers need that may not see the files here."""
@@ -301,7 +298,6 @@ class RunEngine:
             yield Schedule(pool, (), 0, self)
             return
         self._warn_of_large_pairs(survey.todo)
-        self._share_folder()  # without what was replaced
         plans = (with_results(plan_pair(pair), self.folder)[0] for pair in survey.todo)
         try:
             self.reporter.start(len(survey.todo), survey.n_jobs)

@@ -20,9 +20,8 @@ from ...schemas.tables import TABLES
 from ..datasets.content import scan_content
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
-from ..datasets.stubs import restore_stubs
 from ..stage import SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
-from ..storage.table_files import JobId, JobRecord, TableFolder, TablesAtUrl, plain_metadata, table_name
+from ..storage.table_files import JobId, JobRecord, TableFolder, plain_metadata, table_name
 from .costs import CostModel, largest_object
 from .plan import Job, PairPlan
 from .time_limit import OutOfTimeError, limited
@@ -152,9 +151,11 @@ class PairTables:
     """The tables of one pair while jobs run on it: new ones, and those that are read when first requested."""
 
     def __init__(self, plan: PairPlan) -> None:
-        restore_stubs(plan.stubs)
-        tables_at = TablesAtUrl if plan.url else TableFolder
-        self._folder = tables_at(plan.folder, plan.token, plan.url)
+        self._folder = TableFolder(plan.folder, plan.token)
+        if plan.url or plan.stubs:
+            from ..remote.remote_run import folder_of_worker
+
+            self._folder = folder_of_worker(plan.folder, plan.token, plan.url, plan.stubs)
         self._scans: dict[str, Scan] = {}
         self._tables: dict[tuple[str, str], pa.Table] = {}
         self._parts: dict[tuple[str, str, tuple[str, ...]], pa.Table] = {}

@@ -28,7 +28,6 @@ from ..engine.engine import Machines
 from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
 from ..engine.tasks import counting
-from ..object_store import name_in_records, recorded_path
 from ..results.floor import AS_MEASURED, FLOOR_AMOUNTS, FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
 from ..run import RunOutcome, run_dataset, select_pairs
 from ..storage.files import key_of, path_exists, refuse_link, write_whole
@@ -36,6 +35,7 @@ from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.ledger import Ledger
 from ..storage.run_record import has_ended, read_run
 from ..storage.table_files import file_stem
+from ..storage.urls import name_in_records, recorded_path
 from .dataset_folder import write_table
 
 RECIPE_VERSION = 3  # increase it when the same recipe results in other measurements

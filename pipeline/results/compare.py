@@ -30,8 +30,7 @@ from ...stages.statistics.comparison import (
 )
 from ...stages.statistics.neighbours import neighbours
 from ...stages.statistics.spread import spread
-from ..datasets.pairs import read_dataset
-from ..datasets.stubs import recorded_dataset
+from ..datasets.pairs import local_folder, read_dataset
 from ..storage.table_files import table_name
 from .causes import CAUSE_KINDS, CauseKind, Columns
 from .diagnosis import read_diagnosis
@@ -249,7 +248,7 @@ def recorded_times_s(*runs: FinishedRun) -> dict[str, float]:
     times_s: dict[str, float] = {}
     for run in runs:
         try:
-            pairs = read_dataset(recorded_dataset(run.record.dataset)).pairs
+            pairs = read_dataset(local_folder(run.record.dataset)).pairs
         except (DatasetError, OSError):
             continue
         times_s |= {pair.pair_id: pair.timestamp_s for pair in pairs if pair.timestamp_s is not None}

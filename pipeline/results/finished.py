@@ -27,10 +27,10 @@ from ...schemas.results import JsonObject, Overview
 from ...schemas.tables import PAIR_TABLES, TABLES
 from ...stages.arrays import FloatArray
 from ..datasets.pairs import MANIFEST
-from ..object_store import url_or_path
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.run_record import RUN_JSON, command_again, finished_record
+from ..storage.urls import url_or_path
 from .diagnosis import diagnosed
 from .object_frame import ALL_COLUMNS, COLUMNS_OF, plain_rows, read_objects
 

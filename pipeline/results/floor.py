@@ -22,8 +22,8 @@ from ...schemas.results import JsonObject
 from ...stages.arrays import FloatArray
 from ...stages.statistics.validation import double_validation_metric
 from ...stages.summary import mean_and_std
-from ..object_store import url_or_path
 from ..storage.run_record import SETTINGS_TOML, read_run
+from ..storage.urls import url_or_path
 from .finished import FinishedRun, differences, settings_changes
 
 FLOOR_DATASET = "dataset"

@@ -15,8 +15,7 @@ from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...stages.arrays import FloatArray, IndexArray
 from ...stages.statistics.findings import distribution
 from ..datasets.content import input_hashes
-from ..datasets.pairs import Dataset, read_dataset
-from ..datasets.stubs import recorded_dataset
+from ..datasets.pairs import Dataset, local_folder, read_dataset
 from .finished import FinishedRun
 from .floor import RunExcess
 from .measure_names import (
@@ -67,7 +66,7 @@ class Measures:
     def dataset_is_gone(self) -> bool:
         """True if the dataset's folder is not on this machine; a broken one is not gone."""
         try:
-            recorded_dataset(self.run.record.dataset).stat()
+            local_folder(self.run.record.dataset).stat()
         except (FileNotFoundError, NotADirectoryError, ValueError, DatasetError):
             return True
         except OSError:
@@ -148,7 +147,7 @@ class Measures:
     def _dataset(self) -> Dataset:
         """The dataset of the run as it is now."""
         try:
-            return read_dataset(recorded_dataset(self.run.record.dataset))
+            return read_dataset(local_folder(self.run.record.dataset))
         except (DatasetError, OSError) as error:
             raise _AbsentError(str(error)) from error
 

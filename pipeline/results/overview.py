@@ -30,9 +30,9 @@ from ...stages.arrays import BoolArray, FloatArray
 from ...stages.coverage import ROAD, surface_state
 from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS, blocks_of
 from ...stages.statistics.findings import BAND_NAMES, summarise_objects
-from ..object_store import recorded_path
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
+from ..storage.urls import recorded_path
 from .causes import CLASS, FAR, find_causes, surface_causes
 from .diagnosis import read_diagnosis
 from .finished import FinishedRun

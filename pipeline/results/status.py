@@ -10,8 +10,7 @@ from rich.console import Console
 
 from ...schemas.errors import RunError
 from ...schemas.settings import parse
-from ..datasets.pairs import read_dataset
-from ..datasets.stubs import recorded_dataset
+from ..datasets.pairs import local_folder, read_dataset
 from ..engine.engine import Machines, RunEngine
 from ..engine.plan import Planner, with_results
 from ..engine.progress import Reporter
@@ -56,7 +55,7 @@ def run_status(folder: Path) -> RunStatus:
             f"run {folder}: was written by fidpipe {record['experiment']}, which resumes if it is run again; "
             "status is for runs"
         )
-    dataset = read_dataset(recorded_dataset(record["dataset"]))
+    dataset = read_dataset(local_folder(record["dataset"]))
     settings = parse(record["settings"])
     stages, run_folder = stages_under(settings), RunFolder(folder)
     ledger, planner = run_folder.ledger, Planner(stages, settings, dataset.label_names)

@@ -16,10 +16,10 @@ import pyarrow as pa
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
-from ..object_store import delete_object, is_url, list_objects, name_in_records, url_of_cache
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, read_run
 from .table_files import AT_URL, JobId, JobRecord, TableFolder, read_footer, table_name
+from .urls import is_url, name_in_records, url_of_cache
 
 _LOCK = ".lock"
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP)  # such as NFS without lockd
@@ -152,20 +152,17 @@ class RunFolder(TableFolder):
         )
 
     def is_whole(self, record: JobRecord) -> bool:
-        """True if the files of a job are as they were written; see `StoredFile.is_at`."""
+        """True if the files of a job are as they were written, see `StoredFile.is_at`, or expected at the URL alone."""
         files = record.files.items()
-        return all(stored.is_at(f"{self.folder}/{name}") or self._is_at_url(name) for name, stored in files)
-
-    def _is_at_url(self, name: str) -> bool:
-        """True if a file is expected at the URL alone; it is checked as it is read."""
-        return bool(self.url) and not (self.folder / name).exists()
+        return all(
+            stored.is_at(f"{self.folder}/{name}") or (self.url and not (self.folder / name).exists())
+            for name, stored in files
+        )
 
     def forget(self, pair_id: str, jobs: Container[JobId] | None = None) -> list[JobRecord]:
         """Remove some jobs of a pair, by default all, and their files; returns them."""
         records = [own for own in self.ledger.jobs(pair_id).values() if jobs is None or own.job in jobs]
         for name in (name for record in records for name in record.files):
-            if self._is_at_url(name):
-                delete_object(f"{self.url}/{name}")
             (self.folder / name).unlink(missing_ok=True)
         self.ledger.drop_jobs(pair_id, records)
         return records
@@ -175,11 +172,6 @@ class RunFolder(TableFolder):
         strays = list(self._unknown_files(self.ledger))
         for name in strays:
             (self.folder / name).unlink()
-        if self.url:  # of workers that died
-            for one in list_objects(self.url):
-                table, is_of_pair, _ = one.name.partition("/")
-                if is_of_pair and one.name not in self.ledger.files(table):
-                    delete_object(f"{self.url}/{one.name}")
         return sum(not Path(name).name.startswith(".") for name in strays)
 
     def _open_ledger(self, *, is_writable: bool) -> Ledger:

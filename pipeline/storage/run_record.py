@@ -24,9 +24,9 @@ from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, RUN_SCORES
 from ...schemas.record import Machine, RunHeader, RunRecord, Seconds
 from ...schemas.results import PreviousRun, ScoreSummary
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
-from ..object_store import name_in_records, url_or_path
 from .files import write_whole
 from .table_files import JobRecord
+from .urls import name_in_records, url_or_path
 
 if TYPE_CHECKING:
     from ...schemas.settings import Settings

@@ -16,7 +16,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from time import monotonic
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
@@ -26,13 +25,10 @@ import pyarrow.parquet as pq
 
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
-from ..object_store import read_object, write_object
 from .files import key_of, write_whole
 
-_TOKEN = ".writer"
-TOKEN_OBJECT = "_token"  #: the same at a URL, while workers write there
+TOKEN = ".writer"  #: the file that names the run which may write
 AT_URL = ".at_url"  #: a file of this name in a folder of the cache: tables that it lacks are at its URL
-_ASK_S = 10.0
 _READ_NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # without waiting for the writer of a named pipe
 _LONGEST_NAME_BYTES = 120
 
@@ -168,7 +164,7 @@ class TableFolder:
     @property
     def token_path(self) -> Path:
         """The file that names the run which may write here."""
-        return self.folder / _TOKEN
+        return self.folder / TOKEN
 
     def write_job(self, record: JobRecord, tables: dict[str, pa.Table]) -> dict[str, StoredFile]:
         """Write the tables of a finished job, each with the job in its footer; return the written files by name.
@@ -256,6 +252,8 @@ class TableFolder:
         except OSError as error:
             raise self.damaged(name, error.strerror or str(error)) from error
         if content is None and self.url:
+            from ..remote.object_store import read_object
+
             content = read_object(f"{self.url}/{name}")
             content = content if hashlib.sha256(content).hexdigest() == stored.sha256 else None
         if content is None:
@@ -285,24 +283,6 @@ class TableFolder:
     def _compare(self, token: str) -> None:
         if token != self.token:
             raise RunError(f"run {self.folder}: another run has taken over this folder; this one writes nothing more")
-
-
-class TablesAtUrl(TableFolder):
-    """The tables of a run for a worker that does not share its folder: each is one object, read and written whole."""
-
-    def check_token(self) -> None:
-        """See `TableFolder`; a process asks every ten seconds."""
-        if monotonic() - _ASKED.get(self.token, -_ASK_S) >= _ASK_S:
-            self._compare(read_object(f"{self.url}/{TOKEN_OBJECT}").decode())
-            _ASKED[self.token] = monotonic()
-
-    def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
-        self.check_token()
-        write_object(f"{self.url}/{path.relative_to(self.folder).as_posix()}", bytes(content))
-        return StoredFile(len(content), sha256, 0)
-
-
-_ASKED: dict[str, float] = {}
 
 
 @cache

@@ -18,8 +18,7 @@ from ...schemas.results import JsonObject
 from ...schemas.settings import Settings, parse
 from ...stages.arrays import IndexArray
 from ..datasets.content import input_hashes
-from ..datasets.pairs import ScanPair, read_dataset
-from ..datasets.stubs import recorded_dataset
+from ..datasets.pairs import ScanPair, local_folder, read_dataset
 from ..jobs import EXTRAS, STAGES
 from ..results.finished import FinishedRun
 from .compare_frames import NOT_COMPARED, Mismatch, TableCheck, Tally
@@ -161,7 +160,7 @@ def _unchanged_scans(
     """Pairs of the dataset whose scans are those of the run, its class names, and reasons why other pairs are not."""
     what = "points kept of the scans"
     try:
-        dataset = read_dataset(recorded_dataset(run.record.dataset))
+        dataset = read_dataset(local_folder(run.record.dataset))
     except (FidpipeError, OSError) as error:
         return {}, {}, [f"{what}, and their coordinates: {error}"]
     pairs, unchanged, faults = {pair.pair_id: pair for pair in dataset.pairs}, {}, []

@@ -27,13 +27,12 @@ NOT_ATTACKED = {
     "pipeline.cli.main": "/dev/null",
     "pipeline.cli.show_report_export": "a browser, for a page that it has made",
     "pipeline.report.page.page_templates": "its own scripts and styles",
-    "pipeline.datasets.stubs": "its own stubs, and a manifest that the dataset's reader reads afterwards",
-    "pipeline.remote_run": "its own index, and files that are read as a run afterwards",
+    "pipeline.remote.remote_dataset": "its own stubs",
+    "pipeline.storage.urls": "its own stubs",
+    "pipeline.remote.remote_run": "its own index, and files that are read as a run afterwards",
     "pipeline.generate.floor_run": "copies labels.toml, which the dataset's reader has read",
     "pipeline.generate.twin": "copies scans and labels, which the reader of scans has read",
     "schemas.data_files": "its own tables",
-    "schemas.metric_catalogue": "its own table",
-    "schemas.tables": "its own table",
     "stages.ground": "/dev/null",
 }
 

@@ -79,7 +79,7 @@ def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dat
         (["ftp://bucket/data"], "error: ftp://: expected a URL of s3, gs, az, http, https, or a local path"),
         (
             ["{data}", "--out=memory://x"],
-            "error: memory://: expected a URL of s3, gs, az, http, https, or a local path",
+            "error: memory://: expected a URL of s3, gs, az, http, https, or a local path; processes share no memory",
         ),
         (
             ["{data}", "--set", "graph.k=0"],

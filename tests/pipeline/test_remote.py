@@ -16,18 +16,13 @@ import pytest
 from clusters import Cluster
 
 from fidpipe import open_run
-from fidpipe.pipeline.datasets.stubs import mirror_dataset
-from fidpipe.pipeline.object_store import (
-    StoreError,
-    cache_of,
-    delete_object,
-    list_objects,
-    read_object,
-    write_object,
-)
-from fidpipe.pipeline.remote_run import LOCK, RemoteRun
+from fidpipe.pipeline.datasets.pairs import local_folder
+from fidpipe.pipeline.remote.object_store import delete_objects, list_objects, read_object, write_object
+from fidpipe.pipeline.remote.remote_run import LOCK, RemoteRun
 from fidpipe.pipeline.storage.ledger import SEAL
-from fidpipe.schemas.errors import DatasetError, RunError
+from fidpipe.pipeline.storage.table_files import TOKEN
+from fidpipe.pipeline.storage.urls import cache_of
+from fidpipe.schemas.errors import DatasetError, RunError, StoreError
 from runs import assert_same_tables, command, run
 from scenes import write_dataset
 
@@ -132,7 +127,7 @@ def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local,
     assert len(set(fetched)) == 2
     names = {one.name for one in list_objects(f"{bucket}/runs/x")}
     assert {"run.json", "pairs.parquet", "graph/000.real.parquet"} <= names
-    assert not {LOCK, ".lock", "_token"} & names
+    assert not {LOCK, ".lock", TOKEN} & names
     shutil.rmtree(tmp_path / "cache")
     Faulty.requests = []
     assert "2 pairs" in command("show", f"{bucket}/runs/x").stdout
@@ -164,7 +159,7 @@ def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(bucket, local, t
     assert changed.returncode == 0, changed.stderr
     monkeypatch.setenv("FIDPIPE_CACHE", str(tmp_path / "cache"))
     assert open_run(f"{bucket}/runs/half").record.settings["graph"]["k"] == 8
-    delete_object(f"{bucket}/runs/half/{SEAL}")  # as a command leaves it that was killed
+    delete_objects(f"{bucket}/runs/half", [SEAL])  # as a command leaves it that was killed
     metrics = open_run(f"{bucket}/runs/half").metrics
     assert len(metrics) and not metrics.equals(open_run(local / "run").metrics)
 
@@ -181,7 +176,7 @@ def test_two_commands_do_not_write_to_one_run_and_a_dead_one_is_replaced(bucket,
 
 
 def test_a_command_whose_lock_was_taken_over_stops_writing_and_leaves_the_lock(bucket, tmp_path, monkeypatch):
-    monkeypatch.setattr("fidpipe.pipeline.remote_run._RENEW_S", 0.0)
+    monkeypatch.setattr("fidpipe.pipeline.remote.remote_run._RENEW_S", 0.0)
     own, other = RemoteRun(f"{bucket}/runs/z"), b'{"host": "elsewhere", "pid": 7, "time": 0}'
     with pytest.raises(RunError, match="another command writes there now"), own.written() as folder:
         write_object(f"{own.url}/{LOCK}", other)
@@ -243,7 +238,7 @@ def test_a_stub_outside_of_the_cache_is_no_scan(bucket, local, tmp_path):
 
 def test_what_is_not_there_is_said_in_one_line(bucket):
     with pytest.raises(DatasetError, match=r"expected a run, scans or a pairs\.csv, got none .*no such object"):
-        mirror_dataset(f"{bucket}/nothing")
+        local_folder(f"{bucket}/nothing")
     with pytest.raises(StoreError, match="no such object"):
         read_object(f"{bucket}/nothing/x.bin")
     assert os.environ["AWS_SECRET_ACCESS_KEY"] not in command("show", f"{bucket}/nothing").stderr
@@ -292,4 +287,4 @@ def test_workers_without_a_shared_disk_finish_a_run_from_and_to_a_bucket(bucket,
     verified = command("verify", f"{bucket}/runs/apart")
     assert verified.returncode == 0, verified.stdout + verified.stderr
     names = {one.name for one in list_objects(f"{bucket}/runs/apart")}
-    assert not {LOCK, "_token"} & names
+    assert not {LOCK, TOKEN} & names

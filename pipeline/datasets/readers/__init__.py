@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ....schemas.errors import DatasetError, FidpipeError, ScanError
-from ..stubs import is_stub, local_scan
+from ...storage.urls import is_stub
 from .frame_address import address_of
 from .scan import Scan, cause_of, label_path_of, with_label_file, with_label_names
 
@@ -170,7 +170,7 @@ def read_scan(
         raise ScanError(f"{path}: a {suffix_of(path)} file holds one scan; it is named without #")
     if known.holds_frames and is_stub(address.file):
         raise ScanError(f"{path}: recordings are not read by URL; copy it, or use fidpipe convert")
-    with local_scan(address.file, label_path_of(address.file, stem_of(path))) as file, _reader(path, known) as reader:
+    with _local(address.file, stem_of(path)) as file, _reader(path, known) as reader:
         if file.stat().st_size == 0:
             raise ScanError(f"{path}: the file is empty")
         if known.holds_frames:
@@ -182,6 +182,15 @@ def read_scan(
         labelled = with_label_file(scan, file, stem_of(path))
     names = label_names if label_names and (labelled is not scan or not known.columns) else {}
     return with_label_names(labelled, names)
+
+
+def _local(file: Path, stem: str) -> AbstractContextManager[Path]:
+    """A scan file on this machine next to its labels: itself, or a copy of the object that a stub names."""
+    if not is_stub(file):
+        return nullcontext(file)
+    from ...remote.remote_dataset import fetched_scan
+
+    return fetched_scan(file, label_path_of(file, stem))
 
 
 @contextmanager

@@ -8,9 +8,9 @@ from pathlib import Path
 from ....schemas.metric_catalogue import metric_of
 from ....schemas.record import RunRecord
 from ....schemas.results import Overview
-from ...object_store import url_or_path
 from ...results.diagnosis import BASE
 from ...results.floor import FloorRecipe, RunExcess, read_recipe, run_of_floor
+from ...storage.urls import url_or_path
 from ..view import Answers, Note, View, number, percent, shortened
 
 #: Causes, places and cautions that are shown without --all.

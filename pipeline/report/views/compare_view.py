@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from ....schemas.columns import Row
 from ....schemas.metric_catalogue import METRIC
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_FOR_INTERVAL, LEAST_PAIRS, Difference
-from ...object_store import url_or_path
 from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, overall
 from ...results.followed import SHARED_SCORES, by_change, by_class, by_range
 from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
+from ...storage.urls import url_or_path
 from ..view import Note, Part, Table, View, number, percent, signed
 from .floor_view import both_excesses_table, excess_notes
 

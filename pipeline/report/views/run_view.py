@@ -32,10 +32,10 @@ from ....schemas.record import (
 )
 from ....schemas.results import ClassFindings, Findings, Overview, Unmatched
 from ....stages.coverage import ABSENT, THERE
-from ...object_store import url_or_path
 from ...results.diagnosis import diagnosed
 from ...results.floor import RunExcess
 from ...storage.run_record import unmatched_worst
+from ...storage.urls import url_or_path
 from ..view import Note, Table, View, mean_and_spread, number, percent
 from .answer_view import answer_view
 from .floor_view import HEADLINES, excess_view

@@ -7,10 +7,10 @@ import shlex
 from pydantic import JsonValue
 
 from ....schemas.results import JsonObject
-from ...object_store import url_or_path
 from ...results.finished import FinishedRun, object_facts, pair_facts, run_facts
 from ...results.floor import RunExcess
 from ...results.overview import over_floor
+from ...storage.urls import url_or_path
 from ..view import Note, Table, View
 from .floor_view import pair_excess_table
 from .pair_view import object_records, object_view, pair_records, pair_view

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ...object_store import url_or_path
 from ...results.status import STATES, RunStatus
 from ...storage.run_record import command_again
+from ...storage.urls import url_or_path
 from ..view import Note, View
 
 _MOST_FAILURES = 3

@@ -11,54 +11,59 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 import orjson
 
-from ..schemas.errors import FidpipeError, RunError
-from .datasets.stubs import mirror_dataset
+from ...schemas.errors import DatasetError, FidpipeError, RunError, StoreError
+from ...schemas.tables import TABLES
+from ..storage.files import remove_stale, write_whole
+from ..storage.folder import RunFolder
+from ..storage.ledger import LEDGER, SEAL
+from ..storage.table_files import AT_URL, TOKEN, StoredFile, TableFolder
+from ..storage.urls import cache_of, is_url
 from .object_store import (
     StoredObject,
-    StoreError,
-    cache_of,
-    delete_object,
-    is_url,
+    delete_objects,
     list_objects,
     read_object,
     read_with_etag,
     write_object,
+    write_once,
 )
-from .storage.files import remove_stale, write_whole
-from .storage.folder import RunFolder
-from .storage.ledger import LEDGER, SEAL
-from .storage.table_files import AT_URL, TOKEN_OBJECT
+from .remote_dataset import mirror_dataset, restore_stubs
 
 LOCK = "_writer.json"
 #: Files of a run that stay on this machine.
 _LOCAL = (LEDGER, f"{LEDGER}-journal", SEAL, "report.html")
 _PUSH_S, _RENEW_S, _DEAD_S = 5.0, 60.0, 300.0
-_AT_ONCE, _PER_RENEWAL = 16, 1000  # requests
+_REQUESTS_AT_ONCE = 16
 _PAUSES_PER_PUSH = 4.0
+_ASK_S = 10.0
 
 
 def local_of(url: str) -> Path:
-    """The local folder (or file) of a URL: a finished run fetched, or a dataset as stubs.
+    """The local folder (or file) of a URL: a run, fetched, or a dataset as stubs.
 
     Raises
     ------
-    FidpipeError
+    DatasetError
         The URL cannot be read.
     """
-    url = url.rstrip("/")
-    if not url.startswith("http") and any(one.name == "run.json" for one in list_objects(url)):
+    try:
         run = RemoteRun(url)
+        found = [] if run.url.startswith("http") else list_objects(run.url)
+        if not any(one.name == "run.json" for one in found):
+            return mirror_dataset(run.url, found)
         if not RunFolder(run.folder).is_locked:  # by a command of this machine that works on it now
             run.pull(for_reading=True)
         return run.folder
-    return mirror_dataset(url)
+    except StoreError as error:
+        raise DatasetError(str(error)) from error
 
 
 class RemoteRun:
@@ -79,7 +84,7 @@ class RemoteRun:
         for_reading : leave tables of pairs there, to be fetched when they are read, if the run has ended in order
         """
         known, found = self._known(), {one.name: one for one in list_objects(self.url)}
-        of_ledger = [found.pop(name, None) for name in (SEAL, LEDGER, LOCK, TOKEN_OBJECT)][:2]
+        of_ledger = [found.pop(name, None) for name in (SEAL, LEDGER, LOCK, TOKEN)][:2]
         if for_reading and None not in of_ledger:
             found = {name: one for name, one in found.items() if "/" not in name}
             for one in filter(None, of_ledger):
@@ -97,7 +102,7 @@ class RemoteRun:
             for name, one in found.items()
             if known.get(name, [""])[0] != one.etag or not (self.folder / name).exists()
         ]
-        with ThreadPoolExecutor(_AT_ONCE) as pool:
+        with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
             known |= zip((one.name for one in missing), pool.map(self._get, missing), strict=True)
         if (self.folder / AT_URL).exists():
             self._keep(known)
@@ -110,31 +115,23 @@ class RemoteRun:
         self._keep({name: marks for name, marks in known.items() if name in found})
 
     def push(self) -> None:
-        """Write what has changed in the folder, and delete what it has no more.
+        """Write what has changed in the folder.
 
         Raises
         ------
         RunError
             Another command writes there now.
         """
-        with self._pushing:
-            self._push()
-
-    def _push(self) -> None:
-        known, files = self._known(), self._files()
-        changed = sorted(name for name, marks in files.items() if known.get(name, [""])[1:] != marks)
-        self._renew()
-        try:
-            with ThreadPoolExecutor(_AT_ONCE) as pool:
-                for first in range(0, len(changed), _PER_RENEWAL):
-                    names = changed[first : first + _PER_RENEWAL]
-                    known |= {name: own for name, own in zip(names, pool.map(self._put, names), strict=True) if own}
+        with self._pushing, ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
+            known, files = self._known(), self._files()
+            changed = sorted(name for name, marks in files.items() if known.get(name, [""])[1:] != marks)
+            self._renew()
+            try:
+                for name, own in zip(changed, pool.map(self._put, changed), strict=True):
+                    known[name] = own
                     self._renew()
-                gone = list(known.keys() - files.keys())
-                list(pool.map(lambda name: delete_object(f"{self.url}/{name}"), gone))
-            known = {name: own for name, own in known.items() if name in files}
-        finally:
-            self._keep(known)
+            finally:
+                self._keep(known)
 
     def _get(self, one: StoredObject) -> list[object]:
         path = self.folder / one.name
@@ -142,13 +139,8 @@ class RemoteRun:
         return [one.etag, *_marks(path)]
 
     def _put(self, name: str) -> list[object]:
-        """Write a file to the URL; return its etag and marks; [] if it was removed meanwhile."""
-        path = self.folder / name
-        try:
-            marks = _marks(path)
-            return [write_object(f"{self.url}/{name}", path.read_bytes()), *marks]
-        except FileNotFoundError:
-            return []
+        marks = _marks(self.folder / name)
+        return [write_object(f"{self.url}/{name}", (self.folder / name).read_bytes()), *marks]
 
     @contextmanager
     def written(self) -> Iterator[Path]:
@@ -164,7 +156,7 @@ class RemoteRun:
         follow = threading.Thread(target=self._follow, args=(ended,), daemon=True)
         try:
             self.pull()
-            delete_object(f"{self.url}/{SEAL}")
+            delete_objects(self.url, [SEAL])
             self.folder.mkdir(parents=True, exist_ok=True)
             _WRITTEN[self.folder] = self
             follow.start()
@@ -175,55 +167,40 @@ class RemoteRun:
             if follow.is_alive():
                 follow.join()
             self.push()
-            if (self.folder / SEAL).exists():  # for those who read, when all tables are there
-                for name in (LEDGER, SEAL):
-                    self._put(name)
+            if (self.folder / SEAL).exists():
+                self._end()
             if read_object(self._lock) == self._own:
-                delete_object(f"{self.url}/{TOKEN_OBJECT}")
-                delete_object(self._lock)
+                delete_objects(self.url, [TOKEN, LOCK])
+
+    def _end(self) -> None:
+        """Delete what was removed here, or belongs to no finished job; then write the ledger, for those who read."""
+        ledger, found = RunFolder(self.folder).ledger, {one.name for one in list_objects(self.url)}
+        kept = {*_LOCAL, *self._files()}.union(*map(ledger.files, TABLES))
+        own = self._known().keys() | {name for name in found if name.partition("/")[0] in TABLES}
+        delete_objects(self.url, (found & own) - kept)
+        for name in (LEDGER, SEAL):
+            self._put(name)
 
     def _follow(self, ended: threading.Event) -> None:
         pause_s = _PUSH_S
         while not ended.wait(pause_s):
             begun = time.monotonic()
-            with suppress(FidpipeError, OSError):  # the last push reports what still fails
+            with suppress(FidpipeError, OSError):  # a file is removed meanwhile; the last push reports what still fails
                 self.push()
             pause_s = max(_PUSH_S, _PAUSES_PER_PUSH * (time.monotonic() - begun))
 
     def _renew(self) -> None:
         """Show every minute that we are alive; an error if our lock was taken over."""
-        if time.monotonic() - self._renewed < _RENEW_S:
-            return
-        own = _owner()
-        try:
-            self._etag = write_object(self._lock, own, only_if=self._etag)
-        except Exception:
-            held, self._etag = read_with_etag(self._lock)
-            if held not in (own, self._own):
-                raise RunError(
-                    f"run {self.url}: another command writes there now; results stay in {self.folder}"
-                ) from None
-            own = held
-        self._own, self._renewed = own, time.monotonic()
+        if time.monotonic() - self._renewed >= _RENEW_S and self._other_lock({"e_tag": self._etag}):
+            raise RunError(f"run {self.url}: another command writes there now; results stay in {self.folder}")
 
     def _claim(self) -> None:
-        """Write our lock. A write that a broken connection leaves unanswered may have succeeded: it is read."""
-        self._own, self._renewed, condition = _owner(), time.monotonic(), ""
-        for _ in range(2):  # first only if there is none, then only instead of a dead one
-            try:
-                self._etag = write_object(self._lock, self._own, only_if=condition)
+        """Write our lock, if there is none or one of a dead command; else raise `RunError`."""
+        mode: Any = "create"
+        for _ in range(2):
+            if not (held := self._other_lock(mode)):
                 return
-            except StoreError:
-                raise
-            except Exception as error:
-                try:
-                    held, condition = read_with_etag(self._lock)
-                except StoreError:
-                    raise RunError(f"{self._lock}: cannot be written ({type(error).__name__})") from None
-            if held == self._own:
-                self._etag = condition
-                return
-            owner = orjson.loads(held)
+            mode, owner = {"e_tag": self._etag}, orjson.loads(held)
             is_dead = owner["host"] == socket.gethostname() and not _is_alive(owner["pid"])
             if not is_dead and time.time() - owner["time"] < _DEAD_S:
                 break
@@ -232,24 +209,35 @@ class RemoteRun:
             f"{self._lock} if it is dead"
         )
 
+    def _other_lock(self, mode: Any) -> bytes:
+        """Write our lock under a condition; return the one of another command that is in its place, or b"".
+
+        A write that a broken connection leaves unanswered may have succeeded: the lock is read.
+        """
+        held = own = orjson.dumps({"host": socket.gethostname(), "pid": os.getpid(), "time": time.time()})
+        try:
+            self._etag = write_once(self._lock, own, mode)
+        except StoreError:
+            raise
+        except Exception as error:
+            try:
+                held, self._etag = read_with_etag(self._lock)
+            except StoreError:
+                raise RunError(f"{self._lock}: cannot be written ({type(error).__name__})") from None
+            if held not in (own, self._own):
+                return held
+        self._own, self._renewed = held, time.monotonic()
+        return b""
+
     def _files(self) -> dict[str, list[object]]:
         """Marks of the finished files of the folder by name; temporary ones and locks begin with a dot."""
-        files = {}
-        for folder, below, names in os.walk(self.folder):
-            below[:] = [name for name in below if name[0] != "."]
-            for name in names:
-                path = Path(folder, name)
-                if name[0] != "." and name not in _LOCAL:
-                    with suppress(FileNotFoundError):  # replaced meanwhile
-                        files[path.relative_to(self.folder).as_posix()] = _marks(path)
-        return files
+        names = {path.relative_to(self.folder).as_posix(): path for path in self.folder.rglob("*") if path.is_file()}
+        return {name: _marks(path) for name, path in names.items() if "/." not in f"/{name}" and name not in _LOCAL}
 
     def _known(self) -> dict[str, list[object]]:
-        try:
-            known: dict[str, list[object]] = orjson.loads(self._index.read_bytes())
-            return known
-        except (OSError, ValueError):
-            return {}
+        """Etag and marks of each file, by name, as they were when the two places were equal."""
+        known: dict[str, list[object]] = orjson.loads(self._index.read_bytes()) if self._index.exists() else {}
+        return known
 
     def _keep(self, known: dict[str, list[object]]) -> None:
         write_whole(self._index, orjson.dumps(known))
@@ -258,49 +246,64 @@ class RemoteRun:
 _WRITTEN: dict[Path, RemoteRun] = {}
 
 
-def url_for_workers(folder: Path, token: str) -> str:
-    """The URL where workers that do not see a folder read and write its tables, equal to the folder now; "" for none.
+def share_folder(folder: TableFolder) -> None:
+    """Make the URL of a remote run the place of its tables: workers need not see the folder.
 
     Parameters
     ----------
-    token : of the run that may write
+    folder : of the run that may write
     """
-    run = _WRITTEN.get(folder.absolute())
-    if run is None:
-        return ""
-    (run.folder / AT_URL).touch()
-    run.push()  # so that no later push deletes what a worker writes under the same name
-    write_object(f"{run.url}/{TOKEN_OBJECT}", token.encode())
-    return run.url
+    if run := _WRITTEN.get(folder.folder.absolute()):
+        (run.folder / AT_URL).touch()
+        run.push()
+        write_object(f"{run.url}/{TOKEN}", folder.token.encode())
+        folder.url = run.url
+
+
+def folder_of_worker(folder: Path, token: str, url: str, stubs: Mapping[Path, str]) -> TableFolder:
+    """The tables of a run, for a worker that may not share its folder, nor the cache of the command."""
+    restore_stubs(stubs)
+    return (TablesAtUrl if url else TableFolder)(folder, token, url)
+
+
+class TablesAtUrl(TableFolder):
+    """The tables of a run for a worker that does not share its folder: each is one object, read and written whole."""
+
+    def check_token(self) -> None:
+        """See `TableFolder`; a process asks every ten seconds."""
+        if time.monotonic() - _ASKED.get(self.token, -_ASK_S) >= _ASK_S:
+            self._compare(read_object(f"{self.url}/{TOKEN}").decode())
+            _ASKED[self.token] = time.monotonic()
+
+    def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
+        self.check_token()
+        write_object(f"{self.url}/{path.relative_to(self.folder).as_posix()}", bytes(content))
+        return StoredFile(len(content), sha256, 0)
+
+
+_ASKED: dict[str, float] = {}
 
 
 @contextmanager
-def local_arguments(words: list[str]) -> Iterator[list[str]]:
-    """The words of a command with local paths in place of URLs; a URL after --out is written to.
+def local_arguments(words: list[str]) -> Iterator[None]:
+    """Replace the URLs among the words of a command by local paths; that after --out is written to.
 
     Raises
     ------
     FidpipeError
         A URL cannot be read, or another command writes to it.
     """
-    words, outputs = list(words), []
+    run = None
     for i, word in enumerate(words):
-        option, is_joined, value = (
-            word.partition("=") if word.startswith("--") else (words[i - 1] if i else "", "", word)
-        )
+        option, is_joined, value = word.partition("=") if word.startswith("--") else (words[i - 1], "", word)
         if not is_url(value) or option == "--scheduler":
             continue
         if option in ("--out", "-o"):
-            outputs.append(RemoteRun(value))
-        path = outputs[-1].folder if option in ("--out", "-o") else local_of(value)
+            run = RemoteRun(value)
+        path = run.folder if run and option in ("--out", "-o") else local_of(value)
         words[i] = f"{option}={path}" if is_joined else str(path)
-    if len(outputs) > 1:
-        raise RunError("expected one --out, got several")
-    if not outputs:
-        yield words
-        return
-    with outputs[0].written():
-        yield words
+    with run.written() if run else nullcontext():
+        yield
 
 
 def _marks(path: Path) -> list[object]:
@@ -308,15 +311,9 @@ def _marks(path: Path) -> list[object]:
     return [state.st_mtime_ns, state.st_size]
 
 
-def _owner() -> bytes:
-    return orjson.dumps({"host": socket.gethostname(), "pid": os.getpid(), "time": time.time()})
-
-
 def _is_alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
+    except OSError as error:
+        return isinstance(error, PermissionError)  # of another user
     return True

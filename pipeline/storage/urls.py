@@ -1,0 +1,103 @@
+"""URLs and the cache, the folder whose parts mirror them. Only the package `remote` reads and writes objects.
+
+A remote scan is a stub in the cache: a small file NAME.url with the URL of its object, etag and size.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable
+from functools import lru_cache
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from ...schemas.errors import StoreError
+
+SCHEMES = ("s3", "gs", "az", "http", "https")
+STUB = ".url"
+#: Stubs that a command sent to this process of a worker, whose cache may be elsewhere.
+RESTORED: set[Path] = set()
+_URL = re.compile(r"[a-z][a-z0-9+.-]+://")
+
+
+def is_url(text: str) -> bool:
+    """True for text such as s3://bucket/key."""
+    return bool(_URL.match(text))
+
+
+def cache_of(url: str) -> Path:
+    """The local folder that mirrors a URL; all URLs of the user pass here.
+
+    Raises
+    ------
+    StoreError
+        fidpipe does not read such URLs, or it holds a secret.
+    """
+    parts = urlsplit(url)
+    if parts.scheme not in SCHEMES:
+        why = "; processes share no memory" if parts.scheme == "memory" else ""
+        raise StoreError(f"{parts.scheme}://: expected a URL of {', '.join(SCHEMES)}, or a local path{why}")
+    if "@" in parts.netloc or parts.query:
+        clean = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
+        raise StoreError(
+            f"{clean}: expected a URL without credentials or a query; credentials come from the environment"
+        )
+    names = parts.path.strip("/").split("/")
+    if ".." in names:
+        raise StoreError(f"{url}: expected no .. in it")
+    return _cache().joinpath(parts.scheme, parts.netloc, *names)
+
+
+def url_of_cache(folder: Path) -> str:
+    """The URL that a folder mirrors; "" outside of the cache."""
+    folder, base = folder.absolute(), _cache()
+    if base not in folder.parents:
+        return ""
+    scheme, *names = folder.relative_to(base).parts
+    return f"{scheme}://{'/'.join(names)}" if scheme in SCHEMES else ""
+
+
+def name_in_records(folder: Path) -> str:
+    """A dataset's URL, or the absolute path of its folder."""
+    return url_of_cache(folder) or str(folder.resolve())
+
+
+def url_or_path(folder: Path) -> str:
+    """The name of a folder for the user, as commands take it."""
+    return url_of_cache(folder) or str(folder)
+
+
+def recorded_path(name: str) -> Path:
+    """The folder, in the cache for a URL, that a record names."""
+    return cache_of(name) if is_url(name) else Path(name)
+
+
+def is_stub(path: Path) -> bool:
+    """True for a stub in the cache. Elsewhere it is ignored: a dataset of others could name any address."""
+    return path.suffix == STUB and (path in RESTORED or _cache() in path.absolute().parents)
+
+
+def read_stub(stub: Path) -> list[str]:
+    """URL, etag and size of the object that a stub names."""
+    return stub.read_text(encoding="utf-8").split("\n")[:3]
+
+
+def n_bytes_of(path: Path) -> int:
+    """Size of a scan file; of a stub that of its object."""
+    return int(read_stub(path)[2]) if is_stub(path) else path.stat().st_size
+
+
+def stub_texts(paths: Iterable[Path]) -> dict[Path, str]:
+    """The stubs among some files, for a worker that does not see the cache."""
+    return {path: path.read_text(encoding="utf-8") for path in paths if is_stub(path) and path.exists()}
+
+
+def _cache() -> Path:
+    """FIDPIPE_CACHE, by default ~/.cache/fidpipe."""
+    return _cache_at(os.environ.get("FIDPIPE_CACHE"), os.environ.get("HOME"))
+
+
+@lru_cache(maxsize=4)
+def _cache_at(named: str | None, home: str | None) -> Path:
+    return Path(named or Path.home() / ".cache" / "fidpipe").absolute()
