@@ -29,7 +29,7 @@ from flawed_scans import Scan, along_ray, ranges, ray_noise
 
 from fidpipe.pipeline.diagnose.causes import confirm, name_causes
 from fidpipe.pipeline.diagnose.diagnose import UNEXPLAINED, is_unexplained
-from fidpipe.stages.diagnose.evidence import PairScans, amounts_of_floor, estimate
+from fidpipe.stages.diagnose.evidence import PairScans, Side, amounts_of_floor, estimate
 from fidpipe.stages.diagnose.gain import changes, corrections, shares, surface_distance
 from fidpipe.stages.diagnose.motion import PARAMETERS, Displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
@@ -240,9 +240,8 @@ def read_scenes(folder, every):
 
 def pair_of(scene, points):
     _, scan, _, real_is_ground, sensor = scene
-    return PairScans(
-        scan.points, points, real_is_ground, fs.is_ground(points), (sensor, sensor_row(describe_sensor(points)))
-    )
+    sim = Side(points, fs.is_ground(points), sensor_row(describe_sensor(points)))
+    return PairScans(Side(scan.points, real_is_ground, sensor), sim)
 
 
 def altered(scene, base, flaws):
@@ -259,7 +258,7 @@ def diagnose(pairs, floor):
     def correct(causes):
         found = []
         for i, (scans, own) in enumerate(pairs):
-            made = corrections(scans, own, {one.model.name: one.mean for one in causes}, np.random.default_rng(i))
+            made = corrections(scans, own, causes, np.random.default_rng(i))
             found.append(shares(scans, made, np.random.default_rng(i), floor[i][0] if floor else 0.0))
         return found
 
@@ -269,7 +268,7 @@ def diagnose(pairs, floor):
                 scans,
                 floor[i][1],
                 Displacement(own.displacement.values - [amounts[i][name] for name in PARAMETERS]),
-                {one.model.name: one.mean for one in causes},
+                causes,
                 np.random.default_rng(i),
             )
             for i, (scans, own) in enumerate(pairs)
@@ -316,7 +315,9 @@ def prepare(folders, every):
         SCENES[folder] = read_scenes(folder, every)
         for base in ("good", "poor"):
             pairs = [pair_of(scene, scene[2][base]) for scene in SCENES[folder]]
-            FLOORS[folder, base] = [(surface_distance(own.real, own.sim), own, estimate(own).amounts) for own in pairs]
+            FLOORS[folder, base] = [
+                (surface_distance(own.real.points, own.sim.points), own, estimate(own).amounts) for own in pairs
+            ]
 
 
 def is_possible(flaw, folder):

@@ -16,13 +16,14 @@ from ..results.finished import FinishedRun
 
 _BEAMS = 5
 _RAYS = ["beam", "outcome", "real_range_m", "sim_range_m", "real_point_id", "sim_point_id"]
+#: Errors: column of half the interval, unit, words above and below 0, and the least that stands out.
+_ERRORS = {
+    "range_error_m": ("range_half_m", "m", ("too far", "too near"), 0.01),
+    "elevation_error_deg": ("elevation_half_deg", "degrees", ("too high", "too low"), 0.02),
+}
 #: A beam stands out by an error of which the interval lies beyond both: this many standard deviations of the errors of
 #: the beams around it (from their median absolute error), and the least error.
-_DEVIATIONS, _AROUND, _LEAST = 3.0, 9, {"range_error_m": 0.01, "elevation_error_deg": 0.02}
-_COLUMNS = (
-    *("n_pairs", "elevation_deg", "n_rays", "lost", "added"),
-    *("range_error_m", "range_half_m", "elevation_error_deg", "elevation_half_deg"),
-)
+_DEVIATIONS, _AROUND = 3.0, 9
 _HEADINGS = (
     *("beam", "pairs", "at °", "rays", "only real", "only sim"),
     *("range cm", "±", "angle °", "±"),
@@ -59,7 +60,7 @@ def beam_table(folder: Path, floor: Path | None = None, pattern: str | None = No
     if not found:
         where = f" here and in {floor}" if floor else ""
         raise RunError(f"run {folder}: no pair has rays{where}; fidpipe show {folder} PAIR says why")
-    errors = ["range_error_m", "elevation_error_deg"]
+    errors = [*_ERRORS]
     for own, *base in found.values():
         if base:
             own[errors] -= base[0][errors]
@@ -68,8 +69,8 @@ def beam_table(folder: Path, floor: Path | None = None, pattern: str | None = No
     table: pd.DataFrame = by_beam.mean()
     table.insert(0, "n_pairs", by_beam.size())
     reach = scipy.stats.t.ppf(0.975, table.n_pairs - 1) / np.sqrt(table.n_pairs)
-    for error, half in zip(errors, ("range_half_m", "elevation_half_deg"), strict=True):
-        table[half] = by_beam[error].std() * reach
+    for error, (half, *_) in _ERRORS.items():
+        table.insert([*table].index(error) + 1, half, by_beam[error].std() * reach)
     return table
 
 
@@ -84,7 +85,6 @@ def _of_pair(run: FinishedRun, pair_id: str) -> pd.DataFrame:
         range_error_m=rays.sim_range_m - rays.real_range_m, elevation_error_deg=rays.sim - rays.real
     )
     by_beam = rays.groupby("beam")
-    errors = by_beam[["range_error_m", "elevation_error_deg"]].median()
     return pd.DataFrame(
         {
             "elevation_deg": by_beam.real.median(),
@@ -92,19 +92,18 @@ def _of_pair(run: FinishedRun, pair_id: str) -> pd.DataFrame:
             "lost": rays.sim_range_m.isna().groupby(rays.beam).mean(),
             "added": rays.real_range_m.isna().groupby(rays.beam).mean(),
         }
-    ).join(errors)
+    ).join(by_beam[[*_ERRORS]].median())
 
 
 def beam_view(table: pd.DataFrame, has_floor: bool) -> View:
     """A row per beam, and the beams that stand out."""
     shown = table.assign(range_error_m=100 * table.range_error_m, range_half_m=100 * table.range_half_m)
-    rows = shown[[*_COLUMNS]]
     notes = [
         "range, angle: errors, simulated minus real, over the rays that both returned"
         f"{', minus those of the floor' * has_floor}, minus the running median over {_BEAMS} beams"
     ]
     notes += outstanding(table) or ["no beam stands out"]
-    plain = rows.astype(object).where(rows.notna(), None).reset_index().to_numpy().tolist()
+    plain = shown.astype(object).where(shown.notna(), None).reset_index().to_numpy().tolist()
     digits = {2: 1, 3: 0, 6: 1, 7: 1}
     return [Table("Beams, mean over pairs", _HEADINGS, plain, words=(), digits=digits), *map(Note, notes)]
 
@@ -116,13 +115,10 @@ def outstanding(table: pd.DataFrame) -> list[str]:
     """
     found, df = [], table.n_pairs - 1
     wider = scipy.stats.t.ppf(1 - 0.025 / (2 * len(table)), df) / scipy.stats.t.ppf(0.975, df)
-    for error, half, words in (
-        ("range_error_m", "range_half_m", ("too far", "too near")),
-        ("elevation_error_deg", "elevation_half_deg", ("too high", "too low")),
-    ):
-        size, unit = table[error].abs(), "m" if error == "range_error_m" else "degrees"
+    for error, (half, unit, words, least) in _ERRORS.items():
+        size = table[error].abs()
         spread = 1.4826 * size.rolling(_AROUND, center=True, min_periods=1).median()
-        is_out = (df > 1) & (size - wider * table[half] > (_DEVIATIONS * spread).clip(lower=_LEAST[error]))
+        is_out = (df > 1) & (size - wider * table[half] > (_DEVIATIONS * spread).clip(lower=least))
         for beam in size[is_out].sort_values(ascending=False).index:
             direction = words[int(table[error][beam] < 0)]
             own, reach = size_words(size[beam], unit), size_words(table[half][beam], unit)

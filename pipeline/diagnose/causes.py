@@ -47,11 +47,6 @@ class NamedCause:
         """The flaw as a sentence."""
         return self.model.words[self.mean < 0].format(size=size_words(self.mean, self.model.unit))
 
-    @property
-    def strength(self) -> float:
-        """Amount in tolerances."""
-        return abs(self.mean) / self.model.resolution
-
 
 def name_causes(
     estimates: Sequence[Mapping[str, float]], floor: Sequence[Mapping[str, float]] | None, blocks: IntArray
@@ -88,10 +83,11 @@ def name_causes(
         if max(low, least) > limit or (min(high, most) < -limit and len(model.words) > 1):
             reach = float(np.hypot((high - low) / 2, model.resolution))
             named.append(NamedCause(model, mean, mean - reach, mean + reach, values[is_known]))
-    return sorted(named, key=lambda cause: -cause.strength)
+    return sorted(named, key=lambda own: -abs(own.mean) / own.model.resolution)
 
 
-Correction = Callable[[Sequence[NamedCause]], Sequence[Shares]]
+#: Shares of all pairs if causes are corrected, which are given with their amounts.
+Correction = Callable[[Mapping[str, float]], Sequence[Shares]]
 
 
 def confirm(
@@ -104,7 +100,7 @@ def confirm(
 
     Parameters
     ----------
-    correct : shares of all pairs if these causes are corrected
+    correct : shares of the distance between both sides
     correct_changes : shares of the distance between the simulated scans of the run and of its floor, which causes of
         `CHANGES` must explain first
     """
@@ -113,7 +109,7 @@ def confirm(
         _, doubtful, _ = confirm(changed, correct_changes)
         kept = [own for own in named if own not in doubtful]
     while True:
-        found = correct(kept)
+        found = correct({own.model.name: own.mean for own in kept})
         before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in found], axis=0)
         names = [own.model.name for own in kept if own.model.name in found[0].by_cause]
         gain_m = {name: float(np.mean([pair.by_cause[name] for pair in found])) for name in names}

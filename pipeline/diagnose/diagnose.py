@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,7 +16,7 @@ from ...schemas.errors import RunError
 from ...schemas.results import CauseEstimate, DiagnosedCause, Diagnosis, Evidence
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.diagnose.curves import AXES, curves
-from ...stages.diagnose.evidence import PairEstimates, PairScans, amounts_of_floor, estimate
+from ...stages.diagnose.evidence import PairEstimates, PairScans, Side, amounts_of_floor, estimate
 from ...stages.diagnose.gain import Shares, changes, corrections, shares, surface_distance
 from ...stages.diagnose.motion import PARAMETERS, Displacement
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, blocks_of
@@ -39,6 +40,8 @@ _OF_PAIRS = {
     "intensity ranks": ("intensity_rank_distance", None),
 }
 Item = TypeVar("Item")
+#: Estimates of a pair, and the amounts of its floor.
+Estimates = tuple[PairEstimates, dict[str, float]]
 #: Curves of a pair by kind of evidence.
 Drawn = dict[str, Mapping[str, FloatArray]]
 
@@ -84,18 +87,14 @@ def diagnose_run(
         amounts = [own.amounts for own, _ in found.values()]
         candidates = name_causes(amounts, [over for _, over in found.values()] if base else None, blocks)
         steps = iter([1] * len(names))  # not if some are corrected once more
-        named, doubtful, gains = confirm(
-            candidates,
-            lambda causes: _each(
-                pool,
-                names,
-                lambda name: _gains(run, base, name, found[name][0], causes),
-                lambda: show.advance(next(steps, 0)),
-            ),
-            (lambda causes: [*pool.map(lambda name: _changes(run, base, name, *found[name], causes), names)])
-            if base
-            else None,
-        )
+
+        def correct(amounts: Mapping[str, float], between_sims: bool = False) -> list[Shares]:
+            def of_pair(name: str) -> Shares:
+                return _gains(*_read_both(run, base, name), found[name], amounts, between_sims)
+
+            return _each(pool, names, of_pair, lambda: show.advance(next(steps, 0)))
+
+        named, doubtful, gains = confirm(candidates, correct, partial(correct, between_sims=True) if base else None)
         ahead = [own for own in named if own.model.name == AHEAD]
         latency = latency_words(ahead[0].values, _speeds_m_s(run, times_s, pool, names)) if ahead else None
         drawn = _each(pool, names, lambda name: _curves(run, name, found[name][0], named), lambda: show.advance(1, 1))
@@ -147,13 +146,17 @@ def _unexplained(left: tuple[float, float, float], excess_m: float, n_pairs: int
 
 def read_pair(run: FinishedRun, pair_id: str) -> PairScans:
     """The clean points of a pair and what is known of its sensors."""
-    points, grounds, sensors = [], [], []
+    sides = []
     for side in SIDES:
         table = run.read_table("ground", pair_id, side, ["x", "y", "z", "is_ground"])
-        points.append(np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64))
-        grounds.append(table["is_ground"].to_numpy())
-        sensors.append(run.read_table("sensor", pair_id, side, [*_SENSOR]).to_pylist()[0])
-    return PairScans(points[0], points[1], grounds[0], grounds[1], (sensors[0], sensors[1]))
+        points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64)
+        sensor = run.read_table("sensor", pair_id, side, [*_SENSOR]).to_pylist()[0]
+        sides.append(Side(points, table["is_ground"].to_numpy(), sensor))
+    return PairScans(*sides)
+
+
+def _read_both(run: FinishedRun, base: FinishedRun | None, pair_id: str) -> tuple[PairScans, PairScans | None]:
+    return read_pair(run, pair_id), read_pair(base, pair_id) if base else None
 
 
 def _each(
@@ -166,15 +169,12 @@ def _each(
     return results
 
 
-def _estimates(
-    run: FinishedRun, base: FinishedRun | None, pair_id: str
-) -> tuple[PairEstimates, dict[str, float]] | None:
-    """Estimates of a pair, and the amounts of the floor; None if the scans have too little surface in common."""
-    scans = read_pair(run, pair_id)
+def _estimates(run: FinishedRun, base: FinishedRun | None, pair_id: str) -> Estimates | None:
+    """Estimates of a pair; None if the scans have too little surface in common."""
+    scans, floor = _read_both(run, base, pair_id)
     found = estimate(scans)
     if found is None:
         return None
-    floor = read_pair(base, pair_id) if base else None
     of_floor = estimate(floor) if floor else None
     over = amounts_of_floor(found, scans, floor, of_floor.amounts) if floor and of_floor else {}
     for own, amounts in ((run, found.amounts), (base, over)):
@@ -186,25 +186,15 @@ def _estimates(
 
 
 def _gains(
-    run: FinishedRun, base: FinishedRun | None, pair_id: str, found: PairEstimates, named: Sequence[NamedCause]
+    scans: PairScans, floor: PairScans | None, found: Estimates, amounts: Mapping[str, float], between_sims: bool
 ) -> Shares:
-    scans, rng = read_pair(run, pair_id), np.random.default_rng(_SEED)
-    made = corrections(scans, found, {own.model.name: own.mean for own in named}, rng)
-    floor = read_pair(base, pair_id) if base else None
-    return shares(scans, made, rng, surface_distance(floor.real, floor.sim) if floor else 0.0)
-
-
-def _changes(
-    run: FinishedRun,
-    base: FinishedRun,
-    pair_id: str,
-    found: PairEstimates,
-    over: Mapping[str, float],
-    named: Sequence[NamedCause],
-) -> Shares:
-    moved = Displacement(found.displacement.values - [over.get(name, 0.0) for name in PARAMETERS])
-    amounts = {own.model.name: own.mean for own in named}
-    return changes(read_pair(run, pair_id), read_pair(base, pair_id), moved, amounts, np.random.default_rng(_SEED))
+    """Shares of a pair in the distance between both sides, or between the simulated scans of the run and its floor."""
+    rng, (own, over) = np.random.default_rng(_SEED), found
+    if floor and between_sims:
+        moved = Displacement(own.displacement.values - [over.get(name, 0.0) for name in PARAMETERS])
+        return changes(scans, floor, moved, amounts, rng)
+    made = corrections(scans, own, amounts, rng)
+    return shares(scans, made, rng, surface_distance(floor.real.points, floor.sim.points) if floor else 0.0)
 
 
 def _curves(run: FinishedRun, pair_id: str, found: PairEstimates, named: Sequence[NamedCause]) -> Drawn:
@@ -269,12 +259,10 @@ def _evidence(kind: str, drawn: Sequence[Drawn]) -> Evidence:
         name: tuple(np.mean([pair[kind][name] for pair in drawn], axis=0).round(4).tolist()) for name in drawn[0][kind]
     }
     return Evidence(
-        x_label=axis.label,
-        y_label=axis.values,
-        x=tuple(((axis.edges[:-1] + axis.edges[1:]) / 2).round(4).tolist()),
-        real=mean.get("real"),
-        sim=mean["sim"],
-        corrected=mean.get("corrected"),
+        x_label=axis["label"],
+        y_label=axis["values"],
+        x=tuple(((axis["edges"][:-1] + axis["edges"][1:]) / 2).round(4).tolist()),
+        **{name: mean.get(name) for name in ("real", "sim", "corrected")},
     )
 
 

@@ -23,16 +23,14 @@ def speed_m_s(scans: PairScans, later: PairScans, duration_s: float) -> float | 
 
     The motion is fitted from several starting points, as the fit reaches 1.5 m; that of the least distance counts.
     """
-    best: tuple[float, float] | None = None
+    found = []
     for start_m in np.arange(0.0, _FASTEST_M_S * duration_s, _STEP_M):
-        ahead = later.real + np.array([start_m, 0.0, 0.0])
-        found = fit_displacement(scans.real, ahead, scans.real_is_ground)
-        if found is None:
-            continue
-        apart_m = surface_distance(scans.real, found.undo(ahead, later.real_is_ground))
-        if best is None or apart_m < best[0]:
-            best = apart_m, start_m - float(found.values[PARAMETERS.index(AHEAD)])
-    return None if best is None else best[1] / duration_s
+        ahead = later.real.points + np.array([start_m, 0.0, 0.0])
+        moved = fit_displacement(scans.real.points, ahead, scans.real.is_ground)
+        if moved:
+            apart_m = surface_distance(scans.real.points, moved.undo(ahead, later.real.is_ground))
+            found.append((apart_m, start_m - float(moved.values[PARAMETERS.index(AHEAD)])))
+    return min(found)[1] / duration_s if found else None
 
 
 def follow(times_s: Mapping[str, float], names: Sequence[str]) -> dict[str, tuple[str, float]]:

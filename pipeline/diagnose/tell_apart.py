@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import JsonValue
@@ -17,7 +17,6 @@ from ...schemas.errors import DatasetError, StageError
 from ...schemas.results import JsonObject
 from ...schemas.settings import Settings
 from ...stages.arrays import BoolArray, FloatArray, IndexArray, IntArray
-from ...stages.clean import as_ros
 from ...stages.diagnose.tell_apart import FAMILIES, LEAST_PLACES, Separation, auc_of, describe_points, separate
 from ...stages.inspect.sensor_description import describe_sensor
 from ...stages.method import remove_road
@@ -25,7 +24,6 @@ from ...stages.statistics.findings import BAND_EDGES_M
 from ...stages.statistics.neighbours import SAME_PLACE, PlaceMap, map_place, overlap
 from ..datasets.pairing import scans_in
 from ..datasets.readers import frames_of, holds_frames, read_scan
-from ..datasets.readers.scan import Scan
 from ..jobs.points_job import column
 from ..results.finished import FinishedRun
 
@@ -101,7 +99,11 @@ class TellApart:
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
         families: list[JsonValue] = [
-            _summary(one) | {"name": name, "features": [_row(one, feature) for feature in one.alone]}
+            _summary(one)
+            | {
+                "name": name,
+                "features": [{"name": own, "auc_alone": auc, "loss": one.loss[own]} for own, auc in one.alone.items()],
+            }
             for name, one in self.families.items()
         ]
         return _summary(self.test) | {
@@ -117,10 +119,6 @@ class TellApart:
 
 def _summary(test: Separation) -> JsonObject:
     return {"auc": test.auc, "low": test.low, "high": test.high}
-
-
-def _row(test: Separation, feature: str) -> JsonObject:
-    return {"name": feature, "auc_alone": test.alone[feature], "loss": test.loss[feature]}
 
 
 def tell_apart_run(run: FinishedRun, floor: FinishedRun | None = None, pattern: str | None = None) -> TellApart:
@@ -139,8 +137,7 @@ def tell_apart_run(run: FinishedRun, floor: FinishedRun | None = None, pattern: 
     chosen = _evenly(run.select(pattern))
     sides = [[partial(_read_stored, run, name, side) for name in chosen] for side in SIDES]
     second = [partial(_read_stored, floor, floor.row(name)["pair_id"], "sim") for name in chosen] if floor else []
-    steps = [run.read_table("sensor", chosen[0], side).column("azimuth_step_deg").null_count for side in SIDES]
-    return _compare(str(run.folder), sides[0], sides[1], second, has_rays=not any(steps), is_paired=True)
+    return _compare(str(run.folder), sides[0], sides[1], second, is_paired=True)
 
 
 def tell_apart_folders(real: Path, sim: Path, settings: Settings) -> TellApart:
@@ -155,28 +152,21 @@ def tell_apart_folders(real: Path, sim: Path, settings: Settings) -> TellApart:
     FidpipeError
         A side has no scans, or one cannot be read or has too few points.
     """
-    sides, steps = [], []
+    sides = []
     for side, source in zip(SIDES, (real, sim), strict=True):
         paths = frames_of(source) if holds_frames(source) else scans_in(source) if source.is_dir() else []
         if not paths:
             raise DatasetError(f"{source}: no {side} scans found; expected a folder of scans, or a recording")
         sides.append([partial(_read_clean, path, side, settings) for path in _evenly(paths)])
-        own_axes = as_ros(_read(paths[0], side, settings).points, settings.input.frame_of(side))
-        steps.append(describe_sensor(own_axes).azimuth_step_deg)
-    return _compare(f"{real} and {sim}", sides[0], sides[1], [], has_rays=None not in steps, is_paired=False)
+    return _compare(f"{real} and {sim}", sides[0], sides[1], [], is_paired=False)
 
 
 def _compare(
-    title: str,
-    real: Sequence[Source],
-    sim: Sequence[Source],
-    second: Sequence[Source],
-    *,
-    has_rays: bool,
-    is_paired: bool,
+    title: str, real: Sequence[Source], sim: Sequence[Source], second: Sequence[Source], *, is_paired: bool
 ) -> TellApart:
-    intensities = [side[0]().intensity for side in (real, sim)]
-    has_intensity = all(own is not None and np.ptp(own) > 0 for own in intensities)
+    first = [side[0]() for side in (real, sim)]
+    has_rays = all(describe_sensor(own.own_points).azimuth_step_deg is not None for own in first)
+    has_intensity = all(own.intensity is not None and np.ptp(own.intensity) > 0 for own in first)
     draw = partial(draw_sample, has_rays=has_rays, has_intensity=has_intensity)
     a, b = draw(real), draw(sim)
     test = compare_samples(a, b, is_paired=is_paired)
@@ -293,12 +283,8 @@ def _read_stored(run: FinishedRun, name: str, side: str) -> Frame:
     )
 
 
-def _read(path: Path, side: str, settings: Settings) -> Scan:
-    return read_scan(path, settings.input.columns_of(side))
-
-
 def _read_clean(path: Path, side: str, settings: Settings) -> Frame:
-    scan = _read(path, side, settings)
+    scan = read_scan(path, settings.input.columns_of(side))
     try:
         clean, cut = remove_road(scan.points, settings, side)
     except StageError as error:
@@ -311,8 +297,8 @@ def _half(source: Source, seed: int, which: int) -> Frame:
     """One of two random halves of the points of a frame."""
     own = source()
     is_in = np.random.default_rng(seed).integers(2, size=len(own.points)) == which
-    intensity = None if own.intensity is None else own.intensity[is_in]
-    return Frame(own.points[is_in], own.own_points[is_in], own.height_m[is_in], own.is_ground[is_in], intensity)
+    half: dict[str, Any] = {name: values if values is None else values[is_in] for name, values in vars(own).items()}
+    return Frame(**half)
 
 
 def _evenly(items: Sequence[_Item]) -> Sequence[_Item]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...schemas.columns import SIDES
 from ...schemas.data_files import read_data
 from ..arrays import FloatArray
 from ..surface import describe_surface, signed_distances
@@ -16,19 +16,8 @@ _POINTS = 4000  # of the simulated side, evenly
 _REACH_M = 0.5
 
 
-@dataclass(frozen=True)
-class Axis:
-    """Axis of a curve: its label, that of the values, and the edges of its bins."""
-
-    label: str
-    values: str
-    edges: FloatArray
-
-
-#: Axes by kind of curve.
-AXES = {
-    kind: Axis(own["label"], own["values"], np.linspace(*own["edges"])) for kind, own in read_data("curves").items()
-}
+#: Axis of a curve by its kind: its label, that of the values, and the edges of its bins.
+AXES = {kind: {**own, "edges": np.linspace(*own["edges"])} for kind, own in read_data("curves").items()}
 
 
 def curves(scans: PairScans, found: PairEstimates, kind: str) -> Mapping[str, FloatArray]:
@@ -38,38 +27,32 @@ def curves(scans: PairScans, found: PairEstimates, kind: str) -> Mapping[str, Fl
     simulated points as they are ("sim") and without it ("corrected"), signed distances to the real planes next to
     them. Of all others: both sides ("real", "sim").
     """
-    edges = AXES[kind].edges
+    real, sim, edges = scans.real, scans.sim, AXES[kind]["edges"]
+    corrected = found.undisplaced(sim)
     if kind in ("road", "objects"):
-        rows = np.flatnonzero(scans.sim_is_ground == (kind == "road"))
+        rows = np.flatnonzero(sim.is_ground == (kind == "road"))
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _POINTS)).round().astype(int))]
-        corrected = found.displacement.undo(scans.sim[rows], scans.sim_is_ground[rows])
-        sets = {"sim": scans.sim[rows], "corrected": corrected}
-        values = {name: signed_distances(points, scans.real, _REACH_M) for name, points in sets.items()}
+        sets = {"sim": sim.points[rows], "corrected": corrected.points[rows]}
+        values = {name: signed_distances(points, real.points, _REACH_M) for name, points in sets.items()}
         return {name: _percent(own, edges, np.isfinite(own).sum()) for name, own in values.items()}
-    if kind == "roughness":
-        surfaces = {"real": describe_surface(scans.real), "sim": describe_surface(scans.sim)}
-        values = {side: own.roughness_m[own.is_plane] for side, own in surfaces.items()}
-        return {side: _percent(own, edges, len(own)) for side, own in values.items()}
-    if kind in ("pieces", "foliage"):
-        real, sim = scans.sides(found.displacement)
-        if kind == "foliage":
-            _, step_m = foliage_steps(real, sim)
-            return {"sim": _percent(step_m, edges, len(step_m))}
-        alone = find_unmatched(real, sim, found.step_deg)
+    if kind == "foliage":
+        _, step_m = foliage_steps(real, corrected)
+        return {"sim": _percent(step_m, edges, len(step_m))}
+    if kind == "pieces":
         return {
             name: _percent(side.range_m[own.is_piece | own.is_moved | own.is_clutter], edges, len(side.points))
-            for name, side, own in zip(("real", "sim"), (real, sim), alone, strict=True)
+            for name, side, own in zip(SIDES, (real, corrected), find_unmatched(real, corrected), strict=True)
         }
-    return {side: _percent(_along(kind, own), edges, len(scans.real)) for side, own in scans.by_side.items()}
-
-
-def _along(kind: str, points: FloatArray) -> FloatArray:
-    range_m: FloatArray = np.linalg.norm(points, axis=1)
-    if kind == "range":
-        return range_m
-    if kind == "azimuth":
-        return np.degrees(np.arctan2(points[:, 1], points[:, 0]))
-    return np.degrees(np.arcsin(points[:, 2] / np.maximum(range_m, 1e-9)))
+    sides = {"real": real, "sim": sim}
+    if kind == "roughness":
+        surfaces = {name: describe_surface(side.points) for name, side in sides.items()}
+        values = {name: own.roughness_m[own.is_plane] for name, own in surfaces.items()}
+        return {name: _percent(own, edges, len(own)) for name, own in values.items()}
+    values = {
+        name: {"range": own.range_m, "azimuth": own.azimuth_deg, "elevation": own.elevation_deg}[kind]
+        for name, own in sides.items()
+    }
+    return {name: _percent(own, edges, len(real.points)) for name, own in values.items()}
 
 
 def _percent(values: FloatArray, edges: FloatArray, n_all: int) -> FloatArray:

@@ -39,39 +39,33 @@ _STRAY_M, _STRAY_STDS = 0.15, 6.0
 _SECTOR_DEG, _SECTOR_POINTS = 5, 10
 
 
-@dataclass(frozen=True)
 class Side:
-    """A side's clean points with what is derived from them once.
+    """Clean points of a side with what is derived from them.
 
-    points : (n, 3) float64, metres
-    is_ground, range_m : (n,)
-    cell : (n,) direction, by cells of 2 degrees
+    points : (n, 3) float64, metres, in the real sensor's frame
+    is_ground, range_m, azimuth_deg, elevation_deg : (n,)
+    rays : (n, 3) directions
+    sensor : columns of table `sensor`
     """
 
-    points: FloatArray
-    is_ground: BoolArray
-    range_m: FloatArray
-    cell: IndexArray
-
-    @property
-    def rays(self) -> FloatArray:
-        """(n, 3) directions."""
-        return self.points / self.range_m[:, None]
-
-    @classmethod
-    def of(cls, points: FloatArray, is_ground: BoolArray) -> Side:
-        """A side from its points."""
-        range_m = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
-        azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0
-        elevation = np.degrees(np.arcsin(points[:, 2] / range_m)) + 90.0
-        n_around = round(360.0 / _CELL_DEG)
-        cell = (elevation // _CELL_DEG).astype(np.intp) * n_around + (azimuth // _CELL_DEG).astype(np.intp) % n_around
-        return cls(points, is_ground, range_m, cell)
+    def __init__(self, points: FloatArray, is_ground: BoolArray, sensor: Sensor) -> None:
+        self.points, self.is_ground, self.sensor = points, is_ground, sensor
+        self.range_m: FloatArray = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
+        self.rays = points / self.range_m[:, None]
+        self.azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+        self.elevation_deg = np.degrees(np.arcsin(self.rays[:, 2]))
 
     def without(self, is_left_out: BoolArray) -> Side:
         """The side without some points."""
-        keep = ~is_left_out
-        return Side(self.points[keep], self.is_ground[keep], self.range_m[keep], self.cell[keep])
+        return Side(self.points[~is_left_out], self.is_ground[~is_left_out], self.sensor)
+
+
+@dataclass(frozen=True)
+class PairScans:
+    """Both sides of a pair."""
+
+    real: Side
+    sim: Side
 
 
 @dataclass(frozen=True)
@@ -90,11 +84,12 @@ class Unmatched:
     is_moved: BoolArray
 
 
-def find_unmatched(a: Side, b: Side, step_deg: float = 0.0) -> tuple[Unmatched, Unmatched]:
-    """Points of both sides that are farther from the other side than 0.25 m and 1 % of their range.
+def find_unmatched(a: Side, b: Side) -> tuple[Unmatched, Unmatched]:
+    """Points of both sides that are farther from the other side than 0.25 m and 1 % of their range or an azimuth step.
 
     Road is not moved: it is seen where an object is missing.
     """
+    step_deg = max(side.sensor["azimuth_step_deg"] or 0.0 for side in (a, b))
     found = _unmatched(a, b, step_deg), _unmatched(b, a, step_deg)
     objects = [own.is_piece & ~side.is_ground for side, own in zip((a, b), found, strict=True)]
     others = b.points[objects[1]], a.points[objects[0]]
@@ -118,65 +113,37 @@ def _unmatched(side: Side, other: Side, step_deg: float) -> Unmatched:
 
 
 @dataclass(frozen=True)
-class PairScans:
-    """The clean points of a pair, metres, in the real sensor's frame, and what is known of the sensors.
-
-    real, sim : (n, 3), (m, 3) float64
-    real_is_ground, sim_is_ground : (n,), (m,) bool
-    sensors : columns of table `sensor` of both sides
-    """
-
-    real: FloatArray
-    sim: FloatArray
-    real_is_ground: BoolArray
-    sim_is_ground: BoolArray
-    sensors: tuple[Sensor, Sensor]
-
-    @property
-    def by_side(self) -> dict[str, FloatArray]:
-        """The points of both sides."""
-        return {"real": self.real, "sim": self.sim}
-
-    def sides(self, displacement: Displacement) -> tuple[Side, Side]:
-        """Both sides, the simulated one without its displacement."""
-        sim = displacement.undo(self.sim, self.sim_is_ground)
-        return Side.of(self.real, self.real_is_ground), Side.of(sim, self.sim_is_ground)
-
-
-@dataclass(frozen=True)
 class PairEstimates:
     """Estimates of one pair.
 
     displacement : of the simulated side
-    sensors : of both sides, the simulated one as it is without the displacement
+    sensor : of the simulated side, as it is without the displacement
     amounts : by name of the cause, simulated minus real, 0 without the flaw; those that cannot be estimated are left
         out
     """
 
     displacement: Displacement
-    sensors: tuple[Sensor, Sensor]
+    sensor: Sensor
     amounts: dict[str, float]
 
-    @property
-    def step_deg(self) -> float:
-        """The wider azimuth step of both sensors; 0 if unknown."""
-        return max(side["azimuth_step_deg"] or 0.0 for side in self.sensors)
+    def undisplaced(self, sim: Side) -> Side:
+        """The simulated side without its displacement."""
+        return Side(self.displacement.undo(sim.points, sim.is_ground), sim.is_ground, self.sensor)
 
 
 def estimate(scans: PairScans) -> PairEstimates | None:
     """Estimate the flaws of one pair; None if the scans have too little surface in common."""
-    displacement = fit_displacement(scans.real, scans.sim, scans.real_is_ground)
+    displacement = fit_displacement(scans.real.points, scans.sim.points, scans.real.is_ground)
     if displacement is None:
         return None
-    real, sim = scans.sides(displacement)
-    real_sensor, sim_sensor = scans.sensors
-    n_real, n_sim = (side["n_beams"] or 0.0 for side in scans.sensors)
+    found = PairEstimates(displacement, scans.sim.sensor, {})
+    sim = found.undisplaced(scans.sim)
+    n_real, n_sim = (side.sensor["n_beams"] or 0.0 for side in (scans.real, sim))
     if n_real and abs(n_sim - n_real) > _DOUBTFUL_BEAMS:  # a displaced scan has blurred beams
         again = sensor_row(describe_sensor(sim.points))
-        sim_sensor = {**sim_sensor, "n_beams": again["n_beams"] or sim_sensor["n_beams"]} if n_sim else again
-    found = PairEstimates(displacement, (real_sensor, sim_sensor), {})
-    found.amounts.update(_amounts(real, sim, found))
-    return found
+        sim.sensor = {**sim.sensor, "n_beams": again["n_beams"] or n_sim} if n_sim else again
+    moved = dict(zip(PARAMETERS, displacement.values.tolist(), strict=True))
+    return PairEstimates(displacement, sim.sensor, moved | _amounts(scans.real, sim))
 
 
 def amounts_of_floor(
@@ -191,43 +158,42 @@ def amounts_of_floor(
     ----------
     of_floor : amounts of the pair of the floor
     """
-    moved = fit_displacement(floor.sim, scans.sim, floor.sim_is_ground)
+    moved = fit_displacement(floor.sim.points, scans.sim.points, floor.sim.is_ground)
     if moved is None:
         return dict(of_floor)
-    return {**of_floor, **dict(zip(PARAMETERS, (found.displacement.values - moved.values).tolist(), strict=True))}
+    return dict(of_floor) | dict(zip(PARAMETERS, (found.displacement.values - moved.values).tolist(), strict=True))
 
 
-def _amounts(a: Side, b: Side, found_so_far: PairEstimates) -> dict[str, float]:
-    """The amounts of a pair whose simulated side is without its displacement."""
-    sensors, displacement, step_deg = found_so_far.sensors, found_so_far.displacement, found_so_far.step_deg
-    found: dict[str, float] = dict(zip(PARAMETERS, displacement.values.tolist(), strict=True))
-    for name, column in (("beams", "n_beams"), ("azimuth step", "azimuth_step_deg")):
-        real, sim = (side[column] for side in sensors)
-        if real is not None and sim is not None:
-            found[name] = sim - real
-    real, sim = (noise_without_steps(side) for side in sensors)
-    if real is not None and sim is not None:
-        found["range noise"] = sim - real
-    if sensors[1]["n_beams"]:
-        found["range steps"] = (sensors[1]["range_quantum_m"] or 0.0) - (sensors[0]["range_quantum_m"] or 0.0)
-    missing, invented = find_unmatched(a, b, step_deg)
-    found |= _losses(
-        a.without(missing.is_piece | missing.is_moved | missing.is_beyond),
-        b.without(invented.is_piece | invented.is_moved),
-        _density(sensors),
-    )
+def _amounts(a: Side, b: Side) -> dict[str, float]:
+    """The amounts of a pair whose simulated side is without its displacement, but for the displacement."""
+    missing, invented = find_unmatched(a, b)
+    strays = [is_stray.sum() / max(is_smooth.sum(), 1) for is_stray, is_smooth in map(find_strays, (a, b))]
+    found = {
+        "maximum range": b.range_m.max() - a.range_m.max(),
+        "minimum range": np.quantile(b.range_m, 0.001) - np.quantile(a.range_m, 0.001),
+        "moved pieces": missing.is_moved.mean(),
+        "missing pieces": missing.is_piece.mean(),
+        "invented pieces": invented.is_piece.mean(),
+        "clutter": invented.is_clutter.mean(),
+        "mixed pixels": strays[1] - strays[0],
+        "blind sector": _blind_deg(a, b),
+        **_losses(
+            a.without(missing.is_piece | missing.is_moved | missing.is_beyond),
+            b.without(invented.is_piece | invented.is_moved),
+        ),
+    }
     _, step_m = foliage_steps(a, b)
     if len(step_m) >= _FEWEST_LEAVES:
-        found["solid foliage"] = float((step_m < -_LEAF_STEP_M).mean() - (step_m > _LEAF_STEP_M).mean())
-    found["maximum range"] = float(b.range_m.max() - a.range_m.max())
-    found["minimum range"] = float(np.quantile(b.range_m, 0.001) - np.quantile(a.range_m, 0.001))
-    found["moved pieces"] = float(missing.is_moved.mean())
-    found["missing pieces"] = float(missing.is_piece.mean())
-    found["invented pieces"] = float(invented.is_piece.mean())
-    found["clutter"] = float(invented.is_clutter.mean())
-    found["mixed pixels"] = _stray_share(b) - _stray_share(a)
-    found["blind sector"] = _blind_deg(a, b)
-    return found
+        found["solid foliage"] = (step_m < -_LEAF_STEP_M).mean() - (step_m > _LEAF_STEP_M).mean()
+    if b.sensor["n_beams"]:
+        found["range steps"] = (b.sensor["range_quantum_m"] or 0.0) - (a.sensor["range_quantum_m"] or 0.0)
+    of_sensor = {
+        "beams": [side.sensor["n_beams"] for side in (a, b)],
+        "azimuth step": [side.sensor["azimuth_step_deg"] for side in (a, b)],
+        "range noise": [noise_without_steps(side.sensor) for side in (a, b)],
+    }
+    found |= {name: sim - real for name, (real, sim) in of_sensor.items() if real is not None and sim is not None}
+    return {name: float(amount) for name, amount in found.items()}
 
 
 def noise_without_steps(sensor: Sensor) -> float | None:
@@ -236,22 +202,15 @@ def noise_without_steps(sensor: Sensor) -> float | None:
     return None if noise_m is None else float(np.sqrt(max(noise_m**2 - step_m**2 / 12, 0.0)))
 
 
-def _density(sensors: tuple[Sensor, Sensor]) -> float:
-    """Firings of the simulated sensor per firing of the real one."""
-    real, sim = (side["azimuth_step_deg"] for side in sensors)
-    return real / sim if real and sim else 1.0
-
-
-def _losses(a: Side, b: Side, density: float) -> dict[str, float]:
+def _losses(a: Side, b: Side) -> dict[str, float]:
     """Share of the returns lost within 25 m, and the further share lost beyond, on surface that both sides see."""
-    n_cells = int(max(a.cell.max(), b.cell.max())) + 1
-    n_real, n_sim = (np.bincount(side.cell, minlength=n_cells) for side in (a, b))
-    middle_real, middle_sim = (_middle_m(side, n_cells) for side in (a, b))
-    with np.errstate(invalid="ignore"):
-        is_alike = (n_real >= _FEWEST) & (np.abs(middle_sim - middle_real) <= _ALIKE * middle_real)
-        is_far = middle_real > FAR_M
+    real, sim = (side.sensor["azimuth_step_deg"] for side in (a, b))
+    firings = real / sim if real and sim else 1.0  # of the simulated sensor per firing of the real one
+    (n_real, middle_real), (n_sim, middle_sim) = _by_cell(a), _by_cell(b)
+    is_alike = (n_real >= _FEWEST) & (n_sim > 0) & (np.abs(middle_sim - middle_real) <= _ALIKE * middle_real)
+    is_far = middle_real > FAR_M
     near, far = (
-        n_sim[own].sum() / max(n_real[own].sum(), 1) / density for own in (is_alike & ~is_far, is_alike & is_far)
+        n_sim[own].sum() / max(n_real[own].sum(), 1) / firings for own in (is_alike & ~is_far, is_alike & is_far)
     )
     found = {"lost returns": 1.0 - near, UNEVEN: _unevenness(n_real[is_alike], n_sim[is_alike])}
     if n_real[is_alike & is_far].sum() >= _FEWEST_FAR and near:
@@ -265,13 +224,14 @@ def _unevenness(n_real: IndexArray, n_sim: IndexArray) -> float:
     return float((((n_sim - expected) ** 2).sum() - expected.sum()) / max((expected**2).sum(), 1.0))
 
 
-def _middle_m(side: Side, n_cells: int) -> FloatArray:
-    """(n_cells,) median range of the returns of each cell, NaN for none."""
-    order = np.lexsort((side.range_m, side.cell))
-    n = np.bincount(side.cell, minlength=n_cells)
-    middle = np.full(n_cells, np.nan)
-    middle[n > 0] = side.range_m[order][(np.cumsum(n) - n + n // 2)[n > 0]]
-    return middle
+def _by_cell(side: Side) -> tuple[IndexArray, FloatArray]:
+    """Number of returns by cell of 2 degrees of direction, and their median range (the longer of two)."""
+    rows, columns = (side.elevation_deg + 90.0) // _CELL_DEG, (side.azimuth_deg + 180.0) // _CELL_DEG
+    n_around = round(360.0 / _CELL_DEG)
+    cell = (rows * n_around + columns % n_around).astype(np.intp)
+    n = np.bincount(cell, minlength=n_around * (n_around // 2 + 1))
+    middle = np.minimum(np.cumsum(n) - n + n // 2, len(cell) - 1)
+    return n, side.range_m[np.lexsort((side.range_m, cell))][middle]
 
 
 def foliage_steps(a: Side, b: Side) -> tuple[IndexArray, FloatArray]:
@@ -283,7 +243,7 @@ def foliage_steps(a: Side, b: Side) -> tuple[IndexArray, FloatArray]:
     return near[is_met], b.range_m[near[is_met]] - a.range_m[is_leaf][is_met]
 
 
-def is_stray(side: Side) -> tuple[BoolArray, BoolArray]:
+def find_strays(side: Side) -> tuple[BoolArray, BoolArray]:
     """Returns on smooth surface whose range is not that of the surface, and all returns on smooth surface.
 
     The inverse range is linear over directions on a plane: it is fitted to the eight nearest directions.
@@ -307,16 +267,8 @@ def is_stray(side: Side) -> tuple[BoolArray, BoolArray]:
     return is_smooth & (error > limit_m), is_smooth
 
 
-def _stray_share(side: Side) -> float:
-    """Share of stray returns among those on smooth surface."""
-    strays, smooth = is_stray(side)
-    return float(strays.sum() / max(smooth.sum(), 1))
-
-
 def _blind_deg(a: Side, b: Side) -> float:
     """Degrees of azimuth in which only the real side has returns."""
-    counts = [
-        np.histogram(np.degrees(np.arctan2(side.points[:, 1], side.points[:, 0])), np.arange(-180, 181, _SECTOR_DEG))[0]
-        for side in (a, b)
-    ]
-    return float(_SECTOR_DEG * ((counts[0] >= _SECTOR_POINTS) & (counts[1] == 0)).sum())
+    edges = np.arange(-180, 181, _SECTOR_DEG)
+    n_real, n_sim = (np.histogram(side.azimuth_deg, edges)[0] for side in (a, b))
+    return float(_SECTOR_DEG * ((n_real >= _SECTOR_POINTS) & (n_sim == 0)).sum())

@@ -17,9 +17,9 @@ from .evidence import (
     PairEstimates,
     PairScans,
     Side,
+    find_strays,
     find_unmatched,
     foliage_steps,
-    is_stray,
     noise_without_steps,
 )
 from .motion import PARAMETERS, Displacement
@@ -42,26 +42,21 @@ class Correction:
     add : (k, 3) real points
     """
 
-    displacement: FloatArray = field(default_factory=lambda: np.zeros(len(PARAMETERS)))
+    displacement: FloatArray | float = 0.0
     along_m: FloatArray | float = 0.0
     keep: BoolArray | bool = True
     add: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
 
-    def __or__(self, other: Correction) -> Correction:
-        """Both corrections."""
-        return Correction(
-            self.displacement + other.displacement,
-            self.along_m + other.along_m,
-            self.keep & other.keep,
-            np.concatenate([self.add, other.add]),
-        )
 
-    def of(self, scans: PairScans) -> FloatArray:
-        """The corrected simulated points."""
-        points = Displacement(self.displacement).undo(scans.sim, scans.sim_is_ground)
-        range_m = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
-        points = points * (1.0 + np.broadcast_to(self.along_m, range_m.shape) / range_m)[:, None]
-        return np.concatenate([points[np.broadcast_to(self.keep, range_m.shape)], self.add])
+def corrected(scans: PairScans, chosen: Sequence[Correction]) -> FloatArray:
+    """The simulated points with some corrections."""
+    sim = scans.sim
+    displacement, along_m, keep = np.zeros(len(PARAMETERS)), np.zeros(len(sim.points)), sim.range_m > 0
+    for own in chosen:
+        displacement, along_m, keep = displacement + own.displacement, along_m + own.along_m, keep & own.keep
+    points = Displacement(displacement).undo(sim.points, sim.is_ground)
+    points = points * (1.0 + along_m / np.maximum(np.linalg.norm(points, axis=1), 1e-9))[:, None]
+    return np.concatenate([points[keep], *(own.add for own in chosen)])
 
 
 def surface_distance(real: FloatArray, sim: FloatArray, real_tree: cKDTree | None = None) -> float:
@@ -90,8 +85,9 @@ def corrections(
     found : estimates of the pair
     excess : by cause to be corrected, its amount over the floor
     """
-    a, b = scans.sides(found.displacement)
-    missing, invented = find_unmatched(a, b, found.step_deg)
+    a, b = scans.real, found.undisplaced(scans.sim)
+    missing, invented = find_unmatched(a, b)
+    invented_by = {"invented pieces": invented.is_piece, "clutter": invented.is_clutter}
     others = ~(missing.is_beyond | missing.is_piece | missing.is_moved | missing.is_clutter)
     made: dict[str, Correction] = {}
     for name, amount in excess.items():
@@ -99,25 +95,23 @@ def corrections(
         if name in PARAMETERS:
             made[name] = Correction(np.where([one == name for one in PARAMETERS], amount, 0.0))
         elif name in ("range noise", "range steps"):
-            made[name] = _noise(a, b, name, amount, found, rng)
+            made[name] = _noise(a, b, name, amount, rng)
         elif name in ("lost returns", "lost far returns", "azimuth step", "beams"):
-            made[name] = _density(name, amount, a, b, others, found, rng)
+            made[name] = _density(name, amount, a, b, others, rng)
         elif name == "solid foliage":
             made[name] = _foliage(a, b, part, rng)
         elif name == "mixed pixels":
-            made[name] = Correction(keep=~_some(is_stray(b)[0], part, rng))
-        elif name == "invented pieces":
-            made[name] = Correction(keep=~_some(invented.is_piece, part, rng))
-        elif name == "clutter":
-            made[name] = Correction(keep=~_some(invented.is_clutter, part, rng))
+            made[name] = Correction(keep=~_some(find_strays(b)[0], part, rng))
+        elif name in invented_by:
+            made[name] = Correction(keep=~_some(invented_by[name], part, rng))
         elif name == "missing pieces":
-            made[name] = Correction(add=scans.real[_some(missing.is_piece, part, rng)])
+            made[name] = Correction(add=a.points[_some(missing.is_piece, part, rng)])
         elif name == "moved pieces":
-            made[name] = Correction(keep=~_some(invented.is_moved, part, rng), add=scans.real[missing.is_moved])
+            made[name] = Correction(keep=~_some(invented.is_moved, part, rng), add=a.points[missing.is_moved])
         elif name == "maximum range":
-            made[name] = Correction(keep=b.range_m <= a.range_m.max(), add=scans.real[missing.is_beyond])
+            made[name] = Correction(keep=b.range_m <= a.range_m.max(), add=a.points[missing.is_beyond])
         elif name == "minimum range":
-            made[name] = Correction(add=scans.real[a.range_m < b.range_m.min()])
+            made[name] = Correction(add=a.points[a.range_m < b.range_m.min()])
     return made
 
 
@@ -139,15 +133,13 @@ def shares(scans: PairScans, made: Mapping[str, Correction], rng: Generator, flo
     The contribution is averaged over the orders in which the corrections can be applied (Shapley, 1953): over all
     orders up to four corrections, else over twelve at random.
     """
-    names, tree = sorted(made), cKDTree(scans.real)
+    names, tree = sorted(made), cKDTree(scans.real.points)
     known: dict[frozenset[str], float] = {}
 
     def distance(chosen: frozenset[str]) -> float:
         if chosen not in known:
-            correction = Correction()
-            for name in sorted(chosen):
-                correction |= made[name]
-            known[chosen] = surface_distance(scans.real, correction.of(scans), tree)
+            points = corrected(scans, [made[name] for name in sorted(chosen)])
+            known[chosen] = surface_distance(scans.real.points, points, tree)
         return known[chosen]
 
     orders: Sequence[Sequence[str]]
@@ -177,10 +169,8 @@ def changes(
     displacement : of the pair over that of the floor
     excess : see `corrections`
     """
-    both = PairScans(
-        floor.sim, scans.sim, floor.sim_is_ground, scans.sim_is_ground, (floor.sensors[1], scans.sensors[1])
-    )
-    return shares(both, corrections(both, PairEstimates(displacement, both.sensors, {}), excess, rng), rng)
+    both = PairScans(floor.sim, scans.sim)
+    return shares(both, corrections(both, PairEstimates(displacement, scans.sim.sensor, {}), excess, rng), rng)
 
 
 def _some(flags: BoolArray, part: float, rng: Generator) -> BoolArray:
@@ -188,11 +178,11 @@ def _some(flags: BoolArray, part: float, rng: Generator) -> BoolArray:
     return flags & (rng.random(len(flags)) < part)
 
 
-def _noise(a: Side, b: Side, name: str, amount: float, found: PairEstimates, rng: Generator) -> Correction:
+def _noise(a: Side, b: Side, name: str, amount: float, rng: Generator) -> Correction:
     """Missing noise, added along the rays; or less of the distance to the real surface along the rays."""
-    sim = max(found.sensors[1]["range_noise_m"] or 0.0, 1e-4)
+    sim = max(b.sensor["range_noise_m"] or 0.0, 1e-4)
     if name == "range noise":
-        sim = max(noise_without_steps(found.sensors[1]) or 0.0, 1e-4)
+        sim = max(noise_without_steps(b.sensor) or 0.0, 1e-4)
     elif amount > 0:
         sim = max(sim, amount / np.sqrt(12))
     if amount < 0:
@@ -225,22 +215,19 @@ def _as_simulated(real: Side, sim: Side, is_lost: IndexArray) -> FloatArray:
     return points + ((sim.points[near] - points) * normal).sum(axis=1, keepdims=True) * normal
 
 
-def _density(
-    name: str, amount: float, a: Side, b: Side, is_common: BoolArray, found: PairEstimates, rng: Generator
-) -> Correction:
+def _density(name: str, amount: float, a: Side, b: Side, is_common: BoolArray, rng: Generator) -> Correction:
     """Real returns on common surface, where the simulated ones are farthest apart, or fewer of the simulated ones."""
-    step_deg, n_beams = found.sensors[1]["azimuth_step_deg"], found.sensors[1]["n_beams"]
-    share = amount
+    step_deg, n_beams = b.sensor["azimuth_step_deg"], b.sensor["n_beams"]
+    share, is_far = amount, name == "lost far returns"
     if name == "azimuth step":
         share = amount / step_deg if step_deg else 0.0
     elif name == "beams":
         share = -amount / (n_beams - min(amount, 0.0)) if n_beams else 0.0
     if share > 0:
-        rows = np.flatnonzero(is_common & (a.range_m > FAR_M) if name == "lost far returns" else is_common)
+        rows = np.flatnonzero(is_common & (a.range_m > FAR_M * is_far))
         gap, _ = cKDTree(b.rays).query(a.rays[rows])
         return Correction(add=_as_simulated(a, b, rows[np.argsort(-gap)[: round(share * len(rows))]]))
-    where = b.range_m > FAR_M if name == "lost far returns" else np.ones(len(b.range_m), dtype=np.bool_)
-    return Correction(keep=~(where & (rng.random(len(where)) < 1.0 - 1.0 / (1.0 - share))))
+    return Correction(keep=~_some(b.range_m > FAR_M * is_far, 1.0 - 1.0 / (1.0 - share), rng))
 
 
 def _foliage(a: Side, b: Side, part: float, rng: Generator) -> Correction:

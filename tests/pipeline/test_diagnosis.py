@@ -20,7 +20,7 @@ from fidpipe.schemas.results import Diagnosis
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import load
 from fidpipe.stages.diagnose import tell_apart as classifier
-from fidpipe.stages.diagnose.evidence import PairScans
+from fidpipe.stages.diagnose.evidence import PairScans, Side
 from fidpipe.stages.diagnose.gain import Shares
 from fidpipe.stages.diagnose.motion import PARAMETERS
 from fidpipe.stages.generate.ray_casting import fire
@@ -176,8 +176,7 @@ def test_without_speeds_nothing_is_said_of_latency():
 @pytest.mark.parametrize("travel_m", [0.4, 2.9])
 def test_the_speed_is_that_of_the_motion_to_the_next_scan(travel_m):
     scans, later = (
-        PairScans(points, points, points[:, 2] < -1.4, points[:, 2] < -1.4, ({}, {}))
-        for points in (corner(0), corner(1) - [travel_m, 0, 0])
+        PairScans(*[Side(points, points[:, 2] < -1.4, {})] * 2) for points in (corner(0), corner(1) - [travel_m, 0, 0])
     )
     assert speed_m_s(scans, later, 0.1) == pytest.approx(10 * travel_m, abs=0.5)
 

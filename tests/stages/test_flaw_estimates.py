@@ -105,7 +105,7 @@ def simulated(places, flaw=None):
         sim = lost(HEALTHY_LOSS)(noise(HEALTHY_NOISE_M)(real, rng), rng)
         sim = flaw(sim, rng) if flaw else sim
         own = sensor_row(describe_sensor(sim))
-        pairs.append(PairScans(real, sim, is_ground, sim[:, 2] < -1.4, (sensor, own)))
+        pairs.append(PairScans(Side(real, is_ground, sensor), Side(sim, sim[:, 2] < -1.4, own)))
     return pairs
 
 
@@ -132,7 +132,7 @@ def test_a_flaw_is_named_with_its_amount_and_its_correction_gains(places, health
     found = shares(pairs[0], made, np.random.default_rng(0))
     assert sum(found.by_cause.values()) == pytest.approx(found.before_m - found.after_m)
     assert max(found.by_cause, key=found.by_cause.get) == name
-    assert found.before_m == surface_distance(pairs[0].real, pairs[0].sim)
+    assert found.before_m == surface_distance(pairs[0].real.points, pairs[0].sim.points)
 
 
 @pytest.mark.parametrize("name", some_of([*UNKNOWN], ["on_a_grid"]))
@@ -140,10 +140,10 @@ def test_a_flaw_without_a_cause_is_unexplained(places, healthy, name):
     pairs = simulated(places, UNKNOWN[name])
     found = [estimate(pair) for pair in pairs]
     named = name_causes([own.amounts for own in found], [own.amounts for own in healthy], np.arange(2))
-    floors_m = [surface_distance(pair.real, pair.sim) for pair in simulated(places)]
+    floors_m = [surface_distance(pair.real.points, pair.sim.points) for pair in simulated(places)]
 
-    def correct(causes):
-        amounts, rng = {own.model.name: own.mean for own in causes}, np.random.default_rng(0)
+    def correct(amounts):
+        rng = np.random.default_rng(0)
         return [
             shares(pair, corrections(pair, own, amounts, rng), rng, floor_m)
             for pair, own, floor_m in zip(pairs, found, floors_m, strict=True)
@@ -163,7 +163,7 @@ def test_a_displacement_explains_how_two_simulated_scans_differ_unless_another_f
     amount = {"sideways": 0.2}
     moved = Displacement(np.array([amount.get(name, 0.0) for name in PARAMETERS]))
     found = changes(pair, floor, moved, amount, np.random.default_rng(0))
-    assert found.before_m == surface_distance(floor.sim, pair.sim)
+    assert found.before_m == surface_distance(floor.sim.points, pair.sim.points)
     assert low < found.by_cause["sideways"] / found.before_m <= high
 
 
@@ -180,11 +180,12 @@ def test_a_displacement_is_undone(places):
 def test_an_object_next_to_a_missing_one_is_moved_but_not_the_road_behind_it():
     rng = np.random.default_rng(0)
     road, box = rng.uniform(-9, 9, (2000, 3)) * [1, 1, 0], rng.uniform(7, 8, (300, 3))
-    seen, hidden = Side.of(box, np.zeros(300, bool)), Side.of(box + [0.8, 0, 0], np.zeros(300, bool))
+    sensor, is_ground = {"azimuth_step_deg": None}, np.zeros(300, bool)
+    seen, hidden = (Side(points, is_ground, sensor) for points in (box, box + [0.8, 0, 0]))
     missing, invented = find_unmatched(seen, hidden)
     assert missing.is_moved.mean() > 0.2
     assert invented.is_moved.mean() > 0.2
-    behind = Side.of(np.vstack([box + [0.8, 0, 0], road]), np.arange(2300) >= 0)
+    behind = Side(np.vstack([box + [0.8, 0, 0], road]), np.arange(2300) >= 0, sensor)
     missing, invented = find_unmatched(seen, behind)
     assert missing.is_piece.any()
     assert invented.is_piece.any()
@@ -205,7 +206,7 @@ def test_scans_without_common_surface_have_no_estimates(places):
     points, is_ground, sensor = places[0]
     far = points + [0, 0, 500.0]
     assert fit_displacement(points, far, is_ground) is None
-    assert estimate(PairScans(points, far, is_ground, is_ground, (sensor, sensor))) is None
+    assert estimate(PairScans(*(Side(own, is_ground, sensor) for own in (points, far)))) is None
 
 
 def test_every_cause_has_words_and_a_tolerance():
