@@ -7,7 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from fidpipe.pipeline.jobs import STAGES, graph_job, matching_job
+from fidpipe.pipeline.jobs import STAGES, graph_job
 from runs import run
 
 POISON = "001"
@@ -46,13 +46,6 @@ def poisoned_graph(context):
     if context.pair_id == POISON:
         os.kill(os.getpid(), signal.SIGKILL)
     return graph_job.make_graph(context)
-
-
-def buggy_matching(context):
-    """The matching job, with a bug for one pair."""
-    if context.pair_id == POISON:
-        raise ZeroDivisionError("a bug")
-    return matching_job.make_matching(context)
 
 
 def with_job(name, make, stages=STAGES):

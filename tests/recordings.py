@@ -12,6 +12,19 @@ _PACKETS = {
 }
 
 
+FIELDS = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")])
+
+
+def rows(points, fields=FIELDS):
+    """Records of points with other intensities, rings and times."""
+    found = np.zeros(len(points), fields)
+    for name, column in zip("xyz", points.T, strict=True):
+        found[name] = column
+    found["intensity"], found["ring"] = np.arange(len(points)) % 256, np.arange(len(points)) % 32
+    found["t"] = np.arange(len(points)) * 1000
+    return found
+
+
 def typestore(is_ros1):
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

@@ -4,6 +4,8 @@ import contextlib
 import ctypes
 import hashlib
 import io
+import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -34,7 +36,7 @@ WITH_WORKERS = ("run", "synth", "perturb", "ablate", "floor", "twin")
 STAGE_NAMES = [stage.name for stage in STAGES]
 JOBS_PER_PAIR = sum(len(stage.parts) for stage in STAGES)
 FOLDERS = [table for stage in STAGES for table in stage.gives]
-_PR_CAPBSET_DROP, _CAP_DAC_OVERRIDE = 24, 1
+_PR_CAPBSET_DROP, _CAP_DAC_OVERRIDE, _CAP_DAC_READ_SEARCH = 24, 1, 2
 
 
 def run(
@@ -61,19 +63,20 @@ def listening():
     return Reporter(Console(file=said, width=1000)), said
 
 
-def own_process(*words, timeout=300, **options):
-    """Run the command in a separate process; returns exit code and output."""
-    return subprocess.run(
-        [FIDPIPE, *map(str, words)], capture_output=True, text=True, timeout=timeout, check=False, **options
-    )
+def own_process(*words, code=None, timeout=300, **options):
+    """Run the command in a separate process; returns exit code and output, and `code` is the exit code if given."""
+    words = [FIDPIPE, *map(str, words)]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=timeout, check=False, **options)
+    assert code in (None, ended.returncode), ended.stdout + ended.stderr
+    return ended
 
 
-def command(*words, cwd=None, **options):
-    """Run the command in this process, two seconds faster, unless it starts workers or has process options."""
+def command(*words, code=None, cwd=None, **options):
+    """The same in this process, two seconds faster, unless the command starts workers or has process options."""
     words = [str(word) for word in words]
     alone = {"--help", "--workers 1"} & {*words, *map(" ".join, pairwise(words))}
     if options or (words[0] in WITH_WORKERS and not alone):
-        return own_process(*words, cwd=cwd, **options)
+        return own_process(*words, code=code, cwd=cwd, **options)
     streams = [io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="\n") for _ in range(2)]
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with (
@@ -87,15 +90,16 @@ def command(*words, cwd=None, **options):
         warnings.simplefilter("ignore", DeprecationWarning)
         try:
             main()
-        except SystemExit as ended:
-            code = ended.code or 0
+        except SystemExit as exit:
+            status = exit.code or 0
         finally:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
     for stream in streams:
         stream.flush()
     stdout, stderr = (stream.buffer.getvalue().decode() for stream in streams)
-    return subprocess.CompletedProcess(words, code, stdout, stderr)
+    assert code in (None, status), stdout + stderr
+    return subprocess.CompletedProcess(words, status, stdout, stderr)
 
 
 def some_of(values, always):
@@ -133,6 +137,14 @@ def files_in(folder):
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+def copied(dataset, out, folder):
+    """Copies of a dataset and of its run, whose record names the copy."""
+    data, own = shutil.copytree(dataset, folder / "streets"), shutil.copytree(out, folder / "run")
+    record = json.loads((own / "run.json").read_text()) | {"dataset": str(data)}
+    (own / "run.json").write_text(json.dumps(record))
+    return data, own
+
+
 def one_line(text):
     """The only line of a text that is not empty."""
     lines = [line for line in text.splitlines() if line.strip()]
@@ -151,10 +163,14 @@ def changed_files(run_folder, before):
     return {name for name in now if now[name] != before.get(name)}
 
 
+def changed_tables(run_folder, before):
+    """Names of the tables that have such files."""
+    return {name.split("/")[0] for name in changed_files(run_folder, before)}
+
+
 def marks(run_folder):
-    """Modification times of the stage tables by relative path."""
-    files = [path for folder in FOLDERS for path in (run_folder / folder).glob("*.parquet")]
-    return {str(path.relative_to(run_folder)): path.stat().st_mtime_ns for path in files}
+    """Modification times of the tables of sides, pairs and objects by relative path."""
+    return {str(path.relative_to(run_folder)): path.stat().st_mtime_ns for path in run_folder.glob("*/*.parquet")}
 
 
 def rewrite(folder, name, change):
@@ -175,12 +191,17 @@ def rewrite(folder, name, change):
         store.ledger.put_job(record)
 
 
-def read_only(folder):
-    """Function for a command's process to call first, so that it may not write there, not even as root."""
+def read_only(folder, mode=0o555):
+    """Function for a command's process to call first, so that it may not write there, not even as root.
+
+    mode : of the folder itself
+    """
 
     def forbid():
         for path in (*folder.rglob("*"), folder):
             path.chmod(0o555 if path.is_dir() else 0o444)
-        ctypes.CDLL(None).prctl(_PR_CAPBSET_DROP, _CAP_DAC_OVERRIDE, 0, 0, 0)
+        folder.chmod(mode)
+        for capability in (_CAP_DAC_OVERRIDE, _CAP_DAC_READ_SEARCH):
+            ctypes.CDLL(None).prctl(_PR_CAPBSET_DROP, capability, 0, 0, 0)
 
     return forbid

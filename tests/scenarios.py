@@ -15,7 +15,7 @@ from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.schemas.settings import Settings, load
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 from runs import QUIET, run
-from scenes import box, drifted, street, write_bin, write_dataset
+from scenes import box, drifted, street, write_dataset, write_pair
 
 
 def plain(folder, n_pairs=3, n=150):
@@ -29,11 +29,8 @@ def labelled(folder):
     rows = []
     for i, name in enumerate((*HOSTILE_PAIRS, "broken <b>pair</b>")):
         real = street(seed=10 * i)
-        sides = {"real": real, "sim": drifted(real, seed=i, keep=0.9 - 0.1 * i)}
-        for side, points in sides.items():
-            write_bin(dataset / side / f"{i}.bin", points)
-            labels = np.where(points[:, 0] > 0, 1, 2).astype("<u4")
-            labels.tofile(dataset / side / f"{i}.label")
+        sim = drifted(real, seed=i, keep=0.9 - 0.1 * i)
+        write_pair(dataset, real, sim, i, lambda points: np.where(points[:, 0] > 0, 1, 2))
         rows.append([name, f"real/{i}.bin", f"sim/{i}.bin"])
     (dataset / "sim" / "4.bin").write_bytes(b"")
     (dataset / "labels.toml").write_text(f"1 = '{HOSTILE_CLASS}'\n2 = 'wall'\n")
@@ -48,8 +45,7 @@ def reference(folder):
     for i in range(2):
         real = street(seed=10 * i)
         invented = box([14, 14, 1], [1, 1, 1], 40, i)
-        write_bin(folder / "streets" / "real" / f"{i}.bin", real)
-        write_bin(folder / "streets" / "sim" / f"{i}.bin", np.vstack([drifted(real, seed=i), real[-3:], invented]))
+        write_pair(folder / "streets", real, np.vstack([drifted(real, seed=i), real[-3:], invented]), i)
     run(folder / "streets", folder / "run", load(None, ["graph.k=20"], preset="reference"))
 
 

@@ -69,12 +69,20 @@ def write_bin(path: Path, points, columns=4):
     return path
 
 
+def write_pair(folder: Path, real, sim, name="a", labels=None):
+    """A dataset folder with a pair more; `labels` gives a number for each point."""
+    for side, points in (("real", real), ("sim", sim)):
+        path = write_bin(folder / side / f"{name}.bin", points)
+        if labels is not None:
+            labels(points).astype("<u4").tofile(path.with_suffix(".label"))
+    return folder
+
+
 def write_dataset(folder: Path, n_pairs=3, n=150):
     """A dataset folder of small streets, named 000, 001, ..."""
     for i in range(n_pairs):
         scan = street(seed=10 * i, n=n)
-        write_bin(folder / "real" / f"{i:03}.bin", scan)
-        write_bin(folder / "sim" / f"{i:03}.bin", drifted(scan, seed=i))
+        write_pair(folder, scan, drifted(scan, seed=i), f"{i:03}")
     return folder
 
 

@@ -4,14 +4,12 @@ import json
 import os
 import re
 import shutil
-import struct
 import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
-from recordings import write_las
 from runs import own_process, run, some_of
 from scenes import drifted, street, write_dataset
 from tries import Started, assert_resumes, lines_of, n_lost
@@ -152,22 +150,6 @@ def test_check_names_a_pair_whose_reader_crashes_and_reads_the_others(dataset):
     assert (done.returncode, len(found["faults"])) == (1, 1)
     assert re.match(f"pair {POISON}: the worker process died, and again when the pair ran alone", found["faults"][0])
     assert [pair["real"] is None for pair in found["pairs"]] == [pair["pair_id"] == POISON for pair in found["pairs"]]
-
-
-@pytest.mark.exhaustive
-def test_a_damaged_laz_that_ends_its_reader_fails_alone_and_is_named(tmp_path):
-    data = write_dataset(tmp_path / "streets", 3)
-    (data / "real" / "001.bin").unlink()
-    content = bytearray(write_las(data / "real" / "001.laz", street()).read_bytes())
-    (start,) = struct.unpack_from("<I", content, 96)
-    (table,) = struct.unpack_from("<q", content, start)
-    struct.pack_into("<I", content, table + 4, 2**32 - 1)  # chunks, for which lazrs takes memory before it reads them
-    (data / "real" / "001.laz").write_bytes(content)
-    started = Started("run", data, "--out", tmp_path / "run", "--workers", 2, *IN_LITTLE_MEMORY)
-    code, errors = started.end()
-    assert code == 3, errors
-    assert errors.count("pair 001: stage ground, real: the worker process died") == 1
-    assert len(list((tmp_path / "run" / "metrics").glob("*.parquet"))) == 2
 
 
 @pytest.mark.exhaustive

@@ -24,7 +24,7 @@ from runs import (
     JOBS_PER_PAIR,
     STAGE_NAMES,
     assert_same_tables,
-    changed_files,
+    changed_tables,
     listening,
     marks,
     run,
@@ -99,7 +99,7 @@ def test_without_a_ledger_a_damaged_table_alone_is_made_again(again, finished, d
         return
     assert outcome.n_made == 1
     of_one_job = next((both for both in TWO_TABLES if folder in both), {folder})
-    assert {name.split("/")[0] for name in changed_files(again, before)} == of_one_job
+    assert changed_tables(again, before) == of_one_job
     assert f"removing {len(of_one_job)} file" in told
 
 

@@ -13,16 +13,14 @@ from scenes import road, write_bin
 
 
 def test_a_run_ends_with_zero_and_says_where_the_results_are(dataset, tmp_path):
-    result = command("run", dataset, "--workers", 1, cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    result = command("run", dataset, "--workers", 1, cwd=tmp_path, code=0)
     assert "fidpipe report runs/streets --open" in result.stdout
     assert "r_lambda" in result.stdout
     assert (tmp_path / "runs" / "streets" / "run.json").exists()
     again = command("run", dataset, "--workers", 1, cwd=tmp_path)
     assert f"0 jobs done, {2 * JOBS_PER_PAIR} reused" in again.stdout
     other = ("run", dataset, "--workers", 1, "--set", "matching.delta_m=3")
-    refused = command(*other, cwd=tmp_path)
-    assert refused.returncode == 1
+    refused = command(*other, cwd=tmp_path, code=1)
     assert one_line(refused.stderr) == (
         "error: run runs/streets: is finished, and matching, selection, metrics of 2 pairs would be replaced "
         "(matching.delta_m was 5.0, is 3.0); add --replace, or give another --out"
@@ -30,8 +28,7 @@ def test_a_run_ends_with_zero_and_says_where_the_results_are(dataset, tmp_path):
     changed = command(*other, "--replace", cwd=tmp_path)
     reason = "out of date (matching.delta_m was 5.0, is 3.0)"
     assert f"replacing matching, selection, metrics of 2 pairs: {reason}" in changed.stderr
-    status = command("status", "runs/streets", cwd=tmp_path)
-    assert status.returncode == 0
+    status = command("status", "runs/streets", cwd=tmp_path, code=0)
     assert re.search(r"done of all pairs: .*metrics", status.stdout)
 
 
@@ -49,8 +46,7 @@ def test_a_renamed_pair_is_told_under_its_new_name(dataset, tmp_path):
 def test_failed_pairs_end_with_three_and_are_listed(dataset, tmp_path):
     data = shutil.copytree(dataset, tmp_path / "streets")
     (data / "sim" / "001.bin").write_bytes(b"")
-    result = command("run", data, "--workers", 1, "--out", tmp_path / "run")
-    assert result.returncode == 3
+    result = command("run", data, "--workers", 1, "--out", tmp_path / "run", code=3)
     assert "1 of 2 pairs failed, as reported above; show them again with: fidpipe show" in result.stdout
     reason = "sim/001.bin: the file is empty; expected points"
     assert (result.stdout + result.stderr).count(reason) == result.stderr.count(reason) == 1
@@ -65,8 +61,7 @@ def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dat
     write_bin(data / "sim" / "000.bin", road(400) * [1, 1, 0] - [0, 0, 1.7])
     assert command("run", data, "--workers", 1, "--out", out).returncode == 3
     (data / "sim" / "001.bin").write_bytes(b"")
-    result = command("run", data, "--workers", 1, "--out", out, "--pairs", "001")
-    assert result.returncode == 3
+    result = command("run", data, "--workers", 1, "--out", out, "--pairs", "001", code=3)
     assert "2 of 2 pairs failed, 1 of them as reported above" in result.stdout
     assert (result.stderr.count(reason), result.stdout.count(reason)) == (0, 1)
 
@@ -91,10 +86,10 @@ def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dat
 )
 def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, fault):
     (tmp_path / "loop").symlink_to("loop")
-    result = command("run", *[word.format(data=dataset) for word in words], "--workers", 1, cwd=tmp_path)
-    assert result.returncode == 1
+    result = command("run", *[word.format(data=dataset) for word in words], "--workers", 1, cwd=tmp_path, code=1)
     assert one_line(result.stderr).startswith(fault)
     assert result.stdout == ""
+    assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.parametrize(
@@ -109,30 +104,26 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
     ],
 )
 def test_wrong_usage_ends_with_two(dataset, tmp_path, words):
-    result = command(*[word.format(data=dataset) for word in words], cwd=tmp_path)
-    assert result.returncode == 2
+    result = command(*[word.format(data=dataset) for word in words], cwd=tmp_path, code=2)
     assert "Traceback" not in result.stderr
     assert list(tmp_path.iterdir()) == []
 
 
 def test_check_ends_with_zero_on_good_data_and_one_on_any_fault(dataset, tmp_path):
-    good = command("check", dataset)
-    assert good.returncode == 0
+    good = command("check", dataset, code=0)
     assert good.stdout.endswith(f"2 of 2 pairs can be evaluated\nnext: fidpipe run {dataset} --preset reference\n")
     with_settings = command("check", dataset, "--preset", "reference", "--set", "matching.delta_m=3")
     assert with_settings.stdout.endswith(f"fidpipe run {dataset} --preset reference --set matching.delta_m=3\n")
     data = shutil.copytree(dataset, tmp_path / "streets")
     (data / "real" / "000.bin").unlink()
-    bad = command("check", data)
-    assert bad.returncode == 1
+    bad = command("check", data, code=1)
     assert "error: pair 000:" in bad.stdout
     assert "1 of 2 pairs can be evaluated" in bad.stdout
 
 
 @pytest.mark.parametrize("name", ["ablate", "check", "compare", "gate", "perturb", "run", "show", "status", "synth"])
 def test_every_command_has_an_example_in_its_help(name):
-    result = command(name, "--help")
-    assert result.returncode == 0
+    result = command(name, "--help", code=0)
     assert f"fidpipe {name} " in result.stdout
 
 

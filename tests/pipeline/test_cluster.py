@@ -153,8 +153,9 @@ def test_a_lost_scheduler_is_named_and_the_run_goes_on_without_it(dataset, finis
 
 @pytest.mark.exhaustive
 def test_the_command_names_the_dashboard_of_a_cluster(dataset, finished, tmp_path, cluster):
-    ended = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.add_workers(2).address)
-    assert ended.returncode == 0
+    ended = own_process(
+        "run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.add_workers(2).address, code=0
+    )
     assert_same_tables(tmp_path / "run", finished)
     dashboard = re.search(r"dask dashboard: (http://127\.0\.0\.1:\d+/status)", ended.stderr)
     with urllib.request.urlopen(dashboard[1], timeout=30) as page:
@@ -217,12 +218,10 @@ def test_a_cluster_that_starts_workers_for_tasks_is_asked_for_one(tmp_path):
 def test_workers_without_a_memory_limit_or_with_a_time_limit_but_no_nanny_are_refused(dataset, tmp_path, cluster):
     cluster.add_workers(1, "--no-nanny", "--memory-limit", "0")
     words = ("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address, "--pairs", "000")
-    refused = own_process(*words)
-    assert refused.returncode == 1
+    refused = own_process(*words, code=1)
     assert "has no memory limit; start it with --memory-limit, or set" in refused.stderr
     named = (*words, "--set", "machine.memory_gib=2")
-    refused = own_process(*named, "--pair-timeout", "60")
-    assert refused.returncode == 1
+    refused = own_process(*named, "--pair-timeout", "60", code=1)
     assert "has no nanny, and a pair that exceeds its time ends its worker process; start it with" in refused.stderr
     assert own_process(*named).returncode == 0
 

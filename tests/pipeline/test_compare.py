@@ -35,7 +35,7 @@ from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
 from reports import embedded, text_of
 from runs import command, run
-from scenes import drifted, street, write_bin
+from scenes import drifted, street, write_bin, write_pair
 
 HOSTILE = ("<script>alert(1)</script>", "ünï[bold]code[/bold] 雨", "x" * 300, "../x", "x&amp;", "x%41 '")
 
@@ -81,8 +81,7 @@ def test_a_break_on_too_few_pairs_is_worse_all_the_same(tmp_path):
 def test_copies_of_one_pair_under_another_seed_are_not_better(tmp_path):
     scan = street()
     for i in range(8):
-        write_bin(tmp_path / "data" / "real" / f"{i}.bin", scan)
-        write_bin(tmp_path / "data" / "sim" / f"{i}.bin", drifted(scan, noise=0.3, keep=0.6))
+        write_pair(tmp_path / "data", scan, drifted(scan, noise=0.3, keep=0.6), i)
     runs = [tmp_path / "a", tmp_path / "b"]
     for folder, seed in zip(runs, (1, 2), strict=True):
         run(tmp_path / "data", folder, load(assignments=[f"communities.seed={seed}"]))
@@ -148,10 +147,9 @@ def test_other_settings_are_rejected_unless_allowed(versions, tmp_path):
     assert found.unfollowed == ()
 
 
-def test_a_run_of_each_preset_is_rejected_by_the_names_of_the_presets(versions, tmp_path):
-    run(versions[1].parent / "data-bad", tmp_path / "run", load(preset="reference"))
+def test_a_run_of_each_preset_is_rejected_by_the_names_of_the_presets(finished, by_reference):
     with pytest.raises(RunError, match=r"settings differ \(preset paper and preset reference: "):
-        compare_runs([versions[0], tmp_path / "run"])
+        compare_runs([finished, by_reference])
 
 
 def test_other_communities_of_the_same_scan_are_not_followed(versions, tmp_path):
@@ -182,19 +180,14 @@ def test_pairs_that_are_not_common_are_left_out_with_the_reason(versions, tmp_pa
     assert {score.difference.low for score in found.scores} == {None}
 
 
-def test_runs_without_a_common_pair_are_refused(versions, tmp_path):
-    data = tmp_path / "data"
-    write_bin(data / "real" / "a.bin", street())
-    write_bin(data / "sim" / "a.bin", drifted(street()))
-    run(data, tmp_path / "run")
+def test_runs_without_a_common_pair_are_refused(versions, finished):
     with pytest.raises(RunError, match="no pair can be compared"):
-        compare_runs([versions[0], tmp_path / "run"])
+        compare_runs([versions[0], finished])
 
 
 def test_the_command_compares_three_runs_and_writes_a_page(versions, tmp_path):
     good, bad = versions
-    result = command("compare", good, bad, good, "--html", tmp_path / "page.html")
-    assert result.returncode == 0, result.stderr
+    result = command("compare", good, bad, good, "--html", tmp_path / "page.html", code=0)
     assert f"{bad} against {good}: " in result.stdout
     assert (tmp_path / "page.html").stat().st_size < len(get_plotlyjs()) + 200_000
     found = json.loads(command("compare", good, bad, "--json").stdout)
@@ -351,12 +344,10 @@ def test_a_changed_object_has_its_points_before_and_after(versions):
 
 def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(versions, tmp_path):
     good, bad = versions
-    passed = command("compare", good, good, "--fail-on", "worse", "--out", tmp_path / "same")
-    assert passed.returncode == 0, passed.stderr
+    passed = command("compare", good, good, "--fail-on", "worse", "--out", tmp_path / "same", code=0)
     assert "gate on worse: passed" in passed.stdout
     files = ("--junit", tmp_path / "a.xml", "--json-file", tmp_path / "a.json")
-    failed = command("compare", good, bad, "--fail-on", "worse", *files)
-    assert failed.returncode == 4
+    command("compare", good, bad, "--fail-on", "worse", *files, code=4)
     assert command("compare", bad, good, "--fail-on", "worse", "--out", tmp_path / "better").returncode == 0
     (judged,) = json.loads((tmp_path / "a.json").read_text())["comparisons"]
     assert (judged["decision"], judged["passed"]) == ("worse", False)
@@ -395,8 +386,7 @@ def test_a_run_in_which_every_pair_fails_is_worse_and_leaves_files_for_ci(versio
     for i in range(len(HOSTILE)):
         (data / f"sim{i}.bin").write_bytes(b"")
     run(data, tmp_path / "run")
-    result = command("compare", versions[0], tmp_path / "run", "--fail-on", "worse")
-    assert result.returncode == 4, result.stderr
+    result = command("compare", versions[0], tmp_path / "run", "--fail-on", "worse", code=4)
     assert result.stdout.startswith("worse: all 6 pairs that were scored before fail now")
     assert (tmp_path / "run" / "compare.xml").exists()
     assert json.loads((tmp_path / "run" / "compare.json").read_text())["comparisons"][0]["decision"] == "worse"
@@ -432,8 +422,7 @@ def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_se
     ],
 )
 def test_options_that_do_not_go_together_are_wrong_usage(versions, words, fault):
-    result = command("compare", *versions, *words)
-    assert result.returncode == 2
+    result = command("compare", *versions, *words, code=2)
     assert fault in " ".join(result.stderr.replace("│", " ").split())
 
 
@@ -444,8 +433,7 @@ def test_datasets_are_evaluated_and_compared(tmp_path):
     missing = command("compare", "a", "typo", cwd=tmp_path)
     assert (missing.returncode, missing.stderr) == (1, "error: typo: no such file or folder; nothing was evaluated\n")
     assert not (tmp_path / "runs").exists()
-    ended = command("compare", "a", "b", "--json", cwd=tmp_path, env=None)
-    assert ended.returncode == 0, ended.stderr
+    ended = command("compare", "a", "b", "--json", cwd=tmp_path, env=None, code=0)
     assert "its run is runs/a" in ended.stderr
     assert json.loads(ended.stdout)[0]["other"] == "runs/b"
     assert FinishedRun(tmp_path / "runs" / "a").preset == "reference"

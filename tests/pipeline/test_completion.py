@@ -3,6 +3,7 @@
 import os
 import shutil
 from pathlib import Path
+from unittest import mock
 
 import pexpect
 import pytest
@@ -27,7 +28,8 @@ def offered(place, line):
     """Words that bash offers for the last word of a line."""
     words = line.split(" ")
     asked = {"COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1), "_FIDPIPE_COMPLETE": "complete_bash"}
-    answer = command(cwd=place, env=os.environ | asked)
+    with mock.patch.dict(os.environ, asked):
+        answer = command("", cwd=place)
     assert (answer.returncode, answer.stderr) == (0, "")
     return answer.stdout.split()
 

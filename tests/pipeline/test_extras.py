@@ -177,8 +177,7 @@ def test_python_gives_the_same_numbers_as_the_command(finished, dataset):
 
 def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset):
     words = ("--workers", 1, "--seeds", 2, "--set", BASELINE_WORD)
-    done = command("run", dataset, "--out", again, *words)
-    assert done.returncode == 0, done.stderr
+    done = command("run", dataset, "--out", again, *words, code=0)
     assert f"0 jobs done, {2 * (JOBS_PER_PAIR + 2)} reused" in done.stdout
     assert "How stable the scores are (2 seeds, 2 pairs)" in done.stdout
     for name in ("chamfer_squared_m2", "sliced_wasserstein_m", "icp_rmse_m", "netlsd", "r_h", "whole scans", "m²"):

@@ -21,7 +21,7 @@ from fidpipe.pipeline.run import few_of_each
 from fidpipe.schemas.settings import InputSettings, Settings, load
 from fidpipe.stages.inspect.frame_search import check_frames
 from runs import command, run
-from scenes import box, drifted, road, street, write_bin
+from scenes import box, drifted, road, street, write_bin, write_pair
 
 MENDED = "input.sim_frame=carla"
 
@@ -35,8 +35,7 @@ def mirrored(tmp_path_factory):
     """Two pairs, of which the simulated side of the first is mirrored."""
     folder = tmp_path_factory.mktemp("mirrored") / "streets"
     for i, signs in enumerate(([1, -1, 1], [1, 1, 1])):
-        write_bin(folder / "real" / f"{i}.bin", scan(10 * i))
-        write_bin(folder / "sim" / f"{i}.bin", drifted(scan(10 * i)) * signs)
+        write_pair(folder, scan(10 * i), drifted(scan(10 * i)) * signs, i)
     return folder
 
 
@@ -144,8 +143,7 @@ def test_frames_are_compared_again_only_where_files_or_input_settings_changed(mi
 
 
 def test_centimetres_are_named_beside_the_fault(tmp_path):
-    write_bin(tmp_path / "real" / "a.bin", scan(0))
-    write_bin(tmp_path / "sim" / "a.bin", 100 * drifted(scan(0)))
+    write_pair(tmp_path, scan(0), 100 * drifted(scan(0)))
     check = check_dataset(tmp_path, Settings())
     assert len(check.faults) == 1
     assert any("set simulated points in metres (they are in centimetres)" in text for text in check.warnings)

@@ -1,7 +1,6 @@
 """Acceptance criteria: verdicts against the tables, exit codes, and files that CI reads."""
 
 import json
-import shutil
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,7 +12,7 @@ from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import Criterion, judge_run, parse_word, read_criteria
 from fidpipe.pipeline.results.measures import Measures
 from fidpipe.schemas.errors import SettingsError
-from runs import command, run
+from runs import command, copied, run
 from scenes import write_dataset
 
 N_PAIRS = 3
@@ -131,10 +130,7 @@ def labelled(tmp_path_factory):
 @pytest.fixture
 def moved(labelled, tmp_path):
     """A copy of the labelled dataset and its run, the run's record naming the copy."""
-    shutil.copytree(labelled, tmp_path, dirs_exist_ok=True)
-    record = json.loads((tmp_path / "run" / "run.json").read_text())
-    record["dataset"] = str(tmp_path / "streets")
-    (tmp_path / "run" / "run.json").write_text(json.dumps(record))
+    copied(labelled / "streets", labelled / "run", tmp_path)
     return tmp_path
 
 
@@ -182,8 +178,7 @@ def test_a_run_without_a_scored_pair_fails_with_files_for_ci(tmp_path):
     run(data, tmp_path / "run")
     measures = ("missing.within_20m", "objects.cdc.mean", "class.car.missing.total", "class.car.cdc.mean", "cdc.mean")
     words = [word for measure in measures for word in ("--max", f"{measure}=1")]
-    result = command("gate", tmp_path / "run", *words)
-    assert result.returncode == 4, result.stderr
+    command("gate", tmp_path / "run", *words, code=4)
     assert (tmp_path / "run" / "gate.xml").exists()
     found = json.loads((tmp_path / "run" / "gate.json").read_text())["criteria"]
     why = {of["measure"]: of["why"] for of in found if of["measure"] in measures}
@@ -191,8 +186,7 @@ def test_a_run_without_a_scored_pair_fails_with_files_for_ci(tmp_path):
 
 
 def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(again, tmp_path):
-    good = command("gate", again, "--max", "r_lambda.mean=1", "--min", "match_rate.mean=0")
-    assert good.returncode == 0, good.stderr
+    good = command("gate", again, "--max", "r_lambda.mean=1", "--min", "match_rate.mean=0", code=0)
     assert "all criteria are met" in good.stdout
     bad = command(
         "gate", again, "--max", "r_lambda.mean=0", "--junit", tmp_path / "a.xml", "--json", tmp_path / "a.json"
@@ -219,8 +213,7 @@ def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(again, tmp
     ],
 )
 def test_a_wrong_criterion_ends_with_one_line_and_no_files(again, words, fault):
-    result = command("gate", again, *words)
-    assert result.returncode == 1
+    result = command("gate", again, *words, code=1)
     assert fault in result.stderr
     assert len(result.stderr.splitlines()) == 1
     assert not (again / "gate.xml").exists()

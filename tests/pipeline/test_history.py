@@ -15,7 +15,7 @@ from fidpipe.pipeline.results.history import read_history
 from fidpipe.schemas.errors import RunError
 from reports import embedded, text_of
 from runs import command, run
-from scenes import drifted, street, write_bin
+from scenes import drifted, street, write_pair
 
 LONG = "n008-2018-08-01-15-16-36-0400__LIDAR_TOP__1533151603597909"
 
@@ -27,8 +27,7 @@ def runs(tmp_path_factory):
     for version, noise, keep in (("a", 0.02, 0.95), (f"b-{LONG}", 0.3, 0.6), ("c", 0.02, 0.95)):
         for i in range(7):
             scan = street(seed=10 * i)
-            write_bin(folder / f"data-{version}" / "real" / f"{i}.bin", scan)
-            write_bin(folder / f"data-{version}" / "sim" / f"{i}.bin", drifted(scan, seed=i, noise=noise, keep=keep))
+            write_pair(folder / f"data-{version}", scan, drifted(scan, seed=i, noise=noise, keep=keep), i)
         if version == "c":
             (folder / "data-c" / "sim" / "6.bin").write_bytes(b"")
         run(folder / f"data-{version}", folder / version)
@@ -100,12 +99,10 @@ def test_the_page_has_a_line_for_each_score_with_its_intervals(runs):
 
 
 def test_the_command_takes_up_to_eight_runs(runs, tmp_path):
-    result = command("compare", *runs, "--history", "--html", tmp_path / "page.html", "--markdown")
-    assert result.returncode == 0, result.stderr
+    result = command("compare", *runs, "--history", "--html", tmp_path / "page.html", "--markdown", code=0)
     assert result.stdout.startswith("**run 3 against run 1: ")
     assert (tmp_path / "page.html").exists()
-    refused = command("compare", *[runs[0]] * 9, "--history")
-    assert refused.returncode == 2
+    refused = command("compare", *[runs[0]] * 9, "--history", code=2)
     assert "9 runs given; expected 2 to 8" in refused.stderr
 
 

@@ -1,8 +1,6 @@
 """Results do not depend on these: order of rows and pairs, rigid motion, number of workers, interruption."""
 
 import shutil
-import tempfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +9,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from fidpipe.pipeline.evaluate import evaluate_pair
-from fidpipe.pipeline.storage.table_files import TableFolder
 from fidpipe.schemas.settings import GraphSettings, MatchingSettings, load
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.literal import literal_method
 from fidpipe.stages.matching import match_communities
 from fidpipe.stages.method import compare, partition
-from runs import assert_same_tables, run, temporary_files
+from runs import assert_same_tables, run
 from scenes import drifted, moved, rigid, street
 
 N_PAIRS = 3
@@ -127,44 +124,9 @@ def test_a_rigid_motion_of_both_sides_changes_no_score(scene, angle_deg, shift_m
             assert other[name] == pytest.approx(value, rel=1e-4, abs=1e-5), name
 
 
-@pytest.mark.parametrize("order", [("002", "000", "001"), ("001", "002", "000")])
-def test_the_order_of_pairs_changes_no_table(dataset, finished, tmp_path, order):
+def test_the_order_of_pairs_changes_no_table(dataset, finished, tmp_path):
     here = shutil.copytree(dataset, tmp_path / "streets")
-    lines = [f"{name},real/{name}.bin,sim/{name}.bin\n" for name in order]
+    lines = [f"{name},real/{name}.bin,sim/{name}.bin\n" for name in ("002", "000", "001")]
     (here / "pairs.csv").write_text("".join(["pair_id,real,sim\n", *lines]))
     run(here, tmp_path / "run")
     assert_same_tables(tmp_path / "run", finished)
-
-
-def stopped_at(n, is_written):
-    """A writer of tables that is stopped at the n-th job, before or after it has written."""
-    write_job, calls = TableFolder.write_job, []
-
-    def write(self, record, tables):
-        calls.append(record.name)
-        if len(calls) == n and not is_written:
-            raise KeyboardInterrupt
-        files = write_job(self, record, tables)
-        if len(calls) == n:
-            raise KeyboardInterrupt
-        return files
-
-    return write
-
-
-@tried(6)
-@given(stops=st.lists(st.tuples(st.integers(1, 30), st.booleans()), min_size=1, max_size=3))
-def test_a_run_that_is_stopped_again_and_again_ends_in_the_same_tables(dataset, finished, stops):
-    with tempfile.TemporaryDirectory() as folder:
-        out, n_stopped = Path(folder) / "run", 0
-        for n, is_written in stops:
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(TableFolder, "write_job", stopped_at(n, is_written))
-                try:
-                    run(dataset, out)
-                except KeyboardInterrupt:
-                    n_stopped += 1
-        assert n_stopped
-        run(dataset, out)
-        assert_same_tables(out, finished)
-        assert temporary_files(out) == []

@@ -13,7 +13,7 @@ from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.schemas.settings import load
 from fidpipe.stages.literal import literal_method
 from runs import run, some_of
-from scenes import box, degenerate, drifted, moved, rigid, street, write_bin
+from scenes import box, degenerate, drifted, moved, rigid, street, write_bin, write_pair
 
 #: Those of which the choices below have none.
 ALONE = [
@@ -121,9 +121,8 @@ def test_settings_drawn_at_random_together(dataset, tmp_path, seed):
 @pytest.mark.parametrize("word", ["input.sim_flip_y=true", "graph.ties=coordinates"])
 def test_scans_with_many_equal_distances(tmp_path, word):
     grid = np.array([[x, y, z] for x in range(4) for y in range(4) for z in range(4)], dtype=float)
-    for side, n in (("real", 64), ("sim", 58)):
-        scene = np.vstack([grid[:n] * 0.5 + [6, 4, -1], grid * 0.5 + [-8, 3, 0], grid[:30] + [3, -9, 0]])
-        write_bin(tmp_path / "grid" / side / "000.bin", scene)
+    others = np.vstack([grid * 0.5 + [-8, 3, 0], grid[:30] + [3, -9, 0]])
+    write_pair(tmp_path / "grid", *(np.vstack([grid[:n] * 0.5 + [6, 4, -1], others]) for n in (64, 58)))
     result = agree(tmp_path / "grid", tmp_path / "run", load(None, [word, "ground.method=none", "graph.k=6"]))
     assert any("with ties among" in what for what in result.not_compared)
 
@@ -154,8 +153,7 @@ def test_scenes_of_which_hardly_anything_can_be_said(tmp_path, preset, every):
     ],
 )
 def test_real_pairs(real_data, tmp_path, preset, real, sim, every, words):
-    for side, name in (("real", real), ("sim", sim)):
-        write_bin(tmp_path / "data" / side / "pair.bin", read_scan(real_data / name).points[::every])
+    write_pair(tmp_path / "data", *(read_scan(real_data / name).points[::every] for name in (real, sim)))
     result = agree(tmp_path / "data", tmp_path / "run", load(None, words, preset=preset), n_objects=12)
     assert result.n_drawn == 12
 

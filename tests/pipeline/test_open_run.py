@@ -60,7 +60,7 @@ def test_every_table_comes_as_arrow_with_its_schema(run):
     assert run.table("metrics", [LAST]).column("pair_id").unique().to_pylist() == [LAST]
 
 
-def test_what_is_not_there_is_named(run, report_run, tmp_path):
+def test_what_is_not_there_is_named(run, report_run):
     with pytest.raises(RunError, match="no table 'metric'; it has pairs, timings, ground"):
         run.table("metric")
     with pytest.raises(RunError, match="no pair '0000'"):
@@ -69,8 +69,6 @@ def test_what_is_not_there_is_named(run, report_run, tmp_path):
         run.points(FIRST, "left")
     with pytest.raises(RunError, match="pair broken <b>pair</b>: it failed and has no objects"):
         run.edges("broken <b>pair</b>", "real")
-    with pytest.raises(RunError, match="no run.json"):
-        fidpipe.open_run(tmp_path)
     assert repr(run) == f"<fidpipe run {report_run}: 4 pairs scored, 1 failed, preset paper>"
 
 

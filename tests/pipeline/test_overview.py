@@ -22,8 +22,8 @@ from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.settings import MatchingSettings, Settings
 from fidpipe.stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from reports import text_of
-from runs import command, run
-from scenes import drifted, street, write_bin, write_dataset
+from runs import command, copied, run
+from scenes import drifted, street, write_bin, write_dataset, write_pair
 
 NUSCENES = [f"n008-2018-08-01-15-16-36-0400__LIDAR_TOP__15331516{i}7909" for i in (3597, 3647, 3697)]
 
@@ -34,10 +34,8 @@ def finished(tmp_path_factory):
     folder, manifest = tmp_path_factory.mktemp("overview"), "pair_id,real,sim,timestamp_s\n"
     for i, name in enumerate(NUSCENES):
         scan = street(i)
-        for side, points in (("real", scan), ("sim", drifted(scan, noise=0.3, keep=0.4))):
-            write_bin(folder / "streets" / side / f"{name}.bin", points)
-            labels = (np.arange(len(points)) * 7 // 100 % 3 + 1).astype("<u4")
-            labels.tofile(folder / "streets" / side / f"{name}.label")
+        sim = drifted(scan, noise=0.3, keep=0.4)
+        write_pair(folder / "streets", scan, sim, name, lambda points: np.arange(len(points)) * 7 // 100 % 3 + 1)
         manifest += f"{name},real/{name}.bin,sim/{name}.bin,{100 * i}\n"
     (folder / "streets" / "pairs.csv").write_text(manifest)
     long = "movable_object.pushable_pullable_and_more_words_than_fit"
@@ -116,10 +114,7 @@ def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_
 
 
 def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_still_does(finished, tmp_path):
-    data = shutil.copytree(finished[0], tmp_path / "streets")
-    folder = shutil.copytree(finished[1], tmp_path / "run")
-    record = json.loads((folder / "run.json").read_text())
-    (folder / "run.json").write_text(json.dumps({**record, "dataset": str(data)}))
+    data, folder = copied(*finished[:2], tmp_path)
     write_bin(data / "sim" / f"{NUSCENES[0]}.bin", drifted(street(0), noise=0.02, keep=0.9))
     (data / "sim" / f"{NUSCENES[0]}.label").unlink()
     after = run(data, folder).record
@@ -243,8 +238,7 @@ def test_show_gives_csv_that_pandas_reads_and_markdown_tables(by_command):
 
 @pytest.mark.parametrize("words", [("--csv", "--json"), ("--markdown", "--csv"), ("--markdown", "--paper")])
 def test_formats_exclude_each_other(by_command, words):
-    done = command("show", by_command[1], *words)
-    assert done.returncode == 2
+    done = command("show", by_command[1], *words, code=2)
     assert done.stdout == ""
 
 
@@ -326,13 +320,11 @@ def test_seconds_are_kept_by_stage_and_pair_and_status_shows_them(finished):
 
 def test_a_run_shows_findings_and_the_claims(finished):
     data, folder, _ = finished
-    result = command("run", data, "--out", folder, "--workers", 1)
-    assert result.returncode == 0
+    command("run", data, "--out", folder, "--workers", 1, code=0)
     shown = command("show", folder, "--all").stdout
     assert "Rank correlation of CDC and r_lambda" in shown
     assert "car" in shown
-    claims = command("show", folder, "--paper")
-    assert claims.returncode == 0
+    claims = command("show", folder, "--paper", code=0)
     assert "0.37 ± 0.03" in claims.stdout
     assert "expected at least 6 pairs, got 3" in claims.stdout
     for claim in json.loads(command("show", folder, "--paper", "--json").stdout):

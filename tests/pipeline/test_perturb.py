@@ -333,11 +333,9 @@ def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
 
 def test_the_command_prints_the_table_of_the_paper_beside_ours(scan, tmp_path):
     words = ("--workers", 1, "--sweep", "rigid", "--repeats", 1, "--global-repeats", 1, "--set", "graph.k=12")
-    result = command("perturb", scan, *words, cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    result = command("perturb", scan, *words, cwd=tmp_path, code=0)
     assert "the paper's Table I" in result.stdout
     picture = imread(tmp_path / "runs" / "street-perturb" / "perturb.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
-    wrong = command("perturb", scan, "--sweep", "fog", "--workers", 1, cwd=tmp_path)
-    assert wrong.returncode == 1
+    wrong = command("perturb", scan, "--sweep", "fog", "--workers", 1, cwd=tmp_path, code=1)
     assert wrong.stderr.startswith("error: --sweep 'fog'")

@@ -14,7 +14,7 @@ from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import load, overrides, parse, preset_of
 from fidpipe.schemas.settings_text import to_toml
 from runs import command, run, tables
-from scenes import box, drifted, street, write_bin
+from scenes import box, drifted, street, write_bin, write_pair
 
 
 def test_missing_and_invented_objects_are_told_alike_everywhere(by_reference):
@@ -37,8 +37,7 @@ def test_missing_and_invented_objects_are_told_alike_everywhere(by_reference):
 
 def test_the_terminal_the_comparison_and_the_gate_take_it(by_reference):
     out = by_reference
-    shown = command("show", out, "--all")
-    assert shown.returncode == 0, shown.stderr
+    shown = command("show", out, "--all", code=0)
     assert "Surface" in shown.stdout
     (comparison,) = compare_runs([out, out])
     assert comparison.on_partition == ""
@@ -50,30 +49,25 @@ def test_the_terminal_the_comparison_and_the_gate_take_it(by_reference):
 
 def test_seeds_ablation_and_perturbation_take_it(dataset, tmp_path):
     words = ["--preset", "reference", "--workers", 1]
-    seeds = command("run", dataset, "--out", tmp_path / "seeds", "--pairs", "001", "--seeds", 2, *words)
-    assert seeds.returncode == 0, seeds.stderr
+    command("run", dataset, "--out", tmp_path / "seeds", "--pairs", "001", "--seeds", 2, *words, code=0)
     table = pd.read_parquet(tmp_path / "seeds" / "seeds")
     row = tables(tmp_path / "seeds")["pairs.parquet"].to_pylist()[0]
     assert table.match_rate[0] == row["match_rate"]
     sweep = ["--sweep", "dropout=0.3", "--repeats", 1, "--global-repeats", 1]
-    perturbed = command("perturb", dataset, "--out", tmp_path / "perturb", *sweep, *words)
-    assert perturbed.returncode == 0, perturbed.stderr
+    command("perturb", dataset, "--out", tmp_path / "perturb", *sweep, *words, code=0)
     rows = pd.read_parquet(tmp_path / "perturb" / "perturb_global")
     assert (rows.match_rate == 1).all()  # nothing is missing from a copy that has lost points
     ablation = ("ablate", dataset, "--out", tmp_path / "ablate", "--pairs", "001", *words)
-    ablated = command(*ablation, "--k", "60,90", "--tau", "0.2", "--t", "1")
-    assert ablated.returncode == 0, ablated.stderr
+    command(*ablation, "--k", "60,90", "--tau", "0.2", "--t", "1", code=0)
     assert set(pd.read_parquet(tmp_path / "ablate" / "ablate").delta_m) == {5.0}
-    refused = command(*ablation, "--delta", "1,9")
-    assert refused.returncode == 1
+    refused = command(*ablation, "--delta", "1,9", code=1)
     assert "are not matched by distance" in refused.stderr
 
 
 @pytest.mark.parametrize(("word", "left_out"), [((), {"0"}), (("communities.leave_out=0,2",), {"0", "2"})])
 def test_points_of_classes_that_are_left_out_belong_to_no_object(tmp_path, word, left_out):
     scan = street(seed=1)
-    write_bin(tmp_path / "real" / "a.bin", scan)
-    write_bin(tmp_path / "sim" / "a.bin", drifted(scan))
+    write_pair(tmp_path, scan, drifted(scan))
     np.digitize(scan[:, 0], [-5, 3]).astype("<u4").tofile(tmp_path / "real" / "a.label")  # classes 0, 1 and 2
     settings = load(None, ["communities.reference=labels", *word], preset="reference")
     outcome = run(tmp_path, tmp_path / "run", settings)

@@ -1,37 +1,12 @@
 """The whole command on real scans."""
 
-import pandas as pd
 import pytest
 
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.schemas.settings import load
-from runs import assert_same_tables, run, some_of
-from scenes import moved, rigid, write_bin
-
-
-@pytest.fixture
-def thinned(real_data, tmp_path):
-    """Every third row of two real pairs: scans of the paper's size, and small enough for a test."""
-    for side in ("real", "sim"):
-        for name in ("000000.bin", "000008.bin"):
-            points = read_scan(real_data / "kitti_twin" / side / name).points
-            write_bin(tmp_path / "kitti" / side / name, points[::3])
-    return tmp_path / "kitti"
-
-
-@pytest.mark.exhaustive
-def test_thinned_real_pairs_score_like_the_paper(thinned, tmp_path):
-    outcome = run(thinned, tmp_path / "run", workers=2)
-    assert not outcome.failures
-    pairs = pd.read_parquet(tmp_path / "run" / "pairs.parquet")
-    assert pairs.match_rate.between(0.5, 0.95).all()
-    assert pairs.n_communities_real.between(15, 50).all()
-    assert pairs.cdc_mean.between(0.2, 1.0).all()
-    assert pairs.r_lambda_mean.between(0.2, 0.5).all()
-    assert pairs.r_gap_mean.between(0, 0.1).all()
-    run(thinned, tmp_path / "again", workers=1)
-    assert_same_tables(tmp_path / "run", tmp_path / "again")
+from runs import run, some_of
+from scenes import moved, rigid
 
 
 @pytest.mark.exhaustive

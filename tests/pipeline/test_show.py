@@ -139,8 +139,7 @@ def test_the_whole_run_as_json_is_its_record_and_its_pairs(report_run):
 
 
 def test_a_name_that_is_nearly_right_is_suggested(report_run):
-    result = command("show", report_run, BROKEN[1:])
-    assert result.returncode == 1
+    result = command("show", report_run, BROKEN[1:], code=1)
     assert f"it has {BROKEN!r}" in result.stderr
 
 

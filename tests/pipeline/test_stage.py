@@ -1,20 +1,17 @@
 """Inputs of a stage, and proof that its row and job are all that is needed: a toy stage of each grain."""
 
-import ast
 import shutil
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-import fidpipe
 import toys
 from fidpipe.pipeline.engine.schedule import Policy
-from fidpipe.pipeline.jobs import EXTRAS, STAGES
+from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.jobs.points_job import object_points
 from fidpipe.pipeline.stage import SCAN, JobResult, Memo
 from fidpipe.pipeline.storage.folder import RunFolder
@@ -22,7 +19,7 @@ from fidpipe.schemas.columns import column
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.tables import TABLES
 from pools import WatchedPool
-from runs import assert_same_tables, run, some_of
+from runs import assert_same_tables, changed_tables, marks, run, some_of
 from toys import OF_OBJECT, OF_PAIR, OF_SIDE, TOY_TABLES, ToyGroup, ToySettings, with_toys
 
 N_POINTS = 100
@@ -60,18 +57,6 @@ def assert_same_results(a, b):
     assert tables.keys() == others.keys()
     assert all(tables[name].equals(others[name]) for name in tables)
     assert facts == other_facts
-
-
-def files(out):
-    """Modification times of the tables of finished jobs."""
-    folders = [table for stage in with_toys() for table in stage.gives]
-    found = [path for folder in folders for path in (out / folder).glob("*.parquet")]
-    return {path: path.stat().st_mtime_ns for path in found}
-
-
-def made_again(out, before):
-    """The tables whose files are not those of before."""
-    return {path.parent.name for path, mtime in files(out).items() if before.get(path) != mtime}
 
 
 @pytest.fixture(scope="module")
@@ -134,20 +119,20 @@ def test_interrupted_in_any_of_them_a_run_goes_on_where_it_was(whole, dataset, t
     broken = interrupted({"of_side": OF_SIDE, "of_pair": OF_PAIR, "of_object": OF_OBJECT}[toy])
     with pytest.raises(KeyboardInterrupt):
         run_with_toys(dataset, out, stages=with_toys(**{toy: broken}), **options)
-    before = files(out)
-    n_done = sum(path.parent.name not in ("objects", "ray_scores") for path in before)  # second tables of their jobs
+    before = marks(out)
+    n_done = sum(name.split("/")[0] not in ("objects", "ray_scores") for name in before)  # second tables of their jobs
     assert 0 < n_done < JOBS_PER_PAIR * N_PAIRS
     outcome = run_with_toys(dataset, out)
     assert (outcome.n_made, outcome.n_reused) == (JOBS_PER_PAIR * N_PAIRS - n_done, n_done)
-    assert before.items() <= files(out).items()
+    assert before.items() <= marks(out).items()
     assert_same_results(out, whole)
 
 
 def test_a_changed_setting_reruns_the_stage_that_declares_it_and_what_follows(again, dataset):
-    before = files(again)
+    before = marks(again)
     outcome = run_with_toys(dataset, again, ToySettings(toy=ToyGroup(least_points=50)))
     assert outcome.n_made == 4 * N_PAIRS
-    assert made_again(again, before) == {table.name for table in TOY_TABLES}
+    assert changed_tables(again, before) == {table.name for table in TOY_TABLES}
 
 
 @pytest.mark.parametrize(
@@ -159,9 +144,9 @@ def test_a_changed_setting_reruns_the_stage_that_declares_it_and_what_follows(ag
     ],
 )
 def test_a_raised_version_reruns_the_stage_and_what_follows(again, dataset, toy, stage, follow):
-    before = files(again)
+    before = marks(again)
     run_with_toys(dataset, again, stages=with_toys(**{toy: replace(stage, version=2)}))
-    assert made_again(again, before) == follow
+    assert changed_tables(again, before) == follow
 
 
 def test_communities_made_again_on_a_graph_that_stays_share_their_points_with_later_stages(again, dataset, tmp_path):
@@ -307,11 +292,11 @@ def test_a_stage_that_names_what_no_contract_has_is_refused_before_any_work(data
 
 
 def test_another_column_makes_a_table_again_and_what_follows(again, dataset, monkeypatch):
-    before, wider = files(again), toys.MARKS.schema.append(column("more", pa.float64(), "of the same", optional=True))
+    before, wider = marks(again), toys.MARKS.schema.append(column("more", pa.float64(), "of the same", optional=True))
     monkeypatch.setattr(toys, "MARKS", replace(toys.MARKS, schema=wider))
     monkeypatch.setitem(TABLES, "toy_marks", toys.MARKS)
     run_with_toys(dataset, again)
-    assert made_again(again, before) == {"toy_marks"}
+    assert changed_tables(again, before) == {"toy_marks"}
     assert pq.read_table(again / "toy_marks" / "000.parquet").column("more").null_count
 
 
@@ -325,21 +310,3 @@ def test_stages_by_any_other_name_give_the_same_tables(whole, dataset, tmp_path,
     assert set(pq.read_table(tmp_path / "run" / "timings.parquet").column("stage").to_pylist()) == {
         stage.name for stage in renamed
     }
-
-
-PIPELINE = Path(fidpipe.__file__).parent / "pipeline"
-NAMELESS = [
-    *(path for folder in ("engine", "storage", "cli") for path in sorted((PIPELINE / folder).glob("*.py"))),
-    *(PIPELINE / name for name in ("run.py", "stage.py")),
-]
-
-
-@pytest.mark.parametrize("path", NAMELESS, ids=lambda path: str(path.relative_to(PIPELINE)))
-def test_what_runs_stages_holds_the_name_of_none(path):
-    names = {stage.name for stage in (*STAGES, *EXTRAS)}
-    constants = (node.value for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if is_word(node))
-    assert not names.intersection(constants)
-
-
-def is_word(node):
-    return isinstance(node, ast.Constant) and isinstance(node.value, str)

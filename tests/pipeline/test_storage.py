@@ -133,22 +133,6 @@ def test_a_table_is_read_whole_or_by_columns(written):
         written.read_table("communities", "b", "real")
 
 
-@pytest.mark.parametrize("position", [4, 200, -30])
-def test_a_flipped_byte_is_noticed(written, tmp_path, position):
-    flip(tmp_path / "communities" / "a.real.parquet", position)
-    assert not written.is_whole(only_job(written))
-    with pytest.raises(RunError, match=r"communities/a\.real\.parquet is damaged or gone"):
-        written.read_table("communities", "a", "real")
-
-
-def test_a_copied_run_is_still_whole(written, tmp_path):
-    path = tmp_path / "communities" / "a.real.parquet"
-    content = path.read_bytes()
-    path.unlink()
-    path.write_bytes(content)  # same content, other times
-    assert written.is_whole(only_job(written))
-
-
 def test_a_job_of_a_former_run_writes_nothing(tmp_path):
     former = RunFolder(tmp_path)
     with former.locked():
@@ -165,15 +149,6 @@ def test_strays_are_removed_and_others_are_left_alone(written, tmp_path):
         assert written.remove_strays() == 1  # half-written ones are not worth a word
     left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     assert left - {".lock", ".writer", "ledger.sha256", LEDGER} == FILES | {"notes.txt"}
-
-
-def test_a_lost_ledger_is_made_again_from_the_tables(written, tmp_path):
-    before = replace(only_job(written), steps=())  # seconds are in no footer
-    folder = without_ledger(tmp_path)
-    assert only_job(folder) == before
-    with folder.locked():
-        assert only_job(folder) == before
-    assert only_job(RunFolder(tmp_path)) == before
 
 
 def test_files_of_equal_content_are_equal_in_bytes(tmp_path):
@@ -207,24 +182,6 @@ def test_a_table_under_another_name_is_not_adopted(written, tmp_path):
         path = tmp_path / table / "a.real.parquet"
         path.rename(path.with_name("b.real.parquet"))
     assert contents(without_ledger(tmp_path)) == {}
-
-
-def test_a_table_of_the_whole_run_is_adopted(tmp_path):
-    folder = RunFolder(tmp_path)
-    with folder.locked():
-        stored = folder.write_at(tmp_path / "pairs.parquet", "pairs", TABLES["pairs"].from_rows([]), "key")
-        folder.ledger.put_job(JobRecord("pairs", "", "", "key", {"pairs.parquet": stored}))
-    before = folder.ledger.jobs("")
-    folder = without_ledger(tmp_path)
-    assert folder.ledger.jobs("") == before
-    assert folder.read_table("pairs", "").num_rows == 0
-
-
-def test_a_table_without_rows_is_adopted(tmp_path):
-    folder = RunFolder(tmp_path)
-    with folder.locked():
-        folder.write_job(JobRecord("matching", "a", "", "key", {}), {"matching": TABLES["matching"].from_rows([])})
-    assert without_ledger(tmp_path).ledger.jobs("a").keys() == {("matching", "")}
 
 
 def test_no_flipped_bit_makes_a_wrong_table_believed(written, tmp_path):

@@ -283,8 +283,7 @@ def test_flaws_that_make_no_sense_are_refused(words, reason):
 
 def test_the_command_says_what_to_do_next_and_its_help_names_every_flaw(drive, tmp_path):
     words = ("--pairs", "*1", "--flaw", "far-dropout=0.5:5", "--workers", 1)
-    done = command("twin", drive, tmp_path / "out", *words, "--sensor", "hdl64")
-    assert done.returncode == 0
+    done = command("twin", drive, tmp_path / "out", *words, "--sensor", "hdl64", code=0)
     assert f"1 pairs in {tmp_path / 'out'}; evaluate them with: fidpipe run" in done.stdout
     assert done.stdout.count("\n") == 1
     wrong = command("twin", drive, tmp_path / "bad", *words, "--sensor", "hdl46")
@@ -305,16 +304,14 @@ def test_the_documentation_has_every_flaw_and_sensor():
 def test_a_broken_scan_gives_exit_code_3(drive, tmp_path):
     broken = shutil.copytree(drive, tmp_path / "drive")
     (broken / "000.bin").write_bytes(b"no scan")
-    done = command("twin", broken, tmp_path / "out", "--workers", 1)
-    assert done.returncode == 3
+    done = command("twin", broken, tmp_path / "out", "--workers", 1, code=3)
     assert "000.bin: expected a multiple of 16 bytes" in done.stderr
 
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("sensor", ["recorded", "hdl64"])
 def test_a_kitti_drive_scanned_again_covers_what_was_seen(sensor, real_data, tmp_path):
-    done = command("twin", real_data / "kitti_sequence", tmp_path / "out", "--pairs", "*[27]", "--sensor", sensor)
-    assert done.returncode == 0
+    command("twin", real_data / "kitti_sequence", tmp_path / "out", "--pairs", "*[27]", "--sensor", sensor, code=0)
     for pair in read_dataset(tmp_path / "out").pairs:
         ours, theirs = (clean_scan(read_scan(path).points, InputSettings()).points for path in (pair.real, pair.sim))
         shares = [(cKDTree(a).query(b)[0] <= 0.3).mean() for a, b in ((theirs, ours), (ours, theirs))]

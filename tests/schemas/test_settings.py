@@ -19,9 +19,11 @@ def test_the_defaults_are_those_of_the_paper():
 def test_words_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
     file = tmp_path / "s.toml"
     file.write_text('[graph]\nk = 60\ntau_m = 0.3\n[matching]\nmethod = "optimal"\n')
-    settings = load(file, ["graph.k=70", "ground.method=none", "input.exclude_box=-1 -1 -1 1 1 1"])
+    boxes = ["input.exclude_box=-1 -1 -1 1 1 1", "input.include_box=-9,-9,-1,9,9,1"]
+    settings = load(file, ["graph.k=70", "ground.method=none", *boxes])
     assert (settings.graph.k, settings.graph.tau_m, settings.matching.method) == (70, 0.3, "optimal")
     assert (settings.ground.method, settings.input.exclude_box) == ("none", (-1, -1, -1, 1, 1, 1))
+    assert settings.input.include_box == (-9, -9, -1, 9, 9, 1)
 
 
 @pytest.mark.parametrize(
@@ -39,6 +41,9 @@ def test_words_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
         ("input.columns=x,y", "expected x, y and z among the names"),
         ("input.exclude_box=1,1,1,0,2,2", "expected each minimum below its maximum"),
         ("input.include_box=1,2", "setting input.include_box"),
+        ('input.exclude_box="1 2 3"', "expected six numbers (xmin ymin zmin xmax ymax zmax), got 3"),
+        ("input.exclude_box=[1, 2, 3]", "expected six numbers (xmin ymin zmin xmax ymax zmax), got 3"),
+        ("input.exclude_box=1 2 3", "expected six numbers (xmin ymin zmin xmax ymax zmax), got 3"),
     ],
 )
 def test_a_wrong_word_is_named(word, fault):

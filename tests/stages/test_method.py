@@ -11,7 +11,7 @@ from fidpipe.schemas.errors import ScanError, StageError
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.method import compare, evaluate, graph_of, partition, score
 from runs import run
-from scenes import drifted, moved, rigid, road, street, write_bin
+from scenes import drifted, moved, rigid, road, street, write_bin, write_pair
 
 SIDES = ("real", "sim")
 OF_SIDES = ("ground", "sensor", "graph", "communities", "objects")
@@ -47,9 +47,7 @@ def read_tables(folder, pair_id):
 
 
 def assert_same_as_the_command(real, sim, settings, folder):
-    for side, points in (("real", real), ("sim", sim)):
-        (folder / side).mkdir()
-        write_bin(folder / side / "own.bin", points)
+    write_pair(folder, real, sim, "own")
     points = [read_scan(folder / side / "own.bin").points for side in SIDES]
     (row,) = run(folder, folder / "run", settings).rows
     assert_same(evaluate_pair(*points, settings), read_tables(folder / "run", "own"), row)
@@ -66,10 +64,7 @@ def scans():
     "words",
     [
         [],
-        ["ground.shared=true", "ground.loss=total"],
-        ["input.sim_flip_y=true", "matching.delta_m=40", "matching.method=optimal"],
-        ["graph.edges=intersection", "graph.k=12", "graph.tau_m=0.6", "selection.t=0.3"],
-        ["communities.backend=python-louvain", "communities.seed=5", "ground.method=none", "graph.k=8"],
+        ["ground.shared=true", "ground.loss=total", "input.sim_flip_y=true", "matching.method=optimal"],
         ["communities.objects=reference", "graph.ties=coordinates", "communities.reach_m=0.4"],
     ],
     ids=" ".join,
@@ -115,12 +110,6 @@ def test_paths_scans_and_arrays_with_intensity_have_the_same_results(scans, tmp_
     assert repr(results[0]).startswith(f"<evaluated pair: n_matched {matched}, n_missing ")
     with pytest.raises(ScanError, match=r"sim: expected .* got \(60, 5\); pass sim\[:, :3\]"):
         evaluate_pair(columns[0], np.ones((60, 5)))
-
-
-@pytest.mark.exhaustive
-def test_a_real_pair_has_the_tables_of_the_command(real_data, tmp_path):
-    real, sim = (read_scan(real_data / "kitti_twin" / side / "000002.bin").points for side in SIDES)
-    assert_same_as_the_command(real, sim, Settings(), tmp_path)
 
 
 def test_a_side_without_objects_is_refused(scans):

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.settings import PieceSettings, Settings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.ground import remove_ground
@@ -319,23 +318,3 @@ def test_two_dense_clumps_a_link_apart_are_one_component_and_a_little_farther_tw
     for gap_m, n_components in ((0.5999, 1), (0.6001, 2)):
         points = np.vstack([clump, clump + [0.2 + gap_m, 0, 0], clump + [9, 0, 0]])
         assert len(np.unique(connected_points(points, 0.6))) == n_components + 1
-
-
-def test_a_car_that_is_lost_from_a_real_pair_is_one_missing_piece_more(real_data):
-    sides = []
-    for side in ("real", "sim"):
-        own = clean_scan(read_scan(real_data / "kitti_twin" / side / "000004.bin").points[::4], Settings().input).points
-        cut = remove_ground(own, Settings().ground)
-        sides.append(CutScan(own, cut.is_ground, cut.height_m))
-    real, sim = sides
-    low, high = [3.0, -4.0, -2.0], [7.6, -1.6, 0.2]  # a parked car, 6 m ahead on the right
-    is_kept = sim.is_ground | ~((sim.points >= low) & (sim.points <= high)).all(axis=1)
-    assert 500 < np.count_nonzero(~is_kept) < 700
-    without = CutScan(sim.points[is_kept], sim.is_ground[is_kept], sim.height_m[is_kept])
-    before, after = (find_pieces(real, own, SETTINGS)[0] for own in (sim, without))
-    assert len(after.partner) == len(before.partner) + 1
-    centroid = after.objects.centroid
-    (car,) = np.flatnonzero(((centroid >= low) & (centroid <= high)).all(axis=1))
-    assert after.objects.n_points[car] >= 30
-    assert after.objects.range_m[car] == pytest.approx(6, abs=1)
-    assert -45 < after.bearing_deg[car] < -15
