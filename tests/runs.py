@@ -191,6 +191,13 @@ def rewrite(folder, name, change):
         store.ledger.put_job(record)
 
 
+def flip(path, position, bit=2):
+    """Flips a bit of a file."""
+    content = bytearray(path.read_bytes())
+    content[position] ^= 1 << bit
+    path.write_bytes(content)
+
+
 def read_only(folder, mode=0o555):
     """Function for a command's process to call first, so that it may not write there, not even as root.
 

@@ -14,7 +14,7 @@ from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.schemas.errors import RunError
-from runs import FOLDERS, assert_same_tables, changed_files, marks, run, some_of, temporary_files
+from runs import FOLDERS, assert_same_tables, changed_files, flip, marks, run, some_of, temporary_files
 from tries import assert_resumes
 
 WHOLE_RUN = ["pairs", "timings"]
@@ -46,9 +46,7 @@ def zero_the_end(path, rng):
 
 
 def flip_bit(path, rng):
-    content = bytearray(path.read_bytes())
-    content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
-    path.write_bytes(content)
+    flip(path, rng.randrange(path.stat().st_size), rng.randrange(8))
 
 
 HARMS = {"deleted": delete, "truncated": truncate, "emptied": empty, "zeroed": zero_the_end, "flipped": flip_bit}

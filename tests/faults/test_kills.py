@@ -42,7 +42,9 @@ TESTS = Path(broken_jobs.__file__).parent
 )
 def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_path, how, stage):
     out = tmp_path / "run"
-    died = break_run(how, stage, 2, dataset, out)
+    died = subprocess.run(
+        [sys.executable, TESTS / "broken_jobs.py", how, stage, "2", dataset, out], check=False, capture_output=True
+    )
     assert died.returncode == -(signal.SIGXFSZ if how == "kill-writing" else signal.SIGKILL), died.stderr
     assert not (out / "pairs.parquet").exists()
     assert (temporary_files(out) == []) == (how == "kill")
@@ -74,7 +76,8 @@ def test_ctrl_c_on_a_terminal_ends_heavy_work_within_seconds(real_data, tmp_path
 
 def test_a_second_run_on_the_same_folder_is_refused(dataset, finished, tmp_path):
     out = tmp_path / "run"
-    process = start(dataset, out, 1)
+    words = [FIDPIPE, "run", dataset, "--out", out, "--workers", "1"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     wait_until((out / LEDGER).exists)
     process.send_signal(signal.SIGSTOP)
     second = own_process("run", dataset, "--out", out, "--workers", "1", code=1)
@@ -141,17 +144,6 @@ def test_a_pool_closes_quietly_though_its_workers_are_slow_to_die(tmp_path, monk
     pool.submit(time.sleep, 1)
     pool.close(now=True)
     assert pool._cluster.status.name == "closed"
-
-
-def break_run(how, stage, n, dataset, out):
-    """Run a separate process that breaks at the n-th job of a stage."""
-    words = [sys.executable, str(TESTS / "broken_jobs.py"), how, stage, str(n), str(dataset), str(out)]
-    return subprocess.run(words, check=False, capture_output=True)
-
-
-def start(dataset, out, workers):
-    words = [FIDPIPE, "run", str(dataset), "--out", str(out), "--workers", str(workers)]
-    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def wait_until(is_so, timeout=60):

@@ -25,6 +25,7 @@ from runs import (
     STAGE_NAMES,
     assert_same_tables,
     changed_tables,
+    flip,
     listening,
     marks,
     run,
@@ -43,20 +44,6 @@ def run_told(dataset, out):
     reporter, said = listening()
     outcome = run_dataset(dataset, out, Settings(), reporter, machines=Machines(1))
     return outcome, said.getvalue()
-
-
-def flip(path, position):
-    content = bytearray(path.read_bytes())
-    content[position] ^= 4
-    path.write_bytes(content)
-
-
-def without_footers(out):
-    """Rewrites the tables of a run without the job in their footers, and removes the ledger."""
-    lose_ledger(out)
-    for path in out.rglob("*.parquet"):
-        table = pq.read_table(path)
-        pq.write_table(table.replace_schema_metadata({"fidpipe.key": "key"}), path)
 
 
 def test_a_run_without_its_ledger_makes_nothing_and_touches_no_table(again, finished, dataset):
@@ -114,7 +101,9 @@ def test_show_and_status_need_no_ledger(again, finished):
 
 
 def test_a_run_whose_tables_lost_their_footers_is_not_shown_as_if_it_were_whole(again):
-    without_footers(again)
+    lose_ledger(again)
+    for path in again.rglob("*.parquet"):
+        pq.write_table(pq.read_table(path).replace_schema_metadata({"fidpipe.key": "key"}), path)
     with pytest.raises(RunError, match=r"pairs\.parquet is damaged or gone; run it again with: fidpipe run"):
         FinishedRun(again)
     assert run_status(again).stages == {stage: {"to do": 2} for stage in STAGE_NAMES}

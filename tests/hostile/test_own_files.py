@@ -130,11 +130,6 @@ def test_names_of_labels_of_any_content_are_added_to_or_refused(tmp_path, names)
 ESCAPE = "\x1b]0;owned\x07\x1b[2J\u202eevil\x9b31m"
 
 
-def ledger_entries(folder, pair_id):
-    with closing(sqlite3.connect(folder / LEDGER)) as db, db:
-        return orjson.loads(db.execute("SELECT entry FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()[0])
-
-
 def forged(folder, pair_id, entries):
     """Puts entries into a ledger, with the hash that belongs to it."""
     with closing(sqlite3.connect(folder / LEDGER)) as db, db:
@@ -146,7 +141,8 @@ def forged(folder, pair_id, entries):
 def test_a_ledger_that_names_a_file_elsewhere_is_not_believed(again, dataset, tmp_path, name):
     victim = tmp_path / "victim"
     victim.write_text("precious")
-    entries = ledger_entries(again, "000")
+    with closing(sqlite3.connect(again / LEDGER)) as db, db:
+        entries = orjson.loads(db.execute("SELECT entry FROM jobs WHERE pair_id = '000'").fetchone()[0])
     for entry in entries:
         files = next(own for own in entry if isinstance(own, dict))
         files[name] = next(iter(files.values()))

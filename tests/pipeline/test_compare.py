@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -34,13 +35,13 @@ from fidpipe.pipeline.results.object_frame import plain_rows
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
 from reports import embedded, text_of
-from runs import command, run
+from runs import command, copied, run
 from scenes import drifted, street, write_bin, write_pair
 
 HOSTILE = ("<script>alert(1)</script>", "ünï[bold]code[/bold] 雨", "x" * 300, "../x", "x&amp;", "x%41 '")
 
 
-def run_versions(folder, n=6, step_s=60, signs=(1, 1, 1)):
+def run_versions(folder, n=6, signs=(1, 1, 1)):
     """Runs of a good and a bad simulator on the same real scans under the hostile names; `signs` mirror the bad one."""
     for version, noise, keep, own_signs in (("good", 0.02, 0.95, (1, 1, 1)), ("bad", 0.3, 0.6, signs)):
         data, rows = folder / f"data-{version}", []
@@ -48,7 +49,7 @@ def run_versions(folder, n=6, step_s=60, signs=(1, 1, 1)):
             scan = street(seed=10 * i)
             write_bin(data / f"real{i}.bin", scan)
             write_bin(data / f"sim{i}.bin", drifted(scan, seed=i, noise=noise, keep=keep) * own_signs)
-            rows.append(f'"{name}",real{i}.bin,sim{i}.bin,{step_s * i}')
+            rows.append(f'"{name}",real{i}.bin,sim{i}.bin,{60 * i}')
         (data / "pairs.csv").write_text("pair_id,real,sim,timestamp_s\n" + "\n".join(rows) + "\n", encoding="utf-8")
         run(data, folder / version)
     return folder / "good", folder / "bad"
@@ -91,8 +92,14 @@ def test_copies_of_one_pair_under_another_seed_are_not_better(tmp_path):
     assert found.blocking == "8 pairs form 1 block of neighbouring frames (by comparing the scans)"
 
 
-def test_scans_near_each_other_in_time_count_once(tmp_path):
-    folders = run_versions(tmp_path, step_s=0.2)
+def test_scans_near_each_other_in_time_count_once(versions, tmp_path):
+    folders = []
+    for own in versions:
+        data, out = copied(own.with_name(f"data-{own.name}"), own, tmp_path / own.name)
+        manifest = (data / "pairs.csv").read_text("utf-8")
+        (data / "pairs.csv").write_text(re.sub(r",(\d+)\n", lambda own: f",{int(own[1]) / 300}\n", manifest), "utf-8")
+        run(data, out)
+        folders.append(out)
     found = compare_runs(folders)[0]
     assert (len(found.pairs), found.n_blocks) == (6, 1)
     assert found.decision == "undecided"
@@ -138,7 +145,7 @@ def test_a_run_against_itself_differs_in_nothing(versions):
 
 
 def test_other_settings_are_rejected_unless_allowed(versions, tmp_path):
-    other = tmp_path / "other"
+    other = shutil.copytree(versions[1], tmp_path / "other")
     run(versions[1].parent / "data-bad", other, load(assignments=["matching.delta_m=3"]))
     with pytest.raises(RunError, match=r"matching.delta_m is 5.0 and 3.0.*--allow-different-settings"):
         compare_runs([versions[0], other])
@@ -367,9 +374,9 @@ def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(v
 
 
 def test_a_pair_that_is_no_longer_scored_fails_a_gate_though_all_others_are_the_same(versions, tmp_path):
-    data = shutil.copytree(versions[0].parent / "data-good", tmp_path / "data")
+    data, out = copied(versions[0].parent / "data-good", versions[0], tmp_path)
     (data / "sim1.bin").write_bytes(b"")
-    run(data, tmp_path / "run")
+    run(data, out)
     (found,) = compare_runs([versions[0], tmp_path / "run"])
     assert found.failed == found.lost == (HOSTILE[1],)
     assert {score.verdict for score in found.scores} == {"same"}

@@ -12,38 +12,28 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 import fidpipe
+from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.exchange.export import POINT, Status, export_run, message_times
 from fidpipe.schemas.errors import FidpipeError, RunError
 from fidpipe.schemas.settings import load
 from runs import command
 from runs import run as run_dataset
-from scenes import box, drifted, write_bin, write_dataset
+from scenes import box, drifted, write_dataset, write_pair
 
 POINT_FIELD = {5: "<i4", 2: "u1", 8: "<f8"}
 SIDES = ("real", "sim")
 
 
-def write_streets(folder):
-    """Three streets: one drifted with a house invented and the bus gone, one drifted, one the same on both sides."""
-    write_dataset(folder, 3)
-    real = read_bin(folder / "real" / "000.bin")
-    real = np.vstack([real, box([20, -20, 0.5], [6, 2, 2], 120), box([25, 25, 0.5], [2, 2, 2], 90)])
-    gone = real[:, 0] > 15
-    write_bin(folder / "real" / "000.bin", real)
-    invented = box([-30, -30, 2], [2, 2, 2], 60)
-    few = box([25, 25, 0.5], [2, 2, 2], 5)
-    write_bin(folder / "sim" / "000.bin", np.vstack([drifted(real[~gone]), invented, few]))
-    shutil.copy(folder / "real" / "002.bin", folder / "sim" / "002.bin")
-    return folder
-
-
-def read_bin(path):
-    return np.fromfile(path, "<f4").reshape(-1, 4)[:, :3]
-
-
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    return write_streets(tmp_path_factory.mktemp("data") / "streets")
+    """Three streets: one drifted with a house invented and the bus gone, one drifted, one the same on both sides."""
+    folder = write_dataset(tmp_path_factory.mktemp("data") / "streets", 3)
+    real = read_scan(folder / "real" / "000.bin").points
+    real = np.vstack([real, box([20, -20, 0.5], [6, 2, 2], 120), box([25, 25, 0.5], [2, 2, 2], 90)])
+    invented, few = box([-30, -30, 2], [2, 2, 2], 60), box([25, 25, 0.5], [2, 2, 2], 5)
+    write_pair(folder, real, np.vstack([drifted(real[real[:, 0] <= 15]), invented, few]), "000")
+    shutil.copy(folder / "real" / "002.bin", folder / "sim" / "002.bin")
+    return folder
 
 
 @pytest.fixture(scope="module", params=["paper", "reference"])

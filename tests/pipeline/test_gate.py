@@ -105,16 +105,6 @@ def test_scans_that_changed_since_the_run_fail_it(tmp_path):
     assert "is not here: not checked whether it has changed" in result.notes[1]
 
 
-def write_labelled(folder):
-    """Two pairs with a manifest, and labels for the first."""
-    data = write_dataset(folder, 2)
-    n = (data / "real" / "000.bin").stat().st_size // 16
-    np.full(n, 4, dtype="<u4").tofile(data / "real" / "000.label")
-    (data / "labels.toml").write_text('4 = "tree"\n')
-    write_manifest(data, "")
-    return data
-
-
 def write_manifest(data, T_real_sim):
     rows = [f"{name},real/{name}.bin,sim/{name}.bin,{T}" for name, T in (("000", ""), ("001", T_real_sim))]
     (data / "pairs.csv").write_text("\n".join(["pair_id,real,sim,T_real_sim", *rows]) + "\n")
@@ -122,8 +112,14 @@ def write_manifest(data, T_real_sim):
 
 @pytest.fixture(scope="module")
 def labelled(tmp_path_factory):
+    """Two pairs with a manifest and labels for the first, and their run."""
     folder = tmp_path_factory.mktemp("labelled")
-    run(write_labelled(folder / "streets"), folder / "run")
+    data = write_dataset(folder / "streets", 2)
+    n = (data / "real" / "000.bin").stat().st_size // 16
+    np.full(n, 4, dtype="<u4").tofile(data / "real" / "000.label")
+    (data / "labels.toml").write_text('4 = "tree"\n')
+    write_manifest(data, "")
+    run(data, folder / "run")
     return folder
 
 

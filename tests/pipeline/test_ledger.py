@@ -147,12 +147,6 @@ def test_a_ledger_that_is_none_is_made_again(tmp_path, damage):
     assert list(again(tmp_path).pair_ids()) == ["a"]
 
 
-def put_many(ledger):
-    for i in range(5000):
-        ledger.put_job(record(f"b{i}", text="x" * 1000))
-    ledger.commit()
-
-
 def spoil(path, damage):
     content = path.read_bytes()
     if damage == "text":
@@ -188,7 +182,9 @@ def test_a_disk_that_takes_no_more_is_one_line_and_what_was_there_stays(ledger, 
     resource.setrlimit(resource.RLIMIT_FSIZE, (2**18, limits[1]))
     try:
         with pytest.raises(RunError, match=r"ledger\.sqlite: cannot be written \(.*\); run the same command again"):
-            put_many(ledger)
+            for i in range(5000):
+                ledger.put_job(record(f"b{i}", text="x" * 1000))
+            ledger.commit()
         ledger.close()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

@@ -133,9 +133,6 @@ def test_the_whole_run_as_json_is_its_record_and_its_pairs(report_run):
     found = json.loads(shown(report_run, "--json"))
     assert {row["pair_id"] for row in found["pairs"]} == {*HOSTILE_PAIRS, BROKEN}
     assert found["record"] == read_run(report_run)
-    claims = json.loads(shown(report_run, "--paper", "--json"))
-    words = "claim paper here estimate low high n_pairs rule verdict why"
-    assert list(claims[0]) == words.split()
 
 
 def test_a_name_that_is_nearly_right_is_suggested(report_run):

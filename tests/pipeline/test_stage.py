@@ -169,10 +169,6 @@ def test_a_stage_of_the_sides_may_read_what_a_stage_of_the_pair_gives(dataset, t
         assert n_over == [outcome.rows[0]["n_matched"]]
 
 
-def other_side(inputs):
-    return inputs.table("communities", "sim" if inputs.part == "real" else "real")
-
-
 @pytest.mark.parametrize(
     ("ask", "missing"),
     [
@@ -180,7 +176,7 @@ def other_side(inputs):
         (lambda own: own.metadata("ground", own.part), "KeyError: ('ground', "),
         (lambda own: own.table("communities", own.part).column("point_id"), '\'Field "point_id" does not exist'),
         (lambda own: own.settings.graph, "has no attribute 'graph'"),
-        (other_side, "KeyError: ('communities', 'sim')"),
+        (lambda own: own.table("communities", "sim"), "KeyError: ('communities', 'sim')"),
         (lambda own: own.scans[own.part], "KeyError: 'real'"),
         (lambda own: object_points(own, own.part), "KeyError: ('ground', 'real')"),
     ],

@@ -16,6 +16,7 @@ from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.pipeline.storage.table_files import JobRecord, read_footer
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.tables import TABLES
+from runs import flip
 
 JOB = JobRecord("communities", "a", "real", "key", {}, ("read",), {"n": 1}, (("louvain", 0.5),))
 FILES = {"communities/a.real.parquet", "objects/a.real.parquet"}
@@ -68,20 +69,9 @@ def test_a_table_of_thousands_of_long_texts_is_read(tmp_path, table):
     assert sorted(set(found.column("pair_id").to_pylist())) == names
 
 
-def only_job(folder):
-    (record,) = folder.ledger.jobs("a").values()
-    return record
-
-
 def without_ledger(tmp_path):
     (tmp_path / LEDGER).unlink()
     return RunFolder(tmp_path)
-
-
-def flip(path, position, bit=0):
-    content = bytearray(path.read_bytes())
-    content[position] ^= 1 << bit
-    path.write_bytes(content)
 
 
 def test_a_key_depends_on_every_part():
@@ -119,7 +109,7 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path):
 
 
 def test_a_job_is_known_after_it_is_read_back(written):
-    record = only_job(written)
+    (record,) = written.ledger.jobs("a").values()
     assert replace(record, files={}) == JOB
     assert record.files.keys() == FILES
     assert written.is_whole(record)

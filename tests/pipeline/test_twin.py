@@ -286,9 +286,6 @@ def test_the_command_says_what_to_do_next_and_its_help_names_every_flaw(drive, t
     done = command("twin", drive, tmp_path / "out", *words, "--sensor", "hdl64", code=0)
     assert f"1 pairs in {tmp_path / 'out'}; evaluate them with: fidpipe run" in done.stdout
     assert done.stdout.count("\n") == 1
-    wrong = command("twin", drive, tmp_path / "bad", *words, "--sensor", "hdl46")
-    assert (wrong.returncode, wrong.stderr.strip()) == (1, "error: sensor 'hdl46': no such sensor; did you mean hdl64?")
-    assert not (tmp_path / "bad").exists()
     text = command("twin", "--help").stdout
     assert all(name in text for name in FLAWS)
 

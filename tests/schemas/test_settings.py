@@ -1,19 +1,8 @@
 import pytest
 
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.settings import Settings, load, overrides, preset_of
+from fidpipe.schemas.settings import load, overrides, preset_of
 from fidpipe.schemas.settings_text import to_toml
-
-
-def test_the_defaults_are_those_of_the_paper():
-    settings = Settings()
-    assert (settings.graph.k, settings.graph.tau_m, settings.matching.delta_m, settings.selection.t) == (
-        90,
-        0.2,
-        5.0,
-        1.0,
-    )
-    assert (settings.ground.prior_m, settings.ground.max_variance_loss) == (0.30, 0.01)
 
 
 def test_words_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
@@ -80,9 +69,7 @@ def test_the_mirror_is_the_frame_of_carla():
 
 
 def test_the_preset_nvs_is_reference_with_its_scores(tmp_path):
-    own, reference = load(preset="nvs"), load(preset="reference")
-    assert own == reference.model_copy(update={"nvs": own.nvs})
-    assert (own.nvs.scores, reference.nvs.scores) == (True, False)
+    own = load(preset="nvs")
     assert (preset_of(own), overrides(own)) == ("reference", ["nvs.scores=true"])
     file = tmp_path / "s.toml"
     file.write_text("[graph]\nk = 60\n")

@@ -140,7 +140,8 @@ def test_without_labels_and_timestamps_those_claims_are_not_decided(as_the_paper
 
 
 def test_a_dataset_without_objects_decides_nothing():
-    nothing = [type(side)(**{name: values[:0] for name, values in vars(side).items()}) for side in _one_pair()]
+    sides = false_alarms.noise(np.random.default_rng(0), 1)[:2]
+    nothing = [type(side)(**{name: values[:0] for name, values in vars(side).items()}) for side in sides]
     assert {claim.verdict for claim in check_run_claims(*nothing, ["a"], ["a"], [None])} == {UNDECIDED}
 
 
@@ -152,10 +153,6 @@ def test_sides_that_are_identical_have_no_variation_and_raise_no_error(as_the_pa
     assert (claim.verdict, claim.here, claim.why) == (UNDECIDED, "-", "too few values")
     assert found["CDC takes no value below 0.4"].verdict == FAILS
     assert found["CDC and r_lambda are complementary, not redundant"].verdict == UNDECIDED
-
-
-def _one_pair():
-    return false_alarms.noise(np.random.default_rng(0), 1)[:2]
 
 
 def test_nothing_is_claimed_that_the_paper_only_shows_in_single_pictures_or_that_cannot_fail(as_the_paper):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.settings import PieceSettings, Settings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.ground import remove_ground
@@ -168,17 +169,11 @@ def test_noise_is_a_bias_of_roughness_with_its_sign_and_a_side_without_planes_ha
 @pytest.mark.exhaustive
 def test_two_halves_of_a_real_scan_lie_as_far_apart_as_they_are_moved(real_data, rng):
     for name in ("000000", "000006"):
-        scan = _objects(real_data / f"kitti_twin/real/{name}.bin")
+        scan = clean_scan(read_scan(real_data / f"kitti_twin/real/{name}.bin").points, Settings().input).points
+        scan = scan[~remove_ground(scan, Settings().ground).is_ground]
         half = rng.random(len(scan)) < 0.5
         for shift in ([0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0, 0, -0.2]):
             assert offset(scan[half], scan[~half] + shift).shift_m[0] == pytest.approx(shift, abs=0.02)
-
-
-def _objects(path, every=1):
-    """Object points of a scan, every n-th row of the file."""
-    points = np.fromfile(path, dtype="<f4").reshape(-1, 4)[::every, :3].astype(np.float64)
-    points = clean_scan(points, Settings().input).points
-    return points[~remove_ground(points, Settings().ground).is_ground]
 
 
 SETTINGS = PieceSettings()
