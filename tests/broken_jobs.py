@@ -13,27 +13,16 @@ from runs import run
 POISON = "001"
 
 
-def die_at_call(make, n):
-    """The job, which at its n-th call takes the whole process with it."""
+def dying(make, how, n):
+    """The job, which in its n-th call kills the process: at once, or in the middle of the next file that is written."""
     calls = []
 
     def job(context):
         calls.append(context.part)
-        if len(calls) == n:
+        if how == "kill" and len(calls) == n:
             os.kill(os.getpid(), signal.SIGKILL)
-        return make(context)
-
-    return job
-
-
-def die_writing_after_call(make, n):
-    """The job, after whose n-th call the process is killed in the middle of the next file that it writes."""
-    calls = []
-
-    def job(context):
-        calls.append(context.part)
         made = make(context)
-        if len(calls) == n:
+        if how == "kill-writing" and len(calls) == n:
             signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
             resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
         return made
@@ -53,12 +42,9 @@ def with_job(name, make, stages=STAGES):
     return tuple(replace(stage, make=make) if stage.name == name else stage for stage in stages)
 
 
-HOW = {"kill": die_at_call, "kill-writing": die_writing_after_call}
-
-
 def main(how, name, n, dataset, out):
     make = next(stage.make for stage in STAGES if stage.name == name)
-    run(dataset, out, stages=with_job(name, HOW[how](make, n)))
+    run(dataset, out, stages=with_job(name, dying(make, how, n)))
 
 
 if __name__ == "__main__":

@@ -25,17 +25,9 @@ def tables_of(out, table):
     return [out / f"{table}.parquet"] if table in WHOLE_RUN else sorted((out / table).glob("*.parquet"))
 
 
-def delete(path, rng):
-    path.unlink()
-
-
 def truncate(path, rng):
     content = path.read_bytes()
     path.write_bytes(content[: rng.randrange(1, len(content))])
-
-
-def empty(path, rng):
-    path.write_bytes(b"")
 
 
 def zero_the_end(path, rng):
@@ -49,7 +41,8 @@ def flip_bit(path, rng):
     flip(path, rng.randrange(path.stat().st_size), rng.randrange(8))
 
 
-HARMS = {"deleted": delete, "truncated": truncate, "emptied": empty, "zeroed": zero_the_end, "flipped": flip_bit}
+HARMS = {"truncated": truncate, "zeroed": zero_the_end, "flipped": flip_bit}
+HARMS |= {"deleted": lambda path, rng: path.unlink(), "emptied": lambda path, rng: path.write_bytes(b"")}
 
 
 ALL_TABLES = [*FOLDERS, *WHOLE_RUN]

@@ -5,6 +5,7 @@ import re
 import shutil
 import signal
 import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -19,18 +20,10 @@ def other_scan(path):
     write_bin(path, drifted(street(30), seed=99))
 
 
-def cut_off(path):
-    path.write_bytes(path.read_bytes()[:-7])
-
-
-def take_away(path):
-    path.unlink()
-
-
 CHANGES = {
     "another scan": (other_scan, "003.bin: the file changed while the run was using it; run the same command again"),
-    "cut off": (cut_off, "003.bin: .*bytes"),
-    "taken away": (take_away, "003.bin: .*(No such file|not found|missing)"),
+    "cut off": (lambda path: path.write_bytes(path.read_bytes()[:-7]), "003.bin: .*bytes"),
+    "taken away": (Path.unlink, "003.bin: .*(No such file|not found|missing)"),
 }
 
 

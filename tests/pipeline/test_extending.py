@@ -229,17 +229,10 @@ def write(folder, save):
     return folder
 
 
-def save_xyz(stem, points):
-    np.savetxt(f"{stem}.xyz", points.astype(np.float64), fmt="%.17g")
-
-
-def save_npy(stem, points):
-    np.save(f"{stem}.npy", points)
-
-
 def test_a_new_format_is_checked_and_gives_the_numbers_of_a_known_one(tmp_path):
     package, _ = extended("A reader", tmp_path)
-    streets = {name: write(tmp_path / name, save) for name, save in (("xyz", save_xyz), ("npy", save_npy))}
+    as_text = lambda stem, points: np.savetxt(f"{stem}.xyz", points.astype(np.float64), fmt="%.17g")  # noqa: E731
+    streets = {name: write(tmp_path / name, save) for name, save in (("xyz", as_text), ("npy", np.save))}
     assert "no scan pairs found" in command("check", streets["xyz"]).stderr
     assert "1 of 1 pairs can be evaluated" in package.fidpipe("check", streets["xyz"]).stdout
     for name, dataset in streets.items():

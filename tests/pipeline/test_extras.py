@@ -16,7 +16,7 @@ from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.metric_catalogue import BEV_JSD, BEV_MMD, NVS_SCORES, SEEDED_SCORES
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
-from runs import JOBS_PER_PAIR, assert_same_tables, changed_files, command, marks, run
+from runs import JOBS_PER_PAIR, assert_same_tables, changed_tables, command, marks, run
 
 BASELINE_WORD, SEED_WORD = "metrics.baselines=all", "stability.seeds=2"
 ALL = load(None, [BASELINE_WORD, SEED_WORD, "nvs.scores=true"])
@@ -56,7 +56,7 @@ def test_a_run_to_which_they_are_added_later_reuses_everything_else(dataset, fin
     before = marks(out)
     outcome = run(dataset, out, ALL)
     assert (outcome.n_made, outcome.n_reused) == (2 * len(EXTRAS), 2 * JOBS_PER_PAIR)
-    assert not changed_files(out, before)
+    assert changed_tables(out, before) == set(EXTRAS)
     assert_same_tables(out, finished)
     assert extras(out) == extras(finished)
     assert run(dataset, out, ALL).n_made == 0
@@ -134,7 +134,7 @@ def test_other_baselines_or_seeds_make_only_their_table_again(again, dataset):
     chamfer = {"chamfer_mean_m", "chamfer_squared_m2", "chamfer_one_way_sum_m"}
     assert names == chamfer | {"emd_mean_m", "emd_kept_mean_m", "emd_centred_mean_m"}
     assert run(dataset, again, load(None, ["metrics.baselines=emd,chamfer,emd", "stability.seeds=3"])).n_made == 0
-    assert not changed_files(again, main)
+    assert changed_tables(again, main) == {"baselines", "seeds"}
 
 
 def test_they_stay_while_they_are_true_and_go_when_the_results_change(again, dataset):

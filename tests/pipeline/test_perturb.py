@@ -36,6 +36,10 @@ SETTINGS = load(None, ["graph.k=12"])
 LEVELS = parse_levels(["noise=0.01", "dropout=0.1,0.4", "rigid=0:1,0:2"])
 
 
+#: A single level, once for each object.
+ONCE = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 0}
+
+
 def perturbed(source, out, *, settings=SETTINGS, pool=None, reporter=QUIET, **options):
     options = {"levels": LEVELS, "repeats": 3, "global_repeats": 2} | options
     machines = Machines(1, pool=pool)
@@ -177,7 +181,7 @@ def test_a_damaged_file_is_made_again_and_what_is_not_asked_for_is_removed(done,
 
 
 def test_labelled_objects_are_the_classes_of_the_paper(labelled, tmp_path):
-    outcome = perturbed(labelled, tmp_path / "run", levels=LEVELS[:1], repeats=1, global_repeats=0)
+    outcome = perturbed(labelled, tmp_path / "run", **ONCE)
     assert [of.name for of in outcome.objects] == ["car", "tree", "wall"]
     objects = pd.read_parquet(tmp_path / "run" / "objects")
     for of in outcome.objects:
@@ -185,24 +189,22 @@ def test_labelled_objects_are_the_classes_of_the_paper(labelled, tmp_path):
 
 
 def test_objects_can_be_named_by_number_and_by_label(labelled, tmp_path):
-    options = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 0}
-    outcome = perturbed(labelled, tmp_path / "run", objects=("1", "pole"), **options)
+    outcome = perturbed(labelled, tmp_path / "run", objects=("1", "pole"), **ONCE)
     assert [of.name for of in outcome.objects] == ["object 1", "pole"]
     assert outcome.objects[0].community_id == 1
     with pytest.raises(DatasetError, match="--objects 99: expected an id of scan street from 0 to"):
-        perturbed(labelled, tmp_path / "run", objects=("99",), **options)
+        perturbed(labelled, tmp_path / "run", objects=("99",), **ONCE)
     with pytest.raises(
         DatasetError, match="no object of scan street has this label; its labels are car, pole, road, tree, wall"
     ):
-        perturbed(labelled, tmp_path / "run", objects=("bus",), **options)
+        perturbed(labelled, tmp_path / "run", objects=("bus",), **ONCE)
 
 
 def test_an_object_that_is_named_twice_is_altered_once_and_a_note_says_so(labelled, tmp_path):
-    options = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 0}
-    (car,) = perturbed(labelled, tmp_path / "run", objects=("car",), **options).objects
+    (car,) = perturbed(labelled, tmp_path / "run", objects=("car",), **ONCE).objects
     reporter, said = listening()
     words = ("car", str(car.community_id))
-    assert perturbed(labelled, tmp_path / "run", objects=words, reporter=reporter, **options).objects == (car,)
+    assert perturbed(labelled, tmp_path / "run", objects=words, reporter=reporter, **ONCE).objects == (car,)
     assert f"object {car.community_id} of scan street is already chosen as car; left out" in said.getvalue()
     assert len(rows(tmp_path / "run")) == 1
 
