@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+_MOST, _FEW = 15, 5
+
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """End of a message about an unknown name: the most similar known name, or all known names."""
+    """End of a message about an unknown name: the most similar known name, else all, of many the five nearest."""
     known = list(known)
-    near = nearest(name, known)
-    return f"did you mean {near}?" if near else f"known are {', '.join(known)}"
+    if near := nearest(name, known):
+        return f"did you mean {near}?"
+    few = known if len(known) <= _MOST else get_close_matches(name.lower(), known, _FEW, 0.0)
+    return f"known are {', '.join(few)}{f' and {len(known) - len(few)} more' * (len(few) < len(known))}"
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

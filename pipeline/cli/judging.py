@@ -44,7 +44,7 @@ def gate(
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
     missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; with --floor also
-    excess.r_lambda.mean and excess.cdc.area; a wrong name lists all.
+    excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
 
     Parameters
     ----------

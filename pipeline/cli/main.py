@@ -100,10 +100,9 @@ def main() -> None:
     except (KeyboardInterrupt, typer.Abort):
         code = EXIT_INTERRUPTED
     except Exception as error:
-        show = getattr(error, "show", None)  # wrong usage, as click and typer raise it
-        if show is None:
+        if not hasattr(error, "format_message"):  # wrong usage, as click and typer raise it
             raise
-        show()
+        _complain(_usage_words(error))
         code = getattr(error, "exit_code", 2)
     _ignore_interrupts()
     if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
@@ -139,6 +138,15 @@ def _flushed(code: int | None) -> int | None:
             _complain(f"error: {_refusal(error) or error}")
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python tries again, and complains
         return code or EXIT_WRONG_INPUT
+
+
+def _usage_words(error: Any) -> str:
+    """Message of wrong usage with the next step; the help itself if there is no command."""
+    text, context = error.format_message(), getattr(error, "ctx", None)
+    if context is None or not sys.argv[1:]:
+        return str(text)
+    text = text.rstrip(".").replace(". Did", "; did")
+    return f"error: {text[:1].lower()}{text[1:]}; see {context.command_path} --help"
 
 
 def _refusal(error: OSError) -> str:

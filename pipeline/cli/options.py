@@ -55,7 +55,11 @@ PairTimeout = Annotated[
 ]
 Floor = Annotated[
     Path | None,
-    typer.Option(metavar="RUN", help="Show scores minus those of this floor.", autocompletion=completion.run_folders),
+    typer.Option(
+        metavar="RUN",
+        help="Show scores minus those of this run of fidpipe floor.",
+        autocompletion=completion.run_folders,
+    ),
 ]
 Replace = Annotated[bool, typer.Option(help="Replace finished results.")]
 AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Markdown, to paste into a merge request.")]

@@ -41,6 +41,8 @@ def diagnosis_view(found: Diagnosis) -> View:
     if not rows:
         return [Note(title, "bold"), Note("no cause named"), *map(Note, notes)]
     return [
-        Table(title, ("", "cause", "95 % interval", "gain if corrected", "setting"), rows, words=(1, 2, 3, 4)),
+        Table(
+            title, ("", "cause", "95 % interval", "gain if corrected", "setting"), rows, words=(1, 2, 3, 4), whole=(4,)
+        ),
         *map(Note, notes),
     ]

@@ -72,8 +72,9 @@ class Reporter:
         now = self.console.get_time()
         if self._bar.disable and now - self._last_line >= self._between:
             self._last_line = now
-            left_s = self._bar.tasks[0].time_remaining if self._n_ended else None
-            self.say(self._counts() + ("" if left_s is None else f"; about {_in_words(left_s)} left"))
+            task = self._bar.tasks[0]
+            left = f"; about {_in_words(left_s)} left" if (left_s := task.time_remaining) is not None else ""
+            self.say(f"{self._counts()}{left}" if self._n_ended else f"{task.percentage:.0f} % done")
 
     def stop(self) -> None:
         """End the progress."""

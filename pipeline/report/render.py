@@ -84,17 +84,19 @@ def _table(table: Table) -> RichTable:
     title = Text(table.title, "bold") if table.title else None
     made = RichTable(title=title, title_justify="left", title_style="", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     columns = [i for i in range(len(table.headings)) if i not in table.wide]
+    cells = table.cells
     for i in columns:
         is_words, heading = i in table.words, table.headings[i]
+        longest = max((len(word) for row in (table.headings, *cells) for word in row[i].split()), default=1)
         made.add_column(
             heading,
             justify="left" if is_words else "right",
             overflow="fold" if is_words else "ellipsis",
             no_wrap=not is_words if table.fixed is None else i in table.fixed,
             min_width=max(map(len, heading.split()), default=1) if is_words else None,
+            width=longest if i in table.whole else None,
             style="bright_black" if i in table.faint else "",
         )
-    cells = table.cells
     breaking = [i for i, column in zip(columns, made.columns, strict=True) if i in table.words and not column.no_wrap]
     among = {i: frozenset(word for row in cells for word in row[i].split()) for i in breaking}
     for place, row in enumerate(cells):

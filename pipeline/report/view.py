@@ -32,6 +32,7 @@ class Table:
     ruled : indices of rows that a line follows
     bold : indices of bold rows
     faint : indices of grey columns
+    whole : indices of columns as wide as their longest word, which is not shortened
     """
 
     title: str
@@ -44,6 +45,7 @@ class Table:
     ruled: Container[int] = ()
     bold: Container[int] = ()
     faint: Container[int] = ()
+    whole: Container[int] = ()
 
     @property
     def cells(self) -> list[list[str]]:

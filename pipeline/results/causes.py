@@ -122,6 +122,12 @@ _KINDS = (
 #: The flaws by name.
 CAUSE_KINDS = {kind.name: kind for kind in _KINDS}
 
+#: Causes by the beginning of a difference of the sensors.
+_DIFFERENCES = {
+    **{"beams: ": "beams", "azimuth step": "azimuth step", "range quantum": "range steps"},
+    **{"range noise": "range noise", "pulses lost": "lost pulses"},
+}
+
 #: Columns of `pairs` that the causes are estimated from.
 CAUSE_COLUMNS = (
     *dict.fromkeys(kind.column.format(side=side) for kind in _KINDS for side in SIDES),
@@ -166,6 +172,24 @@ def surface_causes(bands: GroupPoints, classes: GroupPoints) -> list[Cause]:
         for is_own in [classes[0].columns == name]
     ]
     return [cause for cause in (farthest, *named) if cause]
+
+
+def with_tolerance(texts: Sequence[str], row: Row) -> list[str]:
+    """Differences of both sensors, those within the tolerance of their cause marked.
+
+    Parameters
+    ----------
+    texts : from `sensor_description.differences`
+    row : `sensor_description.pair_columns` of both
+    """
+    pairs = Columns([row])
+    small = {
+        kind.name
+        for kind in _KINDS
+        if not np.isnan(kind.value(pairs)).any() and _cause_of(kind, pairs, Columns([{}])) is None
+    }
+    starts = tuple(start for start, name in _DIFFERENCES.items() if name in small)
+    return [f"{text} (too little for Fix first)" if text.startswith(starts) else text for text in texts]
 
 
 def mean_interval(values: FloatArray) -> tuple[float, float, float]:

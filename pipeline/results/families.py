@@ -111,7 +111,7 @@ _SCORES = tuple(_read_scores())
 
 
 def families(preset: str) -> dict[str, list[ComparedScore]]:
-    """The scores of each family, by its name; the first score represents it over many runs.
+    """The scores of each family, by its name; the first represents it over many runs that decide no score.
 
     Parameters
     ----------
@@ -188,6 +188,11 @@ class FamilyChange:
     why: str
     tendency: str
     scores: tuple[ScoreChange, ...]
+
+    @property
+    def called(self) -> str:
+        """The verdict as it is shown, in brackets if it does not count."""
+        return f"({self.verdict})" if self.why else self.verdict
 
 
 def judge_families(

@@ -34,7 +34,8 @@ class Step:
 
     mean : of its score, over the independent pairs that all runs have scored; None if null
     low, high : 95 % interval of the change since the first run, added to the first run's mean; None without one
-    since_first, since_last : verdict of the family against the first run, and against the one before; "" for the first
+    since_first, since_last : verdict of the family against the first run, and against the one before, in brackets if it
+        does not count; "" for the first
     """
 
     mean: float | None
@@ -141,10 +142,12 @@ def read_history(
 
 
 def _over_runs(family: str, since_first: Sequence[Comparison], since_last: Sequence[Comparison]) -> FamilyHistory:
-    """The history of a family, and of the first of its scores in the catalogue that has values."""
+    """The history of a family, and of the first of its scores in the catalogue that is decided, else has values."""
     first, last = ([_family(one, family) for one in compared] for compared in (since_first, since_last))
     known = {score.name: score for score in first[0].scores}
+    decided = {own.name for one in first for own in one.scores if own.verdict in ("better", "worse")}
     headings = [score.heading for preset in ("reference", "paper") for score in families(preset)[family]]
+    headings.sort(key=lambda heading: heading not in decided)
     chosen = next(known[heading] for heading in headings if heading in known)
     steps = [Step(chosen.difference.before)]
     for against_first, against_last in zip(first, last, strict=True):
@@ -152,7 +155,7 @@ def _over_runs(family: str, since_first: Sequence[Comparison], since_last: Seque
         low, high = (
             None if change is None or own.before is None else own.before + change for change in (own.low, own.high)
         )
-        steps.append(Step(own.after, low, high, against_first.verdict, against_last.verdict))
+        steps.append(Step(own.after, low, high, against_first.called, against_last.called))
     return FamilyHistory(family, chosen.name, chosen.mark, tuple(steps))
 
 

@@ -25,20 +25,6 @@ OF_DISTRIBUTIONS = ("bias", "area")
 
 STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
 
-#: Every name that can be measured; words in capitals stand for many.
-KNOWN = (
-    f"SCORE.{'|'.join(OF_PAIRS)} over pairs ({', '.join(PAIR_SCORES)})",
-    f"covered.real|sim.0.1m|0.3m|1m.{'|'.join(OF_PAIRS)}",
-    f"rays.SCORE.{'|'.join(OF_PAIRS)} ({', '.join(name[5:] for name in DOTTED if name.startswith('rays.'))})",
-    f"objects.SCORE.{'|'.join(OF_OBJECTS)} and class.LABEL.SCORE.... over objects ({', '.join(DISTRIBUTED)})",
-    f"missing.{'|'.join(COUNTS)}, hallucinated...., class.LABEL.missing....",
-    "missing.within_20m and missing.within_20m.share (any distance)",
-    "matched.total|mean|min",
-    f"pairs.{'|'.join(STATES)}",
-    f"excess.SCORE.{'|'.join((*OF_PAIRS, *OF_DISTRIBUTIONS))} over the floor (--floor), covered.... as well",
-)
-
-
 #: The names that stand for themselves, to guess what a wrong one means, and for the shell to complete.
 PLAIN_NAMES = (
     *(f"{score}.{stat}" for score in (*PAIR_SCORES, *DOTTED) for stat in OF_PAIRS),

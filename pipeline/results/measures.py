@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...schemas.columns import Row
-from ...schemas.errors import DatasetError, ScanError, SettingsError, nearest
+from ...schemas.errors import DatasetError, ScanError, SettingsError, nearest, suggestion
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...stages.arrays import FloatArray, IndexArray
 from ...stages.statistics.findings import distribution
@@ -21,7 +21,6 @@ from .floor import RunExcess
 from .measure_names import (
     COUNTS,
     DOTTED,
-    KNOWN,
     OF_DISTRIBUTIONS,
     OF_OBJECTS,
     OF_PAIRS,
@@ -59,8 +58,9 @@ class Measures:
                 except _AbsentError as why:
                     return None, str(why)
         near = f"{name}.mean" if f"{name}.mean" in PLAIN_NAMES else nearest(name, PLAIN_NAMES)
-        hint = f"did you mean {near}? (fidpipe gate --help lists more)" if near else f"known are {'; '.join(KNOWN)}"
-        raise SettingsError(f"criterion {name!r}: no such measure; {hint}")
+        means = [own for own in PLAIN_NAMES if own.endswith(".mean")]
+        hint = f"did you mean {near}?" if near else suggestion(name, means)
+        raise SettingsError(f"criterion {name!r}: no such measure; {hint} (fidpipe gate --help lists the forms)")
 
     @cached_property
     def dataset_is_gone(self) -> bool:

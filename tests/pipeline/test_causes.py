@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from fidpipe import evaluate_pair
-from fidpipe.pipeline.results.causes import CAUSE_KINDS, Columns, find_causes, surface_causes
+from fidpipe.pipeline.results.causes import CAUSE_KINDS, Columns, find_causes, surface_causes, with_tolerance
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import load
 from fidpipe.stages.generate.street_scans import make_pair
@@ -170,3 +170,12 @@ def test_scans_that_were_moved_and_made_noisy_name_both_and_healthy_ones_nothing
         assert height.estimate == pytest.approx(-0.12, abs=0.02)
         assert (height.words, height.setting) == ("simulated world 12 cm too low", "mount height, T_real_sim")
         assert noise.sim == pytest.approx(np.hypot(0.03, 0.08), rel=0.15)
+
+
+def test_differences_of_sensors_that_fix_first_does_not_name_are_marked():
+    row = HEALTHY | {"sensor_sim_azimuth_step_deg": 0.4, "sensor_sim_beams": None}
+    texts = ["range noise on smooth surfaces: 9 mm real, 18 mm simulated", "beams: 32 real, none detected simulated"]
+    texts += ["azimuth step: 0.199 degrees real, 0.400 simulated", "beams start 0.11 m above the origin"]
+    small, *others = with_tolerance(texts, row)
+    assert small == f"{texts[0]} (too little for Fix first)"
+    assert others == texts[1:]

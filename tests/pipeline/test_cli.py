@@ -105,7 +105,8 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
 )
 def test_wrong_usage_ends_with_two(dataset, tmp_path, words):
     result = command(*[word.format(data=dataset) for word in words], cwd=tmp_path, code=2)
-    assert "Traceback" not in result.stderr
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ") and line.endswith(" --help")
     assert list(tmp_path.iterdir()) == []
 
 

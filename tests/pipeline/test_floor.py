@@ -16,6 +16,7 @@ from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.generate.floor_run import run_floor
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.views.compare_view import remarks
+from fidpipe.pipeline.report.views.floor_view import HEADLINES, excess_view
 from fidpipe.pipeline.results.causes import find_causes
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun
@@ -27,6 +28,7 @@ from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.inspect.sensor_description import describe_sensor
+from reports import text_of
 from runs import QUIET, assert_same_tables, command, listening, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 
@@ -218,6 +220,8 @@ def test_people_and_programs_see_the_same_excess(folder, tmp_path):
     words = ("show", folder / "run", "--floor", folder / "floor")
     assert f"{own.excess:+.3f}" in shown(*words)
     assert json.loads(shown(*words, "--json"))["excess"]["scores"]["cdc_mean"]["excess"] == own.excess
+    table = text_of(excess_view(excess_over(FinishedRun(folder / "run"), folder / "floor"), HEADLINES))
+    assert "hallucinated" in table and "…" not in table, "whole words in 80 columns"
     pair = ("show", folder / "run", "001", "--floor", folder / "floor")
     assert f"{own.of_pairs['001']:+.3f}" in shown(*pair)
     assert json.loads(shown(*pair, "--json"))["excess"]["pairs"] == ["001"]

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import shutil
+from dataclasses import replace
 
 import pandas as pd
 import pytest
@@ -11,6 +12,8 @@ import pytest
 from fidpipe.pipeline.report.page.compare_page import history_page
 from fidpipe.pipeline.report.render import csv_table
 from fidpipe.pipeline.report.views.history_view import history_decision, history_records, history_remarks, history_view
+from fidpipe.pipeline.results import history
+from fidpipe.pipeline.results.compare import compare_two
 from fidpipe.pipeline.results.history import read_history
 from fidpipe.schemas.errors import RunError
 from reports import embedded, text_of
@@ -56,6 +59,25 @@ def test_verdicts_are_against_the_first_run_and_against_the_one_before(runs):
     assert back.low == back.mean == back.high
     assert history_decision(found).startswith("run 3 against run 1: 1 pair that run 1 has scored fail now; ")
     assert any("of the 3 comparisons" in line.text for line in history_remarks(found))
+
+
+def test_the_decided_score_is_shown_and_a_verdict_that_does_not_count_in_brackets(runs, monkeypatch):
+    def compared(*args, **options):
+        found = compare_two(*args, **options)
+        families = []
+        for own in found.families:
+            verdicts = {"r_lambda": "worse"} if own.name == "objects" else {}
+            scores = tuple(replace(score, verdict=verdicts.get(score.name, "undecided")) for score in own.scores)
+            verdict, why = ("worse", "follows from rays") if verdicts else ("undecided", "")
+            families.append(replace(own, verdict=verdict, why=why, scores=scores))
+        return replace(found, families=tuple(families))
+
+    monkeypatch.setattr(history, "compare_two", compared)
+    found = read_history(runs[:2], independent=True)
+    own = next(own for own in found.families if own.family == "objects")
+    assert (own.name, own.steps[1].since_first) == ("r_lambda", "(worse)")
+    assert "(-) (-)" in text_of(history_view(found))
+    assert "worse" not in history_decision(found)
 
 
 def test_runs_stand_as_given_or_by_date(runs):

@@ -27,6 +27,15 @@ def test_counts_and_time_left_follow_the_pace_of_the_jobs():
     assert re.search(r"about 20 s left", said[1])
 
 
+def test_before_the_first_pair_ends_the_share_of_the_jobs_is_shown():
+    console = Console(file=io.StringIO(), width=200)
+    reporter = Reporter(console, seconds_between_lines=0.0)
+    reporter.start(2, 10)
+    reporter.advance(3)
+    reporter.stop()
+    assert console.file.getvalue() == "30 % done\n"
+
+
 def test_a_failure_is_a_line_and_counts():
     console = Console(file=io.StringIO(), width=200)
     reporter = Reporter(console, seconds_between_lines=0.0)

@@ -27,6 +27,14 @@ def test_a_terminal_hides_wide_columns_shortens_words_and_colours_verdicts():
     assert "\x1b[31mworse" in text_of(VIEW, force_terminal=True, color_system="standard")
 
 
+def test_words_to_be_typed_stay_whole_in_80_columns():
+    setting = "atmosphere_attenuation_rate, dropoff_intensity_limit"
+    rows = [("a cause of many words " * 3, "15 cm to 18 cm", "at most 20 %", setting)]
+    text = text_of([Table("", ("cause", "95 % interval", "gain if corrected", "setting"), rows, range(4), whole=(3,))])
+    assert set(setting.split()) <= set(text.split())
+    assert max(map(len, text.splitlines())) <= 80
+
+
 def test_markdown_has_every_column_a_bold_heading_and_warnings_as_a_list():
     assert markdown(VIEW).splitlines() == [
         "**worse: CDC**",

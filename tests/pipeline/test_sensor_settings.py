@@ -101,6 +101,7 @@ def test_check_prints_and_returns_them(halls, tmp_path):
     ("text", "message"),
     [
         ("noise_stdev = 0.1", "unknown setting noise_stdev; did you mean noise_stddev?"),
+        ("attenuate = 1", "unknown setting attenuate; known are atmosphere_attenuation_rate, "),
         ("noise_stddev = true", "noise_stddev: expected a number, got True"),
         ("range = [1, 2]", "range: expected a number, got"),
         ('channels = "many"', "channels: expected a number, got 'many'"),

@@ -12,7 +12,7 @@ from importlib import resources
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from ...terminal import shown
 from ..charts import TEMPLATE
@@ -46,6 +46,7 @@ def _environment() -> Environment:
         "sentence": sentence,
         "clipped": clipped,
         "plain": _in_words,
+        "with_code": _with_code,
     }
     environment.globals |= {"quadrant_colours": QUADRANT_COLOURS}
     environment.globals |= {"themes": THEMES, "asset": _asset, "code": _code, "plotly": lambda: Markup(plotly_js())}
@@ -66,6 +67,11 @@ def _code(*names: str) -> Markup:
     """Modules of `assets`, each after those that it imports, as the text of one: their imports and exports go."""
     text = "\n".join(_asset(name) for name in names)
     return Markup(re.sub(r"^import [^;]*;\n|^export ", "", text, flags=re.MULTILINE))
+
+
+def _with_code(text: str) -> Markup:
+    """Text in which no line ends within an option of the command."""
+    return Markup(re.sub(r"--[a-z][a-z-]+", r"<code>\g<0></code>", escape(shown(text))))
 
 
 def _in_words(value: Any) -> str:

@@ -10,7 +10,8 @@ import pandas as pd
 
 from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import METRIC, metric_of
-from ....stages.inspect.sensor_description import differences, sensor_lines
+from ....stages.inspect.sensor_description import differences, pair_columns, sensor_lines
+from ...results.causes import with_tolerance
 from ...results.compare import recorded_times_s
 from ...results.diagnosis import gain_words, interval_words, read_diagnosis
 from ...results.floor import RunExcess
@@ -138,7 +139,10 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "floor": excess_view(excess) if excess else [],
         "sensor_pair": sensor_pair,
         "sensors": {side: sensor_lines(sensors[side]) for side in SIDES},
-        "sensor_differences": differences(sensors["real"], sensors["sim"]),
+        "sensor_differences": with_tolerance(
+            differences(sensors["real"], sensors["sim"]),
+            pair_columns(sensors["real"], "real") | pair_columns(sensors["sim"], "sim"),
+        ),
         "ranges": [range_table(record.findings)] if record.findings else [],
         "times": Table("", times, plain_rows(stage_times(results), times), words=(0, 1)),
         "settings": record.settings,

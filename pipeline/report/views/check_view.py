@@ -9,11 +9,12 @@ from pydantic import JsonValue
 
 from ....schemas.columns import SIDES
 from ....schemas.results import JsonObject
-from ....stages.inspect.sensor_description import sensor_lines
+from ....stages.inspect.sensor_description import pair_columns, sensor_lines
 from ...engine.costs import CostModel
 from ...inspect.scan_checks import DatasetCheck
 from ...inspect.sensor_settings import DIFFERS
 from ...inspect.side_checks import SensorCheck
+from ...results.causes import with_tolerance
 from ...storage.files import free_bytes, megabytes
 from ..view import Note, Table, View
 
@@ -70,12 +71,13 @@ def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
 def _sensor_lines(sensors: SensorCheck) -> list[Note]:
     """Sensors of both sides, their differences, and scans of other sensors."""
     names = {"real": "real sensor", "sim": "simulated sensor"}
+    row = {name: value for side, own in sensors.sides.items() for name, value in pair_columns(own, side).items()}
     n_pairs = len(sensors.pair_ids)
     pairs = f"pair{'s' * (n_pairs > 1)} {', '.join(sensors.pair_ids)}" if n_pairs < 4 else f"{n_pairs} pairs"
     lines = [Note(f"Sensors (estimated from {pairs})", "bold")] if sensors.sides else []
     for side, facts in sensors.sides.items():
         lines += [Note(names[side]), *(Note(f"  {line}") for line in sensor_lines(facts))]
-    lines += [Note(f"differs: {text}", "yellow") for text in sensors.differences]
+    lines += [Note(f"differs: {text}", "yellow") for text in with_tolerance(sensors.differences, row)]
     return [*lines, *(Note(f"warning: {text}", "yellow") for text in sensors.unlike)]
 
 

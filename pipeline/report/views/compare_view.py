@@ -180,9 +180,8 @@ def family_table(comparison: Comparison, families: Sequence[FamilyChange] | None
     rows = []
     for family in comparison.families if families is None else families:
         score, own = family.scores[0], family.scores[0].difference
-        verdict = f"({family.verdict})" if family.why else family.verdict
         numbers = (own.before, own.after, _interval(own), _p(family.p))
-        rows.append((family.name, verdict, score.name, *numbers))
+        rows.append((family.name, family.called, score.name, *numbers))
     headings = ("family", "verdict", "clearest change", "before", "after", "change, 95 %", "p")
     return Table("", headings, rows, words=(0, 1, 2), wide=(6,))
 

@@ -33,13 +33,13 @@ def excess_view(excess: RunExcess, columns: Sequence[str] = ()) -> View:
     rows = [
         (
             *(metric_of(own.column).label, own.mean, own.floor, signed(own.excess), own.std),
-            *(signed(own.bias), own.area, f"{own.n} {own.of}", own.n_floor),
+            *(signed(own.bias), own.area, own.n, own.n_floor),
         )
         for own in _known(excess, columns)
     ]
     n = len(excess.pairs)
     title = f"{excess.run} over the floor {excess.floor} ({excess.recipe.words}): {n} pair{'s' * (n != 1)}"
-    headings = ("score", "mean", "floor", "excess", "± std", "bias", "area", "values", "in floor")
+    headings = ("score", "mean", "floor", "excess", "± std", "bias", "area", "values", "in\nfloor")
     return [Table(title, headings, rows), Note(_EXCESS_NOTE), *excess_notes(excess)]
 
 

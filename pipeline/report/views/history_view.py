@@ -10,7 +10,7 @@ from ..view import Note, Table, View, number
 _MARKS = {"better": "+", "worse": "-", "mixed": "±", "same": "=", "undecided": "."}
 _MARKS_NOTE = (
     "Under each mean, the verdict of its family against the first run and against the one before: "
-    "+ better, - worse, ± mixed, = same, . undecided."
+    "+ better, - worse, ± mixed, = same, . undecided; in brackets: does not count (compare says why)."
 )
 
 
@@ -23,8 +23,7 @@ def history_view(history: History) -> View:
     rows: list[tuple[str, ...]] = []
     for score in history.families:
         rows.append((arrowed(score), *map(_mean, score.steps)))
-        marks = (f"{_MARKS.get(step.since_first, '')} {_MARKS.get(step.since_last, '')}" for step in score.steps)
-        rows.append(("", *marks))
+        rows.append(("", *(f"{_mark(step.since_first)} {_mark(step.since_last)}" for step in score.steps)))
     title = f"Means over {len(history.pairs)} pairs that all runs have scored"
     return [
         Note(history_decision(history), "bold"),
@@ -85,6 +84,12 @@ def history_records(history: History) -> Table:
         for run, step in zip(history.runs, score.steps, strict=True)
     ]
     return Table("", columns, rows)
+
+
+def _mark(verdict: str) -> str:
+    """The mark of a verdict, in brackets if the verdict is."""
+    word = verdict.strip("()")
+    return verdict.replace(word, _MARKS[word]) if word else ""
 
 
 def _mean(step: Step) -> str:

@@ -49,9 +49,9 @@ def pair_view(facts: PairFacts, command: str = "") -> View:
     if row["status"] != "scored":
         return [Note(f"pair {row['pair_id']} failed: {row['reason']}", "red")]
     title = (
-        f"Pair {row['pair_id']}: match rate {number(row['match_rate'])}, found {number(row['found'])} of the real "
-        f"objects; {row['n_matched']} objects on both sides, {row['n_missing']} missing, {row['n_hallucinated']} "
-        "hallucinated"
+        f"Pair {row['pair_id']}: match rate {number(row['match_rate'])} (of the side with more objects), found "
+        f"{number(row['found'])} of the real objects; {row['n_matched']} objects on both sides, {row['n_missing']} "
+        f"missing, {row['n_hallucinated']} hallucinated"
     )
     names = ("side", "points read", "clean", "not ground", "ground below (m)", "objects")
     keys = ("n_{}_raw", "n_{}_clean", "n_{}_points", "ground_{}_threshold_m", "n_communities_{}")

@@ -101,7 +101,7 @@ def _all_tables(rows: Sequence[Row], record: RunRecord) -> View:
     return [
         Note(preset_line(record)),
         _pairs_table([row for row in rows if row["status"] == "scored"], _MOST_PAIRS),
-        dataset_table(record, HEADLINE_SCORES),
+        dataset_table(record, ("found", *HEADLINE_SCORES)),
         coverage_table(record),
         *map(Note, (surface_line(record), *unmatched_lines(record), "")),
         *([surface_table(record.overview)] if record.overview else ()),
@@ -257,6 +257,10 @@ def unmatched_lines(record: RunRecord) -> list[str]:
                 f"{states.road} of the {states.there + states.partly + states.absent} {status} objects are road that "
                 f"the ground cut of the {other} side removed and that of their side kept (column road_share)"
             )
+    if lines:
+        lines.append(
+            "missing and invented pieces are parts of a surface without a counterpart, also of matched objects"
+        )
     return lines
 
 
