@@ -71,7 +71,7 @@ def _code(*names: str) -> Markup:
 
 def _with_code(text: str) -> Markup:
     """Text in which no line ends within an option of the command."""
-    return Markup(re.sub(r"--[a-z][a-z-]+", r"<code>\g<0></code>", escape(shown(text))))
+    return Markup(re.sub(r"--[a-z][a-z-]+", r"<code>\g<0></code>", str(escape(shown(text)))))
 
 
 def _in_words(value: Any) -> str:
