@@ -141,6 +141,16 @@ def test_strays_are_removed_and_others_are_left_alone(written, tmp_path):
     assert left - {".lock", ".writer", "ledger.sha256", LEDGER} == FILES | {"notes.txt"}
 
 
+def test_a_lost_ledger_is_made_again_from_the_tables(written, tmp_path):
+    (record,) = written.ledger.jobs("a").values()
+    expected = {record.job: replace(record, steps=())}  # seconds are in no footer
+    folder = without_ledger(tmp_path)
+    assert folder.ledger.jobs("a") == expected
+    with folder.locked():
+        assert folder.ledger.jobs("a") == expected
+    assert RunFolder(tmp_path).ledger.jobs("a") == expected
+
+
 def test_files_of_equal_content_are_equal_in_bytes(tmp_path):
     contents = []
     for seconds in (0.5, 0.7):
