@@ -343,8 +343,8 @@ class RunEngine:
             self.reporter.warn(
                 f"{len(large)} of {len(pairs)} pairs have {_LARGE_PAIR:,} points or more; the largest has about "
                 f"{n_raw:,}; with all of them it takes some {costs.pair_bytes(n_raw) / 2**30:.0f} GiB of memory and "
-                f"{costs.pair_seconds(n_raw) / 60:.0f} minutes or more; thin both sides in the same way, or leave out "
-                "points with input.max_range_m or input.include_box"
+                f"{costs.pair_seconds(n_raw) / 60:.0f} minutes, more where points are dense; thin both sides in the "
+                "same way, lower graph.tau_m, or leave out points with input.max_range_m or input.include_box"
             )
 
     def batch_done(self, result: BatchResult) -> None:
@@ -353,6 +353,10 @@ class RunEngine:
             self.folder.ledger.put_jobs(result.pair_id, result.records)
         self.n_made += len(result.records)
         self.reporter.advance(len(result.records))
+
+    def objects_done(self, plan: PairPlan, n_done: int) -> None:
+        """See `Watcher`."""
+        self.reporter.advance(0, objects=f"; {plan.pair_id}: {n_done} of {len(plan.objects or [])} objects")
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
         """See `Watcher`: report failures, those of parts of an experiment one by one.

@@ -29,6 +29,7 @@ class Reporter:
         self._between = seconds_between_lines
         self._bar: Progress | None = None
         self._n_pairs = self._n_ended = self._n_failed = 0
+        self._objects = ""
         self._last_line = self.console.get_time()
 
     def say(self, text: str) -> None:
@@ -63,9 +64,15 @@ class Reporter:
         self._bar.add_task(self._counts(), total=n_jobs)
         self._bar.start()
 
-    def advance(self, n_jobs: int, n_pairs: int = 0) -> None:
-        """Count jobs that are finished or will not be done, and pairs that have ended."""
+    def advance(self, n_jobs: int, n_pairs: int = 0, objects: str = "") -> None:
+        """Count jobs that are finished or will not be done, and pairs that have ended.
+
+        Parameters
+        ----------
+        objects : how many objects of a pair are done, if its jobs are waiting for others
+        """
         self._n_ended += n_pairs
+        self._objects = objects
         if self._bar is None:
             return
         self._bar.update(self._bar.tasks[0].id, advance=n_jobs, description=self._counts())
@@ -74,7 +81,7 @@ class Reporter:
             self._last_line = now
             task = self._bar.tasks[0]
             left = f"; about {_in_words(left_s)} left" if (left_s := task.time_remaining) is not None else ""
-            self.say(f"{self._counts()}{left}" if self._n_ended else f"{task.percentage:.0f} % done")
+            self.say(f"{self._counts()}{left}" if self._n_ended else f"{task.percentage:.0f} % done{self._objects}")
 
     def stop(self) -> None:
         """End the progress."""
@@ -83,7 +90,7 @@ class Reporter:
             self._bar = None
 
     def _counts(self) -> str:
-        return f"{self._n_ended} of {self._n_pairs} pairs, {self._n_failed} failed"
+        return f"{self._n_ended} of {self._n_pairs} pairs, {self._n_failed} failed{self._objects}"
 
 
 def _in_words(seconds: float) -> str:

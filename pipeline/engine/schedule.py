@@ -37,6 +37,7 @@ class Policy:
     worth_splitting_s : that cost more than this
     batch_s : seconds of objects per batch
     bundle_s : seconds of small pairs per batch
+    long_pair_s : pairs that cost more than this are done job by job, so that progress shows
     least_weight : share of a batch that a pair has at least
     """
 
@@ -46,6 +47,7 @@ class Policy:
     worth_splitting_s: float = 1.0
     batch_s: float = 0.5
     bundle_s: float = 0.5
+    long_pair_s: float = 100.0
     least_weight: float = 1 / 16
 
 
@@ -54,6 +56,9 @@ class Watcher(Protocol):
 
     def batch_done(self, result: BatchResult) -> None:
         """Some jobs of a pair are finished, or failed."""
+
+    def objects_done(self, plan: PairPlan, n_done: int) -> None:
+        """Some objects of a pair have been scored, `n_done` in all; their jobs are finished with the last ones."""
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
         """A pair has ended; its plan lists the finished jobs."""
@@ -67,6 +72,7 @@ class _Pair:
     n_losses : number of times that has happened
     n_waiting : batches of it that are queued or run
     scored : outcomes of its batches of objects, in the order in which they were submitted
+    n_scored : objects in them that are done
     """
 
     plan: PairPlan
@@ -75,6 +81,7 @@ class _Pair:
     n_losses: int = 0
     n_waiting: int = 0
     scored: dict[Handle, Any] = field(default_factory=dict)
+    n_scored: int = 0
 
     @property
     def todo(self) -> list[Job]:
@@ -155,7 +162,7 @@ class Schedule:
             outcomes = outcome if isinstance(outcome, list) else [outcome] * len(batch.pairs)
             for pair, result in zip(batch.pairs, outcomes, strict=True):
                 pair.n_waiting -= 1
-                self._take(pair, handle, result)
+                self._take(pair, handle, result, batch)
                 if not pair.n_waiting:
                     self._go_on(pair)
             self._fill()
@@ -182,7 +189,7 @@ class Schedule:
         self._active[pair.plan.pair_id] = pair
         self._go_on(pair)
 
-    def _take(self, pair: _Pair, handle: Handle, result: Any) -> None:
+    def _take(self, pair: _Pair, handle: Handle, result: Any, batch: _Batch) -> None:
         if isinstance(result, WorkerDied):
             pair.is_lost = True
             if self._is_alone:
@@ -194,12 +201,15 @@ class Schedule:
             pair.failures.extend(result.failures)
         else:
             pair.scored[handle] = result
+            pair.n_scored += len(batch.arguments[2])
+            self._watcher.objects_done(pair.plan, pair.n_scored)
 
     def _go_on(self, pair: _Pair) -> None:
         """Submit the next batches of a pair of which nothing is running."""
         if pair.is_lost:
             pair.is_lost = False
             pair.n_losses += 1
+            pair.n_scored = 0
             pair.scored.clear()
         reason = self._why_too_large(pair.plan)
         while reason and pair.plan.is_counted and pair.todo:
@@ -238,12 +248,17 @@ class Schedule:
                 return True  # its objects are admitted one by one
         if any(job.is_part for job in pair.todo):
             return True
-        if self._pool.n_workers == 1 or not self._few_left():
+        if self._pool.n_workers == 1:
+            return self._is_long(pair)
+        if not self._few_left():
             return False
         if any(job.stage.grain is Grain.SIDE for job in pair.todo):
             return self._costs.side_seconds(pair.plan.n_raw) > self._policy.worth_splitting_s
         seconds = sum(self._costs.object_seconds(n) for _, n in objects or [])
         return objects is None or seconds > self._policy.worth_splitting_s
+
+    def _is_long(self, pair: _Pair) -> bool:
+        return self._costs.pair_seconds(pair.plan.n_raw) > self._policy.long_pair_s
 
     def _few_left(self) -> bool:
         return self._n_pending + len(self._active) <= self._policy.few_pairs_per_worker * self._pool.n_workers
@@ -253,7 +268,7 @@ class Schedule:
         chains = [chain for side in SIDES if (chain := pair.chain(Grain.SIDE, side))]
         if chains:
             for chain in chains:
-                self._submit_jobs(pair, chain, _FIRST)
+                self._submit_jobs(pair, chain[:1] if self._is_long(pair) else chain, _FIRST)
         elif pair.ready[0].stage.grain is Grain.OBJECT:
             self._submit_objects(pair)
         else:

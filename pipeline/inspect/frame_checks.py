@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Mapping
 from functools import cache
@@ -116,7 +117,7 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
     resolve = cache(Path.resolve)  # of folders: many files share one
 
     def resolved(file: Path) -> tuple[str, ...]:
-        return file.resolve().parts if file.is_symlink() else (*resolve(file.parent).parts, file.name)
+        return Path(os.path.realpath(file)).parts if file.is_symlink() else (*resolve(file.parent).parts, file.name)
 
     @cache
     def below(parent: Path) -> tuple[str, ...] | None:

@@ -16,13 +16,14 @@ from ...schemas.errors import StoreError
 
 _FIRST_PAUSE_S = 0.5
 _MODIFIED = "modified "
-_STATUS = re.compile(r"\b([45]\d\d)\b")
+_STATUS = re.compile(r"status code: (\d+)")
+_MACHINE = re.compile("169[.]254[.]|computeMetadata")  # where a machine in a cloud asks if the environment has none
 #: Errors that a second try does not change, by the name of obstore's exception.
 _FINAL = {
     "NotFoundError": "no such object",
     "FileNotFoundError": "no such object",
     "PermissionDeniedError": "permission denied",
-    "UnauthenticatedError": "no valid credentials",
+    "UnauthenticatedError": "no valid credentials in the environment",
     "PreconditionError": "it changed since it was listed",
     "AlreadyExistsError": "it exists",
     "NotSupportedError": "the server does not support this",
@@ -122,7 +123,8 @@ def _open(folder: str) -> tuple[Any, Any]:
     try:
         return obstore, from_url(folder, client_options={"allow_http": True}, retry_config={"max_retries": 0})
     except Exception as error:
-        raise StoreError(f"{folder}: cannot be opened ({type(error).__name__})") from error
+        hint = "; az:// needs AZURE_STORAGE_ACCOUNT_NAME in the environment" * folder.startswith("az")
+        raise StoreError(f"{folder}: cannot be opened ({type(error).__name__}){hint}") from error
 
 
 def _tried(url: str, work: Callable[[], Any]) -> Any:
@@ -131,7 +133,7 @@ def _tried(url: str, work: Callable[[], Any]) -> Any:
         try:
             return work()
         except Exception as error:
-            kind = type(error).__name__
+            kind = "UnauthenticatedError" if _MACHINE.search(str(error)) else type(error).__name__
             if kind in _FINAL:
                 fault = NoSuchObjectError if "NotFound" in kind else StoreError
                 raise fault(f"{url}: {_FINAL[kind]}") from None

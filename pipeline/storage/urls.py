@@ -59,8 +59,8 @@ def url_of_cache(folder: Path) -> str:
 
 
 def name_in_records(folder: Path) -> str:
-    """A dataset's URL, or the absolute path of its folder."""
-    return url_of_cache(folder) or str(folder.resolve())
+    """A dataset's URL, or the absolute path of its folder; `UnicodeEncodeError` unless it is UTF-8, as records are."""
+    return (url_of_cache(folder) or str(folder.resolve())).encode().decode()
 
 
 def url_or_path(folder: Path) -> str:

@@ -19,7 +19,7 @@ from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.generate.ray_casting import fire
 from runs import FIDPIPE, command, one_line, read_only, run
-from scenes import street, write_bin, write_pair
+from scenes import street, write_bin, write_dataset, write_pair
 
 N_PAIRS = 1
 
@@ -244,6 +244,22 @@ def test_a_name_that_is_not_utf8_is_said_in_one_line(finished, tmp_path):
         one_error(command("show", odd, "--markdown"))
         == f"error: the name {str(odd)!a} is not UTF-8; rename the file or folder"
     )
+
+
+def test_a_dataset_whose_name_is_not_utf8_is_said_in_one_line(dataset, tmp_path):
+    odd = shutil.copytree(dataset, tmp_path / "odd\udcff")
+    ended = command("run", odd, "--out", tmp_path / "run", "--workers", 1)
+    assert one_error(ended) == f"error: the name {str(odd)!a} is not UTF-8; rename the file or folder"
+
+
+def test_a_scan_that_is_a_loop_of_links_fails_its_pair_alone(tmp_path):
+    folder = write_dataset(tmp_path / "set", n_pairs=2, n=100)
+    for side in ("real", "sim"):
+        (folder / side / "b.bin").symlink_to("b.bin")
+    ended = command("run", folder, "--out", tmp_path / "run", "--workers", 1)
+    assert ended.returncode == 3
+    assert "pair b: " in ended.stderr and "Too many levels of symbolic links" in ended.stderr
+    assert "2 of 3 pairs scored" in ended.stdout
 
 
 @pytest.mark.exhaustive

@@ -1,16 +1,22 @@
 """The order of work: what is admitted when, what cannot fit, and what becomes of a pair whose worker dies."""
 
+import io
+import re
 from dataclasses import dataclass, replace
 
 import pandas as pd
 import pytest
+from rich.console import Console
 
 from fidpipe.pipeline.datasets import content
 from fidpipe.pipeline.engine.costs import CostModel
+from fidpipe.pipeline.engine.engine import Machines
+from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import EXTRAS, STAGES
+from fidpipe.pipeline.run import run_dataset
 from fidpipe.schemas.errors import StageError
-from fidpipe.schemas.settings import load
+from fidpipe.schemas.settings import Settings, load
 from pools import GIB, DyingPool, WatchedPool
 from runs import JOBS_PER_PAIR, assert_same_tables, run
 
@@ -70,6 +76,23 @@ def test_objects_larger_than_a_share_are_scored_one_by_one_with_the_same_numbers
     policy = Policy(LARGE_NODES, few_pairs_per_worker=0)  # no pair is split for speed
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
     assert "score_objects" in pool.submitted
+    assert_same_tables(tmp_path / "run", finished)
+
+
+@pytest.mark.parametrize("n_workers", [1, 2])
+def test_a_long_pair_is_made_job_by_job_and_object_by_object_so_that_progress_moves(
+    dataset, finished, tmp_path, n_workers
+):
+    pool, told = WatchedPool(n_workers=n_workers), io.StringIO()
+    policy = Policy(worth_splitting_s=0.0, long_pair_s=0.0, batch_s=0.0)
+    reporter = Reporter(Console(file=told, width=200), seconds_between_lines=0.0)
+    machines = Machines(pool=pool, policy=policy)
+    assert not run_dataset(dataset, tmp_path / "run", Settings(), reporter, machines=machines).failures
+    jobs_of_sides = [len(jobs) for jobs in pool.batches if jobs[0][1] in ("ground", "graph", "communities")]
+    assert set(jobs_of_sides) == {1}
+    assert re.search(r"^\d+ % done$", told.getvalue(), re.MULTILINE)
+    counts = re.findall(r"000: (\d+) of (\d+) objects", told.getvalue())
+    assert [int(n) for n, _ in counts] == list(range(1, int(counts[0][1]) + 1))
     assert_same_tables(tmp_path / "run", finished)
 
 
