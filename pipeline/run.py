@@ -303,6 +303,7 @@ class _Run:
             metrics=metrics,
             seconds=jobs.seconds.result(),
             inputs=dict(sorted(self._hashes.items())),
+            times_s={name: time_s for name in scored_ids if (time_s := times_s[name]) is not None},
             frames=dict(sorted(jobs.suspects.items())),
             notes=dict(sorted(jobs.notes.items())),
             **extras,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BeforeValidator, ConfigDict, PlainSerializer
+from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer
 
 from .results import Findings, JsonObject, Overview, PreviousRun, Result, ScoreSummary
 
@@ -166,6 +166,7 @@ class RunRecord(RunHeader):
     findings : None ({} in JSON) where no pair is scored
     overview : None if no pair is scored
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
+    times_s : by pair, the time of its real scan where the dataset has one
     frames : by pair, those whose simulated scan seems to lie in another frame, or shows another place
     notes : by pair, notes on its ground cut
     metrics : what is behind the unmatched objects
@@ -186,6 +187,7 @@ class RunRecord(RunHeader):
     seconds: Seconds
     inputs: dict[str, dict[str, str]]
     overview: Overview | None = None
+    times_s: dict[str, float] = Field(default_factory=dict)
     frames: dict[str, FrameSuspect]
     notes: dict[str, tuple[str, ...]]
     metrics: MetricsSummary | None = None

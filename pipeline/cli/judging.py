@@ -132,7 +132,6 @@ def compare(
 
     fidpipe compare runs/build4? --history --markdown >> comment.md
     """
-    from ..report.page.compare_page import compare_page
     from ..report.views.compare_view import compare_records, compare_view
     from ..report.views.gate_view import base_view, junit_xml
     from ..results.compare import MOST_RUNS, compare_runs
@@ -161,6 +160,8 @@ def compare(
         runs, allow_different_settings=allow_different_settings, floor=floor, independent=independent
     )
     if page:
+        from ..report.page.compare_page import compare_page
+
         write_whole(page, compare_page(comparisons, page.parent).encode())
     results = [judge_comparison(each, fail_on) for each in comparisons] if fail_on else []
     views = (compare_view(each, with_all=all_ or output == "markdown") for each in comparisons)

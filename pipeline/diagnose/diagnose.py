@@ -22,7 +22,6 @@ from ...stages.diagnose.motion import PARAMETERS, Displacement
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, blocks_of
 from ..engine.progress import Reporter
 from ..results.causes import mean_interval
-from ..results.compare import recorded_times_s
 from ..results.diagnosis import DIAGNOSIS, UNEXPLAINED, results_identity
 from ..results.finished import FinishedRun
 from ..storage.files import write_whole
@@ -82,7 +81,7 @@ def diagnose_run(
         if not found:
             raise RunError(f"run {folder}: no pair has enough surface in common with its real scan; see fidpipe check")
         names = [*found]
-        times_s = recorded_times_s(run)
+        times_s = run.record.times_s
         blocks, unit = _blocks(run, times_s, names)
         amounts = [own.amounts for own, _ in found.values()]
         candidates = name_causes(amounts, [over for _, over in found.values()] if base else None, blocks)

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError, RunError
 from ...stages.coverage import nearest_distances
-from ..results.compare import recorded_times_s
 from ..storage.files import named_errors, write_whole
 from ..storage.table_files import file_stem
 from .convert import ply_content
@@ -150,11 +149,11 @@ def export_run(
 def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int], bool]:
     """The time of each pair in nanoseconds, and whether it is that of the dataset.
 
-    It is `timestamp_s` of the dataset's manifest if all these pairs have one, each its own, from 0 to 2^31 s. Else the
-    pairs of the run are one second apart, the first at 1 s: to ROS, 0 means no time.
+    It is that of the real scan (`timestamp_s` of the manifest) if all these pairs have one, each its own, from 0 to
+    2^31 s. Else the pairs of the run are one second apart, the first at 1 s: to ROS, 0 means no time.
     """
-    known_s = recorded_times_s(run)
-    times_s = [time_s for name in names if (time_s := known_s.get(name)) is not None and 0 <= time_s < _LATEST_S]
+    known_s = run.record.times_s
+    times_s = [known_s[name] for name in names if 0 <= known_s.get(name, -1.0) < _LATEST_S]
     if len(set(times_s)) == len(names):
         return {name: round(time_s * _NS) for name, time_s in zip(names, times_s, strict=True)}, True
     return {row["pair_id"]: second * _NS for second, row in enumerate(run.scored, 1)}, False

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from ...stages.paper.claim_rules import Claim
 from ...stages.paper.run_claims import check_run_claims
 from ..report.view import Note, Table, View, number
-from ..results.compare import recorded_times_s
 from ..results.finished import FinishedRun
 from ..results.object_frame import STATISTICS_COLUMNS, arrays_of
 from ..results.overview import independence
@@ -19,9 +18,8 @@ def claims_of(run: FinishedRun) -> list[Claim]:
     if not names:
         return []
     objects = arrays_of(run.objects_of(names, STATISTICS_COLUMNS))
-    times_s = recorded_times_s(run)
     contents, real_scans = ([run.record.inputs[name][key] for name in names] for key in ("content", "real"))
-    return check_run_claims(*objects, contents, real_scans, [times_s.get(name) for name in names])
+    return check_run_claims(*objects, contents, real_scans, [run.record.times_s.get(name) for name in names])
 
 
 def claims_view(run: FinishedRun, claims: Sequence[Claim]) -> View:

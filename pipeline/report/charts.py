@@ -17,7 +17,6 @@ import pandas as pd
 
 from ...schemas.metric_catalogue import METRIC
 from ...schemas.results import Evidence
-from ..results.compare import recorded_times_s
 from ..results.families import ScoreChange
 from ..results.history import FamilyHistory
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
@@ -91,7 +90,7 @@ def run_charts(results: RunResults) -> dict[str, CaptionedChart]:
         "quadrants": _quadrants(results),
         "scores_range": _spread("distance", score_spread(matched, range_of, ranges)),
         "scores_class": _spread(results.class_is, score_spread(matched, matched.group, classes)),
-        "sequence": _sequence(*along_the_sequence(results, recorded_times_s(results.run))),
+        "sequence": _sequence(*along_the_sequence(results, results.run.record.times_s)),
         "polar": _polar(results.unmatched),
         **({"rays_range": _rays(rays)} if len(rays := ray_outcomes(results)) else {}),
     }

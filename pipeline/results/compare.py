@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.cause_catalogue import CAUSES
-from ...schemas.errors import DatasetError, RunError
+from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.results import CauseEstimate, JsonObject
 from ...stages.arrays import FloatArray, IntArray
@@ -30,7 +30,6 @@ from ...stages.statistics.comparison import (
 )
 from ...stages.statistics.neighbours import neighbours
 from ...stages.statistics.spread import spread
-from ..datasets.pairs import local_folder, read_dataset
 from ..storage.table_files import table_name
 from .causes import CAUSE_KINDS, CauseKind, Columns
 from .diagnosis import read_diagnosis
@@ -243,18 +242,6 @@ def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tu
     return changes, [names[i] for _, own in found for i in own]
 
 
-def recorded_times_s(*runs: FinishedRun) -> dict[str, float]:
-    """Times of the real scans by pair; {} if the dataset is not on this machine or has none."""
-    times_s: dict[str, float] = {}
-    for run in runs:
-        try:
-            pairs = read_dataset(local_folder(run.record.dataset)).pairs
-        except (DatasetError, OSError):
-            continue
-        times_s |= {pair.pair_id: pair.timestamp_s for pair in pairs if pair.timestamp_s is not None}
-    return times_s
-
-
 def _blocks(base: FinishedRun, other: FinishedRun, names: Sequence[str], independent: bool) -> tuple[IntArray, str]:
     """The block of each pair, and how these were found.
 
@@ -266,7 +253,7 @@ def _blocks(base: FinishedRun, other: FinishedRun, names: Sequence[str], indepen
             f"{n} {unit}, each counted as independent (--independent): the decision is about these scans only, not "
             "about other places"
         )
-    known = recorded_times_s(base, other)
+    known = base.record.times_s | other.record.times_s
     times_s = [known.get(name) for name in names]
     untimed = [i for i, time_s in enumerate(times_s) if time_s is None]
     links = neighbours(base.object_points(names[i]) for i in untimed)

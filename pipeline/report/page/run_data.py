@@ -12,7 +12,6 @@ from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import METRIC, metric_of
 from ....stages.inspect.sensor_description import differences, pair_columns, sensor_lines
 from ...results.causes import with_tolerance
-from ...results.compare import recorded_times_s
 from ...results.diagnosis import gain_words, interval_words, read_diagnosis
 from ...results.floor import RunExcess
 from ...results.quadrants import CDC_LIMIT, R_LAMBDA_LIMIT
@@ -131,7 +130,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "n_scored": int(results.matched.r_lambda.notna().sum()),
         "n_matched": len(results.matched),
         "n_unmatched": len(results.unmatched),
-        "has_times": along_the_sequence(results, recorded_times_s(results.run))[0],
+        "has_times": along_the_sequence(results, results.run.record.times_s)[0],
         "diagnosis": found,
         "amounts": {cause.name: f"{interval_words(cause)}; {gain_words(cause)}".removesuffix("; ") for cause in causes},
         "failures": results.failures,
