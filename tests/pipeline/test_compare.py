@@ -99,6 +99,7 @@ def test_scans_near_each_other_in_time_count_once(versions, tmp_path):
         manifest = (data / "pairs.csv").read_text("utf-8")
         (data / "pairs.csv").write_text(re.sub(r",(\d+)\n", lambda own: f",{int(own[1]) / 300}\n", manifest), "utf-8")
         run(data, out)
+        shutil.rmtree(data)  # the same where the dataset is not
         folders.append(out)
     found = compare_runs(folders)[0]
     assert (len(found.pairs), found.n_blocks) == (6, 1)

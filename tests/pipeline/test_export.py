@@ -48,16 +48,16 @@ def exported(request, dataset, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def timed(dataset, tmp_path_factory):
-    """A run of the pairs a and b, and what gives them other stamps."""
+    """Runs the pairs a and b with other stamps."""
     base = tmp_path_factory.mktemp("timed")
 
-    def write_manifest(*stamps):
+    def run_with(*stamps):
         rows = [f"{'ab'[i]},{dataset}/real/00{i}.bin,{dataset}/sim/00{i}.bin,{stamp}" for i, stamp in enumerate(stamps)]
         (base / "pairs.csv").write_text("\n".join(["pair_id,real,sim,timestamp_s", *rows]) + "\n")
+        run_dataset(base, base / "run")
+        return fidpipe.open_run(base / "run")
 
-    write_manifest("1", "2")
-    run_dataset(base, base / "run")
-    return fidpipe.open_run(base / "run"), write_manifest
+    return run_with
 
 
 def read_mcap(path):
@@ -190,8 +190,7 @@ def test_ply_read_by_trimesh_holds_the_same_points_as_scalar_fields(exported):
     ],
 )
 def test_stamps_are_those_of_the_dataset_if_every_pair_has_its_own(timed, tmp_path, stamps, wanted):
-    run, write_manifest = timed
-    write_manifest(*stamps)
+    run = timed(*stamps)
     times_ns, has_times = message_times(run, ["a", "b"])
     assert has_times == (wanted is not None)
     assert times_ns == (wanted or {"a": 1_000_000_000, "b": 2_000_000_000})
