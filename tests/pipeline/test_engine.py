@@ -63,7 +63,7 @@ def test_a_pair_of_many_points_is_announced_with_its_memory_and_minutes(tmp_path
         with engine.making(survey, lambda pair: None, lambda: None):
             pass
     assert "1 of 2 pairs have 500,000 points or more; the largest has about 2,000,000; with all" in said.getvalue()
-    assert "it takes some 11 GiB of memory and 17 minutes, more where points are dense; thin both sides" in said.getvalue()
+    assert "some 11 GiB of memory and 17 minutes, more where points are dense; thin both sides" in said.getvalue()
 
 
 def test_a_part_sees_what_was_made_after_another_part_had_begun(dataset, tmp_path):
