@@ -174,10 +174,10 @@ class RemoteRun:
 
     def _end(self) -> None:
         """Delete what was removed here, or belongs to no finished job; then write the ledger, for those who read."""
-        ledger, found = RunFolder(self.folder).ledger, {one.name for one in list_objects(self.url)}
-        kept = {*_LOCAL, *self._files()}.union(*map(ledger.files, TABLES))
-        own = self._known().keys() | {name for name in found if name.partition("/")[0] in TABLES}
-        delete_objects(self.url, (found & own) - kept)
+        ledger, found = RunFolder(self.folder).ledger, {*self._known()}
+        if (self.folder / AT_URL).exists():  # workers wrote there, and some may have died
+            found |= {one.name for one in list_objects(self.url) if one.name.partition("/")[0] in TABLES}
+        delete_objects(self.url, found.difference(_LOCAL, self._files(), *map(ledger.files, TABLES)))
         for name in (LEDGER, SEAL):
             self._put(name)
 
