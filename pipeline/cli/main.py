@@ -141,7 +141,7 @@ def _flushed(code: int | None) -> int | None:
 
 
 def _usage_words(error: Any) -> str:
-    """Message of wrong usage with the next step; the help itself if there is no command."""
+    """One line on wrong usage with the next step; without a command, the help."""
     text, context = error.format_message(), getattr(error, "ctx", None)
     if context is None or not sys.argv[1:]:
         return str(text)

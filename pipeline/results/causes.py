@@ -124,8 +124,11 @@ CAUSE_KINDS = {kind.name: kind for kind in _KINDS}
 
 #: Causes by the beginning of a difference of the sensors.
 _DIFFERENCES = {
-    **{"beams: ": "beams", "azimuth step": "azimuth step", "range quantum": "range steps"},
-    **{"range noise": "range noise", "pulses lost": "lost pulses"},
+    "beams: ": "beams",
+    "azimuth step": "azimuth step",
+    "range quantum": "range steps",
+    "range noise": "range noise",
+    "pulses lost": "lost pulses",
 }
 
 #: Columns of `pairs` that the causes are estimated from.
