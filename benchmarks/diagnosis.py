@@ -334,7 +334,7 @@ def is_possible(flaw, folder):
 
 def tasks_of(args):
     for folder in args.datasets:
-        for base in ("good", "poor"):
+        for base in args.bases:
             for name, (_, amounts) in FLAWS.items():
                 if not is_possible(name, folder):
                     continue
@@ -433,6 +433,7 @@ if __name__ == "__main__":
     parser.add_argument("--mixed", type=int, default=N_MIXED, help="mixtures of two flaws")
     parser.add_argument("--healthy", type=int, default=N_HEALTHY, help="healthy re-measurements")
     parser.add_argument("--kinds", nargs="*", help="only these: single, mixture, unknown, healthy, repeated")
+    parser.add_argument("--bases", nargs="*", default=["good", "poor"], help="bases of flaws")
     parser.add_argument("--amounts", nargs="*", type=int, default=[0, 1, 2], help="single flaws in these amounts only")
     parser.add_argument("--pairs", nargs="*", type=int, default=[5, 10], help="diagnoses of these numbers of pairs")
     parser.add_argument("--every-pair", type=int, default=1, help="take each n-th pair")

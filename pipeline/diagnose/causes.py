@@ -32,7 +32,8 @@ _ENOUGH = 4  # blocks that all lie beyond a tolerance
 class NamedCause:
     """A cause that the pairs show, with its mean and 95 % interval.
 
-    low, high : of Student's t over blocks of pairs, and the accuracy of the estimate, root of the sum of squares
+    low, high : of Student's t over blocks of pairs, and the accuracy of the estimate, constant and in proportion to the
+        amount, root of the sum of squares
     values : of the pairs, over the floor
     """
 
@@ -81,7 +82,7 @@ def name_causes(
         limit = model.resolution if floor else model.tolerance
         least, most = (means.min(), means.max()) if floor and len(means) >= _ENOUGH else (low, high)
         if max(low, least) > limit or (min(high, most) < -limit and len(model.words) > 1):
-            reach = float(np.hypot((high - low) / 2, model.resolution))
+            reach = float(np.linalg.norm([(high - low) / 2, model.resolution, model.relative * mean]))
             named.append(NamedCause(model, mean, mean - reach, mean + reach, values[is_known]))
     return sorted(named, key=lambda own: -abs(own.mean) / own.model.resolution)
 

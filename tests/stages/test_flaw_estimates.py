@@ -214,3 +214,15 @@ def test_every_cause_has_words_and_a_tolerance():
     for model in CAUSES.values():
         assert 0 < model.resolution <= model.tolerance
         assert all("{size}" in words for words in model.words)
+
+
+def test_the_interval_of_a_share_grows_with_its_amount_and_what_is_named_does_not():
+    floor, model = [dict.fromkeys((*CAUSES, UNEVEN), 0.0)] * 4, CAUSES["mixed pixels"]
+    half_widths = []
+    for amount in (0.006, 0.06, 0.6):
+        (own,) = name_causes([{**floor[0], model.name: amount}] * 4, floor, np.arange(4))
+        assert (own.model.name, own.mean) == (model.name, pytest.approx(amount))
+        assert own.mean - own.low == pytest.approx(own.high - own.mean)
+        half_widths.append(own.high - own.mean)
+    assert half_widths == pytest.approx([np.hypot(model.resolution, model.relative * a) for a in (0.006, 0.06, 0.6)])
+    assert name_causes([{**floor[0], model.name: 0.9 * model.resolution}] * 4, floor, np.arange(4)) == []

@@ -1,0 +1,98 @@
+"""By how much are the shares that `fidpipe diagnose` estimates wrong, relative to their size?
+
+    python benchmarks/share_accuracy.py ../shared/data/kitti_twin
+
+Flaws of which the share is known, in four amounts, on the two bases of `diagnosis.py`. The estimate is the mean over
+the pairs, minus that of the base without the flaw. `relative` in `schemas/causes.toml` is the largest error of a cause,
+rounded up; none of the scenes that `diagnosis.py` judges was used for it.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import sys
+from pathlib import Path
+
+import flawed_scans as fs
+import numpy as np
+import pandas as pd
+from diagnosis import altered, car_moved, far_drop, ghosts, holes, mixed, pair_of, rain, read_scenes
+from flawed_scans import along_ray, ranges
+
+from fidpipe.pipeline.diagnose.causes import name_causes
+from fidpipe.stages.diagnose.evidence import SCATTERED, amounts_of_floor, estimate
+from fidpipe.stages.inspect.surfels import fit_planes
+
+
+def leaves(points):
+    planes = fit_planes(points, points, 20)
+    return (planes.scattering >= SCATTERED) & (planes.variance[:, 2] < 1.0)
+
+
+def solid(share):
+    """A share of the returns of foliage comes from 1 m in front of it."""
+    return lambda scan, rng: along_ray(
+        scan.points, ranges(scan.points) - (leaves(scan.points) & (rng.random(len(scan.points)) < share))
+    )
+
+
+def share_early(scene, before, after, amount):
+    """Share of the rays into real foliage next to a simulated return that was moved."""
+    real = scene[1].points[leaves(scene[1].points)]
+    angle, near = fs.cKDTree(before / ranges(before)[:, None]).query(real / ranges(real)[:, None])
+    return (ranges(after - before) > 0.5)[near[angle < np.radians(0.4)]].mean()
+
+
+def share_cut(scene, before, after, amount):
+    """Share of the real points that have a simulated one within 0.25 m, and none afterwards that is as near."""
+    before_m, after_m = (fs.cKDTree(own).query(scene[1].points)[0] for own in (before, after))
+    return ((before_m < 0.25) & (after_m > before_m)).mean()
+
+
+#: By cause: the altered scan by amount, the amounts, and the true share, given the scans without the flaw and with it.
+FLAWS = {
+    "solid foliage": (solid, (0.1, 0.2, 0.4, 0.6), share_early),
+    "moved pieces": (car_moved, (0.6, 0.9, 1.2, 1.5), lambda scene, *_: fs.belongs_to_car(scene[1]).mean()),
+    "lost returns": (fs.drop, (0.05, 0.1, 0.2, 0.4), lambda *scans_and_amount: scans_and_amount[-1]),
+    "lost far returns": (far_drop, (0.2, 0.4, 0.6, 0.8), lambda *scans_and_amount: scans_and_amount[-1]),
+    "mixed pixels": (mixed, (0.015, 0.03, 0.06, 0.1), lambda *scans_and_amount: scans_and_amount[-1]),
+    "invented pieces": (
+        ghosts,
+        (0.005, 0.01, 0.02, 0.04),
+        lambda scene, before, after, _: 1 - len(before) / len(after),
+    ),
+    "clutter": (rain, (60, 120, 200, 600), lambda scene, before, after, amount: amount / len(after)),
+    "missing pieces": (holes, (3, 6, 12, 25), share_cut),
+}
+
+
+def rows(folder):
+    scenes = read_scenes(folder, 1)
+    for base in ("good", "poor"):
+        floors = [pair_of(scene, scene[2][base]) for scene in scenes]
+        of_floor = [estimate(own).amounts for own in floors]
+        for name, (make, amounts, true_share) in FLAWS.items():
+            for amount in amounts:
+                pairs = [pair_of(own, altered(own, base, [(f"{name} {amount}", make(amount))])) for own in scenes]
+                truth = np.mean(
+                    [
+                        true_share(own, own[2][base], pair.sim.points, amount)
+                        for own, pair in zip(scenes, pairs, strict=True)
+                    ]
+                )
+                found = [estimate(own) for own in pairs]
+                over = [amounts_of_floor(*own) for own in zip(found, pairs, floors, of_floor, strict=True)]
+                mean = np.mean([a.amounts[name] - b[name] for a, b in zip(found, over, strict=True)])
+                named = name_causes([own.amounts for own in found], over, np.arange(len(pairs)))
+                holds = [own.low <= truth <= own.high for own in named if own.model.name == name]
+                yield name, base, amount, truth, mean, truth / mean - 1, holds[0] if holds else "not named"
+
+
+if __name__ == "__main__":
+    columns = ["cause", "base", "amount", "truth", "estimate", "relative error", "interval holds"]
+    table = pd.DataFrame([*rows(Path(sys.argv[1]))], columns=columns)
+    print(table.round(4).to_string(index=False))
+    table["relative error"] = table["relative error"].abs()
+    print(table.groupby("cause")["relative error"].max().round(3).to_string())
