@@ -14,7 +14,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 from ..schemas.columns import Row, Table
@@ -409,7 +408,7 @@ class _Run:
                 for record in self._records(names)
                 for step, seconds in record.steps
             ]
-            columns = np.array(rows, dtype=object).reshape(-1, 6).T  # also without rows
+            columns = zip(*rows, strict=True) if rows else [()] * 6
             by_name = zip(("pair_id", "side", "stage", "step", "seconds", "reused"), columns, strict=True)
             table = TABLES["timings"].build(dict(by_name))
             yield table.sort_by([(key, "ascending") for key in TABLES["timings"].keys])

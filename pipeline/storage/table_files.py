@@ -359,10 +359,11 @@ def job_record(values: list[Any]) -> JobRecord:
         They are not those of a job, or a file is named that is not a table of a run.
     """
     record = JobRecord(*values)
-    record.files = {name: StoredFile(*stored) for name, stored in record.files.items()}
-    if wrong := [name for name in record.files if not _TABLE_NAME.fullmatch(name)]:
-        raise ValueError(f"{wrong[0]!r} is not the name of a table of a run")
-    record.reads, record.steps = tuple(record.reads), tuple((name, seconds) for name, seconds in record.steps)
+    for name, stored in record.files.items():
+        if not _TABLE_NAME.fullmatch(name):
+            raise ValueError(f"{name!r} is not the name of a table of a run")
+        record.files[name] = StoredFile(*stored)
+    record.reads, record.steps = tuple(record.reads), tuple([(name, seconds) for name, seconds in record.steps])
     return record
 
 

@@ -75,7 +75,7 @@ def recorded_path(name: str) -> Path:
 
 def is_stub(path: Path) -> bool:
     """True for a stub in the cache. Elsewhere it is ignored: a dataset of others could name any address."""
-    return path.suffix == STUB and (path in RESTORED or _cache() in path.absolute().parents)
+    return path.suffix == STUB and (path in RESTORED or path.absolute().parts[: len(_cache().parts)] == _cache().parts)
 
 
 def read_stub(stub: Path) -> list[str]:
