@@ -145,7 +145,7 @@ def _usage_words(error: Any) -> str:
     text, context = error.format_message(), getattr(error, "ctx", None)
     if context is None or not sys.argv[1:]:
         return str(text)
-    text = text.rstrip(".").replace(". Did", "; did")
+    text = text.removeprefix("Invalid value: ").rstrip(".").replace(". Did", "; did")
     return f"error: {text[:1].lower()}{text[1:]}; see {context.command_path} --help"
 
 

@@ -218,7 +218,8 @@ def test_a_wrong_criterion_ends_with_one_line_and_no_files(again, words, fault):
 
 
 def test_a_gate_without_criteria_is_wrong_usage(finished):
-    assert command("gate", finished).returncode == 2
+    empty = command("gate", finished)
+    assert (empty.returncode, empty.stderr.split(";")[0]) == (2, "error: no criterion given")
 
 
 def test_a_file_of_criteria_gives_names_and_reasons(tmp_path):
