@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from browsers import by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
+from browsers import IN_3D, by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
 from fidpipe.pipeline.report.aggregates import score_limits
 from fidpipe.pipeline.report.page.compare_page import compare_page, history_page
 from fidpipe.pipeline.report.page.run_page import write_report
@@ -608,6 +608,23 @@ def test_charts_are_drawn_when_they_come_into_view(browser, page_path):
     pixels(browser, "quadrants")
     assert browser.execute_script(is_drawn, "quadrants")
     assert not browser.execute_script(is_drawn, "sequence"), "folded"
+
+
+@pytest.mark.exhaustive
+def test_the_scene_is_drawn_when_a_third_of_it_is_in_view(browser, page_path):
+    low = {"width": WIDTHS[0], "height": 400, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", low)
+    browser.get("about:blank")
+    browser.get(page_path.as_uri())
+    wait_for(browser, "return document.documentElement.dataset.ready === 'yes'")
+    for share, is_drawn in ((0.2, False), (0.5, True)):
+        browser.execute_script(
+            "const {top, height} = document.getElementById('scene').getBoundingClientRect();"
+            "window.scrollBy(0, top + arguments[0] * height - window.innerHeight)",
+            share,
+        )
+        settle(browser)
+        assert browser.execute_script(f"return {IN_3D}") == is_drawn
 
 
 @pytest.mark.exhaustive

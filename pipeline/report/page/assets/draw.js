@@ -45,15 +45,21 @@ export function draw(id, { data, layout }, config = {}) {
 // How each place is drawn, by its id, and which ones have been.
 const jobs = new Map();
 const drawn = new Set();
-const views = new IntersectionObserver(
-  (changes) => {
-    for (const { target, isIntersecting } of changes) if (isIntersecting) drawNow(target.id);
-  },
-  { rootMargin: "200px" },
-);
+const watch = (threshold, rootMargin) =>
+  new IntersectionObserver(
+    (changes) => {
+      for (const { target, isIntersecting, intersectionRatio } of changes)
+        if (isIntersecting && intersectionRatio >= threshold) drawNow(target.id);
+    },
+    { threshold, rootMargin },
+  );
+const views = watch(0, "200px");
+// WebGL takes seconds without a graphics card: it waits until a third of the scene is in view.
+const scenes = watch(1 / 3, "0px");
+const observerOf = (place) => (place.matches(".scene") ? scenes : views);
 
 function drawNow(id) {
-  views.unobserve(byId(id));
+  observerOf(byId(id)).unobserve(byId(id));
   drawn.add(id);
   jobs.get(id)();
 }
@@ -62,7 +68,7 @@ function drawNow(id) {
 export function drawInView(id, job) {
   jobs.set(id, job);
   if (drawn.has(id)) job();
-  else views.observe(byId(id));
+  else observerOf(byId(id)).observe(byId(id));
 }
 
 // Draws again, in the colours of now, what has been drawn.

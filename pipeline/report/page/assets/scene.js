@@ -109,7 +109,7 @@ function drawSigned() {
   const xaxis = { title: { text: "simulated behind (−) or in front of (+)<br>the real surface (m)" } };
   draw("signed", { data, layout: { xaxis, yaxis: { title: { text: "%" } }, shapes: [line], barmode: "overlay" } });
   const words = said.length ? `${said.join("; ")}.` : "no simulated point has a real plane next to it.";
-  say("signed_note", `Signed distance of the simulated points to the real planes next to them. ${words}`);
+  say("signed_note", `Signed distance of the simulated points to the real planes next to them: ${words}`);
 }
 
 // The range image of the outcomes: a byte a ray, row by row from the highest beam; 255 for a ray that returned nothing.
@@ -183,7 +183,7 @@ function drawScene(camera) {
   const modeBarButtons = [["toImage", "zoom3d", "pan3d", "orbitRotation", "resetCameraDefault3d"]];
   drawInSpace("scene", traces, camera, pair.ranges, { displayModeBar: true, modeBarButtons });
   const road = byId("show_road").checked ? [swatch("var(--line)", "road (removed as ground), thinned")] : [];
-  byId("legend").replaceChildren(...shades.legend, ...road);
+  byId("legend").replaceChildren(...shades.legend, "Large dots: missing and invented pieces.", ...road);
 }
 
 function redrawPair() {
