@@ -1,7 +1,9 @@
 """CPU seconds of the commands that only read, and seconds until a browser has drawn the page of a run.
 
     python benchmarks/small_commands.py RUN [REPEATS]     of a finished run; medians, of 5 by default
-    python benchmarks/small_commands.py PAGE.html ...     first paint, load, and the end of the last task over 50 ms
+    python benchmarks/small_commands.py PAGE.html ...     of each page, alternating; medians of 5:
+        first paint; load; end of the last task over 50 ms; CPU of the page's main thread, and of all processes of the
+        browser; and both again after each chart was in view
 
 FIDPIPE_BENCH_COMMAND names the command of another version, as RUN has to be of its own.
 """
@@ -18,9 +20,10 @@ from measure import FIDPIPE
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
-from browsers import resize, start_browser
+from browsers import resize, settle, start_browser
 
-SECONDS_TO_DRAW = 15
+#: A browser is quiet if it takes less CPU than this in as many seconds as that.
+QUIET_S, QUIET_FOR_S = 0.06, 1.5
 TIMES = """const done = arguments[0], ends = [0];
 new PerformanceObserver((list) => { for (const one of list.getEntries()) ends.push(one.startTime + one.duration); })
   .observe({ type: "longtask", buffered: true });
@@ -41,23 +44,57 @@ def cpu_seconds(*words):
     return used.ru_utime + used.ru_stime
 
 
+def tree_seconds(pid):
+    """User and system seconds of the processes below a process."""
+    children, seconds = {}, {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:  # ended meanwhile
+            continue
+        children.setdefault(int(fields[1]), []).append(int(path.parent.name))
+        seconds[int(path.parent.name)] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    below = children.get(pid, [])
+    for one in below:
+        below += children.get(one, [])
+    return sum(seconds[one] for one in below)
+
+
+def seconds_when_quiet(browser):
+    """CPU seconds of the page's main thread, and of all processes of a browser, when it has nothing left to do."""
+    last, now = -1.0, 0.0
+    while now - last > QUIET_S:
+        last = now
+        time.sleep(QUIET_FOR_S)
+        now = tree_seconds(browser.service.process.pid)
+    metrics = browser.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+    return next(one["value"] for one in metrics if one["name"] == "TaskDuration"), now
+
+
 def page_seconds(page):
-    """First paint, load event, and end of the last long task, in a fresh browser at 1280 pixels."""
+    """Times of a page in a fresh browser at 1280 pixels, as the module describes them."""
     with tempfile.TemporaryDirectory() as profile:
         browser = start_browser(profile)
         resize(browser, 1280)
+        browser.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
+        _, before = seconds_when_quiet(browser)
         browser.get(page.resolve().as_uri())
-        time.sleep(SECONDS_TO_DRAW)
-        times = browser.execute_async_script(TIMES)
+        main_thread, whole = seconds_when_quiet(browser)
+        times = [own / 1000 for own in browser.execute_async_script(TIMES)]
+        browser.execute_script("for (const one of document.querySelectorAll('details')) one.open = true")
+        for chart in browser.find_elements("css selector", ".chart"):
+            browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", chart)
+            settle(browser)
+        main_thread_after, whole_after = seconds_when_quiet(browser)
         browser.quit()
-    return [own / 1000 for own in times]
+    return [*times, main_thread, whole - before, main_thread_after, whole_after - before]
 
 
 def main(paths, repeats=5):
     if paths[0].suffix == ".html":
-        for page in paths:
-            tries = zip(*(page_seconds(page) for _ in range(3)), strict=True)
-            print(page, *(f"{median(own):.2f}" for own in tries))
+        tries = [[page_seconds(page) for page in paths] for _ in range(repeats)]
+        for page, own in zip(paths, zip(*tries, strict=True), strict=True):
+            print(page, *(f"{median(values):.2f}" for values in zip(*own, strict=True)))
         return
     run = paths[0]
     for words in (["--help"], ["status", run], ["show", run], ["report", run]):
