@@ -25,6 +25,7 @@ _ENVIRONMENT = {
     "MKL_NUM_THREADS": "1",
     "MALLOC_TRIM_THRESHOLD_": str(1 << 30),
     "MALLOC_MMAP_THRESHOLD_": str(1 << 25),
+    "PYTHONWARNINGS": "ignore:resource_tracker",  # what it tidies up behind killed workers is no news for the user
 }
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
@@ -48,10 +49,11 @@ def start(modules: Iterable[str] = ()) -> None:
         return
     from multiprocessing import forkserver, resource_tracker
 
-    resource_tracker.ensure_running()  # the forkserver wants it; starting it would let Ctrl-C through again
     forkserver.set_forkserver_preload([WORKER_START, *modules])
-    with _environment(_ENVIRONMENT), _without_interrupts():
-        forkserver.ensure_running()
+    with _environment(_ENVIRONMENT):
+        resource_tracker.ensure_running()  # the forkserver wants it; starting it would let Ctrl-C through again
+        with _without_interrupts():
+            forkserver.ensure_running()
 
 
 @contextmanager
