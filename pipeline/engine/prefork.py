@@ -25,7 +25,7 @@ _ENVIRONMENT = {
     "MKL_NUM_THREADS": "1",
     "MALLOC_TRIM_THRESHOLD_": str(1 << 30),
     "MALLOC_MMAP_THRESHOLD_": str(1 << 25),
-    "PYTHONWARNINGS": "ignore:resource_tracker",  # what it tidies up behind killed workers is no news for the user
+    "PYTHONWARNINGS": "ignore:resource_tracker",  # it complains about what killed workers left, and removes it
 }
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
