@@ -99,6 +99,7 @@ def take_terminal(browser, path):
     page.write_text(console.export_html(), encoding="utf-8")
     resize(browser, 960)
     browser.get(page.resolve().as_uri())
+    browser.execute_script("document.body.style.zoom = 0.7")  # or wide and long output is cut
     picture = opened(browser.find_element("css selector", "pre").screenshot_as_png)
     page.unlink()
     return picture
