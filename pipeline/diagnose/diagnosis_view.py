@@ -27,9 +27,10 @@ def diagnosis_view(found: Diagnosis) -> View:
         f"{found.n_pairs} pair{'s' * (found.n_pairs > 1)}; the surfaces are {100 * found.distance_m:.1f} cm apart on "
         f"average{over}, distances counted up to 1 m"
     )
+    least = "at least " * any(own.is_upper_bound for own in found.causes)
     notes = [
-        f"unexplained: {percent(found.unexplained)} of the distance{' over the floor' * bool(found.floor)} remains if "
-        "all causes are corrected"
+        f"unexplained: {least}{percent(found.unexplained)} of the distance{' over the floor' * bool(found.floor)} "
+        "remains if all causes are corrected"
         if found.unexplained is not None
         else "hardly any distance over the floor: gains are in cm, not shares; causes are in the order of their size",
         f"intervals: 95 % over {found.over}" + ("" if found.floor else "; without --floor only clear causes are named"),

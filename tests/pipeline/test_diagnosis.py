@@ -9,6 +9,7 @@ import pytest
 from fidpipe.pipeline.diagnose import tell_apart
 from fidpipe.pipeline.diagnose.beams import beam_table, outstanding
 from fidpipe.pipeline.diagnose.diagnose import diagnose_run
+from fidpipe.pipeline.diagnose.diagnosis_view import diagnosis_view
 from fidpipe.pipeline.diagnose.latency import follow, latency_words, speed_m_s
 from fidpipe.pipeline.report.page.run_data import page_data
 from fidpipe.pipeline.report.run_frames import read_results
@@ -117,6 +118,12 @@ def test_what_no_correction_removes_is_the_first_cause_and_unsupported_causes_ar
     assert [cause.name for cause in diagnose_run(low).causes] == ["unexplained"]
     alone = "no cause in the catalogue for 100 % of the distance, unless a second measurement has it too (--floor)"
     assert alone in FinishedRun(low).overview.causes[0].words
+    bounded = found.causes[0].model_copy(update={"is_upper_bound": True})
+    for causes, words in ((found.causes, "unexplained: 100 %"), ((bounded,), "unexplained: at least 100 %")):
+        notes = [
+            own.text for own in diagnosis_view(found.model_copy(update={"causes": causes})) if hasattr(own, "text")
+        ]
+        assert any(text.startswith(words) for text in notes), notes
     stored = json.loads((low / DIAGNOSIS).read_text())
     stored["causes"].append(stored["causes"][0] | {"name": "height"})
     (low / DIAGNOSIS).write_text(json.dumps(stored))
