@@ -13,9 +13,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from statistics import median
 
+import psutil
 from measure import FIDPIPE
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
@@ -46,18 +48,11 @@ def cpu_seconds(*words):
 
 def tree_seconds(pid):
     """User and system seconds of the processes below a process."""
-    children, seconds = {}, {}
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = path.read_text().rpartition(")")[2].split()
-        except OSError:  # ended meanwhile
-            continue
-        children.setdefault(int(fields[1]), []).append(int(path.parent.name))
-        seconds[int(path.parent.name)] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-    below = children.get(pid, [])
-    for one in below:
-        below += children.get(one, [])
-    return sum(seconds[one] for one in below)
+    seconds = 0.0
+    for process in psutil.Process(pid).children(recursive=True):
+        with suppress(psutil.NoSuchProcess):  # ended meanwhile
+            seconds += sum(process.cpu_times()[:2])
+    return seconds
 
 
 def seconds_when_quiet(browser):

@@ -29,7 +29,9 @@ from .running import check, floor, run, settings, status
 from .show_report_export import export, report, show
 
 _SECONDS_TO_STOP = 10.0
-_STOPPING = (signal.SIGINT, signal.SIGTERM)  # a batch system that ends a job means what Ctrl-C means
+_SECONDS_UNTIL_AGAIN = 0.01
+#: A batch system that ends a job means what Ctrl-C means; the alarm is of `_stop_again` and not on Windows.
+_STOPPING = (signal.SIGINT, signal.SIGTERM, *([signal.SIGALRM] if hasattr(signal, "SIGALRM") else []))
 #: By the system, not our bugs.
 _REFUSALS = (
     *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
@@ -78,6 +80,7 @@ def main() -> None:
 
     for number in _STOPPING:
         signal.signal(number, _Stop())
+    sys.unraisablehook = _stop_again
     try:
         with _local_arguments():
             code = _application(*sys.argv[1:2])(standalone_mode=False)
@@ -179,6 +182,15 @@ class _Stop:
         if monotonic() - _Stop.last >= _SECONDS_TO_STOP:
             _Stop.last = monotonic()
             raise KeyboardInterrupt
+
+
+def _stop_again(unraisable: Any) -> None:
+    """Raises a Ctrl-C again that came while Python was collecting garbage, where it would be printed and forgotten."""
+    if issubclass(unraisable.exc_type, KeyboardInterrupt) and hasattr(signal, "setitimer"):
+        _Stop.last = -_SECONDS_TO_STOP
+        signal.setitimer(signal.ITIMER_REAL, _SECONDS_UNTIL_AGAIN)
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 def _ignore_interrupts() -> None:

@@ -25,7 +25,6 @@ _ENVIRONMENT = {
     "MKL_NUM_THREADS": "1",
     "MALLOC_TRIM_THRESHOLD_": str(1 << 30),
     "MALLOC_MMAP_THRESHOLD_": str(1 << 25),
-    "PYTHONWARNINGS": "ignore:resource_tracker",  # it complains about what killed workers left, and removes it
 }
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
@@ -49,11 +48,13 @@ def start(modules: Iterable[str] = ()) -> None:
         return
     from multiprocessing import forkserver, resource_tracker
 
-    forkserver.set_forkserver_preload([WORKER_START, *modules])
-    with _environment(_ENVIRONMENT):
+    # It removes what killed workers left and complains about that, after the command's last line.
+    words = ",".join(filter(None, [os.environ.get("PYTHONWARNINGS"), "ignore:resource_tracker"]))
+    with _environment({"PYTHONWARNINGS": words}):
         resource_tracker.ensure_running()  # the forkserver wants it; starting it would let Ctrl-C through again
-        with _without_interrupts():
-            forkserver.ensure_running()
+    forkserver.set_forkserver_preload([WORKER_START, *modules])
+    with _environment(_ENVIRONMENT), _without_interrupts():
+        forkserver.ensure_running()
 
 
 @contextmanager

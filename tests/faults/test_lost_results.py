@@ -4,6 +4,8 @@ import json
 import re
 import shlex
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -113,6 +115,33 @@ def test_an_interrupt_while_something_starts_waits_and_is_not_lost(number, monke
     finally:
         signal.signal(number, before)
     assert started
+
+
+COLLECTING = """
+import gc, signal
+from fidpipe.pipeline.cli import main
+
+def interrupt(phase, _):
+    if isinstance(signal.getsignal(signal.SIGINT), main._Stop) and phase == "stop":
+        gc.callbacks.remove(interrupt)
+        signal.raise_signal(signal.SIGINT)
+
+gc.callbacks.append(interrupt)
+main.main()
+"""
+
+
+def test_an_interrupt_while_python_collects_garbage_is_not_lost(dataset, tmp_path):
+    words = ("run", dataset, "--out", tmp_path / "run", "--workers", "1")
+    ended = subprocess.run([sys.executable, "-c", COLLECTING, *words], check=False, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (130, "interrupted; run the same command again to resume\n")
+
+
+def test_what_killed_workers_leave_is_removed_without_a_word():
+    left = "from multiprocessing import resource_tracker; resource_tracker.register('/fidpipe-left', 'semaphore')"
+    code = f"from fidpipe.pipeline.engine import prefork; prefork.start(); {left}"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stderr == ""
 
 
 def leave_unfinished(out):

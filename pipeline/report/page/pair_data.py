@@ -40,7 +40,6 @@ _NO_SIGN = 255
 MOST_POINTS = 1_000_000
 _MOST_OF_OBJECT, _FEWEST = 20_000, 80
 _MOST_ROAD_POINTS, _ROAD_CELL_M = 4000, 0.4
-_CELLS_PER_ROW = 1e6
 _STEPS = 32767
 _RINGS_PER_RADIAN = 400
 
@@ -138,8 +137,7 @@ def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> 
 
 def _some_road(road: FloatArray) -> FloatArray:
     """Road points evenly over the ground, one a cell and not more than `_MOST_ROAD_POINTS`; for display only."""
-    cells = np.floor(road[:, :2] / _ROAD_CELL_M)
-    _, first = np.unique(_CELLS_PER_ROW * cells[:, 0] + cells[:, 1], return_index=True)
+    _, first = np.unique(np.floor(road[:, :2] / _ROAD_CELL_M), axis=0, return_index=True)
     if len(first) > _MOST_ROAD_POINTS:
         first = np.random.default_rng(0).choice(first, _MOST_ROAD_POINTS, replace=False)
     return road[first][_ring_by_ring(road[first], np.zeros(len(first)))]
