@@ -21,8 +21,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from fidpipe.stages.diagnose.motion import fit_displacement
-from fidpipe.stages.inspect.surfels import fit_planes
+from fidpipe.stages.displacement import fit_displacement
+from fidpipe.stages.surfels import fit_planes
 
 LIMIT, N_HEALTHY = 0.02, 5
 RANGE_M, TOP_M = 25.0, 2.5

@@ -31,7 +31,7 @@ from fidpipe.pipeline.diagnose.causes import confirm, name_causes
 from fidpipe.pipeline.diagnose.diagnose import UNEXPLAINED, is_unexplained
 from fidpipe.stages.diagnose.evidence import PairScans, Side, amounts_of_floor, estimate
 from fidpipe.stages.diagnose.gain import changes, corrections, shares, surface_distance
-from fidpipe.stages.diagnose.motion import PARAMETERS, Displacement
+from fidpipe.stages.displacement import PARAMETERS, Displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
 
 EVERY, N_HEALTHY, N_MIXED = 4, 20, 10

@@ -23,7 +23,7 @@ from flawed_scans import along_ray, ranges
 
 from fidpipe.pipeline.diagnose.causes import name_causes
 from fidpipe.stages.diagnose.evidence import SCATTERED, amounts_of_floor, estimate
-from fidpipe.stages.inspect.surfels import fit_planes
+from fidpipe.stages.surfels import fit_planes
 
 
 def leaves(points):

@@ -41,5 +41,5 @@ def _read_causes() -> Iterator[CauseModel]:
         yield CauseModel(name, **{**values, **lists})
 
 
-#: Causes by name, the displacements (`motion.PARAMETERS`) first.
+#: Causes by name, the displacements (`displacement.PARAMETERS`) first.
 CAUSES = {cause.name: cause for cause in _read_causes()}

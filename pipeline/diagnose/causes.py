@@ -11,7 +11,7 @@ from ...schemas.cause_catalogue import CAUSES, CauseModel
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.diagnose.evidence import UNEVEN
 from ...stages.diagnose.gain import Shares
-from ...stages.diagnose.motion import PARAMETERS
+from ...stages.displacement import PARAMETERS
 from ...stages.statistics.comparison import block_means
 from ..results.causes import mean_interval, size_words
 

@@ -18,7 +18,7 @@ from ...stages.arrays import FloatArray, IntArray
 from ...stages.diagnose.curves import AXES, curves
 from ...stages.diagnose.evidence import PairEstimates, PairScans, Side, amounts_of_floor, estimate
 from ...stages.diagnose.gain import Shares, changes, corrections, shares, surface_distance
-from ...stages.diagnose.motion import PARAMETERS, Displacement
+from ...stages.displacement import PARAMETERS, Displacement
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, blocks_of
 from ..engine.progress import Reporter
 from ..results.causes import mean_interval

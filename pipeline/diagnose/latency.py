@@ -11,7 +11,7 @@ from scipy import stats
 from ...stages.arrays import FloatArray
 from ...stages.diagnose.evidence import PairScans
 from ...stages.diagnose.gain import surface_distance
-from ...stages.diagnose.motion import PARAMETERS, fit_displacement
+from ...stages.displacement import PARAMETERS, fit_displacement
 
 AHEAD = "forward"
 _LONGEST_S, _FASTEST_M_S, _STEP_M = 0.5, 40.0, 1.5

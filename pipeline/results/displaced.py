@@ -13,7 +13,7 @@ import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES
 from ...stages.arrays import BoolArray, FloatArray, IntArray
-from ...stages.diagnose.motion import PARAMETERS, fit_displacement
+from ...stages.displacement import PARAMETERS, fit_displacement
 from ...stages.statistics.comparison import Difference, paired_difference
 from .finished import FinishedRun
 

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..displacement import PARAMETERS, Displacement, fit_displacement
 from ..inspect.sensor_description import describe_sensor, sensor_row
-from ..inspect.surfels import fit_planes
-from .motion import PARAMETERS, Displacement, fit_displacement
+from ..surfels import fit_planes
 
 Sensor = Mapping[str, Any]
 

@@ -11,7 +11,8 @@ from numpy.random import Generator
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..inspect.surfels import fit_planes
+from ..displacement import PARAMETERS, Displacement
+from ..surfels import fit_planes
 from .evidence import (
     FAR_M,
     PairEstimates,
@@ -22,7 +23,6 @@ from .evidence import (
     foliage_steps,
     noise_without_steps,
 )
-from .motion import PARAMETERS, Displacement
 
 #: Distances to the other side count up to this.
 REACH_M = 1.0
@@ -36,7 +36,7 @@ _MOST_EXACT, _ORDERS = 4, 12
 class Correction:
     """Changes of the simulated points that correct causes.
 
-    displacement : (11,) of `motion.PARAMETERS`, to be undone
+    displacement : (11,) of `displacement.PARAMETERS`, to be undone
     along_m : (m,) change of the ranges
     keep : (m,) bool
     add : (k, 3) real points

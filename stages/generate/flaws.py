@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ...schemas.errors import FidpipeError, suggestion
 from ..arrays import BoolArray, FloatArray
-from ..inspect.surfels import fit_planes, voxel_means
+from ..surfels import fit_planes, voxel_means
 from .perturbations import add_clusters, add_noise, change_density, drop_points, grow_regions, move_rigidly
 
 SCATTERED = 0.1  # l3 / l1 of foliage, and more

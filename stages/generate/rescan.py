@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from ...schemas.sensor_models import SensorModel
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..inspect.surfels import fit_planes, voxel_ids
+from ..surfels import fit_planes, voxel_ids
 from .flaws import SCATTERED
 from .ray_casting import RayTarget, measure_ranges
 

@@ -17,7 +17,7 @@ from ...schemas.data_files import read_data
 from ...schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import as_ros, clean_scan
-from .surfels import voxel_ids
+from ..surfels import voxel_ids
 
 AS_GIVEN = "as given"
 VOXEL_M = 0.5

@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..surfels import voxel_ids
 from .frame_search import ground_height
-from .surfels import voxel_ids
 
 _COMPARED_M = (3.0, 40.0)
 _VOXEL_M = 0.5

@@ -23,7 +23,7 @@ from fidpipe.schemas.settings import load
 from fidpipe.stages.diagnose import tell_apart as classifier
 from fidpipe.stages.diagnose.evidence import PairScans, Side
 from fidpipe.stages.diagnose.gain import Shares
-from fidpipe.stages.diagnose.motion import PARAMETERS
+from fidpipe.stages.displacement import PARAMETERS
 from fidpipe.stages.generate.ray_casting import fire
 from runs import command, run
 from scenes import write_bin

@@ -7,7 +7,7 @@ from fidpipe.pipeline.diagnose.causes import confirm, name_causes
 from fidpipe.schemas.cause_catalogue import CAUSES
 from fidpipe.stages.diagnose.evidence import UNEVEN, PairScans, Side, estimate, find_unmatched
 from fidpipe.stages.diagnose.gain import changes, corrections, shares, surface_distance
-from fidpipe.stages.diagnose.motion import PARAMETERS, Displacement, fit_displacement
+from fidpipe.stages.displacement import PARAMETERS, Displacement, fit_displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
 from runs import some_of
 

@@ -7,7 +7,7 @@ from scipy.spatial.distance import pdist
 
 from fidpipe.stages.generate.flaws import FLAWS, is_foliage, lose_foliage
 from fidpipe.stages.generate.perturbations import KINDS, Perturbation, fill_gaps, perturb, remeasure
-from fidpipe.stages.inspect.surfels import fit_planes, voxel_means
+from fidpipe.stages.surfels import fit_planes, voxel_means
 from scenes import box, road, seeded
 
 NOTHING = {name: 1.0 if name == "density" else 0.0 for name in FLAWS}

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import BoolArray, FloatArray
-from ..inspect.surfels import fit_planes, voxel_ids
-from ..reference import visiting_order
+from .arrays import BoolArray, FloatArray
+from .reference import visiting_order
+from .surfels import fit_planes, voxel_ids
 
 #: Parameters of a displacement, in their order: metres, degrees, share, metres, and metres per sweep.
 PARAMETERS = (

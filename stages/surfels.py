@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..arrays import FloatArray, IndexArray
+from .arrays import FloatArray, IndexArray
 
 _ROWS_AT_ONCE = 8192  # limits the memory of neighbourhoods
 
