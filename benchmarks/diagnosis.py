@@ -33,6 +33,7 @@ from fidpipe.stages.diagnose.evidence import PairScans, Side, amounts_of_floor, 
 from fidpipe.stages.diagnose.gain import changes, corrections, shares, surface_distance
 from fidpipe.stages.displacement import PARAMETERS, Displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
+from fidpipe.stages.surfels import fit_planes
 
 EVERY, N_HEALTHY, N_MIXED = 4, 20, 10
 BASE_NOISE_M, BASE_LOSS = 0.02, 0.03
@@ -41,6 +42,17 @@ PIECES = ("missing pieces", "invented pieces")
 
 def far_drop(share):
     return lambda scan, rng: scan.points[(ranges(scan.points) < 25) | (rng.random(len(scan.points)) >= share)]
+
+
+def grazing_drop(share):
+    def drop(scan, rng):
+        planes = fit_planes(scan.points, scan.points, 30)
+        normal = np.where(fs.is_ground(scan.points)[:, None], [[0, 0, 1.0]], planes.normal)
+        cosine = np.abs((normal * scan.points).sum(axis=1)) / ranges(scan.points)
+        is_grazing = (cosine < np.cos(np.radians(75))) & (fs.is_ground(scan.points) | (planes.scattering < 0.1))
+        return scan.points[~is_grazing | (rng.random(len(scan.points)) >= share)]
+
+    return drop
 
 
 def holes(n):
@@ -111,6 +123,7 @@ def shifted(x_m, y_m):
 FLAWS = {
     "drop": (("lost returns",), [(fs.drop(a), a) for a in (0.05, 0.15, 0.4)]),
     "drop beyond 25 m": (("lost far returns",), [(far_drop(a), a) for a in (0.3, 0.5, 0.8)]),
+    "drop at grazing incidence": (("lost grazing returns",), [(grazing_drop(a), a) for a in (0.3, 0.5, 0.8)]),
     "holes": (PIECES[:1], [(holes(n), None) for n in (5, 12, 25)]),
     "ghosts": (PIECES[1:], [(ghosts(a), a / (1 + a)) for a in (0.01, 0.02, 0.04)]),
     "noise": (("range noise",), [(ray_noise(a), None) for a in (0.04, 0.1, 0.2)]),

@@ -21,7 +21,7 @@ LEAST_EXCESS_M = 0.005
 LEAST_PART, LEAST_PART_MOVED = 0.03, 0.15
 #: Causes that are also looked for between the simulated scans of a run and of its floor: all that moves surface.
 CHANGES = frozenset((*PARAMETERS, "missing pieces", "invented pieces", "moved pieces"))
-_RANDOM = ("lost returns", "lost far returns")
+_RANDOM = ("lost returns", "lost far returns", "lost grazing returns")
 _UNEVEN = 0.01  # variance between directions that is still random, and the square of the loss
 #: More of the points in other places, with both of these, are a bent world.
 _BENT, _ALONE = 0.03, ("missing pieces", "invented pieces")

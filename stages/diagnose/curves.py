@@ -48,10 +48,7 @@ def curves(scans: PairScans, found: PairEstimates, kind: str) -> Mapping[str, Fl
         surfaces = {name: describe_surface(side.points) for name, side in sides.items()}
         values = {name: own.roughness_m[own.is_plane] for name, own in surfaces.items()}
         return {name: _percent(own, edges, len(own)) for name, own in values.items()}
-    values = {
-        name: {"range": own.range_m, "azimuth": own.azimuth_deg, "elevation": own.elevation_deg}[kind]
-        for name, own in sides.items()
-    }
+    values = {name: own.range_m if kind == "range" else getattr(own, f"{kind}_deg") for name, own in sides.items()}
     return {name: _percent(own, edges, len(real.points)) for name, own in values.items()}
 
 

@@ -4,34 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
+from sklearn.linear_model import PoissonRegressor
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import PARAMETERS, Displacement, fit_displacement
 from ..inspect.sensor_description import describe_sensor, sensor_row
-from ..surfels import fit_planes
+from ..surfels import LocalPlanes, fit_planes
 
 Sensor = Mapping[str, Any]
 
-#: Amount that is not a cause: returns lost at random are lost evenly.
+#: Amount that is not a cause: variance of the share of returns between directions, beyond that of counting and of the
+#: fit of the losses; at most 0 if they are lost at random.
 UNEVEN = "unevenness of returns"
 #: Returns beyond this range are far.
 FAR_M = 25.0
+#: Returns at a larger angle to the normal of the surface are grazing.
+GRAZING_DEG = 75.0
 #: Simulated returns nearer than this, without a real counterpart, are clutter.
 CLUTTER_M = 6.0
 _CELL_DEG = 2.0
 _DOUBTFUL_BEAMS = 3
 _FEWEST = 5  # returns of a cell
+_MIXED = 0.1  # share of other kinds in a cell of one kind
 _ALIKE = 0.1  # relative difference of the median ranges of a cell in which both sides see one surface
 _APART_M, _APART_PER_M = 0.25, 0.01  # a point without a counterpart is farther than this, and this times its range
 _CLUSTER_M, _CLUSTER = 0.6, 5  # a piece: other points without a counterpart around one, at 6 m and beyond
 _MOVED_M = 1.5  # from a missing to an invented piece
-_FEWEST_FAR = 100  # far returns
+_FEWEST_OF_KIND = 100  # returns, far or grazing
 _LEAVES, _FEWEST_LEAVES, _LEAF_SPREAD_M = 20, 50, 1.0
 SCATTERED = 0.1  # l3 / l1 of foliage, and more
+_BROAD = 0.02  # l2 / l1 of a plane that is not a line, at least
 _RAY_DEG, _LEAF_STEP_M = 0.4, 0.3
 _AROUND = 8  # neighbours in direction
 _SMOOTH = 0.01  # relative residual of inverse ranges on smooth surface
@@ -55,9 +62,20 @@ class Side:
         self.azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
         self.elevation_deg = np.degrees(np.arcsin(self.rays[:, 2]))
 
-    def without(self, is_left_out: BoolArray) -> Side:
-        """The side without some points."""
-        return Side(self.points[~is_left_out], self.is_ground[~is_left_out], self.sensor)
+    @cached_property
+    def planes(self) -> LocalPlanes:
+        """Planes through the neighbours of each point."""
+        return fit_planes(self.points, self.points, _LEAVES)
+
+    @cached_property
+    def incidence_deg(self) -> FloatArray:
+        """(n,) angle between the ray and the normal of its plane, of road to the vertical; NaN on no plane."""
+        is_plane = (self.planes.scattering < SCATTERED) & (
+            self.planes.variance[:, 1] >= _BROAD * self.planes.variance[:, 2]
+        )
+        normal = np.where(self.is_ground[:, None], [0.0, 0.0, 1.0], self.planes.normal)
+        angle = np.degrees(np.arccos(np.minimum(np.abs((normal * self.rays).sum(axis=1)), 1.0)))
+        return np.where(self.is_ground | is_plane, angle, np.nan)
 
 
 @dataclass(frozen=True)
@@ -178,8 +196,7 @@ def _amounts(a: Side, b: Side) -> dict[str, float]:
         "mixed pixels": strays[1] - strays[0],
         "blind sector": _blind_deg(a, b),
         **_losses(
-            a.without(missing.is_piece | missing.is_moved | missing.is_beyond),
-            b.without(invented.is_piece | invented.is_moved),
+            a, b, ~(missing.is_piece | missing.is_moved | missing.is_beyond), ~(invented.is_piece | invented.is_moved)
         ),
     }
     _, step_m = foliage_steps(a, b)
@@ -202,42 +219,51 @@ def noise_without_steps(sensor: Sensor) -> float | None:
     return None if noise_m is None else float(np.sqrt(max(noise_m**2 - step_m**2 / 12, 0.0)))
 
 
-def _losses(a: Side, b: Side) -> dict[str, float]:
-    """Share of the returns lost within 25 m, and the further share lost beyond, on surface that both sides see."""
+def _losses(a: Side, b: Side, is_used_a: BoolArray, is_used_b: BoolArray) -> dict[str, float]:
+    """Share of the returns lost within 25 m at less than 75 degrees, and the further shares lost beyond each.
+
+    Shares of returns by cell of direction on surface that both sides see, fitted by Poisson regression with a
+    logarithmic link: the shares that remain are multiplied.
+    """
     real, sim = (side.sensor["azimuth_step_deg"] for side in (a, b))
     firings = real / sim if real and sim else 1.0  # of the simulated sensor per firing of the real one
-    (n_real, middle_real), (n_sim, middle_sim) = _by_cell(a), _by_cell(b)
-    is_alike = (n_real >= _FEWEST) & (n_sim > 0) & (np.abs(middle_sim - middle_real) <= _ALIKE * middle_real)
-    is_far = middle_real > FAR_M
-    near, far = (
-        n_sim[own].sum() / max(n_real[own].sum(), 1) / firings for own in (is_alike & ~is_far, is_alike & is_far)
-    )
-    found = {"lost returns": 1.0 - near, UNEVEN: _unevenness(n_real[is_alike], n_sim[is_alike])}
-    if n_real[is_alike & is_far].sum() >= _FEWEST_FAR and near:
-        found["lost far returns"] = 1.0 - far / near
-    return found
+    (n_real, range_m, n_kinds), (n_sim, sim_range_m, _) = _by_cell(a, is_used_a), _by_cell(b, is_used_b)
+    is_alike = (n_real >= _FEWEST) & (n_sim > 0) & (np.abs(sim_range_m - range_m) <= _ALIKE * range_m)
+    shares = {name: n / np.maximum(n_real, 1) for name, n in n_kinds.items()}
+    for share in shares.values():
+        is_alike &= np.abs(share - 0.5) > 0.5 - _MIXED
+    n_real, n_sim, kinds = n_real[is_alike], n_sim[is_alike], {}
+    for name, share in shares.items():
+        n_in = n_real[share[is_alike] > 0.5].sum()
+        if min(n_in, n_real.sum() - n_in) >= _FEWEST_OF_KIND:
+            kinds[name] = share[is_alike]
+    if not len(n_real):
+        return {UNEVEN: 0.0}
+    columns = np.column_stack([*kinds.values()]) if kinds else np.zeros((len(n_real), 1))
+    fit = PoissonRegressor(alpha=0.0, tol=1e-8, max_iter=1000).fit(columns, n_sim / n_real / firings, n_real)
+    found = dict(zip(kinds, (1.0 - np.exp(fit.coef_)).tolist(), strict=False))
+    expected = n_real * firings * fit.predict(columns)
+    unevenness = (((n_sim - expected) ** 2).sum() - expected.sum()) / max((expected**2).sum(), 1.0)
+    return found | {"lost returns": 1.0 - float(np.exp(fit.intercept_)), UNEVEN: float(unevenness)}
 
 
-def _unevenness(n_real: IndexArray, n_sim: IndexArray) -> float:
-    """Variance of the share of returns between directions, beyond that of counting; at most 0 if lost at random."""
-    expected = n_real * (n_sim.sum() / max(n_real.sum(), 1))
-    return float((((n_sim - expected) ** 2).sum() - expected.sum()) / max((expected**2).sum(), 1.0))
-
-
-def _by_cell(side: Side) -> tuple[IndexArray, FloatArray]:
-    """Number of returns by cell of 2 degrees of direction, and their median range (the longer of two)."""
-    rows, columns = (side.elevation_deg + 90.0) // _CELL_DEG, (side.azimuth_deg + 180.0) // _CELL_DEG
+def _by_cell(side: Side, is_used: BoolArray) -> tuple[IndexArray, FloatArray, dict[str, IndexArray]]:
+    """By cell of 2 degrees of direction: number of used returns, their median range (longer of two), number by kind."""
+    used = np.flatnonzero(is_used)
+    rows, columns = (side.elevation_deg[used] + 90.0) // _CELL_DEG, (side.azimuth_deg[used] + 180.0) // _CELL_DEG
     n_around = round(360.0 / _CELL_DEG)
     cell = (rows * n_around + columns % n_around).astype(np.intp)
-    n = np.bincount(cell, minlength=n_around * (n_around // 2 + 1))
+    n_cells, range_m = n_around * (n_around // 2 + 1), side.range_m[used]
+    n = np.bincount(cell, minlength=n_cells)
     middle = np.minimum(np.cumsum(n) - n + n // 2, len(cell) - 1)
-    return n, side.range_m[np.lexsort((side.range_m, cell))][middle]
+    kinds = {"lost far returns": range_m > FAR_M, "lost grazing returns": side.incidence_deg[used] > GRAZING_DEG}
+    by_kind = {name: np.bincount(cell[is_in], minlength=n_cells) for name, is_in in kinds.items()}
+    return n, range_m[np.lexsort((range_m, cell))][middle], by_kind
 
 
 def foliage_steps(a: Side, b: Side) -> tuple[IndexArray, FloatArray]:
     """Simulated returns in the direction of real foliage, (k,) rows, and their range minus that of the real return."""
-    planes = fit_planes(a.points, a.points, _LEAVES)
-    is_leaf = (planes.scattering >= SCATTERED) & (planes.variance[:, 2] < _LEAF_SPREAD_M**2)
+    is_leaf = (a.planes.scattering >= SCATTERED) & (a.planes.variance[:, 2] < _LEAF_SPREAD_M**2)
     angle, near = cKDTree(b.rays).query(a.rays[is_leaf])
     is_met = angle < np.radians(_RAY_DEG)
     return near[is_met], b.range_m[near[is_met]] - a.range_m[is_leaf][is_met]

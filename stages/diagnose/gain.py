@@ -15,6 +15,7 @@ from ..displacement import PARAMETERS, Displacement
 from ..surfels import fit_planes
 from .evidence import (
     FAR_M,
+    GRAZING_DEG,
     PairEstimates,
     PairScans,
     Side,
@@ -96,7 +97,7 @@ def corrections(
             made[name] = Correction(np.where([one == name for one in PARAMETERS], amount, 0.0))
         elif name in ("range noise", "range steps"):
             made[name] = _noise(a, b, name, amount, rng)
-        elif name in ("lost returns", "lost far returns", "azimuth step", "beams"):
+        elif name in ("lost returns", "lost far returns", "lost grazing returns", "azimuth step", "beams"):
             made[name] = _density(name, amount, a, b, others, rng)
         elif name == "solid foliage":
             made[name] = _foliage(a, b, part, rng)
@@ -218,16 +219,22 @@ def _as_simulated(real: Side, sim: Side, is_lost: IndexArray) -> FloatArray:
 def _density(name: str, amount: float, a: Side, b: Side, is_common: BoolArray, rng: Generator) -> Correction:
     """Real returns on common surface, where the simulated ones are farthest apart, or fewer of the simulated ones."""
     step_deg, n_beams = b.sensor["azimuth_step_deg"], b.sensor["n_beams"]
-    share, is_far = amount, name == "lost far returns"
+    share = amount
+    is_in_a, is_in_b = (
+        {"lost far returns": side.range_m > FAR_M, "lost grazing returns": side.incidence_deg > GRAZING_DEG}.get(
+            name, side.range_m > 0
+        )
+        for side in (a, b)
+    )
     if name == "azimuth step":
         share = amount / step_deg if step_deg else 0.0
     elif name == "beams":
         share = -amount / (n_beams - min(amount, 0.0)) if n_beams else 0.0
     if share > 0:
-        rows = np.flatnonzero(is_common & (a.range_m > FAR_M * is_far))
+        rows = np.flatnonzero(is_common & is_in_a)
         gap, _ = cKDTree(b.rays).query(a.rays[rows])
         return Correction(add=_as_simulated(a, b, rows[np.argsort(-gap)[: round(share * len(rows))]]))
-    return Correction(keep=~_some(b.range_m > FAR_M * is_far, 1.0 - 1.0 / (1.0 - share), rng))
+    return Correction(keep=~_some(is_in_b, 1.0 - 1.0 / (1.0 - share), rng))
 
 
 def _foliage(a: Side, b: Side, part: float, rng: Generator) -> Correction:

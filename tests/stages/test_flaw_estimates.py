@@ -9,6 +9,7 @@ from fidpipe.stages.diagnose.evidence import UNEVEN, PairScans, Side, estimate, 
 from fidpipe.stages.diagnose.gain import changes, corrections, shares, surface_distance
 from fidpipe.stages.displacement import PARAMETERS, Displacement, fit_displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
+from fidpipe.stages.surfels import fit_planes
 from runs import some_of
 
 HEALTHY_NOISE_M, HEALTHY_LOSS = 0.01, 0.02
@@ -27,6 +28,15 @@ def lost(share, beyond_m=0.0):
         return points[(ranges(points)[:, 0] < beyond_m) | (rng.random(len(points)) >= share)]
 
     return lose
+
+
+def lost_grazing(points, rng):
+    planes = fit_planes(points, points, 30)
+    is_road = points[:, 2] < -1.4
+    normal = np.where(is_road[:, None], [0.0, 0.0, 1.0], planes.normal)
+    is_grazing = np.abs((normal * points).sum(axis=1)) < np.cos(np.radians(75)) * ranges(points)[:, 0]
+    is_lost = is_grazing & (is_road | (planes.scattering < 0.1)) & (rng.random(len(points)) < 0.5)
+    return points[~is_lost]
 
 
 def steps(quantum_m):
@@ -63,6 +73,7 @@ FLAWS = {
     "range steps": (steps(0.1), 0.1),
     "lost returns": (lost(0.25), 0.27),
     "lost far returns": (lost(0.5, 25.0), 0.5),
+    "lost grazing returns": (lost_grazing, 0.5),
     "maximum range": (lambda points, rng: points[ranges(points)[:, 0] < 40], None),
     "missing pieces": (box_cut, None),
     "clutter": (drops(150), 0.01),
