@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,15 +14,19 @@ from ...schemas.metric_catalogue import BASELINES, METRIC
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
-from ...stages.baselines import Baseline, compare_objects, compare_points
 from ...stages.summary import mean_and_std
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
 from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, kept_nodes, matched_rows, matched_subgraphs, object_points
 
+if TYPE_CHECKING:
+    from ...stages.baselines import Baseline
+
 
 def make_baselines(own: Inputs) -> JobResult:
     """Compare each matched object, and all object points of the two scans; the metadata hold the pair's means."""
+    from ...stages.baselines import compare_objects, compare_points
+
     settings, selection = own.settings, own.table("selection")
     subgraphs = [matched_subgraphs(own, side) for side in SIDES]
     rows: list[Row] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from base64 import b85decode, b85encode
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
@@ -15,7 +16,6 @@ from ...schemas.metric_catalogue import BEV_JSD, BEV_MMD, NVS_SCORES
 from ...schemas.record import OF_DATASET, OF_SCAN
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
-from ...stages import nvs
 from ...stages.arrays import FloatArray
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
@@ -28,6 +28,8 @@ MOST_SCANS = 500
 
 def make_nvs(own: Inputs) -> JobResult:
     """Score the clean points of both sides, ground included; the metadata hold the values and the maps from above."""
+    from ...stages import nvs
+
     tables = [own.table("ground", side) for side in SIDES]
     real, sim = points = [np.column_stack([column(table, axis) for axis in "xyz"]) for table in tables]
     scores = nvs.score_pair(real, sim, (_intensity(tables[0]), _intensity(tables[1])), watch=own.step)
@@ -54,14 +56,16 @@ def summarise_nvs(records: Iterable[JobRecord], settings: Settings) -> dict[str,
 
 def _of_dataset(records: Sequence[JobRecord]) -> Iterator[Row]:
     """Distance of the sums of all maps, and discrepancy of the single maps."""
+    from ...stages import nvs
+
     n = len(records)
     chosen = set(np.linspace(0, n - 1, min(n, MOST_SCANS)).astype(int).tolist())
     sums, single = [], []
     for side in SIDES:
-        total, kept = np.zeros((nvs.BEV_CELLS, nvs.BEV_CELLS)), []
+        total, kept = np.zeros(()), []
         for i, record in enumerate(records):
             own = _as_map(record.metadata["maps"][side])
-            total += own
+            total = total + own
             if i in chosen:
                 kept.append(own.ravel())
         sums.append(total)
@@ -88,7 +92,7 @@ def _as_text(counts: FloatArray) -> str:
 def _as_map(text: str) -> FloatArray:
     """The map of `_as_text`."""
     counts = np.frombuffer(decompress(b85decode(text)), dtype="<u4").astype(np.float64)
-    return counts.reshape(nvs.BEV_CELLS, nvs.BEV_CELLS)
+    return counts.reshape(math.isqrt(len(counts)), -1)
 
 
 def _is_wanted(settings: Settings) -> bool:
