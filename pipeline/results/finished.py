@@ -32,7 +32,7 @@ from ..storage.folder import RunFolder
 from ..storage.run_record import RUN_JSON, command_again, finished_record
 from ..storage.urls import url_or_path
 from .diagnosis import diagnosed
-from .object_frame import ALL_COLUMNS, COLUMNS_OF, plain_rows, read_objects
+from .object_frame import ALL_COLUMNS, COLUMNS_OF, object_parts, plain_rows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -192,15 +192,17 @@ class FinishedRun:
         return self._row_of[pair_id]
 
     def objects_of(self, pairs: Sequence[str], columns: Collection[str] = ALL_COLUMNS) -> pd.DataFrame:
-        """The objects of scored pairs with coverage, fate and scores; see `objects.object_parts`.
+        """The objects of scored pairs with coverage, fate and scores; see `object_frame.object_parts`.
 
         Raises
         ------
         RunError
             A pair failed, or a table is damaged or gone.
         """
+        import pandas as pd
+
         names = [self._scored(name) for name in pairs]
-        return read_objects(self.store, names, columns, by_reference=self.is_by_reference)
+        return pd.concat(object_parts(self.store, names, columns, by_reference=self.is_by_reference), ignore_index=True)
 
     @property
     def is_by_reference(self) -> bool:
@@ -294,12 +296,14 @@ class ObjectFacts:
     real, sim : the rows of `objects`, each with that of `coverage`; None if the side does not have it. Of a missing
         object with a number fixed by the real side, `sim` is its few simulated points
     scores : the row of `metrics`; None if it is not matched
+    row : that of the frame of objects (`object_frame`), of the real side if it has the object
     """
 
     status: str
     real: Row | None
     sim: Row | None
     scores: Row | None
+    row: Row
 
     def __repr__(self) -> str:
         rows = (("real", self.real), ("sim", self.sim))
@@ -344,14 +348,9 @@ def pair_facts(run: FinishedRun, pair_id: str) -> PairFacts:
     if row["status"] != "scored":
         return PairFacts(row, ())
     found = _facts(run.objects_of([pair_id]))
-    matched = sorted(
-        (scores["r_lambda"] is None, -(scores["r_lambda"] or 0.0), i)
-        for i, each in enumerate(found)
-        if (scores := each.scores)
-    )
+    found.sort(key=lambda each: (each.scores is None, each.row["r_lambda"] is None, -(each.row["r_lambda"] or 0.0)))
     rays = run.read_table("ray_scores", pair_id).drop_columns(["pair_id"]).to_pylist()
-    objects = (*(found[i] for *_, i in matched), *(each for each in found if each.scores is None))
-    return PairFacts(row, objects, tuple(rays))
+    return PairFacts(row, tuple(found), tuple(rays))
 
 
 def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
@@ -393,6 +392,7 @@ def _facts(objects: pd.DataFrame) -> list[ObjectFacts]:
                 real=_described(row) if side == "real" else None,
                 sim=sim and _described(sim),
                 scores=scores and {"real_id": i, "sim_id": row["partner"]} | scores,
+                row=row,
             )
         )
     return found

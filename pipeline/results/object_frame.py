@@ -65,7 +65,7 @@ ALL_COLUMNS = (*(name for names in COLUMNS_OF.values() for name in names), *_COM
 def object_parts(
     store: RunFolder,
     pair_ids: Sequence[str],
-    columns: Collection[str] = ALL_COLUMNS,
+    columns: Collection[str],
     *,
     by_reference: bool,
     sides: Sequence[str] = SIDES,
@@ -121,19 +121,6 @@ def object_parts(
         part = pd.concat(frames, ignore_index=True)
         part["pair"] += first
         yield part
-
-
-def read_objects(
-    store: RunFolder,
-    pair_ids: Sequence[str],
-    columns: Collection[str] = ALL_COLUMNS,
-    *,
-    by_reference: bool,
-) -> pd.DataFrame:
-    """The objects of scored pairs in one frame, of at least one pair; see `object_parts`."""
-    import pandas as pd
-
-    return pd.concat(object_parts(store, pair_ids, columns, by_reference=by_reference), ignore_index=True)
 
 
 def _side_columns(

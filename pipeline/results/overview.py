@@ -10,7 +10,7 @@ import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -62,14 +62,6 @@ NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
 #: Columns of the frame of objects that the overview uses.
 OVERVIEW_COLUMNS = ("band", "label", "covered_0p3m", "road_share", "r_lambda", "alignment_rms_m", "diagonal_m")
-
-
-@overload
-def alignment_is_bad(alignment_rms_m: float, diagonal_m: float) -> bool: ...
-
-
-@overload
-def alignment_is_bad(alignment_rms_m: FloatArray, diagonal_m: FloatArray) -> BoolArray: ...
 
 
 def alignment_is_bad(alignment_rms_m: float | FloatArray, diagonal_m: float | FloatArray) -> bool | BoolArray:

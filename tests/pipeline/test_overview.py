@@ -181,9 +181,9 @@ def test_a_pair_warns_where_r_lambda_stands_on_a_bad_alignment(finished):
     facts = pair_facts(FinishedRun(finished[1]), NUSCENES[0])
     scored = [each for each in facts.objects if each.scores and each.scores["r_lambda"] is not None]
     for each in scored:
-        each.scores["alignment_rms_m"] = 0.01
+        each.row["alignment_rms_m"] = 0.01
     assert "bad alignment" not in text_of(pair_view(facts), 300)
-    scored[0].scores["alignment_rms_m"] = 20.0
+    scored[0].row["alignment_rms_m"] = 20.0
     shown = text_of(pair_view(facts), 300)
     assert f"r_lambda of 1 of {len(scored)} objects depends on a poor alignment" in shown
     assert f"real:{scored[0].real['community_id']} (20.0 m apart" in shown

@@ -116,7 +116,7 @@ def test_a_pair_shows_the_share_of_found_objects_and_explains_its_columns(report
 def test_a_pair_lists_the_ten_largest_objects_of_one_side_and_with_all_every_one(report_run):
     facts = pair_facts(FinishedRun(report_run), FIRST)
     alone = next(each for each in facts.objects if each.status == "hallucinated")
-    many = [replace(alone, sim={**alone.sim, "community_id": i, "n_points": 100 + i}) for i in range(77)]
+    many = [replace(alone, row={**alone.row, "community_id": i, "n_points": 100 + i}) for i in range(77)]
     few = pair_view(replace(facts, objects=tuple(many)), "fidpipe show RUN PAIR --all")
     rows = next(part for part in few if isinstance(part, Table) and part.title == "Objects that only one side has").rows
     assert [row[2] for row in rows] == [f"sim:{i}" for i in range(76, 66, -1)]

@@ -46,15 +46,14 @@ def plot_object(run: FinishedRun, pair_id: str, name: str) -> Figure:
         The pair failed, it has no such object, or a table is damaged.
     """
     facts = object_facts(run, pair_id, name)
-    rows = {"real": facts.real, "sim": facts.sim}
-    clouds, is_own = {}, {}
-    for side, row in rows.items():
-        points = run.points(pair_id, side)
-        clouds[side] = points[["x", "y", "z"]].to_numpy()
-        is_own[side] = (points.community_id == (row["community_id"] if row else -1)).fillna(False).to_numpy(dtype=bool)
+    points = {side: run.points(pair_id, side) for side in SIDES}
+    clouds = {side: own[["x", "y", "z"]].to_numpy() for side, own in points.items()}
+    is_own = {
+        side: np.isin(points[side].community_id.fillna(-1), [own["community_id"]] if own else [])
+        for side, own in zip(SIDES, (facts.real, facts.sim), strict=True)
+    }
     low, high = box_around(np.concatenate([clouds[side][is_own[side]] for side in SIDES]))
-    side, row = next((side, row) for side, row in rows.items() if row)
-    own_name = f"{side} {row['community_id']}"
+    row, own_name = facts.row, f"{facts.row['side']} {facts.row['community_id']}"
     words = f"{style.shown_name(row['label'])} ({own_name})" if row["label"] else own_name
     scores = "".join(
         f", {METRIC[score].label} {number(facts.scores[score])}" for score in ("cdc", "r_lambda") if facts.scores

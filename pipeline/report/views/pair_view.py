@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import Any
 
-import numpy as np
-
-from ....schemas.columns import SIDES, Row
+from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import COVERAGE_REACHES, METRIC, narrow_labels, reach_words
 from ....stages.coverage import surface_state
 from ...results.finished import ObjectFacts, PairFacts
 from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad
-from ...results.quadrants import UNKNOWN, quadrant_of
+from ...results.quadrants import UNKNOWN
 from ..view import Note, Table, View, number, percent
 
 #: Columns of `metrics` in the order in which an object shows them: r_lambda is next to its components.
@@ -23,6 +20,7 @@ _OBJECT_SCORES = (
     *("eigenspectrum_distance", "alignment_rms_m", "centroid_distance_m"),
 )
 _MATCHED_SCORES = ("cdc", "r_lambda", "r_gap", "centroid_distance_m", "alignment_rms_m")
+_NEAR = "covered_0p3m"
 _COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
 _OUTCOMES = ("rays_same", "rays_in_front", "rays_behind", "rays_dropped", "rays_no_surface", "rays_sim_only")
 _MOST_UNCOVERED = 10
@@ -106,7 +104,7 @@ def _matched(facts: PairFacts) -> Table:
     headings = ("class", "real", "sim", "range\n(m)", "points\nreal", "\nsim", *scores, "real covered", "sim covered")
     columns = ("label", "real_id", "sim_id", "range_m", "n_real", "n_sim", *_MATCHED_SCORES)
     rows = [
-        [*({**each.real, **each.scores}[column] for column in columns), *(own["covered_0p3m"] for own in sides)]
+        [*({**each.real, **each.scores}[column] for column in columns), *(own[_NEAR] for own in sides)]
         for each in facts.objects
         for sides in [[own for own in (each.real, each.sim) if own]]
         if each.real and each.scores
@@ -116,17 +114,16 @@ def _matched(facts: PairFacts) -> Table:
 
 
 def _unmatched(facts: PairFacts, command: str) -> View:
-    names = ("n_points", "cz", "covered_0p3m")
-    largest = sorted(facts.objects, key=lambda each: -_first_side(each)[1]["n_points"])
+    names = ("n_points", "cz", _NEAR)
+    largest = sorted(facts.objects, key=lambda each: -each.row["n_points"])
     by_status = [[each for each in largest if each.status == status] for status in ("missing", "hallucinated")]
     kept = [own[:_MOST_UNMATCHED] if command else own for own in by_status]
     rows = [
         (
-            *(own["label"], each.status, f"{side}:{own['community_id']}", own["range_m"]),
-            *(*(own[name] for name in names), surface_state(own["covered_0p3m"])),
+            *(own["label"], own["fate"], f"{own['side']}:{own['community_id']}", own["range_m"]),
+            *(*(own[name] for name in names), surface_state(own[_NEAR])),
         )
-        for each in chain(*kept)
-        for side, own in [_first_side(each)]
+        for own in (each.row for each in chain(*kept))
     ]
     headings = ("class", "status", "object", "range\n(m)", "points", "centroid\nz (m)", "within\n0.3 m", "surface")
     table = Table("Objects that only one side has", headings, rows, words=(0, 1, 7), digits={3: 1, 5: 1})
@@ -138,7 +135,7 @@ def _unmatched(facts: PairFacts, command: str) -> View:
 def _least_covered(facts: PairFacts) -> Table:
     """The matched objects of which the other side has least."""
     both = [(each.real, each.sim) for each in facts.objects if each.scores and each.real and each.sim]
-    least = sorted(both, key=lambda sides: sides[0]["covered_0p3m"] + sides[1]["covered_0p3m"])[:_MOST_UNCOVERED]
+    least = sorted(both, key=lambda sides: sides[0][_NEAR] + sides[1][_NEAR])[:_MOST_UNCOVERED]
     rows = [
         (
             real["label"],
@@ -157,32 +154,16 @@ def _least_covered(facts: PairFacts) -> Table:
     return Table(title, headings, rows, digits=dict.fromkeys(range(3, 9), 2))
 
 
-def _first_side(facts: ObjectFacts) -> tuple[str, Row]:
-    """The real side and object, or the simulated ones if there is no real object."""
-    return next((side, own) for side, own in zip(SIDES, (facts.real, facts.sim), strict=True) if own)
-
-
 def pair_records(facts: PairFacts) -> Table:
     """One row per object of a pair: what it is, its place, how much is covered, and its scores."""
     scores = ("n_keep", *_OBJECT_SCORES)
     headings = ("pair_id", "status", "label", "real_id", "sim_id", "range_m", "n_real", "n_sim")
     rows = []
     for each in facts.objects:
-        real, sim, own = each.real or {}, each.sim or {}, each.scores or {}
-        place = real or sim
-        rows.append(
-            [
-                *(
-                    facts.pair["pair_id"],
-                    each.status,
-                    place["label"],
-                    real.get("community_id"),
-                    sim.get("community_id"),
-                ),
-                *(place["range_m"], real.get("n_points"), sim.get("n_points")),
-                *(real.get("covered_0p3m"), sim.get("covered_0p3m"), *map(own.get, scores), own.get("reason")),
-            ]
-        )
+        place, sides, own = each.row, (each.real or {}, each.sim or {}), each.scores or {}
+        ids, points, covered = ([side.get(name) for side in sides] for name in ("community_id", "n_points", _NEAR))
+        named = (place["pair_id"], each.status, place["label"])
+        rows.append([*named, *ids, place["range_m"], *points, *covered, *map(own.get, scores), own.get("reason")])
     return Table("", (*headings, "covered_real_0p3m", "covered_sim_0p3m", *scores, "reason"), rows)
 
 
@@ -197,11 +178,8 @@ def object_view(pair_id: str, facts: ObjectFacts) -> View:
     title = f"Scores ({scores['status']}, on {scores['n_keep']} aligned nodes)"
     values = [(METRIC[name].label, scores[name], METRIC[name].reading) for name in _OBJECT_SCORES]
     score_table = Table(title, ("score", "value", "how to read it"), values, words=(0, 2), digits={1: 4})
-    own = {f"covered_{side}_0p3m": own and own["covered_0p3m"] for side, own in zip(SIDES, sides, strict=True)}
-    spectral = math.nan if scores["r_lambda"] is None else scores["r_lambda"]
-    (own["quadrant"],) = quadrant_of(np.array([scores["cdc"]]), np.array([spectral])).tolist()
-    own["diagonal_m"] = math.hypot(*(facts.real[f"extent_{axis}"] for axis in "xyz")) if facts.real else None
-    return [Note(judgement(scores | own)), score_table, table]
+    covered = {f"covered_{side}_0p3m": own and own[_NEAR] for side, own in zip(SIDES, sides, strict=True)}
+    return [Note(judgement(facts.row | covered)), score_table, table]
 
 
 def judgement(row: Mapping[str, Any]) -> str:
@@ -254,19 +232,15 @@ def object_records(facts: ObjectFacts) -> Table:
 
 def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
     """Objects whose r_lambda depends on a poor alignment, worst first; no note without any."""
-    scored = [
-        (
-            each.real["community_id"],
-            each.scores["alignment_rms_m"],
-            math.hypot(*(each.real[f"extent_{a}"] for a in "xyz")),
-        )
-        for each in objects
-        if each.real and each.scores and each.scores["r_lambda"] is not None
-    ]
-    bad = sorted((one for one in scored if alignment_is_bad(one[1], one[2])), key=lambda one: -one[1])
+    scored = [each.row for each in objects if each.row["r_lambda"] is not None]
+    bad = [row for row in scored if alignment_is_bad(row["alignment_rms_m"], row["diagonal_m"])]
     if not bad:
         return []
-    named = ", ".join(f"real:{i} ({rms:.1f} m apart, {size:.1f} m large)" for i, rms, size in bad[:_MOST_ALIGNMENTS])
+    bad.sort(key=lambda row: -row["alignment_rms_m"])
+    named = ", ".join(
+        f"real:{row['community_id']} ({row['alignment_rms_m']:.1f} m apart, {row['diagonal_m']:.1f} m large)"
+        for row in bad[:_MOST_ALIGNMENTS]
+    )
     more = ", ..." * (len(bad) > _MOST_ALIGNMENTS)
     text = (
         f"warning: r_lambda of {len(bad)} of {len(scored)} objects depends on a poor alignment "
@@ -277,12 +251,11 @@ def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
 
 def _alone_lines(facts: ObjectFacts) -> list[str]:
     """Reason why an unmatched object has no scores, and whether the other side has its surface."""
-    side, own = _first_side(facts)
-    side, other = {"real": ("real", "simulated"), "sim": ("simulated", "real")}[side]
+    side, other = {"real": ("real", "simulated"), "sim": ("simulated", "real")}[facts.row["side"]]
     why = f"only the {side} side has this object, so that it has no scores"
     if facts.real and facts.sim:
         n_sim = facts.sim["n_points"] or "no"
         why = f"{n_sim} points of this object are simulated, too few to match it, so that it has no scores"
-    covered, state = own["covered_0p3m"], surface_state(own["covered_0p3m"])
+    covered, state = facts.row[_NEAR], surface_state(facts.row[_NEAR])
     place = {"there": "there, only partitioned differently", "partly": "there in part"}.get(state, state)
     return [why, f"its surface is {place}: {percent(covered)} of its points have a {other} one within 0.3 m"]
