@@ -8,6 +8,7 @@ values. The charts of one pair are drawn by the page.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -21,16 +22,6 @@ from ..results.families import ScoreChange
 from ..results.history import FamilyHistory
 from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..terminal import shown
-from .aggregates import (  # fmt: skip
-    SCORES,
-    along_the_sequence,
-    axis_title,
-    evenly,
-    quadrants,
-    range_bins,
-    ray_outcomes,
-    score_spread,
-)
 from .look import (
     BLUE,
     FATE_COLOURS,
@@ -44,7 +35,7 @@ from .look import (
     of_theme,
     on_page,
 )
-from .run_frames import RunResults
+from .run_frames import FEWEST_IN_BOX, SCORES, RunResults, axis_title, evenly, quadrants
 
 Chart = dict[str, Any]  #: data and layout
 CaptionedChart = tuple[Chart, str]  #: a chart, and a sentence with its main numbers
@@ -52,6 +43,8 @@ CaptionedChart = tuple[Chart, str]  #: a chart, and a sentence with its main num
 #: More dots than these would make a page slow; the texts next to the charts then name the part that they show.
 MOST_DOTS = 3000
 MOST_CLASSES, _MOST_CHANGES = 10, 300
+_RANGE_BIN_M, _MOST_RANGE_BINS = 10.0, 12
+_QUARTILES = {"q1": 0.25, "median": 0.5, "q3": 0.75}
 
 _INK, _SOFT, _LINE = map(of_theme, ("ink", "soft", "line"))
 _CLEAR = "rgba(0,0,0,0)"
@@ -94,6 +87,58 @@ def run_charts(results: RunResults) -> dict[str, CaptionedChart]:
         "polar": _polar(results.unmatched),
         **({"rays_range": _rays(rays)} if len(rays := ray_outcomes(results)) else {}),
     }
+
+
+def ray_outcomes(results: RunResults) -> pd.DataFrame:
+    """Shares of the outcomes of rays (columns) by range (rows, near to far), and `n_rays`, over the scored pairs."""
+    outcomes = {f"rays_{name}": name for name in OUTCOME_COLOURS}
+    part = {("ray_scores", ""): ["by", "band", "n_rays", *outcomes]}
+    table, _ = results.run.store.read_pairs(results.pairs.pair_id.tolist(), part)["ray_scores", ""]
+    rows = table.to_pandas().query("by == 'range'").set_index("band").rename(columns=outcomes)
+    rows[[*OUTCOME_COLOURS]] = rows[[*OUTCOME_COLOURS]].mul(rows.n_rays, axis=0)
+    total: pd.DataFrame = rows.drop(columns="by").groupby(level=0, sort=False).sum()
+    total = total.loc[sorted(total.index, key=lambda band: float(band.removeprefix("over ").split()[0]))]
+    total[[*OUTCOME_COLOURS]] = total[[*OUTCOME_COLOURS]].div(total.n_rays, axis=0)
+    return total
+
+
+def range_bins(objects: pd.DataFrame) -> tuple[list[str], pd.Series]:
+    """Names of bins of the distance from the sensor, and the bin of each object.
+
+    Bins of 10 m from 0 to the farthest object; of 20, 30 ... m where those were more than twelve.
+    """
+    farthest_m = float(objects.range_m.max()) if len(objects) else 0.0
+    width = _RANGE_BIN_M * max(1, math.ceil(farthest_m / (_RANGE_BIN_M * _MOST_RANGE_BINS)))
+    lows = [width * i for i in range(math.floor(farthest_m / width) + 1)]
+    names = [f"{low:g} to {low + width:g} m" for low in lows]
+    return names, (objects.range_m // width).astype(int).map(dict(enumerate(names)))
+
+
+def score_spread(matched: pd.DataFrame, group: pd.Series, names: list[str]) -> dict[str, pd.DataFrame]:
+    """By score, for each named group of objects: how many have the score (n), and its q1, median and q3.
+
+    Fewer than three have no quartiles (NaN), none have no median.
+    """
+    by_score = {}
+    for score in SCORES:
+        values = matched[score].astype(float).groupby(group)
+        rows = pd.DataFrame({"n": values.count()} | {q: values.quantile(at) for q, at in _QUARTILES.items()})
+        rows = rows.reindex(names)
+        rows["n"] = rows.n.fillna(0).astype(int)
+        rows.loc[rows.n < FEWEST_IN_BOX, ["q1", "q3"]] = np.nan
+        by_score[score] = rows
+    return by_score
+
+
+def along_the_sequence(results: RunResults, times_s: Mapping[str, float]) -> tuple[bool, pd.DataFrame]:
+    """The scored pairs by the time of their real scans if known of each (then True), else by name.
+
+    Their `place` is the number of seconds since the first one, or their number from 1.
+    """
+    rows = results.pairs.assign(time_s=results.pairs.pair_id.map(times_s).astype(float))
+    has_times = bool(rows.time_s.notna().all())
+    rows = rows.sort_values(["time_s", "pair_id"] if has_times else "pair_id", ignore_index=True)
+    return has_times, rows.assign(place=rows.time_s - rows.time_s[0] if has_times else np.arange(1.0, len(rows) + 1))
 
 
 def _quadrants(results: RunResults) -> CaptionedChart:

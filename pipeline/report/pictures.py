@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import cmath
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote, urlencode
 
@@ -19,9 +18,8 @@ from ...schemas.results import Piece
 from ...stages.arrays import BoolArray, FloatArray
 from ..results.finished import FinishedRun
 from ..results.followed import SHARED_SCORES
-from .aggregates import evenly
 from .figures.style import VIEW
-from .run_frames import RunResults, frames_of, read_cloud
+from .run_frames import RunResults, evenly, frames_of, read_cloud
 from .view import number
 
 #: Width and height of a drawing, in the units of its paths.
@@ -35,29 +33,16 @@ _BARS_M = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _AROUND_M = 1.0
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A drawing with its title and words.
-
-    link : address of the object in the report
-    layers : SVG paths of points: "others" in grey, then those of the sides
-    ahead : SVG path of an arrow that points ahead
-    bar, bar_m : a bar of some metres as the scale
-    """
-
-    title: str
-    words: str
-    link: str
-    layers: dict[str, str]
-    ahead: str
-    bar: float
-    bar_m: float
-
-
-def draw_pieces(results: RunResults, pieces: Sequence[Piece]) -> list[Picture]:
+def draw_pieces(results: RunResults, pieces: Sequence[Piece]) -> list[dict[str, Any]]:
     """Pictures of the largest pieces, all to one scale: in colour the piece's points, everything else in grey.
 
-    Without perspective; points evenly over their order where they are too many.
+    Without perspective; points evenly over their order where they are too many. Each picture has
+
+    - title, words
+    - link : address of the object in the report
+    - layers : SVG paths of points: "others" in grey, then those of the sides
+    - ahead : SVG path of an arrow that points ahead
+    - bar, bar_m : a bar of some metres as the scale
     """
     shown = [_piece(results, piece) for piece in pieces]
     views = [_seen(layers) for layers, _ in shown]
@@ -68,15 +53,15 @@ def draw_pieces(results: RunResults, pieces: Sequence[Piece]) -> list[Picture]:
     for piece, (_, name), (places, ahead) in zip(pieces, shown, views, strict=True):
         dots = {kind: np.array(FRAME) / 2 + scale * _few(own) for kind, own in places.items()}
         drawn.append(
-            Picture(
-                title=piece.words,
-                words=f"{piece.fate_words}; pair {piece.pair_id}, {piece.n_points:,} points",
-                link=object_address(piece.pair_id, name),
-                layers={kind: "".join(f"M{x:.1f} {y:.1f}h0" for x, y in own) for kind, own in dots.items()},
-                ahead=_arrow(16 * complex(*ahead)),
-                bar=bar_m * scale,
-                bar_m=bar_m,
-            )
+            {
+                "title": piece.words,
+                "words": f"{piece.fate_words}; pair {piece.pair_id}, {piece.n_points:,} points",
+                "link": object_address(piece.pair_id, name),
+                "layers": {kind: "".join(f"M{x:.1f} {y:.1f}h0" for x, y in own) for kind, own in dots.items()},
+                "ahead": _arrow(16 * complex(*ahead)),
+                "bar": bar_m * scale,
+                "bar_m": bar_m,
+            }
         )
     return drawn
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
+from ...schemas.metric_catalogue import METRIC
 from ...schemas.settings import PieceSettings
 from ...stages.arrays import BoolArray, FloatArray, IntArray
 from ...stages.coverage import nearest_distances
@@ -24,8 +25,13 @@ from ...stages.inspect.sensor_description import SensorDescription
 from ...stages.pieces import CutScan, label_pieces
 from ..results.finished import FinishedRun
 from ..results.overview import NO_LABEL
+from ..results.quadrants import QUADRANTS, UNKNOWN
 from .look import OUTCOME_COLOURS
 
+#: The two scores that are drawn side by side.
+SCORES = ("r_lambda", "cdc")
+#: Fewer objects have no quartiles.
+FEWEST_IN_BOX = 3
 #: How much of an object the other side has, as objects show it: of the real one, and of the simulated one.
 OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
 #: How much of an object is road to the other side (below its ground cut): of the real one, and of the simulated one.
@@ -80,6 +86,29 @@ class RunResults:
         """
         chosen = set(self.run.select(pattern))
         return [name for name in self.pairs.pair_id if name in chosen]
+
+
+def axis_title(score: str) -> str:
+    """Label of the axis of a score: its heading and its best end."""
+    return f"{METRIC[score].label} ({METRIC[score].scale})"
+
+
+def quadrants(results: RunResults) -> dict[str, dict[str, Any]]:
+    """By quadrant, and of the objects without a score: number (n) and share of the matched objects."""
+    counts = results.matched.quadrant.value_counts()
+    numbers = {key: int(counts.get(key, 0)) for key in (*QUADRANTS, UNKNOWN)}
+    return {key: {"n": n, "share": n / max(1, len(results.matched))} for key, n in numbers.items()}
+
+
+def evenly(n: int, most: int) -> list[int]:
+    """Places of at most `most` of n things, evenly over their order, the first and the last among them.
+
+    Examples
+    --------
+    >>> evenly(9, 3), evenly(2, 3), evenly(0, 3)
+    ([0, 4, 8], [0, 1], [])
+    """
+    return list(map(int, np.unique(np.linspace(0, n - 1, min(n, most)).round())))
 
 
 def read_results(folder: Path) -> RunResults:

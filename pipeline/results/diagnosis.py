@@ -77,11 +77,9 @@ def interval_words(cause: DiagnosedCause) -> str:
 
 
 def _cause(found: DiagnosedCause) -> Cause:
+    shared = DiagnosedCause.model_fields.keys() & Cause.model_fields
     return Cause(
-        **{
-            name: getattr(found, name)
-            for name in ("name", "words", "setting", "estimate", "low", "high", "unit", "n_pairs")
-        },
+        **found.model_dump(include=shared),
         detail=gain_words(found),
         real=0.0,
         sim=found.estimate,

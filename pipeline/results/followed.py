@@ -88,12 +88,11 @@ def worst_changes(objects: pd.DataFrame, most: int = 5) -> list[Row]:
 
 def _grouped(objects: pd.DataFrame, names: Any) -> Iterator[Row]:
     for name, own in objects.groupby(names):
-        count = own["kind"].value_counts()
         steps = {s: (own[f"{s}_after"] - own[f"{s}_before"]).dropna().to_numpy(dtype=np.float64) for s in SHARED_SCORES}
         yield {
             "name": name,
             "n": len(own),
-            "kinds": {kind: int(count.get(kind, 0)) for kind in KINDS},
+            "kinds": own["kind"].value_counts().reindex(KINDS, fill_value=0).to_dict(),
             "n_pairs": own["pair_id"].nunique(),
             "n_both": int(own[["sim_before", "sim_after"]].notna().all(axis=1).sum()),
             **{score: float(step.mean()) if len(step) else None for score, step in steps.items()},

@@ -19,8 +19,8 @@ from fidpipe.pipeline.exchange.convert import convert
 from fidpipe.pipeline.generate import synth, twin
 from fidpipe.pipeline.generate.recordings import Recording
 from fidpipe.pipeline.generate.sensor_files import read_sensor
+from fidpipe.pipeline.report.page.run_data import _last_criteria
 from fidpipe.pipeline.report.render import csv_table, terminal
-from fidpipe.pipeline.report.verdict import _last_criteria
 from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.floor import FLOOR_DATASET, FLOOR_RECIPE, read_recipe

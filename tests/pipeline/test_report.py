@@ -14,16 +14,14 @@ import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from fidpipe.pipeline.report.aggregates import along_the_sequence, quadrants, range_bins, score_limits, score_spread
-from fidpipe.pipeline.report.charts import run_charts
+from fidpipe.pipeline.report.charts import along_the_sequence, range_bins, run_charts, score_spread
 from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.figures.run_figures import draw_coverage
 from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
 from fidpipe.pipeline.report.page.pair_data import pair_data, thinned
-from fidpipe.pipeline.report.page.run_data import page_data, page_words
+from fidpipe.pipeline.report.page.run_data import page_data, page_words, score_limits, verdict_of
 from fidpipe.pipeline.report.page.run_page import MOST_VIEWS, some_of, views_of, write_report
-from fidpipe.pipeline.report.run_frames import PairFrames, read_results
-from fidpipe.pipeline.report.verdict import verdict_of
+from fidpipe.pipeline.report.run_frames import PairFrames, quadrants, read_results
 from fidpipe.pipeline.report.view import Note, Table
 from fidpipe.pipeline.report.views.run_view import summary_view
 from fidpipe.pipeline.results.finished import FinishedRun
@@ -278,13 +276,13 @@ def test_the_largest_pieces_have_pictures_that_lead_into_the_3d_view(by_referenc
     pictures = verdict_of(read_results(by_reference))["worst"]
     assert len(pictures) == len(pieces) > 0
     for picture, piece in zip(pictures, pieces, strict=True):
-        asked = parse_qs(picture.link.removeprefix("#"))
+        asked = parse_qs(picture["link"].removeprefix("#"))
         assert asked["pair"] == [piece.pair_id]
         assert asked["object"][0].startswith(piece.side)
-        assert html.escape(picture.link) in page
-        assert picture.title == piece.words
-        assert picture.layers[piece.side].count("M") >= min(piece.n_points, 1000)
-        assert f'd="{picture.layers[piece.side]}"' in page
+        assert html.escape(picture["link"]) in page
+        assert picture["title"] == piece.words
+        assert picture["layers"][piece.side].count("M") >= min(piece.n_points, 1000)
+        assert f'd="{picture["layers"][piece.side]}"' in page
 
 
 def test_a_gate_of_before_is_judged_anew_and_the_first_screen_says_whether_it_is_met(report_run, tmp_path):

@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 
 from browsers import IN_3D, by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
-from fidpipe.pipeline.report.aggregates import score_limits
 from fidpipe.pipeline.report.page.compare_page import compare_page, history_page
+from fidpipe.pipeline.report.page.run_data import score_limits
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from fidpipe.pipeline.results.compare import compare_runs

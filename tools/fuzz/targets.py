@@ -185,7 +185,7 @@ def _gate_json():
 
 
 def _read_gate_json(folder):
-    from fidpipe.pipeline.report.verdict import _last_criteria
+    from fidpipe.pipeline.report.page.run_data import _last_criteria
     from fidpipe.schemas.errors import FidpipeError
 
     if (criteria := _last_criteria(folder / "a.json")) is None:

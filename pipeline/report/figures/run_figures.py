@@ -15,9 +15,8 @@ from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.statistics.typical_objects import SHAPES
 from ...results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ...storage.files import remove_stale
-from ..aggregates import FEWEST_IN_BOX, SCORES, axis_title, quadrants
 from ..look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SIDE_COLOURS
-from ..run_frames import PairFrames, RunResults, frames_of
+from ..run_frames import FEWEST_IN_BOX, SCORES, PairFrames, RunResults, axis_title, frames_of, quadrants
 from . import style
 
 NAMES = ("overview", "coverage", "unmatched", "distributions", "box_plots", "objects")

@@ -152,7 +152,4 @@ def _report_link(run: Path, change: Row, start: Path) -> str:
     if page is None:
         return ""
     address = object_address(change["pair_id"], f"real {change['real_id']}")
-    try:
-        return f"{quote(os.path.relpath(page.resolve(), start.resolve()))}{address}"
-    except ValueError:  # another drive
-        return f"{page.resolve().as_uri()}{address}"
+    return f"{quote(os.path.relpath(page.resolve(), start.resolve()))}{address}"

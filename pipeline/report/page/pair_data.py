@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ....schemas.columns import SIDES
+from ....schemas.columns import SIDES, Row
 from ....stages.arrays import FloatArray, IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.surface import signed_distances
-from ..aggregates import plain_rows
+from ...results.object_frame import plain_rows
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults, frames_of
 from ..views.pair_view import alone_judgement, judgement
 
@@ -71,14 +71,14 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
         "n_beams": len(tables.ray_image),
         "packed": _packed(_points(tables, shown, step_m) | {"rays": tables.ray_image.ravel()}),
         "moves": {str(real_id): np.round(move, 4).tolist() for real_id, move in tables.alignment_moves.items()},
-        "objects": plain_rows(tables.objects.assign(sentence=_sentences(tables.objects)), OBJECT_COLUMNS),
+        "objects": [[row[column] for column in OBJECT_COLUMNS] for row in _with_sentences(tables.objects)],
     }
 
 
-def _sentences(objects: pd.DataFrame) -> list[str]:
-    """Sentences on what is wrong with each object."""
-    rows: list[Any] = objects.astype(object).where(objects.notna(), None).to_dict("records")
-    return [judgement(row) if row["partner"] >= 0 else alone_judgement(row) for row in rows]
+def _with_sentences(objects: pd.DataFrame) -> list[Row]:
+    """The objects, each with a `sentence` on what is wrong with it."""
+    rows = plain_rows(objects)
+    return [row | {"sentence": judgement(row) if row["partner"] >= 0 else alone_judgement(row)} for row in rows]
 
 
 def thinned(community: Iterable[int], most: int) -> IndexArray:

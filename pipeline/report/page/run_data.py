@@ -4,38 +4,62 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+import orjson
 import pandas as pd
+from pydantic import TypeAdapter
 
 from ....schemas.columns import SIDES
+from ....schemas.errors import RunError
 from ....schemas.metric_catalogue import METRIC, metric_of
 from ....stages.inspect.sensor_description import differences, pair_columns, sensor_lines
 from ...results.causes import with_tolerance
 from ...results.diagnosis import gain_words, interval_words, read_diagnosis
 from ...results.floor import RunExcess
-from ...results.quadrants import CDC_LIMIT, R_LAMBDA_LIMIT
+from ...results.gate import Criterion, judge_run
+from ...results.object_frame import plain_rows
+from ...results.overview import over_floor
+from ...results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ...terminal import STEERING
-from ..aggregates import along_the_sequence, plain_rows, score_limits, stage_times
-from ..charts import MOST_DOTS, evidence_chart, run_charts
+from ..charts import MOST_DOTS, along_the_sequence, evidence_chart, run_charts
 from ..look import PAGE_COLOURS, SIGNED_RAMP_M
-from ..pictures import FRAME
-from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, RunResults, frames_of
-from ..verdict import verdict_of
-from ..view import Table
+from ..pictures import FRAME, draw_pieces
+from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, SCORES, RunResults, frames_of, quadrants
+from ..view import Note, Table, number, percent, sentence
+from ..views.answer_view import change_words, pieces_words, surface_words
 from ..views.floor_view import excess_view
-from ..views.run_view import preset_line, range_table
+from ..views.run_view import (
+    coverage_table,
+    dataset_table,
+    preset_line,
+    range_table,
+    surface_line,
+    surface_table,
+    unmatched_lines,
+)
 from .pair_data import FACTS, FAR_M, OBJECT_COLUMNS, SIGNED_M
 
 #: More rows would make the page slow; the table then says what part it shows.
 _MOST_ROWS = 5000
 _MOST_FAILURES = 5
+#: Causes on the first screen.
+_MOST_CAUSES = 6
 _DIGITS = 6
+#: Quantiles of a score at the ends of its colours.
+_COLOURED = (0.02, 0.98)
 
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
 _SCORES = (
     "cdc", "r_lambda", "alignment_rms_m", "max_eigenvalue_shift", "laplacian_change", "r_gap", "centroid_distance_m",
 )  # fmt: skip
+#: Scores of the section `details`.
+_DATASET = (
+    *("match_rate", "found", "cdc_mean", "r_lambda_mean", "max_eigenvalue_shift_mean", "laplacian_change_mean"),
+    *("r_gap_mean", "alignment_rms_m_mean", "centroid_distance_m_mean"),
+)
 #: Columns of the tables of pairs and objects.
 _PAIRS = (
     *("pair_id", "n_matched", "n_missing", "n_hallucinated", "match_rate"),
@@ -109,7 +133,35 @@ def _described(class_is: str) -> dict[str, dict[str, Any]]:
 
 
 def _table(rows: pd.DataFrame, keys: Sequence[str], note: str) -> dict[str, Any]:
-    return {"keys": keys, "rows": plain_rows(rows.round(_DIGITS), keys), "note": note}
+    return {"keys": keys, "rows": _plain(rows.round(_DIGITS), keys), "note": note}
+
+
+def _plain(rows: pd.DataFrame, keys: Sequence[str]) -> list[list[Any]]:
+    return [[*row.values()] for row in plain_rows(rows[[*keys]])]
+
+
+def score_limits(results: RunResults) -> dict[str, tuple[float, float]]:
+    """By score the range that occurs, for colours: its quantiles 0.02 and 0.98 over the objects of all pairs.
+
+    Without such a range (no object with a score, or all equal) it is that of the score's definition.
+    """
+    limits = {}
+    for score in SCORES:
+        values = results.matched[score].dropna().to_numpy(dtype=float)
+        low, high = np.quantile(values, _COLOURED).tolist() if len(values) else (0.0, 0.0)
+        limits[score] = (low, high) if high > low else (0.0, METRIC[score].high or 1.0)
+    return limits
+
+
+def stage_times(results: RunResults) -> pd.DataFrame:
+    """By stage and step in the order of the pipeline: median over pairs of the `seconds` of both sides together."""
+    times: pd.DataFrame = results.run.read_table("timings").to_pandas()
+    times = times[times.pair_id.isin(results.pairs.pair_id)]
+    order = [*results.run.record.stages, *times.stage]
+    times = times.assign(stage=pd.Categorical(times.stage, list(dict.fromkeys(order))))
+    per_pair = times.groupby(["stage", "step", "pair_id"], sort=False, observed=True).seconds.sum()
+    median = per_pair.groupby(["stage", "step"], sort=False, observed=True).median()
+    return median.reset_index().sort_values("stage", kind="stable")
 
 
 def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
@@ -143,7 +195,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
             pair_columns(sensors["real"], "real") | pair_columns(sensors["sim"], "sim"),
         ),
         "ranges": [range_table(record.findings)] if record.findings else [],
-        "times": Table("", times, plain_rows(stage_times(results), times), words=(0, 1)),
+        "times": Table("", times, _plain(stage_times(results), times), words=(0, 1)),
         "settings": record.settings,
         "versions": {
             "": {name: getattr(record, name) for name in ("fidpipe", "written", "dataset", "seed", "workers")}
@@ -153,3 +205,91 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
             "machine": record.machine.as_dict(),
         },
     }
+
+
+def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
+    """The first screen of a run's page, over a floor if there is one, and the section `details`.
+
+    is_met is True if the acceptance criteria of the last gate are met, None without any.
+    """
+    record = results.run.record
+    overview = over_floor(results.run, excess.floor) if excess else results.run.overview
+    if overview is None:
+        raise RunError(f"run {results.run.folder}: no pair is scored, so there is nothing to report")
+    is_met, good_enough = _good_enough(results, excess)
+    return {
+        "sentence": sentence(surface_words(record, excess)),
+        "pieces": sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
+        "bars": _bars(results, excess),
+        "causes": overview.causes[:_MOST_CAUSES],
+        "worst": draw_pieces(results, overview.pieces),
+        "is_met": is_met,
+        "good_enough": good_enough,
+        "warning": " ".join(f"Warning: {one.words}" for one in overview.trust if one.kind == "frames"),
+        "change": sentence(change_words(record)) if record.previous else "",
+        "trust": [sentence(one.words) for one in overview.trust if one.kind not in ("frames", "failed")],
+        "details": [
+            dataset_table(record, _DATASET),
+            Note("Unmatched as worst: each missing and each invented object counted with the worst value."),
+            coverage_table(record),
+            surface_table(overview),
+            Note("Real points that are not covered are missing surface, simulated ones invented surface."),
+            *map(Note, (*unmatched_lines(record), surface_line(record))),
+        ],
+    }
+
+
+def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]:
+    """Stacked bars: surface of both sides by distance to the other one, and real objects by quadrant.
+
+    The parts of each, from good to bad, are kind (its look), words, and share of the whole.
+    """
+    summary, bars = results.run.record.summary, list[dict[str, Any]]()
+    for side, name, alone in (("real", "Real surface", "missing"), ("sim", "Simulated surface", "invented")):
+        reaches = [f"covered_{side}_{reach}" for reach in ("0p1m", "0p3m", "1m")]
+        ends = [0.0, *(summary[column].mean or 0.0 for column in reaches), 1.0]
+        words = ("within 0.1 m", "0.1 to 0.3 m", "0.3 to 1 m", alone)
+        parts = [
+            (f"{side} step{i}", text, high - low)
+            for i, (text, low, high) in enumerate(zip(words, ends[:-1], ends[1:], strict=True))
+        ]
+        note = f"floor {percent(excess.scores[reaches[1]].floor)}" if excess else ""
+        bars.append({"name": name, "value": f"{percent(ends[2])} within 0.3 m", "note": note, "parts": parts})
+    counted = quadrants(results)
+    n_missing = int((results.unmatched.status == "missing").sum())
+    n_all = max(1, len(results.matched) + n_missing)
+    fates = {**{key: own["n"] for key, own in counted.items()}, "missing": n_missing}
+    kinds = (*QUADRANTS, "unknown", "real step3")
+    shares = [(kind, name, n / n_all) for kind, (name, n) in zip(kinds, fates.items(), strict=True)]
+    return [*bars, {"name": "Real objects", "value": f"{percent(shares[0][2])} faithful", "parts": shares}]
+
+
+def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | None, list[str]]:
+    """The criteria of the folder's last gate, evaluated again; or how to set some."""
+    folder = results.run.folder
+    criteria = _last_criteria(folder / "gate.json")
+    if criteria is None:
+        return None, [f"No acceptance limits are set yet: fidpipe gate {folder} --max r_lambda.mean=0.4 sets one."]
+    try:
+        result = judge_run(folder, criteria, None if excess is None else excess.floor)
+    except (RunError, ValueError) as error:
+        return None, [f"The criteria of {folder / 'gate.json'} cannot be evaluated again: {error}"]
+    unmet = [verdict for verdict in result.judged if not verdict.passed]
+    on_scores = [verdict for verdict in result.judged if not verdict.measure.startswith("pairs.")]
+    n_met = sum(verdict.passed for verdict in on_scores)
+    met = f"{n_met} of {len(on_scores)} acceptance criteria on scores are met"
+    if not unmet:
+        return True, [f"Yes: {met}, and those on the run itself (complete, no pair failed, nothing changed since)."]
+    why = [f"{one.name}: {one.why or number(one.value)}" for one in unmet[:3]]
+    return False, [f"No: {met}.", *map(sentence, why)]
+
+
+_CRITERIA = TypeAdapter(list[Criterion])
+
+
+def _last_criteria(path: Path) -> list[Criterion] | None:
+    """The criteria that a gate wrote down; None if none can be read."""
+    try:
+        return _CRITERIA.validate_python(orjson.loads(path.read_bytes())["criteria"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
