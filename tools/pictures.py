@@ -14,7 +14,7 @@ from matplotlib.patches import Circle
 from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.look import FATE_COLOURS, QUADRANT_COLOURS, SIDE_COLOURS
 from fidpipe.pipeline.report.run_frames import PairFrames, read_results
-from fidpipe.pipeline.results.quadrants import CDC_LIMIT, R_LAMBDA_LIMIT
+from fidpipe.pipeline.results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.metric_catalogue import METRIC
 from fidpipe.schemas.settings import Settings

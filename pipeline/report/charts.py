@@ -20,7 +20,7 @@ from ...schemas.metric_catalogue import METRIC
 from ...schemas.results import Evidence
 from ..results.families import ScoreChange
 from ..results.history import FamilyHistory
-from ..results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
+from ..results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..terminal import shown
 from .look import (
     BLUE,

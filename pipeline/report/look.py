@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from ..results.quadrants import QUADRANTS, UNKNOWN
+from ..results.object_frame import QUADRANTS, UNKNOWN
 from ..terminal import shown
 
 #: Okabe and Ito, Color Universal Design (2008). Blue and vermilion are the sides and nothing else.

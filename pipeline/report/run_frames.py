@@ -24,8 +24,8 @@ from ...stages.coverage import nearest_distances
 from ...stages.inspect.sensor_description import SensorDescription
 from ...stages.pieces import CutScan, label_pieces
 from ..results.finished import FinishedRun
+from ..results.object_frame import QUADRANTS, UNKNOWN
 from ..results.overview import NO_LABEL
-from ..results.quadrants import QUADRANTS, UNKNOWN
 from .look import OUTCOME_COLOURS
 
 #: The two scores that are drawn side by side.

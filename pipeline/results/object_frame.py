@@ -13,12 +13,12 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES, Row
+from ...schemas.metric_catalogue import QUADRANT_LIMITS
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.findings import BAND_EDGES_M, Objects
 from ...stages.statistics.typical_objects import SHAPES
 from ..storage.folder import RunFolder
-from .quadrants import quadrant_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,6 +35,36 @@ COLUMNS_OF = {
     table: tuple(name for name in TABLES[table].schema.names if name not in {"pair_id", "side", *keys, "n_points"})
     for table, keys in _KEYS.items()
 }
+
+CDC_LIMIT, R_LAMBDA_LIMIT = QUADRANT_LIMITS["cdc"], QUADRANT_LIMITS["r_lambda"]
+
+#: Keys of the quadrants by geometry and structure, best first, and how they are called. The paper names their meaning
+#: and gives examples, no limits: these are fidpipe's, fixed so that runs compare, with reasons in the metric catalogue.
+QUADRANTS = {
+    "faithful": "faithful",
+    "structure lost": "shape right but structure lost",
+    "displaced": "structure right but displaced",
+    "failed": "failed",
+}
+UNKNOWN = "no score"
+
+
+def quadrant_of(cdc: FloatArray, r_lambda: FloatArray) -> NDArray[np.str_]:
+    """The quadrant of each object, (n,) strings; "no score" where r_lambda is null.
+
+    Parameters
+    ----------
+    cdc, r_lambda : (n,) float64; NaN if a score is null
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> quadrant_of(np.array([0.1, 0.1, 0.9, 0.9, 0.1]), np.array([0.1, 0.7, 0.1, 0.7, np.nan])).tolist()
+    ['faithful', 'structure lost', 'displaced', 'failed', 'no score']
+    """
+    names = np.array([*QUADRANTS, UNKNOWN])
+    index = (r_lambda > R_LAMBDA_LIMIT) + 2 * (cdc > CDC_LIMIT)
+    return names[np.where(np.isnan(r_lambda), len(QUADRANTS), index)]
 
 
 def shape_of(linearity: FloatArray, planarity: FloatArray, scattering: FloatArray) -> NDArray[np.str_]:

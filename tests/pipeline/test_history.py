@@ -11,7 +11,7 @@ import pytest
 
 from fidpipe.pipeline.report.page.compare_page import history_page
 from fidpipe.pipeline.report.render import csv_table
-from fidpipe.pipeline.report.views.history_view import history_decision, history_records, history_remarks, history_view
+from fidpipe.pipeline.report.views.compare_view import history_decision, history_records, history_remarks, history_view
 from fidpipe.pipeline.results import history
 from fidpipe.pipeline.results.compare import compare_two
 from fidpipe.pipeline.results.history import read_history

@@ -13,9 +13,8 @@ from fidpipe.pipeline import run as run_module
 from fidpipe.pipeline.paper.claims_view import claims_of
 from fidpipe.pipeline.report.page.run_data import verdict_of
 from fidpipe.pipeline.report.run_frames import read_results
-from fidpipe.pipeline.report.views.pair_view import pair_view
 from fidpipe.pipeline.report.views.run_view import outcome_view, summary_view
-from fidpipe.pipeline.report.views.show_view import show_view
+from fidpipe.pipeline.report.views.show_view import pair_view, show_view
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.overview import BAD_ALIGNMENT_M, describe_objects, largest_pieces
 from fidpipe.pipeline.results.status import run_status

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from fidpipe.pipeline.report.view import Table, number
-from fidpipe.pipeline.report.views.pair_view import pair_view
+from fidpipe.pipeline.report.views.show_view import pair_view
 from fidpipe.pipeline.results.finished import FinishedRun, object_facts, pair_facts
 from fidpipe.pipeline.storage.run_record import read_run
 from fidpipe.schemas.errors import RunError

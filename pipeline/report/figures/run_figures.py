@@ -13,7 +13,7 @@ from ....schemas.metric_catalogue import METRIC
 from ....stages.arrays import FloatArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.statistics.typical_objects import SHAPES
-from ...results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
+from ...results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ...storage.files import remove_stale
 from ..look import FATE_COLOURS, QUADRANT_COLOURS, SCORE_COLOURS, SIDE_COLOURS
 from ..run_frames import FEWEST_IN_BOX, SCORES, PairFrames, RunResults, axis_title, frames_of, quadrants

@@ -23,18 +23,19 @@ from ..pictures import draw_change, object_address
 from ..view import Table, shortened, signed
 from ..views.compare_view import (
     OBJECTS_NOTE,
+    arrowed,
     cause_table,
     chance,
     changed,
     decision,
     family_table,
+    history_view,
     object_table,
     object_view,
     remarks,
     score_table,
 )
 from ..views.floor_view import both_excesses_table
-from ..views.history_view import arrowed, history_view
 from .page_templates import render
 from .run_page import PAGE, PAGES
 

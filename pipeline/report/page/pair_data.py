@@ -20,7 +20,7 @@ from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.surface import signed_distances
 from ...results.object_frame import plain_rows
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults, frames_of
-from ..views.pair_view import alone_judgement, judgement
+from ..views.show_view import alone_judgement, judgement
 
 #: Properties shown of a chosen object, the first ones at first sight; an object shows those that it has.
 FACTS = (

@@ -20,9 +20,8 @@ from ...results.causes import with_tolerance
 from ...results.diagnosis import gain_words, interval_words, read_diagnosis
 from ...results.floor import RunExcess
 from ...results.gate import Criterion, judge_run
-from ...results.object_frame import plain_rows
+from ...results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, plain_rows
 from ...results.overview import over_floor
-from ...results.quadrants import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ...terminal import STEERING
 from ..charts import MOST_DOTS, along_the_sequence, evidence_chart, run_charts
 from ..look import PAGE_COLOURS, SIGNED_RAMP_M
