@@ -223,7 +223,7 @@ def verify(
 def _history(runs: list[Path], page: Path | None, output: str, **options: bool) -> None:
     from ..report.page.compare_page import history_page
     from ..report.views.compare_view import history_records, history_view
-    from ..results.history import read_history
+    from ..results.compare import read_history
     from ..storage.files import write_whole
 
     history = read_history(runs, **options)

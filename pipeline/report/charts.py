@@ -18,8 +18,8 @@ import pandas as pd
 
 from ...schemas.metric_catalogue import METRIC
 from ...schemas.results import Evidence
+from ..results.compare import FamilyHistory
 from ..results.families import ScoreChange
-from ..results.history import FamilyHistory
 from ..results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..terminal import shown
 from .look import (

@@ -128,9 +128,7 @@ def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
 def _overview(objects: pd.DataFrame, rows: Sequence[Row], pieces: Sequence[Piece]) -> Overview:
     import pandas as pd
 
-    points = objects.assign(
-        n=objects["n_points"], alone=objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0))
-    )
+    points = objects.assign(alone=objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0)))
     bands = _coverage(points, "band", pd.RangeIndex(len(BAND_NAMES)), len(rows))
     classes = _coverage(points, "label", pd.Index(sorted(set(objects["label"]))), len(rows))
     scored = objects[(objects["side"] == "real") & objects["r_lambda"].notna()]
@@ -184,11 +182,8 @@ def over_floor(run: FinishedRun, floor: Path) -> Overview | None:
         return run.overview
     rows = {row["pair_id"]: row for row in FinishedRun(floor).scored}
     surface = [cause for cause in overview.causes if cause.name in (FAR, CLASS)]
-    known = {
-        "causes": tuple(find_causes(run.scored, rows, surface)),
-        "trust": tuple(caution for caution in overview.trust if caution.kind != "floor"),
-    }
-    return overview.model_copy(update=known)
+    trust = tuple(caution for caution in overview.trust if caution.kind != "floor")
+    return overview.model_copy(update={"causes": tuple(find_causes(run.scored, rows, surface)), "trust": trust})
 
 
 def independence(findings: Findings | None) -> list[str]:

@@ -12,9 +12,8 @@ import pytest
 from fidpipe.pipeline.report.page.compare_page import history_page
 from fidpipe.pipeline.report.render import csv_table
 from fidpipe.pipeline.report.views.compare_view import history_decision, history_records, history_remarks, history_view
-from fidpipe.pipeline.results import history
-from fidpipe.pipeline.results.compare import compare_two
-from fidpipe.pipeline.results.history import read_history
+from fidpipe.pipeline.results import compare
+from fidpipe.pipeline.results.compare import compare_two, read_history
 from fidpipe.schemas.errors import RunError
 from reports import embedded, text_of
 from runs import command, copied, run
@@ -72,7 +71,7 @@ def test_the_decided_score_is_shown_and_a_verdict_that_does_not_count_in_bracket
             families.append(replace(own, verdict=verdict, why=why, scores=scores))
         return replace(found, families=tuple(families))
 
-    monkeypatch.setattr(history, "compare_two", compared)
+    monkeypatch.setattr(compare, "compare_two", compared)
     found = read_history(runs[:2], independent=True)
     own = next(own for own in found.families if own.family == "objects")
     assert (own.name, own.steps[1].since_first) == ("r_lambda", "(worse)")

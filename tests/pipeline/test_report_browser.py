@@ -17,8 +17,7 @@ from fidpipe.pipeline.report.page.compare_page import compare_page, history_page
 from fidpipe.pipeline.report.page.run_data import score_limits
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.run_frames import PairFrames, read_results
-from fidpipe.pipeline.results.compare import compare_runs
-from fidpipe.pipeline.results.history import read_history
+from fidpipe.pipeline.results.compare import compare_runs, read_history
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 
 WIDTHS = (1280, 390)

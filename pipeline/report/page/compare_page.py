@@ -10,11 +10,10 @@ from typing import Any
 from urllib.parse import quote
 
 from ....schemas.columns import Row
-from ...results.compare import Comparison
+from ...results.compare import Comparison, History
 from ...results.families import MARKS_NOTE
 from ...results.finished import FinishedRun
 from ...results.followed import worst_changes
-from ...results.history import History
 from ...storage.table_files import file_stem
 from ...terminal import STEERING
 from ..charts import change_chart, history_chart

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from ....schemas.columns import Row
 from ....schemas.metric_catalogue import METRIC
 from ....stages.statistics.comparison import CONFIDENCE, LEAST_CHANGE, LEAST_FOR_INTERVAL, LEAST_PAIRS, Difference
-from ...results.compare import Comparison
+from ...results.compare import Comparison, FamilyHistory, History, Step
 from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, overall
 from ...results.followed import SHARED_SCORES, by_change, by_class, by_range
-from ...results.history import FamilyHistory, History, Step
 from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
 from ...storage.urls import url_or_path
