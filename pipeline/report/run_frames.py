@@ -44,7 +44,6 @@ class RunResults:
 
     run : its folder, its record (`run.json`), and where single tables are read from
     pairs : `pairs.parquet`, the scored pairs only, worst first
-    failures : why each failed pair failed
     objects : matched objects once, with the place of the real one, worst first; then those that only one side has,
         largest first
     class_is : "class" where the scans are labelled, else "shape"
@@ -62,7 +61,6 @@ class RunResults:
 
     run: FinishedRun
     pairs: pd.DataFrame
-    failures: dict[str, str]
     objects: pd.DataFrame
     class_is: str
 
@@ -123,19 +121,17 @@ def read_results(folder: Path) -> RunResults:
         The folder is not a run, the run has not ended, a table is damaged, or no pair is scored.
     """
     run = FinishedRun(folder)
-    rows = run.pairs
-    is_scored = rows.status == "scored"
-    failures = dict(zip(rows.pair_id[~is_scored], rows.reason[~is_scored], strict=True))
-    if not is_scored.any():
-        raise RunError(f"run {folder}: none of its {len(rows)} pairs is scored, so there is nothing to report")
-    pairs = _worst_first(rows[is_scored], ("match_rate", "cdc_mean", "r_lambda_mean"))
+    scored = run.pairs.query("status == 'scored'")
+    if scored.empty:
+        raise RunError(f"run {folder}: none of its {len(run.rows)} pairs is scored, so there is nothing to report")
+    pairs = _worst_first(scored, ("match_rate", "cdc_mean", "r_lambda_mean"))
     names = pairs.pair_id.tolist()
     for name in names:
         run.check_tables(name)
     objects = run.objects_of(names)
     is_labelled = bool(objects["label"].notna().any())
     objects["group"] = objects["label"].fillna(NO_LABEL) if is_labelled else objects["shape"]
-    return RunResults(run, pairs, failures, _both_sides(objects), "class" if is_labelled else "shape")
+    return RunResults(run, pairs, _both_sides(objects), "class" if is_labelled else "shape")
 
 
 def _both_sides(objects: pd.DataFrame) -> pd.DataFrame:
@@ -228,7 +224,7 @@ class PairFrames:
     @cached_property
     def ray_image(self) -> NDArray[np.uint8]:
         """(beams, columns) place in `OUTCOME_COLOURS`, 255 for none; left on the left, the highest beam on top."""
-        rays = self._columns("rays", ["beam", "column", "outcome"])
+        rays = self._run.read_table("rays", self._pair_id, columns=["beam", "column", "outcome"]).to_pandas()
         return ray_image(rays, outcome_places(rays), 255)
 
     @cached_property
@@ -264,10 +260,8 @@ class PairFrames:
     @cached_property
     def selection(self) -> pd.DataFrame:
         """The kept nodes of each matched object, in aligned pairs: real_id, real_point_id, sim_point_id."""
-        return self._columns("selection", ["real_id", "real_point_id", "sim_point_id"])
-
-    def _columns(self, table: str, columns: list[str]) -> pd.DataFrame:
-        rows: pd.DataFrame = self._run.read_table(table, self._pair_id, columns=columns).to_pandas()
+        columns = ["real_id", "real_point_id", "sim_point_id"]
+        rows: pd.DataFrame = self._run.read_table("selection", self._pair_id, columns=columns).to_pandas()
         return rows
 
 

@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.cause_catalogue import CAUSES
+from ...schemas.columns import Row
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.results import CauseEstimate, JsonObject
@@ -139,16 +140,6 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class RunOfHistory:
-    """One of the runs: its folder, when it was made, and how many pairs it has scored and how many failed."""
-
-    folder: Path
-    written: str
-    n_scored: int
-    n_failed: int
-
-
-@dataclass(frozen=True)
 class Step:
     """A family in one run.
 
@@ -182,6 +173,7 @@ class FamilyHistory:
 class History:
     """Runs in their order, and their families of scores.
 
+    runs : each with its `folder`, when it was `written`, and how many pairs it has scored (`n_scored`) and failed
     pairs : that all runs have scored
     left_out : by pair that some run has scored, why it is not among them
     failed : pairs that the first run has scored and that fail in the last
@@ -189,7 +181,7 @@ class History:
     n_comparisons : how many there are, each of which is wrong by chance in under 5 % of the cases
     """
 
-    runs: tuple[RunOfHistory, ...]
+    runs: tuple[Row, ...]
     pairs: tuple[str, ...]
     left_out: dict[str, str]
     failed: tuple[str, ...]
@@ -200,8 +192,7 @@ class History:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for programs."""
-        runs: JsonObject = {"runs": [asdict(run) | {"folder": str(run.folder)} for run in self.runs]}
-        return asdict(self) | runs
+        return asdict(self)
 
 
 def compare_runs(
@@ -481,7 +472,8 @@ def read_history(
         notes.append("the runs are not in the order in which they were made; --by-date orders them so")
     return History(
         runs=tuple(
-            RunOfHistory(run.folder, run.record.written, run.record.pairs.scored, run.record.pairs.failed)
+            {"folder": str(run.folder), "written": run.record.written}
+            | {"n_scored": run.record.pairs.scored, "n_failed": run.record.pairs.failed}
             for run in runs
         ),
         pairs=pairs,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES
-from ...stages.arrays import BoolArray, FloatArray, IntArray
+from ...stages.arrays import FloatArray, IntArray
 from ...stages.displacement import PARAMETERS, fit_displacement
 from ...stages.statistics.comparison import Difference, paired_difference
 from .finished import FinishedRun
@@ -81,12 +81,8 @@ def _displacement(base: FinishedRun, other: FinishedRun, name: str) -> FloatArra
     """(11,) of `PARAMETERS`; NaN without enough surface in common."""
     if base.record.inputs[name]["sim"] == other.record.inputs[name]["sim"]:
         return np.zeros(len(PARAMETERS))
-    (first, is_ground), (second, _) = (_clean_points(run, name) for run in (base, other))
-    found = fit_displacement(first, second, is_ground)
+    columns = ["x", "y", "z", "is_ground"]
+    tables = [run.read_table("ground", name, "sim", columns) for run in (base, other)]
+    first, second = (np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64) for table in tables)
+    found = fit_displacement(first, second, tables[0]["is_ground"].to_numpy())
     return np.full(len(PARAMETERS), np.nan) if found is None else found.values
-
-
-def _clean_points(run: FinishedRun, name: str) -> tuple[FloatArray, BoolArray]:
-    table = run.read_table("ground", name, "sim", ["x", "y", "z", "is_ground"])
-    points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64)
-    return points, table["is_ground"].to_numpy()

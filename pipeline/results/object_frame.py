@@ -181,24 +181,20 @@ def _array(table: pa.Table, name: str) -> NDArray[Any]:
     return values
 
 
-def counted(objects: pd.DataFrame, side: str) -> pd.DataFrame:
-    """The objects of a side that count as objects: all but remnants."""
-    return objects[(objects["side"] == side) & (objects["fate"] != "remnant")]
-
-
 #: Columns of the frame that the statistics over all objects use.
 STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", "cdc", "r_lambda", "r_gap")
 
 
 def arrays_of(objects: pd.DataFrame) -> tuple[Objects, Objects]:
-    """The objects of either side for the statistics over all objects."""
+    """The objects of either side for the statistics over all objects; remnants do not count."""
+    objects = objects[objects["fate"] != "remnant"]
     real, sim = (
         Objects(
             label=own["label"].fillna("").to_numpy(dtype=np.str_),
             is_matched=(own["fate"] == "matched").to_numpy(),
             **{name: own[name].to_numpy() for name in ("pair", *STATISTICS_COLUMNS) if name != "label"},
         )
-        for own in (counted(objects, side) for side in SIDES)
+        for own in (objects[objects["side"] == side] for side in SIDES)
     )
     return real, sim
 

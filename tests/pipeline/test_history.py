@@ -41,7 +41,7 @@ def test_means_are_over_the_pairs_that_all_runs_have(runs):
     found = read_history(runs, independent=True)
     assert found.pairs == tuple("012345")
     assert list(found.left_out) == list(found.failed) == ["6"]
-    assert [(one.n_scored, one.n_failed) for one in found.runs] == [(7, 0), (7, 0), (6, 1)]
+    assert [(one["n_scored"], one["n_failed"]) for one in found.runs] == [(7, 0), (7, 0), (6, 1)]
     for i, folder in enumerate(runs):
         pairs = pd.read_parquet(folder / "pairs.parquet").set_index("pair_id").loc[list(found.pairs)]
         means = {own.family: own.steps[i].mean for own in found.families}
@@ -85,8 +85,8 @@ def test_runs_stand_as_given_or_by_date(runs):
         path = folder / "run.json"
         path.write_text(json.dumps(json.loads(path.read_text()) | {"written": f"2026-01-0{i + 1}T00:00:00+00:00"}))
     as_given, by_date = read_history(order), read_history(order, by_date=True)
-    assert [one.folder for one in as_given.runs] == order
-    assert [one.folder for one in by_date.runs] == runs
+    assert [one["folder"] for one in as_given.runs] == [*map(str, order)]
+    assert [one["folder"] for one in by_date.runs] == [*map(str, runs)]
     assert any("--by-date" in note for note in as_given.notes)
     assert not any("--by-date" in note for note in by_date.notes)
 

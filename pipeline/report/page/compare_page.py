@@ -83,7 +83,7 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
 
 def history_page(history: History) -> str:
     """The page of runs in a row: the decision, the runs, their scores, and a line for each score."""
-    names = shortened(folders := [str(run.folder) for run in history.runs], 24)
+    names = shortened(folders := [run["folder"] for run in history.runs], 24)
     charts = [history_chart(score, [names[folder] for folder in folders]) for score in history.families]
     title, *parts = history_view(history)
     return render(

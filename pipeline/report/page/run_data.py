@@ -184,7 +184,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "has_times": along_the_sequence(results, results.run.record.times_s)[0],
         "diagnosis": found,
         "amounts": {cause.name: f"{interval_words(cause)}; {gain_words(cause)}".removesuffix("; ") for cause in causes},
-        "failures": results.failures,
+        "failures": {row["pair_id"]: row["reason"] for row in results.run.rows if row["status"] == "failed"},
         "most_failures": _MOST_FAILURES,
         "floor": excess_view(excess) if excess else [],
         "sensor_pair": sensor_pair,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from ....schemas.columns import Row
 from ....schemas.metric_catalogue import METRIC
 from ....stages.statistics.comparison import CONFIDENCE, LEAST_CHANGE, LEAST_FOR_INTERVAL, LEAST_PAIRS, Difference
-from ...results.compare import Comparison, FamilyHistory, History, Step
+from ...results.compare import Comparison, FamilyHistory, History
 from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, overall
 from ...results.followed import SHARED_SCORES, by_change, by_class, by_range
 from ...results.object_frame import plain_rows
@@ -56,7 +56,8 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
         objects = changed(comparison)
         few = [one for kind in _CHANGED for one in [own for own in objects if own["kind"] == kind][:_MOST_OBJECTS]]
         more = f" (of each kind the first {_MOST_OBJECTS})" if len(few) < len(objects) else ""
-        first = [*first, *score_view(comparison), *object_view(comparison)]
+        excess = [both_excesses_table(*comparison.excess)] if comparison.excess else []
+        first += [score_table(comparison), Note(MARKS_NOTE), *excess, *object_view(comparison)]
         if few:
             first += [object_table(f"Objects that have changed{more}", few), Note(OBJECTS_NOTE)]
     elif kinds:
@@ -66,12 +67,6 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
         words = ["fidpipe", "diagnose", url_or_path(comparison.other), "--floor", url_or_path(comparison.base)]
         hint.append(Note(f"next: {shlex.join(words)}"))
     return [*first, *remarks(comparison), *hint, Note("")]
-
-
-def score_view(comparison: Comparison) -> View:
-    """Every score, and the headline scores over a floor."""
-    excess = [both_excesses_table(*comparison.excess)] if comparison.excess else []
-    return [score_table(comparison), Note(MARKS_NOTE), *excess]
 
 
 def object_view(comparison: Comparison) -> View:
@@ -288,12 +283,14 @@ def _interval(own: Difference) -> str:
 def history_view(history: History) -> View:
     """The decision, the runs, and the means of their scores, each with a mark for both verdicts below."""
     runs = [
-        (str(i), run.written[:16].replace("T", " "), run.n_scored, run.n_failed, str(run.folder))
+        (str(i), run["written"][:16].replace("T", " "), run["n_scored"], run["n_failed"], run["folder"])
         for i, run in enumerate(history.runs, start=1)
     ]
     rows: list[tuple[str, ...]] = []
     for score in history.families:
-        rows.append((arrowed(score), *map(_mean, score.steps)))
+        # three digits, or one if the mean is large
+        means = (number(step.mean, 3 if abs(step.mean or 0.0) < 10 else 1) for step in score.steps)
+        rows.append((arrowed(score), *means))
         rows.append(("", *(f"{_mark(step.since_first)} {_mark(step.since_last)}" for step in score.steps)))
     title = f"Means over {len(history.pairs)} pairs that all runs have scored"
     return [
@@ -348,7 +345,7 @@ def history_records(history: History) -> Table:
     columns = ("family", "score", "better is", "run", "written", "mean", "from", "to", "since first", "since last")
     rows = [
         (
-            *(score.family, score.name, score.mark, str(run.folder), run.written),
+            *(score.family, score.name, score.mark, run["folder"], run["written"]),
             *(step.mean, step.low, step.high, step.since_first, step.since_last),
         )
         for score in history.families
@@ -361,8 +358,3 @@ def _mark(verdict: str) -> str:
     """The mark of a verdict, in brackets if the verdict is."""
     word = verdict.strip("()")
     return verdict.replace(word, _MARKS[word]) if word else ""
-
-
-def _mean(step: Step) -> str:
-    """The mean in three digits, or in one if it is large."""
-    return number(step.mean, 3 if abs(step.mean or 0.0) < 10 else 1)
