@@ -156,17 +156,8 @@ class ScoreChange:
         """Change in standard deviations of the blocks' changes."""
         return self.difference.size / (self.difference.std or math.inf)
 
-    @property
-    def beyond_seeds(self) -> bool | None:
-        """True if the difference is larger than seeds alone make; None if unknown."""
-        return self._exceeds(self.seed_noise)
-
-    @property
-    def beyond_floor(self) -> bool | None:
-        """True if the difference is larger than the floor; None if unknown."""
-        return self._exceeds(self.floor)
-
-    def _exceeds(self, least: float | None) -> bool | None:
+    def exceeds(self, least: float | None) -> bool | None:
+        """True if the difference is larger than `seed_noise` or `floor`; None if one of them is unknown."""
         change = self.difference.difference
         return None if least is None or change is None else abs(change) > least
 
@@ -233,7 +224,7 @@ def judge_families(
         if p is not None and p < ERROR_RATE:
             scores = tuple(
                 replace(score, verdict=score.towards)
-                if score.p is not None and score.p < ERROR_RATE and score.beyond_seeds is not False
+                if score.p is not None and score.p < ERROR_RATE and score.exceeds(score.seed_noise) is not False
                 else score
                 for score in scores
             )

@@ -127,18 +127,14 @@ class Measures:
             if state == "to_do":
                 return record.pairs.to_do
             raise _AbsentError(f"the dataset {record.dataset} is not here")
-        if state == "to_do":
-            return len({pair.pair_id for pair in self._dataset.pairs} - {row["pair_id"] for row in rows})
-        return self._n_changed(self._dataset)
-
-    def _n_changed(self, dataset: Dataset) -> int:
-        """Pairs of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset."""
-        before = self.run.record.inputs
+        dataset = self._dataset
         now = {pair.pair_id: pair for pair in dataset.pairs}
-        try:
+        if state == "to_do":
+            return len(now.keys() - {row["pair_id"] for row in rows})
+        try:  # of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset
             return sum(
                 pair_id not in now or input_hashes(now[pair_id], dataset.label_names)["content"] != hashes["content"]
-                for pair_id, hashes in before.items()
+                for pair_id, hashes in record.inputs.items()
             )
         except ScanError as error:
             raise _AbsentError(str(error)) from error

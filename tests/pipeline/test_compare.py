@@ -256,8 +256,8 @@ def test_a_difference_is_set_beside_what_seeds_alone_make(versions, tmp_path):
     of_seeds = [json.loads((folder / "run.json").read_text())["seeds"]["dataset"]["cdc_mean"] for folder in runs]
     noise = sum(of["least_dataset"] ** 2 for of in of_seeds) ** 0.5 / 2**0.5
     assert found["CDC"].seed_noise == pytest.approx(noise)
-    assert found["CDC"].beyond_seeds == (found["CDC"].difference.difference > noise)
-    assert found["real covered 0.3 m"].beyond_seeds is None
+    assert found["CDC"].exceeds(found["CDC"].seed_noise) == (found["CDC"].difference.difference > noise)
+    assert found["real covered 0.3 m"].exceeds(found["real covered 0.3 m"].seed_noise) is None
     assert by_name(compare_runs(versions)[0])["CDC"].seed_noise is None
     assert "more than seeds make" in compare_page(compare_runs(runs))
 

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -260,11 +259,11 @@ def test_a_comparison_says_which_differences_are_smaller_than_the_floor(folder, 
     floor_mean = pd.read_parquet(folder / "floor" / "pairs.parquet").covered_real_0p3m.mean()
     covered = scores["real covered 0.3 m"]
     assert covered.floor == pytest.approx(1 - floor_mean)
-    below = [score.name for score in found.scores if score.beyond_floor is False and score.towards]
+    below = [score.name for score in found.scores if score.exceeds(score.floor) is False and score.towards]
     assert below
     (line,) = [note.text for note in remarks(found) if "no more than the floor" in note.text]
     assert all(name in line for name in below)
-    assert replace(covered, floor=2.0).beyond_floor is False
+    assert covered.exceeds(2.0) is False
     page = tmp_path / "page.html"
     words = ("compare", folder / "run", tmp_path / "other", "--floor", folder / "floor")
     text = shown(*words, "--html", page, "--all")

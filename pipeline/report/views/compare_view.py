@@ -152,10 +152,10 @@ def remarks(comparison: Comparison) -> list[Note]:
 def _on_chance(comparison: Comparison) -> list[str]:
     """Seeds and floor: which changes are not more than these make."""
     lines = [comparison.on_partition] if comparison.on_partition else []
-    by_seeds = [score.name for score in comparison.scores if score.beyond_seeds is False]
+    by_seeds = [score.name for score in comparison.scores if score.exceeds(score.seed_noise) is False]
     if by_seeds:
         lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
-    below = [score for score in comparison.scores if score.beyond_floor is False and score.towards]
+    below = [score for score in comparison.scores if score.exceeds(score.floor) is False and score.towards]
     if below:
         lines.append(
             "no more than the floor, by which a second measurement of the real scan differs: "
@@ -212,8 +212,8 @@ def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = N
             *(family.name, f"{score.name} {score.mark}", score.difference.n_pairs, score.difference.before),
             *(score.difference.after, _interval(score.difference), _p(score.p)),
             f"({score.verdict})" if score.why else score.verdict,
-            *[beyond[score.beyond_seeds].format(number(score.seed_noise))] * with_seeds,
-            *[beyond[score.beyond_floor].format(number(score.floor))] * with_floor,
+            *[beyond[score.exceeds(score.seed_noise)].format(number(score.seed_noise))] * with_seeds,
+            *[beyond[score.exceeds(score.floor)].format(number(score.floor))] * with_floor,
         )
         for score in (comparison.scores if chosen is None else chosen)
         for family in comparison.families
