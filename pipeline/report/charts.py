@@ -18,6 +18,7 @@ import pandas as pd
 
 from ...schemas.metric_catalogue import METRIC
 from ...schemas.results import Evidence
+from ...stages.statistics.findings import evenly
 from ..results.compare import FamilyHistory
 from ..results.families import ScoreChange
 from ..results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
@@ -35,7 +36,7 @@ from .look import (
     of_theme,
     on_page,
 )
-from .run_frames import FEWEST_IN_BOX, SCORES, RunResults, axis_title, evenly, quadrants
+from .run_frames import FEWEST_IN_BOX, SCORES, RunResults, axis_title, quadrants
 
 Chart = dict[str, Any]  #: data and layout
 CaptionedChart = tuple[Chart, str]  #: a chart, and a sentence with its main numbers

@@ -16,10 +16,11 @@ from ...schemas.columns import Row
 from ...schemas.metric_catalogue import METRIC
 from ...schemas.results import Piece
 from ...stages.arrays import BoolArray, FloatArray
+from ...stages.statistics.findings import evenly
 from ..results.finished import FinishedRun
 from ..results.followed import SHARED_SCORES
 from .figures.style import VIEW
-from .run_frames import RunResults, evenly, frames_of, read_cloud
+from .run_frames import RunResults, frames_of, read_cloud
 from .view import number
 
 #: Width and height of a drawing, in the units of its paths.

@@ -98,17 +98,6 @@ def quadrants(results: RunResults) -> dict[str, dict[str, Any]]:
     return {key: {"n": n, "share": n / max(1, len(results.matched))} for key, n in numbers.items()}
 
 
-def evenly(n: int, most: int) -> list[int]:
-    """Places of at most `most` of n things, evenly over their order, the first and the last among them.
-
-    Examples
-    --------
-    >>> evenly(9, 3), evenly(2, 3), evenly(0, 3)
-    ([0, 4, 8], [0, 1], [])
-    """
-    return list(map(int, np.unique(np.linspace(0, n - 1, min(n, most)).round())))
-
-
 def read_results(folder: Path) -> RunResults:
     """The tables of a run that has ended, checked against its index.
 

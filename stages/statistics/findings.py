@@ -243,7 +243,7 @@ def compare_scans(matched: Objects, pair_ids: Sequence[str], timestamps_s: Seque
     chosen = scans_apart(timestamps_s)
     apart = len(chosen) > 1
     if not apart:
-        chosen = _evenly(range(len(timestamps_s)))
+        chosen = evenly(len(timestamps_s), N_SCANS)
     scans = [
         ScanFindings(
             pair=pair_ids[i],
@@ -264,7 +264,8 @@ def scans_apart(timestamps_s: Sequence[float | None]) -> list[int]:
     >>> scans_apart([0.0, 30.0, 61.0, None, 500.0])
     [0, 2, 4]
     """
-    return _evenly(chain_apart(timestamps_s))
+    chain = chain_apart(timestamps_s)
+    return [chain[i] for i in evenly(len(chain), N_SCANS)]
 
 
 def chain_apart(timestamps_s: Sequence[float | None]) -> list[int]:
@@ -277,10 +278,15 @@ def chain_apart(timestamps_s: Sequence[float | None]) -> list[int]:
     return [i for _, i in chain]
 
 
-def _evenly(items: Sequence[int]) -> list[int]:
-    if len(items) <= N_SCANS:
-        return list(items)
-    return [items[i] for i in np.linspace(0, len(items) - 1, N_SCANS).round().astype(int).tolist()]
+def evenly(n: int, most: int) -> list[int]:
+    """Places of at most `most` of n things, evenly over their order, the first and the last among them.
+
+    Examples
+    --------
+    >>> evenly(9, 3), evenly(2, 3), evenly(0, 3)
+    ([0, 4, 8], [0, 1], [])
+    """
+    return list(map(int, np.unique(np.linspace(0, n - 1, min(n, most)).round())))
 
 
 def _unmatched(real: Objects, sim: Objects, in_real: BoolArray, in_sim: BoolArray) -> Unmatched:
