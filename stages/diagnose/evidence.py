@@ -30,7 +30,6 @@ CLUTTER_M = 6.0
 _CELL_DEG = 2.0
 _DOUBTFUL_BEAMS = 3
 _FEWEST = 5  # returns of a cell
-_MIXED = 0.1  # share of other kinds in a cell of one kind
 _ALIKE = 0.1  # relative difference of the median ranges of a cell in which both sides see one surface
 _APART_M, _APART_PER_M = 0.25, 0.01  # a point without a counterpart is farther than this, and this times its range
 _CLUSTER_M, _CLUSTER = 0.6, 5  # a piece: other points without a counterpart around one, at 6 m and beyond
@@ -229,14 +228,12 @@ def _losses(a: Side, b: Side, is_used_a: BoolArray, is_used_b: BoolArray) -> dic
     firings = real / sim if real and sim else 1.0  # of the simulated sensor per firing of the real one
     (n_real, range_m, n_kinds), (n_sim, sim_range_m, _) = _by_cell(a, is_used_a), _by_cell(b, is_used_b)
     is_alike = (n_real >= _FEWEST) & (n_sim > 0) & (np.abs(sim_range_m - range_m) <= _ALIKE * range_m)
-    shares = {name: n / np.maximum(n_real, 1) for name, n in n_kinds.items()}
-    for share in shares.values():
-        is_alike &= np.abs(share - 0.5) > 0.5 - _MIXED
     n_real, n_sim, kinds = n_real[is_alike], n_sim[is_alike], {}
-    for name, share in shares.items():
-        n_in = n_real[share[is_alike] > 0.5].sum()
+    for name, n_all in n_kinds.items():
+        share = n_all[is_alike] / n_real
+        n_in = n_real[share > 0.5].sum()
         if min(n_in, n_real.sum() - n_in) >= _FEWEST_OF_KIND:
-            kinds[name] = share[is_alike]
+            kinds[name] = share
     if not len(n_real):
         return {UNEVEN: 0.0}
     columns = np.column_stack([*kinds.values()]) if kinds else np.zeros((len(n_real), 1))
