@@ -79,11 +79,11 @@ def clean_scan(
     near = range_m < settings.min_range_m
     drop("too_near", near)
     drop("too_far", range_m[~near] > settings.max_range_m)
-    drop("in_exclude_box", _inside(points, settings.exclude_box, default=False))
+    drop("in_exclude_box", inside(points, settings.exclude_box, default=False))
     points = as_ros(points, frame)
     if T_real_sim is not None:
         points = points @ T_real_sim[:, :3].T + T_real_sim[:, 3]
-    drop("outside_include_box", ~_inside(points, settings.include_box, default=True))
+    drop("outside_include_box", ~inside(points, settings.include_box))
     return CleanResult(ids, np.ascontiguousarray(points), dropped)
 
 
@@ -136,7 +136,7 @@ def _repeats_an_earlier_row(points: FloatArray) -> BoolArray:
     return repeats
 
 
-def _inside(points: FloatArray, box: Box | None, *, default: bool) -> BoolArray:
+def inside(points: FloatArray, box: Box | None, *, default: bool = True) -> BoolArray:
     """True for points in the box, bounds included, (n,) bool; the default for all points without a box."""
     if box is None:
         return np.full(len(points), default)

@@ -37,6 +37,7 @@ from ..storage.run_record import has_ended, read_run
 from ..storage.table_files import file_stem
 from ..storage.urls import name_in_records, recorded_path
 from .dataset_folder import write_table
+from .recordings import square
 
 RECIPE_VERSION = 3  # increase it when the same recipe results in other measurements
 DEFAULT_NOISE_M, DEFAULT_LOST_SHARE = 0.03, 0.03  # if they cannot be measured on a scan
@@ -232,7 +233,7 @@ def _remeasure(
     clean = clean_scan(scan.points, _ALL)
     rng = np.random.default_rng([recipe.seed, *pair_id.encode()])
     noise_m, lost_share, reason, gaps = _amounts(recipe, scan, settings.frame_of("real"))
-    filled, filled_ids = fill_gaps(scan.points, gaps.rows, gaps.n_lost)
+    filled, filled_ids = fill_gaps(scan.points, *gaps)
     points, kept = remeasure(np.concatenate([clean.points, filled]), noise_m, lost_share, rng)
     rows = np.concatenate([clean.point_ids, filled_ids])[kept]
     columns = dict(zip("xyz", points.T, strict=True))
@@ -274,6 +275,5 @@ def _row(pair: ScanPair, source: ScanPair, names: dict[str, str]) -> tuple[str, 
     time_s = "" if pair.timestamp_s is None else repr(pair.timestamp_s)
     own, other, motion = pair.T_world_sensor, source.T_world_sensor, ""
     if source is not pair and own is not None and other is not None:
-        T_real, T_sim = (np.vstack([np.reshape(T, (3, 4)), [0.0, 0.0, 0.0, 1.0]]) for T in (own, other))
-        motion = " ".join(map(repr, np.linalg.solve(T_real, T_sim)[:3].ravel().tolist()))
+        motion = " ".join(map(repr, np.linalg.solve(square(own), square(other))[:3].ravel().tolist()))
     return pair.pair_id, real, names.get(pair.pair_id, real), time_s, motion

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray
@@ -165,9 +166,9 @@ def _tum_motions(poses: Path, rows: FloatArray) -> FloatArray:
 def _kitti_motions(folder: Path, poses: Path, rows: FloatArray, calibration: Path | None) -> FloatArray:
     """(n, 3, 4) float64, T_world_sensor = Tr^-1 T_world_camera Tr; the world is then the sensor's first frame."""
     T_world_camera = [check_rigid(f"{poses}, pose {line}", "the pose", row) for line, row in enumerate(rows, start=1)]
-    T_camera_sensor = _square(_read_calibration(calibration or folder / _CALIBRATION, poses))
+    T_camera_sensor = square(_read_calibration(calibration or folder / _CALIBRATION, poses))
     T_sensor_camera = np.linalg.inv(T_camera_sensor)
-    return np.array([(T_sensor_camera @ _square(motion) @ T_camera_sensor)[:3] for motion in T_world_camera])
+    return np.array([(T_sensor_camera @ square(motion) @ T_camera_sensor)[:3] for motion in T_world_camera])
 
 
 def _read_calibration(path: Path, poses: Path) -> FloatArray:
@@ -201,5 +202,6 @@ def _kitti_times(path: Path, n_frames: int) -> list[float] | list[None]:
     return times
 
 
-def _square(motion: FloatArray) -> FloatArray:
-    return np.vstack([motion, [0.0, 0.0, 0.0, 1.0]])
+def square(motion: ArrayLike) -> FloatArray:
+    """(4, 4) float64, of 12 numbers, [R | t] row by row."""
+    return np.vstack([np.reshape(motion, (3, 4)), [0.0, 0.0, 0.0, 1.0]])

@@ -22,7 +22,7 @@ from ...stages.arrays import BoolArray, FloatArray
 from ...stages.clean import clean_scan
 from ...stages.generate.flaws import FLAWS, ChosenFlaw, carried, lose_foliage
 from ...stages.generate.ray_casting import fire, require_ray_caster
-from ...stages.generate.rescan import EMPTY_MAP, RECORDED, SurfelModel, extend_map, recorded_directions
+from ...stages.generate.rescan import EMPTY_MAP, RECORDED, extend_map, recorded_directions, rescan
 from ..datasets.pairs import LABEL_NAMES, MANIFEST
 from ..datasets.readers import read_scan, stem_of
 from ..datasets.readers.scan import label_path_of
@@ -31,7 +31,7 @@ from ..engine.tasks import map_tasks
 from ..storage.files import hash_file, key_of, path_exists, write_whole
 from ..storage.run_record import library_versions
 from .dataset_folder import Recipe, prepare_folder, write_table, writing
-from .recordings import Frame, Recording
+from .recordings import Frame, Recording, square
 
 RECIPE = "twin.toml"
 RECIPE_VERSION = 2  # increase it when the same recipe results in other scans
@@ -223,15 +223,15 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
 
     with threadpool_limits(1):  # or the last bits would differ between machines
         own, _, _ = _read(task, task.frame)
-        T_sensor_world = np.linalg.inv(_square(task.frame))
+        T_sensor_world = np.linalg.inv(square(task.frame.T_world_sensor))
         voxels, others = EMPTY_MAP, []
         for frame in task.others:
             try:
-                points, is_foliage, intensity = _read(task, frame)
+                points, is_labelled, brightness = _read(task, frame)
             except ScanError:  # its own pair fails
                 continue
-            motion = T_sensor_world @ _square(frame)
-            voxels = extend_map(voxels, points @ motion[:3, :3].T + motion[:3, 3], is_foliage, intensity)
+            motion = T_sensor_world @ square(frame.T_world_sensor)
+            voxels = extend_map(voxels, points @ motion[:3, :3].T + motion[:3, 3], is_labelled, brightness)
             others.append(points)
         if len(others) < _LEAST_OTHERS:
             raise StageError(f"expected at least {_LEAST_OTHERS} readable other scans for a model, got {len(others)}")
@@ -240,13 +240,12 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
             directions = recorded_directions(own, np.concatenate(others))
         else:
             directions = fire(task.sensor, rng.uniform(0.0, 360.0)).directions()
-        rescan = SurfelModel(voxels).scan(directions, task.sensor, rng)
-        points, intensity = rescan.points, rescan.intensity
+        points, is_foliage, intensity = rescan(voxels, directions, task.sensor, rng)
         for flaw in task.flaws:
             rng = _rng(task, flaw.name if FLAWS[flaw.name].is_systematic else f"{task.frame.name}/{flaw.name}")
             kind = FLAWS[flaw.name]
             if flaw.name == "foliage" and task.foliage:  # the first flaw: no rows are lost yet
-                altered = lose_foliage(points, flaw.amount, rng, rescan.is_foliage)
+                altered = lose_foliage(points, flaw.amount, rng, is_foliage)
             else:
                 altered = kind(points, flaw.amount, rng, flaw.at_m)
             intensity = carried(points, intensity, altered)
@@ -270,11 +269,6 @@ def _read(task: _Task, frame: Frame) -> tuple[FloatArray, BoolArray | None, Floa
     if scan.labels is None:
         raise ScanError(f"{frame.path}: has no labels; expected labels for the foliage ({', '.join(task.foliage)})")
     return clean.points, np.isin(scan.labels[clean.point_ids], task.foliage), intensity
-
-
-def _square(frame: Frame) -> FloatArray:
-    """(4, 4) float64, T_world_sensor."""
-    return np.vstack([np.reshape(frame.T_world_sensor, (3, 4)), [0.0, 0.0, 0.0, 1.0]])
 
 
 def _rng(task: _Task, purpose: str) -> np.random.Generator:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partialmethod
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -147,14 +148,6 @@ class SensorEvidence:
             return _Estimate(float(n), note="beams without a return are not seen", is_bound=True)
         return _Estimate(float(n), 0.0 if sensor.is_sharp and (sensor.is_even or sensor.model) else 0.1 * n_set)
 
-    def upper(self, value: float, settings: Mapping[str, Any]) -> _Estimate:
-        """Highest beam."""
-        return self._limit(value, settings, is_upper=True)
-
-    def lower(self, value: float, settings: Mapping[str, Any]) -> _Estimate:
-        """Lowest beam."""
-        return self._limit(value, settings, is_upper=False)
-
     def _limit(self, value: float, settings: Mapping[str, Any], *, is_upper: bool) -> _Estimate:
         """Highest or lowest beam; a beam beyond it may have no return if the spacing of the beams allows it."""
         sensor = self.usual
@@ -168,6 +161,8 @@ class SensorEvidence:
         if inside > 0.3 and (not sensor.is_even or abs(inside / spacing - round(inside / spacing)) < 0.3):
             return _Estimate(seen, note="beams beyond may have no return", is_bound=True)
         return found
+
+    upper, lower = partialmethod(_limit, is_upper=True), partialmethod(_limit, is_upper=False)
 
     def farthest(self, value: float, settings: Mapping[str, Any]) -> _Estimate:
         """Farthest returns."""

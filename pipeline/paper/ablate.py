@@ -7,8 +7,8 @@ paper states its choice (k = 90, tau = 0.2, delta = 5) but no ranges; those here
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from ...schemas.settings import Settings, parse
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.method import Memo, compare, n_communities, partition
-from ...stages.paper.parameter_choice import Choice, Influence, ParameterSet, Trial, choose_parameters
+from ...stages.paper.parameter_choice import Choice, ParameterSet, Trial, choose_parameters
 from ..datasets.readers import is_scan_path
 from ..engine.engine import Machines
 from ..engine.plan import Part
@@ -35,29 +35,9 @@ from ..jobs.points_job import ANNOTATED_COLUMNS, annotation, object_points
 from ..stage import Grain, Inputs, JobResult, Stage
 from .experiment import ExperimentOutcome, experimenting, mean_rows, read_source
 
-
-@dataclass(frozen=True)
-class Parameter:
-    """An ablated setting.
-
-    group : of the settings
-    values : tried by default
-    text : description in tables
-    label : in figures
-    chosen : by the paper
-    influence : on a score according to the paper
-    """
-
-    group: str
-    values: Sequence[float]
-    text: str
-    label: str
-    chosen: float | None = None
-    influence: Mapping[str, str] = field(default_factory=dict)
-
-
-#: The ablated settings by name, which is also their column of `ablate`.
-PARAMETERS = {name: Parameter(**row) for name, row in read_data("paper")["parameters"].items()}
+#: The ablated settings by name, which is also their column of `ablate`: group of the settings, values that are tried by
+#: default, text in tables, label in figures, the value that the paper chose, and its influence on scores by the paper.
+PARAMETERS = read_data("paper")["parameters"]
 _NAMES = list(PARAMETERS)
 #: The parameters that the rule can choose.
 CHOSEN = ("k", "tau_m", "t")
@@ -169,7 +149,9 @@ def ablate_dataset(
         if {*requested.get("delta_m", ())} - {base.delta_m}:
             raise SettingsError("--delta: leave it out; objects fixed by the real side are not matched by distance")
         requested["delta_m"] = ()
-    tried = {name: _values(name, requested.get(name, PARAMETERS[name].values), getattr(base, name)) for name in _NAMES}
+    tried = {
+        name: _values(name, requested.get(name, PARAMETERS[name]["values"]), getattr(base, name)) for name in _NAMES
+    }
     settings_of = {choice: with_parameters(settings, choice) for choice in parameter_sets(base, tried, grid)}
     source = read_source(dataset, pattern, machines=machines)
     if is_scan_path(dataset):
@@ -207,16 +189,17 @@ def choose(outcome: AblateOutcome) -> list[Choice]:
     )
 
 
-def influences(outcome: AblateOutcome) -> list[Influence]:
-    """The influence of each parameter on match rate and r_lambda; requires two pairs and two values of it."""
-    found = []
+def influences(outcome: AblateOutcome) -> Iterator[tuple[str, str, float, float]]:
+    """Parameter, metric, its range of means over the values, and its std over pairs at the current value.
+
+    Of match rate and r_lambda; requires two pairs and two values of the parameter.
+    """
     for name, metric in product(PARAMETERS, ("match_rate", "r_lambda_mean")):
         tried = outcome.along(name)
         values = outcome.scores(metric, tried)
         if min(values.shape) > 1:
             spread = float(values[:, tried.index(outcome.base)].std(ddof=1))
-            found.append(Influence(name, metric, float(np.ptp(values.mean(axis=0))), spread))
-    return found
+            yield name, metric, float(np.ptp(values.mean(axis=0))), spread
 
 
 def parameters_of(settings: Settings) -> ParameterSet:
@@ -249,7 +232,7 @@ def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:
     """
     plain: dict[str, Any] = settings.model_dump(mode="json")
     for (name, parameter), value in zip(PARAMETERS.items(), parameters, strict=True):
-        plain[parameter.group][name] = value
+        plain[parameter["group"]][name] = value
     return parse(plain)
 
 

@@ -143,8 +143,8 @@ def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
             values[2:4] = [mean_and_spread(own[score, "mean"], own[score, "std"]) for score in _ABLATED_SCORES[:2]]
         cells.append((f"{'*' if point == outcome.base else ''}{getattr(point, name):g}", *values))
     parameter = PARAMETERS[name]
-    paper = "" if parameter.chosen is None else f"; the paper chose {parameter.chosen:g}"
-    title = f"{parameter.group}.{name}: {parameter.text}; mean ± std over {n_pairs} pairs, * current{paper}"
+    paper = f"; the paper chose {parameter['chosen']:g}" if "chosen" in parameter else ""
+    title = f"{parameter['group']}.{name}: {parameter['text']}; mean ± std over {n_pairs} pairs, * current{paper}"
     columns = (name.removesuffix("_m"), "objects\nreal", "\nsim", *narrow_labels(_ABLATED_SCORES))
     fixed = (0, *range(3, len(columns)))
     base = points.index(outcome.base)
@@ -154,12 +154,11 @@ def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
 def _influence_tables(outcome: AblateOutcome) -> list[Table]:
     """Influence of each parameter on each score; no table if there are too few pairs."""
     rows = []
-    for influence in influences(outcome):
-        setting, score = influence.name.removesuffix("_m"), metric_of(influence.metric).label
-        result = "within the spread" if influence.is_within_spread else "beyond the spread"
-        result = result if influence.range_of_means else "no change"
-        paper = PARAMETERS[influence.name].influence.get(influence.metric, "")
-        rows.append((setting, score, influence.range_of_means, influence.std_over_pairs, result, paper))
+    for name, metric, range_of_means, std in influences(outcome):
+        result = "within the spread" if range_of_means < std else "beyond the spread"
+        result = result if range_of_means else "no change"
+        paper = PARAMETERS[name]["influence"].get(metric, "")
+        rows.append((name.removesuffix("_m"), metric_of(metric).label, range_of_means, std, result, paper))
     title = "Change of a score over the values of a setting, compared with its spread over pairs"
     columns = ("setting", "score", "range of means", "std over pairs", "result", "the paper")
     return [Table(title, columns, rows, words=(0, 1, 4, 5))] if rows else []

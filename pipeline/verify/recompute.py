@@ -21,8 +21,7 @@ from ...stages.clean import as_ros
 from ...stages.inspect.sensor_description import PAIR_COLUMNS, describe_sensor, sensor_row
 from ...stages.literal import literal_baselines as distances
 from ...stages.literal import literal_method, literal_pieces, literal_surfaces
-from ..jobs import EXTRAS, STAGES
-from ..stage import Stage
+from ..jobs import stages_under
 from ..storage.run_record import library_versions
 from .compare_frames import DEFAULT_TOLERANCE
 from .recompute_nvs import nvs
@@ -47,14 +46,10 @@ _FATES = ("matched", *UNMATCHED.values())
 _KEYS = ["real_id", "sim_id"]
 
 
-def stages_of(pair: StoredPair) -> list[Stage]:
-    """Stages of a run with the settings of the pair, in their order."""
-    return [stage for stage in (*STAGES, *EXTRAS) if stage.is_wanted is None or stage.is_wanted(pair.settings)]
-
-
 def rows(pair: StoredPair) -> None:
     """Names of pair and side in the rows of every table, and their order by the keys, without duplicates."""
-    for table, side in [(table, side) for stage in stages_of(pair) for side in stage.parts for table in stage.gives]:
+    stages = stages_under(pair.settings)
+    for table, side in [(table, side) for stage in stages for side in stage.parts for table in stage.gives]:
         frame = pair.table(table, side)
         names = {"pair_id": pair.pair_id} | ({"side": side} if side else {})
         stored: Row = {f"{table}.{name}": int((frame[name] != own).sum()) for name, own in names.items()}
@@ -551,9 +546,8 @@ def pairs(pair: StoredPair) -> None:
     unmatched_m = [m for side, name in UNMATCHED.items() for m in ranges[side][of_fate[name][f"{side}_id"]]]
     for word, own in (("matched", matched_m), ("unmatched", unmatched_m)):
         expected[f"median_range_{word}_m"] = float(np.median(own)) if len(own) else None
-    for name in OBJECT_METRICS:
-        known = scores[name].astype(float).dropna().tolist()
-        expected[f"{name}_mean"], expected[f"{name}_std"] = literal_method.mean_and_std(known)
+    summary = scores[[*OBJECT_METRICS]].astype(float).agg(["mean", "std"])
+    expected |= {f"{name}_{what}": own[what] for name, own in summary.items() for what in summary.index}
     pair.compare_row(expected | {"pair_id": pair.pair_id, "status": "scored"})
     pair.compare_values("pairs", {"no reason": pair.row["reason"] or ""}, {"no reason": ""})
 

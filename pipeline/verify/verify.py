@@ -16,13 +16,12 @@ import pandas as pd
 from ...schemas.errors import FidpipeError, RunError
 from ...schemas.results import JsonObject
 from ...schemas.settings import Settings, parse
-from ...stages.arrays import IndexArray
 from ..datasets.content import input_hashes
 from ..datasets.pairs import ScanPair, local_folder, read_dataset
-from ..jobs import EXTRAS, STAGES
+from ..jobs import EXTRAS, STAGES, stages_under
 from ..results.finished import FinishedRun
 from .compare_frames import NOT_COMPARED, Mismatch, TableCheck, Tally
-from .recompute import RECOMPUTED, stages_of
+from .recompute import RECOMPUTED
 from .recompute_record import RECORD
 from .stored import StoredPair
 
@@ -110,14 +109,16 @@ def verify_run(
     total = sum(counts.values())
     n_drawn = total if n_objects is None else min(n_objects, total)
     numbers = np.sort(rng.choice(total, n_drawn, replace=False)) if total else np.zeros(0, dtype=np.intp)
-    drawn = _draw(counts, numbers)
+    ends = np.cumsum([0, *counts.values()])
+    parts = zip(counts, ends, np.split(numbers, np.searchsorted(numbers, ends[1:-1])), strict=False)
+    drawn = {pair_id: (own - first).tolist() for pair_id, first, own in parts if len(own)}
     n_whole = len(drawn) if n_objects is None else max(1, n_drawn // _OBJECTS_PER_WHOLE_PAIR)
     scans, label_names, faults = _unchanged_scans(run, drawn)
     tables: list[str] = []
     for i, (pair_id, rows) in enumerate(drawn.items()):
         sample = (rows, n_objects is None, i < n_whole, rng)
         pair = StoredPair(run, pair_id, settings, tally, *sample, scans.get(pair_id), label_names)
-        tables = [*(table for stage in stages_of(pair) for table in stage.gives), "pairs", "timings"]
+        tables = [*(table for stage in stages_under(settings) for table in stage.gives), "pairs", "timings"]
         _compare_pair(pair)
         if pair_done:
             pair_done(i + 1, len(drawn))
@@ -223,13 +224,3 @@ def _n_rows(run: FinishedRun, pair_id: str) -> int:
         return int(run.read_table("matching", pair_id, columns=["status"]).num_rows)
     except RunError:
         return 0
-
-
-def _draw(counts: dict[str, int], numbers: IndexArray) -> dict[str, list[int]]:
-    """Rows of `matching` by pair, from ascending numbers over the rows of all pairs."""
-    ends = np.cumsum([*counts.values()])
-    drawn: dict[str, list[int]] = {}
-    for number, i in zip(numbers.tolist(), np.searchsorted(ends, numbers, side="right").tolist(), strict=True):
-        pair_id = [*counts][i]
-        drawn.setdefault(pair_id, []).append(number - int(ends[i]) + counts[pair_id])
-    return drawn

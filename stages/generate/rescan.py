@@ -61,20 +61,6 @@ class VoxelMap:
 EMPTY_MAP = VoxelMap(np.empty((0, 3)), *(np.empty(0),) * 3)
 
 
-@dataclass(frozen=True)
-class Rescan:
-    """Points measured by the sensor.
-
-    points : (n, 3) float64, metres, sensor frame, in the order of the rays
-    is_foliage : (n,) bool, by the labels of the map
-    intensity : (n,) float64, of the surface that each ray hit; NaN if unknown
-    """
-
-    points: FloatArray
-    is_foliage: BoolArray
-    intensity: FloatArray
-
-
 def extend_map(
     voxels: VoxelMap,
     points: FloatArray,
@@ -109,63 +95,55 @@ def extend_map(
     return VoxelMap(means[:, :3], means[:, 5], means[:, 3], means[:, 4])
 
 
-class SurfelModel:
-    """A map as a surface at which rays from the origin are cast.
+def rescan(
+    voxels: VoxelMap, directions: FloatArray, sensor: SensorModel, rng: np.random.Generator
+) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Scan a map by a sensor at the origin.
 
     Each point of the map becomes a square in the plane of its 20 nearest points, of the area of a disc out to its
     fourth nearest one, at most two voxels; in foliage (l3 / l1 of 0.1 or more) half as wide, since leaves leave gaps.
+    The first disc that a ray hits selects the surface; the range is that of the plane through the 20 nearest points
+    of the map, unless it differs by more than two voxels: discs overlap, and the first one is too near. A pulse is
+    then lost with the probability `lost_share`, ranges get noise and quantum, and points outside the sensor's range
+    are dropped.
 
     Parameters
     ----------
     voxels : in the frame of the new scan
+    directions : (n, 3) float64, unit vectors
+    rng : noise and losses
+
+    Returns
+    -------
+    points : (m, 3) float64, metres, sensor frame, in the order of the rays
+    is_foliage : (m,) bool, by the labels of the map
+    intensity : (m,) float64, of the surface that each ray hit; NaN if unknown
     """
+    points = voxels.points
+    if not len(points):
+        return np.empty((0, 3)), np.empty(0, dtype=np.bool_), np.empty(0)
+    widest_m = (_WIDEST * VOXEL_M * 2.0 ** _bands(points)).astype(np.float64)
+    planes = fit_planes(points, points, _PLANE_NEIGHBOURS)
+    apart, _ = cKDTree(points).query(points, k=[min(_RADIUS_NEIGHBOUR + 1, len(points))])
+    radius_m = np.minimum(apart[:, 0], widest_m) * np.where(planes.scattering >= SCATTERED, _LEAF, 1.0)
+    off_m = ((planes.mean - points) * planes.normal).sum(axis=1)[:, None]
+    target = RayTarget(*_discs(points + off_m * planes.normal, planes.normal, radius_m))
+    hits = target.first_hits(directions)
+    rays, surfels = directions[hits.ray_ids], hits.face_ids // 2
+    range_m = _onto_planes(points, rays, hits.range_m, widest_m[surfels])
+    is_detected = rng.random(len(range_m)) >= sensor.lost_share
+    range_m = measure_ranges(sensor, range_m, rng)
+    is_detected &= (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
+    seen = surfels[is_detected]
+    return (rays * range_m[:, None])[is_detected], voxels.foliage[seen] > 0.5, voxels.intensity[seen]
 
-    def __init__(self, voxels: VoxelMap) -> None:
-        self._voxels = voxels
-        points = voxels.points
-        self._voxel_m = VOXEL_M * 2.0 ** _bands(points)
-        if len(points):
-            planes = fit_planes(points, points, _PLANE_NEIGHBOURS)
-            apart, _ = cKDTree(points).query(points, k=[min(_RADIUS_NEIGHBOUR + 1, len(points))])
-            radius_m = np.minimum(apart[:, 0], _WIDEST * self._voxel_m)
-            radius_m *= np.where(planes.scattering >= SCATTERED, _LEAF, 1.0)
-            off_m = ((planes.mean - points) * planes.normal).sum(axis=1)[:, None]
-            vertices, faces = _discs(points + off_m * planes.normal, planes.normal, radius_m)
-            self._target = RayTarget(vertices, faces)
 
-    def scan(self, directions: FloatArray, sensor: SensorModel, rng: np.random.Generator) -> Rescan:
-        """The scan of a sensor at the origin.
-
-        The first disc that a ray hits selects the surface; the range is that of the plane through the 20 nearest points
-        of the map, unless it differs by more than two voxels: discs overlap, and the first one is too near. A pulse is
-        then lost with the probability `lost_share`, ranges get noise and quantum, and points outside the sensor's range
-        are dropped.
-
-        Parameters
-        ----------
-        directions : (n, 3) float64, unit vectors
-        rng : noise and losses
-        """
-        if not len(self._voxels.points):
-            return Rescan(np.empty((0, 3)), np.empty(0, dtype=np.bool_), np.empty(0))
-        hits = self._target.first_hits(directions)
-        rays = directions[hits.ray_ids]
-        surfels = hits.face_ids // 2
-        range_m = self._onto_planes(rays, hits.range_m, surfels)
-        is_detected = rng.random(len(range_m)) >= sensor.lost_share
-        range_m = measure_ranges(sensor, range_m, rng)
-        is_detected &= (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
-        points: FloatArray = (rays * range_m[:, None])[is_detected]
-        seen = surfels[is_detected]
-        return Rescan(points, self._voxels.foliage[seen] > 0.5, self._voxels.intensity[seen])
-
-    def _onto_planes(self, rays: FloatArray, range_m: FloatArray, surfels: IndexArray) -> FloatArray:
-        """Ranges on the local planes of the map: x = u (n . m) / (n . u), with m and n mean and normal."""
-        planes = fit_planes(self._voxels.points, rays * range_m[:, None], _PLANE_NEIGHBOURS)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            plane_m = (planes.normal * planes.mean).sum(axis=1) / (planes.normal * rays).sum(axis=1)
-        is_near = np.abs(plane_m - range_m) <= _WIDEST * self._voxel_m[surfels]
-        return np.where(is_near, plane_m, range_m)
+def _onto_planes(points: FloatArray, rays: FloatArray, range_m: FloatArray, widest_m: FloatArray) -> FloatArray:
+    """Ranges on the local planes of the map: x = u (n . m) / (n . u), with m and n mean and normal."""
+    planes = fit_planes(points, rays * range_m[:, None], _PLANE_NEIGHBOURS)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        plane_m = (planes.normal * planes.mean).sum(axis=1) / (planes.normal * rays).sum(axis=1)
+    return np.where(np.abs(plane_m - range_m) <= widest_m, plane_m, range_m)
 
 
 def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:

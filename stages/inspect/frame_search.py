@@ -16,7 +16,7 @@ import scipy
 from ...schemas.data_files import read_data
 from ...schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..clean import as_ros, clean_scan
+from ..clean import as_ros, clean_scan, inside
 from ..surfels import voxel_ids
 
 AS_GIVEN = "as given"
@@ -149,7 +149,7 @@ def check_frames(
     motion = np.eye(3, 4) if T_real_sim is None else T_real_sim
     real, sim = (points[np.isfinite(points).all(axis=1)] for points in (real, sim))
     target_points = _thinned(real, settings, "real")
-    target_points = target_points[_is_inside(target_points, settings.include_box)]
+    target_points = target_points[inside(target_points, settings.include_box)]
     if len(target_points) < MIN_POINTS:
         return None
     target = _Side(target_points)
@@ -288,7 +288,7 @@ def _coverage(target: _Side, source: _Side, candidate: _Candidate, box: Box | No
     """Mean over both directions, and over ground and the rest, of the share of points with another within reach."""
     R, t = candidate.M[:, :3], candidate.M[:, 3]
     placed = _placed(source.points[source.sample], candidate.M)
-    is_inside = _is_inside(placed, box)
+    is_inside = inside(placed, box)
     shares = [*_shares(target.tree, placed[is_inside], source.is_ground[source.sample][is_inside])]
     back = (target.points[target.sample] - t) @ R  # distances do not change, so the tree is reused
     shares += _shares(source.tree, back, target.is_ground[target.sample])
@@ -364,10 +364,3 @@ def _units_that_fit(sim: FloatArray, real: FloatArray) -> dict[str, float]:
 
 def _placed(points: FloatArray, M: FloatArray) -> FloatArray:
     return points @ M[:, :3].T + M[:, 3]
-
-
-def _is_inside(points: FloatArray, box: Box | None) -> BoolArray:
-    if box is None:
-        return np.ones(len(points), dtype=np.bool_)
-    low, high = np.array(box[:3]), np.array(box[3:])
-    return np.logical_and.reduce((points >= low) & (points <= high), axis=1)

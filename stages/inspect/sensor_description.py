@@ -72,19 +72,10 @@ class SensorDescription:
     untold: dict[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class SurfaceGaps:
-    """Gaps of lost pulses within visible surfaces, between two returns of one beam.
-
-    rows : (g, 2) intp, points before and after each gap
-    n_lost : (g,) intp, 1 to 5 pulses
-    """
-
-    rows: IndexArray
-    n_lost: IndexArray
-
-
-NO_GAPS = SurfaceGaps(np.empty((0, 2), dtype=np.intp), np.empty(0, dtype=np.intp))
+#: Gaps of lost pulses within visible surfaces, between two returns of one beam: (g, 2) intp, points before and after
+#: each gap, and (g,) intp, 1 to 5 pulses.
+SurfaceGaps = tuple[IndexArray, IndexArray]
+NO_GAPS: SurfaceGaps = (np.empty((0, 2), dtype=np.intp), np.empty(0, dtype=np.intp))
 
 
 def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: bool = False) -> SensorDescription:
@@ -136,7 +127,6 @@ def describe_with_gaps(
     untold["model"] = known.reason
     before = np.flatnonzero(n_firings > 1)
     rows = returns[np.column_stack([sweep.row[before], sweep.row[before + 1]])]
-    gaps = SurfaceGaps(rows, n_firings[before] - 1)
     sensor = replace(
         sensor,
         elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
@@ -154,7 +144,7 @@ def describe_with_gaps(
         model_beams=known.n_beams,
         untold={name: why for name, why in untold.items() if why},
     )
-    return sensor, gaps
+    return sensor, (rows, n_firings[before] - 1)
 
 
 def sensor_row(sensor: SensorDescription) -> dict[str, Any]:

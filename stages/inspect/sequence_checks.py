@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..linalg.subgraph import connected_points
 from ..surfels import voxel_ids
 from .frame_search import ground_height
 
@@ -232,9 +231,7 @@ def _staying(own: FloatArray, others: Sequence[cKDTree]) -> FloatArray:
     if not len(own):
         return own
     _, first, cell = np.unique(voxel_ids(own, _LINK_M / 2), return_index=True, return_inverse=True)
-    joined = cKDTree(own[first]).query_pairs(_LINK_M, output_type="ndarray")
-    links = coo_matrix((np.ones(len(joined), dtype=np.int8), joined.T), shape=(len(first), len(first)))
-    piece = connected_components(links, directed=False)[1][cell]
+    piece = connected_points(own[first], _LINK_M)[cell]
     reach = np.zeros(piece.max() + 1)
     np.maximum.at(reach, piece, np.hypot(own[:, 0], own[:, 1]))
     return own[reach[piece] < _EGO_M]

@@ -393,12 +393,3 @@ def spectral(L_real: FloatArray, L_sim: FloatArray) -> dict[str, float]:
         "gap_real": gap_real,
         "gap_sim": gap_sim,
     }
-
-
-def mean_and_std(values: Sequence[float | None]) -> tuple[float | None, float | None]:
-    """Mean and standard deviation (n - 1) of the values that are not None; None if there are too few."""
-    known = [value for value in values if value is not None]
-    mean = math.fsum(known) / len(known) if known else None
-    if mean is None or len(known) < 2:
-        return mean, None
-    return mean, math.sqrt(math.fsum((value - mean) ** 2 for value in known) / (len(known) - 1))

@@ -61,22 +61,17 @@ def image_scores(real: FloatArray, sim: FloatArray, largest: float) -> dict[str,
 
 
 def _similarity(real: FloatArray, sim: FloatArray, extent: float) -> float | None:
-    """Mean over all windows of (2 a b + c1)(2 cov + c2) / ((a^2 + b^2 + c1)(var a + var b + c2)), row by row."""
+    """Mean over all windows of (2 a b + c1)(2 cov + c2) / ((a^2 + b^2 + c1)(var a + var b + c2))."""
     if extent == 0:
         return None
     c1, c2 = (0.01 * extent) ** 2, (0.03 * extent) ** 2
-    values: list[float] = []
-    for row in range(len(real) - _WINDOW + 1):
-        strips = (image[row : row + _WINDOW] for image in (real, sim))
-        a, b = (sliding_window_view(strip, (_WINDOW, _WINDOW)).reshape(-1, _WINDOW**2) for strip in strips)
-        mean_a, mean_b = a.mean(axis=1), b.mean(axis=1)
-        da, db = a - mean_a[:, None], b - mean_b[:, None]
-        var_a, var_b, cov = (
-            (own * other).sum(axis=1) / (_WINDOW**2 - 1) for own, other in ((da, da), (db, db), (da, db))
-        )
-        above = (2 * mean_a * mean_b + c1) * (2 * cov + c2)
-        values += (above / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))).tolist()
-    return math.fsum(values) / len(values)
+    a, b = (sliding_window_view(image, (_WINDOW, _WINDOW)).reshape(-1, _WINDOW**2) for image in (real, sim))
+    mean_a, mean_b = a.mean(axis=1), b.mean(axis=1)
+    da, db = a - mean_a[:, None], b - mean_b[:, None]
+    var_a, var_b, cov = ((own * other).sum(axis=1) / (_WINDOW**2 - 1) for own, other in ((da, da), (db, db), (da, db)))
+    above = (2 * mean_a * mean_b + c1) * (2 * cov + c2)
+    values = above / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))
+    return math.fsum(values.tolist()) / len(values)
 
 
 def hit_scores(real: FloatArray, sim: FloatArray) -> dict[str, float | None]:

@@ -42,6 +42,8 @@ UNDECIDED = "not decided"
 MOST_GROUPS = 25
 #: "Some" and "none": in more, or in fewer, than this share of the pairs.
 SOME_PAIRS = 0.1
+#: "Consistently" across pairs: in at least this share of them.
+CONSISTENT_SHARE = 0.9
 #: |Spearman's rho| below this is a weak rank correlation (Evans, Straightforward Statistics, 1996).
 WEAK_CORRELATION = 0.4
 IN_WORDS = "(in words)"  #: the paper states no number
@@ -224,26 +226,32 @@ def above_zero(claim: str, what: str, here: str, interval: Interval, paper: str 
     return _claim(claim, f"{what}, above 0", here, interval, within(interval, 0.0, math.inf), paper)
 
 
-def in_most_pairs(claim: str, what: str, pairs: Sample, least_share: float, *, paper: str = IN_WORDS) -> Claim:
-    """Check that a property holds in at least a share of the pairs, and beyond chance in more than half of them.
+def in_most_pairs(claim: str, what: str, sample: Sample, *, paper: str = IN_WORDS) -> Claim:
+    """Check that the mean over a pair is above 0 in nine of ten pairs, and beyond chance in more than half of them.
 
     If each pair tossed a coin, all of six would agree in 2 % of the cases: the interval of the share is the exact one
-    of the binomial distribution (Clopper and Pearson, Biometrika 1934). The claim fails if it is below the share.
-
-    Parameters
-    ----------
-    pairs : bool, one value per independent pair
+    of the binomial distribution (Clopper and Pearson, Biometrika 1934). The claim fails if it is below nine tenths.
     """
-    interval = share_of_pairs(pairs)
+    interval, here = _share_of_pairs(sample, lambda own: np.mean(own) > 0)
     verdict = UNDECIDED
     if interval.estimate is not None and interval.low is not None and interval.high is not None:
-        is_frequent = interval.estimate >= least_share and interval.low > 0.5
-        verdict = decided(is_frequent, interval.high < least_share)
-    rule = f"{what} in {least_share:.0%} of the pairs, and beyond chance in half of them"
-    return _claim(claim, rule, _count(pairs), interval, verdict, paper)
+        is_frequent = interval.estimate >= CONSISTENT_SHARE and interval.low > 0.5
+        verdict = decided(is_frequent, interval.high < CONSISTENT_SHARE)
+    rule = f"{what} in {CONSISTENT_SHARE:.0%} of the pairs, and beyond chance in half of them"
+    return _claim(claim, rule, here, interval, verdict, paper)
 
 
-def in_some_pairs(claim: str, what: str, pairs: Sample, extreme: str, *, paper: str, exists: bool = True) -> Claim:
+def in_some_pairs(
+    claim: str,
+    what: str,
+    has_it: Sample,
+    extreme: Sample,
+    statistic: Statistic,
+    pattern: str,
+    *,
+    paper: str,
+    exists: bool = True,
+) -> Claim:
     """Check that some objects have a property, or (`exists` is False) that none has, in a tenth of the pairs.
 
     A single stray object is not enough for either, and none in a few pairs may be luck: the interval of the share of
@@ -251,13 +259,14 @@ def in_some_pairs(claim: str, what: str, pairs: Sample, extreme: str, *, paper: 
 
     Parameters
     ----------
-    pairs : bool, one value per independent pair: True if any of its objects has the property
-    extreme : the most extreme value of an object, as text
+    has_it : bool, of each object
+    extreme, statistic, pattern : values of the objects, of which the most extreme is shown
     """
-    interval = share_of_pairs(pairs)
+    interval, count = _share_of_pairs(has_it, np.any)
     least, most = (SOME_PAIRS, math.inf) if exists else (-math.inf, SOME_PAIRS)
     rule = f"{what} in {'over' if exists else 'under'} {SOME_PAIRS:.0%} of the pairs"
-    return _claim(claim, rule, f"{extreme}; in {_count(pairs)}", interval, within(interval, least, most), paper)
+    here = f"{pattern.format(statistic(extreme.values)) if len(extreme.values) else '-'}; in {count}"
+    return _claim(claim, rule, here, interval, within(interval, least, most), paper)
 
 
 def complementary(claim: str, scores: Sample, traits: Sample) -> Claim:
@@ -282,16 +291,6 @@ def complementary(claim: str, scores: Sample, traits: Sample) -> Claim:
     return _claim(claim, rule, "-" if interval.estimate is None else f"rho {interval.estimate:.2f}", interval, verdict)
 
 
-def share_of_pairs(pairs: Sample) -> Interval:
-    """The share of the independent pairs with a property, with the exact binomial interval."""
-    n = len(pairs.values)
-    if not n:
-        return Interval(why="no pairs to compare")
-    n_with = int(np.count_nonzero(pairs.values))
-    ends = binomtest(n_with, n).proportion_ci(CONFIDENCE, method="exact")
-    return Interval(n_with / n, float(ends.low), float(ends.high), n)
-
-
 def _claim(claim: str, rule: str, here: str, interval: Interval, verdict: str, paper: str = IN_WORDS) -> Claim:
     return Claim(claim=claim, paper=paper, here=here, rule=rule, verdict=verdict, **vars(interval))
 
@@ -303,8 +302,15 @@ def _in_shared_pairs(samples: tuple[Sample, ...]) -> list[Sample]:
     return [Sample(sample.values[own], sample.pair[own]) for sample, own in zip(samples, inside, strict=True)]
 
 
-def _count(pairs: Sample) -> str:
-    return f"{np.count_nonzero(pairs.values)} of {len(pairs.values)} pairs"
+def _share_of_pairs(sample: Sample, holds: Callable[[NDArray[Any]], Any]) -> tuple[Interval, str]:
+    """Share of the independent pairs whose values have a property, with the exact binomial interval, and as text."""
+    pairs = np.unique(sample.pair)
+    n, n_with = len(pairs), sum(bool(holds(sample.values[sample.pair == pair])) for pair in pairs)
+    text = f"{n_with} of {n} pairs"
+    if not n:
+        return Interval(why="no pairs to compare"), text
+    ends = binomtest(n_with, n).proportion_ci(CONFIDENCE, method="exact")
+    return Interval(n_with / n, float(ends.low), float(ends.high), n), text
 
 
 def _n_that_follow_nothing(both: Sample) -> int:

@@ -70,21 +70,6 @@ class Choice:
     text: str
 
 
-@dataclass(frozen=True)
-class Influence:
-    """Range of a metric over the values of a parameter, and its standard deviation over pairs at the current value."""
-
-    name: str
-    metric: str
-    range_of_means: float
-    std_over_pairs: float
-
-    @property
-    def is_within_spread(self) -> bool:
-        """True if it moves less than the pairs differ."""
-        return self.range_of_means < self.std_over_pairs
-
-
 def choose_parameters(trials: Sequence[Trial]) -> list[Choice]:
     """The choices by `RULE` of all parameters of an experiment; undecided for fewer than three pairs.
 

@@ -28,7 +28,6 @@ from ..statistics.findings import (
     std_by_pair,
 )
 from .claim_rules import (
-    IN_WORDS,
     Claim,
     Sample,
     Statistic,
@@ -42,8 +41,6 @@ from .claim_rules import (
     share_order,
 )
 
-#: "Consistently" across scans: in at least this share of them.
-CONSISTENT_SHARE = 0.9
 #: The smallest CDC of the paper's data.
 LEAST_CDC = 0.4
 
@@ -71,58 +68,53 @@ def check_run_claims(
     blocks = np.full(len(contents), _COPY, dtype=np.int32)
     blocks[kept] = blocks_of([real_scans[i] for i in kept], [timestamps_s[i] for i in kept])
     apart = [kept[i] for i in chain_apart([timestamps_s[i] for i in kept])]
-    data = _RunObjects(real, sim, blocks, apart)
-    return [data.check(**row) for row in read_data("paper")["run_claims"]]
+    tables = _columns(real, sim, blocks, apart)
+    claims = []
+    for row in read_data("paper")["run_claims"]:  # names of statistics and samples stand for these
+        if "statistic" in row:
+            row["statistic"] = _STATISTICS[row["statistic"]]
+        samples = {name: _sample(tables, **value) for name, value in row.items() if isinstance(value, dict)}
+        claims.append(_RULES[row.pop("rule")](**row | samples))
+    return claims
 
 
-class _RunObjects:
+def _columns(real: Objects, sim: Objects, blocks: IntArray, apart: Sequence[int]) -> dict[str, dict[str, NDArray[Any]]]:
     """Columns of the objects of each side, of the matched ones and of the pairs, without copies of pairs.
 
     `block` is the independent pair of a row; pairs that count as one have the same.
     """
+    objects = {name: np.concatenate([own, getattr(sim, name)]) for name, own in vars(real).items()}
+    objects["is_unmatched"] = ~objects["is_matched"]
+    objects["side"] = np.repeat(["real", "sim"], [len(real.pair), len(sim.pair)])
+    matched = real.matched
+    ratio, excess = matched.n_sim / matched.n_real, matched.cdc - matched.r_lambda
+    matches = vars(matched) | {"ratio": ratio, "excess": excess, "is_scored": ~np.isnan(excess)}
+    matches |= {"is_sparse": ratio < SPARSE_RATIO, "is_dense": ratio > DENSE_RATIO, "is_low": matched.cdc < LEAST_CDC}
+    pairs = _of_pairs(real, sim, matched, len(blocks), apart) | {"pair": np.arange(len(blocks))}
+    tables = {}
+    for name, own in {"objects": objects, "matches": matches, "pairs": pairs}.items():
+        block = blocks[own["pair"]]
+        tables[name] = {key: values[block != _COPY] for key, values in (own | {"block": block}).items()}
+    objects, matches = tables["objects"], tables["matches"]
+    objects["is_far"] = objects["range_m"] >= _median(objects["range_m"])
+    matches["is_far_tree"] = matches["range_m"] >= _median(matches["range_m"][matches["label"] == "tree"])
+    return tables
 
-    def __init__(self, real: Objects, sim: Objects, blocks: IntArray, apart: Sequence[int]) -> None:
-        columns = {name: np.concatenate([own, getattr(sim, name)]) for name, own in vars(real).items()}
-        columns |= {
-            "is_unmatched": ~columns["is_matched"],
-            "side": np.repeat(["real", "sim"], [len(real.pair), len(sim.pair)]),
-        }
-        matched = real.matched
-        ratio, excess = matched.n_sim / matched.n_real, matched.cdc - matched.r_lambda
-        matches = vars(matched) | {"ratio": ratio, "excess": excess, "is_scored": ~np.isnan(excess)}
-        matches |= {
-            "is_sparse": ratio < SPARSE_RATIO,
-            "is_dense": ratio > DENSE_RATIO,
-            "is_low": matched.cdc < LEAST_CDC,
-        }
-        pairs = _of_pairs(real, sim, matched, len(blocks), apart) | {"pair": np.arange(len(blocks))}
-        self.columns: dict[str, dict[str, NDArray[Any]]] = {}
-        for name, own in {"objects": columns, "matches": matches, "pairs": pairs}.items():
-            block = blocks[own["pair"]]
-            self.columns[name] = {key: values[block != _COPY] for key, values in (own | {"block": block}).items()}
-        columns, matches = self.columns["objects"], self.columns["matches"]
-        columns["is_far"] = columns["range_m"] >= _median(columns["range_m"])
-        matches["is_far_tree"] = matches["range_m"] >= _median(matches["range_m"][matches["label"] == "tree"])
 
-    def check(self, rule: str, **row: Any) -> Claim:
-        """A row of the paper's claims, checked by its rule: names of statistics and samples stand for these."""
-        for name, value in row.items():
-            if name == "statistic":
-                row[name] = _STATISTICS[value]
-            elif isinstance(value, dict):
-                row[name] = self._sample(**value)
-        return _RULES[rule](**row)
-
-    def _sample(
-        self, of: str, values: Sequence[str], where: Mapping[str, Sequence[Any]] | None = None, name: str = ""
-    ) -> Sample:
-        """Some columns without rows with NaN, of the rows whose columns in `where` have one of the given values."""
-        columns = self.columns[of]
-        chosen = np.all([~np.isnan(columns[value].astype(np.float64)) for value in values], axis=0)
-        for column, allowed in (where or {}).items():
-            chosen &= np.isin(columns[column], allowed)
-        found = np.stack([columns[value][chosen] for value in values], axis=1)
-        return Sample(found[:, 0] if len(values) == 1 else found, columns["block"][chosen], name)
+def _sample(
+    tables: Mapping[str, Mapping[str, NDArray[Any]]],
+    of: str,
+    values: Sequence[str],
+    where: Mapping[str, Sequence[Any]] | None = None,
+    name: str = "",
+) -> Sample:
+    """Some columns without rows with NaN, of the rows whose columns in `where` have one of the given values."""
+    columns = tables[of]
+    chosen = np.all([~np.isnan(columns[value].astype(np.float64)) for value in values], axis=0)
+    for column, allowed in (where or {}).items():
+        chosen &= np.isin(columns[column], allowed)
+    found = np.stack([columns[value][chosen] for value in values], axis=1)
+    return Sample(found[:, 0] if len(values) == 1 else found, columns["block"][chosen], name)
 
 
 def _of_pairs(
@@ -164,31 +156,11 @@ def _check_near(claim: str, what: str, statistic: Statistic, paper: float, sampl
     return near(claim, what, bounds, over_pairs(statistic, sample), paper=f"{paper:.3g}", pattern="{:.3g}")
 
 
-def _check_some(
-    claim: str, what: str, extreme: Sample, has_it: Sample, statistic: Statistic, pattern: str, **shown: Any
-) -> Claim:
-    """Check that some matched objects, or none, have a property; `statistic` is the most extreme value."""
-    text = pattern.format(statistic(extreme.values)) if len(extreme.values) else "-"
-    return in_some_pairs(claim, what, _by_pair(has_it, np.any), text, **shown)
-
-
-def _check_most(claim: str, what: str, sample: Sample, paper: str = IN_WORDS) -> Claim:
-    """Check that the mean over the pairs that count as one is above 0 in nine of ten of them."""
-    pairs = _by_pair(sample, lambda own: np.mean(own) > 0)
-    return in_most_pairs(claim, what, pairs, CONSISTENT_SHARE, paper=paper)
-
-
 def _check_margin(claim: str, what: str, paper: str, larger: Sample, smaller: Sample) -> Claim:
     """Check that a mean is larger than another by more than the sum of their standard deviations."""
     here = " and ".join(f"{np.mean(own.values):.3f}" if len(own.values) else "-" for own in (larger, smaller))
     interval = over_pairs(lambda a, b: np.mean(a) - np.mean(b) - _std(a) - _std(b), larger, smaller)
     return above_zero(claim, what, here, interval, paper)
-
-
-def _by_pair(sample: Sample, reduced: Callable[[NDArray[Any]], Any]) -> Sample:
-    """One value for each independent pair, from its values."""
-    pairs = np.unique(sample.pair)
-    return Sample(np.array([reduced(sample.values[sample.pair == pair]) for pair in pairs], dtype=np.bool_), pairs)
 
 
 def _median(values: FloatArray) -> float:
@@ -227,8 +199,8 @@ _RULES: dict[str, Callable[..., Claim]] = {
     "near": _check_near,
     "order": order,
     "share": share_order,
-    "some": _check_some,
-    "most": _check_most,
+    "some": in_some_pairs,
+    "most": in_most_pairs,
     "margin": _check_margin,
     "complementary": complementary,
 }

@@ -221,7 +221,7 @@ def test_a_value_is_near_where_its_whole_interval_is(low, high, verdict):
     [(6, 6, HOLDS), (5, 5, UNDECIDED), (46, 50, HOLDS), (44, 50, UNDECIDED), (40, 50, FAILS), (0, 1, UNDECIDED)],
 )
 def test_most_pairs_are_nine_of_ten_and_beyond_a_toss_of_a_coin(n_so, n, verdict):
-    assert in_most_pairs("", "", by_pair(np.arange(n) < n_so), 0.9).verdict == verdict
+    assert in_most_pairs("", "", by_pair(np.arange(n) < n_so)).verdict == verdict
 
 
 @pytest.mark.parametrize(
@@ -230,9 +230,9 @@ def test_most_pairs_are_nine_of_ten_and_beyond_a_toss_of_a_coin(n_so, n, verdict
 )
 def test_one_stray_object_neither_shows_nor_denies_that_there_are_such(n_so, n, verdict):
     pairs = by_pair(np.arange(n) < n_so)
-    assert in_some_pairs("", "", pairs, "", paper="").verdict == verdict
+    assert in_some_pairs("", "", pairs, pairs, np.max, "{}", paper="").verdict == verdict
     opposite = {HOLDS: FAILS, FAILS: HOLDS, UNDECIDED: UNDECIDED}[verdict]
-    assert in_some_pairs("", "", pairs, "", paper="", exists=False).verdict == opposite
+    assert in_some_pairs("", "", pairs, pairs, np.max, "{}", paper="", exists=False).verdict == opposite
 
 
 def judged_together(a, b, trait):
