@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ def prepare_folder(
     out: Path,
     recipe_name: str,
     recipe: Recipe,
-    own_files: Callable[[Recipe], set[Path] | None],
+    own_files: Callable[[Path, Recipe], set[Path] | None],
     files: set[Path],
     label_names: Mapping[int, str],
     *,
@@ -49,7 +49,8 @@ def prepare_folder(
     ----------
     recipe_name : file name of the recipe
     recipe : everything that the files depend on
-    own_files : returns the existing files of an earlier dataset from its recipe; None if another command wrote that
+    own_files : returns the existing files of an earlier dataset from `out` and its recipe; None if another command
+        wrote that
     files : scans and labels of the new dataset
     replace : allow files of a finished dataset to be removed
 
@@ -62,8 +63,10 @@ def prepare_folder(
 
     for side in SIDES:
         refuse_link(out / side)
-    earlier = _read_recipe(out / recipe_name)
-    existing = None if earlier is None else own_files(earlier)
+    earlier = None
+    with suppress(OSError, ValueError):  # TOML and unicode errors are ValueErrors
+        earlier = parse_toml((out / recipe_name).read_text(encoding="utf-8"))
+    existing = None if earlier is None else own_files(out, earlier)
     kind = f"a dataset of fidpipe {recipe_name.removesuffix('.toml')}"
     refuse_other_content(f"dataset {out}", out, kind, is_own=existing is not None, other="folder")
     out.mkdir(parents=True, exist_ok=True)
@@ -87,13 +90,6 @@ def prepare_folder(
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Write a CSV file; the manifest marks the dataset as finished."""
     write_whole(path, csv_bytes(columns, rows))
-
-
-def _read_recipe(path: Path) -> Recipe | None:
-    try:
-        return parse_toml(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
-        return None
 
 
 def _changes(before: Recipe, now: Recipe) -> list[str]:

@@ -169,7 +169,12 @@ def _write_dataset(
     missing = [name for name in keys if name in selected - current]
     with counting(reporter) as pair_done, one_blas_thread():  # in this process: a hundredth of the run's time
         for n_done, name in enumerate(missing, 1):
-            _remeasure(scans[name], paths[name], keys[name], name, recipe, settings, source.label_names)
+            with suppress(ScanError):  # reported by the run, which reads it too
+                scan = read_scan(scans[name], settings.columns_of("real"), source.label_names)
+                again = _remeasured(scan, name, recipe, settings.frame_of("real"), keys[name])
+                content = BytesIO()
+                pq.write_table(again, content)
+                write_whole(paths[name], content.getbuffer())
             pair_done(n_done, len(missing))
     names = {name: f"sim/{paths[name].name}" for name in keys if paths[name].exists()}
     if AS_MEASURED in (recipe.noise_m, recipe.lost_share):
@@ -216,23 +221,11 @@ def _metadata(path: Path) -> dict[bytes, bytes]:
         return {}
 
 
-def _remeasure(
-    source: Path,
-    path: Path,
-    key: str,
-    pair_id: str,
-    recipe: FloorRecipe,
-    settings: InputSettings,
-    label_names: dict[int, str],
-) -> None:
-    """Write one measurement: x, y, z, and labels and instances of the points if the scan has them."""
-    try:
-        scan = read_scan(source, settings.columns_of("real"), label_names)
-    except ScanError:  # reported by the run, which reads it too
-        return
+def _remeasured(scan: Scan, pair_id: str, recipe: FloorRecipe, frame: FrameName, key: str) -> pa.Table:
+    """One measurement: x, y, z, and labels and instances of the points if the scan has them."""
     clean = clean_scan(scan.points, _ALL)
     rng = np.random.default_rng([recipe.seed, *pair_id.encode()])
-    noise_m, lost_share, reason, gaps = _amounts(recipe, scan, settings.frame_of("real"))
+    noise_m, lost_share, reason, gaps = _amounts(recipe, scan, frame)
     filled, filled_ids = fill_gaps(scan.points, *gaps)
     points, kept = remeasure(np.concatenate([clean.points, filled]), noise_m, lost_share, rng)
     rows = np.concatenate([clean.point_ids, filled_ids])[kept]
@@ -240,10 +233,7 @@ def _remeasure(
     columns |= {} if scan.labels is None else {"label": scan.labels[rows]}
     columns |= {} if scan.instances is None else {"instance": scan.instances[rows]}
     amounts = {_NOISE_M: str(noise_m), _LOST_SHARE: str(lost_share), _REASON: reason}
-    table = pa.table(columns).replace_schema_metadata({_KEY: key} | amounts)
-    content = BytesIO()
-    pq.write_table(table, content)
-    write_whole(path, content.getbuffer())
+    return pa.table(columns).replace_schema_metadata({_KEY: key} | amounts)
 
 
 def _amounts(recipe: FloorRecipe, scan: Scan, frame: FrameName) -> tuple[float, float, str, SurfaceGaps]:

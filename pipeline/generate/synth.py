@@ -59,9 +59,7 @@ def make_dataset(
     indices = {pair_name(index): index for index in range(n_pairs)}
     with writing(out):
         files = {path for name in indices for path in _files(out, name)}
-        prepare_folder(
-            out, RECIPE, recipe, lambda before: _own_files(out, before), files, dict(enumerate(KINDS)), replace=replace
-        )
+        prepare_folder(out, RECIPE, recipe, _own_files, files, dict(enumerate(KINDS)), replace=replace)
         tasks = {
             name: (out, recipe, index)
             for name, index in indices.items()

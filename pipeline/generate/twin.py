@@ -119,14 +119,12 @@ def make_twins(
         "input": settings.model_dump(mode="json", exclude_none=True),
         "libraries": library_versions(_LIBRARIES),
         "frames": [frame.name for frame in frames],
-        "files": sorted({name for frame in frames for name in _names(frame)}),
+        "files": sorted({path.name for frame in frames for path in _files(out, frame)}),
     }
     same = (tuple(recording.label_names.items()), out, sensor, flaws, foliage, seed, settings)
     with writing(out):
         files = {out / side / name for side in SIDES for name in recipe["files"]}
-        prepare_folder(
-            out, RECIPE, recipe, lambda before: _own_files(out, before), files, recording.label_names, replace=replace
-        )
+        prepare_folder(out, RECIPE, recipe, _own_files, files, recording.label_names, replace=replace)
         tasks = {frame.name: _Task(frame, _nearest(recording.frames, frame, n_others), *same) for frame in frames}
         missing = {name: task for name, task in tasks.items() if not _is_done(task)}
         if 0 < len(missing) < len(tasks):
@@ -175,36 +173,32 @@ def _nearest(frames: Sequence[Frame], frame: Frame, n: int) -> tuple[Frame, ...]
     return tuple(frames[other] for other in order[1 : n + 1])
 
 
-def _names(frame: Frame) -> tuple[str, str, str]:
-    """Names of the files of a pair: real scan, simulated scan, labels of the real scan."""
-    return frame.path.name, f"{stem_of(frame.path)}.bin", label_path_of(frame.path, stem_of(frame.path)).name
-
-
-def _files(task: _Task) -> tuple[Path, Path]:
-    """The scans of a pair."""
-    real, sim, _ = _names(task.frame)
-    return task.out / "real" / real, task.out / "sim" / sim
+def _files(out: Path, frame: Frame) -> tuple[Path, Path, Path]:
+    """The files of a pair: real scan, simulated scan, labels of the real scan."""
+    real, stem = out / "real" / frame.path.name, stem_of(frame.path)
+    return real, out / "sim" / f"{stem}.bin", label_path_of(real, stem)
 
 
 def _is_done(task: _Task) -> bool:
-    return all(path.exists() for path in _files(task))
+    real, sim, _ = _files(task.out, task.frame)
+    return real.exists() and sim.exists()
 
 
 def _row(frame: Frame) -> tuple[str, ...]:
     """The row of a pair in the manifest."""
     time_s = "" if frame.timestamp_s is None else repr(frame.timestamp_s)
-    real, sim, _ = _names(frame)
-    return frame.name, f"real/{real}", f"sim/{sim}", time_s, " ".join(map(repr, frame.T_world_sensor))
+    real, sim, _ = _files(Path(), frame)
+    return frame.name, str(real), str(sim), time_s, " ".join(map(repr, frame.T_world_sensor))
 
 
 def _write_twin(task: _Task) -> None:
     """Write the scans of a pair, and the labels of the real one."""
-    real, sim = _files(task)
+    real, sim, labels = _files(task.out, task.frame)
     points, intensity = _rescan(task)
     gc.collect()  # trimesh surfaces are cyclic: otherwise 80 MB per frame wait for the collector
-    labels = label_path_of(task.frame.path, stem_of(task.frame.path))
-    if labels.exists():
-        write_whole(real.with_name(labels.name), labels.read_bytes())
+    recorded = task.frame.path.with_name(labels.name)
+    if recorded.exists():
+        write_whole(labels, recorded.read_bytes())
     write_whole(real, task.frame.path.read_bytes())
     write_whole(sim, np.column_stack([points, np.nan_to_num(intensity)]).astype("<f4").tobytes())
 

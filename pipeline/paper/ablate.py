@@ -41,6 +41,7 @@ PARAMETERS = read_data("paper")["parameters"]
 _NAMES = list(PARAMETERS)
 #: The parameters that the rule can choose.
 CHOSEN = ("k", "tau_m", "t")
+_SCORES = ("match_rate", "r_lambda_mean")
 _SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
@@ -144,7 +145,8 @@ def ablate_dataset(
     FidpipeError
         The dataset, a setting or the folder is invalid; raised before any work.
     """
-    base, requested = parameters_of(settings), dict(values or {})
+    base = ParameterSet(settings.graph.k, settings.graph.tau_m, settings.matching.delta_m, settings.selection.t)
+    requested = dict(values or {})
     if settings.communities.objects == "reference":
         if {*requested.get("delta_m", ())} - {base.delta_m}:
             raise SettingsError("--delta: leave it out; objects fixed by the real side are not matched by distance")
@@ -177,13 +179,7 @@ def choose(outcome: AblateOutcome) -> list[Choice]:
         tried["grid"] = [ParameterSet(*row) for row in rows.itertuples(index=False)]
     return choose_parameters(
         [
-            Trial(
-                name,
-                own,
-                own.index(outcome.base),
-                outcome.scores("match_rate", own),
-                outcome.scores("r_lambda_mean", own),
-            )
+            Trial(name, own, own.index(outcome.base), *(outcome.scores(score, own) for score in _SCORES))
             for name, own in tried.items()
         ]
     )
@@ -194,17 +190,12 @@ def influences(outcome: AblateOutcome) -> Iterator[tuple[str, str, float, float]
 
     Of match rate and r_lambda; requires two pairs and two values of the parameter.
     """
-    for name, metric in product(PARAMETERS, ("match_rate", "r_lambda_mean")):
+    for name, metric in product(PARAMETERS, _SCORES):
         tried = outcome.along(name)
         values = outcome.scores(metric, tried)
         if min(values.shape) > 1:
             spread = float(values[:, tried.index(outcome.base)].std(ddof=1))
             yield name, metric, float(np.ptp(values.mean(axis=0))), spread
-
-
-def parameters_of(settings: Settings) -> ParameterSet:
-    """The current values of the four parameters."""
-    return ParameterSet(settings.graph.k, settings.graph.tau_m, settings.matching.delta_m, settings.selection.t)
 
 
 def parameter_sets(base: ParameterSet, values: dict[str, tuple[float, ...]], grid: bool) -> list[ParameterSet]:

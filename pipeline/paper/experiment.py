@@ -101,27 +101,24 @@ def read_source(
     return replace_fields(dataset, pairs=pairs[:1] if first_only and pattern is None else pairs)
 
 
+@dataclass
 class Experiment:
-    """A running experiment; opened by `experimenting`."""
+    """A running experiment; opened by `experimenting`, which describes its fields."""
 
-    def __init__(
-        self,
-        name: str,
-        engine: RunEngine,
-        source: Dataset,
-        stages: tuple[Stage, ...],
-        sides: Sequence[str],
-        *,
-        replace: bool = False,
-    ) -> None:
-        self.engine, self.folder = engine, engine.folder
+    name: str
+    engine: RunEngine
+    source: Dataset
+    stages: tuple[Stage, ...]
+    sides: Sequence[str]
+    replace: bool
+
+    def __post_init__(self) -> None:
+        self.folder = self.engine.folder
         self._start = perf_counter()
-        self._name, self._source, self._own, self._sides = name, source, stages, sides
         before = read_run(self.folder.folder)
-        self._finished = before if has_ended(before) and not replace else {}
-        self._changes = what_changed(before, engine.settings, _VERSIONS)
-        self._base = _needed(stages)
-        self._planner = Planner(self._base, engine.settings, source.label_names, sides)
+        self._finished = before if has_ended(before) and not self.replace else {}
+        self._changes = what_changed(before, self.engine.settings, _VERSIONS)
+        self._planner = Planner(_needed(self.stages), self.engine.settings, self.source.label_names, self.sides)
         self._parts: Mapping[str, Sequence[Part]] = {}
         self._request: dict[str, Any] = {}
 
@@ -133,11 +130,11 @@ class Experiment:
         ScanError
             The single scan file of the experiment is unusable.
         """
-        self.engine.hash_files(self._source.pairs, sides=self._sides)
+        self.engine.hash_files(self.source.pairs, sides=self.sides)
         self._make(STAGES)
-        if is_scan_path(self._source.folder) and self.engine.failures:
+        if is_scan_path(self.source.folder) and self.engine.failures:
             raise ScanError("; ".join(self.engine.failures.values()))
-        for pair in self._source.pairs:
+        for pair in self.source.pairs:
             jobs = self.folder.ledger.jobs(pair.pair_id).values()
             self.engine.reporter.warn(*pair_warnings(pair, *inspection_of(jobs)))
         return [plan for plan in self._plans() if not plan.todo]
@@ -158,7 +155,7 @@ class Experiment:
             Two parts have the same name, and so the same file. Nothing is removed or computed.
         """
         self._parts, self._request = parts, dict(request)
-        self._make(self._own)
+        self._make(self.stages)
 
     def rows(self, table: str) -> pa.Table:
         """All rows of one of the experiment's tables."""
@@ -189,8 +186,8 @@ class Experiment:
         settings = to_toml(self.engine.settings).encode()
         write_whole(self.folder.folder / SETTINGS_TOML, settings, before_rename=self.folder.check_token)
         header = {
-            "experiment": self._name,
-            **run_header(self._source.folder, self.engine.settings, _VERSIONS).as_dict(),
+            "experiment": self.name,
+            **run_header(self.source.folder, self.engine.settings, _VERSIONS).as_dict(),
         }
         write_record(self.folder.folder, header | dict(outcome), self.folder.check_token)
 
@@ -203,24 +200,24 @@ class Experiment:
 
     def _plans(self) -> Iterator[PairPlan]:
         """The plans of the usable pairs with their existing results."""
-        for pair in self._source.pairs:
+        for pair in self.source.pairs:
             if pair.pair_id in self.engine.contents and pair.pair_id not in self.engine.failures:
                 yield with_results(self._plan(pair), self.folder)[0]
 
     def _make(self, stages: Sequence[Stage]) -> None:
         """Compute the missing results of some stages and remove their other results."""
         survey = self.engine.survey(
-            self._source.pairs,
+            self.source.pairs,
             self._plan,
-            selected={pair.pair_id for pair in self._source.pairs},
+            selected={pair.pair_id for pair in self.source.pairs},
             exhaustive=frozenset(stage.name for stage in stages),
             why_absent=NOT_REQUESTED,
         )
         if self._finished:
             existing = sorted({pair_id for _, pair_id, _ in survey.stale})
-            requested = self._request | {"pairs": [pair.pair_id for pair in self._source.pairs]}
+            requested = self._request | {"pairs": [pair.pair_id for pair in self.source.pairs]}
             unrequested = _reductions(self._finished | {"pairs": existing}, requested)
-            self.engine.refuse_replacing(survey, f"{self._name} {self.folder.folder}", self._finished, unrequested)
+            self.engine.refuse_replacing(survey, f"{self.name} {self.folder.folder}", self._finished, unrequested)
 
         def begin() -> None:
             """If results are only added, the record of the finished experiment stays valid."""
@@ -265,7 +262,7 @@ def experimenting(
     check_folder(out, source.folder, name)
     folder = RunFolder(out.absolute() if machines and machines.scheduler else out)
     with folder.locked(), RunEngine(folder, settings, machines or Machines(), reporter, (*STAGES, *stages)) as engine:
-        yield Experiment(name, engine, source, stages, sides, replace=replace)
+        yield Experiment(name, engine, source, stages, sides, replace)
 
 
 def mean_rows(scores: pd.DataFrame, keys: list[str]) -> Iterator[Row]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from ...schemas.data_files import read_data
 from ...schemas.metric_catalogue import METRIC, PaperMean, labels, metric_of, narrow_labels
 from ...stages.generate.perturbations import KINDS, Perturbation
-from ...stages.paper.paper_values import TABLE_I, TABLE_I_SCORES
 from ...stages.paper.parameter_choice import RULE
 from ...stages.paper.sweep_claims import check_sweep_claims
 from ...stages.paper.sweep_means import OWN_METRICS, Mean, Means, react, strongest_levels
@@ -16,6 +16,8 @@ from .ablate import PARAMETERS, AblateOutcome, choose, influences
 from .experiment import ExperimentOutcome
 from .perturb import PerturbOutcome
 
+#: The scores of the paper's Table I.
+_TABLE_I_SCORES = ("match_rate", "centroid_distance_m_mean", "eigenspectrum_distance_mean")
 _ROUNDING = 1e-12
 #: The parts of r_lambda, and other scores.
 _DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "cdc", "alignment_rms_m")
@@ -80,14 +82,19 @@ def _level_table(
 
 
 def _table_i(outcome: PerturbOutcome, means: Means) -> Table:
+    table_i = {tuple(row["level"]): row for row in read_data("paper")["table_i"]}
+
     def cells(level: Perturbation) -> list[str]:
-        paper = TABLE_I.get((level.kind, level.amount, level.shift_m), [None] * len(TABLE_I_SCORES))
-        both = zip((means.get(None, level, metric) for metric in TABLE_I_SCORES), paper, strict=True)
-        return [_spread(score) if score else "" for pair in both for score in pair]
+        row = table_i.get((level.kind, level.amount, level.shift_m), {})
+        both = [
+            (_spread(means.get(None, level, metric)), _spread(PaperMean(*row[metric])) if row else "")
+            for metric in _TABLE_I_SCORES
+        ]
+        return [text for pair in both for text in pair]
 
     n = max((means.get(None, level, "match_rate").n for level in outcome.levels), default=0)
     title = f"Whole scan, {', '.join(outcome.scans)}: mean ± std over {n} repeats; in grey the paper's Table I"
-    headings = labels(TABLE_I_SCORES)
+    headings = labels(_TABLE_I_SCORES)
     table = _level_table(title, [name for heading in headings for name in (heading, "paper")], outcome, cells)
     return replace(table, faint=range(2, len(table.headings), 2))
 

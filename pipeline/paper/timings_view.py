@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ...stages.paper.paper_values import TIMINGS
+from ...schemas.data_files import read_data
 from ..report.view import Table, View
 
 
@@ -16,7 +16,7 @@ def timings_view(mean: Mapping[str, Mapping[str, float]]) -> View:
         for i, (step, seconds) in enumerate(own.items())
     ]
     rows = []
-    for timing in TIMINGS:
+    for timing in read_data("paper")["timings"]:
         counted = timing["steps"]
         seconds = sum(v for stage, step in counted for name, v in mean.get(stage, {}).items() if step in ("", name))
         text = timing.get("text", ", ".join(f"{stage} {step}" for stage, step in counted))

@@ -82,8 +82,7 @@ def compare(
             difference = np.zeros(len(a))
         else:
             difference = np.abs(a - b)
-            allowed = tolerance + _RELATIVE * np.abs(b) if tolerance else 0.0
-            is_wrong = ~((np.isnan(a) & np.isnan(b)) | (difference <= allowed))
+            is_wrong = ~np.isclose(a, b, rtol=_RELATIVE if tolerance else 0.0, atol=tolerance, equal_nan=True)
         yield ColumnComparison(column, recomputed.index, a, b, np.nan_to_num(difference), is_wrong)
 
 

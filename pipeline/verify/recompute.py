@@ -69,9 +69,7 @@ def scan(pair: StoredPair) -> None:
             continue
         transform = pair.scans.T_real_sim if pair.scans and side == "sim" else None
         T = np.array(transform).reshape(3, 4) if transform else None
-        limits = settings.min_range_m, settings.max_range_m, settings.exclude_box, T
-        frame_of_side, box = settings.frame_of(side), settings.include_box
-        kept, points = literal_method.clean(read.points, *limits, frame=frame_of_side, include_box=box)
+        kept, points = literal_method.clean(read.points, settings.model_dump(), settings.frame_of(side), T)
         frame = {"point_id": np.array(kept, dtype=np.intp), **dict(zip("xyz", points.T, strict=True))}
         for name, own in (("intensity", read.intensity), ("instance", read.instances), ("label", read.labels)):
             frame[name] = None if own is None else own[kept]
@@ -111,9 +109,8 @@ def ground(pair: StoredPair) -> None:
 def _cut(pair: StoredPair, side: str) -> tuple[literal_method.Cut, FloatArray, bool]:
     """Cut of a side from its metadata, heights of its points, and True if the points determine the axis."""
     settings, points = pair.settings.ground, pair.sides[side].all_points
-    limits = settings.prior_m, settings.max_variance_loss, settings.loss
     axis = np.array(pair.metadata("ground", side)["axis"])
-    cut, heights, is_unique = literal_method.ground(points, *limits, default_axis=axis)
+    cut, heights, is_unique = literal_method.ground(points, settings.model_dump(), axis)
     if side == "sim" and (settings.shared or settings.peak == "real"):
         real = pair.metadata("ground", "real")
         axis = np.array(real["axis"])
@@ -337,7 +334,9 @@ def _covered(points: FloatArray, others: FloatArray, cut: Row) -> Row:
     if not len(points):
         return dict.fromkeys((*(f"covered_{reach}" for reach in _REACHES_M), "median_distance_m", "road_share"))
     apart = literal_method.nearest_distances(points, others).tolist()
-    row: Row = {f"covered_{reach}": literal_surfaces.covered(apart, reach_m) for reach, reach_m in _REACHES_M.items()}
+    row: Row = {
+        f"covered_{reach}": sum(d <= reach_m for d in apart) / len(apart) for reach, reach_m in _REACHES_M.items()
+    }
     row |= {"median_distance_m": float(np.median(apart)), "road_share": None}
     if cut["threshold_m"] is not None:
         heights = [float(p @ np.array(cut["axis"])) for p in points]
@@ -403,12 +402,11 @@ def pieces(pair: StoredPair) -> None:
 
 def _pieces(pair: StoredPair, side: str, other: str) -> list[Row]:
     """Recomputed pieces of a side."""
-    own, settings, table = pair.sides[side], pair.settings.pieces, pair.table("ground", side)
-    limits = settings.reach_m, settings.link_m, settings.min_points
+    own, settings, table = pair.sides[side], pair.settings.pieces.model_dump(), pair.table("ground", side)
     others, heights = pair.sides[other].all_points, table["height_m"].to_numpy()
     return [
         row | {"side": side, "label": _most_frequent(table["label"].iloc[members])}
-        for members, row in literal_pieces.pieces(own.all_points, ~own.is_object, heights, others, *limits)
+        for members, row in literal_pieces.pieces(own.all_points, ~own.is_object, heights, others, settings)
     ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -66,7 +67,8 @@ def _compare_scores(pair: StoredPair, stored: pd.DataFrame) -> None:
     n_columns = stored.groupby("beam")["column"].max().min() + 1
     azimuth = (stored["column"].clip(upper=n_columns - 1) + 0.5) * 360.0 / n_columns - 180.0
     values = {"range": range_m, "incidence": stored["incidence_deg"], "azimuth": azimuth}
-    whole = _scores(stored)
+    rays = _columns(stored)
+    whole = literal.scores(rays)
     rows = []
     for by, band in pair.table("ray_scores")[["by", "band"]].itertuples(index=False):
         if by in values:
@@ -75,27 +77,20 @@ def _compare_scores(pair: StoredPair, stored: pd.DataFrame) -> None:
             own = stored[(values[by] >= low) & (values[by] < high)]
         else:
             own = stored if by == "all" else stored[stored["label"] == band]
-        rows.append({"by": by, "band": band} | _scores(own))
+        rows.append({"by": by, "band": band} | literal.scores(_columns(own)))
         if by not in ("all", "azimuth"):  # rays without any return have no range, incidence or class
             rows[-1]["rays_drop_f1"] = None
     pair.compare("ray_scores", pd.DataFrame(rows, columns=["by", "band", *whole]))
     expected: Row = dict.fromkeys((*whole, *(metric.column for metric in INTENSITY_SCORES), "intensity_note"))
-    pair.compare_row(expected | {**whole, **_intensities(pair, stored)} if len(stored) else expected)
+    if len(stored):
+        of_point = {side: pair.table("ground", side).set_index("point_id")["intensity"].astype(float) for side in SIDES}
+        intensity = {side: own.reindex(stored[f"{side}_point_id"]).to_numpy() for side, own in of_point.items()}
+        has_one_scale = pair.settings.input.intensity_scale == "same"
+        expected |= whole | literal.intensity_scores(rays, intensity, has_one_scale=has_one_scale)
+    pair.compare_row(expected)
 
 
-def _scores(rays: pd.DataFrame) -> dict[str, float | None]:
-    outcome, real_m, sim_m = (rays[name].to_numpy() for name in ("outcome", "real_range_m", "sim_range_m"))
-    return literal.scores(outcome, real_m, sim_m)
-
-
-def _intensities(pair: StoredPair, stored: pd.DataFrame) -> Row:
-    """Scores of intensities from the stored rays."""
-    of_point = {side: pair.table("ground", side).set_index("point_id")["intensity"].astype(float) for side in SIDES}
-    return literal.intensity_scores(
-        stored["outcome"].tolist(),
-        {side: np.asarray(own.reindex(stored[f"{side}_point_id"]), dtype=float) for side, own in of_point.items()},
-        {side: stored[f"{side}_range_m"].to_numpy() for side in SIDES},
-        stored["incidence_deg"].to_numpy(),
-        stored["label"].astype(object).where(stored["label"].notna(), None).tolist(),
-        has_one_scale=pair.settings.input.intensity_scale == "same",
-    )
+def _columns(rays: pd.DataFrame) -> dict[str, Any]:
+    """Columns as arrays, with None for no label."""
+    labels = rays["label"].astype(object)
+    return {str(name): own.to_numpy() for name, own in rays.assign(label=labels.where(labels.notna(), None)).items()}

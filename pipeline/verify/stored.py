@@ -150,7 +150,8 @@ class StoredSide:
         self.is_object = ~ground["is_ground"].to_numpy()
         self.point_ids: IndexArray = ground["point_id"].to_numpy()[self.is_object]
         self.points = self.all_points[self.is_object]
-        self.nearest = cache(self._nearest)
+        graph = pair.settings.graph
+        self.nearest = cache(lambda node: {*literal_method.nearest(self.points, node, graph.k, graph.ties)})
 
     @cached_property
     def labels(self) -> IndexArray:
@@ -192,11 +193,6 @@ class StoredSide:
         n = len(self.points)
         ends = np.concatenate([src, dst]), np.concatenate([dst, src])
         return sparse.coo_array((np.concatenate([length, length]), ends), shape=(n, n)).tocsr()
-
-    def _nearest(self, node: int) -> frozenset[int]:
-        """The k nearest neighbours of a node among all points."""
-        settings = self._pair.settings.graph
-        return frozenset(literal_method.nearest(self.points, node, settings.k, settings.ties))
 
     def neighbours(self, node: int) -> set[int]:
         """Nodes connected to a node by an edge."""

@@ -64,8 +64,6 @@ class StreetObject:
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Join meshes into one; vertices and faces keep their order."""
-    if not meshes:
-        return EMPTY_MESH
     first = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
     return Mesh(
         np.concatenate([mesh.vertices for mesh in meshes]),

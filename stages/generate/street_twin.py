@@ -186,8 +186,6 @@ def tear_holes(mesh: Mesh, share: float, rng: np.random.Generator) -> Mesh:
 
     Faces are removed at the maxima of a random wave field.
     """
-    if not len(mesh.faces):
-        return mesh
     height = smooth_field(mesh.vertices[mesh.faces].mean(axis=1), rng)[:, 0]
     holds = height <= np.quantile(height, 1.0 - share * rng.uniform(0.0, 2.0))
     return Mesh(mesh.vertices, mesh.faces[holds], mesh.reflectivity[holds])

@@ -153,7 +153,9 @@ def check_frames(
     if len(target_points) < MIN_POINTS:
         return None
     target = _Side(target_points)
-    sources = _sources(sim, real, settings)
+    units = {"": 1.0, **_units_that_fit(sim, real)}
+    points = {unit: _thinned(sim * scale, settings, "sim") for unit, scale in units.items()}
+    sources = {unit: _Side(own) for unit, own in points.items() if len(own) >= MIN_POINTS}
     if not sources:
         return None
     as_given, coverage, best = _search(target, sources, settings, motion)
@@ -169,11 +171,6 @@ def check_frames(
         if after >= before - _MAX_COVERAGE_LOST:
             best, coverage, is_suspect = levelled, after, True
     return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
-
-
-def can_move() -> bool:
-    """True if small_gicp (an extra) is installed."""
-    return find_spec("small_gicp") is not None
 
 
 def ground_height(points: FloatArray) -> float:
@@ -194,13 +191,6 @@ def ground_height(points: FloatArray) -> float:
     return float((steps.min() + fullest + 1) * _GROUND_STEP_M - GROUND_BAND_M)
 
 
-def _sources(sim: FloatArray, real: FloatArray, settings: InputSettings) -> dict[str, _Side]:
-    """Downsampled simulated scan by unit, "" for metres; units in which too few points remain are left out."""
-    units = {"": 1.0, **_units_that_fit(sim, real)}
-    points = {unit: _thinned(sim * scale, settings, "sim") for unit, scale in units.items()}
-    return {unit: _Side(own) for unit, own in points.items() if len(own) >= MIN_POINTS}
-
-
 def _search(
     target: _Side, sources: dict[str, _Side], settings: InputSettings, motion: FloatArray
 ) -> tuple[float, float, _Candidate]:
@@ -219,7 +209,7 @@ def _search(
                     return as_given, as_given, candidate
             if coverage > best[0]:
                 best = coverage, candidate
-        if best[1].unit == unit and best[0] < 1 and can_move():
+        if best[1].unit == unit and best[0] < 1 and find_spec("small_gicp"):  # an extra
             candidate = _registered(target, source, best[1])
             coverage = _coverage(target, source, candidate, box)
             if coverage - best[0] >= MIN_GAIN_BY_MOVING:

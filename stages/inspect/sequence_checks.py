@@ -61,8 +61,12 @@ class SequenceScan:
 
         0 for the same scan; on recordings about 0.03 for a static sensor, 0.4 for one 0.8 m ahead.
         """
-        distances = [_apart(own, scan.tree) for own, scan in ((self.sample, other), (other.sample, self))]
-        return float(np.mean([apart.mean() for apart in distances if len(apart) >= _MIN_SAMPLED] or [np.nan]))
+        means = [
+            np.minimum(scan.tree.query(own, distance_upper_bound=_FARTHEST_M)[0], _FARTHEST_M).mean()
+            for own, scan in ((self.sample, other), (other.sample, self))
+            if len(own) >= _MIN_SAMPLED
+        ]
+        return float(np.mean(means or [np.nan]))
 
 
 @dataclass(frozen=True)
@@ -213,11 +217,6 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
         others_in_range=others(lambda points: (points**2).sum(axis=1) < farthest_m**2),
         others_in_box=others(lambda points: ((points >= low) & (points <= high)).all(axis=1)),
     )
-
-
-def _apart(points: FloatArray, tree: cKDTree) -> FloatArray:
-    distance, _ = tree.query(points, distance_upper_bound=_FARTHEST_M) if len(points) else (np.empty(0), None)
-    return np.minimum(distance, _FARTHEST_M)
 
 
 def _staying(own: FloatArray, others: Sequence[cKDTree]) -> FloatArray:

@@ -20,6 +20,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ..arrays import FloatArray, IndexArray
 
+Settings = Mapping[str, Any]  #: one group of the settings, by name
 _MAX_TILT_DEG = 10
 _ALIKE = 1e-9
 _NEAR_M, _WINDOW_M, _STEP_M, _DEPTH_M = 30, 0.1, 0.05, 1
@@ -41,30 +42,24 @@ SPECTRAL = (
 )
 
 
-def clean(
-    points: FloatArray,
-    min_range_m: float,
-    max_range_m: float,
-    exclude_box: Sequence[float] | None = None,
-    T: FloatArray | None = None,
-    *,
-    frame: str = "ros",
-    include_box: Sequence[float] | None = None,
-) -> tuple[list[int], FloatArray]:
+def clean(points: FloatArray, settings: Settings, frame: str, T: FloatArray | None) -> tuple[list[int], FloatArray]:
     """Rows and coordinates, (m, 3), of the points that are measurements, in the real sensor's frame.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, the scan's own frame
-    T : (3, 4) float64, maps that frame into the real sensor's, after conversion to x forward, y left, z up
+    settings : of the group input
     frame : frame of the scan: "ros", "carla", "nuscenes" or "kitti-cam"
+    T : (3, 4) float64, maps that frame into the real sensor's, after conversion to x forward, y left, z up
     """
+    exclude_box, include_box = settings["exclude_box"], settings["include_box"]
     seen, rows, kept = set(), [], []
     for i, p in enumerate(points.tolist()):
         if not all(map(math.isfinite, p)) or p == [0, 0, 0] or tuple(p) in seen:
             continue
         seen.add(tuple(p))
-        if not min_range_m <= math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) <= max_range_m:
+        range_m = math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
+        if not settings["min_range_m"] <= range_m <= settings["max_range_m"]:
             continue
         if exclude_box and all(exclude_box[a] <= p[a] <= exclude_box[a + 3] for a in range(3)):
             continue
@@ -81,26 +76,20 @@ def clean(
 Cut = dict[str, Any]  #: axis (3,), tilt_deg, peak_m, threshold_m, loss and iterations of a ground cut
 
 
-def ground(
-    points: FloatArray,
-    prior_m: float = 0.30,
-    max_loss: float = 0.01,
-    loss: str = "removed",
-    default_axis: FloatArray | None = None,
-) -> tuple[Cut, FloatArray, bool]:
+def ground(points: FloatArray, settings: Settings, default_axis: FloatArray) -> tuple[Cut, FloatArray, bool]:
     """The PCA Z-cut of a scan, heights of its points along the axis (n,), and False if another axis has the same right.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, cleaned
-    prior_m, max_loss, loss : as in the settings of ground
+    settings : of the group ground
     default_axis : (3,) axis if the points have the same variance along two axes
     """
     scale = float(np.ptp(points, axis=0).max()) or 1.0  # squares of 1e-200 m would be 0
     values, vectors = np.linalg.eigh(np.cov(((points - points.mean(axis=0)) / scale).T))
     chosen = max(range(3), key=lambda i: abs(vectors[2, i]))
     is_unique = min(abs(values[i] - values[chosen]) for i in range(3) if i != chosen) > _ALIKE * values[2]
-    axis = vectors[:, chosen] if is_unique or default_axis is None else default_axis
+    axis = vectors[:, chosen] if is_unique else default_axis
     axis = axis if axis[2] > 0 else -axis
     tilt_deg = math.degrees(math.acos(min(1.0, axis[2])))
     if tilt_deg > _MAX_TILT_DEG:
@@ -108,10 +97,11 @@ def ground(
     height = np.array([float(p @ axis) for p in points])
     near = [h for h, p in zip(height.tolist(), points.tolist(), strict=True) if math.hypot(*p) <= _NEAR_M]
     peak = _median_of_fullest_window(near or height.tolist())
-    z, iterations = peak + prior_m, 0
-    while variance_loss(points, height, z, peak, loss) > max_loss and z > peak + 1e-9:
-        z, iterations = max(z - _STEP_M, peak), iterations + 1
+    z, iterations, loss = peak + settings["prior_m"], 0, settings["loss"]
     lost = variance_loss(points, height, z, peak, loss)
+    while lost > settings["max_variance_loss"] and z > peak + 1e-9:
+        z, iterations = max(z - _STEP_M, peak), iterations + 1
+        lost = variance_loss(points, height, z, peak, loss)
     cut = {"axis": axis, "tilt_deg": tilt_deg, "peak_m": peak, "threshold_m": z, "loss": lost, "iterations": iterations}
     return cut, height, bool(is_unique)
 

@@ -10,7 +10,7 @@ import numpy as np
 from sklearn.cluster import DBSCAN
 
 from ..arrays import BoolArray, FloatArray
-from .literal_method import PLACE, canonical, describe, distances
+from .literal_method import PLACE, Settings, canonical, describe, distances
 
 _MOVED_WITHIN_M = 3.0
 _SLACK_M, _SLACK = 0.5, 1 / 3
@@ -28,13 +28,7 @@ def components(points: FloatArray, link_m: float) -> list[int]:
 
 
 def pieces(
-    points: FloatArray,
-    is_ground: BoolArray,
-    height_m: FloatArray,
-    others: FloatArray,
-    reach_m: float,
-    link_m: float,
-    min_points: int,
+    points: FloatArray, is_ground: BoolArray, height_m: FloatArray, others: FloatArray, settings: Settings
 ) -> list[tuple[list[int], dict[str, float]]]:
     """Pieces of a side, their points by index and a row of `pieces`; largest first, for equal sizes by x, y, z.
 
@@ -42,15 +36,16 @@ def pieces(
     ----------
     points, is_ground, height_m : (n, 3), (n,), (n,), all clean points of the side
     others : (m, 3) float64, metres, all clean points of the other side
-    reach_m, link_m, min_points : as in the settings of pieces
+    settings : of the group pieces
     """
-    uncovered = [i for i in np.flatnonzero(~is_ground).tolist() if distances(others, points[i]).min() > reach_m]
+    above = np.flatnonzero(~is_ground).tolist()
+    uncovered = [i for i in above if distances(others, points[i]).min() > settings["reach_m"]]
     uncovered.sort(key=lambda i: points[i].tolist())
-    labels = canonical(components(points[uncovered], link_m))
+    labels = canonical(components(points[uncovered], settings["link_m"]))
     found = []
     for piece in range(max(labels, default=-1) + 1):
         members = [i for i, label in zip(uncovered, labels, strict=True) if label == piece]
-        if len(members) >= min_points:
+        if len(members) >= settings["min_points"]:
             about = describe(points[members])
             place = {name: about[name] for name in PLACE}
             bearing_deg = math.degrees(math.atan2(about["cy"], about["cx"]))

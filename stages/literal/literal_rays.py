@@ -18,7 +18,7 @@ _BLOCK = 32
 _STEP_DEG = 0.01
 _OUTCOMES = ("same", "in_front", "behind", "dropped", "no_surface", "sim_only", "none")
 
-StringArray = NDArray[Any]
+Rays = Mapping[str, NDArray[Any]]  #: columns of table rays; NaN for no range, None for no label
 Sensor = Mapping[str, Any]  #: metadata of the stage sensor
 Near = list[tuple[float, float, int]]  #: azimuth and rows on to a return of the other side, and its index
 
@@ -108,13 +108,9 @@ def outcome(real_m: float, sim_m: float, noise_m: float, nearest_m: float = math
     return "in_front" if sim_m < real_m else "behind"
 
 
-def scores(outcome: StringArray, real_m: FloatArray, sim_m: FloatArray) -> dict[str, float | None]:
-    """Scores of some rays, by column of `pairs`.
-
-    Parameters
-    ----------
-    outcome, real_m, sim_m : of each ray; NaN for no range
-    """
+def scores(rays: Rays) -> dict[str, float | None]:
+    """Scores of some rays, by column of `pairs`."""
+    outcome, real_m, sim_m = (rays[name] for name in ("outcome", "real_range_m", "sim_range_m"))
     count = Counter(outcome)
     n, n_both = len(outcome) - count["none"], sum(count[name] for name in _OUTCOMES[:3])
     found: dict[str, float | None] = {"n_rays": n}
@@ -140,20 +136,15 @@ def scores(outcome: StringArray, real_m: FloatArray, sim_m: FloatArray) -> dict[
 
 
 def intensity_scores(
-    outcome: Sequence[str],
-    intensity: dict[str, FloatArray],
-    range_m: dict[str, FloatArray],
-    incidence_deg: FloatArray,
-    label: Sequence[str | None],
-    *,
-    has_one_scale: bool,
+    rays: Rays, intensity: Mapping[str, NDArray[Any]], *, has_one_scale: bool
 ) -> dict[str, float | str | None]:
     """Scores of the intensities, by column of `pairs`, with scipy's ranks, correlation and Wasserstein distance.
 
     Parameters
     ----------
-    intensity, range_m : by side, of each ray; NaN for none, and for all rays if the side has no intensity
+    intensity : by side, of each ray; NaN for none, and for all rays if the side has no intensity
     """
+    label, incidence_deg = rays["label"], rays["incidence_deg"]
     found: dict[str, float | str | None] = {}
     notes: list[str] = []
     shares: dict[str, float | None] = {}
@@ -165,7 +156,7 @@ def intensity_scores(
             notes.append(f"{side}: no intensity")
             continue
         for name, cause, n_groups in (
-            ("range", range_m[side], 20),
+            ("range", rays[f"{side}_range_m"], 20),
             ("incidence", incidence_deg, 20),
             ("class", classes, 0),
         ):
@@ -175,13 +166,15 @@ def intensity_scores(
         elif (shares["range"] or 0.0) >= 0.97:
             notes.append(f"{side}: a function of range alone")
     found["intensity_note"] = "; ".join(notes) or None
-    both = (np.array(outcome) == "same") & ~np.isnan(intensity["real"]) & ~np.isnan(intensity["sim"])
+    both = (rays["outcome"] == "same") & ~np.isnan(intensity["real"]) & ~np.isnan(intensity["sim"])
     if both.sum() < 100:
         return found
     real, sim = (own[both] for own in intensity.values())
     ranks = [(stats.rankdata(own) - 0.5) / len(own) for own in (real, sim)]
     angle = np.nan_to_num(incidence_deg[both], nan=-1.0)
-    bins = np.stack([np.digitize(range_m["real"][both], (10, 20, 30, 50)), np.digitize(angle, (0, 30, 60, 75, 85))])
+    bins = np.stack(
+        [np.digitize(rays["real_range_m"][both], (10, 20, 30, 50)), np.digitize(angle, (0, 30, 60, 75, 85))]
+    )
     groups = [np.flatnonzero((own == bins.T).all(axis=1)) for own in np.unique(bins, axis=1).T]
     large = [own for own in groups if len(own) >= 10]
     total = sum(len(own) * float(stats.wasserstein_distance(ranks[0][own], ranks[1][own])) for own in large)

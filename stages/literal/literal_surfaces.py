@@ -23,11 +23,6 @@ _MIN_STEP_M = 1e-3
 _MAX_STEPS = 20
 
 
-def covered(distances_m: Sequence[float], reach_m: float) -> float:
-    """Share of the distances to the other side that are within reach."""
-    return sum(d <= reach_m for d in distances_m) / len(distances_m)
-
-
 def visiting_order(points: FloatArray, seed: int = 0) -> list[int]:
     """Indices of the points by a hash of their coordinates, number by number; for equal hashes by z, y, x.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ from .claim_rules import (
 LEAST_CDC = 0.4
 
 _COPY = -1
+_Tables = dict[str, dict[str, NDArray[Any]]]  #: arrays by table and column
 
 
 def check_run_claims(
@@ -78,7 +80,7 @@ def check_run_claims(
     return claims
 
 
-def _columns(real: Objects, sim: Objects, blocks: IntArray, apart: Sequence[int]) -> dict[str, dict[str, NDArray[Any]]]:
+def _columns(real: Objects, sim: Objects, blocks: IntArray, apart: Sequence[int]) -> _Tables:
     """Columns of the objects of each side, of the matched ones and of the pairs, without copies of pairs.
 
     `block` is the independent pair of a row; pairs that count as one have the same.
@@ -102,16 +104,12 @@ def _columns(real: Objects, sim: Objects, blocks: IntArray, apart: Sequence[int]
 
 
 def _sample(
-    tables: Mapping[str, Mapping[str, NDArray[Any]]],
-    of: str,
-    values: Sequence[str],
-    where: Mapping[str, Sequence[Any]] | None = None,
-    name: str = "",
+    tables: _Tables, of: str, values: Sequence[str], where: Mapping[str, Any] = MappingProxyType({}), name: str = ""
 ) -> Sample:
     """Some columns without rows with NaN, of the rows whose columns in `where` have one of the given values."""
     columns = tables[of]
     chosen = np.all([~np.isnan(columns[value].astype(np.float64)) for value in values], axis=0)
-    for column, allowed in (where or {}).items():
+    for column, allowed in where.items():
         chosen &= np.isin(columns[column], allowed)
     found = np.stack([columns[value][chosen] for value in values], axis=1)
     return Sample(found[:, 0] if len(values) == 1 else found, columns["block"][chosen], name)

@@ -50,41 +50,27 @@ def check_sweep_claims(means: Means, levels: _Levels) -> list[Claim]:
     by_kind["rotation"] = [level for level in by_kind["rigid"] if level.shift_m == 0 and level.amount]
     by_kind["most dropout"] = by_kind["dropout"][-1:]
     by_kind["dropout of 40 %"] = [level for level in by_kind["most dropout"] if level.amount == 0.4]
-    claims = (_check(means, by_kind, **row) for row in read_data("paper")["sweep_claims"])
+    claims = (_check(means, by_kind, row) for row in read_data("paper")["sweep_claims"])
     return [claim for claim in claims if claim is not None]
 
 
-def _check(
-    means: Means,
-    by_kind: Mapping[str, _Levels],
-    *,
-    claim: str,
-    metric: str,
-    levels: Sequence[str],
-    test: str,
-    paper: str = IN_WORDS,
-    needs: Mapping[str, int] | None = None,
-    objects: str = "scan",
-    only: str = "",
-    **bounds: Any,
-) -> Claim | None:
+def _check(means: Means, by_kind: Mapping[str, _Levels], row: Mapping[str, Any]) -> Claim | None:
     """A claim with its verdict; undecided if a value is missing, None if there is nothing to check.
 
     Parameters
     ----------
-    metric, levels : of the curves, the levels by kind
-    test : in `_TESTS`; gets the curves of the objects with values, all complete, their levels, and the bounds
-    needs : the fewest levels of each kind
-    objects : of the curves: "scan", "each", or "classes", all of which must have been altered
-    only : one of the classes
+    row : `metric`, `levels` (by kind) and `objects` of the curves: "scan", "each", or "classes", all of which must have
+        been altered, and of these perhaps `only` one; the `test` in `_TESTS`, which gets the curves of the objects
+        with values, all complete, their levels, and the `bounds`; `needs`, the fewest levels of each kind
     """
-    if any(len(by_kind[kind]) < n for kind, n in (needs or {}).items()):
+    if any(len(by_kind[kind]) < n for kind, n in row.get("needs", {}).items()):
         return None
+    metric, objects = row["metric"], row.get("objects", "scan")
     names: Sequence[str | None] = {"scan": (None,), "each": means.objects, "classes": _CLASSES}[objects]
     if objects == "classes" and not {*_CLASSES} <= {*means.objects}:
         return None
-    names = [only] if only else names
-    swept = [by_kind[kind] for kind in levels if by_kind[kind]]
+    names = [row["only"]] if "only" in row else names
+    swept = [by_kind[kind] for kind in row["levels"] if by_kind[kind]]
     if not any(swept and all(means.series(name, own, metric) for own in swept) for name in names):
         return None
     every = [level for own in swept for level in own]
@@ -96,10 +82,10 @@ def _check(
         for name in names
         for level in means.missing(name, every, metric)
     ]
-    if missing:
-        return Claim(claim=claim, paper=paper, here=f"no value for {', '.join(missing)}", verdict=UNDECIDED)
-    here, verdict = _TESTS[test](curves, every, **bounds)
-    return Claim(claim=claim, paper=paper, here=here, verdict=verdict)
+    here, verdict = f"no value for {', '.join(missing)}", UNDECIDED
+    if not missing:
+        here, verdict = _TESTS[row["test"]](curves, every, **row.get("bounds", {}))
+    return Claim(claim=row["claim"], paper=row.get("paper", IN_WORDS), here=here, verdict=verdict)
 
 
 def _is_below(curves: _Curves, _: _Levels, bound: float) -> _Finding:

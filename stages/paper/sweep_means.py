@@ -17,7 +17,6 @@ OWN_METRICS = (
     "eigenspectrum_distance",
     "cdc",
 )
-SPECTRA = "eigenspectrum_distance_mean"
 
 
 @dataclass(frozen=True)

@@ -65,8 +65,9 @@ def test_agrees_with_the_textbook_on_a_dirty_scan(rng, frame):
     scan[rng.random(800) < 0.05, 1] = np.inf
     T = rigid(30, [1, 2, 0.5])
     box, keep = (2.0, -3.0, -9.0, 5.0, 3.0, 9.0), (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0)
-    result = clean_scan(scan, InputSettings(exclude_box=box, include_box=keep), frame=frame, T_real_sim=T)
-    ids, points = literal_method.clean(scan, 2.5, 100, box, T, frame=frame, include_box=keep)
+    settings = InputSettings(exclude_box=box, include_box=keep)
+    result = clean_scan(scan, settings, frame=frame, T_real_sim=T)
+    ids, points = literal_method.clean(scan, settings.model_dump(), frame, T)
     assert result.point_ids.tolist() == ids
     np.testing.assert_allclose(result.points, points, atol=1e-12)
     assert sum(result.dropped.values()) + len(ids) == 800
