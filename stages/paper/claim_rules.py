@@ -62,7 +62,7 @@ class Claim:
     why : reason if there is no interval or no verdict, else ""
     """
 
-    claim: str
+    claim: str = ""
     paper: str = IN_WORDS
     here: str
     estimate: float | None = None
@@ -168,46 +168,31 @@ def within(interval: Interval, least: float, most: float) -> str:
     return decided(least < interval.low and interval.high < most, interval.high < least or interval.low > most)
 
 
-def near(
-    claim: str,
-    what: str,
-    bounds: tuple[float, float],
-    interval: Interval,
-    *,
-    paper: str,
-    pattern: str = "{:.3f}",
-) -> Claim:
+def near(what: str, bounds: tuple[float, float], interval: Interval, pattern: str = "{:.3f}") -> Claim:
     """Check that a number is within bounds."""
     here = "-" if interval.estimate is None else pattern.format(interval.estimate)
     rule = f"{what} within {bounds[0]:.3g} and {bounds[1]:.3g}"
-    return _claim(claim, rule, here, interval, within(interval, *bounds), paper)
+    return _claim(rule, here, interval, within(interval, *bounds))
 
 
 def order(
-    claim: str,
-    what: str,
-    statistic: Statistic,
-    larger: Sample,
-    smaller: Sample,
-    *,
-    paper: str = IN_WORDS,
-    pattern: str = "{:.3f} and {:.3f}",
+    what: str, statistic: Statistic, larger: Sample, smaller: Sample, pattern: str = "{:.3f} and {:.3f}"
 ) -> Claim:
     """Check that a statistic (`what`) of one sample is larger than that of another."""
     interval = over_pairs(lambda a, b: statistic(a) - statistic(b), larger, smaller)
     values = [float(statistic(sample.values)) for sample in _in_shared_pairs((larger, smaller)) if len(sample.values)]
     here = pattern.format(*values) if values and all(map(math.isfinite, values)) else "-"
-    return above_zero(claim, f"{what}, {larger.name} minus {smaller.name}", here, interval, paper)
+    return above_zero(f"{what}, {larger.name} minus {smaller.name}", here, interval)
 
 
-def share_order(claim: str, what: str, larger: Sample, smaller: Sample) -> Claim:
+def share_order(what: str, larger: Sample, smaller: Sample) -> Claim:
     """Check that a property (`what`) is more frequent in one sample than in another.
 
     Shares of 0 and 1 do not move when a pair is left out, and yet are uncertain. So the interval is at least as wide
     as if all objects were independent: k of n objects count as c = (k + 2) / (n + 4) with the variance
     c (1 - c) / (n + 4) (Agresti and Coull, Approximate is better than exact, Am. Stat. 1998).
     """
-    found = order(claim, what, np.mean, larger, smaller)
+    found = order(what, np.mean, larger, smaller)
     if found.n_pairs < LEAST_PAIRS:
         return found
     inside = [sample.values for sample in _in_shared_pairs((larger, smaller))]
@@ -221,12 +206,12 @@ def share_order(claim: str, what: str, larger: Sample, smaller: Sample) -> Claim
     return replace(found, low=low, high=high, why="", verdict=verdict)
 
 
-def above_zero(claim: str, what: str, here: str, interval: Interval, paper: str = IN_WORDS) -> Claim:
+def above_zero(what: str, here: str, interval: Interval) -> Claim:
     """Check that a number is above 0."""
-    return _claim(claim, f"{what}, above 0", here, interval, within(interval, 0.0, math.inf), paper)
+    return _claim(f"{what}, above 0", here, interval, within(interval, 0.0, math.inf))
 
 
-def in_most_pairs(claim: str, what: str, sample: Sample, *, paper: str = IN_WORDS) -> Claim:
+def in_most_pairs(what: str, sample: Sample) -> Claim:
     """Check that the mean over a pair is above 0 in nine of ten pairs, and beyond chance in more than half of them.
 
     If each pair tossed a coin, all of six would agree in 2 % of the cases: the interval of the share is the exact one
@@ -238,19 +223,11 @@ def in_most_pairs(claim: str, what: str, sample: Sample, *, paper: str = IN_WORD
         is_frequent = interval.estimate >= CONSISTENT_SHARE and interval.low > 0.5
         verdict = decided(is_frequent, interval.high < CONSISTENT_SHARE)
     rule = f"{what} in {CONSISTENT_SHARE:.0%} of the pairs, and beyond chance in half of them"
-    return _claim(claim, rule, here, interval, verdict, paper)
+    return _claim(rule, here, interval, verdict)
 
 
 def in_some_pairs(
-    claim: str,
-    what: str,
-    has_it: Sample,
-    extreme: Sample,
-    statistic: Statistic,
-    pattern: str,
-    *,
-    paper: str,
-    exists: bool = True,
+    what: str, has_it: Sample, extreme: Sample, statistic: Statistic, pattern: str, *, exists: bool = True
 ) -> Claim:
     """Check that some objects have a property, or (`exists` is False) that none has, in a tenth of the pairs.
 
@@ -266,10 +243,10 @@ def in_some_pairs(
     least, most = (SOME_PAIRS, math.inf) if exists else (-math.inf, SOME_PAIRS)
     rule = f"{what} in {'over' if exists else 'under'} {SOME_PAIRS:.0%} of the pairs"
     here = f"{pattern.format(statistic(extreme.values)) if len(extreme.values) else '-'}; in {count}"
-    return _claim(claim, rule, here, interval, within(interval, least, most), paper)
+    return _claim(rule, here, interval, within(interval, least, most))
 
 
-def complementary(claim: str, scores: Sample, traits: Sample) -> Claim:
+def complementary(scores: Sample, traits: Sample) -> Claim:
     """Check that two scores carry different information: both follow some trait of the objects, and hardly each other.
 
     Two columns of noise are not correlated either. So each score must first follow a trait of the objects (Spearman's
@@ -288,11 +265,12 @@ def complementary(claim: str, scores: Sample, traits: Sample) -> Claim:
         verdict = within(interval, -WEAK_CORRELATION, WEAK_CORRELATION)
         n_noise = 0 if verdict == FAILS else _n_that_follow_nothing(both)
         interval, verdict = replace(interval, why=_NOISE[n_noise]), UNDECIDED if n_noise else verdict
-    return _claim(claim, rule, "-" if interval.estimate is None else f"rho {interval.estimate:.2f}", interval, verdict)
+    return _claim(rule, "-" if interval.estimate is None else f"rho {interval.estimate:.2f}", interval, verdict)
 
 
-def _claim(claim: str, rule: str, here: str, interval: Interval, verdict: str, paper: str = IN_WORDS) -> Claim:
-    return Claim(claim=claim, paper=paper, here=here, rule=rule, verdict=verdict, **vars(interval))
+def _claim(rule: str, here: str, interval: Interval, verdict: str) -> Claim:
+    """The claim without its text and the paper's value."""
+    return Claim(here=here, rule=rule, verdict=verdict, **vars(interval))
 
 
 def _in_shared_pairs(samples: tuple[Sample, ...]) -> list[Sample]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -73,10 +74,11 @@ def check_run_claims(
     tables = _columns(real, sim, blocks, apart)
     claims = []
     for row in read_data("paper")["run_claims"]:  # names of statistics and samples stand for these
+        texts = {name: row.pop(name) for name in ("claim", "paper") if name in row}
         if "statistic" in row:
             row["statistic"] = _STATISTICS[row["statistic"]]
         samples = {name: _sample(tables, **value) for name, value in row.items() if isinstance(value, dict)}
-        claims.append(_RULES[row.pop("rule")](**row | samples))
+        claims.append(replace(_RULES[row.pop("rule")](**row | samples), **texts))
     return claims
 
 
@@ -142,23 +144,23 @@ def _of_pairs(
 
 def _check_mean(metric: str, sample: Sample) -> Claim:
     """Check that a mean over pairs is within a standard deviation of the paper's."""
-    row = metric_of(metric)
+    row, interval = metric_of(metric), over_pairs(np.mean, sample)
     assert row.paper is not None, f"the paper has no mean of {metric}"
-    bounds, interval = (row.paper.mean - row.paper.std, row.paper.mean + row.paper.std), over_pairs(np.mean, sample)
-    return near(f"mean {row.heading} over pairs", "mean over pairs", bounds, interval, paper=f"{row.paper}")
+    found = near("mean over pairs", (row.paper.mean - row.paper.std, row.paper.mean + row.paper.std), interval)
+    return replace(found, claim=f"mean {row.heading} over pairs", paper=f"{row.paper}")
 
 
-def _check_near(claim: str, what: str, statistic: Statistic, paper: float, sample: Sample) -> Claim:
+def _check_near(what: str, statistic: Statistic, value: float, sample: Sample) -> Claim:
     """Check that a value is within a tenth of the paper's."""
-    what, bounds = f"{what} within a tenth of the paper's, that is", (0.9 * paper, 1.1 * paper)
-    return near(claim, what, bounds, over_pairs(statistic, sample), paper=f"{paper:.3g}", pattern="{:.3g}")
+    what = f"{what} within a tenth of the paper's, that is"
+    return near(what, (0.9 * value, 1.1 * value), over_pairs(statistic, sample), "{:.3g}")
 
 
-def _check_margin(claim: str, what: str, paper: str, larger: Sample, smaller: Sample) -> Claim:
+def _check_margin(what: str, larger: Sample, smaller: Sample) -> Claim:
     """Check that a mean is larger than another by more than the sum of their standard deviations."""
     here = " and ".join(f"{np.mean(own.values):.3f}" if len(own.values) else "-" for own in (larger, smaller))
     interval = over_pairs(lambda a, b: np.mean(a) - np.mean(b) - _std(a) - _std(b), larger, smaller)
-    return above_zero(claim, what, here, interval, paper)
+    return above_zero(what, here, interval)
 
 
 def _median(values: FloatArray) -> float:

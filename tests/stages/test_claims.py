@@ -204,8 +204,8 @@ def test_pairs_that_are_all_alike_say_nothing_of_chance():
 def test_shares_of_all_and_none_are_as_sure_as_their_objects_are_many(n_pairs, n_cars, verdict):
     # 6 pairs, 6 of 6 and 0 of 6: centres 0.8 and 0.2, variance 2 x 0.016, t(2.5 degrees) 3.6: 0.6 < 3.6 x 0.18
     all_of, none_of = by_pair(np.full(n_pairs, True), n_cars), by_pair(np.full(n_pairs, False), n_cars)
-    assert share_order("", "", all_of, none_of).verdict == verdict
-    assert share_order("", "", none_of, none_of).verdict == UNDECIDED
+    assert share_order("", all_of, none_of).verdict == verdict
+    assert share_order("", none_of, none_of).verdict == UNDECIDED
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_shares_of_all_and_none_are_as_sure_as_their_objects_are_many(n_pairs, n
     [(0.35, 0.39, HOLDS), (0.33, 0.39, UNDECIDED), (0.1, 0.9, UNDECIDED), (0.41, 0.5, FAILS), (0.1, 0.33, FAILS)],
 )
 def test_a_value_is_near_where_its_whole_interval_is(low, high, verdict):
-    assert near("", "", (0.34, 0.40), Interval((low + high) / 2, low, high, 20), paper="").verdict == verdict
+    assert near("", (0.34, 0.40), Interval((low + high) / 2, low, high, 20)).verdict == verdict
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_a_value_is_near_where_its_whole_interval_is(low, high, verdict):
     [(6, 6, HOLDS), (5, 5, UNDECIDED), (46, 50, HOLDS), (44, 50, UNDECIDED), (40, 50, FAILS), (0, 1, UNDECIDED)],
 )
 def test_most_pairs_are_nine_of_ten_and_beyond_a_toss_of_a_coin(n_so, n, verdict):
-    assert in_most_pairs("", "", by_pair(np.arange(n) < n_so)).verdict == verdict
+    assert in_most_pairs("", by_pair(np.arange(n) < n_so)).verdict == verdict
 
 
 @pytest.mark.parametrize(
@@ -230,14 +230,14 @@ def test_most_pairs_are_nine_of_ten_and_beyond_a_toss_of_a_coin(n_so, n, verdict
 )
 def test_one_stray_object_neither_shows_nor_denies_that_there_are_such(n_so, n, verdict):
     pairs = by_pair(np.arange(n) < n_so)
-    assert in_some_pairs("", "", pairs, pairs, np.max, "{}", paper="").verdict == verdict
+    assert in_some_pairs("", pairs, pairs, np.max, "{}").verdict == verdict
     opposite = {HOLDS: FAILS, FAILS: HOLDS, UNDECIDED: UNDECIDED}[verdict]
-    assert in_some_pairs("", "", pairs, pairs, np.max, "{}", paper="", exists=False).verdict == opposite
+    assert in_some_pairs("", pairs, pairs, np.max, "{}", exists=False).verdict == opposite
 
 
 def judged_together(a, b, trait):
     pair = np.repeat(np.arange(30, dtype=np.int32), len(a) // 30)
-    return complementary("", Sample(np.column_stack([a, b]), pair), Sample(trait, pair))
+    return complementary(Sample(np.column_stack([a, b]), pair), Sample(trait, pair))
 
 
 def test_only_scores_that_both_follow_something_but_not_each_other_are_complementary(rng):
