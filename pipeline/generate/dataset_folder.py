@@ -7,7 +7,7 @@ files.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from ...schemas.columns import SIDES
 from ...schemas.data_files import parse_toml
 from ...schemas.errors import FidpipeError
 from ..datasets.pairs import LABEL_NAMES, MANIFEST
-from ..storage.files import csv_bytes, refuse_link, write_whole
+from ..storage.files import refuse_link, write_whole
 from ..storage.folder import refuse_other_content, refuse_overwrite
 
 Recipe = dict[str, Any]
@@ -85,11 +85,6 @@ def prepare_folder(
     if label_names:
         names = tomli_w.dumps({str(number): name for number, name in label_names.items()})
         write_whole(out / LABEL_NAMES, names.encode())
-
-
-def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a CSV file; the manifest marks the dataset as finished."""
-    write_whole(path, csv_bytes(columns, rows))
 
 
 def _changes(before: Recipe, now: Recipe) -> list[str]:

@@ -30,13 +30,12 @@ from ..engine.progress import Reporter
 from ..engine.tasks import counting
 from ..results.floor import AS_MEASURED, FLOOR_AMOUNTS, FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
 from ..run import RunOutcome, run_dataset, select_pairs
-from ..storage.files import key_of, path_exists, refuse_link, write_whole
+from ..storage.files import csv_bytes, key_of, path_exists, refuse_link, write_whole
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.ledger import Ledger
 from ..storage.run_record import has_ended, read_run
 from ..storage.table_files import file_stem
 from ..storage.urls import name_in_records, recorded_path
-from .dataset_folder import write_table
 from .recordings import square
 
 RECIPE_VERSION = 3  # increase it when the same recipe results in other measurements
@@ -181,13 +180,13 @@ def _write_dataset(
         _report_amounts({name: _metadata(paths[name]) for name in names}, folder, reporter)
     pairs = [pair for pair in source.pairs if pair.pair_id in selected | current]
     rows = (_row(pair, partners[pair.pair_id], names) for pair in pairs)
-    write_table(folder / MANIFEST, ["pair_id", "real", "sim", "timestamp_s", "T_real_sim"], rows)
+    write_whole(folder / MANIFEST, csv_bytes(["pair_id", "real", "sim", "timestamp_s", "T_real_sim"], rows))
 
 
 def _report_amounts(by_pair: dict[str, dict[bytes, bytes]], folder: Path, reporter: Reporter) -> None:
     """Write and show noise and losses of the second measurements; warn of scans where they cannot be measured."""
     rows = ([pair_id, *(own[name].decode() for name in _AMOUNTS)] for pair_id, own in by_pair.items())
-    write_table(folder / FLOOR_AMOUNTS, ["pair_id", *(name.decode() for name in _AMOUNTS)], rows)
+    write_whole(folder / FLOOR_AMOUNTS, csv_bytes(["pair_id", *(name.decode() for name in _AMOUNTS)], rows))
     amounts = list(by_pair.values())
     if not amounts:
         return

@@ -16,8 +16,8 @@ from ...stages.generate.street_scans import make_pair
 from ..datasets.pairs import MANIFEST
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
-from ..storage.files import write_whole
-from .dataset_folder import Recipe, prepare_folder, write_table, writing
+from ..storage.files import csv_bytes, write_whole
+from .dataset_folder import Recipe, prepare_folder, writing
 
 RECIPE = "synth.toml"
 RECIPE_VERSION = 1  # increase it when the same recipe results in other scans
@@ -74,7 +74,7 @@ def make_dataset(
             (name, f"real/{name}.bin", f"sim/{name}.bin", f"{_time_s(seed, index):.3f}")
             for name, index in indices.items()
         )
-        write_table(out / MANIFEST, ["pair_id", "real", "sim", "timestamp_s"], rows)
+        write_whole(out / MANIFEST, csv_bytes(["pair_id", "real", "sim", "timestamp_s"], rows))
 
 
 def recipe_of(seed: int, sensor: str, n_points: int | None) -> Recipe:

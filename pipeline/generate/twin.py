@@ -28,9 +28,9 @@ from ..datasets.readers import read_scan, stem_of
 from ..datasets.readers.scan import label_path_of
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
-from ..storage.files import hash_file, key_of, path_exists, write_whole
+from ..storage.files import csv_bytes, hash_file, key_of, path_exists, write_whole
 from ..storage.run_record import library_versions
-from .dataset_folder import Recipe, prepare_folder, write_table, writing
+from .dataset_folder import Recipe, prepare_folder, writing
 from .recordings import Frame, Recording, square
 
 RECIPE = "twin.toml"
@@ -131,7 +131,8 @@ def make_twins(
             reporter.say(f"{len(tasks) - len(missing)} of {len(tasks)} twins already exist")
         _, failures = map_tasks(_write_twin, missing, reporter, n_workers=workers)
         done = [task.frame for task in tasks.values() if _is_done(task)]
-        write_table(out / MANIFEST, ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"], map(_row, done))
+        columns = ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"]
+        write_whole(out / MANIFEST, csv_bytes(columns, map(_row, done)))
     return TwinOutcome(len(done), failures)
 
 

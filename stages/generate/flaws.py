@@ -195,11 +195,7 @@ def _misalign_beams(points: FloatArray, std_deg: float, rng: Generator) -> Float
 
 
 def _shift(points: FloatArray, shift_m: float, rng: Generator) -> FloatArray:
-    return move_rigidly(points, 0.0, shift_m, rng)
-
-
-def _turn(points: FloatArray, angle_deg: float, rng: Generator) -> FloatArray:
-    return move_rigidly(points, angle_deg, 0.0, rng)
+    return move_rigidly(points, 0.0, rng, shift_m)
 
 
 def _mirror(points: FloatArray, is_mirrored: float, rng: Generator) -> FloatArray:
@@ -232,7 +228,7 @@ _KINDS = (
     Flaw("blur", "radius within which surfaces are smoothed, metres", 0, 5, _blur),
     Flaw("noise", "std of the noise on each coordinate, metres", 0, 10, add_noise),
     Flaw("ghosts", "points in ghost clusters of 20, per point", 0, 8, add_clusters),
-    Flaw("yaw", "turn about the vertical, degrees", -180, 180, _turn, is_systematic=True),
+    Flaw("yaw", "turn about the vertical, degrees", -180, 180, move_rigidly, is_systematic=True),
     Flaw("offset", "shift in a random horizontal direction, metres", 0, 100, _shift, is_systematic=True),
     Flaw("mirrored", "1: y is negated; 0: it is not", 0, 1, _mirror, is_systematic=True, is_whole=True),
     Flaw("intensity-constant", "intensity of all points", 0, 65_535, _keep, intensity=_constant),

@@ -43,7 +43,7 @@ class Perturbation:
 class PerturbationKind:
     """One kind of perturbation.
 
-    alter : function of points, amount, for rigid motion the translation, and a random generator
+    alter : function of points, amount, random generator and, for rigid motion, the translation
     low, high : bounds of the amount
     text : name of a level in tables, with {0} for the `Perturbation`
     heading : name of a level in narrow columns, with {} for the amount
@@ -77,7 +77,7 @@ def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> F
     7
     """
     second = (perturbation.shift_m,) if perturbation.kind == "rigid" else ()
-    return KINDS[perturbation.kind].alter(points, perturbation.amount, *second, rng)
+    return KINDS[perturbation.kind].alter(points, perturbation.amount, rng, *second)
 
 
 def reorder(points: FloatArray, n_lost: float, rng: Generator) -> FloatArray:
@@ -158,7 +158,7 @@ def fill_gaps(points: FloatArray, rows: IndexArray, n_lost: IndexArray) -> tuple
     return filled, rows[gap, (share[:, 0] >= 0.5).astype(np.intp)]
 
 
-def move_rigidly(points: FloatArray, angle_deg: float, shift_m: float, rng: Generator) -> FloatArray:
+def move_rigidly(points: FloatArray, angle_deg: float, rng: Generator, shift_m: float = 0.0) -> FloatArray:
     """Points rotated about +Z through the sensor, then moved in a random horizontal direction."""
     angle, heading = np.radians(angle_deg), rng.uniform(0.0, 2 * np.pi)
     cos, sin = np.cos(angle), np.sin(angle)

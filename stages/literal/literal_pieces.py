@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from sklearn.cluster import DBSCAN
 
 from ..arrays import BoolArray, FloatArray
 from .literal_method import PLACE, Settings, canonical, describe, distances
@@ -18,13 +17,24 @@ _ROUNDED_DIGITS = 9
 
 
 def components(points: FloatArray, link_m: float) -> list[int]:
-    """Component of each point: those that are reached from one another by steps of at most the link.
+    """Component of each point: number of its first point, from which it is reached by steps of at most the link.
 
     Parameters
     ----------
     points : (n, 3) float64, metres
     """
-    return DBSCAN(eps=link_m, min_samples=1).fit_predict(points).tolist() if len(points) else []
+    labels = [-1] * len(points)
+    for start in range(len(points)):
+        todo = [start] if labels[start] < 0 else []
+        while todo:
+            i = todo.pop()
+            labels[i] = start
+            near = np.flatnonzero(distances(points, points[i]) <= link_m).tolist()
+            for j in near:
+                if labels[j] < 0:
+                    labels[j] = start
+                    todo.append(j)
+    return labels
 
 
 def pieces(

@@ -3,7 +3,6 @@
 import json
 import shutil
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -172,7 +171,7 @@ def _go_on(folder):
             owned, recipe = synth._own_files, synth.recipe_of(0, "vlp32c", None)
         else:
             owned, recipe = twin._own_files, twin._inputs(recording) | {"seed": 0, "files": []}
-        prepare_folder(out, f"{kind}.toml", recipe, partial(owned, out), set(), {}, replace=replace)
+        prepare_folder(out, f"{kind}.toml", recipe, owned, set(), {}, replace=replace)
 
     with suppress(FidpipeError):
         prepare(replace=False)
