@@ -71,8 +71,3 @@ def test_the_worked_objects_are_those_of_the_page_and_the_pictures_can_be_drawn(
             assert len(picture.convert("RGB").getcolors(picture.width * picture.height)) > 20
     stored = {path.name for path in (DOCS / "pictures").iterdir() if not path.name.startswith("read_")}
     assert {path.name for path in tmp_path.glob("*.png")} == stored
-
-
-def test_no_table_for_the_worked_objects_is_refused():
-    with pytest.raises(ValueError, match="got 0"):
-        pictures.with_numbers("no table here", {})

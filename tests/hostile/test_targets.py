@@ -95,12 +95,3 @@ def test_each_module_that_opens_files_reads_those_of_a_target(seen):
     assert len(reading) > 20
     assert sorted(reading - seen - NOT_ATTACKED.keys()) == []
     assert sorted(NOT_ATTACKED.keys() - reading) == [], "these open nothing any more"
-
-
-def test_a_module_that_opens_files_is_known(tmp_path):
-    for number, text in enumerate(["x = open('a')", "np.load(path)", "Path('a').read_text()", "pq.ParquetFile(f)"]):
-        path = tmp_path / f"{number}.py"
-        path.write_text(text)
-        assert opens_files(path), text
-    (tmp_path / "none.py").write_text("load(x); store.read_table('metrics')")
-    assert not opens_files(tmp_path / "none.py")

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-import pyarrow.compute as pc
 import pytest
 from matplotlib.image import imread
 
@@ -173,14 +172,6 @@ def test_the_match_rate_decides_then_r_lambda_and_the_value_in_force_stays_if_ne
     (choice,) = choose(made_up(done, rates, r_lambdas))
     assert (choice.chosen.k, choice.decided) == (k or 90, k is not None)
     assert text in choice.text
-
-
-def test_many_values_need_a_clearer_difference(done):
-    rates = [[0.60, 0.61, 0.59, 0.60], [0.66, 0.64, 0.65, 0.61], [0.60, 0.60, 0.60, 0.60]]
-    alone = made_up(done, rates, [[0.4] * 4] * 3)
-    both = alone.rows.filter(pc.not_equal(alone.rows.column("k"), 30))
-    assert choose(replace(alone, rows=both, values=alone.values | {"k": (60, 90)}))[0].chosen.k == 60
-    assert choose(alone)[0].chosen.k == 90
 
 
 def test_delta_is_never_chosen(done):

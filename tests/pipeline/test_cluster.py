@@ -176,27 +176,6 @@ def test_a_worker_of_another_version_is_refused_before_anything_runs(dataset, tm
     assert not list((tmp_path / "run").rglob("*.parquet"))
 
 
-@pytest.mark.exhaustive
-def test_a_worker_that_comes_late_with_another_version_is_refused(tmp_path, cluster):
-    (tmp_path / "file").write_text("shared")
-    there = tmp_path / "scipy-0.0.9.dist-info"
-    there.mkdir()
-    (there / "METADATA").write_text("Metadata-Version: 2.1\nName: scipy\nVersion: 0.0.9\n")
-    cluster.add_workers(1)
-    versions = library_versions(["fidpipe", "scipy"])
-    pool = DaskPool(1, cluster.address, [str(tmp_path / "file")], versions)
-    try:
-        first = cluster.workers.pop()
-        first.terminate()
-        first.wait(60)
-        cluster.add_workers(1, PYTHONPATH=os.pathsep.join([str(tmp_path), TEST_MODULES]))
-        pool.submit(pow, 2, 5)
-        with pytest.raises(RunError, match=r"other versions: scipy 0\.0\.9 \(here "):
-            pool.next_done()
-    finally:
-        pool.close()
-
-
 def test_a_cluster_that_starts_workers_for_tasks_is_asked_for_one(tmp_path):
     (tmp_path / "file").write_text("shared")
     with LocalCluster(
@@ -263,6 +242,8 @@ def test_a_worker_with_other_code_or_other_files_is_refused(tmp_path):
     assert worker_fault(Requirements({}, {gone: b""}, code_hash())) == (
         f"{gone} cannot be read there (No such file or directory); {same}, or give the dataset and --out by URL"
     )
+    with pytest.raises(RunError, match=r"other versions: scipy .* \(here 0\.0\.9\)"):
+        engine_cluster._in_worker(Requirements({"scipy": "0.0.9"}, {}, code_hash()), pow, 2, 5)
 
 
 @pytest.mark.exhaustive

@@ -87,17 +87,6 @@ def test_frames_of_a_capture_come_back(real_data, tmp_path, suffix):
         same(read_scan(frame), read_scan(file))
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-@pytest.mark.parametrize(
-    "name", ["las/autzen_trim.laz", "las/test1_4.las", "registration/source.ply", "rellis/000104.bin"]
-)
-def test_real_scans_come_back(real_data, tmp_path, suffix, name):
-    (written,) = convert(real_data / name, tmp_path / f"a{suffix}")
-    first, second = read_scan(real_data / name), read_scan(written)
-    same(first, second)
-    assert (first.labels is None) == (second.labels is None)
-
-
 def test_what_is_there_is_not_replaced_unasked_and_the_source_never(tmp_path):
     path = write_bin(tmp_path / "a.bin", street())
     (written,) = convert(path, tmp_path / "a.ply")

@@ -109,12 +109,6 @@ def test_a_column_of_no_real_numbers_is_refused_by_its_name(tmp_path, columns, w
         read_scan(tmp_path / "a.npy")
 
 
-def test_records_in_rows_and_columns_are_refused(tmp_path):
-    np.save(tmp_path / "a.npy", np.ones((6, 10), dtype=[("x", "f8"), ("y", "f8"), ("z", "f8")]))
-    with pytest.raises(ScanError, match=r"got float64 values of shape \(6, 10\)"):
-        read_scan(tmp_path / "a.npy")
-
-
 def test_labels_that_are_infinite_are_text(tmp_path):
     rows = np.zeros(60, dtype=[("x", "f8"), ("y", "f8"), ("z", "f8"), ("label", "f8")])
     rows["x"], rows["y"], rows["z"] = cloud().T

@@ -8,7 +8,6 @@ from fidpipe.pipeline.engine.pool import Pool
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.stage import Grain, Inputs, JobResult, Stage
 from fidpipe.pipeline.storage.folder import RunFolder
-from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import Settings
 from fidpipe.schemas.tables import TABLES
 from pools import DyingPool, WatchedPool
@@ -97,15 +96,3 @@ def test_a_poison_part_fails_alone(dataset, tmp_path):
     assert not (tmp_path / "perturb_objects" / "000.part-1.parquet").exists()
     again, _ = make_parts(dataset, tmp_path, parts, Pool())
     assert (again.failures, again.n_made) == ({}, 1)
-
-
-def test_a_failed_part_does_not_stop_another(dataset, tmp_path):
-    def fail(inputs):
-        if inputs.part == "part-0":
-            raise StageError("no such thing")
-
-    stage = probe({"ground": ("point_id",)}, fail)
-    parts = [Part(stage, f"part-{i}") for i in range(2)]
-    engine, jobs = make_parts(dataset, tmp_path, parts, WatchedPool())
-    assert engine.failures == {f"{pair_id}, part-0": "no such thing" for pair_id in jobs}
-    assert all((stage.name, "part-1") in own for own in jobs.values())

@@ -109,11 +109,6 @@ def test_a_reader_changes_nothing_on_disk(ledger, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {LEDGER}
 
 
-def test_a_reader_of_no_ledger_sees_an_empty_one_and_makes_none(tmp_path):
-    assert contents(again(tmp_path)) == ([], {}, {})
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_ledger_that_changed_since_it_was_closed_is_not_believed(ledger, tmp_path):
     for pair_id in "ab":
         ledger.put_job(record(pair_id, n=1))

@@ -283,14 +283,6 @@ def test_other_timestamps_make_other_findings(finished):
     assert run(data, folder).record.as_dict()["findings"] == before.record.as_dict()["findings"]
 
 
-def test_a_run_without_a_scored_pair_has_no_findings(tmp_path):
-    data = write_dataset(tmp_path / "streets", 1)
-    (data / "sim" / "000.bin").write_bytes(b"")
-    record = run(data, tmp_path / "run").record.as_dict()
-    assert record["findings"] == {}
-    assert record["pairs"] == {"scored": 0, "failed": 1, "to_do": 0}
-
-
 def test_seconds_are_kept_by_stage_and_pair_and_status_shows_them(finished):
     _, folder, _ = finished
     seconds = json.loads((folder / "run.json").read_text())["seconds"]

@@ -1,7 +1,6 @@
 """`fidpipe perturb`: altered scans, repeating and resuming, and the claims of the paper."""
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -10,8 +9,6 @@ from matplotlib.image import imread
 from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.engine.engine import Machines
-from fidpipe.pipeline.engine.plan import Part
-from fidpipe.pipeline.paper.experiment import experimenting, read_source
 from fidpipe.pipeline.paper.perturb import LEVELS as DEFAULT_LEVELS
 from fidpipe.pipeline.paper.perturb import (
     NULL,
@@ -19,7 +16,6 @@ from fidpipe.pipeline.paper.perturb import (
     parse_levels,
     perturb_source,
 )
-from fidpipe.pipeline.paper.perturb_jobs import GLOBAL
 from fidpipe.pipeline.paper.perturb_objects import choose_objects
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
@@ -224,17 +220,6 @@ def test_no_object_stands_for_two_shapes(shapes, chosen, n_notes):
     objects = choose_objects(scan, None, SETTINGS.graph.k, notes.append)
     assert [of.community_id for of in objects] == chosen
     assert len(notes) == n_notes
-
-
-def test_two_parts_of_one_name_are_refused_before_anything_is_removed(done, scan, tmp_path):
-    out = shutil.copytree(done.folder, tmp_path / "run")
-    at = (read_source(scan), out, SETTINGS, QUIET)
-    part = Part(GLOBAL, "noise-1.0", (Perturbation("noise", 1.0), [1]))
-    with experimenting("perturb", *at, stages=(GLOBAL,), sides=("real",), machines=Machines(workers=1)) as experiment:
-        experiment.prepare()
-        with pytest.raises(ValueError, match=r"perturb_global has two parts noise-1\.0"):
-            experiment.make({"street": [part, replace(part, arguments=(Perturbation("noise", 1.0), [2]))]}, {})
-    assert len(rows(out, "perturb_global")) == 2 * len(LEVELS)
 
 
 def test_levels_that_agree_to_many_digits_are_two(scan, tmp_path):

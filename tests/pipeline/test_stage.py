@@ -20,7 +20,7 @@ from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.tables import TABLES
 from pools import WatchedPool
 from runs import assert_same_tables, changed_tables, marks, run, some_of
-from toys import OF_OBJECT, OF_PAIR, OF_SIDE, TOY_TABLES, ToyGroup, ToySettings, with_toys
+from toys import OF_OBJECT, OF_PAIR, OF_SIDE, TOY_TABLES, ToySettings, with_toys
 
 N_POINTS = 100
 
@@ -128,13 +128,6 @@ def test_interrupted_in_any_of_them_a_run_goes_on_where_it_was(whole, dataset, t
     assert_same_results(out, whole)
 
 
-def test_a_changed_setting_reruns_the_stage_that_declares_it_and_what_follows(again, dataset):
-    before = marks(again)
-    outcome = run_with_toys(dataset, again, ToySettings(toy=ToyGroup(least_points=50)))
-    assert outcome.n_made == 4 * N_PAIRS
-    assert changed_tables(again, before) == {table.name for table in TOY_TABLES}
-
-
 @pytest.mark.parametrize(
     ("toy", "stage", "follow"),
     [
@@ -191,17 +184,6 @@ def test_a_job_has_no_input_but_what_its_stage_declares(dataset, tmp_path, ask, 
     reason = run(dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000").failures["000"]
     assert "stage crowds, real: internal error" in reason
     assert missing in reason
-
-
-def test_a_job_is_given_no_column_but_those_that_its_stage_declares(dataset, tmp_path):
-    columns = []
-
-    def make(inputs):
-        columns.append(inputs.table("communities", inputs.part).schema.names)
-        return OF_SIDE.make(inputs)
-
-    run(dataset, tmp_path / "run", ToySettings(), stages=with_toys(replace(OF_SIDE, make=make)), pattern="000")
-    assert columns == [["community_id"]] * 2
 
 
 def failure_of(stage, dataset, out, stages=()):

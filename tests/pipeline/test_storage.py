@@ -102,12 +102,6 @@ def test_a_device_is_written_to_and_not_replaced():
     os.close(end)
 
 
-def test_a_file_that_cannot_be_written_is_named(tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    with pytest.raises(RunError, match=r"file/table: cannot be written \(File exists\); give another --out"):
-        write_whole(tmp_path / "file" / "table", b"rows")
-
-
 def test_a_job_is_known_after_it_is_read_back(written):
     (record,) = written.ledger.jobs("a").values()
     assert replace(record, files={}) == JOB
@@ -141,16 +135,6 @@ def test_strays_are_removed_and_others_are_left_alone(written, tmp_path):
     assert left - {".lock", ".writer", "ledger.sha256", LEDGER} == FILES | {"notes.txt"}
 
 
-def test_a_lost_ledger_is_made_again_from_the_tables(written, tmp_path):
-    (record,) = written.ledger.jobs("a").values()
-    expected = {record.job: replace(record, steps=())}  # seconds are in no footer
-    folder = without_ledger(tmp_path)
-    assert folder.ledger.jobs("a") == expected
-    with folder.locked():
-        assert folder.ledger.jobs("a") == expected
-    assert RunFolder(tmp_path).ledger.jobs("a") == expected
-
-
 def test_files_of_equal_content_are_equal_in_bytes(tmp_path):
     contents = []
     for seconds in (0.5, 0.7):
@@ -159,11 +143,6 @@ def test_files_of_equal_content_are_equal_in_bytes(tmp_path):
             record = write(folder, replace(JOB, steps=(("louvain", seconds),)))
         contents.append({name: (tmp_path / name).read_bytes() for name in record.files})
     assert contents[0] == contents[1]
-
-
-def test_a_job_of_which_one_file_is_not_there_is_not_adopted(written, tmp_path):
-    (tmp_path / "objects" / "a.real.parquet").unlink()
-    assert not without_ledger(tmp_path).ledger.jobs("a")
 
 
 def test_files_of_different_results_are_not_taken_for_one_job(tmp_path):

@@ -7,11 +7,11 @@ import pytest
 import fidpipe
 from fidpipe import evaluate_pair
 from fidpipe.pipeline.datasets.readers import read_scan
-from fidpipe.schemas.errors import ScanError, StageError
+from fidpipe.schemas.errors import ScanError
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.method import compare, evaluate, graph_of, partition, score
 from runs import run
-from scenes import drifted, moved, rigid, road, street, write_bin, write_pair
+from scenes import drifted, moved, rigid, street, write_bin, write_pair
 
 SIDES = ("real", "sim")
 OF_SIDES = ("ground", "sensor", "graph", "communities", "objects")
@@ -96,11 +96,6 @@ def test_paths_scans_and_arrays_with_intensity_have_the_same_results(scans, tmp_
     assert repr(results[0]).startswith(f"<evaluated pair: n_matched {matched}, n_missing ")
     with pytest.raises(ScanError, match=r"sim: expected .* got \(60, 5\); pass sim\[:, :3\]"):
         evaluate_pair(columns[0], np.ones((60, 5)))
-
-
-def test_a_side_without_objects_is_refused(scans):
-    with pytest.raises(StageError, match="object points after ground removal, got 0"):
-        evaluate(scans[0], road() * [1, 1, 0] + [0, 0, -1.7], Settings())
 
 
 def test_a_graph_that_is_given_is_taken_and_another_seed_changes_the_communities_only(rng):
