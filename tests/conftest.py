@@ -97,6 +97,12 @@ def finished(dataset) -> Path:
 
 
 @pytest.fixture
+def data(dataset, tmp_path) -> Path:
+    """A copy of the dataset that a test may spoil."""
+    return shutil.copytree(dataset, tmp_path / "streets")
+
+
+@pytest.fixture
 def again(finished, tmp_path) -> Path:
     """A copy of the finished run that a test may spoil."""
     return shutil.copytree(finished, tmp_path / "run")

@@ -50,17 +50,18 @@ def run(
     policy=None,
     replace=True,
     pair_timeout_s=None,
+    reporter=QUIET,
     **options,
 ):
     """A run in this process, or on workers or a pool; it may replace what was made with other settings."""
     machines = Machines(workers, scheduler, pool, policy or Policy(), pair_timeout_s)
-    return run_dataset(dataset, out, settings or Settings(), QUIET, machines=machines, replace=replace, **options)
+    return run_dataset(dataset, out, settings or Settings(), reporter, machines=machines, replace=replace, **options)
 
 
-def listening():
+def listening(**options):
     """A reporter, and the text that it writes into."""
     said = io.StringIO()
-    return Reporter(Console(file=said, width=1000)), said
+    return Reporter(Console(file=said, width=1000), **options), said
 
 
 def own_process(*words, code=None, timeout=300, **options):
@@ -121,10 +122,7 @@ def assert_same_tables(a, b):
     """The same files with the same values in the same columns."""
     a, b = tables(a), tables(b)
     assert a.keys() == b.keys()
-    for name in a:
-        assert a[name].schema.names == b[name].schema.names, name
-        for column in a[name].schema.names:
-            assert a[name].column(column).equals(b[name].column(column)), (name, column)
+    assert [name for name in a if not a[name].equals(b[name])] == []
 
 
 def contents(folder):

@@ -27,6 +27,7 @@ from runs import (
     some_of,
     temporary_files,
 )
+from tries import wait_until
 
 N_PAIRS = 4
 
@@ -144,11 +145,3 @@ def test_a_pool_closes_quietly_though_its_workers_are_slow_to_die(tmp_path, monk
     pool.submit(time.sleep, 1)
     pool.close(now=True)
     assert pool._cluster.status.name == "closed"
-
-
-def wait_until(is_so, timeout=60):
-    end = time.monotonic() + timeout
-    while not is_so():
-        if time.monotonic() > end:
-            raise TimeoutError(is_so)
-        time.sleep(0.005)

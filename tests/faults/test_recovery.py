@@ -11,14 +11,13 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.pipeline.run import _Run, run_dataset
+from fidpipe.pipeline.run import _Run
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.schemas.errors import RunError, StageError
-from fidpipe.schemas.settings import Settings, load
+from fidpipe.schemas.settings import load
 from runs import (
     FOLDERS,
     JOBS_PER_PAIR,
@@ -42,8 +41,7 @@ def lose_ledger(out):
 def run_told(dataset, out):
     """A run, and what it said."""
     reporter, said = listening()
-    outcome = run_dataset(dataset, out, Settings(), reporter, machines=Machines(1))
-    return outcome, said.getvalue()
+    return run(dataset, out, reporter=reporter), said.getvalue()
 
 
 def test_a_run_without_its_ledger_makes_nothing_and_touches_no_table(again, finished, dataset):
@@ -109,8 +107,7 @@ def test_a_run_whose_tables_lost_their_footers_is_not_shown_as_if_it_were_whole(
     assert run_status(again).stages == {stage: {"to do": 2} for stage in STAGE_NAMES}
 
 
-def test_a_failure_that_the_ledger_has_lost_is_found_again(dataset, tmp_path):
-    data = shutil.copytree(dataset, tmp_path / "streets")
+def test_a_failure_that_the_ledger_has_lost_is_found_again(data, tmp_path):
     (data / "real" / "000.bin").write_bytes(b"12345")
     out = tmp_path / "run"
     before = run(data, out)

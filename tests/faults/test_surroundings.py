@@ -28,9 +28,8 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", some_of(CHANGES, ["another scan"]))
-def test_a_dataset_that_changes_during_the_run_gives_no_mixed_result(dataset, tmp_path, change):
-    data, out = shutil.copytree(dataset, tmp_path / "streets"), tmp_path / "run"
-    harm, reason = CHANGES[change]
+def test_a_dataset_that_changes_during_the_run_gives_no_mixed_result(data, tmp_path, change):
+    out, (harm, reason) = tmp_path / "run", CHANGES[change]
     started = Started("run", data, "--out", out, "--workers", 1)
     assert started.wait_for((out / "ground" / "000.real.parquet").exists)
     started.process.send_signal(signal.SIGSTOP)  # so that it changes in the middle, regardless of the machine's load
@@ -47,8 +46,8 @@ def test_a_dataset_that_changes_during_the_run_gives_no_mixed_result(dataset, tm
     assert_resumes(data, out, fresh, code=code)
 
 
-def test_scans_that_change_and_change_back_between_two_runs_change_nothing(dataset, finished, tmp_path):
-    data, out = shutil.copytree(dataset, tmp_path / "streets"), tmp_path / "run"
+def test_scans_that_change_and_change_back_between_two_runs_change_nothing(data, finished, tmp_path):
+    out = tmp_path / "run"
     run(data, out)
     kept = (data / "sim" / "003.bin").read_bytes()
     other_scan(data / "sim" / "003.bin")
@@ -58,8 +57,8 @@ def test_scans_that_change_and_change_back_between_two_runs_change_nothing(datas
     assert_resumes(data, out, finished)
 
 
-def test_files_from_the_future_and_the_past_are_judged_by_what_they_hold(dataset, finished, tmp_path):
-    data, out = shutil.copytree(dataset, tmp_path / "streets"), tmp_path / "run"
+def test_files_from_the_future_and_the_past_are_judged_by_what_they_hold(data, finished, tmp_path):
+    out = tmp_path / "run"
     run(data, out)
     for i, path in enumerate(sorted([*out.rglob("*.parquet"), *data.rglob("*.bin")])):
         os.utime(path, (0, 0) if i % 2 else (4e9, 4e9))

@@ -63,10 +63,6 @@ def test_a_pcd_of_many_numbers_a_point_is_refused(tmp_path):
 
 
 def test_an_array_longer_than_its_file_is_refused(tmp_path):
-    head = io.BytesIO()
-    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3)})
-    with pytest.raises(ScanError, match="not a whole"):
-        read_scan(written(tmp_path, "a.npy", head.getvalue()))
     long_head = b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1)
     with pytest.raises(ScanError, match="a head of 4294967295 bytes found"):
         read_scan(written(tmp_path, "b.npy", long_head))
@@ -89,16 +85,8 @@ def test_no_pickle_is_loaded(tmp_path, monkeypatch):
 
 def test_nothing_of_ours_unpickles_or_asks_a_shell():
     """Dask, which sends tasks as pickles between a user's own machines, is known by the engine alone."""
-    words = (
-        "import pickle",
-        "from pickle",
-        "allow_pickle=True",
-        "joblib",
-        "shell=True",
-        "os.system",
-        "yaml.load(",
-        "eval(",
-    )
+    words = ("import pickle", "from pickle", "allow_pickle=True", "joblib")
+    words += ("shell=True", "os.system", "yaml.load(", "eval(")
     found = [
         (path.name, word)
         for path in PACKAGE.rglob("*.py")

@@ -12,12 +12,7 @@ from matplotlib.image import imread
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.evaluate import evaluate_pair
-from fidpipe.pipeline.paper.ablate import (
-    ablate_dataset,
-    choose,
-    influences,
-    parameter_sets,
-)
+from fidpipe.pipeline.paper.ablate import ablate_dataset, choose, influences, parameter_sets
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.metric_catalogue import OBJECT_METRICS
 from fidpipe.schemas.settings import load
@@ -107,8 +102,7 @@ def test_another_run_reuses_everything_and_another_value_of_delta_no_other_graph
     assert {row["delta_m"] for row in more.rows.to_pylist()} == {0.5, 3.0, 5.0}
 
 
-def test_a_broken_pair_is_listed_and_the_others_are_there(dataset, tmp_path):
-    data = shutil.copytree(dataset, tmp_path / "streets")
+def test_a_broken_pair_is_listed_and_the_others_are_there(data, tmp_path):
     (data / "sim" / "001.bin").write_bytes(b"")
     outcome = ablated(data, tmp_path / "run")
     assert list(outcome.failures) == ["001"]

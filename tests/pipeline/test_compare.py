@@ -60,6 +60,12 @@ def versions(tmp_path_factory):
     return run_versions(tmp_path_factory.mktemp("compare"))
 
 
+@pytest.fixture(scope="module")
+def found(versions):
+    """The comparison of both versions."""
+    return compare_runs(versions)[0]
+
+
 def by_name(comparison):
     return {of.name: of for of in comparison.scores}
 
@@ -111,8 +117,7 @@ def test_scans_near_each_other_in_time_count_once(versions, tmp_path):
     assert "about these scans only" in alone.blocking
 
 
-def test_differences_are_those_of_the_tables(versions):
-    found = compare_runs(versions)[0]
+def test_differences_are_those_of_the_tables(found, versions):
     good, bad = (pd.read_parquet(folder / "pairs.parquet").set_index("pair_id") for folder in versions)
     for column, name in (("match_rate", "match rate"), ("cdc_mean", "CDC"), ("shift_z_m", "shift z (m)")):
         change = bad[column] - good[column]
@@ -123,8 +128,7 @@ def test_differences_are_those_of_the_tables(versions):
     assert by_name(found)["CDC"].difference.n_pairs == len(HOSTILE)
 
 
-def test_objects_are_followed_through_the_real_side(versions):
-    found = compare_runs(versions)[0]
+def test_objects_are_followed_through_the_real_side(found, versions):
     assert found.unfollowed == ()
     real = pd.read_parquet(versions[0] / "objects").query("side == 'real'")
     assert len(found.objects) == len(real) == sum(found.kinds.values())
@@ -137,12 +141,6 @@ def test_objects_are_followed_through_the_real_side(versions):
     metrics = pd.read_parquet(versions[1] / "metrics").set_index(["pair_id", "real_id"]).cdc
     for of in plain_rows(found.objects):
         assert of["cdc_after"] == (metrics.get((of["pair_id"], of["real_id"])))
-
-
-def test_a_run_against_itself_differs_in_nothing(versions):
-    found = compare_runs([versions[0], versions[0]])[0]
-    assert {of.verdict for of in found.scores} == {"same"}
-    assert {kind for kind, n in found.kinds.items() if n} <= {"alike", "missing in both"}
 
 
 def test_other_settings_are_rejected_unless_allowed(versions, tmp_path):
@@ -276,8 +274,7 @@ def test_the_first_line_is_the_decision_and_the_second_says_on_what(versions):
         )
 
 
-def test_classes_and_ranges_count_every_real_object_and_average_those_in_both(versions):
-    found = compare_runs(versions)[0]
+def test_classes_and_ranges_count_every_real_object_and_average_those_in_both(found):
     for groups in (by_class(found.objects), by_range(found.objects)):
         assert sum(group["n"] for group in groups) == len(found.objects)
         for kind in found.kinds:
@@ -299,8 +296,7 @@ def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
     assert all("…" in pair and kind in kinds for pair, kind, *_ in rows), "a name is broken"
 
 
-def test_each_score_stands_under_its_heading(versions):
-    found = compare_runs(versions)[0]
+def test_each_score_stands_under_its_heading(found):
     table = score_table(found)
     for score, cells in zip(found.scores, table.rows, strict=True):
         cell, own = dict(zip(table.headings, cells, strict=True)), score.difference
@@ -308,8 +304,7 @@ def test_each_score_stands_under_its_heading(versions):
         assert (cell["pairs"], cell["before"], cell["after"]) == (own.n_pairs, own.before, own.after)
 
 
-def test_markdown_and_csv_hold_the_scores_and_the_notes_name_what_is_left_out(versions):
-    found = compare_runs(versions)[0]
+def test_markdown_and_csv_hold_the_scores_and_the_notes_name_what_is_left_out(found):
     rows = list(csv.DictReader(io.StringIO(csv_table(compare_records([found])))))
     assert [row["score"] for row in rows] == [score.name for score in found.scores]
     assert [float(row["change"]) for row in rows] == [score.difference.difference for score in found.scores]
@@ -341,8 +336,7 @@ def test_the_worst_changes_are_in_3d_and_linked_into_both_reports(versions, tmp_
     assert all("+" not in link.fragment and " " not in link.fragment for link in links)
 
 
-def test_a_changed_object_has_its_points_before_and_after(versions):
-    found = compare_runs(versions)[0]
+def test_a_changed_object_has_its_points_before_and_after(found, versions):
     one = next(change for change in plain_rows(found.objects) if change["kind"] == "vanished")
     real, before, after = draw_change(one, [*map(FinishedRun, versions)])
     assert [len(axis) for axis in real["own"]] == [min(one["n_points"], 1000)] * 3
@@ -403,8 +397,7 @@ def test_a_run_in_which_every_pair_fails_is_worse_and_leaves_files_for_ci(versio
     assert "all 6 pairs that were scored before fail now" in page
 
 
-def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_see(versions):
-    found = compare_runs(versions)[0]
+def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_see(found):
     open_ = tuple(
         replace(family, verdict="undecided", tendency="worse" * (family.name == "objects")) for family in found.families
     )

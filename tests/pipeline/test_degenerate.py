@@ -87,8 +87,8 @@ def test_a_run_over_all_scenes_scores_what_can_be_and_names_the_rest(files, tmp_
 def test_a_finished_run_of_all_scenes_is_shown_and_reported(files, tmp_path):
     assert run(files, tmp_path / "run").failures
     for words in (["show"], ["report"], ["status"], ["gate", "--max", "r_lambda.mean=1"], ["export", "--ply"]):
-        ended = command(words[0], tmp_path / "run", *words[1:])
-        assert ended.returncode == (4 if words[0] == "gate" else 0), ended.stderr  # some pairs failed
+        code = 4 if words[0] == "gate" else 0  # some pairs failed
+        ended = command(words[0], tmp_path / "run", *words[1:], code=code)
         assert not re.search(r"Traceback|\w+Warning", ended.stdout + ended.stderr), words
 
 
@@ -149,14 +149,6 @@ def test_masked_points_are_dropped():
 def test_no_imaginary_part_is_dropped():
     with pytest.raises(ScanError, match=r"sim: expected real numbers, got complex128 values; convert .* sim\.real$"):
         evaluate_pair(street(), street() + 0j)
-
-
-def test_what_cleaning_dropped_is_told_with_what_may_be_done():
-    with pytest.raises(
-        FidpipeError,
-        match=r"real: expected at least 8 points .* got 0 \(60 too far\); raise input.max_range_m \(now 100\)",
-    ):
-        evaluate_pair(cloud() + 1e6, cloud())
 
 
 def _without_names(row):

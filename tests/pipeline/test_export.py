@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 import trimesh
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial import cKDTree
 
 import fidpipe
 from fidpipe.pipeline.datasets.readers import read_scan
@@ -46,6 +47,16 @@ def exported(request, dataset, tmp_path_factory):
     return run, out / "export"
 
 
+@pytest.fixture
+def run(exported):
+    return exported[0]
+
+
+@pytest.fixture
+def folder(exported):
+    return exported[1]
+
+
 @pytest.fixture(scope="module")
 def timed(dataset, tmp_path_factory):
     """Runs the pairs a and b with other stamps."""
@@ -63,8 +74,6 @@ def timed(dataset, tmp_path_factory):
 def read_mcap(path):
     """By topic, the time of each message and its points or text."""
     store, topics = get_typestore(Stores.EMPTY), {}
-    from rosbags.typesys import get_types_from_msg
-
     with Reader(path) as bag:
         for connection in bag.connections:  # the types as the file itself defines them
             store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
@@ -102,8 +111,7 @@ def wanted_points(run, pair_id, side):
     return points.merge(known, left_on="community_id", right_on=f"{side}_id", how="left")
 
 
-def test_the_points_in_mcap_are_those_of_the_tables(exported):
-    run, folder = exported
+def test_the_points_in_mcap_are_those_of_the_tables(run, folder):
     topics = read_mcap(folder / "streets.mcap")
     seen = set()
     for side in SIDES:
@@ -121,8 +129,7 @@ def test_the_points_in_mcap_are_those_of_the_tables(exported):
     assert remnants.tolist() == ([5] if run.preset == "reference" else [])  # the box that is simulated by a few points
 
 
-def test_distances_are_to_the_other_side_and_have_the_median_of_the_table(exported):
-    run, folder = exported
+def test_distances_are_to_the_other_side_and_have_the_median_of_the_table(run, folder):
     topics = read_mcap(folder / "streets.mcap")
     for i, pair_id in enumerate(["000", "001", "002"]):
         both = {side: topics[f"/fidpipe/{side}"][i][1] for side in SIDES}
@@ -130,9 +137,8 @@ def test_distances_are_to_the_other_side_and_have_the_median_of_the_table(export
         for side, other in (SIDES, SIDES[::-1]):
             own, others = (both[each][both[each]["community"] >= 0] for each in (side, other))
             assert np.isnan(both[side]["distance_m"][both[side]["community"] < 0]).all()
-            apart = np.array([[own[c] - value for c in "xyz"] for value in [0.0]])[0].T
-            there = np.array([others[c] for c in "xyz"]).T
-            nearest = np.sqrt(((apart[:, None] - there[None]) ** 2).sum(axis=2)).min(axis=1)
+            here, there = (np.array([points[c] for c in "xyz"]).T for points in (own, others))
+            nearest, _ = cKDTree(there).query(here)
             np.testing.assert_allclose(own["distance_m"], nearest, atol=1e-12)
             for row in coverage[coverage.side == side].itertuples():
                 of_object = own if pd.isna(row.community_id) else own[own["community"] == row.community_id]
@@ -140,8 +146,7 @@ def test_distances_are_to_the_other_side_and_have_the_median_of_the_table(export
                     assert np.median(of_object["distance_m"]) == row.median_distance_m
 
 
-def test_the_objects_in_mcap_are_those_of_the_tables(exported):
-    run, folder = exported
+def test_the_objects_in_mcap_are_those_of_the_tables(run, folder):
     topics = read_mcap(folder / "streets.mcap")
     for side, other in (SIDES, SIDES[::-1]):
         for (_, objects), pair_id in zip(topics[f"/fidpipe/{side}_objects"], ["000", "001", "002"], strict=True):
@@ -159,14 +164,12 @@ def test_the_objects_in_mcap_are_those_of_the_tables(exported):
             np.testing.assert_array_equal(objects["partner"], metrics[f"{other}_id"].reindex(ids).fillna(-1))
 
 
-def test_the_scores_of_each_pair_are_a_message_of_json(exported):
-    run, folder = exported
+def test_the_scores_of_each_pair_are_a_message_of_json(run, folder):
     texts = read_mcap(folder / "streets.mcap")["/fidpipe/scores"]
     assert [json.loads(text) for _, text in texts] == run.scored
 
 
-def test_ply_read_by_trimesh_holds_the_same_points_as_scalar_fields(exported):
-    _, folder = exported
+def test_ply_read_by_trimesh_holds_the_same_points_as_scalar_fields(folder):
     topics = read_mcap(folder / "streets.mcap")
     for side in SIDES:
         for (_, points), pair_id in zip(topics[f"/fidpipe/{side}"], ["000", "001", "002"], strict=True):
@@ -201,8 +204,7 @@ def test_stamps_are_those_of_the_dataset_if_every_pair_has_its_own(timed, tmp_pa
     )
 
 
-def test_only_pairs_that_match_are_exported(exported, tmp_path):
-    run, _ = exported
+def test_only_pairs_that_match_are_exported(run, tmp_path):
     made = export_run(run, tmp_path, "*1", ply=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["001.real.ply", "001.sim.ply"]
     assert (made.n_pairs, made.mcap) == (1, None)
@@ -212,8 +214,7 @@ def test_only_pairs_that_match_are_exported(exported, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "options"), [("streets.mcap", {"mcap": True}), ("001.sim.ply", {"ply": True})])
-def test_a_file_of_another_origin_stays_unless_it_is_to_be_replaced(exported, tmp_path, name, options):
-    run, folder = exported
+def test_a_file_of_another_origin_stays_unless_it_is_to_be_replaced(run, folder, tmp_path, name, options):
     other = b"ply\nformat ascii 1.0\nend_header\n"
     (tmp_path / name).write_bytes(other)
     with pytest.raises(RunError, match=f"{name}: already exists and is not from fidpipe export; add --replace"):
@@ -224,8 +225,7 @@ def test_a_file_of_another_origin_stays_unless_it_is_to_be_replaced(exported, tm
     export_run(run, tmp_path, **options)  # its own file
 
 
-def test_an_export_that_stops_midway_leaves_the_file_of_before(exported, tmp_path):
-    run, _ = exported
+def test_an_export_that_stops_midway_leaves_the_file_of_before(run, tmp_path):
     whole = shutil.copytree(run.folder, tmp_path / "streets")
     export_run(fidpipe.open_run(whole), tmp_path / "out", mcap=True)
     before = (tmp_path / "out" / "streets.mcap").read_bytes()
@@ -236,24 +236,21 @@ def test_an_export_that_stops_midway_leaves_the_file_of_before(exported, tmp_pat
     assert (tmp_path / "out" / "streets.mcap").read_bytes() == before
 
 
-def test_a_folder_that_cannot_be_written_is_named(exported, tmp_path):
-    run, _ = exported
+def test_a_folder_that_cannot_be_written_is_named(run, tmp_path):
     (tmp_path / "file").write_text("")
     for options in ({"mcap": True}, {"ply": True}):
         with pytest.raises(RunError, match=r"file/.*: cannot be written \(.*\); give another --out"):
             export_run(run, tmp_path / "file", **options)
 
 
-def test_without_rosbags_the_install_command_is_said_and_ply_is_written(exported, tmp_path, monkeypatch):
-    run, _ = exported
+def test_without_rosbags_the_install_command_is_said_and_ply_is_written(run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(FidpipeError, match=r'pip install "fidpipe\[ros\]"'):
         export_run(run, tmp_path, mcap=True)
     assert export_run(run, tmp_path, ply=True).n_pairs == 3
 
 
-def test_the_command_says_what_it_wrote(exported):
-    run, _ = exported
+def test_the_command_says_what_it_wrote(run):
     result = command("export", run.folder, "--mcap", "--ply", "--pairs", "00[01]", "--out", run.folder / "two", code=0)
     assert "streets.mcap, stamps one second apart" in result.stdout
     assert "PLY:    4 files in" in result.stdout

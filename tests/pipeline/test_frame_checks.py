@@ -42,7 +42,7 @@ def mirrored(tmp_path_factory):
 @pytest.fixture(scope="module")
 def finished(mirrored, tmp_path_factory):
     out = tmp_path_factory.mktemp("finished") / "run"
-    return out, command("run", mirrored, "--out", out, "--workers", 1, "--set", "graph.k=10")
+    return out, command("run", mirrored, "--out", out, "--workers", 1, "--set", "graph.k=10", code=0)
 
 
 def frame_warnings(dataset, *words):
@@ -65,7 +65,6 @@ def warning_of(done):
 
 def test_a_run_ends_with_a_warning_and_notes_the_suspects(finished):
     out, done = finished
-    assert done.returncode == 0
     assert warning_of(done).startswith("warning: in 1 of 2 pairs the simulated scan seems to lie in another frame")
     assert f"set {MENDED} and run again" in warning_of(done)
     assert "\nNext          fidpipe check" in done.stdout

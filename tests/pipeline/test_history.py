@@ -37,8 +37,12 @@ def runs(tmp_path_factory):
     return [folder / "a", folder / f"b-{LONG}", again]
 
 
-def test_means_are_over_the_pairs_that_all_runs_have(runs):
-    found = read_history(runs, independent=True)
+@pytest.fixture(scope="module")
+def found(runs):
+    return read_history(runs, independent=True)
+
+
+def test_means_are_over_the_pairs_that_all_runs_have(found, runs):
     assert found.pairs == tuple("012345")
     assert list(found.left_out) == list(found.failed) == ["6"]
     assert [(one["n_scored"], one["n_failed"]) for one in found.runs] == [(7, 0), (7, 0), (6, 1)]
@@ -49,8 +53,7 @@ def test_means_are_over_the_pairs_that_all_runs_have(runs):
         assert means["objects"] == pytest.approx(pairs["cdc_mean"].mean())
 
 
-def test_verdicts_are_against_the_first_run_and_against_the_one_before(runs):
-    found = read_history(runs, independent=True)
+def test_verdicts_are_against_the_first_run_and_against_the_one_before(found):
     _, worse, back = next(own for own in found.families if own.family == "surface invented").steps
     assert (worse.since_first, worse.since_last) == ("worse", "worse")
     assert (back.since_first, back.since_last) == ("same", "better")
@@ -100,8 +103,7 @@ def test_eight_runs_with_long_names_fit_80_columns(runs):
     assert len(covered) > 8
 
 
-def test_csv_and_json_hold_every_step(runs):
-    found = read_history(runs, independent=True)
+def test_csv_and_json_hold_every_step(found, runs):
     rows = list(csv.DictReader(io.StringIO(csv_table(history_records(found)))))
     assert len(rows) == 3 * len(found.families)
     assert float(rows[0]["mean"]) == found.families[0].steps[0].mean
@@ -110,8 +112,7 @@ def test_csv_and_json_hold_every_step(runs):
     assert told["families"][0]["steps"][1]["mean"] == found.families[0].steps[1].mean
 
 
-def test_the_page_has_a_line_for_each_score_with_its_intervals(runs):
-    found = read_history(runs, independent=True)
+def test_the_page_has_a_line_for_each_score_with_its_intervals(found):
     charts = embedded(history_page(found))["charts"]
     assert len(charts) == len(found.families)
     line = charts["history_0"]["data"][0]

@@ -122,7 +122,16 @@ def test_a_ledger_that_changed_since_it_was_closed_is_not_believed(ledger, tmp_p
     assert not again(tmp_path).is_complete
 
 
-@pytest.mark.parametrize("damage", ["text", "header", "page", "torn", "empty", "layout"])
+DAMAGES = {
+    "text": lambda content: b"not a database " * 1000,
+    "header": lambda content: b"\x00" * 100 + content[100:],
+    "page": lambda content: content[:65536] + b"\xa5" * 65536 + content[131072:],
+    "torn": lambda content: content[: len(content) // 2],
+    "empty": lambda content: b"",
+}
+
+
+@pytest.mark.parametrize("damage", [*DAMAGES, "layout"])
 def test_a_ledger_that_is_none_is_made_again(tmp_path, damage):
     path = tmp_path / LEDGER
     ledger = Ledger(path, is_writable=True)
@@ -144,21 +153,12 @@ def test_a_ledger_that_is_none_is_made_again(tmp_path, damage):
 
 def spoil(path, damage):
     content = path.read_bytes()
-    if damage == "text":
-        path.write_text("not a database " * 1000)
-    elif damage == "header":
-        path.write_bytes(b"\x00" * 100 + content[100:])
-    elif damage == "page":
-        third = len(content) // 3 // 4096 * 4096
-        path.write_bytes(content[:third] + b"\xa5" * 65536 + content[third + 65536 :])
-    elif damage == "layout":  # that of another version, closed in order
+    if damage == "layout":  # that of another version, closed in order
         with closing(sqlite3.connect(path)) as db:
             db.execute("PRAGMA user_version = 1")
         path.with_name(SEAL).write_text(hash_file(path))
-    elif damage == "torn":
-        path.write_bytes(content[: len(content) // 2])
     else:
-        path.write_bytes(b"")
+        path.write_bytes(DAMAGES[damage](content))
 
 
 def test_a_ledger_in_a_run_that_goes_on_is_read_as_it_was_committed(ledger, tmp_path):

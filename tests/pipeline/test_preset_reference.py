@@ -71,10 +71,11 @@ def test_points_of_classes_that_are_left_out_belong_to_no_object(tmp_path, word,
     assert verified.passed, verified.mismatches
 
 
-def test_an_input_without_labels_fails_with_the_next_step(dataset, tmp_path):
-    settings = load(None, ["communities.reference=instances"], preset="reference")
+@pytest.mark.parametrize("kind", ["labels", "instances"])
+def test_an_input_without_labels_fails_with_the_next_step(dataset, tmp_path, kind):
+    settings = load(None, [f"communities.reference={kind}"], preset="reference")
     (reason, *_) = run(dataset, tmp_path / "run", settings).failures.values()
-    assert "the real scan has no instances" in reason
+    assert f"the real scan has no {kind}" in reason
     assert "communities.reference=louvain" in reason
 
 

@@ -6,6 +6,7 @@ import re
 from rich.console import Console
 
 from fidpipe.pipeline.engine.progress import Reporter
+from runs import listening
 
 
 def lines(n_pairs=4, step_s=10.0, **options):
@@ -28,22 +29,20 @@ def test_counts_and_time_left_follow_the_pace_of_the_jobs():
 
 
 def test_before_the_first_pair_ends_the_share_of_the_jobs_is_shown():
-    console = Console(file=io.StringIO(), width=200)
-    reporter = Reporter(console, seconds_between_lines=0.0)
+    reporter, said = listening(seconds_between_lines=0.0)
     reporter.start(2, 10)
     reporter.advance(3)
     reporter.stop()
-    assert console.file.getvalue() == "30 % done\n"
+    assert said.getvalue() == "30 % done\n"
 
 
 def test_a_failure_is_a_line_and_counts():
-    console = Console(file=io.StringIO(), width=200)
-    reporter = Reporter(console, seconds_between_lines=0.0)
+    reporter, said = listening(seconds_between_lines=0.0)
     reporter.start(2, 10)
     reporter.fail("pair 000", "no points")
     reporter.advance(5, 1)
     reporter.stop()
-    failure, counts = console.file.getvalue().splitlines()
+    failure, counts = said.getvalue().splitlines()
     assert failure == "pair 000: no points"
     assert counts.startswith("1 of 2 pairs, 1 failed")
 

@@ -119,8 +119,7 @@ def upload(folder, url):
 def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local, tmp_path):
     upload(local / "set", f"{bucket}/set")
     Faulty.requests = []
-    ended = command("run", f"{bucket}/set", "--out", f"{bucket}/runs/x", "--workers", "1", "--preset", "paper")
-    assert ended.returncode == 0, ended.stderr
+    ended = command("run", f"{bucket}/set", "--out", f"{bucket}/runs/x", "--workers", "1", "--preset", "paper", code=0)
     assert_same_tables(cache_of(f"{bucket}/runs/x"), local / "run")
     assert f"fidpipe report {bucket}/runs/x --open" in ended.stdout
     fetched = [path for verb, path in Faulty.requests if verb == "GET" and "/set/real/" in path]
@@ -133,8 +132,7 @@ def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local,
     assert "2 pairs" in command("show", f"{bucket}/runs/x").stdout
     assert not any("/graph/" in path or "/rays/" in path for _, path in Faulty.requests), "fetched when read"
     assert len(open_run(f"{bucket}/runs/x").pairs) == 2
-    verified = command("verify", f"{bucket}/runs/x")
-    assert verified.returncode == 0, verified.stdout + verified.stderr
+    verified = command("verify", f"{bucket}/runs/x", code=0)
     assert "no such folder" not in verified.stdout
     texts = [path.read_bytes() for path in (tmp_path / "cache").rglob("*") if path.is_file()]
     assert not any(SECRET.encode() in text for text in (*texts, ended.stdout.encode(), ended.stderr.encode()))
@@ -148,15 +146,13 @@ def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(bucket, local, t
         upload(cache_of(f"{bucket}/runs/whole") / name, f"{bucket}/runs/half/{name}")
     for writes_all in (True, False):
         Faulty.requests = []
-        ended = command(*words, f"{bucket}/runs/half")
-        assert ended.returncode == 0, ended.stderr
+        command(*words, f"{bucket}/runs/half", code=0)
         assert_same_tables(cache_of(f"{bucket}/runs/half"), local / "run")
         written = {path.split("/half/")[1].split("/")[0] for verb, path in Faulty.requests if verb == "PUT"}
         assert not {"graph", "ground", "sensor"} & written, "they were there"
         assert ("metrics" in written) == writes_all
     monkeypatch.setenv("FIDPIPE_CACHE", str(tmp_path / "elsewhere"))
-    changed = command(*words, f"{bucket}/runs/half", "--replace", "--set", "graph.k=8")
-    assert changed.returncode == 0, changed.stderr
+    command(*words, f"{bucket}/runs/half", "--replace", "--set", "graph.k=8", code=0)
     monkeypatch.setenv("FIDPIPE_CACHE", str(tmp_path / "cache"))
     assert open_run(f"{bucket}/runs/half").record.settings["graph"]["k"] == 8
     delete_objects(f"{bucket}/runs/half", [SEAL])  # as a command leaves it that was killed
@@ -168,8 +164,7 @@ def test_two_commands_do_not_write_to_one_run_and_a_dead_one_is_replaced(bucket,
     upload(local / "set", f"{bucket}/set")
     lock, words = f"{bucket}/runs/y/{LOCK}", ("run", f"{bucket}/set", "--out", f"{bucket}/runs/y", "--workers", "1")
     write_object(lock, json.dumps({"host": "elsewhere", "pid": 7, "time": time.time()}).encode())
-    refused = command(*words)
-    assert refused.returncode == 1
+    refused = command(*words, code=1)
     assert "process 7 on elsewhere writes there" in refused.stderr
     write_object(lock, json.dumps({"host": "elsewhere", "pid": 7, "time": time.time() - 3600}).encode())
     assert command(*words).returncode == 0
@@ -215,8 +210,7 @@ def test_a_manifest_names_objects_and_may_be_one_without_a_listing(bucket, local
 
 def test_urls_with_credentials_and_of_unknown_schemes_are_rejected(bucket):
     for url in ("s3://key:secret@data/set", "https://host/set?X-Amz-Signature=secret"):
-        refused = command("check", url)
-        assert refused.returncode == 1
+        refused = command("check", url, code=1)
         assert "without credentials" in refused.stderr
         assert "secret" not in refused.stderr.replace(SECRET, "")
     assert "expected a URL of s3, gs, az" in command("check", "ftp://host/set").stderr
@@ -266,11 +260,9 @@ def test_workers_without_a_shared_disk_finish_a_run_from_and_to_a_bucket(bucket,
     with Cluster(tmp_path / "cluster") as cluster:
         cluster.add_workers(2, "--memory-limit", "4GiB", before=before)
         words = ("--scheduler", cluster.address, "--preset", "paper", "--out", f"{bucket}/runs/apart")
-        refused = command("run", dataset, *words)
-        assert refused.returncode == 1
+        refused = command("run", dataset, *words, code=1)
         assert "/set/real/000.bin cannot be read there (No such file or directory)" in refused.stderr
-        ended = command("run", f"{bucket}/set", *words)
-        assert ended.returncode == 0, ended.stderr
+        ended = command("run", f"{bucket}/set", *words, code=0)
         assert "set: 2 pairs in" in ended.stdout
         assert not list(cache_of(f"{bucket}/runs/apart").glob("graph/*")), "workers wrote to the bucket alone"
         again = command("run", f"{bucket}/set", *words)
@@ -284,7 +276,6 @@ def test_workers_without_a_shared_disk_finish_a_run_from_and_to_a_bucket(bucket,
         assert smaller.returncode == 0, smaller.stderr
     shutil.rmtree(cache)
     assert open_run(f"{bucket}/runs/apart").record.settings["graph"]["k"] == 8
-    verified = command("verify", f"{bucket}/runs/apart")
-    assert verified.returncode == 0, verified.stdout + verified.stderr
+    command("verify", f"{bucket}/runs/apart", code=0)
     names = {one.name for one in list_objects(f"{bucket}/runs/apart")}
     assert not {LOCK, TOKEN} & names

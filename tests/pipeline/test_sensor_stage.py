@@ -36,12 +36,8 @@ def finished(streets, tmp_path_factory):
 
 def test_the_table_has_the_sensor_of_each_side_in_the_frame_of_its_own_file(finished):
     real, sim = pd.read_parquet(finished / "sensor").sort_values("side").to_dict("records")
-    assert (real["model"], real["n_beams"], sim["model"], sim["n_beams"]) == (
-        "Velodyne VLP-16",
-        16,
-        "Velodyne HDL-32E",
-        32,
-    )
+    assert (real["model"], real["n_beams"]) == ("Velodyne VLP-16", 16)
+    assert (sim["model"], sim["n_beams"]) == ("Velodyne HDL-32E", 32)
     assert (sim["lowest_deg"], sim["highest_deg"]) == pytest.approx((-30.67, 10.67), abs=0.02)
     assert real["origin_height_m"] == sim["origin_height_m"] == 0
     assert real["range_noise_m"] == pytest.approx(0.03, rel=0.15)

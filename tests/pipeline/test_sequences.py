@@ -110,43 +110,35 @@ def test_poses_may_lie_elsewhere(tmp_path):
     assert len(read_recording(tmp_path / "drive", tmp_path / "odometry.txt").frames) == N
 
 
+LEVEL = "0 0 0 0 0 0 0 1\n"
+OF_CAMERA = "calib.txt: no such file; poses.tum holds 12 numbers per line, KITTI's poses of the camera"
+
+
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    ("poses", "words"),
     [
-        (
-            lambda folder: (folder / "poses.tum").unlink(),
-            "no poses found; expected poses.tum, poses.txt, a pairs.csv with",
-        ),
-        (lambda folder: tum(folder / "poses.tum", motions(3)), "got 3 poses for 4 scans .000.bin to 003.bin."),
-        (
-            lambda folder: (folder / "poses.tum").write_text("1 2 3\n"),
-            "expected lines of 8 or 12 numbers, got lines of 3",
-        ),
-        (lambda folder: (folder / "poses.tum").write_text("a b\n"), "expected lines of 8 or 12 numbers .could not"),
-        (lambda folder: (folder / "poses.tum").write_text(""), "got lines of no"),
-        (
-            lambda folder: (folder / "poses.tum").write_text("0 0 0 0 0 0 0 1\n" * 3 + "0 0 0 0 0 0 0 2\n"),
-            "pose 4: not a rigid motion .expected a quaternion of length 1, got 2",
-        ),
-        (
-            lambda folder: (folder / "poses.tum").write_text("2 0 0 0 0 1 0 0 0 0 1 0\n" * 4),
-            "poses.tum, pose 1: the pose is not a rigid motion",
-        ),
-        (
-            lambda folder: (folder / "poses.tum").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 4),
-            "calib.txt: no such file; poses.tum holds 12 numbers per line, KITTI's poses of the camera",
-        ),
-        (lambda folder: [path.unlink() for path in folder.glob("*.bin")], "no scans found"),
+        (None, "no poses found; expected poses.tum, poses.txt, a pairs.csv with"),
+        (3 * LEVEL, "got 3 poses for 4 scans .000.bin to 003.bin."),
+        ("1 2 3\n", "expected lines of 8 or 12 numbers, got lines of 3"),
+        ("a b\n", "expected lines of 8 or 12 numbers .could not"),
+        ("", "got lines of no"),
+        (3 * LEVEL + "0 0 0 0 0 0 0 2\n", "pose 4: not a rigid motion .expected a quaternion of length 1, got 2"),
+        (4 * "2 0 0 0 0 1 0 0 0 0 1 0\n", "poses.tum, pose 1: the pose is not a rigid motion"),
+        (4 * "1 0 0 0 0 1 0 0 0 0 1 0\n", OF_CAMERA),
     ],
 )
-def test_poses_that_cannot_be_used_are_refused(spoil, words, tmp_path):
-    tum(scans(tmp_path) / "poses.tum", motions())
-    spoil(tmp_path)
+def test_poses_that_cannot_be_used_are_refused(poses, words, tmp_path):
+    scans(tmp_path)
+    if poses is not None:
+        (tmp_path / "poses.tum").write_text(poses)
     with pytest.raises(DatasetError, match=words):
         read_recording(tmp_path)
 
 
 def test_fewer_than_three_frames_are_refused(tmp_path):
+    (tmp_path / "poses.tum").write_text(LEVEL)
+    with pytest.raises(DatasetError, match="no scans found"):
+        read_recording(tmp_path)
     tum(scans(tmp_path, 2) / "poses.tum", motions(2))
     with pytest.raises(DatasetError, match="expected at least 3 frames, got 2"):
         read_recording(tmp_path)

@@ -2,7 +2,6 @@
 
 import shutil
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pyarrow as pa
@@ -93,39 +92,6 @@ def test_split_into_sides_and_objects_they_give_the_same(whole, dataset, tmp_pat
 def test_on_two_workers_they_give_the_same(whole, dataset, tmp_path, policy):
     run_with_toys(dataset, tmp_path / "run", workers=2, policy=policy)
     assert_same_results(tmp_path / "run", whole)
-
-
-def interrupted(stage):
-    """The stage, whose second job is interrupted."""
-    calls = []
-
-    def make(inputs):
-        calls.append(inputs)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return stage.make(inputs)
-
-    return replace(stage, make=make)
-
-
-@pytest.mark.parametrize(
-    ("toy", "is_split"),
-    some_of(
-        list(product(["of_side", "of_pair", "of_object"], [False, True])), [("of_side", False), ("of_object", True)]
-    ),
-)
-def test_interrupted_in_any_of_them_a_run_goes_on_where_it_was(whole, dataset, tmp_path, toy, is_split):
-    out, options = tmp_path / "run", {"policy": ALL_SPLIT, "pool": WatchedPool()} if is_split else {}
-    broken = interrupted({"of_side": OF_SIDE, "of_pair": OF_PAIR, "of_object": OF_OBJECT}[toy])
-    with pytest.raises(KeyboardInterrupt):
-        run_with_toys(dataset, out, stages=with_toys(**{toy: broken}), **options)
-    before = marks(out)
-    n_done = sum(name.split("/")[0] not in ("objects", "ray_scores") for name in before)  # second tables of their jobs
-    assert 0 < n_done < JOBS_PER_PAIR * N_PAIRS
-    outcome = run_with_toys(dataset, out)
-    assert (outcome.n_made, outcome.n_reused) == (JOBS_PER_PAIR * N_PAIRS - n_done, n_done)
-    assert before.items() <= marks(out).items()
-    assert_same_results(out, whole)
 
 
 @pytest.mark.parametrize(
@@ -236,12 +202,8 @@ def test_a_memo_gives_a_result_only_for_the_same_tables_and_values():
         calls.append(arguments)
         return len(calls)
 
-    assert [memo(count, one, "x"), memo(count, one, "x"), memo(count, other, "x"), memo(count, one, "y")] == [
-        1,
-        1,
-        2,
-        3,
-    ]
+    values = [memo(count, *own) for own in ((one, "x"), (one, "x"), (other, "x"), (one, "y"))]
+    assert values == [1, 1, 2, 3]
 
 
 def test_a_stage_that_gives_other_tables_than_it_declares_fails(dataset, tmp_path):

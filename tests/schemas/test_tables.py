@@ -11,11 +11,6 @@ def test_every_column_says_what_it_means():
             assert field.metadata[b"meaning"], (table.name, field.name)
 
 
-def test_every_key_is_a_column():
-    for table in TABLES.values():
-        assert set(table.keys) <= set(table.schema.names)
-
-
 def test_a_missing_column_and_another_type_are_rejected():
     columns = {"pair_id": "a", "side": "real", "point_id": np.arange(3), "community_id": np.zeros(3)}
     rows = TABLES["communities"].build(columns)

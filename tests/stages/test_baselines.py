@@ -107,13 +107,9 @@ def test_unequal_sizes_are_said_where_dcd_was_cut(car):
 def test_what_cannot_be_computed_is_null_with_its_reason():
     two = np.array([[0.0, 0, 0], [0, 0, 1]])
     values = compare(two, two[:1])
-    assert {name for name, baseline in values.items() if baseline.value is None} == {
-        "histogram",
-        "icp_fitness",
-        "icp_rmse_m",
-        "r_h",
-    }
-    assert all(baseline.reason for baseline in values.values() if baseline.value is None)
+    reasons = {name: baseline.reason for name, baseline in values.items() if baseline.value is None}
+    assert reasons.keys() == {"histogram", "icp_fitness", "icp_rmse_m", "r_h"}
+    assert all(reasons.values())
     assert values["r_h"].reason == "1 aligned nodes, at least 3 are needed"
     single = compare(two[:1], two)
     assert (single["dcd"].value, single["dcd"].reason) == (None, "the real points have no extent to scale by")
@@ -175,11 +171,6 @@ SIM = np.array([[0.0, 0, 1], [1, 0, 3]])
 # nearest: real -> sim 1, sqrt 2, sqrt 5 (all to the first); sim -> real 1, 3
 
 
-@pytest.fixture
-def clouds(rng):
-    return rng.normal(0, 1, (40, 3)), rng.normal(0.2, 1, (70, 3))
-
-
 def test_chamfer_by_hand():
     mean_m, squared_m2, one_way_sum_m = (baseline.value for baseline in chamfer(REAL, SIM, ALL))
     assert mean_m == pytest.approx((1 + math.sqrt(2) + math.sqrt(5)) / 3 + (1 + 3) / 2)
@@ -223,11 +214,6 @@ def test_dcd_of_unequal_sizes_cuts_the_weights_at_one_and_counts_them():
     from_real = np.mean([1 - 0.75 * math.exp(-0.0625), 1 - 0.75 * math.exp(-0.0625), 0])
     from_sim = np.mean([1 - 2 / 3 * math.exp(-0.0625), 1 - 2 / 3])
     assert distance == (pytest.approx((from_real + from_sim) / 2), 1)
-
-
-def test_dcd_does_not_depend_on_the_unit_of_length(clouds):
-    real, sim = clouds
-    assert density_aware_chamfer(9 * real, 9 * sim, 1000) == pytest.approx(density_aware_chamfer(real, sim, 1000))
 
 
 def transport(a, b):
@@ -301,12 +287,6 @@ def test_heat_traces_of_an_edge_and_of_a_path_by_hand():
     # spectra 0, 2 and 0, 1, 2
     edge, three = (1 + np.exp(-2 * TIMES)) / 2, (1 + np.exp(-TIMES) + np.exp(-2 * TIMES)) / 3
     assert heat_trace_distance(path(2), path(3), TIMES) == pytest.approx(np.linalg.norm(edge - three))
-
-
-def test_heat_traces_do_not_depend_on_how_nodes_are_numbered(rng):
-    a = random_laplacian(rng, 20)
-    order = rng.permutation(20)
-    assert heat_trace_distance(a, a[order][:, order], TIMES) == pytest.approx(0, abs=1e-12)
 
 
 def test_the_diffusion_change_of_a_small_change_in_a_short_time_is_nearly_one():

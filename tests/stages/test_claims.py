@@ -158,11 +158,7 @@ def test_the_interval_of_a_mean_over_pairs_is_that_of_their_own_means(rng):
     _, low, high = mean_test(means)
     for n_objects in (1, 8):  # further objects of the same pairs make nothing surer
         found = over_pairs(np.mean, by_pair(means, n_objects))
-        assert (found.estimate, found.low, found.high) == (
-            pytest.approx(means.mean()),
-            pytest.approx(low),
-            pytest.approx(high),
-        )
+        assert (found.estimate, found.low, found.high) == pytest.approx((means.mean(), low, high))
 
 
 def test_many_pairs_are_left_out_in_groups_and_the_interval_stays_about_the_same(rng):

@@ -84,10 +84,9 @@ def test_separate_objects_are_never_joined_and_ids_go_by_size(three_boxes, backe
 def test_the_reference_backend_is_python_louvain_itself(three_boxes):
     points, edges = three_boxes
     partition = find_communities(len(points), edges, CommunitySettings(backend="python-louvain", seed=3))
-    as_dict = {(i, j): w for i, j, w in zip(edges.src.tolist(), edges.dst.tolist(), edges.length_m, strict=True)}
     G = nx.Graph()
     G.add_nodes_from(range(len(points)))
-    G.add_weighted_edges_from((i, j, float(length)) for (i, j), length in as_dict.items())
+    G.add_weighted_edges_from((i, j, float(length)) for (i, j), length in as_dict(edges).items())
     found = python_louvain.best_partition(G, random_state=3)
     np.testing.assert_array_equal(partition.labels, literal_method.canonical([found[i] for i in range(len(points))]))
 
@@ -114,14 +113,6 @@ def test_the_seed_fixes_the_partition(rng):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_without_edges_every_node_is_alone(backend):
-    empty = np.empty(0, dtype=np.int32)
-    partition = find_communities(4, Edges(empty, empty, empty.astype(np.float32)), CommunitySettings(backend=backend))
-    assert partition.labels.tolist() == [0, 1, 2, 3]
-    assert partition.modularity == 0
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
 def test_an_isolated_node_is_a_community_of_its_own(backend):
     edges = Edges(np.array([0, 0, 1], np.int32), np.array([1, 2, 2], np.int32), np.ones(3, np.float32))
     assert find_communities(4, edges, CommunitySettings(backend=backend)).labels.tolist() == [0, 0, 0, 1]
@@ -136,16 +127,6 @@ def test_modularity_of_two_halves_by_hand():
     # Two edges of length 1, apart: each community holds half of the weight, Q = 1 - 2 * (1/2)^2.
     edges = Edges(np.array([0, 2], np.int32), np.array([1, 3], np.int32), np.ones(2, np.float32))
     assert modularity(np.array([0, 0, 1, 1], np.int32), edges) == pytest.approx(0.5)
-
-
-def test_objects_are_described_by_hand():
-    line = np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)])
-    square = np.array([[0.0, 0, 5], [2, 0, 5], [0, 2, 5], [2, 2, 5]])
-    objects = describe_objects(np.vstack([line, square]), np.array([0] * 5 + [1] * 4, np.int32))
-    assert objects.n_points.tolist() == [5, 4]
-    np.testing.assert_allclose(objects.centroid, [[2, 0, 0], [1, 1, 5]])
-    np.testing.assert_allclose(objects.extent, [[4, 0, 0], [2, 2, 0]])
-    np.testing.assert_allclose(objects.shape, [[1, 0, 0], [0, 1, 0]], atol=1e-12)
 
 
 def test_a_single_point_has_no_shape():

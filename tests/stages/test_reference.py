@@ -15,7 +15,7 @@ from fidpipe.stages.reference import (
     find_reference_objects,
     visiting_order,
 )
-from scenes import box, moved, rigid
+from scenes import box
 
 SETTINGS = load(None, ["graph.k=8"], preset="reference")
 
@@ -65,11 +65,8 @@ def test_real_objects_with_too_few_simulated_points_are_missing():
     n_real, n_sim = np.array([50, 20, 3, 9], dtype=np.int32), np.array([8, 7, 3, 0, 40], dtype=np.int32)
     places = np.zeros((5, 3))
     matching = match_reference(places[:4], places, n_real, n_sim, 8)
-    assert (matching.real_ids.tolist(), matching.missing.tolist(), matching.hallucinated.tolist()) == (
-        [0, 2],
-        [1, 3],
-        [4],
-    )
+    assert (matching.real_ids.tolist(), matching.missing.tolist()) == ([0, 2], [1, 3])
+    assert matching.hallucinated.tolist() == [4]
 
 
 @pytest.mark.parametrize("backend", ["scikit-network", "python-louvain"])
@@ -93,27 +90,8 @@ def test_losing_a_point_leaves_the_order_of_the_others(boxes):
     assert sorted(order.tolist()) == list(range(len(boxes)))
 
 
-@pytest.mark.parametrize("turn", [0, 33])
-def test_a_scan_in_another_order_scores_exactly_perfectly(boxes, rng, turn):
-    points = moved(boxes, rigid(turn, [3.0, -2.0, 0.5]))
-    result = scores(points, rng.permutation(points))
-    summary = result.summary
-    assert summary["match_rate"] == 1.0
-    for name in ("cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "centroid_distance_m"):
-        assert summary[f"{name}_mean"] == 0.0, name
-    assert {own.scores.status for own in result.objects} == {"identical"}
-
-
 def test_a_scan_less_one_point_has_all_its_objects(boxes):
     assert scores(boxes, boxes[1:]).summary["match_rate"] == 1.0
-
-
-def test_the_real_side_does_not_depend_on_the_simulation(boxes, rng):
-    real = partition(boxes, SETTINGS)
-    for sim in (boxes[::3], boxes + rng.normal(0, 0.3, boxes.shape)):
-        own = partition(sim, SETTINGS, reference=real.reference)
-        assert set(own.labels) <= set(range(len(own.objects.n_points)))
-        assert len(own.objects.n_points) >= len(real.objects.n_points)
 
 
 def test_a_real_object_that_is_not_simulated_is_missing_and_has_no_place(boxes):
@@ -166,14 +144,6 @@ def test_crumbs_of_a_label_go_to_its_nearest_larger_piece():
     only_things = Annotation(instances=np.repeat([0, 5], [40, 32]).astype(np.int32))
     of_things = CommunitySettings(objects="reference", reference="instances")
     assert find_reference_objects(points, edges, of_things, only_things).tolist() == [0] * 40 + [1] * 32
-
-
-@pytest.mark.parametrize(("kind", "wanted"), [("labels", "no labels"), ("instances", "no instances")])
-def test_annotation_that_is_not_there_is_named(boxes, kind, wanted):
-    settings = CommunitySettings(objects="reference", reference=kind)
-    annotation = Annotation(labels=np.array(["car"] * len(boxes), dtype=object)) if kind == "instances" else None
-    with pytest.raises(StageError, match=wanted):
-        find_reference_objects(boxes, build_graph(boxes, GraphSettings()), settings, annotation)
 
 
 def test_road_share_is_what_lies_below_the_cut_of_the_other_side():
