@@ -66,6 +66,14 @@ def test_without_near_points_the_peak_is_that_of_all_points_and_it_says_so():
     assert cut.notes == ("no point within 30 m; the road's peak is that of all points",)
 
 
+def test_a_shared_cut_is_that_of_the_real_side():
+    real, sim = street(0), street(1) + [0, 0, 0.2]
+    own = remove_ground(real, GroundSettings())
+    shared = remove_ground(sim, GroundSettings(shared=True), own)
+    assert (shared.peak_m, shared.threshold_m) == (own.peak_m, own.threshold_m)
+    np.testing.assert_array_equal(shared.is_ground, sim @ own.axis < own.threshold_m)
+
+
 def two_levels(seed, lift_m=0.0):
     """Road in stripes of two heights, equally many points each, and two walls; 3 % loss and 3 cm noise by seed."""
     rng = np.random.default_rng(seed)
