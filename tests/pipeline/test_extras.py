@@ -162,10 +162,7 @@ def test_asking_for_one_pair_keeps_the_scores_of_all(finished, dataset, tmp_path
 
 
 def test_python_gives_the_same_numbers_as_the_command(finished, dataset):
-    scans = [
-        np.fromfile(dataset / side / "001.bin", dtype="<f4").reshape(-1, 4)[:, :3].astype(float)
-        for side in ("real", "sim")
-    ]
+    scans = [fidpipe.read_scan(dataset / side / "001.bin").points for side in ("real", "sim")]
     result = fidpipe.evaluate_pair(*scans, settings=ALL)
     assert result.summary["status"] == "scored"
     for stage, found in (("baselines", result.baselines), ("seeds", result.seeds), ("nvs", result.nvs)):

@@ -130,8 +130,6 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
 
 
 def test_a_run_that_was_stopped_keeps_the_results_that_it_was_replacing(finished, tmp_path, monkeypatch):
-    from fidpipe.pipeline import run as run_module
-
     data, folder = finished[0], shutil.copytree(finished[1], tmp_path / "run")
 
     def stop(*_):

@@ -266,14 +266,14 @@ def test_the_largest_pieces_have_pictures_that_lead_into_the_3d_view(by_referenc
         assert f'd="{picture["layers"][piece.side]}"' in page
 
 
-def test_a_gate_of_before_is_judged_anew_and_the_first_screen_says_whether_it_is_met(report_run, tmp_path):
-    folder = shutil.copytree(report_run, tmp_path / "run")
-    verdict = verdict_of(read_results(folder))
+def test_a_gate_of_before_is_judged_anew_and_the_first_screen_says_whether_it_is_met(copied_run):
+    verdict = verdict_of(read_results(copied_run))
     assert verdict["is_met"] is None
     assert "No acceptance limits are set yet" in verdict["good_enough"][0]
     for limit, is_met, said in (("1", True, "Yes: "), ("0", False, "No: ")):
-        command("gate", folder, "--max", f"cdc.mean={limit}", "--max", "pairs.failed=9", "--max", "pairs.changed=9")
-        verdict = verdict_of(read_results(folder))
+        words = ("--max", f"cdc.mean={limit}", "--max", "pairs.failed=9", "--max", "pairs.changed=9")
+        command("gate", copied_run, *words)
+        verdict = verdict_of(read_results(copied_run))
         assert (verdict["is_met"], verdict["good_enough"][0][: len(said)]) == (is_met, said)
     assert any("cdc.mean <= 0: " in text.lower() for text in verdict["good_enough"])
 

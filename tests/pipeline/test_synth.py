@@ -46,16 +46,6 @@ def dataset(tmp_path_factory):
     return out
 
 
-def counts(pair):
-    """Points on each thing, real and simulated, and what the things are."""
-    n = len(pair.kinds)
-    return (
-        np.bincount(pair.real.object_ids, minlength=n),
-        np.bincount(pair.sim.object_ids, minlength=n),
-        np.array(pair.kinds),
-    )
-
-
 def test_another_seed_gives_other_bytes(dataset, tmp_path):
     make_dataset(tmp_path / "other", n_pairs=1, seed=1, n_points=N_POINTS)
     ours, others = files_in(dataset), files_in(tmp_path / "other")
@@ -167,8 +157,9 @@ def test_all_classes_are_seen_on_both_sides(pairs):
 def test_objects_have_from_under_a_quarter_to_over_four_times_the_real_points(pairs, kind):
     ratios = []
     for pair in pairs:
-        n_real, n_sim, kinds = counts(pair)
-        wanted = (kinds == kind) & (n_real >= 20) & (n_sim > 0)
+        n_things = len(pair.kinds)
+        n_real, n_sim = (np.bincount(scan.object_ids, minlength=n_things) for scan in (pair.real, pair.sim))
+        wanted = (np.array(pair.kinds) == kind) & (n_real >= 20) & (n_sim > 0)
         ratios += (n_sim[wanted] / n_real[wanted]).tolist()
     assert min(ratios) < 0.25
     assert max(ratios) > 4.0
