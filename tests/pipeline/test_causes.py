@@ -4,8 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fidpipe import evaluate_pair
 from fidpipe.pipeline.results.causes import CAUSE_KINDS, Columns, find_causes, surface_causes, with_tolerance
+from fidpipe.schemas.sensor_models import SENSORS
+from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
+from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.statistics.findings import BAND_EDGES_M
 
 #: A healthy pair: the second measurement has a little more noise and loss.
@@ -148,3 +152,31 @@ def test_differences_of_sensors_that_fix_first_does_not_name_are_marked():
     small, *others = with_tolerance(texts, row)
     assert small == f"{texts[0]} (too little for Fix first)"
     assert others == texts[1:]
+
+
+def re_measured(scan, rng, noise_m, lost_share, shift_z_m=0.0):
+    """The same scan with noise along the ray and lost points, moved in z."""
+    kept = scan[rng.random(len(scan)) >= lost_share]
+    range_m = np.linalg.norm(kept, axis=1, keepdims=True)
+    return kept * (1 + rng.normal(0, noise_m, (len(kept), 1)) / range_m) + [0, 0, shift_z_m]
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"noise_m": 0.02, "lost_share": 0.03}, []),
+        ({"noise_m": 0.08, "lost_share": 0.03, "shift_z_m": -0.12}, ["height", "range noise"]),
+    ],
+)
+def test_scans_that_were_moved_and_made_noisy_name_both_and_healthy_ones_nothing(change, expected):
+    settings, rng, rows = load(None, [], preset="reference"), np.random.default_rng(1), []
+    for seed in range(3):
+        scan = make_pair(seed, 0, SENSORS["vlp16"], 12_000).real.rows[:, :3]
+        rows.append(evaluate_pair(scan, re_measured(scan, rng, **change), settings).summary | {"pair_id": str(seed)})
+    causes = find_causes(rows)
+    assert sorted(names(causes)) == expected
+    if causes:
+        height, noise = sorted(causes, key=lambda cause: cause.name)
+        assert height.estimate == pytest.approx(-0.12, abs=0.02)
+        assert (height.words, height.setting) == ("simulated world 12 cm too low", "mount height, T_real_sim")
+        assert noise.sim == pytest.approx(np.hypot(0.03, 0.08), rel=0.15)

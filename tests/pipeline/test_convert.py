@@ -109,3 +109,14 @@ def test_several_frames_do_not_go_into_one_file(real_data, tmp_path):
     shutil.copy(real_data / "velodyne_vlp32c/rosbag1.bag", tmp_path)
     with pytest.raises(DatasetError, match=r"3 frames found, .*a\.ply is one file; name a frame, or a folder"):
         convert(tmp_path / "rosbag1.bag", tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize(
+    "name", ["las/autzen_trim.laz", "las/test1_4.las", "registration/source.ply", "rellis/000104.bin"]
+)
+def test_real_scans_come_back(real_data, tmp_path, suffix, name):
+    (written,) = convert(real_data / name, tmp_path / f"a{suffix}")
+    first, second = read_scan(real_data / name), read_scan(written)
+    same(first, second)
+    assert (first.labels is None) == (second.labels is None)

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from fidpipe.pipeline.results.compare import compare_runs
+from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.schemas.errors import SettingsError
@@ -135,3 +136,21 @@ def test_road_that_only_one_cut_left_is_counted_and_said(tmp_path):
     assert f"{len(invented)} hallucinated objects are road that" in " ".join(
         command("show", tmp_path / "run", "--all").stdout.split()
     )
+
+
+def test_missing_and_invented_objects_are_told_alike_everywhere(by_reference):
+    pairs = pd.read_parquet(by_reference / "pairs.parquet")
+    row = pairs.iloc[0]
+    matching = pd.read_parquet(by_reference / "matching" / "0.parquet")
+    objects = {side: pd.read_parquet(by_reference / "objects" / f"0.{side}.parquet") for side in ("real", "sim")}
+    counts = matching.status.value_counts()
+    assert counts.get("missing", 0) == row["n_missing"] > 0
+    assert counts.get("hallucinated", 0) == row["n_hallucinated"] > 0
+    assert (matching.sim_id[matching.status == "hallucinated"] >= len(objects["real"])).all()
+    empty = objects["sim"].n_points == 0
+    assert objects["sim"].loc[empty, ["cx", "range_m", "linearity"]].isna().all(axis=None)
+    facts = pair_facts(FinishedRun(by_reference), "0")
+    assert [each.status for each in facts.objects].count("hallucinated") == row["n_hallucinated"]
+    findings = json.loads((by_reference / "run.json").read_text())["findings"]
+    n_hallucinated = sum(band["n_hallucinated"] for band in findings["range_m"]["bands"])
+    assert n_hallucinated == pairs.n_hallucinated.sum()

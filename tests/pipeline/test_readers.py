@@ -526,3 +526,33 @@ def test_a_capture_without_packets_is_refused(tmp_path, content):
         path.write_bytes(content)
     with pytest.raises(ScanError, match=r"a\.pcap: (the file is empty|not a whole capture|no data packets)"):
         read_scan(path)
+
+
+def test_no_library_of_an_extra_is_loaded_before_its_file_is_met():
+    code = (
+        "import sys\n"
+        "from fidpipe.pipeline.cli.main import app\n"
+        "from fidpipe.pipeline.datasets.readers import formats\n"
+        "formats()\n"
+        "print([name for name in ('rosbags', 'velodyne_decoder', 'dpkt', 'laspy', 'lazrs') if name in sys.modules])"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert shown.strip() == "[]"
+
+
+def test_the_cloud_of_another_decoder_lies_on_the_same_surfaces(real_data):
+    """one_sweep.pcd comes from the decoder of Autoware, which corrects angles otherwise: not one point is the same."""
+    from scipy.spatial import cKDTree
+
+    folder = real_data / "velodyne_vlp32c"
+    theirs, ours = (read_scan(folder / name).points for name in ("one_sweep.pcd", Path("sweeps.pcap#0")))
+    distance_m, _ = cKDTree(ours).query(theirs)
+    assert len(theirs) == 26216
+    assert np.median(distance_m) < 0.01
+    assert np.percentile(distance_m, 99) < 0.03
+
+
+def test_a_label_file_gives_names_by_its_low_bits(tmp_path):
+    path = write_bin(tmp_path / "a.bin", POINTS)
+    np.array([4, 4 + (7 << 16), 99], dtype="<u4").tofile(tmp_path / "a.label")
+    assert read_scan(path, label_names={4: "tree"}).labels.tolist() == ["tree", "tree", "99"]

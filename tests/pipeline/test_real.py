@@ -36,3 +36,14 @@ def test_objects_fixed_on_the_real_side_are_found_whatever_the_order_of_rows_and
         assert (result.metrics[name] == 0.0).all(), name
     assert result.summary["shift_m"] == 0.0
     assert result.summary["covered_real_0p1m"] == result.summary["covered_sim_0p1m"] == 1.0
+
+
+@pytest.mark.exhaustive
+def test_what_a_simulator_loses_shows_with_objects_fixed_on_the_real_side(real_data, rng):
+    points = read_scan(real_data / "rellis" / "vel000104.bin").points
+    cdc = {}
+    for share in (0.95, 0.6):
+        result = evaluate_pair(points, points[rng.random(len(points)) < share], {"preset": "reference"})
+        assert result.summary["match_rate"] > 0.9  # of a copy that has lost points no object is missing
+        cdc[share] = result.summary["cdc_mean"]
+    assert 0 < cdc[0.95] < 0.01 < cdc[0.6] < 0.1

@@ -20,6 +20,7 @@ from fidpipe.pipeline.verify.compare_frames import NOT_COMPARED, compare
 from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.pipeline.verify.verify_view import verify_view
 from fidpipe.schemas.errors import RunError
+from fidpipe.schemas.metric_catalogue import OBJECT_METRICS
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
@@ -504,3 +505,43 @@ def test_all_forged_numbers_of_a_record_are_found(forged, monkeypatch):
     gone = {mismatch.column for mismatch in found if mismatch.stored == "null"}
     assert gone == {f"summary.r_lambda_mean.{key}" for key in ("mean", "n_pairs")}
     assert len(found) == len(forgeries) + len(gone)
+
+
+def summarised(folder, metrics):
+    """Puts means and deviations of an edited table of metrics into `pairs`."""
+
+    def change(frame):
+        for name in OBJECT_METRICS:
+            frame[f"{name}_mean"], frame[f"{name}_std"] = metrics[name].mean(), metrics[name].std()
+
+    edit(folder, "pairs.parquet", change)
+
+
+def metrics_of(folder):
+    return pq.read_table(folder / "metrics/000.parquet", partitioning=None).to_pandas()
+
+
+def test_a_match_that_is_removed_from_every_table_is_found(forged):
+    """As if delta were smaller: the match becomes a missing and a hallucinated object everywhere."""
+    metrics = metrics_of(forged)
+    real_id, sim_id = (int(metrics[name].iloc[-1]) for name in ("real_id", "sim_id"))
+
+    def part(frame):
+        row = frame.real_id == real_id
+        frame.loc[row, ["sim_id", "centroid_distance_m"]] = None
+        frame.loc[row, "status"] = "missing"
+        alone = frame[row].assign(real_id=None, sim_id=sim_id, status="hallucinated")
+        return pd.concat([frame, alone.astype(frame.dtypes)]).sort_values(["real_id", "sim_id"])
+
+    edit(forged, "matching/000.parquet", part)
+    for table in ("selection", "metrics", "baselines"):
+        edit(forged, f"{table}/000.parquet", lambda frame: frame[(frame.real_id != real_id).fillna(True)])
+    summarised(forged, metrics.iloc[:-1])
+
+    def count(frame):
+        for name, by in (("n_matched", -1), ("n_scored", -1), ("n_missing", 1), ("n_hallucinated", 1)):
+            frame[name] = frame[name] + by
+        frame["match_rate"] = frame.n_matched / (frame.n_matched + frame[["n_missing", "n_hallucinated"]].max(axis=1))
+
+    edit(forged, "pairs.parquet", count)
+    assert "matching" in {mismatch.table for mismatch in verify_run(forged, None).mismatches}
