@@ -18,7 +18,7 @@ from pathlib import Path
 import flawed_scans as fs
 import numpy as np
 import pandas as pd
-from diagnosis import altered, car_moved, far_drop, ghosts, holes, mixed, pair_of, rain, read_scenes
+from diagnosis import altered, car_moved, far_drop, ghosts, grazing_drop, holes, mixed, pair_of, rain, read_scenes
 from flawed_scans import along_ray, ranges
 
 from fidpipe.pipeline.diagnose.causes import name_causes
@@ -57,6 +57,7 @@ FLAWS = {
     "moved pieces": (car_moved, (0.6, 0.9, 1.2, 1.5), lambda scene, *_: fs.belongs_to_car(scene[1]).mean()),
     "lost returns": (fs.drop, (0.05, 0.1, 0.2, 0.4), lambda *scans_and_amount: scans_and_amount[-1]),
     "lost far returns": (far_drop, (0.2, 0.4, 0.6, 0.8), lambda *scans_and_amount: scans_and_amount[-1]),
+    "lost grazing returns": (grazing_drop, (0.2, 0.4, 0.6, 0.8), lambda *scans_and_amount: scans_and_amount[-1]),
     "mixed pixels": (mixed, (0.015, 0.03, 0.06, 0.1), lambda *scans_and_amount: scans_and_amount[-1]),
     "invented pieces": (
         ghosts,
