@@ -21,7 +21,6 @@ _VOXEL_M = 0.5
 _MOST_PLACES = 6000
 _NEIGHBOURS = 16
 _FLAT = 0.02  # l3 / l1 of a plane, at most
-_BROAD = 0.02  # l2 / l1 of a plane that is not a line, at least
 _REACHES_M = (1.5, 1.5, 1.0, 1.0, 0.7, 0.7)
 _FINE_REACH_M, _FINE_STEPS = 0.5, 8
 _TUKEY, _LEAST_SPREAD_M = 4.685, 0.01  # efficiency of 95 % under normal errors
@@ -66,8 +65,8 @@ def fit_displacement(real: FloatArray, sim: FloatArray, is_ground: BoolArray) ->
     rows = order[np.sort(first)[:_MOST_PLACES]]
     places = real[rows]
     planes = fit_planes(real, places, _NEIGHBOURS)
-    l3, l2, l1 = planes.variance.T
-    is_plane = (l3 <= _FLAT * l1) & (l2 >= _BROAD * l1)
+    l3, _, l1 = planes.variance.T
+    is_plane = (l3 <= _FLAT * l1) & ~planes.is_line
     places, normal = planes.mean[is_plane], planes.normal[is_plane]
     tree = cKDTree(sim)
     columns = _columns(places, is_ground[rows[is_plane]])

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from .arrays import FloatArray, IndexArray
+from .arrays import BoolArray, FloatArray, IndexArray
 
+_BROAD = 0.02  # l2 / l1 of a plane that is not a line, at least
 _ROWS_AT_ONCE = 8192  # limits the memory of neighbourhoods
 
 
@@ -31,6 +32,11 @@ class LocalPlanes:
     def scattering(self) -> FloatArray:
         """l3 / l1 (Demantke et al., ISPRS 2011): 0 on a plane or a line, 1 for equal variance on all axes."""
         return self.variance[:, 0] / np.maximum(self.variance[:, 2], 1e-300)
+
+    @property
+    def is_line(self) -> BoolArray:
+        """True where the neighbours are on a line, so that the normal is arbitrary."""
+        return self.variance[:, 1] < _BROAD * self.variance[:, 2]
 
 
 def fit_planes(points: FloatArray, places: FloatArray, n_most: int, reach_m: float = np.inf) -> LocalPlanes:

@@ -188,7 +188,7 @@ class _Stop:
 
 
 def _stop_again(unraisable: Any) -> None:
-    """Raises a Ctrl-C again that came while Python was collecting garbage, where it would be printed and forgotten."""
+    """Raise Ctrl-C again if it came while Python collected garbage, where it would be printed and forgotten."""
     if issubclass(unraisable.exc_type, KeyboardInterrupt) and hasattr(signal, "setitimer"):
         _Stop.last = -_SECONDS_TO_STOP
         signal.setitimer(signal.ITIMER_REAL, _SECONDS_UNTIL_AGAIN)

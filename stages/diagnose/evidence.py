@@ -34,10 +34,10 @@ _ALIKE = 0.1  # relative difference of the median ranges of a cell in which both
 _APART_M, _APART_PER_M = 0.25, 0.01  # a point without a counterpart is farther than this, and this times its range
 _CLUSTER_M, _CLUSTER = 0.6, 5  # a piece: other points without a counterpart around one, at 6 m and beyond
 _MOVED_M = 1.5  # from a missing to an invented piece
+_KINDS = ("lost far returns", "lost grazing returns")
 _FEWEST_OF_KIND = 100  # returns, far or grazing
 _LEAVES, _FEWEST_LEAVES, _LEAF_SPREAD_M = 20, 50, 1.0
 SCATTERED = 0.1  # l3 / l1 of foliage, and more
-_BROAD = 0.02  # l2 / l1 of a plane that is not a line, at least
 _RAY_DEG, _LEAF_STEP_M = 0.4, 0.3
 _AROUND = 8  # neighbours in direction
 _SMOOTH = 0.01  # relative residual of inverse ranges on smooth surface
@@ -69,12 +69,16 @@ class Side:
     @cached_property
     def incidence_deg(self) -> FloatArray:
         """(n,) angle between the ray and the normal of its plane, of road to the vertical; NaN on no plane."""
-        is_plane = (self.planes.scattering < SCATTERED) & (
-            self.planes.variance[:, 1] >= _BROAD * self.planes.variance[:, 2]
-        )
+        is_plane = (self.planes.scattering < SCATTERED) & ~self.planes.is_line
         normal = np.where(self.is_ground[:, None], [0.0, 0.0, 1.0], self.planes.normal)
         angle = np.degrees(np.arccos(np.minimum(np.abs((normal * self.rays).sum(axis=1)), 1.0)))
         return np.where(self.is_ground | is_plane, angle, np.nan)
+
+    def concerned(self, cause: str) -> BoolArray:
+        """(n,) True for the returns of which a cause loses some: far ones, grazing ones, or all."""
+        if cause == "lost far returns":
+            return self.range_m > FAR_M
+        return self.incidence_deg > GRAZING_DEG if cause == "lost grazing returns" else self.range_m > 0
 
 
 @dataclass(frozen=True)
@@ -253,8 +257,7 @@ def _by_cell(side: Side, is_used: BoolArray) -> tuple[IndexArray, FloatArray, di
     n_cells, range_m = n_around * (n_around // 2 + 1), side.range_m[used]
     n = np.bincount(cell, minlength=n_cells)
     middle = np.minimum(np.cumsum(n) - n + n // 2, len(cell) - 1)
-    kinds = {"lost far returns": range_m > FAR_M, "lost grazing returns": side.incidence_deg[used] > GRAZING_DEG}
-    by_kind = {name: np.bincount(cell[is_in], minlength=n_cells) for name, is_in in kinds.items()}
+    by_kind = {name: np.bincount(cell[side.concerned(name)[used]], minlength=n_cells) for name in _KINDS}
     return n, range_m[np.lexsort((range_m, cell))][middle], by_kind
 
 

@@ -14,8 +14,6 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import PARAMETERS, Displacement
 from ..surfels import fit_planes
 from .evidence import (
-    FAR_M,
-    GRAZING_DEG,
     PairEstimates,
     PairScans,
     Side,
@@ -220,21 +218,15 @@ def _density(name: str, amount: float, a: Side, b: Side, is_common: BoolArray, r
     """Real returns on common surface, where the simulated ones are farthest apart, or fewer of the simulated ones."""
     step_deg, n_beams = b.sensor["azimuth_step_deg"], b.sensor["n_beams"]
     share = amount
-    is_in_a, is_in_b = (
-        {"lost far returns": side.range_m > FAR_M, "lost grazing returns": side.incidence_deg > GRAZING_DEG}.get(
-            name, side.range_m > 0
-        )
-        for side in (a, b)
-    )
     if name == "azimuth step":
         share = amount / step_deg if step_deg else 0.0
     elif name == "beams":
         share = -amount / (n_beams - min(amount, 0.0)) if n_beams else 0.0
     if share > 0:
-        rows = np.flatnonzero(is_common & is_in_a)
+        rows = np.flatnonzero(is_common & a.concerned(name))
         gap, _ = cKDTree(b.rays).query(a.rays[rows])
         return Correction(add=_as_simulated(a, b, rows[np.argsort(-gap)[: round(share * len(rows))]]))
-    return Correction(keep=~_some(is_in_b, 1.0 - 1.0 / (1.0 - share), rng))
+    return Correction(keep=~_some(b.concerned(name), 1.0 - 1.0 / (1.0 - share), rng))
 
 
 def _foliage(a: Side, b: Side, part: float, rng: Generator) -> Correction:
