@@ -26,6 +26,8 @@ _MIN_POINTS = 500
 _QUANTA_M = (0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
 _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
+_RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
+_FEWEST_RUNS = 200
 _RUN_QUARTILE = 0.759  # sqrt(quartile of chi squared / degrees of freedom), six degrees
 
 
@@ -92,7 +94,8 @@ def describe_with_gaps(
     distance and h the height at which beams start; see `beam_patterns.find_beams`. With rings they are medians over
     each ring. Step: the most frequent distance in azimuth of neighbouring returns of a beam. Quantum: the largest q of
     a list for which ranges R of a beam have |mean exp(2 pi i R / q)| >= 0.7. Noise: rms residual of a parabola through
-    nine returns in a row, its lower quartile over all such runs, as a standard deviation. Lost: of the gaps between
+    nine returns in a row, its lower quartile over all such runs, as a standard deviation; of returns up to eight steps
+    apart if fewer than 200 runs have no gap. Lost: of the gaps between
     returns of one surface, the firings without one.
 
     Parameters
@@ -406,16 +409,22 @@ def _range_quantum(points: FloatArray, sweep: _Sweep) -> tuple[float | None, str
 def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, str]:
     if step_deg is None or len(sweep.beam) < _RUN:
         return None, "no azimuth step detected"
-    is_next = np.nan_to_num(sweep.gap_deg, nan=np.inf) < 1.5 * step_deg
-    is_run = sliding_window_view(is_next, _RUN - 1).all(axis=1)
-    runs = sliding_window_view(sweep.range_m, _RUN)[is_run]
-    runs = runs[np.ptp(runs, axis=1) < 0.05 * runs.mean(axis=1)]
-    if len(runs) < 200:
-        return None, f"{len(runs)} runs of {_RUN} returns on a surface, at least 200 are needed"
+    gap = np.nan_to_num(sweep.gap_deg, nan=np.inf)
     place = np.linspace(-1.0, 1.0, _RUN)
-    basis = np.linalg.qr(np.stack([np.ones(_RUN), place, place**2], axis=1))[0]
-    residual = runs - runs @ basis @ basis.T
-    rms = np.sqrt((residual**2).sum(axis=1) / (_RUN - 3))
+    for n_steps in (1, _RUN_STEPS):
+        is_run = sliding_window_view(gap < (n_steps + 0.5) * step_deg, _RUN - 1).all(axis=1)
+        runs, azimuth_deg = (sliding_window_view(of_all, _RUN)[is_run] for of_all in (sweep.range_m, sweep.azimuth_deg))
+        is_surface = np.ptp(runs, axis=1) < 0.05 * runs.mean(axis=1)
+        runs = runs[is_surface]
+        if n_steps > 1:
+            place = azimuth_deg[is_surface] - azimuth_deg[is_surface].mean(axis=1, keepdims=True)
+        if len(runs) >= _FEWEST_RUNS:
+            break
+    else:
+        return None, f"{len(runs)} runs of {_RUN} returns on a surface, at least {_FEWEST_RUNS} are needed"
+    basis = np.linalg.qr(np.stack([np.ones_like(place), place, place**2], axis=-1))[0]
+    fit = (runs[:, None] @ basis @ np.swapaxes(basis, -1, -2))[:, 0]
+    rms = np.sqrt(((runs - fit) ** 2).sum(axis=1) / (_RUN - 3))
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4), ""
 
 

@@ -106,6 +106,12 @@ def test_the_sensor_does_not_depend_on(change):
     assert after.range_noise_m == pytest.approx(before.range_noise_m, rel=0.15)
 
 
+def test_noise_is_known_where_most_returns_are_lost():
+    points = room(SENSORS["vlp32c"])
+    thinned = points[np.random.default_rng(1).random(len(points)) < 0.3]
+    assert describe_sensor(thinned).range_noise_m == pytest.approx(describe_sensor(points).range_noise_m, rel=0.1)
+
+
 def test_the_order_of_rows_changes_no_bit():
     points = room(SENSORS["vlp32c"])
     assert describe_sensor(points[::-1]) == describe_sensor(points)
