@@ -19,6 +19,7 @@ import argparse
 import pickle
 import zlib
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 
@@ -28,9 +29,9 @@ import pandas as pd
 from flawed_scans import Scan, along_ray, ranges, ray_noise
 
 from fidpipe.pipeline.diagnose.causes import confirm, name_causes
-from fidpipe.pipeline.diagnose.diagnose import UNEXPLAINED, is_unexplained
+from fidpipe.pipeline.diagnose.diagnose import UNEXPLAINED, is_elsewhere, is_unexplained
 from fidpipe.stages.diagnose.evidence import PairScans, Side, amounts_of_floor, estimate
-from fidpipe.stages.diagnose.gain import changes, corrections, shares, surface_distance
+from fidpipe.stages.diagnose.gain import changes, corrections, off_shares, shares, surface_distance
 from fidpipe.stages.displacement import PARAMETERS, Displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
 from fidpipe.stages.surfels import fit_planes
@@ -275,25 +276,26 @@ def diagnose(pairs, floor):
             found.append(shares(scans, made, np.random.default_rng(i), floor[i][0] if floor else 0.0))
         return found
 
-    def correct_changes(causes):
+    def moved(i):
+        return Displacement(pairs[i][1].displacement.values - [amounts[i][name] for name in PARAMETERS])
+
+    def over_floor(compare, causes):
         return [
-            changes(
-                scans,
-                floor[i][1],
-                Displacement(own.displacement.values - [amounts[i][name] for name in PARAMETERS]),
-                causes,
-                np.random.default_rng(i),
-            )
-            for i, (scans, own) in enumerate(pairs)
+            compare(scans, floor[i][1], moved(i), causes, np.random.default_rng(i))
+            for i, (scans, _) in enumerate(pairs)
         ]
 
     amounts = floor and [amounts_of_floor(own, scans, *floor[i][1:]) for i, (scans, own) in enumerate(pairs)]
     candidates = name_causes([own.amounts for _, own in pairs], amounts, np.arange(len(pairs)))
-    named, _, found = confirm(candidates, correct, correct_changes if floor else None)
+    named, _, found = confirm(candidates, correct, partial(over_floor, changes) if floor else None)
     rows = [(one.model.name, one.mean, one.low, one.high) for one in named]
     before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in found], axis=0)
     if floor and is_unexplained(before_m - floor_m, after_m - floor_m):
         rows.insert(0, (UNEXPLAINED, after_m - floor_m, np.nan, np.nan))
+    elif floor:
+        off = np.mean(over_floor(off_shares, {one.model.name: one.mean for one in named}), axis=0)
+        if is_elsewhere(*off):
+            rows.insert(0, (UNEXPLAINED, off[1], np.nan, np.nan))
     return rows
 
 

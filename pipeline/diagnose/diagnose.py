@@ -17,11 +17,11 @@ from ...schemas.results import CauseEstimate, DiagnosedCause, Diagnosis, Evidenc
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.diagnose.curves import AXES, curves
 from ...stages.diagnose.evidence import PairEstimates, PairScans, Side, amounts_of_floor, estimate
-from ...stages.diagnose.gain import Shares, changes, corrections, shares, surface_distance
+from ...stages.diagnose.gain import Shares, changes, corrections, off_shares, shares, surface_distance
 from ...stages.displacement import PARAMETERS, Displacement
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, blocks_of
 from ..engine.progress import Reporter
-from ..results.causes import mean_interval
+from ..results.causes import mean_interval, size_words
 from ..results.diagnosis import DIAGNOSIS, UNEXPLAINED, results_identity
 from ..results.finished import FinishedRun
 from ..storage.files import write_whole
@@ -31,6 +31,8 @@ from .latency import AHEAD, follow, latency_words, speed_m_s
 
 #: A larger rest over the floor, metres, that is more than half of the distance over the floor, is the first cause.
 MOST_LEFT_M = 0.02
+#: Likewise of the flat surface that a run has elsewhere than its floor after all corrections.
+MOST_OFF = 0.04
 _SEED = 20240917
 _SENSOR = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m")
 #: Estimates from columns of `pairs`: simulated minus real.
@@ -96,14 +98,22 @@ def diagnose_run(
         named, doubtful, gains = confirm(candidates, correct, partial(correct, between_sims=True) if base else None)
         ahead = [own for own in named if own.model.name == AHEAD]
         latency = latency_words(ahead[0].values, _speeds_m_s(run, times_s, pool, names)) if ahead else None
+        off = _each(pool, names, lambda name: _off(run, base, name, found[name], named), lambda: None) if base else []
         drawn = _each(pool, names, lambda name: _curves(run, name, found[name][0], named), lambda: show.advance(1, 1))
     show.stop()
     before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in gains], axis=0).tolist()
     excess_m = before_m - floor_m if before_m - floor_m >= LEAST_EXCESS_M else None
     causes = [_cause(own, gains, drawn, excess_m, latency if own in ahead else None) for own in named]
     if is_unexplained(before_m - floor_m, after_m - floor_m):
-        left = mean_interval(block_means(np.array([own.after_m - own.floor_m for own in gains]), blocks))
-        causes.insert(0, _unexplained(left, before_m - floor_m, len(gains), bool(base)))
+        part = size_words((after_m - floor_m) / (before_m - floor_m), "share")
+        words = f"no cause in the catalogue for {part} of the distance"
+        words += "" if base else ", unless a second measurement has it too (--floor)"
+        causes.insert(0, _unexplained([own.after_m - own.floor_m for own in gains], blocks, "m", words))
+    elif base and is_elsewhere(*np.mean(off, axis=0)):
+        left = [after for _, after in off]
+        part = size_words(float(np.mean(left)), "share")
+        words = f"{part} of the flat surface elsewhere than in the floor, by no cause in the catalogue"
+        causes.insert(0, _unexplained(left, blocks, "share", words))
     diagnosis = Diagnosis(
         of=results_identity(run.record),
         floor=None if floor is None else str(floor),
@@ -131,14 +141,17 @@ def is_unexplained(excess_m: float, left_m: float) -> bool:
     return left_m >= MOST_LEFT_M and left_m > excess_m / 2
 
 
-def _unexplained(left: tuple[float, float, float], excess_m: float, n_pairs: int, is_over: bool) -> DiagnosedCause:
-    """The rest as the first cause."""
-    mean, low, high = left
-    words = f"no cause in the catalogue for {mean / excess_m:.0%} of the distance".replace("%", " %")
+def is_elsewhere(before: float, after: float) -> bool:
+    """True if much of the flat surface is elsewhere than in the floor, and corrections bring back less than half."""
+    return after >= MOST_OFF and after > before / 2
+
+
+def _unexplained(left: Sequence[float], blocks: IntArray, unit: str, words: str) -> DiagnosedCause:
+    """The rest, of each pair, as the first cause."""
+    mean, low, high = mean_interval(block_means(np.array(left), blocks))
     return DiagnosedCause(
-        name=UNEXPLAINED,
-        words=words if is_over else f"{words}, unless a second measurement has it too (--floor)",
-        estimate=mean, low=low, high=high, unit="m", n_pairs=n_pairs, gain_m=None, gain=None, is_upper_bound=False,
+        name=UNEXPLAINED, words=words, estimate=mean, low=low, high=high, unit=unit,
+        n_pairs=len(left), gain_m=None, gain=None, is_upper_bound=False,
         setting="the worst places; diagnose --tell-apart", limbs=(),
     )  # fmt: skip
 
@@ -190,10 +203,23 @@ def _gains(
     """Shares of a pair in the distance between both sides, or between the simulated scans of the run and its floor."""
     rng, (own, over) = np.random.default_rng(_SEED), found
     if floor and between_sims:
-        moved = Displacement(own.displacement.values - [over.get(name, 0.0) for name in PARAMETERS])
-        return changes(scans, floor, moved, amounts, rng)
+        return changes(scans, floor, _moved(own, over), amounts, rng)
     made = corrections(scans, own, amounts, rng)
     return shares(scans, made, rng, surface_distance(floor.real.points, floor.sim.points) if floor else 0.0)
+
+
+def _off(
+    run: FinishedRun, base: FinishedRun, pair_id: str, found: Estimates, named: Sequence[NamedCause]
+) -> tuple[float, float]:
+    """Share of the flat surface that a pair has elsewhere than the floor, before and after all corrections."""
+    scans, floor = read_pair(run, pair_id), read_pair(base, pair_id)
+    amounts = {own.model.name: own.mean for own in named}
+    return off_shares(scans, floor, _moved(*found), amounts, np.random.default_rng(_SEED))
+
+
+def _moved(own: PairEstimates, over: Mapping[str, float]) -> Displacement:
+    """Displacement of the simulated scan of a run against that of its floor."""
+    return Displacement(own.displacement.values - [over.get(name, 0.0) for name in PARAMETERS])
 
 
 def _curves(run: FinishedRun, pair_id: str, found: PairEstimates, named: Sequence[NamedCause]) -> Drawn:

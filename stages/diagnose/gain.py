@@ -14,6 +14,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import PARAMETERS, Displacement
 from ..surfels import fit_planes
 from .evidence import (
+    SCATTERED,
     PairEstimates,
     PairScans,
     Side,
@@ -29,6 +30,7 @@ _SAMPLE = 4000
 _NEIGHBOURS = 16
 _MOST_MOVED = 0.1  # of a range, from a return's own to that of the plane through it
 _MOST_EXACT, _ORDERS = 4, 12
+_OFF_STDS, _LEAST_STD_M = 3.0, 0.02  # of a flat surface, from which a point is off
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,26 @@ def surface_distance(real: FloatArray, sim: FloatArray, real_tree: cKDTree | Non
         apart, _ = tree.query(points[:: len(points) // _SAMPLE + 1], distance_upper_bound=REACH_M)
         means.append(np.minimum(apart, REACH_M).mean())
     return float(np.mean(means))
+
+
+def off_share(a: FloatArray, b: FloatArray) -> float:
+    """Share of the flat surface of two scans that the other has elsewhere, averaged over both directions.
+
+    A point is off if the plane through the 16 nearest points of the other scan is farther than three times their
+    standard deviation, and 6 cm. It does not depend on which rays both scans have; points more than 1 m from the mean
+    of those neighbours, and neighbours that are scattered or on a line, do not count. Of both, every k-th point is
+    used, 4000 at most.
+    """
+    found = []
+    for points, other in ((a, b), (b, a)):
+        asked = points[:: len(points) // _SAMPLE + 1]
+        planes = fit_planes(other, asked, _NEIGHBOURS)
+        off = asked - planes.mean
+        is_flat = (planes.scattering < SCATTERED) & ~planes.is_line & ((off**2).sum(axis=1) < REACH_M**2)
+        limit_m = _OFF_STDS * np.maximum(np.sqrt(planes.variance[:, 0]), _LEAST_STD_M)
+        is_off = np.abs((off * planes.normal).sum(axis=1)) > limit_m
+        found.append(is_off[is_flat].mean() if is_flat.any() else 0.0)
+    return float(np.mean(found))
 
 
 def corrections(
@@ -170,6 +192,21 @@ def changes(
     """
     both = PairScans(floor.sim, scans.sim)
     return shares(both, corrections(both, PairEstimates(displacement, scans.sim.sensor, {}), excess, rng), rng)
+
+
+def off_shares(
+    scans: PairScans, floor: PairScans, displacement: Displacement, excess: Mapping[str, float], rng: Generator
+) -> tuple[float, float]:
+    """Share of flat surface (`off_share`) that the run has elsewhere than its floor, before and after all corrections.
+
+    Parameters
+    ----------
+    displacement, excess : see `changes`
+    """
+    both = PairScans(floor.sim, scans.sim)
+    made = corrections(both, PairEstimates(displacement, scans.sim.sensor, {}), excess, rng)
+    after = corrected(both, [*made.values()])
+    return off_share(floor.sim.points, scans.sim.points), off_share(floor.sim.points, after)
 
 
 def _some(flags: BoolArray, part: float, rng: Generator) -> BoolArray:

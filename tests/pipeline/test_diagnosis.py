@@ -126,6 +126,17 @@ def test_what_no_correction_removes_is_the_first_cause_and_unsupported_causes_ar
     assert names == ["height", "unexplained"], "what can be fixed comes first"
 
 
+def test_surface_that_is_elsewhere_than_in_the_floor_is_the_first_cause(runs, monkeypatch):
+    good, low = runs
+    monkeypatch.setattr("fidpipe.pipeline.diagnose.diagnose.off_shares", lambda *of: (0.2, 0.15))
+    first, second, *_ = diagnose_run(low, good).causes
+    assert (first.name, first.unit, first.estimate) == ("unexplained", "share", pytest.approx(0.15))
+    assert first.words == "15 % of the flat surface elsewhere than in the floor, by no cause in the catalogue"
+    assert second.name == "height"
+    monkeypatch.undo()
+    assert diagnose_run(low, good).causes[0].name == "height"
+
+
 def test_a_diagnosis_of_other_results_is_not_used(runs):
     good, low = runs
     diagnose_run(low, good)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.diagnose.causes import confirm, name_causes
+from fidpipe.pipeline.diagnose.diagnose import is_elsewhere
 from fidpipe.schemas.cause_catalogue import CAUSES
 from fidpipe.stages.diagnose.evidence import UNEVEN, PairScans, Side, estimate, find_unmatched
-from fidpipe.stages.diagnose.gain import changes, corrections, shares, surface_distance
+from fidpipe.stages.diagnose.gain import changes, corrections, off_share, off_shares, shares, surface_distance
 from fidpipe.stages.displacement import PARAMETERS, Displacement, fit_displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
 from fidpipe.stages.surfels import fit_planes
@@ -176,6 +177,28 @@ def test_a_displacement_explains_how_two_simulated_scans_differ_unless_another_f
     found = changes(pair, floor, moved, amount, np.random.default_rng(0))
     assert found.before_m == surface_distance(floor.sim.points, pair.sim.points)
     assert low < found.by_cause["sideways"] / found.before_m <= high
+
+
+@pytest.mark.parametrize(
+    ("flaw", "cause", "amount", "is_left"),
+    [
+        (None, "sideways", 0.0, False),
+        (lambda points, rng: points + [0, 0.3, 0], "sideways", 0.3, False),
+        (lost(0.4), "lost returns", 0.4, False),
+        *((flaw, "sideways", 0.0, True) for flaw in UNKNOWN.values()),
+    ],
+)
+def test_surface_that_no_correction_brings_back_to_the_floor_even_with_other_rays(
+    places, real_data, flaw, cause, amount, is_left
+):
+    between = np.fromfile(real_data / "kitti_twin/real/000000.bin", np.float32).reshape(-1, 4)[1::4, :3].astype(float)
+    others = [(between, between[:, 2] < -1.4, places[0][2])]
+    pair, floor = simulated(others, flaw)[0], simulated(places[:1])[0]
+    moved = Displacement(np.array([{cause: amount}.get(name, 0.0) for name in PARAMETERS]))
+    before, after = off_shares(pair, floor, moved, {cause: amount}, np.random.default_rng(0))
+    assert before == off_share(floor.sim.points, pair.sim.points)
+    assert is_elsewhere(before, after) == is_left
+    assert (before > 0.05) == (is_left or flaw is not None and cause == "sideways")
 
 
 def test_a_displacement_is_undone(places):
