@@ -12,6 +12,7 @@ import hashlib
 import logging
 import os
 import queue
+import resource
 import socket
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import CancelledError
@@ -55,6 +56,7 @@ _BEGINNING_BYTES = 64
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
     "distributed.scheduler.worker-ttl": None,
+    "distributed.worker.multiprocessing-method": "forkserver",
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.limit": "1h",
     "distributed.admin.low-level-log-length": 0,
@@ -136,8 +138,6 @@ class DaskPool(Pool):
         for name in ("distributed", "distributed.client", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         dask.config.set(_DASK_SETTINGS)
-        if prefork.is_available():
-            dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._ended: list[Any] = []
         self._killed_worker = distributed.scheduler.KilledWorker
@@ -420,12 +420,8 @@ def _check_address_space() -> None:
     Tried with two workers: at 1 GB two of three runs never ended, at 2 GiB all did; without a limit the command takes
     1.8 GB.
     """
-    try:
-        from resource import RLIM_INFINITY, RLIMIT_AS, getrlimit
-    except ImportError:  # not a Unix
-        return
-    limit, _ = getrlimit(RLIMIT_AS)
-    if limit != RLIM_INFINITY and limit < _LEAST_ADDRESS_SPACE:
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _LEAST_ADDRESS_SPACE:
         raise RunError(
             f"ulimit -v allows {limit / 2**30:.1f} GiB of address space per process; at least "
             f"{_LEAST_ADDRESS_SPACE / 2**30:.0f} are needed for worker processes; raise it, or use --workers 1"
