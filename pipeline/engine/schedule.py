@@ -35,8 +35,8 @@ class Policy:
     """Batching policy; no result depends on it.
 
     costs : memory and seconds of batches
-    pairs_per_worker : pairs that are begun for each worker
-    few_pairs_per_worker : with no more left than these, pairs fall into smaller batches
+    pairs_per_worker : pairs that are begun for each worker; with no more left than these, pairs fall into smaller
+        batches
     worth_splitting_s : that cost more than this
     batch_s : seconds of objects per batch
     bundle_s : seconds of small pairs per batch
@@ -46,7 +46,6 @@ class Policy:
 
     costs: CostModel = field(default_factory=CostModel)
     pairs_per_worker: int = 2
-    few_pairs_per_worker: int = 2
     worth_splitting_s: float = 1.0
     batch_s: float = 0.5
     bundle_s: float = 0.5
@@ -162,8 +161,7 @@ class Schedule:
     def _fill(self) -> None:
         """Begin pairs while the window has room, and submit batches that fit into the memory."""
         if not self._is_alone:
-            per_worker = self._policy.few_pairs_per_worker if self._few_left() else self._policy.pairs_per_worker
-            window = per_worker * self._pool.n_workers
+            window = self._policy.pairs_per_worker * self._pool.n_workers
             while self._n_pending and sum(map(self._weight, self._active.values())) < window:
                 self._n_pending -= 1
                 self._begin(_Pair(next(self._pending)))
@@ -251,7 +249,7 @@ class Schedule:
         return self._costs.pair_seconds(pair.plan.n_raw) > self._policy.long_pair_s
 
     def _few_left(self) -> bool:
-        return self._n_pending + len(self._active) <= self._policy.few_pairs_per_worker * self._pool.n_workers
+        return self._n_pending + len(self._active) <= self._policy.pairs_per_worker * self._pool.n_workers
 
     def _split(self, pair: _Pair) -> None:
         """The next layer of a pair in batches that run at the same time: by side, by object, or by job."""
