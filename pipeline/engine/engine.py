@@ -367,7 +367,7 @@ class RunEngine:
         order = list(plan.jobs)
         for failure in sorted(failures, key=lambda failure: order.index(failure.job)):
             if plan.jobs[failure.job].is_part:
-                self.fail(f"{plan.pair_id}, {failure.part}", failure.reason)
+                self.fail(f"{plan.pair_id}, {failure.job[1]}", failure.reason)
             else:
                 own.append(failure)
         self.reporter.advance(len(plan.todo), 1)

@@ -182,7 +182,7 @@ class Schedule:
             pair.is_lost = True
             if self._is_alone:
                 again = "the worker process died, and again when the pair ran alone (out of memory?)"
-                pair.failures.append(JobFailure(*pair.ready[0].name, f"{again}: {result.detail}"))
+                pair.failures.append(JobFailure(pair.ready[0].name, f"{again}: {result.detail}"))
         elif isinstance(result, BatchResult):
             self._engine.batch_done(result)
             pair.plan = pair.plan.with_records(result.records)
@@ -201,7 +201,7 @@ class Schedule:
             pair.scored.clear()
         reason = self._why_too_large(pair.plan)
         while reason and pair.plan.is_counted and pair.todo:
-            pair.failures.append(JobFailure(*pair.todo[0].name, reason))
+            pair.failures.append(JobFailure(pair.todo[0].name, reason))
         if not pair.todo:
             self._is_alone = False
             del self._active[pair.plan.pair_id]
