@@ -21,7 +21,6 @@ from ..schemas.errors import DatasetError
 from ..schemas.record import FrameSuspect, MetricsSummary, PairCounts, RunHeader, RunRecord
 from ..schemas.results import Findings, JsonObject, Overview
 from ..schemas.settings import Settings, preset_of
-from ..schemas.settings_text import to_toml
 from ..schemas.tables import TABLES
 from ..stages.ground import peaks_note
 from .datasets.content import input_hashes
@@ -35,10 +34,9 @@ from .jobs import stages_under
 from .results.causes import CAUSE_COLUMNS
 from .results.overview import cautions, describe_objects
 from .stage import OF_PAIR, Stage
-from .storage.files import key_of, write_whole
+from .storage.files import key_of
 from .storage.folder import RunFolder, check_folder
 from .storage.run_record import (
-    SETTINGS_TOML,
     SUMMARISED,
     StageSeconds,
     last_results,
@@ -331,9 +329,7 @@ class _Run:
 
     def _write_record(self, record: RunHeader) -> None:
         """Write the settings and the record, or its header."""
-        settings = to_toml(self._settings).encode()
-        write_whole(self._out / SETTINGS_TOML, settings, before_rename=self._folder.check_token)
-        write_record(self._out, record.as_dict(), self._folder.check_token)
+        write_record(self._out, self._settings, record.as_dict(), self._folder.check_token)
 
     def plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair under the current settings."""

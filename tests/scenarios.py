@@ -4,10 +4,11 @@ A scenario is a folder with its dataset in `streets` and the run of it in `run`.
 """
 
 import csv
+import fcntl
 import shutil
+from pathlib import Path
 
 import numpy as np
-from filelock import FileLock
 
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.generate.floor_run import run_floor
@@ -80,7 +81,8 @@ class Shared:
     def __call__(self, name, *sizes):
         """The folder of a scenario, which is made if no worker has made it; `sizes` as its function takes them."""
         folder = self._root / "-".join(map(str, ("scenario", name, *sizes)))
-        with FileLock(f"{folder}.lock"):
+        with Path(f"{folder}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
             if not (folder / "whole").exists():
                 shutil.rmtree(folder, ignore_errors=True)
                 SCENARIOS[name](folder, *sizes)

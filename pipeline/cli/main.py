@@ -32,8 +32,8 @@ from .show_report_export import export, report, show
 _OBJECTS_BETWEEN_COLLECTIONS = 100_000  # Python's 700 cost the imports of a small command 5 % of its time
 _SECONDS_TO_STOP = 10.0
 _SECONDS_UNTIL_AGAIN = 0.01
-#: A batch system that ends a job means what Ctrl-C means; the alarm is of `_stop_again` and not on Windows.
-_STOPPING = (signal.SIGINT, signal.SIGTERM, *([signal.SIGALRM] if hasattr(signal, "SIGALRM") else []))
+#: A batch system that ends a job means what Ctrl-C means; the alarm is of `_stop_again`.
+_STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 #: By the system, not our bugs.
 _REFUSALS = (
     *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
@@ -189,7 +189,7 @@ class _Stop:
 
 def _stop_again(unraisable: Any) -> None:
     """Raise Ctrl-C again if it came while Python collected garbage, where it would be printed and forgotten."""
-    if issubclass(unraisable.exc_type, KeyboardInterrupt) and hasattr(signal, "setitimer"):
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
         _Stop.last = -_SECONDS_TO_STOP
         signal.setitimer(signal.ITIMER_REAL, _SECONDS_UNTIL_AGAIN)
     else:

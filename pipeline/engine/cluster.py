@@ -12,6 +12,7 @@ import hashlib
 import logging
 import os
 import queue
+import resource
 import socket
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import CancelledError
@@ -55,6 +56,7 @@ _BEGINNING_BYTES = 64
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
     "distributed.scheduler.worker-ttl": None,
+    "distributed.worker.multiprocessing-method": "forkserver",
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.limit": "1h",
     "distributed.admin.low-level-log-length": 0,
@@ -136,14 +138,13 @@ class DaskPool(Pool):
         for name in ("distributed", "distributed.client", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         dask.config.set(_DASK_SETTINGS)
-        if prefork.is_available():
-            dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._ended: list[Any] = []
         self._killed_worker = distributed.scheduler.KilledWorker
         self._cluster: Any = None
         self._client: Any = None
-        self._address, self._given_memory = address, memory
+        super().__init__(memory)
+        self._address = address
         self._memory_there = Memory(0, 0)
         self._may_end_workers = may_end_workers
         self._requirements: Requirements | None = None
@@ -169,9 +170,8 @@ class DaskPool(Pool):
     @property
     def memory(self) -> Memory:
         """See `Pool`: of the current workers."""
-        if self._given_memory is not None or self._address is None:
-            memory = self._given_memory or machine_memory()
-            return Memory(memory, memory)
+        if self._memory is not None or self._address is None:
+            return super().memory
         limits = [int(worker["memory_limit"]) for worker in self._workers_now().values() if worker["memory_limit"]]
         if limits:  # while all are gone, those that come again are taken to be like them
             self._memory_there = Memory(int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits)))
@@ -223,7 +223,7 @@ class DaskPool(Pool):
                 self._client.close(timeout=_STOP_S)
         if self._cluster is not None:
             if now:
-                self._cluster.sync(self._stop_workers)
+                self._cluster.sync(_end, self._cluster.workers.values())
             with suppress(TimeoutError):
                 self._cluster.close(timeout=_STOP_S)
 
@@ -281,11 +281,6 @@ class DaskPool(Pool):
             "ulimit short?); run the same command again, or with --workers 1"
         ) from fault
 
-    async def _stop_workers(self) -> None:
-        """End the worker processes in the middle of their tasks."""
-        closing = (nanny.close(timeout=_KILL_S) for nanny in self._cluster.workers.values())
-        await asyncio.gather(*closing, return_exceptions=True)
-
     def _next_future(self) -> Any:
         """The next task that has ended; dask repeats one whose result was lost with its worker.
 
@@ -317,15 +312,10 @@ class DaskPool(Pool):
                 self._dead_since.pop(name, None)
             elif now - self._dead_since.setdefault(name, now) > _GIVEN_UP_S:
                 del self._dead_since[name]
-                self._cluster.sync(self._give_up, name)
+                del self._cluster.workers[name]
+                self._cluster.sync(_end, [nanny])
         if len(self._cluster.workers) < len(self._cluster.worker_spec):
             self._cluster.scale(len(self._cluster.worker_spec))  # starts the missing ones
-
-    async def _give_up(self, name: Any) -> None:
-        """End the remaining processes of a worker."""
-        nanny = self._cluster.workers.pop(name, None)
-        if nanny is not None:
-            await asyncio.gather(nanny.close(timeout=_KILL_S), return_exceptions=True)
 
     def _workers_now(self) -> dict[str, dict[str, Any]]:
         """The scheduler's description of its workers, by address; renewed every second."""
@@ -342,7 +332,7 @@ class DaskPool(Pool):
 
     def _limit_fault(self, worker: Mapping[str, Any]) -> str:
         """Missing limit or nanny of a worker, which may have joined late; "" if it has all."""
-        if self._given_memory is None and not worker["memory_limit"]:
+        if self._memory is None and not worker["memory_limit"]:
             return (
                 "has no memory limit; start it with --memory-limit, or set the limit of all workers together: "
                 "--set machine.memory_gib=NUMBER"
@@ -396,6 +386,12 @@ def start_pool(
     return DaskPool(n_workers, address, shared_files, libraries, memory, modules, may_end_workers=may_end_workers)
 
 
+async def _end(nannies: Iterable[Any]) -> None:
+    """End worker processes, in the middle of their tasks if they have any."""
+    closing = [nanny.close(timeout=_KILL_S) for nanny in nannies]
+    await asyncio.gather(*closing, return_exceptions=True)
+
+
 def _check_address(address: str) -> None:
     """Raise `RunError` if an address is invalid: dask would end with two tracebacks, 20 s apart."""
     from distributed.comm.addressing import get_address_host_port
@@ -420,12 +416,8 @@ def _check_address_space() -> None:
     Tried with two workers: at 1 GB two of three runs never ended, at 2 GiB all did; without a limit the command takes
     1.8 GB.
     """
-    try:
-        from resource import RLIM_INFINITY, RLIMIT_AS, getrlimit
-    except ImportError:  # not a Unix
-        return
-    limit, _ = getrlimit(RLIMIT_AS)
-    if limit != RLIM_INFINITY and limit < _LEAST_ADDRESS_SPACE:
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _LEAST_ADDRESS_SPACE:
         raise RunError(
             f"ulimit -v allows {limit / 2**30:.1f} GiB of address space per process; at least "
             f"{_LEAST_ADDRESS_SPACE / 2**30:.0f} are needed for worker processes; raise it, or use --workers 1"

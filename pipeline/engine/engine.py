@@ -348,18 +348,18 @@ class RunEngine:
             )
 
     def batch_done(self, result: BatchResult) -> None:
-        """See `Watcher`: add the finished jobs to the ledger."""
+        """Add the finished jobs of a pair to the ledger; others of its batch may have failed."""
         if result.records:
             self.folder.ledger.put_jobs(result.pair_id, result.records)
         self.n_made += len(result.records)
         self.reporter.advance(len(result.records))
 
     def objects_done(self, plan: PairPlan, n_done: int) -> None:
-        """See `Watcher`."""
+        """Show that some objects of a pair are scored; their jobs are finished with the last ones."""
         self.reporter.advance(0, objects=f"; {plan.pair_id}: {n_done} of {len(plan.objects or [])} objects")
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
-        """See `Watcher`: report failures, those of parts of an experiment one by one.
+        """Report the failures of a pair that has ended, those of parts of an experiment one by one.
 
         The ledger keeps the reason of a failed pair; all results of a pair without scores are removed.
         """
@@ -367,7 +367,7 @@ class RunEngine:
         order = list(plan.jobs)
         for failure in sorted(failures, key=lambda failure: order.index(failure.job)):
             if plan.jobs[failure.job].is_part:
-                self.fail(f"{plan.pair_id}, {failure.part}", failure.reason)
+                self.fail(f"{plan.pair_id}, {failure.job[1]}", failure.reason)
             else:
                 own.append(failure)
         self.reporter.advance(len(plan.todo), 1)

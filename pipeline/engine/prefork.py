@@ -1,8 +1,7 @@
 """The process from which the workers of this machine are forked: it imports the libraries once for all of them.
 
 It is started before the command imports the same modules, so that both are ready at the same time. Without it each
-worker imports them itself, also one that replaces a dead one: 2.5 s of CPU per worker. Windows cannot fork and does the
-latter.
+worker imports them itself, also one that replaces a dead one: 2.5 s of CPU per worker.
 """
 
 from __future__ import annotations
@@ -28,13 +27,7 @@ _ENVIRONMENT = {
 }
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
-_ALARM = getattr(signal, "SIGALRM", None)
 _LONGEST_WAIT_S = 15.0
-
-
-def is_available() -> bool:
-    """True if processes can be forked from one that was started for it."""
-    return "forkserver" in multiprocessing.get_all_start_methods()
 
 
 def start(modules: Iterable[str] = ()) -> None:
@@ -44,8 +37,6 @@ def start(modules: Iterable[str] = ()) -> None:
     ----------
     modules : names of further modules to import: those of the jobs
     """
-    if not is_available():
-        return
     from multiprocessing import forkserver, resource_tracker
 
     # It removes what killed workers left and complains about that, after the command's last line.
@@ -70,17 +61,15 @@ def interrupts_afterwards() -> Iterator[None]:
 
     def note(number: int, _: object) -> None:
         came.append(number)
-        if len(came) == 1 and _ALARM is not None:
+        if len(came) == 1:
             signal.setitimer(signal.ITIMER_REAL, _LONGEST_WAIT_S)
 
     before = {number: signal.signal(number, note) for number in _STOPPING}
-    if _ALARM is not None:
-        before[_ALARM] = signal.signal(_ALARM, signal.default_int_handler)
+    before[signal.SIGALRM] = signal.signal(signal.SIGALRM, signal.default_int_handler)
     try:
         yield
     finally:
-        if _ALARM is not None:
-            signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():
             signal.signal(number, handler)
     if came:

@@ -14,7 +14,7 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from ...schemas.columns import SIDES
 from ..stage import Grain
@@ -22,6 +22,9 @@ from .costs import CostModel, largest_object
 from .plan import Job, PairPlan
 from .pool import Handle, Pool, WorkerDied
 from .worker import BatchResult, JobFailure, PairBatch, run_batch, score_objects
+
+if TYPE_CHECKING:
+    from .engine import RunEngine
 
 _FIRST = 1e6  # priority of what others wait for
 _BATCHES_PER_WORKER = 2  # submitted at the same time, so that none waits for the next
@@ -32,8 +35,8 @@ class Policy:
     """Batching policy; no result depends on it.
 
     costs : memory and seconds of batches
-    pairs_per_worker : pairs that are begun for each worker
-    few_pairs_per_worker : with no more left than these, pairs fall into smaller batches
+    pairs_per_worker : pairs that are begun for each worker; with no more left than these, pairs fall into smaller
+        batches
     worth_splitting_s : that cost more than this
     batch_s : seconds of objects per batch
     bundle_s : seconds of small pairs per batch
@@ -43,25 +46,11 @@ class Policy:
 
     costs: CostModel = field(default_factory=CostModel)
     pairs_per_worker: int = 2
-    few_pairs_per_worker: int = 2
     worth_splitting_s: float = 1.0
     batch_s: float = 0.5
     bundle_s: float = 0.5
     long_pair_s: float = 100.0
     least_weight: float = 1 / 16
-
-
-class Watcher(Protocol):
-    """Receiver of results while the work proceeds."""
-
-    def batch_done(self, result: BatchResult) -> None:
-        """Some jobs of a pair are finished, or failed."""
-
-    def objects_done(self, plan: PairPlan, n_done: int) -> None:
-        """Some objects of a pair have been scored, `n_done` in all; their jobs are finished with the last ones."""
-
-    def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
-        """A pair has ended; its plan lists the finished jobs."""
 
 
 @dataclass
@@ -134,14 +123,14 @@ class Schedule:
     pool : where batches run
     plans : of the pairs, each with jobs to be made; taken one by one as they are begun
     n_pairs : number of plans
-    watcher : receives the results
+    engine : receives the results while the work proceeds
     policy : rules for cutting work into batches
     """
 
     def __init__(
-        self, pool: Pool, plans: Iterable[PairPlan], n_pairs: int, watcher: Watcher, policy: Policy | None = None
+        self, pool: Pool, plans: Iterable[PairPlan], n_pairs: int, engine: RunEngine, policy: Policy | None = None
     ) -> None:
-        self._pool, self._watcher = pool, watcher
+        self._pool, self._engine = pool, engine
         self._policy = policy or Policy()
         self._costs = self._policy.costs
         self._pending, self._n_pending = iter(plans), n_pairs
@@ -172,8 +161,7 @@ class Schedule:
     def _fill(self) -> None:
         """Begin pairs while the window has room, and submit batches that fit into the memory."""
         if not self._is_alone:
-            per_worker = self._policy.few_pairs_per_worker if self._few_left() else self._policy.pairs_per_worker
-            window = per_worker * self._pool.n_workers
+            window = self._policy.pairs_per_worker * self._pool.n_workers
             while self._n_pending and sum(map(self._weight, self._active.values())) < window:
                 self._n_pending -= 1
                 self._begin(_Pair(next(self._pending)))
@@ -194,15 +182,15 @@ class Schedule:
             pair.is_lost = True
             if self._is_alone:
                 again = "the worker process died, and again when the pair ran alone (out of memory?)"
-                pair.failures.append(JobFailure(*pair.ready[0].name, f"{again}: {result.detail}"))
+                pair.failures.append(JobFailure(pair.ready[0].name, f"{again}: {result.detail}"))
         elif isinstance(result, BatchResult):
-            self._watcher.batch_done(result)
+            self._engine.batch_done(result)
             pair.plan = pair.plan.with_records(result.records)
             pair.failures.extend(result.failures)
         else:
             pair.scored[handle] = result
             pair.n_scored += len(batch.arguments[2])
-            self._watcher.objects_done(pair.plan, pair.n_scored)
+            self._engine.objects_done(pair.plan, pair.n_scored)
 
     def _go_on(self, pair: _Pair) -> None:
         """Submit the next batches of a pair of which nothing is running."""
@@ -213,11 +201,11 @@ class Schedule:
             pair.scored.clear()
         reason = self._why_too_large(pair.plan)
         while reason and pair.plan.is_counted and pair.todo:
-            pair.failures.append(JobFailure(*pair.todo[0].name, reason))
+            pair.failures.append(JobFailure(pair.todo[0].name, reason))
         if not pair.todo:
             self._is_alone = False
             del self._active[pair.plan.pair_id]
-            self._watcher.pair_done(pair.plan, tuple(pair.failures))
+            self._engine.pair_done(pair.plan, tuple(pair.failures))
         elif self._is_alone:
             self._submit_jobs(pair, pair.ready[:1])
         elif pair.n_losses > 1:
@@ -261,7 +249,7 @@ class Schedule:
         return self._costs.pair_seconds(pair.plan.n_raw) > self._policy.long_pair_s
 
     def _few_left(self) -> bool:
-        return self._n_pending + len(self._active) <= self._policy.few_pairs_per_worker * self._pool.n_workers
+        return self._n_pending + len(self._active) <= self._policy.pairs_per_worker * self._pool.n_workers
 
     def _split(self, pair: _Pair) -> None:
         """The next layer of a pair in batches that run at the same time: by side, by object, or by job."""

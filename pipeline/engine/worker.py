@@ -31,15 +31,9 @@ from .time_limit import OutOfTimeError, limited
 class JobFailure:
     """Reason why a job failed; with the traceback if it is a bug."""
 
-    stage: str
-    part: str
+    job: JobId
     reason: str
     trace: str = ""
-
-    @property
-    def job(self) -> JobId:
-        """Name of the job."""
-        return self.stage, self.part
 
 
 @dataclass(frozen=True)
@@ -102,7 +96,7 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
                         if job.is_required:
                             break
         except OutOfTimeError as error:
-            failures.append(JobFailure(*batch.jobs[0], str(error)))
+            failures.append(JobFailure(batch.jobs[0], str(error)))
         results.append(BatchResult(batch.plan.pair_id, tuple(records), tuple(failures)))
     return results
 
@@ -301,16 +295,16 @@ _KEPT: dict[tuple[str, str, tuple[str, ...]], PairTables] = {}
 
 def _failure(job: Job, error: Exception) -> JobFailure:
     if isinstance(error, FidpipeError):
-        return JobFailure(*job.name, str(error))
+        return JobFailure(job.name, str(error))
     if isinstance(error, MemoryError):
-        return JobFailure(*job.name, f"out of memory ({error})")
+        return JobFailure(job.name, f"out of memory ({error})")
     trace = "".join(traceback.format_exception(error))
-    return JobFailure(*job.name, f"internal error: {type(error).__name__}: {error}", trace)
+    return JobFailure(job.name, f"internal error: {type(error).__name__}: {error}", trace)
 
 
 def failure_text(failures: Iterable[JobFailure]) -> str:
     """Failed jobs and their reasons, in one line."""
-    return "; ".join(f"{job_title(failure.stage, failure.part)}: {failure.reason}" for failure in failures)
+    return "; ".join(f"{job_title(*failure.job)}: {failure.reason}" for failure in failures)
 
 
 def job_title(stage: str, part: str) -> str:

@@ -1,5 +1,6 @@
 """Start of a worker process of a local cluster: its imports, Ctrl-C left to the command, and a limit on memory."""
 
+import resource
 import signal
 from pathlib import Path
 from typing import Any
@@ -27,12 +28,7 @@ def dask_setup(worker: Any) -> None:
 
 def limit_memory(n_bytes: int) -> None:
     """Limit the bytes that this process may allocate from now on: a file that needs more fails alone."""
-    try:
-        import resource
-
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-    except (ImportError, OSError):  # not Linux: dask ends a worker that takes too much
-        return
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     limit = pages * resource.getpagesize() + n_bytes
     resource.setrlimit(resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))

@@ -17,7 +17,7 @@ from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
-from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, kept_nodes, matched_rows, matched_subgraphs, object_points
+from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, kept_nodes, matched_objects, object_points
 
 if TYPE_CHECKING:
     from ...stages.baselines import Baseline
@@ -28,10 +28,8 @@ def make_baselines(own: Inputs) -> JobResult:
     from ...stages.baselines import compare_objects, compare_points
 
     settings, selection = own.settings, own.table("selection")
-    subgraphs = [matched_subgraphs(own, side) for side in SIDES]
     rows: list[Row] = []
-    for match in matched_rows(own):
-        real, sim = (graphs[match[f"{side}_id"]] for side, graphs in zip(SIDES, subgraphs, strict=True))
+    for match, real, sim in matched_objects(own):
         nodes = kept_nodes(selection, match["real_id"], real, sim)
         values = compare_objects(real, sim, nodes, settings.selection.t, settings.metrics, watch=own.step)
         rows += [_row(own, value, match["real_id"], match["sim_id"]) for value in values]

@@ -15,7 +15,7 @@ from ...stages.inspect.plausibility import inspect_points
 from ...stages.method import remove_road
 from ..datasets.readers.scan import Scan
 from ..stage import INSPECTION, N_RAW, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Metadata, Stage
-from .points_job import column
+from .points_job import coordinates
 
 _MEASURES = ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")
 
@@ -36,8 +36,7 @@ def make_ground(own: Inputs) -> JobResult:
     if ("ground", "real") in own.outputs:
         real_cut = _cut(own.metadata("ground", "real"))
     if ("ground", "real") in own.tables:
-        real = own.table("ground", "real")
-        real_points = np.column_stack([column(real, axis) for axis in "xyz"])
+        real_points = coordinates(own.table("ground", "real"))
     try:
         clean, cut = remove_road(
             scan.points,

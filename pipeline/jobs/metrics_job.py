@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import OBJECT_METRICS
 from ...schemas.results import Number
 from ...schemas.tables import TABLES
@@ -17,15 +16,13 @@ from ...stages.method import n_communities
 from ...stages.metrics import Scores, score_object
 from ...stages.summary import summarise_pair
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage, Tables
-from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_rows, matched_subgraphs
+from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_objects
 
 
 def make_metrics(own: Inputs) -> JobResult:
     """Score each object: geometry and structure."""
     selection, scored = own.table("selection"), []
-    subgraphs = [matched_subgraphs(own, side) for side in SIDES]
-    for match in matched_rows(own):
-        real, sim = (graphs[match[f"{side}_id"]] for side, graphs in zip(SIDES, subgraphs, strict=True))
+    for match, real, sim in matched_objects(own):
         nodes = kept_nodes(selection, match["real_id"], real, sim)
         sizes = len(real.points), len(sim.points), len(nodes.real_nodes)
         scored.append((match, sizes, score_object(real, sim, nodes, watch=own.step)))

@@ -20,7 +20,7 @@ from ...stages.arrays import FloatArray
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
 from .baselines_job import summary_row
-from .points_job import column
+from .points_job import coordinates
 
 #: More scans than this are represented by that many, evenly spaced, in the discrepancy of all.
 MOST_SCANS = 500
@@ -31,7 +31,7 @@ def make_nvs(own: Inputs) -> JobResult:
     from ...stages import nvs
 
     tables = [own.table("ground", side) for side in SIDES]
-    real, sim = points = [np.column_stack([column(table, axis) for axis in "xyz"]) for table in tables]
+    real, sim = points = [coordinates(table) for table in tables]
     scores = nvs.score_pair(real, sim, (_intensity(tables[0]), _intensity(tables[1])), watch=own.step)
     rows = [
         {"pair_id": own.pair_id, "score": each.name, "value": each.value, "unit": each.unit, "reason": each.reason}

@@ -12,7 +12,7 @@ from ...schemas.tables import TABLES
 from ...stages.objects import majority_labels
 from ...stages.pieces import CutScan, Pieces, count_pieces, find_pieces
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
-from .points_job import column, nulls_for_nan
+from .points_job import column, coordinates, nulls_for_nan
 
 _PLACE = ("cx", "cy", "cz", "extent_x", "extent_y", "extent_z", "range_m", "bearing_deg", "height_m")
 _MOVED = ("moved_x_m", "moved_y_m", "moved_z_m")
@@ -21,14 +21,7 @@ _MOVED = ("moved_x_m", "moved_y_m", "moved_z_m")
 def make_pieces(own: Inputs) -> JobResult:
     """Find the missing and the invented pieces."""
     tables = [own.table("ground", side) for side in SIDES]
-    real, sim = (
-        CutScan(
-            np.column_stack([column(table, axis) for axis in "xyz"]),
-            column(table, "is_ground"),
-            column(table, "height_m"),
-        )
-        for table in tables
-    )
+    real, sim = (CutScan(coordinates(table), column(table, "is_ground"), column(table, "height_m")) for table in tables)
     with own.step("pieces"):
         both = find_pieces(real, sim, own.settings.pieces)
     return pieces_result(own.pair_id, both, [table.column("label") for table in tables])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
+from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ...stages.reference import Annotation
@@ -60,7 +61,7 @@ def graph_edges(own: Inputs, side: str) -> Edges:
     return edges_in(object_points(own, side)[0], own.table("graph", side))
 
 
-def matched_rows(own: Inputs) -> list[dict[str, Any]]:
+def _matched_rows(own: Inputs) -> list[dict[str, Any]]:
     """The rows of `matching` of the objects that the job is about: of grain OBJECT its own, else all matched ones."""
     matching = own.table("matching")
     matched = _matched(matching)
@@ -77,11 +78,23 @@ def matched_subgraphs(own: Inputs, side: str) -> dict[int, Subgraph]:
         return own.memo(_matched_subgraphs, *tables, own.table("matching"), f"{side}_id")
 
 
+def matched_objects(own: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, Subgraph]]:
+    """The objects that the job is about: each with its row of `matching`, and as a subgraph of both sides."""
+    real, sim = (matched_subgraphs(own, side) for side in SIDES)
+    for match in _matched_rows(own):
+        yield match, real[match["real_id"]], sim[match["sim_id"]]
+
+
+def coordinates(table: pa.Table) -> FloatArray:
+    """The coordinates of points, (n, 3) float64 metres."""
+    return np.column_stack([column(table, axis) for axis in "xyz"])
+
+
 def points_in(ground: pa.Table) -> tuple[IntArray, FloatArray]:
     """See `object_points`."""
     ground = ground.select(POINT_COLUMNS)
     ground = ground.filter(pa.array(~column(ground, "is_ground")))
-    return column(ground, "point_id"), np.column_stack([column(ground, axis) for axis in "xyz"])
+    return column(ground, "point_id"), coordinates(ground)
 
 
 def edges_in(point_ids: IntArray, graph: pa.Table) -> Edges:

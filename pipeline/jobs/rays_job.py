@@ -24,13 +24,13 @@ from ...stages.rays import (
     score_rays,
 )
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from .points_job import column
+from .points_job import column, coordinates
 
 
 def make_rays(own: Inputs) -> JobResult:
     """Pair the rays of both sides and score them."""
     tables = [own.table("ground", side) for side in SIDES]
-    real, sim = (np.column_stack([column(table, axis) for axis in "xyz"]) for table in tables)
+    real, sim = map(coordinates, tables)
     sensors = [own.metadata("sensor", side)["sensor"] for side in SIDES]
     moved = own.metadata("ground", "sim")["T_real_sim"]
     with own.step("rays"):

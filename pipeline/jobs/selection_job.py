@@ -8,30 +8,20 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import SIDES
 from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
 from ...stages.selection import Selection, select_nodes
 from ..stage import Grain, Inputs, JobResult, Stage
-from .points_job import MATCHED_OBJECTS, matched_rows, matched_subgraphs
+from .points_job import MATCHED_OBJECTS, matched_objects
 
 
 def make_selection(own: Inputs) -> JobResult:
     """Keep the most influential nodes of each object on both sides, aligned one to one."""
-    real, sim = (matched_subgraphs(own, side) for side in SIDES)
-    return selection_result(
-        own.pair_id,
-        [
-            (
-                match,
-                real[a].point_ids,
-                sim[b].point_ids,
-                select_nodes(real[a], sim[b], own.settings.selection, watch=own.step),
-            )
-            for match in matched_rows(own)
-            for a, b in [(match["real_id"], match["sim_id"])]
-        ],
-    )
+    kept = [
+        (match, real.point_ids, sim.point_ids, select_nodes(real, sim, own.settings.selection, watch=own.step))
+        for match, real, sim in matched_objects(own)
+    ]
+    return selection_result(own.pair_id, kept)
 
 
 def selection_result(

@@ -21,7 +21,6 @@ import pyarrow as pa
 from ...schemas.columns import Row, Table
 from ...schemas.errors import DatasetError, ScanError
 from ...schemas.settings import Settings
-from ...schemas.settings_text import to_toml
 from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
@@ -34,10 +33,9 @@ from ..inspect.frame_checks import inspection_of, pair_warnings
 from ..jobs import STAGES
 from ..run import select_pairs
 from ..stage import Stage
-from ..storage.files import key_of, write_whole
+from ..storage.files import key_of
 from ..storage.folder import RunFolder, check_folder
 from ..storage.run_record import (
-    SETTINGS_TOML,
     has_ended,
     read_run,
     run_header,
@@ -183,13 +181,11 @@ class Experiment:
 
     def _write_record(self, outcome: Mapping[str, Any]) -> None:
         """Write the settings and the record; without outcome, that of an experiment that has not ended."""
-        settings = to_toml(self.engine.settings).encode()
-        write_whole(self.folder.folder / SETTINGS_TOML, settings, before_rename=self.folder.check_token)
         header = {
             "experiment": self.name,
             **run_header(self.source.folder, self.engine.settings, _VERSIONS).as_dict(),
         }
-        write_record(self.folder.folder, header | dict(outcome), self.folder.check_token)
+        write_record(self.folder.folder, self.engine.settings, header | dict(outcome), self.folder.check_token)
 
     def _records(self) -> Iterator[JobRecord]:
         for pair_id in self.folder.ledger.pair_ids():

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import secrets
-import warnings
 from collections.abc import Container, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from .table_files import AT_URL, JobId, JobRecord, TableFolder, read_footer, tab
 from .urls import is_url, name_in_records, url_of_cache
 
 _LOCK = ".lock"
-_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP)  # such as NFS without lockd
+_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # such as NFS without lockd
 
 
 class RunFolder(TableFolder):
@@ -42,8 +42,6 @@ class RunFolder(TableFolder):
     @property
     def is_locked(self) -> bool:
         """True if a command is working on the folder."""
-        import fcntl
-
         try:
             with (self.folder / _LOCK).open() as file:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -62,24 +60,20 @@ class RunFolder(TableFolder):
         RunError
             Another run holds it, or the folder cannot be written.
         """
-        from filelock import FileLock, Timeout
-
-        lock = FileLock(self.folder / _LOCK)
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self.refuse_links()
-            with warnings.catch_warnings(action="ignore"):  # without flock, a file that exists is the lock
-                lock.acquire(timeout=0)
-            self.token_path.write_text(self.token)
-        except Timeout:
-            raise RunError(
-                f"run {self.folder}: another fidpipe is writing here; wait for it, or give another --out"
-            ) from None
-        except OSError as error:
-            lock.release()
-            fault = "its file system has no locks" if error.errno in _NO_LOCKS else "cannot be written"
-            raise RunError(f"run {self.folder}: {fault} ({error.strerror}); give another --out") from error
-        try:
+        with ExitStack() as lock:
+            try:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                self.refuse_links()
+                file = lock.enter_context((self.folder / _LOCK).open("a"))
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self.token_path.write_text(self.token)
+            except BlockingIOError:
+                raise RunError(
+                    f"run {self.folder}: another fidpipe is writing here; wait for it, or give another --out"
+                ) from None
+            except OSError as error:
+                fault = "its file system has no locks" if error.errno in _NO_LOCKS else "cannot be written"
+                raise RunError(f"run {self.folder}: {fault} ({error.strerror}); give another --out") from error
             if self._ledger is not None:
                 self._ledger.close()
             self._ledger = self._open_ledger(is_writable=True)
@@ -89,8 +83,6 @@ class RunFolder(TableFolder):
                 self.ledger.set_complete(True)
             finally:
                 self.ledger.commit()
-        finally:
-            lock.release()
 
     def refuse_links(self) -> None:
         """Raises `RunError` where something in the folder is a link: a run reads and writes its own files alone."""

@@ -135,8 +135,13 @@ def finished_record(folder: Path) -> dict[str, Any]:
     return record
 
 
-def write_record(folder: Path, record: Mapping[str, Any], before_rename: Callable[[], None] | None = None) -> None:
-    """Write `run.json`; its last entry is the hash of the text before it."""
+def write_record(
+    folder: Path, settings: Settings, record: Mapping[str, Any], before_rename: Callable[[], None]
+) -> None:
+    """Write `settings.toml` and `run.json`, whose last entry is the hash of the text before it."""
+    from ...schemas.settings_text import to_toml  # not needed to read a record
+
+    write_whole(folder / SETTINGS_TOML, to_toml(settings).encode(), before_rename=before_rename)
     text = dumps(record).removesuffix(_END)
     seal = f',\n  "sha256": "{hashlib.sha256(text).hexdigest()}"'.encode()
     write_whole(folder / RUN_JSON, [text, seal, _END], before_rename=before_rename)

@@ -1,5 +1,6 @@
 """The order of work: what is admitted when, what cannot fit, and what becomes of a pair whose worker dies."""
 
+import math
 import re
 from dataclasses import dataclass, replace
 
@@ -64,7 +65,7 @@ def test_an_object_that_cannot_fit_fails_its_pair_alone(dataset, finished, tmp_p
 
 def test_objects_larger_than_a_share_are_scored_one_by_one_with_the_same_numbers(dataset, finished, tmp_path):
     pool = WatchedPool(memory=3 * GIB // 2)
-    policy = Policy(LARGE_NODES, few_pairs_per_worker=0)  # no pair is split for speed
+    policy = Policy(LARGE_NODES, worth_splitting_s=math.inf)  # no pair is split for speed
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
     assert "score_objects" in pool.submitted
     assert_same_tables(tmp_path / "run", finished)
@@ -101,7 +102,7 @@ def test_a_pair_with_a_large_object_whose_worker_dies_once_is_scored_all_the_sam
     dataset, finished, tmp_path, function
 ):
     pool = DyingPool(lambda jobs, name: name == function, 1, memory=3 * GIB // 2)
-    policy = Policy(LARGE_NODES, few_pairs_per_worker=0)
+    policy = Policy(LARGE_NODES, worth_splitting_s=math.inf)
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
     assert pool.n_deaths == 1
     assert_same_tables(tmp_path / "run", finished)
@@ -168,7 +169,7 @@ def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(dataset, f
 
 
 def test_pairs_that_nobody_began_are_an_error_not_a_silence(dataset, tmp_path):
-    nothing_begins = Policy(pairs_per_worker=0, few_pairs_per_worker=0)
+    nothing_begins = Policy(pairs_per_worker=0)
     with pytest.raises(RuntimeError, match="3 pairs were left over"):
         run(dataset, tmp_path / "run", pool=WatchedPool(), policy=nothing_begins)
 
