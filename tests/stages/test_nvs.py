@@ -45,31 +45,6 @@ def test_one_pair_evaluated_by_hand_with_the_formulas_of_lidar4d():
     assert found["nvs_f_score_0p05m2"] == pytest.approx(2 / 3)
 
 
-def test_a_point_returns_to_the_direction_of_its_pixel():
-    azimuth, elevation = np.radians([360 / 1030 * 3.3, -10.0])
-    point = 30 * np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-    (back,) = nvs.project(point[None]).points()
-    assert np.linalg.norm(back) == pytest.approx(30)
-    assert np.degrees(np.arctan2(back[1], back[0])) == pytest.approx(360 / 1030 * 3)
-    row = round(66 - (24.9 - 10) / 26.9 * 66)
-    assert np.degrees(np.arcsin(back[2] / 30)) == pytest.approx(2 - row / 66 * 26.9)
-
-
-def test_f_score_at_5_cm_has_a_radius_of_22_cm():
-    origin = np.zeros((1, 3))
-    assert [nvs.cloud_errors(origin, origin + [d, 0, 0])[1] for d in (0.06, 0.223, 0.224)] == [1, 1, 0]
-
-
-def test_similarity_of_one_window_by_hand():
-    """Real: mean 2, variance 49, extent 49; simulated: 2 throughout; c1 = 0.49^2, c2 = 1.47^2."""
-    real, sim = np.ones((7, 7)), np.full((7, 7), 2.0)
-    real[3, 3] = 50.0
-    by_hand = 1.47**2 / (49 + 1.47**2)
-    assert literal.image_scores(real.tolist(), sim.tolist(), 80.0)["ssim"] == pytest.approx(by_hand, abs=1e-12)
-    pytest.importorskip("skimage")
-    assert nvs.image_errors(real, sim, 80.0)[3] == pytest.approx(by_hand, abs=1e-12)
-
-
 def test_all_numbers_are_those_of_the_literal_twin():
     (real, real_intensity), (sim, sim_intensity) = scan(0), scan(1)
     sim[:2500], sim_intensity[:2500] = real[:2500] + 0.05, real_intensity[:2500]
