@@ -229,12 +229,6 @@ def test_show_gives_csv_that_pandas_reads_and_markdown_tables(by_command):
     assert NUSCENES[0] in command("show", out, NUSCENES[0], "--markdown").stdout
 
 
-@pytest.mark.parametrize("words", [("--csv", "--json"), ("--markdown", "--csv"), ("--markdown", "--paper")])
-def test_formats_exclude_each_other(by_command, words):
-    done = command("show", by_command[1], *words, code=2)
-    assert done.stdout == ""
-
-
 def test_status_answers_in_ten_lines_and_times_only_when_asked(by_command):
     shown = command("status", by_command[1]).stdout
     assert len(shown.splitlines()) <= 10
