@@ -62,14 +62,6 @@ def test_an_object_that_cannot_fit_fails_its_pair_alone(dataset, finished, tmp_p
     assert not (tmp_path / "run" / "selection" / f"{loser}.parquet").exists()
 
 
-def test_objects_larger_than_a_share_are_scored_one_by_one_with_the_same_numbers(dataset, finished, tmp_path):
-    pool = WatchedPool(memory=3 * GIB // 2)
-    policy = Policy(LARGE_NODES, few_pairs_per_worker=0)  # no pair is split for speed
-    assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
-    assert "score_objects" in pool.submitted
-    assert_same_tables(tmp_path / "run", finished)
-
-
 @pytest.mark.parametrize("n_workers", [1, 2])
 def test_a_long_pair_is_made_job_by_job_and_object_by_object_so_that_progress_moves(
     dataset, finished, tmp_path, n_workers
