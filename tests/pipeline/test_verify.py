@@ -362,7 +362,7 @@ WORDS = ["matching.delta_m=6", "metrics.baselines=chamfer", "ground.prior_m=0.25
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """A run of one labelled pair with matched, missing and hallucinated objects, which takes less time to verify."""
+    """A run of one labelled pair with matched and missing objects, which takes less time to verify."""
     folder = tmp_path_factory.mktemp("forged")
     real = np.vstack([street(seed=3, n=90), box([14, -3, 0], [1, 1, 1], 40), box([-15, 12, 0], [1, 2, 1], 30)])
     sim = np.vstack([drifted(real[:-30], seed=4), box([15, 14, 1], [1, 1, 1], 40)])
