@@ -373,7 +373,7 @@ def test_comparison_and_history_draw_their_charts_in_the_theme_and_fit_the_windo
 
 @pytest.mark.exhaustive
 def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_reference, tmp_path):
-    """The distances themselves are those of the tables: `test_report_pair`."""
+    """The distances themselves are those of the tables: `test_report`."""
     resize(browser, WIDTHS[0])
     open_page(browser, write_report(by_reference, out=tmp_path).page)
     choose(browser, "object", "")
