@@ -6,13 +6,16 @@ times of the damaged file.
 
 import random
 import re
+import sqlite3
+from contextlib import closing
 
 import pytest
 
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.status import run_status
+from fidpipe.pipeline.storage.files import hash_file
 from fidpipe.pipeline.storage.folder import RunFolder
-from fidpipe.pipeline.storage.ledger import LEDGER
+from fidpipe.pipeline.storage.ledger import LEDGER, SEAL
 from fidpipe.schemas.errors import RunError
 from runs import FOLDERS, assert_same_tables, changed_files, flip, marks, run, some_of, temporary_files
 from tries import assert_resumes
@@ -65,11 +68,27 @@ def test_a_damaged_table_is_seen_and_it_alone_is_made_again(again, finished, dat
         assert temporary_files(again) == []
 
 
-@pytest.mark.parametrize("seed", some_of(range(50), [0, 1]))
-def test_a_bit_flipped_in_the_ledger_changes_no_result(again, finished, dataset, seed):
+def other_layout(path, rng):
+    """That of another version, closed in order."""
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("PRAGMA user_version = 1")
+    path.with_name(SEAL).write_text(hash_file(path))
+
+
+LEDGER_HARMS = HARMS | {
+    "other layout": other_layout,
+    "text": lambda path, rng: path.write_bytes(b"text" * 3000),
+}
+FLIPS = [("flipped", seed) for seed in range(50)]
+OTHERS = [(harm, 0) for harm in LEDGER_HARMS if harm != "flipped"]
+
+
+@pytest.mark.parametrize(("harm", "seed"), some_of([*FLIPS, *OTHERS], [*FLIPS[:2], *OTHERS]))
+def test_a_damaged_ledger_changes_no_result(again, finished, dataset, harm, seed):
     rng = random.Random(seed)
-    for _ in range(rng.choice([1, 1, 1, 8, 64])):
-        flip_bit(again / LEDGER, rng)
+    for _ in range(rng.choice([1, 1, 1, 8, 64]) if harm == "flipped" else 1):
+        LEDGER_HARMS[harm](again / LEDGER, rng)
+    assert FinishedRun(again).rows == FinishedRun(finished).rows
     outcome = run(dataset, again)
     assert outcome.failures == {}
     assert_same_tables(again, finished)

@@ -186,4 +186,3 @@ def test_the_command_prints_a_choice_and_its_rule(dataset, tmp_path):
     assert len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate")) == 2 * 2
     picture = imread(tmp_path / "runs" / "streets-ablate" / "ablate.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
-    command("ablate", dataset, "--k", "many", "--workers", 1, cwd=tmp_path, code=2)

@@ -92,20 +92,37 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
 
 
 @pytest.mark.parametrize(
-    "words",
+    ("words", "fault"),
     [
-        ["run", "--workers", "1"],
-        ["run", "{data}", "--from", "nowhere", "--workers", "1"],
-        ["run", "{data}", "--workers", "0"],
-        ["nosuch"],
-        ["run", "--what", "--workers", "1"],
-        ["run", "{data}", "--workers", "2", "--scheduler", "tcp://a:1"],
+        ("run --workers 1", ""),
+        ("run {data} --from nowhere --workers 1", ""),
+        ("run {data} --workers 0", ""),
+        ("nosuch", ""),
+        ("run --what --workers 1", ""),
+        ("run {data} --workers 2 --scheduler tcp://a:1", ""),
+        ("compare {run}", "1 run given; expected 2 to 8"),
+        ("compare {run} {run} --fail-on nose", "expected worse or undecided, got 'nose'"),
+        ("compare {run} {run} --junit a.xml", "give it as well"),
+        ("compare {run} {run} --json --csv", "give one of them"),
+        ("compare {run} {run} --by-date", "--history"),
+        ("compare {run} {run} --history --fail-on worse", "without it"),
+        ("diagnose {run} elsewhere", "--tell-apart"),
+        ("diagnose {run} --tell-apart --beams", "one of --beams and --tell-apart"),
+        ("diagnose {run} --tell-apart --set input.min_range_m=1", "two folders"),
+        ("show {run} --csv --json", "give one of them"),
+        ("show {run} --markdown --paper", "leave out --paper"),
+        ("verify {run} --all --objects 5", "give one of them"),
+        ("gate {run}", "no criterion given"),
+        ("export {run}", "no format given"),
+        ("settings --json-schema --preset paper", "give it alone"),
+        ("ablate {data} --workers 1 --k many", "expected numbers with commas, got 'many'"),
     ],
 )
-def test_wrong_usage_ends_with_two(dataset, tmp_path, words):
-    result = command(*[word.format(data=dataset) for word in words], cwd=tmp_path, code=2)
+def test_wrong_usage_ends_with_two(dataset, finished, tmp_path, words, fault):
+    result = command(*(word.format(data=dataset, run=finished) for word in words.split()), cwd=tmp_path, code=2)
     (line,) = result.stderr.splitlines()
-    assert line.startswith("error: ") and line.endswith(" --help")
+    assert line.startswith("error: ") and fault in line and line.endswith(" --help")
+    assert result.stdout == ""
     assert list(tmp_path.iterdir()) == []
 
 

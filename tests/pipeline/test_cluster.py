@@ -6,7 +6,6 @@ import re
 import signal
 import time
 import urllib.request
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from fidpipe.pipeline.engine.cluster import DaskPool, Requirements, code_hash, w
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.generate.floor_run import run_floor
-from fidpipe.pipeline.jobs import STAGES, metrics_job, selection_job
+from fidpipe.pipeline.jobs import metrics_job, selection_job
 from fidpipe.pipeline.paper.ablate import ablate_dataset
 from fidpipe.pipeline.paper.perturb import perturb_source
 from fidpipe.pipeline.storage.run_record import library_versions
@@ -70,17 +69,13 @@ def never_ending_selection(context):
     return selection_job.make_selection(context)
 
 
-def with_metrics(make):
-    return tuple(replace(stage, make=make) if stage.name == "metrics" else stage for stage in STAGES)
-
-
 @pytest.mark.parametrize("at_work", some_of(["beginning", "writing"], ["writing"]))
 def test_three_workers_over_tcp_one_of_them_killed_give_the_tables_of_a_local_run(
     dataset, finished, tmp_path, cluster, at_work
 ):
     killed = tmp_path / "killed"
     cluster.add_workers(3, "--no-nanny", KILLED=str(killed))
-    stages = with_metrics(partial(kill_own_worker_once, at_work=at_work))
+    stages = broken_jobs.with_job("metrics", partial(kill_own_worker_once, at_work=at_work))
     outcome = run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
     dead = [process for process in cluster.workers if process.poll() is not None]
     assert [process.pid for process in dead] == [int(killed.read_text())]
@@ -99,19 +94,6 @@ def test_a_pair_whose_worker_dies_each_time_fails_and_says_so(dataset, tmp_path,
     reason = outcome.failures[broken_jobs.POISON]
     assert reason.startswith("stage graph, real: the worker process died, and again when the pair ran alone")
     assert "4 workers each time, the last one tcp://127.0.0.1:" in reason
-
-
-@pytest.mark.exhaustive
-def test_a_cluster_whose_workers_are_all_lost_ends_the_run_which_can_be_gone_on_with(
-    dataset, finished, tmp_path, cluster, monkeypatch
-):
-    monkeypatch.setattr(engine_cluster, "_WITHOUT_WORKERS_S", 2.0)
-    cluster.add_workers(1, "--no-nanny")
-    stages = broken_jobs.with_job("graph", broken_jobs.poisoned_graph)
-    with pytest.raises(RunError, match="no worker for 2 s; run the same command again: it resumes"):
-        run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
-    run(dataset, tmp_path / "run")
-    assert_same_tables(tmp_path / "run", finished)
 
 
 @pytest.mark.exhaustive
@@ -143,10 +125,21 @@ def kill_scheduler(context):
 
 
 @pytest.mark.exhaustive
-def test_a_lost_scheduler_is_named_and_the_run_goes_on_without_it(dataset, finished, tmp_path, cluster):
-    cluster.add_workers(2, "--no-nanny", SCHEDULER=str(cluster.scheduler.pid))
-    with pytest.raises(RunError, match=f"scheduler {cluster.address}: .*; run the same command again: it resumes"):
-        run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=with_metrics(kill_scheduler))
+@pytest.mark.parametrize(
+    ("stages", "reason"),
+    [
+        (broken_jobs.with_job("graph", broken_jobs.poisoned_graph), "no worker for 2 s"),
+        (broken_jobs.with_job("metrics", kill_scheduler), "scheduler {}: .*"),
+    ],
+    ids=["workers", "scheduler"],
+)
+def test_a_run_that_loses_its_workers_or_its_scheduler_says_so_and_is_resumed(
+    dataset, finished, tmp_path, cluster, monkeypatch, stages, reason
+):
+    monkeypatch.setattr(engine_cluster, "_WITHOUT_WORKERS_S", 2.0)
+    cluster.add_workers(1, "--no-nanny", SCHEDULER=str(cluster.scheduler.pid))
+    with pytest.raises(RunError, match=f"{reason.format(cluster.address)}; run the same command again: it resumes"):
+        run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
     run(dataset, tmp_path / "run")
     assert_same_tables(tmp_path / "run", finished)
 

@@ -284,16 +284,3 @@ def test_two_sweeps_of_a_parked_sensor_are_indistinguishable(real_data):
     base = found["real_against_real"]
     assert base["low"] <= 0.5 <= base["high"]
     assert base["high"] - base["low"] < 0.2
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "text"),
-    [
-        (("elsewhere",), 2, "--tell-apart"),
-        (("--tell-apart", "--beams"), 2, "one of --beams and --tell-apart"),
-        (("--tell-apart", "--set", "input.min_range_m=1"), 2, "two folders"),
-    ],
-)
-def test_wrong_usage_is_explained(folder, words, code, text):
-    ended = command("diagnose", folder / "run", *words, code=code)
-    assert text in ended.stderr

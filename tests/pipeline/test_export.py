@@ -256,4 +256,3 @@ def test_the_command_says_what_it_wrote(run):
     assert "PLY:    4 files in" in result.stdout
     assert "0 ground, 1 scored, 2 identical, 3 too_small, 4 missing, 5 hallucinated" in result.stdout
     assert result.stderr == ""
-    assert command("export", run.folder).returncode == 2

@@ -63,19 +63,6 @@ def test_a_run_to_which_they_are_added_later_reuses_everything_else(dataset, fin
     assert [run_status(out).stages[stage] for stage in EXTRAS] == [{"done": 2}] * len(EXTRAS)
 
 
-def test_there_is_a_baseline_for_each_object_and_each_pair_of_scans(finished):
-    metrics = pd.read_parquet(finished / "metrics")
-    for pair_id in ("000", "001"):
-        table = extras(finished)["baselines", pair_id]
-        TABLES["baselines"].check(table)
-        frame = table.to_pandas()
-        n_matched = int((metrics.pair_id == pair_id).sum())
-        assert (frame.real_id.notna().sum(), frame.real_id.isna().sum()) == (15 * n_matched, 10)
-        assert frame.real_id.isna().to_numpy()[-10:].all()
-        assert not frame.duplicated(["real_id", "sim_id", "baseline"]).any()
-        assert frame[frame.value.isna()].reason.notna().all()
-
-
 def test_the_seeds_of_a_pair_are_what_runs_under_them_give(dataset, finished, tmp_path):
     for seed in range(2):
         for row in run(dataset, tmp_path / str(seed), load(None, [f"communities.seed={seed}"])).rows:

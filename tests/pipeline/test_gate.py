@@ -210,11 +210,6 @@ def test_a_wrong_criterion_ends_with_one_line_and_no_files(again, words, fault):
     assert not (again / "gate.xml").exists()
 
 
-def test_a_gate_without_criteria_is_wrong_usage(finished):
-    empty = command("gate", finished)
-    assert (empty.returncode, empty.stderr.split(";")[0]) == (2, "error: no criterion given")
-
-
 def test_a_file_of_criteria_gives_names_and_reasons(tmp_path):
     path = tmp_path / "acceptance.toml"
     path.write_text(

@@ -6,14 +6,12 @@ import sqlite3
 import tracemalloc
 import weakref
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
 from unittest import mock
 
 import numpy as np
 import pytest
 
-from fidpipe.pipeline.storage.files import hash_file
-from fidpipe.pipeline.storage.ledger import LEDGER, SEAL, Ledger
+from fidpipe.pipeline.storage.ledger import LEDGER, Ledger
 from fidpipe.pipeline.storage.table_files import JobRecord, StoredFile
 from fidpipe.schemas.errors import RunError
 
@@ -120,45 +118,6 @@ def test_a_ledger_that_changed_since_it_was_closed_is_not_believed(ledger, tmp_p
     path.write_bytes(content.replace(b'"n":1', b'"n":2', 1))
     assert contents(again(tmp_path)) == ([], {}, {})
     assert not again(tmp_path).is_complete
-
-
-DAMAGES = {
-    "text": lambda content: b"not a database " * 1000,
-    "header": lambda content: b"\x00" * 100 + content[100:],
-    "page": lambda content: content[:65536] + b"\xa5" * 65536 + content[131072:],
-    "torn": lambda content: content[: len(content) // 2],
-    "empty": lambda content: b"",
-}
-
-
-@pytest.mark.parametrize("damage", [*DAMAGES, "layout"])
-def test_a_ledger_that_is_none_is_made_again(tmp_path, damage):
-    path = tmp_path / LEDGER
-    ledger = Ledger(path, is_writable=True)
-    for i in range(300):
-        ledger.put_job(record(str(i), text="x" * 1000))
-    ledger.set_complete(True)
-    ledger.close()
-    spoil(path, damage)
-    reader = again(tmp_path)
-    assert contents(reader) == ([], {}, {})
-    assert not reader.is_complete
-    reader.close()
-    writer = Ledger(path, is_writable=True)
-    assert contents(writer) == ([], {}, {})
-    writer.put_job(record("a"))
-    writer.commit()
-    assert list(again(tmp_path).pair_ids()) == ["a"]
-
-
-def spoil(path, damage):
-    content = path.read_bytes()
-    if damage == "layout":  # that of another version, closed in order
-        with closing(sqlite3.connect(path)) as db:
-            db.execute("PRAGMA user_version = 1")
-        path.with_name(SEAL).write_text(hash_file(path))
-    else:
-        path.write_bytes(DAMAGES[damage](content))
 
 
 def test_a_ledger_in_a_run_that_goes_on_is_read_as_it_was_committed(ledger, tmp_path):

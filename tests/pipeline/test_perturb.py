@@ -81,15 +81,6 @@ def test_dropout_changes_objects_more_than_noise_and_the_more_the_larger_it_is(d
     assert (mean.loc["dropout", 0.1] < mean.loc["dropout", 0.4]).all()
 
 
-def test_a_row_can_be_made_again_from_its_recorded_seed(done):
-    row = rows(done.folder).query("kind == 'dropout' and amount == 0.4").iloc[1]
-    points, community = object_points(done.folder, "street")
-    own = points[community == row.community_id]
-    left = perturb(own, Perturbation("dropout", 0.4), np.random.default_rng(row.seed))
-    assert (len(own), len(left)) == (row.n_points, row.n_points_altered)
-    assert np.linalg.norm(left.mean(axis=0) - own.mean(axis=0)) == row.centroid_distance_m
-
-
 def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(scan, tmp_path, monkeypatch):
     seeds = []
 

@@ -14,9 +14,7 @@ from fidpipe.pipeline.datasets.content import scan_content
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan, rosbag, stem_of, suffix_of, velodyne
 from fidpipe.pipeline.datasets.readers.frame_address import address_of
-from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.schemas.errors import ScanError
-from fidpipe.schemas.settings import Settings
 from recordings import carla_ply, cloud, columns_of, packets_message, rows, write_bag, write_las, write_pcap
 from runs import command, run
 from scenes import drifted, street, write_bin
@@ -222,16 +220,6 @@ def test_projected_coordinates_keep_their_millimetres(tmp_path, name, version, p
     assert np.abs(scan.points - points).max() < 1e-9  # a float64 of 850 km has steps of 1e-10 m
     assert scan.intensity.tolist() == rows.tolist()
     assert scan.labels[:3].tolist() == ["0", "unclassified", "ground"]
-
-
-def test_a_projected_scan_is_named_by_check_and_not_cut_silently(tmp_path):
-    for side in ("real", "sim"):
-        (tmp_path / side).mkdir()
-        write_las(tmp_path / side / "a.las", np.round(street(), 3) + PROJECTED)
-    found = check_dataset(tmp_path, Settings())
-    told = "expected at least 8 points after cleaning, got 0 (1875 too far); raise input.max_range_m (now 100)"
-    assert all(told in fault for fault in found.faults)
-    assert sum("are they projected?" in warning for warning in found.warnings) == 2
 
 
 # Headers that promise what the file does not hold.
@@ -528,18 +516,6 @@ def test_a_capture_without_packets_is_refused(tmp_path, content):
         read_scan(path)
 
 
-def test_no_library_of_an_extra_is_loaded_before_its_file_is_met():
-    code = (
-        "import sys\n"
-        "from fidpipe.pipeline.cli.main import app\n"
-        "from fidpipe.pipeline.datasets.readers import formats\n"
-        "formats()\n"
-        "print([name for name in ('rosbags', 'velodyne_decoder', 'dpkt', 'laspy', 'lazrs') if name in sys.modules])"
-    )
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert shown.strip() == "[]"
-
-
 def test_the_cloud_of_another_decoder_lies_on_the_same_surfaces(real_data):
     """one_sweep.pcd comes from the decoder of Autoware, which corrects angles otherwise: not one point is the same."""
     from scipy.spatial import cKDTree
@@ -550,9 +526,3 @@ def test_the_cloud_of_another_decoder_lies_on_the_same_surfaces(real_data):
     assert len(theirs) == 26216
     assert np.median(distance_m) < 0.01
     assert np.percentile(distance_m, 99) < 0.03
-
-
-def test_a_label_file_gives_names_by_its_low_bits(tmp_path):
-    path = write_bin(tmp_path / "a.bin", POINTS)
-    np.array([4, 4 + (7 << 16), 99], dtype="<u4").tofile(tmp_path / "a.label")
-    assert read_scan(path, label_names={4: "tree"}).labels.tolist() == ["tree", "tree", "99"]

@@ -20,8 +20,7 @@ from scenes import moved, rigid
     ],
 )
 def test_every_kind_of_real_scan_runs_to_the_end(real_data, tmp_path, real, sim, words):
-    lines = [f"{real_data / real},{real_data / sim}"]
-    (tmp_path / "pairs.csv").write_text("pair_id,real,sim\n" + "".join(f"p,{line}\n" for line in lines))
+    (tmp_path / "pairs.csv").write_text(f"pair_id,real,sim\np,{real_data / real},{real_data / sim}\n")
     outcome = run(tmp_path, tmp_path / "run", load(None, [*words, "graph.k=30"]), workers=2)
     assert not outcome.failures
 

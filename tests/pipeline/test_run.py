@@ -192,19 +192,6 @@ def test_road_peaks_that_differ_by_over_5_cm_are_noted_where_each_side_is_cut_at
     assert note in command("show", tmp_path / "paper", "a").stdout.replace("\n", " ")
 
 
-def test_labels_travel_to_the_objects(tmp_path):
-    data = write_dataset(tmp_path / "data", 1)
-    for side in ("real", "sim"):
-        n = (data / side / "000.bin").stat().st_size // 16
-        np.full(n, 7, dtype="<u4").tofile(data / side / "000.label")
-    (data / "labels.toml").write_text('7 = "car"\n')
-    run(data, tmp_path / "run")
-    assert set(pd.read_parquet(tmp_path / "run" / "objects").label) == {"car"}
-    (data / "labels.toml").write_text('7 = "tree"\n')
-    run(data, tmp_path / "run")
-    assert set(pd.read_parquet(tmp_path / "run" / "objects").label) == {"tree"}
-
-
 def test_each_side_may_have_its_own_columns(dataset, tmp_path):
     scan, seen = street(), drifted(street())
     write_pair(tmp_path / "same", scan, seen)

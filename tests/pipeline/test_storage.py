@@ -102,21 +102,6 @@ def test_a_device_is_written_to_and_not_replaced():
     os.close(end)
 
 
-def test_a_job_is_known_after_it_is_read_back(written):
-    (record,) = written.ledger.jobs("a").values()
-    assert replace(record, files={}) == JOB
-    assert record.files.keys() == FILES
-    assert written.is_whole(record)
-
-
-def test_a_table_is_read_whole_or_by_columns(written):
-    assert written.read_table("communities", "a", "real").equals(communities())
-    ids = written.read_table("communities", "a", "real", ["community_id"])
-    assert ids.column_names == ["community_id"]
-    with pytest.raises(RunError, match=r"communities/b\.real\.parquet is damaged or gone"):
-        written.read_table("communities", "b", "real")
-
-
 def test_a_job_of_a_former_run_writes_nothing(tmp_path):
     former = RunFolder(tmp_path)
     with former.locked():

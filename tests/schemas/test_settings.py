@@ -1,8 +1,7 @@
 import pytest
 
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.settings import load, overrides, preset_of
-from fidpipe.schemas.settings_text import to_toml
+from fidpipe.schemas.settings import load
 
 
 def test_words_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
@@ -66,17 +65,6 @@ def test_the_mirror_is_the_frame_of_carla():
     flipped, named = load(None, ["input.sim_flip_y=true"]).input, load(None, ["input.sim_frame=carla"]).input
     assert flipped.frame_of("sim") == named.frame_of("sim") == "carla"
     assert flipped.frame_of("real") == "ros"
-
-
-def test_the_preset_nvs_is_reference_with_its_scores(tmp_path):
-    own = load(preset="nvs")
-    assert (preset_of(own), overrides(own)) == ("reference", ["nvs.scores=true"])
-    file = tmp_path / "s.toml"
-    file.write_text("[graph]\nk = 60\n")
-    assert load(file, preset="nvs").nvs.scores
-    file.write_text(to_toml(load(preset="paper")))
-    with pytest.raises(SettingsError, match="unlike the preset nvs"):
-        load(file, preset="nvs")
 
 
 @pytest.mark.parametrize("frame", ["carla", "nuscenes", "kitti-cam"])

@@ -106,7 +106,6 @@ def test_the_command_prints_what_its_options_say(tmp_path):
     changed = command("settings", "--settings", tmp_path / "settings.toml", "--set", "graph.k=61")
     assert read_back(changed.stdout, tmp_path).graph.k == 61
     assert json.loads(command("settings", "--json-schema").stdout) == json_schema()
-    assert command("settings", "--json-schema", "--preset", "paper").returncode == 2
 
 
 def test_the_table_for_people_has_every_setting_with_its_default_and_bounds():

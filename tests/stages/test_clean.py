@@ -3,7 +3,7 @@ import pytest
 
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import InputSettings, load
-from fidpipe.stages.clean import as_ros, clean_scan
+from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.literal import literal_method
 from scenes import rigid
 
@@ -20,11 +20,6 @@ def test_each_reason_is_counted_in_its_order():
 def test_range_limits_are_inclusive():
     scan = np.array([[2.5, 0, 0], [100.0, 0, 0], [2.4999, 0, 0], [100.001, 0, 0]])
     assert clean_scan(scan, InputSettings()).point_ids.tolist() == [0, 1]
-
-
-def test_plus_and_minus_zero_are_the_same_coordinate():
-    scan = np.array([[5.0, 0.0, 1], [5.0, -0.0, 1], [-0.0, 0.0, -0.0]])
-    assert clean_scan(scan, InputSettings()).point_ids.tolist() == [0]
 
 
 def test_the_scan_given_is_not_changed():
@@ -46,19 +41,6 @@ def test_agrees_with_the_textbook_on_a_dirty_scan(rng, frame):
     assert result.point_ids.tolist() == ids
     np.testing.assert_allclose(result.points, points, atol=1e-12)
     assert sum(result.dropped.values()) + len(ids) == 800
-
-
-@pytest.mark.parametrize(
-    ("frame", "ahead_left_up"),
-    [
-        ("ros", [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
-        ("carla", [[1, 0, 0], [0, -1, 0], [0, 0, 1]]),
-        ("nuscenes", [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
-        ("kitti-cam", [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
-    ],
-)
-def test_each_frame_has_forward_left_and_up_where_its_axes_say(frame, ahead_left_up):
-    np.testing.assert_array_equal(as_ros(np.array(ahead_left_up, dtype=float), frame), np.eye(3))
 
 
 def test_a_range_that_float64_does_not_hold_is_too_far():

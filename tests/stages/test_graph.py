@@ -10,12 +10,12 @@ from sknetwork.clustering import Louvain
 
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import CommunitySettings, GraphSettings, MatchingSettings
-from fidpipe.stages.communities import find_communities, modularity
+from fidpipe.stages.communities import find_communities
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.subgraph import Edges, adjacency
 from fidpipe.stages.literal import literal_method
 from fidpipe.stages.matching import match_communities
-from fidpipe.stages.objects import describe_objects, majority_labels
+from fidpipe.stages.objects import majority_labels
 from scenes import box
 
 
@@ -24,17 +24,8 @@ def as_dict(edges):
 
 
 def test_tau_is_inclusive():
-    points = np.array([[0.0, 0, 0], [0.25, 0, 0], [0.75, 0, 0], [2, 0, 0], [2, 0.25, 0]])
-    edges = build_graph(points, GraphSettings(k=1, tau_m=0.5))
-    assert (1, 2) in as_dict(edges)
-
-
-def test_edges_are_sorted_and_each_stands_once(rng):
-    edges = build_graph(rng.normal(0, 1, (300, 3)), GraphSettings(k=8))
-    codes = edges.src.astype(np.int64) * 300 + edges.dst
-    assert (edges.src < edges.dst).all()
-    assert (np.diff(codes) > 0).all()
-    assert edges.length_m.dtype == np.float32
+    points = np.array([[0.0, 0, 0], [0.25, 0, 0], [0.75, 0, 0], [1, 0, 0]])  # no point has its nearest across the gap
+    assert (1, 2) in as_dict(build_graph(points, GraphSettings(k=1, tau_m=0.5)))
 
 
 def test_one_point_has_no_edges():
@@ -69,18 +60,6 @@ def three_boxes():
     return points, build_graph(points, GraphSettings(k=8))
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_separate_objects_are_never_joined_and_ids_go_by_size(three_boxes, backend):
-    points, edges = three_boxes
-    labels = find_communities(len(points), edges, CommunitySettings(backend=backend)).labels
-    for community in range(labels.max() + 1):
-        members = np.flatnonzero(labels == community)
-        assert len(set(np.digitize(members, [60, 150]))) == 1
-    sizes = np.bincount(labels)
-    assert (np.diff(sizes) <= 0).all()
-    np.testing.assert_array_equal(labels, literal_method.canonical(labels.tolist()))
-
-
 def test_the_reference_backend_is_python_louvain_itself(three_boxes):
     points, edges = three_boxes
     partition = find_communities(len(points), edges, CommunitySettings(backend="python-louvain", seed=3))
@@ -104,34 +83,10 @@ def test_nodes_are_shuffled_as_scikit_network_shuffles_them(rng, seed):
     }
 
 
-def test_the_seed_fixes_the_partition(rng):
-    points = rng.normal(0, 3, (500, 3))
-    edges = build_graph(points, GraphSettings(k=10))
-    runs = [find_communities(500, edges, CommunitySettings(seed=seed)).labels for seed in (1, 1, 2)]
-    np.testing.assert_array_equal(runs[0], runs[1])
-    assert (runs[0] != runs[2]).any()
-
-
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_an_isolated_node_is_a_community_of_its_own(backend):
     edges = Edges(np.array([0, 0, 1], np.int32), np.array([1, 2, 2], np.int32), np.ones(3, np.float32))
     assert find_communities(4, edges, CommunitySettings(backend=backend)).labels.tolist() == [0, 0, 0, 1]
-
-
-def test_of_equal_sizes_the_community_with_the_smallest_node_comes_first():
-    edges = Edges(np.array([0, 1], np.int32), np.array([3, 2], np.int32), np.ones(2, np.float32))
-    assert find_communities(4, edges, CommunitySettings()).labels.tolist() == [0, 1, 1, 0]
-
-
-def test_modularity_of_two_halves_by_hand():
-    # Two edges of length 1, apart: each community holds half of the weight, Q = 1 - 2 * (1/2)^2.
-    edges = Edges(np.array([0, 2], np.int32), np.array([1, 3], np.int32), np.ones(2, np.float32))
-    assert modularity(np.array([0, 0, 1, 1], np.int32), edges) == pytest.approx(0.5)
-
-
-def test_a_single_point_has_no_shape():
-    objects = describe_objects(np.ones((1, 3)), np.zeros(1, np.int32))
-    assert objects.shape.tolist() == [[0, 0, 0]]
 
 
 def test_the_majority_names_an_object_and_the_alphabet_breaks_ties():
@@ -160,23 +115,6 @@ def test_communities_do_not_depend_on_the_unit(three_boxes, backend, exponent):
     labels = find_communities(len(points), edges, own).labels
     scaled = Edges(edges.src, edges.dst, edges.length_m * np.float32(10.0**exponent))
     assert len(np.unique(find_communities(len(points), scaled, own).labels)) == len(np.unique(labels))
-
-
-def pairs(matching):
-    return list(zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), matching.distance_m.tolist(), strict=True))
-
-
-def test_greedy_takes_what_comes_first_and_optimal_what_is_best():
-    # Real 0 is near sim 0, but real 1 has no other partner.
-    real, sim = np.array([[0.0, 0, 0], [3, 0, 0]]), np.array([[1.0, 0, 0], [-4, 0, 0]])
-    assert [pair[:2] for pair in pairs(match_communities(real, sim, MatchingSettings()))] == [(0, 0)]
-    optimal = match_communities(real, sim, MatchingSettings(method="optimal"))
-    assert [pair[:2] for pair in pairs(optimal)] == [(0, 1), (1, 0)]
-
-
-def test_the_match_rate_counts_the_side_that_has_more():
-    matching = match_communities(np.zeros((1, 3)), np.array([[1.0, 0, 0], [50, 0, 0], [70, 0, 0]]), MatchingSettings())
-    assert matching.match_rate == pytest.approx(1 / 3)
 
 
 def test_thousands_of_objects_are_matched_one_row_at_a_time():

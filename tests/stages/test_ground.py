@@ -6,7 +6,6 @@ import pytest
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import GroundSettings
 from fidpipe.stages.ground import remove_ground
-from fidpipe.stages.literal import literal_method
 from scenes import box, road, street
 
 
@@ -44,14 +43,6 @@ def test_the_threshold_is_lowered_until_the_loss_is_allowed_and_ends_at_the_peak
     assert lenient.threshold_m == pytest.approx(lenient.peak_m + 0.30)
 
 
-def test_lifting_the_scan_lifts_the_cut_with_it():
-    scan = street(1)
-    lifted = scan + [0, 0, 0.037]
-    a, b = (remove_ground(points, GroundSettings()) for points in (scan, lifted))
-    assert b.peak_m - a.peak_m == pytest.approx(0.037 * a.axis[2], abs=1e-9)
-    np.testing.assert_array_equal(a.is_ground, b.is_ground)
-
-
 def test_a_steep_axis_falls_back_to_plus_z_and_says_so():
     scan = tilted(street(2), 25)
     cut = remove_ground(scan, GroundSettings(prior_m=0.1))
@@ -64,14 +55,6 @@ def test_without_near_points_the_peak_is_that_of_all_points_and_it_says_so():
     far = street(0) + [60, 0, 0]
     cut = remove_ground(far, GroundSettings())
     assert cut.notes == ("no point within 30 m; the road's peak is that of all points",)
-
-
-def test_a_shared_cut_is_that_of_the_real_side():
-    real, sim = street(0), street(1) + [0, 0, 0.2]
-    own = remove_ground(real, GroundSettings())
-    shared = remove_ground(sim, GroundSettings(shared=True), own)
-    assert (shared.peak_m, shared.threshold_m) == (own.peak_m, own.threshold_m)
-    np.testing.assert_array_equal(shared.is_ground, sim @ own.axis < own.threshold_m)
 
 
 def two_levels(seed, lift_m=0.0):
@@ -113,15 +96,6 @@ def test_the_simulated_cut_is_its_own_where_the_sides_share_no_road():
     cut = remove_ground(sim, GroundSettings(peak="real"), remove_ground(real, GroundSettings()), real)
     assert (cut.peak_m, cut.threshold_m) == (alone.peak_m, alone.threshold_m)
     assert "fewer than 20 cells within 30 m have points of both sides" in cut.notes[-1]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_height_between_the_roads_agrees_with_the_textbook_in_any_order_of_rows(seed):
-    real, sim = two_levels(seed), two_levels(seed + 5)[::2] + [0.3, 0.1, 0.2]
-    own = remove_ground(real, GroundSettings())
-    cut = remove_ground(sim, GroundSettings(peak="real"), own, real)
-    assert cut.peak_m - own.peak_m == pytest.approx(literal_method.road_offset(real, sim, own.axis), abs=1e-9)
-    assert remove_ground(sim[::-1], GroundSettings(peak="real"), own, real[::-1]).peak_m == cut.peak_m
 
 
 def test_patchwork_takes_the_road():

@@ -8,7 +8,7 @@ import fidpipe
 from fidpipe import evaluate_pair
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.errors import ScanError
-from fidpipe.schemas.settings import Settings, load
+from fidpipe.schemas.settings import load
 from fidpipe.stages.method import compare, evaluate, graph_of, partition, score
 from runs import run
 from scenes import drifted, moved, rigid, street, write_bin, write_pair
@@ -119,14 +119,6 @@ def test_with_a_memo_no_object_is_scored_twice_and_nothing_else_changes(scans):
         assert [own.scores for own in with_memo.objects] == [own.scores for own in alone.objects]
         assert all(memo[key] is scored for key, scored in before.items())
     assert len(memo) == 2 * len({key[:2] for key in memo})
-
-
-def test_no_common_objects_are_a_summary_without_scores():
-    points = np.random.default_rng(0).normal(0, 0.1, (30, 3))
-    real, sim = (partition(points + [0, place, 0], Settings()) for place in (0, 50))
-    scores = compare(real, sim, Settings())
-    assert scores.objects == ()
-    assert (scores.summary["match_rate"], scores.summary["cdc_mean"]) == (0, None)
 
 
 def test_points_as_one_object_are_scored_like_a_scan_that_is_one_community(rng):

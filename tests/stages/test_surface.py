@@ -11,16 +11,8 @@ from fidpipe.stages.linalg.subgraph import connected_points
 from fidpipe.stages.literal import literal_pieces as literal
 from fidpipe.stages.pieces import CutScan, count_pieces, find_pieces
 from fidpipe.stages.statistics.validation import double_validation_metric
-from fidpipe.stages.surface import compare_roughness, describe_surface, measure_offsets
+from fidpipe.stages.surface import describe_surface, measure_offsets
 from scenes import box, grid, moved, rigid, road, street
-
-
-def room(rng, n=900, noise=0.0):
-    """Two walls and a floor that meet in a corner, the sensor in front of it."""
-    points = rng.uniform(-6, 0, (n, 3)) + [9, 8, 2]
-    axis = np.arange(n) % 3
-    points[np.arange(n), axis] = np.array([9.0, 8, -4])[axis]
-    return points + rng.normal(0, noise, points.shape)
 
 
 def wall(rng, n=400, angle_deg=0.0):
@@ -31,14 +23,6 @@ def wall(rng, n=400, angle_deg=0.0):
 
 def offset(real, sim, labels=None):
     return measure_offsets(describe_surface(real), describe_surface(sim), labels)
-
-
-def test_the_offset_is_that_of_the_simulated_side_against_the_real_one(rng):
-    for shift in ([0.2, 0, 0], [0, -0.2, 0], [0.1, -0.05, 0.15]):
-        found = offset(room(rng), room(rng) + shift)  # other points of the same walls
-        assert found.shift_m[0] == pytest.approx(shift, abs=0.01)
-        assert found.distance_m[0] == pytest.approx(np.linalg.norm(shift), abs=0.01)
-        assert found.n_directions.tolist() == [3]
 
 
 def test_both_sides_alike_have_no_offset_at_all_and_the_same_roughness(rng):
@@ -76,65 +60,6 @@ def test_points_that_stay_are_drawn_again_when_others_are_lost(rng):
     assert len(drawn(scan) & drawn(scan, seed=1)) < 700
 
 
-def test_the_offset_turns_with_the_frame_and_roughness_stays(rng):
-    real, sim, T = room(rng, 900, 0.03), room(rng, 800, 0.05) + [0.2, 0.1, 0], rigid(35, [4, -2, 1])
-    before, after = offset(real, sim), offset(moved(real, T), moved(sim, T))
-    assert after.shift_m[0] == pytest.approx(T[:, :3] @ before.shift_m[0], abs=1e-6)
-    one, other = describe_surface(sim), describe_surface(moved(sim, T))
-    by_row = [surface.roughness_m[np.argsort(surface.rows)] for surface in (one, other)]
-    assert by_row[1] == pytest.approx(by_row[0], abs=1e-9)
-
-
-@pytest.mark.parametrize("angle_deg", [0, 45])
-def test_a_wall_tells_how_far_it_is_displaced_across_itself_only(rng, angle_deg):
-    shift = moved(np.array([[0.2, 0.5, 0.3]]), rigid(angle_deg, [0, 0, 0]))[0]
-    found = offset(wall(rng, 400, angle_deg), wall(rng, 400, angle_deg) + shift)
-    assert found.n_directions.tolist() == [1]
-    assert found.distance_m[0] == pytest.approx(0.2, abs=0.01)
-    if angle_deg:
-        assert np.all(np.isnan(found.shift_m[0]))
-    else:
-        assert found.shift_m[0, 0] == pytest.approx(0.2, abs=0.01)
-        assert np.all(np.isnan(found.shift_m[0, 1:]))
-
-
-def test_each_object_has_its_own_offset(rng):
-    cars = [box(centre, [4, 1.8, 1.2], 400, seed) for seed, centre in enumerate([[8, 4, 0], [9, -6, 0], [-9, 0, 0]])]
-    shifts = np.array([[0.15, 0, 0], [0, -0.1, 0.1], [0, 0, 0]])
-    again = [
-        box(centre, [4, 1.8, 1.2], 400, 9 + seed) for seed, centre in enumerate([[8, 4, 0], [9, -6, 0], [-9, 0, 0]])
-    ]
-    real, sim = np.vstack(cars), np.vstack([car + shift for car, shift in zip(again, shifts, strict=True)])
-    labels = np.repeat([0, 1, 3], 400).astype(np.int32)
-    found = offset(real, sim, labels)
-    assert found.shift_m[[0, 1, 3]] == pytest.approx(shifts, abs=0.02)
-    assert (found.n_points[2], found.n_directions[2]) == (0, 0)
-    assert np.isnan(found.distance_m[2])
-    alone = offset(cars[1], sim)
-    assert alone.shift_m[0] == pytest.approx(found.shift_m[1], abs=0.02)
-
-
-def test_what_is_out_of_reach_or_of_few_points_has_no_offset(rng):
-    car = box([8, 4, 0], [4, 1.8, 1.2], 300)
-    far = offset(car, car + [0, 0, 9])
-    assert (far.n_points[0], far.n_directions[0]) == (0, 0)
-    assert np.all(np.isnan(far.shift_m))
-    few = np.where(np.arange(300) < 9, 1, 0).astype(np.int32)
-    assert np.isnan(offset(car, car, few).distance_m).tolist() == [False, True]
-
-
-@pytest.mark.parametrize("n", [0, 1, 19])
-def test_fewer_points_than_a_neighbourhood_have_no_surface(rng, n):
-    few, car = rng.normal(0, 1, (n, 3)), box([8, 4, 0], [4, 1.8, 1.2], 300)
-    surface = describe_surface(few)
-    assert (len(surface.points), len(surface.roughness_m)) == (n, 0)
-    for real, sim in ((few, car), (car, few[:0]), (few, few)):
-        found = offset(real, sim)
-        assert found.n_points.tolist() == [0]
-        assert np.all(np.isnan(found.shift_m))
-    assert len(offset(few[:0], few, np.zeros(0, dtype=np.int32)).n_points) == 0
-
-
 def test_a_line_and_a_single_place_are_no_plane_and_not_rough(rng):
     line = np.outer(np.arange(50.0), [1, 2, 0.5])
     for points in (line, np.ones((30, 3))):
@@ -151,19 +76,6 @@ def test_the_roughness_of_a_noisy_plane_is_its_noise(rng):
         for noise in (0.0, 0.02, 0.05, 0.1)
     ]
     assert np.sqrt(squares) == pytest.approx([0, 0.02, 0.05, 0.1], rel=0.05, abs=1e-7)
-
-
-def test_noise_is_a_bias_of_roughness_with_its_sign_and_a_side_without_planes_has_none(rng):
-    floor = np.column_stack([rng.uniform(0, 20, (1500, 2)), np.zeros(1500)])
-    real, sim = (describe_surface(floor + [0, 0, 1] * rng.normal(0, noise, (1500, 1))) for noise in (0.02, 0.1))
-    found, back = compare_roughness(real, sim), compare_roughness(sim, real)
-    assert found["roughness_bias_m"] == pytest.approx(0.08, rel=0.05)
-    assert found["roughness_real_m"] == pytest.approx(0.02, rel=0.05)
-    assert (back["roughness_bias_m"], back["roughness_area_m"]) == pytest.approx(
-        (-found["roughness_bias_m"], found["roughness_area_m"])
-    )
-    few = describe_surface(floor[:19])
-    assert set(compare_roughness(real, few).values()) == set(compare_roughness(few, real).values()) == {None}
 
 
 @pytest.mark.exhaustive
@@ -193,23 +105,6 @@ def found(real, sim, settings=SETTINGS):
     """The pieces of both sides, and their counts."""
     missing, invented = find_pieces(real, sim, settings)
     return missing, invented, count_pieces(missing, invented)
-
-
-def test_a_lost_car_next_to_a_hedge_is_one_missing_piece():
-    far = box([10, 5.5, -0.9], [12, 0.8, 1.6], 800, seed=2)  # 1.2 m from the car
-    real, sim = scan(CAR, far), scan(far, ground=BARE)
-    missing, _, counts = found(real, sim)
-    assert counts["n_missing_pieces"] == 1
-    assert counts["n_invented_pieces"] == 0
-    assert missing.labels[missing.labels >= 0].tolist() == [0] * missing.objects.n_points[0]
-    n_object_points = len(CAR) + len(far)
-    assert counts["missing_pieces_share"] == missing.objects.n_points[0] / n_object_points
-    assert missing.objects.n_points[0] > 0.9 * len(CAR)
-    assert missing.objects.centroid[0] == pytest.approx([10, 3, -0.9], abs=0.1)
-    assert missing.objects.extent[0] == pytest.approx([4, 1.8, 1.2], abs=0.15)
-    assert missing.bearing_deg[0] == pytest.approx(np.degrees(np.arctan2(3, 10)), abs=0.5)
-    assert missing.height_m[0] == pytest.approx(0.2, abs=0.05)  # its lower face is 1.5 m below the sensor
-    assert missing.partner.tolist() == [-1]
 
 
 def test_what_touches_the_hedge_is_covered_within_reach_and_the_rest_is_the_piece():
