@@ -198,7 +198,7 @@ def test_surface_that_no_correction_brings_back_to_the_floor_even_with_other_ray
     before, after = off_shares(pair, floor, moved, {cause: amount}, np.random.default_rng(0))
     assert before == off_share(floor.sim.points, pair.sim.points)
     assert is_elsewhere(before, after) == is_left
-    assert (before > 0.05) == (is_left or flaw is not None and cause == "sideways")
+    assert (before > 0.05) == (is_left or (flaw is not None and cause == "sideways"))
 
 
 def test_a_displacement_is_undone(places):
