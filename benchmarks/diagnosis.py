@@ -29,7 +29,7 @@ import pandas as pd
 from flawed_scans import Scan, along_ray, ranges, ray_noise
 
 from fidpipe.pipeline.diagnose.causes import confirm, name_causes
-from fidpipe.pipeline.diagnose.diagnose import UNEXPLAINED, is_elsewhere, is_unexplained
+from fidpipe.pipeline.diagnose.diagnose import UNEXPLAINED, is_elsewhere
 from fidpipe.stages.diagnose.evidence import PairScans, Side, amounts_of_floor, estimate
 from fidpipe.stages.diagnose.gain import changes, corrections, off_shares, shares, surface_distance
 from fidpipe.stages.displacement import PARAMETERS, Displacement
@@ -236,8 +236,11 @@ def remeasured(scan, rng, noise_m=BASE_NOISE_M, lost=BASE_LOSS):
     return ray_noise(noise_m)(Scan(kept, scan.car, scan.poles), rng)
 
 
-def read_scenes(folder, every):
-    """Real scans, with the two bases of each; a scene without a car has no flaws of a car."""
+def read_scenes(folder, every, first=0):
+    """Real scans, with the two bases of each; a scene without a car has no flaws of a car.
+
+    first : row of the scans of the run from which every fourth is taken, 0 as of the real scan and of the floor, or 1
+    """
     scenes = []
     for path in sorted((folder / "real").glob("*.bin"))[::every][:10]:
         full = read(path)
@@ -246,7 +249,8 @@ def read_scenes(folder, every):
         except SystemExit:
             car = np.full((1, 3), 1e6)
         scan = Scan(full[::EVERY], car, fs.find_poles(full))
-        bases = {"good": remeasured(scan, random(path, "base")), "poor": read(folder / "sim" / path.name)[::EVERY]}
+        own = Scan(full[first::EVERY], car, scan.poles)
+        bases = {"good": remeasured(own, random(path, "base")), "poor": read(folder / "sim" / path.name)[first::EVERY]}
         sensor = sensor_row(describe_sensor(scan.points))
         scenes.append((f"{folder.name}-{path.stem}", scan, bases, fs.is_ground(scan.points), sensor))
     return scenes
@@ -287,12 +291,9 @@ def diagnose(pairs, floor):
 
     amounts = floor and [amounts_of_floor(own, scans, *floor[i][1:]) for i, (scans, own) in enumerate(pairs)]
     candidates = name_causes([own.amounts for _, own in pairs], amounts, np.arange(len(pairs)))
-    named, _, found = confirm(candidates, correct, partial(over_floor, changes) if floor else None)
+    named, _, _ = confirm(candidates, correct, partial(over_floor, changes) if floor else None)
     rows = [(one.model.name, one.mean, one.low, one.high) for one in named]
-    before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in found], axis=0)
-    if floor and is_unexplained(before_m - floor_m, after_m - floor_m):
-        rows.insert(0, (UNEXPLAINED, after_m - floor_m, np.nan, np.nan))
-    elif floor:
+    if floor:
         off = np.mean(over_floor(off_shares, {one.model.name: one.mean for one in named}), axis=0)
         if is_elsewhere(*off):
             rows.insert(0, (UNEXPLAINED, off[1], np.nan, np.nan))
@@ -325,7 +326,7 @@ def judge(task):
 SCENES, FLOORS = {}, {}
 
 
-def prepare(folders, every):
+def prepare(folders, every, has_other_rays):
     for folder in folders:
         SCENES[folder] = read_scenes(folder, every)
         for base in ("good", "poor"):
@@ -333,6 +334,9 @@ def prepare(folders, every):
             FLOORS[folder, base] = [
                 (surface_distance(own.real.points, own.sim.points), own, estimate(own).amounts) for own in pairs
             ]
+        if has_other_rays:
+            for scene, other in zip(SCENES[folder], read_scenes(folder, every, 1), strict=True):
+                scene[2].update(other[2])
 
 
 def is_possible(flaw, folder):
@@ -376,7 +380,7 @@ def again(noise_m, lost):
 
 def run_all(args):
     """All diagnoses; the processes inherit the scenes."""
-    prepare(args.datasets, args.every_pair)
+    prepare(args.datasets, args.every_pair, args.other_rays)
     for folder in args.datasets:
         for _, scan, bases, *_ in SCENES[folder]:
             bases["real"] = scan.points
@@ -452,6 +456,7 @@ if __name__ == "__main__":
     parser.add_argument("--amounts", nargs="*", type=int, default=[0, 1, 2], help="single flaws in these amounts only")
     parser.add_argument("--pairs", nargs="*", type=int, default=[5, 10], help="diagnoses of these numbers of pairs")
     parser.add_argument("--every-pair", type=int, default=1, help="take each n-th pair")
+    parser.add_argument("--other-rays", action="store_true", help="runs have other rows of the scans than their floors")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -29,10 +29,10 @@ from ..storage.run_record import dumps
 from .causes import LEAST_EXCESS_M, NamedCause, confirm, name_causes
 from .latency import AHEAD, follow, latency_words, speed_m_s
 
-#: A larger rest over the floor, metres, that is more than half of the distance over the floor, is the first cause.
+#: Without a floor, a larger rest of the distance, metres, that is more than half of it, is the first cause.
 MOST_LEFT_M = 0.02
-#: Likewise of the flat surface that a run has elsewhere than its floor after all corrections.
-MOST_OFF = 0.04
+#: Over a floor, a larger share of the flat surface that is elsewhere than in the floor, if corrections bring back less.
+MOST_OFF = 0.03
 _SEED = 20240917
 _SENSOR = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m")
 #: Estimates from columns of `pairs`: simulated minus real.
@@ -104,16 +104,15 @@ def diagnose_run(
     before_m, after_m, floor_m = np.mean([(own.before_m, own.after_m, own.floor_m) for own in gains], axis=0).tolist()
     excess_m = before_m - floor_m if before_m - floor_m >= LEAST_EXCESS_M else None
     causes = [_cause(own, gains, drawn, excess_m, latency if own in ahead else None) for own in named]
-    if is_unexplained(before_m - floor_m, after_m - floor_m):
-        part = size_words((after_m - floor_m) / (before_m - floor_m), "share")
-        words = f"no cause in the catalogue for {part} of the distance"
-        words += "" if base else ", unless a second measurement has it too (--floor)"
-        causes.insert(0, _unexplained([own.after_m - own.floor_m for own in gains], blocks, "m", words))
-    elif base and is_elsewhere(*np.mean(off, axis=0)):
+    if base and is_elsewhere(*np.mean(off, axis=0)):
         left = [after for _, after in off]
         part = size_words(float(np.mean(left)), "share")
         words = f"{part} of the flat surface elsewhere than in the floor, by no cause in the catalogue"
         causes.insert(0, _unexplained(left, blocks, "share", words))
+    elif base is None and is_unexplained(before_m, after_m):
+        words = f"no cause in the catalogue for {size_words(after_m / before_m, 'share')} of the distance"
+        words += ", unless a second measurement has it too (--floor)"
+        causes.insert(0, _unexplained([own.after_m for own in gains], blocks, "m", words))
     diagnosis = Diagnosis(
         of=results_identity(run.record),
         floor=None if floor is None else str(floor),
@@ -136,9 +135,9 @@ def diagnose_run(
     return diagnosis
 
 
-def is_unexplained(excess_m: float, left_m: float) -> bool:
-    """True if most of the distance (over the floor) remains after all corrections: no named cause explains it."""
-    return left_m >= MOST_LEFT_M and left_m > excess_m / 2
+def is_unexplained(before_m: float, after_m: float) -> bool:
+    """True if most of the distance remains after all corrections: no named cause explains it."""
+    return after_m >= MOST_LEFT_M and after_m > before_m / 2
 
 
 def is_elsewhere(before: float, after: float) -> bool:
