@@ -14,6 +14,7 @@ from ..schemas.results import Number
 from .arrays import BoolArray, FloatArray, IntArray
 from .reference import visiting_order
 from .statistics.validation import double_validation_metric
+from .surfels import fit_planes
 
 SAMPLE_POINTS = 2000
 NEIGHBOURS = 20
@@ -134,15 +135,12 @@ def signed_distances(points: FloatArray, other: FloatArray, reach_m: float) -> F
     other = other[np.unique(np.floor(other / _PLANE_CELL_M), axis=0, return_index=True)[1]]
     if len(other) < _PLANE_POINTS:
         return signed
-    apart_m, near = scipy.spatial.cKDTree(other).query(points, k=_PLANE_POINTS)
-    rows = np.flatnonzero(apart_m[:, 0] <= reach_m)
-    neighbours = other[near[rows]]
-    middle = neighbours.mean(axis=1)
-    off = neighbours - middle[:, None]
-    scatter, axes = np.linalg.eigh(off.transpose(0, 2, 1) @ off)
-    is_plane = scatter[:, 1] - scatter[:, 0] >= MIN_PLANARITY * scatter[:, 2]
-    normal = axes[:, :, 0] * np.where((axes[:, :, 0] * middle).sum(axis=1) > 0, -1.0, 1.0)[:, None]
-    signed[rows[is_plane]] = (normal * (points[rows] - middle)).sum(axis=1)[is_plane]
+    rows = np.flatnonzero(scipy.spatial.cKDTree(other).query(points)[0] <= reach_m)
+    planes = fit_planes(other, points[rows], _PLANE_POINTS)
+    l3, l2, l1 = planes.variance.T
+    is_plane = l2 - l3 >= MIN_PLANARITY * l1
+    off_m = (planes.normal * (points[rows] - planes.mean)).sum(axis=1)
+    signed[rows[is_plane]] = np.where((planes.normal * planes.mean).sum(axis=1) > 0, -off_m, off_m)[is_plane]
     return signed
 
 

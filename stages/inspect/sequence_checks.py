@@ -48,9 +48,7 @@ class SequenceScan:
     def __init__(self, points: FloatArray) -> None:
         level = np.hypot(points[:, 0], points[:, 1])
         points = points[(level > _COMPARED_M[0]) & (level < _COMPARED_M[1])]
-        thinned = (
-            points[np.sort(np.unique(voxel_ids(points, _VOXEL_M), return_index=True)[1])] if len(points) else points
-        )
+        thinned = points[np.sort(np.unique(voxel_ids(points, _VOXEL_M), return_index=True)[1])]
         self.ground_m = ground_height(thinned)
         above = thinned[thinned[:, 2] > self.ground_m + _ABOVE_GROUND_M]
         self.sample: FloatArray = above[np.random.default_rng(0).permutation(len(above))[:_SAMPLED_POINTS]]
