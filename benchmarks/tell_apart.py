@@ -79,7 +79,7 @@ def scores(real, sim):
     points = [own[~cut.is_ground] for own, cut in both]
     ids = [np.zeros(len(own), dtype=np.int32) for own in points]
     covered = measure_coverage(points, ids, (1, 1), [(cut.axis, cut.threshold_m) for _, cut in both])
-    values = {f"covered {side}": own.whole.covered[0, 1] for side, own in zip(("real", "sim"), covered, strict=True)}
+    values = {f"covered {side}": whole.covered[0, 1] for side, (_, whole) in zip(("real", "sim"), covered, strict=True)}
     surfaces = [describe_surface(own) for own in points]
     values |= compare_roughness(*surfaces) | {"shift": measure_offsets(*surfaces).distance_m[0]}
     pieces = find_pieces(*(CutScan(own, cut.is_ground, cut.height_m) for own, cut in both), SETTINGS.pieces)

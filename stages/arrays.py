@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,17 @@ IndexArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
 
 Watch = Callable[[str], AbstractContextManager[None]]
+
+
+def sums_by_id(values: FloatArray, ids: NDArray[np.integer[Any]], n_ids: int) -> FloatArray:
+    """Sum of each column over the rows of each id, (n_ids, columns).
+
+    Parameters
+    ----------
+    values : (n, columns) float64
+    ids : (n,) from 0
+    """
+    return np.column_stack([np.bincount(ids, column, n_ids) for column in values.T])
 
 
 def unwatched(step: str) -> AbstractContextManager[None]:

@@ -58,25 +58,6 @@ class Baseline:
 Baselines = tuple[Baseline, ...]
 
 
-@dataclass(frozen=True)
-class MatchedObject:
-    """One object that both sides have.
-
-    real, sim : points and graph on each side
-    selection : aligned nodes
-    t : diffusion time of the selection
-    """
-
-    real: Subgraph
-    sim: Subgraph
-    selection: Selection
-    t: float
-
-    def aligned_points(self) -> tuple[FloatArray, FloatArray]:
-        """Aligned nodes of both sides, (n_keep, 3) each, metres; row i of one belongs to row i of the other."""
-        return self.real.points[self.selection.real_nodes], self.sim.points[self.selection.sim_nodes]
-
-
 def compare_points(
     real: FloatArray, sim: FloatArray, settings: MetricsSettings, *, watch: Watch = unwatched
 ) -> Baselines:
@@ -123,14 +104,13 @@ def compare_objects(
     settings : names and parameters
     watch : entered around each baseline
     """
-    matched = MatchedObject(real, sim, selection, t)
     values: list[Baseline] = []
     for name in settings.baselines:
         with watch(name):
             if name in OF_POINTS:
                 values += OF_POINTS[name](real.points, sim.points, settings)
             else:
-                values += OF_OBJECTS[name](matched, settings)
+                values += OF_OBJECTS[name](real, sim, selection, t, settings)
     return tuple(values)
 
 
@@ -163,7 +143,7 @@ def chamfer(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Bas
     )
 
 
-def hausdorff(real: FloatArray, sim: FloatArray) -> float:
+def hausdorff(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
     """max(max_x min_y |x - y|, max_y min_x |y - x|) in metres: the worst point (Hausdorff, Mengenlehre, 1914).
 
     See Huttenlocher, Klanderman and Rucklidge, Comparing images using the Hausdorff distance, IEEE PAMI 1993, eq. 1.
@@ -175,47 +155,40 @@ def hausdorff(real: FloatArray, sim: FloatArray) -> float:
     Examples
     --------
     >>> import numpy as np
-    >>> hausdorff(np.array([[0.0, 0, 0], [4, 0, 0]]), np.array([[1.0, 0, 0]]))
+    >>> hausdorff(np.array([[0.0, 0, 0], [4, 0, 0]]), np.array([[1.0, 0, 0]]), MetricsSettings())[0].value
     3.0
     """
     to_sim, to_real = nearest_distances(real, sim)
-    return float(max(to_sim.max(), to_real.max()))
+    return (Baseline("hausdorff_m", float(max(to_sim.max(), to_real.max()))),)
 
 
-def f_score(real: FloatArray, sim: FloatArray, distance_m: float) -> float:
+def f_score(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
     """2 P R / (P + R), 1 best, 0 without near points (Knapitsch et al., Tanks and Temples, ACM TOG 2017, section 4).
 
-    Precision P is the share of simulated points nearer than `distance_m` to a real one, recall R the share of real
-    points nearer than that to a simulated one.
+    Precision P is the share of simulated points nearer than `f_score_distance_m` to a real one, recall R the share of
+    real points nearer than that to a simulated one.
 
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, not centred, at least one point each
-    distance_m : points at this distance or farther have no partner
 
     Examples
     --------
     >>> import numpy as np
-    >>> f_score(np.array([[0.0, 0, 0], [9, 0, 0]]), np.array([[0.1, 0, 0], [0, 9, 0]]), 0.2)
+    >>> f_score(np.array([[0.0, 0, 0], [9, 0, 0]]), np.array([[0.1, 0, 0], [0, 9, 0]]), MetricsSettings())[0].value
     0.5
     """
-    to_sim, to_real = nearest_distances(real, sim)
-    recall, precision = float(np.mean(to_sim < distance_m)), float(np.mean(to_real < distance_m))
+    to_sim, to_real = (apart < settings.f_score_distance_m for apart in nearest_distances(real, sim))
+    return (Baseline("f_score", harmonic_mean(float(np.mean(to_real)), float(np.mean(to_sim)))),)
+
+
+def harmonic_mean(precision: float, recall: float) -> float:
+    """2 P R / (P + R), 0 if both are 0."""
     return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
 
-def _dcd(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
-    """The published density-aware Chamfer distance with `dcd_alpha`, with a note on limited weights."""
-    distance = density_aware_chamfer(real, sim, settings.dcd_alpha)
-    if distance is None:
-        return (Baseline("dcd", None, "the real points have no extent to scale by"),)
-    (dcd, n_cut), n_real, n_sim = distance, len(real), len(sim)
-    cut = f"{n_real} real and {n_sim} simulated points: {n_cut} of {n_real + n_sim} count weights cut at 1"
-    return (Baseline("dcd", dcd, cut if n_cut else None),)
-
-
-def density_aware_chamfer(real: FloatArray, sim: FloatArray, alpha: float) -> tuple[float, int] | None:
-    """The published density-aware Chamfer distance, 0 to 1, and its limited weights; None for real points of no extent.
+def dcd(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
+    """The published density-aware Chamfer distance, 0 to 1, with a note on limited weights.
 
     DCD = 1/2 (mean_x (1 - w_x exp(-alpha |x - y'|^2)) + mean_y (1 - w_y exp(-alpha |y - x'|^2))), y' the nearest
     simulated point of x (for equal distances the first by x, y, z), w_x = (n / m) / (number of real points whose
@@ -226,19 +199,21 @@ def density_aware_chamfer(real: FloatArray, sim: FloatArray, alpha: float) -> tu
     1 and counted.
 
     Its authors chose alpha = 1000 for objects of unit size, so both sides are scaled by the diagonal of the real
-    object's axis-aligned bounding box. This is not the score that the paper calls CDC (`metrics`).
+    object's axis-aligned bounding box; None if that has no extent. This is not the score that the paper calls CDC
+    (`metrics`).
 
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, at least one point each
-    alpha : per squared unit size
     """
     squared_m2 = float(np.linalg.norm(np.ptp(real, axis=0))) ** 2
-    if not squared_m2 or np.isinf(alpha / squared_m2):  # no extent, or its square underflows
-        return None
-    from_real, n_cut_real = _one_way(real, sim, alpha / squared_m2)
-    from_sim, n_cut_sim = _one_way(sim, real, alpha / squared_m2)
-    return (from_real + from_sim) / 2, n_cut_real + n_cut_sim
+    alpha = settings.dcd_alpha / squared_m2 if squared_m2 else np.inf
+    if np.isinf(alpha):  # no extent, or its square underflows
+        return (Baseline("dcd", None, "the real points have no extent to scale by"),)
+    (from_real, n_cut_real), (from_sim, n_cut_sim) = _one_way(real, sim, alpha), _one_way(sim, real, alpha)
+    n_real, n_sim, n_cut = len(real), len(sim), n_cut_real + n_cut_sim
+    cut = f"{n_real} real and {n_sim} simulated points: {n_cut} of {n_real + n_sim} count weights cut at 1"
+    return (Baseline("dcd", (from_real + from_sim) / 2, cut if n_cut else None),)
 
 
 def _one_way(x: FloatArray, y: FloatArray, alpha: float) -> tuple[float, int]:
@@ -250,7 +225,7 @@ def _one_way(x: FloatArray, y: FloatArray, alpha: float) -> tuple[float, int]:
     return float(term.mean()), int(np.count_nonzero(weight > 1.0))
 
 
-def sliced_wasserstein(real: FloatArray, sim: FloatArray, n_projections: int) -> float:
+def sliced_wasserstein(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
     """Mean over random directions u of W1(u . real, u . sim), in metres; for sets of any sizes, in n log n.
 
     The earth mover's distance of points on a line needs only sorting; its mean over the sphere of directions is the
@@ -261,59 +236,44 @@ def sliced_wasserstein(real: FloatArray, sim: FloatArray, n_projections: int) ->
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, at least one point each; all points of a side have the same weight
-    n_projections : number of directions
+    settings : number of directions, `projections`
     """
     import ot
 
-    directions = np.random.default_rng(_SEED).standard_normal((n_projections, 3))
+    directions = np.random.default_rng(_SEED).standard_normal((settings.projections, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     total = 0.0
-    for start in range(0, n_projections, _DIRECTIONS_PER_STEP):
+    for start in range(0, len(directions), _DIRECTIONS_PER_STEP):
         some = directions[start : start + _DIRECTIONS_PER_STEP].T
         total += len(some.T) * float(ot.sliced_wasserstein_distance(real, sim, projections=some, p=1))
-    return total / n_projections
+    return (Baseline("sliced_wasserstein_m", total / len(directions)),)
 
 
-def _histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
-    """Difference of the histograms of all distances within each side, with sample, bins and order of the settings."""
-    points, bins, order = settings.histogram_points, settings.histogram_bins, settings.histogram_order
-    distance = histogram_distance(real, sim, points, bins, order)
-    reason = "a side has no two points apart from each other" if distance is None else None
-    return (Baseline("histogram", distance, reason),)
-
-
-def histogram_distance(real: FloatArray, sim: FloatArray, n_points: int, n_bins: int, order: float) -> float | None:
+def histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
     """(sum_k |h_k(real) - h_k(sim)|^p)^(1/p); None if all points of a side coincide.
 
     h_k is the share of pairwise distances, divided by the largest distance of the side, in the k-th of equal bins from
     0 to 1: the paper's section "Related Work" after Wallace et al. (Validating simulation environments for automated
     driving systems using 3D object comparison metric, IEEE IV 2022), who compare by the Minkowski distance; the
     histogram itself is the shape distribution D2 of Osada, Funkhouser, Chazelle and Dobkin (Shape distributions, ACM
-    TOG 2002). It does not depend on position, rotation and size of the object. Sides of more than `n_points` points are
-    represented by a sample of that size, selected by a hash of the coordinates, independent of row order.
+    TOG 2002). It does not depend on position, rotation and size of the object. Sides of more than `histogram_points`
+    points are represented by a sample of that size, selected by a hash of the coordinates, independent of row order.
 
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, at least one point each
-    n_points : maximum number of points of a side
-    n_bins : number of bins
-    order : p of the Minkowski distance, at least 1; 2 is the Euclidean one
+    settings : numbers of points and bins, and p, `histogram_order`
     """
-    samples = [points[visiting_order(points, _SEED)[:n_points]] for points in (real, sim)]
-    shares = [_distance_shares(points, n_bins) for points in samples]
-    if shares[0] is None or shares[1] is None:
-        return None
-    return float(np.linalg.norm(shares[0] - shares[1], order))
-
-
-def _distance_shares(points: FloatArray, n_bins: int) -> FloatArray | None:
-    """Share of the pairwise distances in each bin, (n_bins,); None if all points coincide."""
-    distance = scipy.spatial.distance.pdist(points)
-    largest = distance.max(initial=0.0)
-    if largest == 0:
-        return None
-    counts, _ = np.histogram(distance / largest, bins=n_bins, range=(0.0, 1.0))
-    return counts / len(distance)
+    shares = []
+    for points in (real, sim):
+        sample = points[visiting_order(points, _SEED)[: settings.histogram_points]]
+        distance = scipy.spatial.distance.pdist(sample)
+        largest = distance.max(initial=0.0)
+        if largest == 0:
+            return (Baseline("histogram", None, "a side has no two points apart from each other"),)
+        counts, _ = np.histogram(distance / largest, bins=settings.histogram_bins, range=(0.0, 1.0))
+        shares.append(counts / len(distance))
+    return (Baseline("histogram", float(np.linalg.norm(shares[0] - shares[1], settings.histogram_order))),)
 
 
 def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
@@ -360,20 +320,20 @@ def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
     return fitness, Baseline("icp_rmse_m", float(np.sqrt(np.mean(near**2))), reason)
 
 
-def _emd(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
+def _emd(real: Subgraph, sim: Subgraph, selection: Selection, t: float, settings: MetricsSettings) -> Baselines:
     """Earth mover's distance of all points, of the aligned nodes as given, and of these with both sides centred."""
-    n_most = max(len(matched.real.points), len(matched.sim.points))
+    n_most = max(len(real.points), len(sim.points))
     exact_m = reason = None
     if n_most > settings.emd_max_points:
         reason = f"{n_most} points, metrics.emd_max_points allows {settings.emd_max_points}"
-    elif (exact_m := earth_movers(matched.real.points, matched.sim.points)) is None:
+    elif (exact_m := earth_movers(real.points, sim.points)) is None:
         reason = "the network simplex ended without the optimum"
-    real, sim = matched.aligned_points()
+    a, b = real.points[selection.real_nodes], sim.points[selection.sim_nodes]
     # The alignment is the optimal assignment of the centred nodes, so it is not solved again for these.
-    centred_m = aligned_distance(real - real.mean(axis=0), sim - sim.mean(axis=0))
+    centred_m = aligned_distance(a - a.mean(axis=0), b - b.mean(axis=0))
     return (
         Baseline("emd_mean_m", exact_m, reason),
-        Baseline("emd_kept_mean_m", aligned_distance(real, sim[assign_nodes(real, sim)])),
+        Baseline("emd_kept_mean_m", aligned_distance(a, b[assign_nodes(a, b)])),
         Baseline("emd_centred_mean_m", centred_m),
     )
 
@@ -429,9 +389,8 @@ def aligned_distance(a: FloatArray, b: FloatArray) -> float:
     return float(np.linalg.norm(a - b, axis=1).mean())
 
 
-def _netlsd(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
+def _netlsd(real: Subgraph, sim: Subgraph, selection: Selection, t: float, settings: MetricsSettings) -> Baselines:
     """NetLSD of the whole object; None if a side has more than `heat_max_nodes`."""
-    real, sim = matched.real, matched.sim
     n_most = max(len(real.points), len(sim.points))
     if n_most > settings.heat_max_nodes:
         reason = f"{n_most} points, metrics.heat_max_nodes allows {settings.heat_max_nodes}"
@@ -463,33 +422,29 @@ def heat_trace_distance(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_mat
     return float(np.linalg.norm(heat_trace(real, times) - heat_trace(sim, times)))
 
 
-def _r_h(matched: MatchedObject, settings: MetricsSettings) -> Baselines:
+def _r_h(real: Subgraph, sim: Subgraph, selection: Selection, t: float, settings: MetricsSettings) -> Baselines:
     """Bounded diffusion change of the aligned nodes; None for fewer than 3 nodes."""
-    nodes_real, nodes_sim = matched.selection.real_nodes, matched.selection.sim_nodes
-    if len(nodes_real) < MIN_NODES:
-        return (Baseline("r_h", None, f"{len(nodes_real)} aligned nodes, at least {MIN_NODES} are needed"),)
-    laplacians = induced_laplacian(matched.real, nodes_real), induced_laplacian(matched.sim, nodes_sim)
-    return (Baseline("r_h", diffusion_change(*laplacians, matched.t, IDENTICAL_CHANGE)),)
+    if (n := len(selection.real_nodes)) < MIN_NODES:
+        return (Baseline("r_h", None, f"{n} aligned nodes, at least {MIN_NODES} are needed"),)
+    laplacians = induced_laplacian(real, selection.real_nodes), induced_laplacian(sim, selection.sim_nodes)
+    return (Baseline("r_h", diffusion_change(*laplacians, t)),)
 
 
-def diffusion_change(
-    real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: float, identical_change: float
-) -> float:
+def diffusion_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: float) -> float:
     """r_H = |dH_t|_2 / (t |dL|_2), dH_t = exp(-t L_sim) - exp(-t L_real), 0 to 1.
 
     "Bounded diffusion change" in the source of the paper (equation "rH", commented out there). The bound holds because
     exp(-t .) changes by no more than t |dL| between matrices without negative eigenvalues (Duhamel's formula). The
     norms are largest absolute eigenvalues by Lanczos iteration; that of dH_t is applied to vectors as a power series.
-    If |dL| is at most `identical_change` the result is 0, as for r_lambda.
+    If |dL| is at most `IDENTICAL_CHANGE` the result is 0, as for r_lambda.
 
     Parameters
     ----------
     real, sim : (n, n) CSR float64, normalised Laplacians, nodes aligned
     t : diffusion time
-    identical_change : see above
     """
     change = spectral_norm(sim - real)
-    if change <= identical_change:
+    if change <= IDENTICAL_CHANGE:
         return 0.0
     return min(1.0, heat_change(real, sim, t) / (t * change))
 
@@ -497,17 +452,15 @@ def diffusion_change(
 #: Baseline metrics of two point sets by their names in the settings.
 OF_POINTS: dict[str, Callable[[FloatArray, FloatArray, MetricsSettings], Baselines]] = {
     "chamfer": chamfer,
-    "hausdorff": lambda real, sim, settings: (Baseline("hausdorff_m", hausdorff(real, sim)),),
-    "f_score": lambda real, sim, settings: (Baseline("f_score", f_score(real, sim, settings.f_score_distance_m)),),
-    "dcd": _dcd,
-    "sliced_wasserstein": lambda real, sim, settings: (
-        Baseline("sliced_wasserstein_m", sliced_wasserstein(real, sim, settings.projections)),
-    ),
-    "histogram": _histogram,
+    "hausdorff": hausdorff,
+    "f_score": f_score,
+    "dcd": dcd,
+    "sliced_wasserstein": sliced_wasserstein,
+    "histogram": histogram,
     "icp": icp,
 }
 #: Those that need the graphs or the aligned nodes of a matched object.
-OF_OBJECTS: dict[str, Callable[[MatchedObject, MetricsSettings], Baselines]] = {
+OF_OBJECTS: dict[str, Callable[[Subgraph, Subgraph, Selection, float, MetricsSettings], Baselines]] = {
     "emd": _emd,
     "netlsd": _netlsd,
     "r_h": _r_h,

@@ -5,8 +5,6 @@ Paper, section "Object-Level Decomposition via Communities".
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -15,38 +13,20 @@ from ..schemas.settings import CommunitySettings
 from .arrays import IntArray
 from .linalg.subgraph import Edges, connected_pieces, upper_half
 
-#: Smallest gain of modularity for another pass over a level, and for another level.
+#: Smallest gain of modularity for another pass over a level, and for another level; of scikit-network.
 TOLERANCE_OPTIMISATION = 1e-3
 _TOLERANCE_AGGREGATION = 1e-7
 
 
-@dataclass(frozen=True)
-class Partition:
-    """Communities of a graph.
-
-    labels : (n,) int32, community of each node; ids are canonical (size descending, then smallest node)
-    modularity : Q of the partition
-    """
-
-    labels: IntArray
-    modularity: float
-
-
 def find_communities(
-    n_nodes: int,
-    edges: Edges,
-    settings: CommunitySettings,
-    *,
-    order: IntArray | None = None,
-    tolerance: float = TOLERANCE_OPTIMISATION,
-) -> Partition:
-    """Partition of the nodes that maximises modularity by Louvain's method.
+    n_nodes: int, edges: Edges, settings: CommunitySettings, *, order: IntArray | None = None
+) -> IntArray:
+    """Community of each node, (n,) int32, that maximise modularity by Louvain's method; ids as of `canonical_ids`.
 
     Q = 1/2m sum_ij (A_ij - k_i k_j / 2m) delta(c_i, c_j), with A the edge lengths as stored (float32), k the weighted
     degrees, 2m their sum (Newman, PNAS 2006; Blondel et al., J. Stat. Mech. 2008). Both backends visit the nodes
     in a random order that `seed` fixes. Nodes without edges form separate communities. If no edge has a length (no
-    edges, or all below 1e-45 m, the limit of float32) the communities are the connected components of the graph, and
-    Q is 0.
+    edges, or all below 1e-45 m, the limit of float32) the communities are the connected components of the graph.
 
     Parameters
     ----------
@@ -54,43 +34,18 @@ def find_communities(
     edges : undirected, by node index
     settings : backend and seed
     order : (n,) int32, nodes in the order of the visits; by default a random order from the seed
-    tolerance : of scikit-network: smallest gain of modularity for another pass over a level
 
     Examples
     --------
     >>> import numpy as np
     >>> ends = np.array([0, 2], np.int32), np.array([1, 3], np.int32)
-    >>> partition = find_communities(4, Edges(*ends, np.ones(2, np.float32)), CommunitySettings())
-    >>> partition.labels.tolist(), partition.modularity
-    ([0, 0, 1, 1], 0.5)
+    >>> find_communities(4, Edges(*ends, np.ones(2, np.float32)), CommunitySettings()).tolist()
+    [0, 0, 1, 1]
     """
     if not edges.length_m.any():
-        return Partition(canonical_ids(connected_pieces(n_nodes, edges), order), 0.0)
-    if settings.backend == "scikit-network":
-        labels = _scikit_network(n_nodes, edges, settings.seed, order, tolerance)
-    else:
-        labels = _python_louvain(n_nodes, edges, settings.seed, order)
-    labels = canonical_ids(labels, order)
-    return Partition(labels, modularity(labels, edges))
-
-
-def modularity(labels: IntArray, edges: Edges) -> float:
-    """Modularity Q of a partition: sum over communities c of w_c / m - (k_c / 2m)^2.
-
-    m is the total edge length, w_c that inside c, k_c the sum of the degrees of the nodes of c.
-
-    Parameters
-    ----------
-    labels : (n,) int32, community of each node, ids from 0
-    edges : by node index, at least one
-    """
-    weight = edges.length_m.astype(np.float64)
-    n_communities = int(labels.max()) + 1
-    a, b = labels[edges.src], labels[edges.dst]
-    total = weight.sum()
-    inside = weight[a == b].sum()
-    degree = np.bincount(a, weight, n_communities) + np.bincount(b, weight, n_communities)
-    return float(inside / total - ((degree / (2 * total)) ** 2).sum())
+        return canonical_ids(connected_pieces(n_nodes, edges), order)
+    find = _scikit_network if settings.backend == "scikit-network" else _python_louvain
+    return canonical_ids(find(n_nodes, edges, settings.seed, order), order)
 
 
 def canonical_ids(labels: NDArray[np.integer], order: IntArray | None = None) -> IntArray:
@@ -110,7 +65,7 @@ def canonical_ids(labels: NDArray[np.integer], order: IntArray | None = None) ->
     return canonical
 
 
-def _scikit_network(n_nodes: int, edges: Edges, seed: int, order: IntArray | None, tolerance: float) -> IntArray:
+def _scikit_network(n_nodes: int, edges: Edges, seed: int, order: IntArray | None) -> IntArray:
     """Louvain in the node order of `shuffle_nodes=True`, but sorting the shuffled matrix costs a quarter."""
     from sknetwork.clustering import Louvain
 
@@ -121,7 +76,7 @@ def _scikit_network(n_nodes: int, edges: Edges, seed: int, order: IntArray | Non
     louvain = Louvain(
         resolution=1,
         shuffle_nodes=False,
-        tol_optimization=tolerance,
+        tol_optimization=TOLERANCE_OPTIMISATION,
         tol_aggregation=_TOLERANCE_AGGREGATION,
         return_probs=False,
         return_aggregate=False,

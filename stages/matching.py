@@ -32,12 +32,6 @@ class Matching:
         """Matched communities, (real id, sim id), by real id."""
         return list(zip(self.real_ids.tolist(), self.sim_ids.tolist(), strict=True))
 
-    @property
-    def match_rate(self) -> float:
-        """Matched communities over the number of communities of the side that has more."""
-        n_matched = len(self.real_ids)
-        return n_matched / (n_matched + max(len(self.missing), len(self.hallucinated)))
-
 
 def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSettings) -> Matching:
     """Match communities with centroids nearer than delta.
@@ -56,8 +50,8 @@ def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSetti
     >>> import numpy as np
     >>> real, sim = np.array([[0.0, 0, 0], [9, 0, 0]]), np.array([[1.0, 0, 0], [30, 0, 0]])
     >>> matching = match_communities(real, sim, MatchingSettings())
-    >>> matching.real_ids.tolist(), matching.missing.tolist(), matching.hallucinated.tolist(), matching.match_rate
-    ([0], [1], [1], 0.5)
+    >>> matching.real_ids.tolist(), matching.missing.tolist(), matching.hallucinated.tolist()
+    ([0], [1], [1])
     """
     match = _greedy if settings.method == "greedy" else _optimal
     real_ids, sim_ids, distance_m = match(real, sim, settings.delta_m)

@@ -173,7 +173,7 @@ def partition(
     # "Object-Level Decomposition via Communities"
     with watch("louvain"):
         if own.objects == "independent":
-            labels = find_communities(len(points), edges, own).labels
+            labels = find_communities(len(points), edges, own)
         elif reference is None:
             labels = find_reference_objects(points, edges, own, annotation)
         else:
@@ -247,8 +247,8 @@ def measure_coverage(
     n_objects: Sequence[int],
     cuts: Sequence[tuple[FloatArray, float | None]],
     watch: Watch = unwatched,
-) -> tuple[SideCoverage, SideCoverage]:
-    """Share of each object, and of each side, that the other side has; first real, then simulated.
+) -> list[tuple[Coverage, Coverage]]:
+    """Share that the other side has, of each object and of the whole (one row), by side: real, then simulated.
 
     Parameters
     ----------
@@ -264,14 +264,18 @@ def measure_coverage(
     for own, distance_m, ids, n_ids, cut in zip(points, distances_m, labels, n_objects, reversed(cuts), strict=True):
         is_road = below_cut(own, *cut)
         whole = cover(distance_m, np.zeros(len(own), dtype=np.int32), is_road=is_road)
-        found.append(SideCoverage(cover(distance_m, ids, n_ids, is_road), whole))
-    return found[0], found[1]
+        found.append((cover(distance_m, ids, n_ids, is_road), whole))
+    return found
+
+
+#: Displacement of the whole surface (one row) and of each real object, and roughness by column of `pairs`.
+SurfaceScores = tuple[Offsets, Offsets, dict[str, Number]]
 
 
 def measure_surface(
     real: FloatArray, sim: FloatArray, real_labels: IntArray, watch: Watch = unwatched
-) -> SurfaceComparison:
-    """Displacement of the simulated surface, of the whole and of each real object, and roughness of both.
+) -> SurfaceScores:
+    """Displacement of the whole simulated surface (one row) and of each real object; roughness by column of `pairs`.
 
     Parameters
     ----------
@@ -284,7 +288,7 @@ def measure_surface(
     with watch("offset"):
         whole = measure_offsets(real_surface, sim_surface)
         objects = measure_offsets(real_surface, sim_surface, real_labels)
-    return SurfaceComparison(whole, objects, compare_roughness(real_surface, sim_surface))
+    return whole, objects, compare_roughness(real_surface, sim_surface)
 
 
 def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredObject:
@@ -373,23 +377,6 @@ class PairScores:
 
 
 @dataclass(frozen=True)
-class SideCoverage:
-    """Share of each object of a side, and of the side as a whole (one row), that the other side has."""
-
-    objects: Coverage
-    whole: Coverage
-
-
-@dataclass(frozen=True)
-class SurfaceComparison:
-    """Displacement of the whole surface (one row) and of each real object, and roughness by column of `pairs`."""
-
-    whole: Offsets
-    objects: Offsets
-    roughness: dict[str, Number]
-
-
-@dataclass(frozen=True)
 class EvaluatedSide:
     """Each step's result for one side.
 
@@ -404,7 +391,7 @@ class EvaluatedSide:
     clean: CleanResult
     cut: GroundResult
     scan: PartitionedScan
-    coverage: SideCoverage
+    coverage: tuple[Coverage, Coverage]
 
 
 @dataclass(frozen=True)
@@ -420,7 +407,7 @@ class Evaluation:
     real: EvaluatedSide
     sim: EvaluatedSide
     scores: PairScores
-    surface: SurfaceComparison
+    surface: SurfaceScores
     pieces: tuple[Pieces, Pieces]
     rays: Rays | str
 

@@ -14,7 +14,7 @@ import scipy
 
 from ..schemas.metric_catalogue import NVS_SCORES
 from .arrays import BoolArray, FloatArray, Watch, unwatched
-from .baselines import Baseline, Baselines
+from .baselines import Baseline, Baselines, harmonic_mean
 from .coverage import nearest_distances
 
 #: The range image: rows and columns, degrees from its upper edge to the horizon and to its lower edge, largest range.
@@ -157,8 +157,7 @@ def cloud_errors(real: FloatArray, sim: FloatArray) -> tuple[float | str, float 
         return reason, reason
     to_sim, to_real = (apart**2 for apart in nearest_distances(real, sim))
     recall, precision = float(np.mean(to_sim < NEAR_M2)), float(np.mean(to_real < NEAR_M2))
-    f_score = 2 * precision * recall / (precision + recall) if precision + recall else 0.0
-    return float(to_sim.mean() + to_real.mean()), f_score
+    return float(to_sim.mean() + to_real.mean()), harmonic_mean(precision, recall)
 
 
 def map_from_above(points: FloatArray) -> FloatArray:

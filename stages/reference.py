@@ -82,7 +82,7 @@ def find_reference_objects(
     """
     order = visiting_order(points, settings.seed)
     if settings.reference == "louvain":
-        return find_communities(len(points), edges, settings, order=order).labels
+        return find_communities(len(points), edges, settings, order=order)
     annotation = annotation or Annotation()
     if getattr(annotation, settings.reference) is None:
         raise StageError(

@@ -39,8 +39,8 @@ def summarise_pair(
         "n_too_small": statuses.count("too_small"),
         "match_rate": n_matched / (n_matched + max(n_missing, n_hallucinated)),
         "found": n_matched / (n_matched + n_missing),
-        "median_range_matched_m": _median(matched_range_m),
-        "median_range_unmatched_m": _median(np.concatenate([missing_range_m, hallucinated_range_m])),
+        "median_range_matched_m": median_of(matched_range_m),
+        "median_range_unmatched_m": median_of(np.concatenate([missing_range_m, hallucinated_range_m])),
     }
     for metric, values in scores.items():
         summary[f"{metric}_mean"], summary[f"{metric}_std"] = mean_and_std(values)
@@ -86,5 +86,6 @@ def mean_and_std(values: FloatArray) -> tuple[float | None, float | None]:
     return mean, std
 
 
-def _median(values: FloatArray) -> float | None:
+def median_of(values: FloatArray) -> float | None:
+    """Median; None without values."""
     return float(np.median(values)) if len(values) else None

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from ..schemas.results import Number
-from .arrays import BoolArray, FloatArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray, sums_by_id
 from .reference import visiting_order
 from .statistics.validation import double_validation_metric
 from .surfels import fit_planes
@@ -227,14 +227,9 @@ def _shifts(
 ) -> tuple[FloatArray, BoolArray, FloatArray, IntArray]:
     """Least squares shift of each object, (c, 3), observable axes of its normals, (c, 3), all axes, and its points."""
     n_points = np.bincount(ids, minlength=n_ids).astype(np.int32)
-    squares = _sums((normal[:, :, None] * normal[:, None, :]).reshape(-1, 9), ids, n_ids).reshape(-1, 3, 3)
-    gaps = _sums(normal * (normal * gap).sum(axis=1, keepdims=True), ids, n_ids)
+    squares = sums_by_id((normal[:, :, None] * normal[:, None, :]).reshape(-1, 9), ids, n_ids).reshape(-1, 3, 3)
+    gaps = sums_by_id(normal * (normal * gap).sum(axis=1, keepdims=True), ids, n_ids)
     values, axes = np.linalg.eigh(squares)
     is_observable = (values >= MIN_SHARE * n_points[:, None]) & (n_points >= MIN_POINTS)[:, None]
     along = np.einsum("cij,ci->cj", axes, gaps) / np.where(is_observable, values, np.inf)
     return np.einsum("cij,cj->ci", axes, along) + 0.0, is_observable, axes, n_points
-
-
-def _sums(values: FloatArray, ids: IntArray, n_ids: int) -> FloatArray:
-    """Sum of each column over the rows of each id, (n_ids, columns)."""
-    return np.column_stack([np.bincount(ids, column, n_ids) for column in values.T])

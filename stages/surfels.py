@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from .arrays import BoolArray, FloatArray, IndexArray
+from .arrays import BoolArray, FloatArray, IndexArray, sums_by_id
 
 _BROAD = 0.02  # l2 / l1 of a plane that is not a line, at least
 _ROWS_AT_ONCE = 8192  # limits the memory of neighbourhoods
@@ -93,7 +93,7 @@ def voxel_means(points: FloatArray, edge_m: float) -> FloatArray:
     [[0.2, 0.0, 0.0], [1.5, 0.0, 0.0]]
     """
     _, ids, n_points = np.unique(voxel_ids(points, edge_m), return_inverse=True, return_counts=True)
-    return np.column_stack([np.bincount(ids, points[:, axis], len(n_points)) / n_points for axis in range(3)])
+    return sums_by_id(points, ids, len(n_points)) / n_points[:, None]
 
 
 def voxel_ids(points: FloatArray, edge_m: float) -> IndexArray:

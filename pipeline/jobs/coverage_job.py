@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import COVERAGE_REACHES
 from ...schemas.tables import TABLES
 from ...stages.coverage import Coverage
-from ...stages.method import SideCoverage, measure_coverage
+from ...stages.method import measure_coverage
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import POINT_COLUMNS, column, nulls_for_nan, object_points
 
@@ -25,12 +27,12 @@ def make_coverage(own: Inputs) -> JobResult:
     return coverage_result(own.pair_id, coverage)
 
 
-def coverage_result(pair_id: str, coverage: tuple[SideCoverage, SideCoverage]) -> JobResult:
+def coverage_result(pair_id: str, coverage: Sequence[tuple[Coverage, Coverage]]) -> JobResult:
     """One row for each object of either side and one for each side."""
     rows: list[Row] = []
     of_pair: Metadata = {}
-    for side, own in zip(SIDES, coverage, strict=True):
-        objects, (whole,) = _rows(own.objects), _rows(own.whole)
+    for side, found in zip(SIDES, coverage, strict=True):
+        objects, (whole,) = map(_rows, found)
         both = {"pair_id": pair_id, "side": side}
         rows += [both | {"community_id": i} | row for i, row in enumerate(objects)]
         rows.append(both | whole)

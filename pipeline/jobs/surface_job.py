@@ -5,7 +5,7 @@ from __future__ import annotations
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import SHIFT_COLUMNS
 from ...schemas.tables import TABLES
-from ...stages.method import SurfaceComparison, measure_surface
+from ...stages.method import SurfaceScores, measure_surface
 from ...stages.surface import Offsets
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import POINT_COLUMNS, column, nulls_for_nan, object_points
@@ -18,11 +18,12 @@ def make_surface(own: Inputs) -> JobResult:
     return surface_result(own.pair_id, measure_surface(real, sim, labels, watch=own.step))
 
 
-def surface_result(pair_id: str, surface: SurfaceComparison) -> JobResult:
+def surface_result(pair_id: str, surface: SurfaceScores) -> JobResult:
     """One row for each real object and one for the whole."""
-    (pair,) = _rows(surface.whole)
-    rows = [{"real_id": i} | row for i, row in enumerate(_rows(surface.objects))]
-    of_pair: Metadata = {name: pair[name] for name in SHIFT_COLUMNS} | surface.roughness
+    whole, objects, roughness = surface
+    (pair,) = _rows(whole)
+    rows = [{"real_id": i} | row for i, row in enumerate(_rows(objects))]
+    of_pair: Metadata = {name: pair[name] for name in SHIFT_COLUMNS} | roughness
     table = TABLES["surface"].from_rows({"pair_id": pair_id} | row for row in [*rows, pair])
     return JobResult({"surface": table}, {OF_PAIR: of_pair})
 

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from ...schemas.sensor_models import SensorModel
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import BoolArray, FloatArray, IndexArray, sums_by_id
 from ..surfels import fit_planes, voxel_ids
 from .flaws import SCATTERED
 from .ray_casting import RayTarget, measure_ranges
@@ -89,8 +89,8 @@ def extend_map(
         _, ids = np.unique(voxel_ids(merged[rows], VOXEL_M * 2.0**number), return_inverse=True)
         own = weight[rows]
         total = np.bincount(ids, own)
-        columns = (*merged[rows].T, foliage[rows], bright[rows])
-        parts.append(np.column_stack([*(np.bincount(ids, own * column) / total for column in columns), total]))
+        columns = np.column_stack([merged[rows], foliage[rows], bright[rows]])
+        parts.append(np.column_stack([sums_by_id(own[:, None] * columns, ids, len(total)) / total[:, None], total]))
     means = np.concatenate(parts)
     return VoxelMap(means[:, :3], means[:, 5], means[:, 3], means[:, 4])
 

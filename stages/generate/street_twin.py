@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray, sums_by_id
 from .street_objects import EMPTY_MESH, Mesh, StreetObject, build_grid, join_meshes
 
 DENSITY_BOUNDS = (0.1, 8.0)
@@ -168,7 +168,7 @@ def smooth_mesh(mesh: Mesh, times: int = 1) -> Mesh:
     degree = np.maximum(np.bincount(ends, minlength=len(mesh.vertices)), 1)[:, None]
     vertices = mesh.vertices
     for _ in range(times):
-        vertices = (vertices + _sums(ends, vertices[others], len(vertices)) / degree) / 2
+        vertices = (vertices + sums_by_id(vertices[others], ends, len(vertices)) / degree) / 2
     return Mesh(vertices, mesh.faces, mesh.reflectivity)
 
 
@@ -176,7 +176,7 @@ def thicken(mesh: Mesh, by_m: float) -> Mesh:
     """The mesh with each vertex pushed out along its normal; a vertex without a face stays."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     face_normals = np.cross(b - a, c - a)
-    normals = _sums(mesh.faces.ravel(), np.repeat(face_normals, 3, axis=0), len(mesh.vertices))
+    normals = sums_by_id(np.repeat(face_normals, 3, axis=0), mesh.faces.ravel(), len(mesh.vertices))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return Mesh(mesh.vertices + by_m * normals, mesh.faces, mesh.reflectivity)
 
@@ -230,8 +230,3 @@ def merge_leaves(leaves: Mesh, cell_m: float, swollen: float, rng: np.random.Gen
     p, q, r, s = ids.reshape(-1, 4).T
     faces = np.concatenate([np.column_stack([p, q, r]), np.column_stack([p, r, s])])
     return smooth_mesh(Mesh(vertices, faces, np.full(len(faces), leaves.reflectivity[0])), times=3)
-
-
-def _sums(ids: IndexArray, rows: FloatArray, n: int) -> FloatArray:
-    """(n, 3) float64, sum of the rows of each id."""
-    return np.column_stack([np.bincount(ids, rows[:, axis], n) for axis in range(3)])

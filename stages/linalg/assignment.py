@@ -25,7 +25,7 @@ _ROUNDING = 1e-12  # and this share of its cost
 _OFFSET_STEP_M = 1024.0  # a power of two: the difference is exact, and nearer sets do not change
 _BLOCK_DISTANCES = 2**20
 
-#: Initial candidates of each node; few need more rounds of additions, many cost memory.
+#: Initial candidates of each node, at most 400; few need more rounds of additions, many cost memory.
 ARCS_PER_NODE = 72
 
 Prices = tuple[FloatArray, FloatArray]
@@ -52,14 +52,12 @@ def align_nodes(real: FloatArray, sim: FloatArray) -> IndexArray:
     return assign_nodes(real - real.mean(axis=0), sim - sim.mean(axis=0))
 
 
-def assign_nodes(a: FloatArray, b: FloatArray, *, arcs_per_node: int = ARCS_PER_NODE) -> IndexArray:
+def assign_nodes(a: FloatArray, b: FloatArray) -> IndexArray:
     """Exact permutation p that minimises sum_i |a_i - b_p(i)| for two sets of equal size, without centring.
 
     Parameters
     ----------
     a, b : (n, 3) float64, metres, at least one point each
-    arcs_per_node : initial candidate arcs of each node, 1 to 400, for more nodes than that; affects the time, not the
-        result
 
     Raises
     ------
@@ -71,7 +69,7 @@ def assign_nodes(a: FloatArray, b: FloatArray, *, arcs_per_node: int = ARCS_PER_
         a, b = a - offset, b - offset
     if len(a) <= _DENSE_NODES:
         return scipy.optimize.linear_sum_assignment(scipy.spatial.distance.cdist(a, b))[1]
-    arcs = _candidate_arcs(a, b, _coarse_prices(a, b, arcs_per_node), arcs_per_node)
+    arcs = _candidate_arcs(a, b, _coarse_prices(a, b))
     is_first = True
     while True:
         sim_of_real, prices = _solve(a, b, arcs)
@@ -86,33 +84,29 @@ def assign_nodes(a: FloatArray, b: FloatArray, *, arcs_per_node: int = ARCS_PER_
         arcs = np.sort(np.concatenate([arcs, better]), kind="stable")
 
 
-def _coarse_prices(a: FloatArray, b: FloatArray, arcs_per_node: int) -> FloatArray:
+def _coarse_prices(a: FloatArray, b: FloatArray) -> FloatArray:
     """Prices of b from those of a quarter of the nodes of each side, recursively."""
     n = len(a)
     m = n // _COARSER
     spread = np.linspace(0, n - 1, m).astype(np.intp)
     some_a, some_b = a[_curve(a)[spread]], b[_curve(b)[spread]]
-    if m <= _DENSE_NODES:
-        arcs = np.arange(m * m)
-    else:
-        arcs = _candidate_arcs(some_a, some_b, _coarse_prices(some_a, some_b, arcs_per_node), arcs_per_node)
+    is_dense = m <= _DENSE_NODES
+    arcs = np.arange(m * m) if is_dense else _candidate_arcs(some_a, some_b, _coarse_prices(some_a, some_b))
     _, (_, price_some_b) = _solve(some_a, some_b, arcs)
     return _least(b, a, _least(a, some_b, price_some_b))
 
 
-def _candidate_arcs(a: FloatArray, b: FloatArray, price_b: FloatArray, arcs_per_node: int) -> IndexArray:
+def _candidate_arcs(a: FloatArray, b: FloatArray, price_b: FloatArray) -> IndexArray:
     """Ascending codes i * n + j of the cheapest arcs for each node of either side, and of a whole assignment."""
     n = len(a)
-    from_a, price_a = _cheapest(a, b, price_b, arcs_per_node)
-    from_b, _ = _cheapest(b, a, price_a, arcs_per_node)
+    from_a, price_a = _cheapest(a, b, price_b)
+    from_b, _ = _cheapest(b, a, price_a)
     arcs = from_a + from_b.T + scipy.sparse.csr_array((np.ones(n, np.int8), (_curve(a), _curve(b))), (n, n))
     arcs.sort_indices()
     return np.repeat(np.arange(n) * n, np.diff(arcs.indptr)) + arcs.indices
 
 
-def _cheapest(
-    nodes: FloatArray, others: FloatArray, price: FloatArray, arcs_per_node: int
-) -> tuple[scipy.sparse.csr_array, FloatArray]:
+def _cheapest(nodes: FloatArray, others: FloatArray, price: FloatArray) -> tuple[scipy.sparse.csr_array, FloatArray]:
     """Cheapest arcs to the others for each node, (n, n), and the smallest cost, (n,); in single precision."""
     x, y, price_y = (array.astype(np.float32) for array in (nodes, others, price))
     columns, counts, least = [], [], []
@@ -122,7 +116,7 @@ def _cheapest(
         cost += (x[rows] ** 2).sum(axis=1)[:, None]
         np.sqrt(np.maximum(cost, 0, out=cost), out=cost)
         cost -= price_y
-        is_cheap = cost <= np.partition(cost, arcs_per_node, axis=1)[:, arcs_per_node, None]
+        is_cheap = cost <= np.partition(cost, ARCS_PER_NODE, axis=1)[:, ARCS_PER_NODE, None]
         columns.append(np.flatnonzero(is_cheap) % len(y))
         counts.append(np.count_nonzero(is_cheap, axis=1))
         least.append(cost.min(axis=1))

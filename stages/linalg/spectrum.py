@@ -2,44 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import scipy
 
 from ..arrays import FloatArray
-from .band_reduction import Kernels, reduce_to_band, scipy_kernels
+from .band_reduction import reduce_to_band, scipy_kernels
 
 #: From this many nodes on the detour over a band is the faster way.
 BANDED_FROM_NODES = 1400
-BAND_WIDTH = 32
+BAND_WIDTH = 32  #: affects the time, not the result
 _DENSE_NORM_NODES = 64
 
 
-def eigenvalues(
-    symmetric: scipy.sparse.csr_matrix,
-    *,
-    banded_from_nodes: int = BANDED_FROM_NODES,
-    band_width: int = BAND_WIDTH,
-    find_kernels: Callable[[], Kernels | None] = scipy_kernels,
-) -> FloatArray:
+def eigenvalues(symmetric: scipy.sparse.csr_matrix) -> FloatArray:
     """All eigenvalues in ascending order, (n,) float64, to working precision.
 
     Small matrices go to LAPACK's dense solver; large ones are first reduced to a narrow band. Both ways are backward
-    stable and agree to rounding.
+    stable and agree to rounding. Without the BLAS routines of the band reduction the dense solver is used for all.
 
     Parameters
     ----------
     symmetric : (n, n) CSR float64, n at least 1
-    banded_from_nodes : the n from which on the band is taken; the default is where it begins to be faster
-    band_width : width of the narrow band; affects the time, not the result
-    find_kernels : returns the BLAS routines of the band reduction; if it returns None, the dense solver is used
     """
-    kernels = find_kernels() if symmetric.shape[0] >= banded_from_nodes else None
+    kernels = scipy_kernels() if symmetric.shape[0] >= BANDED_FROM_NODES else None
     if kernels is None:
         values: FloatArray = scipy.linalg.eigvalsh(symmetric.toarray(order="F"), overwrite_a=True, check_finite=False)
     else:
-        band = reduce_to_band(symmetric, band_width, kernels)
+        band = reduce_to_band(symmetric, BAND_WIDTH, kernels)
         values = scipy.linalg.eigvals_banded(band, lower=True, overwrite_a_band=True, check_finite=False)
     return values
 

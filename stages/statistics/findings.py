@@ -28,7 +28,7 @@ from ...schemas.results import (
     WithinPairs,
 )
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..summary import mean_and_std
+from ..summary import mean_and_std, median_of
 
 #: Edges of the range bands, metres; the last band has no end.
 BAND_EDGES_M = (0.0, 10.0, 20.0, 30.0, 50.0)
@@ -85,7 +85,7 @@ def summarise_objects(
     timestamps_s : time of the scan of each pair; None if unknown
     """
     matched = real.matched
-    median_m = _median(np.concatenate([real.range_m, sim.range_m]))
+    median_m = median_of(np.concatenate([real.range_m, sim.range_m]))
     unmatched_m = np.concatenate([real.range_m[~real.is_matched], sim.range_m[~sim.is_matched]])
     return ObjectFindings(
         n_pairs=len(pair_ids),
@@ -96,8 +96,8 @@ def summarise_objects(
         rank_correlation=rank_correlation(matched.cdc, matched.r_lambda),
         density_ratio=density_ratio(matched.n_real, matched.n_sim),
         range_m=RangeFindings(
-            median_matched=_median(matched.range_m),
-            median_unmatched=_median(unmatched_m),
+            median_matched=median_of(matched.range_m),
+            median_unmatched=median_of(unmatched_m),
             bands=by_range(real, sim),
             halves=by_range(real, sim, (0.0,) if median_m is None else (0.0, median_m)),
         ),
@@ -189,7 +189,7 @@ def by_class(real: Objects, sim: Objects) -> tuple[ClassFindings, ...]:
             continue
         own = matched.label == label
         cdc, r_lambda = matched.cdc[own], matched.r_lambda[own]
-        middle = _median(matched.range_m[own])
+        middle = median_of(matched.range_m[own])
         is_near = matched.range_m[own] < (np.inf if middle is None else middle)
         values = {
             "cdc": cdc,
@@ -306,7 +306,3 @@ def _unmatched(real: Objects, sim: Objects, in_real: BoolArray, in_sim: BoolArra
 
 def _quantiles(values: FloatArray) -> dict[str, float | None]:
     return {name: float(np.quantile(values, q)) if len(values) else None for name, q in _QUANTILES.items()}
-
-
-def _median(values: FloatArray) -> float | None:
-    return float(np.median(values)) if len(values) else None

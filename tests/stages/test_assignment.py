@@ -47,10 +47,11 @@ def test_a_large_alignment_of_many_ties_is_as_short_as_the_hungarian_one():
         assert total_distance(real, sim, sim_of_real) == pytest.approx(total_distance(real, sim, hungarian(real, sim)))
 
 
-def test_with_few_candidates_the_missing_ones_are_found_by_their_prices(rng):
+def test_with_few_candidates_the_missing_ones_are_found_by_their_prices(rng, monkeypatch):
+    monkeypatch.setattr(assignment, "ARCS_PER_NODE", 2)
     real, sim = rng.normal(0, 1, (600, 3)), rng.normal(0, 1.3, (600, 3))
     wanted = linear_sum_assignment(cdist(real, sim))[1]
-    np.testing.assert_array_equal(assign_nodes(real, sim, arcs_per_node=2), wanted)
+    np.testing.assert_array_equal(assign_nodes(real, sim), wanted)
 
 
 def exchanged(p, u, v):

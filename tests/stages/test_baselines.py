@@ -18,13 +18,13 @@ from fidpipe.stages.baselines import (
     chamfer,
     compare_objects,
     compare_points,
-    density_aware_chamfer,
+    dcd,
     diffusion_change,
     earth_movers,
     f_score,
     hausdorff,
     heat_trace_distance,
-    histogram_distance,
+    histogram,
     icp,
     sliced_wasserstein,
 )
@@ -35,6 +35,12 @@ from fidpipe.stages.selection import Selection, select_nodes
 from scenes import box, moved, rigid, subgraph
 
 ALL = MetricsSettings(baselines=BASELINE_NAMES)
+
+
+def value(baseline, real, sim, **settings):
+    """The only value of a baseline metric of two point sets."""
+    (found,) = baseline(real, sim, MetricsSettings(**settings))
+    return found.value
 
 
 def compare(real, sim, settings=ALL):
@@ -51,12 +57,14 @@ def car():
 def test_histograms_by_hand():
     # distances 1, 1, 2 against 1: shares of the lower and the upper half of the range
     three, two = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0.0, 0, 0], [7, 0, 0]])
-    assert histogram_distance(three, two, 10, 2, 1) == pytest.approx(0)  # 1/2 lies in the upper half
-    assert histogram_distance(three, two, 10, 3, 1) == pytest.approx(2 / 3 + 2 / 3)
+    assert value(histogram, three, two, histogram_bins=2, histogram_order=1) == pytest.approx(
+        0
+    )  # 1/2 lies in the upper half
+    assert value(histogram, three, two, histogram_bins=3, histogram_order=1) == pytest.approx(2 / 3 + 2 / 3)
 
 
 def test_histograms_see_neither_place_nor_turn_nor_size(car):
-    assert histogram_distance(car, 2 * moved(car, rigid(40, [3, 1, 2])), 500, 20, 2) == pytest.approx(0, abs=1e-12)
+    assert value(histogram, car, 2 * moved(car, rigid(40, [3, 1, 2])), histogram_bins=20) == pytest.approx(0, abs=1e-12)
 
 
 def test_icp_undoes_a_small_motion(car):
@@ -81,7 +89,7 @@ def test_no_order_of_rows_changes_a_histogram_above_its_sample_or_dcd_at_ties(rn
     real = np.unique(real, axis=0)
     turned = rng.permutation(len(real)), rng.permutation(len(sim))
     values = [
-        (histogram_distance(a, b, 60, 20, 2), density_aware_chamfer(a, b, 1.0)[0])
+        (value(histogram, a, b, histogram_points=60, histogram_bins=20), value(dcd, a, b, dcd_alpha=1))
         for a, b in ((real, sim), (real[turned[0]], sim[turned[1]]))
     ]
     assert values[0] == pytest.approx(values[1], abs=1e-12)
@@ -179,19 +187,19 @@ def test_chamfer_by_hand():
 
 
 def test_hausdorff_by_hand_is_the_worst_point_of_either_side():
-    assert hausdorff(REAL, SIM) == 3
-    assert hausdorff(SIM, REAL) == 3
+    assert value(hausdorff, REAL, SIM) == 3
+    assert value(hausdorff, SIM, REAL) == 3
 
 
 def test_f_score_by_hand():
     # within 1.2 m: one of three real points, one of two simulated ones
-    assert f_score(REAL, SIM, 1.2) == pytest.approx(2 * (1 / 3) * (1 / 2) / (1 / 3 + 1 / 2))
-    assert f_score(REAL, SIM, 0.9) == 0
-    assert f_score(REAL, SIM, 10) == 1
+    assert value(f_score, REAL, SIM, f_score_distance_m=1.2) == pytest.approx(2 * (1 / 3) * (1 / 2) / (1 / 3 + 1 / 2))
+    assert value(f_score, REAL, SIM, f_score_distance_m=0.9) == 0
+    assert value(f_score, REAL, SIM, f_score_distance_m=10) == 1
 
 
 def test_a_point_at_the_very_distance_is_not_found():
-    assert f_score(REAL[:1], SIM[:1], 1.0) == 0
+    assert value(f_score, REAL[:1], SIM[:1], f_score_distance_m=1.0) == 0
 
 
 def test_dcd_of_equal_sizes_by_hand():
@@ -199,21 +207,23 @@ def test_dcd_of_equal_sizes_by_hand():
     real, sim = np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[-0.1, 0, 0], [0, 0.2, 0]])
     from_real = (1 - math.exp(-10 * 0.01) + 1 - math.exp(-10 * 1.04)) / 2  # to the first and to the second one
     from_sim = (1 - 0.5 * math.exp(-10 * 0.01) + 1 - 0.5 * math.exp(-10 * 0.04)) / 2
-    assert density_aware_chamfer(real, sim, 10) == (pytest.approx((from_real + from_sim) / 2), 0)
+    (found,) = dcd(real, sim, MetricsSettings(dcd_alpha=10))
+    assert (found.value, found.reason) == (pytest.approx((from_real + from_sim) / 2), None)
 
 
 def test_dcd_of_unequal_sizes_cuts_the_weights_at_one_and_counts_them():
     # three real points for one simulated one: from the real side each weight is (3 / 1) / 3 = 1, from the simulated
     # side (1 / 3) / 1; with a second simulated point far off, its first neighbour weighs (3 / 2) / 3, the other none
     real = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0, 0]])
-    distance = density_aware_chamfer(real, np.array([[0.5, 0, 0]]), 1.0)
+    (found,) = dcd(real, np.array([[0.5, 0, 0]]), MetricsSettings(dcd_alpha=1))
     from_real = np.mean([1 - math.exp(-0.25), 1 - math.exp(-0.25), 0])
-    assert distance == (pytest.approx((from_real + 1 - 1 / 3) / 2), 0)
+    assert (found.value, found.reason) == (pytest.approx((from_real + 1 - 1 / 3) / 2), None)
     # two of three real points at one simulated point, the third alone at the other: weights 3/4, 3/4 and 3/2, cut
-    distance = density_aware_chamfer(real, np.array([[0.25, 0, 0], [1, 0, 0]]), 1.0)
+    (found,) = dcd(real, np.array([[0.25, 0, 0], [1, 0, 0]]), MetricsSettings(dcd_alpha=1))
     from_real = np.mean([1 - 0.75 * math.exp(-0.0625), 1 - 0.75 * math.exp(-0.0625), 0])
     from_sim = np.mean([1 - 2 / 3 * math.exp(-0.0625), 1 - 2 / 3])
-    assert distance == (pytest.approx((from_real + from_sim) / 2), 1)
+    assert found.value == pytest.approx((from_real + from_sim) / 2)
+    assert found.reason == "3 real and 2 simulated points: 1 of 5 count weights cut at 1"
 
 
 def transport(a, b):
@@ -261,7 +271,7 @@ def test_the_aligned_distance_is_row_by_row():
 def test_sliced_wasserstein_of_a_shift_is_half_of_it():
     # the mean of |cos| of the angle between a fixed vector and a random direction in space is 1/2
     points = np.random.default_rng(0).normal(0, 1, (30, 3))
-    assert sliced_wasserstein(points, points + [0, 0, 4], 4000) == pytest.approx(2, rel=0.03)
+    assert value(sliced_wasserstein, points, points + [0, 0, 4], projections=4000) == pytest.approx(2, rel=0.03)
 
 
 TIMES = np.geomspace(0.01, 100, 50)
@@ -294,4 +304,4 @@ def test_the_diffusion_change_of_a_small_change_in_a_short_time_is_nearly_one():
     a = path(6)
     length = 1 + 0.1 * np.arange(5)
     b = normalised_laplacian(sparse.csr_matrix(np.diag(length, 1) + np.diag(length, -1)))
-    assert diffusion_change(a, b, 1e-4, 1e-5) == pytest.approx(1, abs=1e-3)
+    assert diffusion_change(a, b, 1e-4) == pytest.approx(1, abs=1e-3)

@@ -5,11 +5,12 @@ import ctypes
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.linalg import eigvalsh, qr
+from scipy.linalg import eigvals_banded, eigvalsh, qr
 
 from fidpipe.schemas.settings import GraphSettings, SelectionSettings
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.linalg.band_reduction import kernels_from
+from fidpipe.stages.linalg import spectrum
+from fidpipe.stages.linalg.band_reduction import kernels_from, reduce_to_band, scipy_kernels
 from fidpipe.stages.linalg.laplacian import induced_laplacian, normalised_laplacian
 from fidpipe.stages.linalg.spectrum import BANDED_FROM_NODES, eigenvalues, spectral_norm
 from fidpipe.stages.linalg.subgraph import Subgraph, adjacency, split_by_community
@@ -77,9 +78,9 @@ def laplacian(points, k=8):
     return normalised_laplacian(adjacency(len(points), build_graph(points, GraphSettings(k=k))))
 
 
-def banded(symmetric, **options):
+def banded(symmetric, width=spectrum.BAND_WIDTH):
     """The eigenvalues by way of the band, however small the matrix."""
-    return eigenvalues(symmetric, banded_from_nodes=0, **options)
+    return eigvals_banded(reduce_to_band(symmetric, width, scipy_kernels()), lower=True)
 
 
 @pytest.mark.parametrize("n", [3, 20, 41, 42, 43, 81, 82, 120, 333])
@@ -110,11 +111,14 @@ def test_a_band_of_uneven_width_has_the_same_eigenvalues(rng, half):
     np.testing.assert_allclose(banded(sparse.csr_matrix(dense)), np.linalg.eigvalsh(dense), atol=1e-11)
 
 
-def test_without_the_routines_for_parts_of_matrices_the_direct_way_is_taken(rng):
+def test_without_the_routines_for_parts_of_matrices_the_direct_way_is_taken(rng, monkeypatch):
     L = laplacian(rng.normal(0, 1, (90, 3)))
     direct = eigvalsh(L.toarray(order="F"))
-    np.testing.assert_array_equal(banded(L, find_kernels=lambda: None), direct)
-    assert not np.array_equal(banded(L), direct)  # to the last bit they do differ
+    monkeypatch.setattr(spectrum, "BANDED_FROM_NODES", 0)
+    assert not np.array_equal(eigenvalues(L), direct)  # to the last bit they do differ
+    np.testing.assert_array_equal(eigenvalues(L), banded(L))
+    monkeypatch.setattr(spectrum, "scipy_kernels", lambda: None)
+    np.testing.assert_array_equal(eigenvalues(L), direct)
 
 
 @pytest.mark.parametrize("signature", [b"void (char *, long *, double *)", b"void (char *, double *)"])
@@ -218,13 +222,13 @@ HARD = {
 }
 
 
-def error_in_eps(symmetric, **options):
+def error_in_eps(symmetric, width=spectrum.BAND_WIDTH):
     """The largest error of an eigenvalue against LAPACK's dense solver, over eps |A|_2.
 
     The usual bound of Householder's method is the number of nodes n; the largest error met is 0.7 n.
     """
     wanted = eigvalsh(symmetric.toarray())
-    return np.abs(eigenvalues(symmetric, banded_from_nodes=0, **options) - wanted).max() / (EPS * np.abs(wanted).max())
+    return np.abs(banded(symmetric, width) - wanted).max() / (EPS * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("n", [100, 600])
@@ -236,7 +240,7 @@ def test_by_way_of_the_band_a_hard_spectrum_is_that_of_lapack(rng, name, n):
 @pytest.mark.parametrize("width", [1, 5, 64])
 @pytest.mark.parametrize("name", ["twenty equal pieces", "clusters 1e-12 wide", "weights over fifteen decades"])
 def test_so_it_is_whatever_the_width_of_the_band(rng, name, width):
-    assert error_in_eps(HARD[name](rng, 200), band_width=width) < 200
+    assert error_in_eps(HARD[name](rng, 200), width) < 200
 
 
 @pytest.mark.parametrize("name", HARD)
