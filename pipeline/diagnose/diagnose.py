@@ -29,9 +29,9 @@ from ..storage.run_record import dumps
 from .causes import LEAST_EXCESS_M, NamedCause, confirm, name_causes
 from .latency import AHEAD, follow, latency_words, speed_m_s
 
-#: Without a floor, a larger rest of the distance, metres, that is more than half of it, is the first cause.
+#: Without a floor, *unexplained* is the first cause if more of the distance remains, metres, and more than half of it.
 MOST_LEFT_M = 0.02
-#: Over a floor, a larger share of the flat surface that is elsewhere than in the floor, if corrections bring back less.
+#: Over a floor, if at least this share of the flat surface remains elsewhere, and more than half of what was before.
 MOST_OFF = 0.03
 _SEED = 20240917
 _SENSOR = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m")
@@ -107,7 +107,7 @@ def diagnose_run(
     if base and is_elsewhere(*np.mean(off, axis=0)):
         left = [after for _, after in off]
         part = size_words(float(np.mean(left)), "share")
-        words = f"{part} of the flat surface elsewhere than in the floor, by no cause in the catalogue"
+        words = f"{part} of the flat surface lies elsewhere than in the floor, which no cause in the catalogue explains"
         causes.insert(0, _unexplained(left, blocks, "share", words))
     elif base is None and is_unexplained(before_m, after_m):
         words = f"no cause in the catalogue for {size_words(after_m / before_m, 'share')} of the distance"
@@ -210,7 +210,7 @@ def _gains(
 def _off(
     run: FinishedRun, base: FinishedRun, pair_id: str, found: Estimates, named: Sequence[NamedCause]
 ) -> tuple[float, float]:
-    """Share of the flat surface that a pair has elsewhere than the floor, before and after all corrections."""
+    """Share of the flat surface that a pair has elsewhere than its floor, before and after all corrections."""
     scans, floor = read_pair(run, pair_id), read_pair(base, pair_id)
     amounts = {own.model.name: own.mean for own in named}
     return off_shares(scans, floor, _moved(*found), amounts, np.random.default_rng(_SEED))

@@ -312,7 +312,7 @@ class DaskPool(Pool):
                 self._dead_since.pop(name, None)
             elif now - self._dead_since.setdefault(name, now) > _GIVEN_UP_S:
                 del self._dead_since[name]
-                del self._cluster.workers[name]
+                self._cluster.workers.pop(name, None)
                 self._cluster.sync(_end, [nanny])
         if len(self._cluster.workers) < len(self._cluster.worker_spec):
             self._cluster.scale(len(self._cluster.worker_spec))  # starts the missing ones

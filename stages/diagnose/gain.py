@@ -190,8 +190,8 @@ def changes(
     displacement : of the pair over that of the floor
     excess : see `corrections`
     """
-    both = PairScans(floor.sim, scans.sim)
-    return shares(both, corrections(both, PairEstimates(displacement, scans.sim.sensor, {}), excess, rng), rng)
+    both, made = _between_sims(scans, floor, displacement, excess, rng)
+    return shares(both, made, rng)
 
 
 def off_shares(
@@ -203,10 +203,17 @@ def off_shares(
     ----------
     displacement, excess : see `changes`
     """
-    both = PairScans(floor.sim, scans.sim)
-    made = corrections(both, PairEstimates(displacement, scans.sim.sensor, {}), excess, rng)
+    both, made = _between_sims(scans, floor, displacement, excess, rng)
     after = corrected(both, [*made.values()])
     return off_share(floor.sim.points, scans.sim.points), off_share(floor.sim.points, after)
+
+
+def _between_sims(
+    scans: PairScans, floor: PairScans, displacement: Displacement, excess: Mapping[str, float], rng: Generator
+) -> tuple[PairScans, dict[str, Correction]]:
+    """The simulated scans of the floor and of the run as a pair, and the correction of each cause."""
+    both = PairScans(floor.sim, scans.sim)
+    return both, corrections(both, PairEstimates(displacement, scans.sim.sensor, {}), excess, rng)
 
 
 def _some(flags: BoolArray, part: float, rng: Generator) -> BoolArray:

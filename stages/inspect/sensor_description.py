@@ -94,9 +94,9 @@ def describe_with_gaps(
     distance and h the height at which beams start; see `beam_patterns.find_beams`. With rings they are medians over
     each ring. Step: the most frequent distance in azimuth of neighbouring returns of a beam. Quantum: the largest q of
     a list for which ranges R of a beam have |mean exp(2 pi i R / q)| >= 0.7. Noise: rms residual of a parabola through
-    nine returns in a row, its lower quartile over all such runs, as a standard deviation; of returns up to eight steps
-    apart if fewer than 200 runs have no gap. Lost: of the gaps between
-    returns of one surface, the firings without one.
+    nine returns in a row, its lower quartile over all such runs, as a standard deviation; if fewer than 200 runs have
+    no gap, of returns up to eight steps apart. Lost: of the gaps between returns of one surface, the firings without
+    one.
 
     Parameters
     ----------
@@ -409,23 +409,25 @@ def _range_quantum(points: FloatArray, sweep: _Sweep) -> tuple[float | None, str
 def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, str]:
     if step_deg is None or len(sweep.beam) < _RUN:
         return None, "no azimuth step detected"
-    gap = np.nan_to_num(sweep.gap_deg, nan=np.inf)
+    runs, _ = _runs_on_surface(sweep, 1.5 * step_deg)
     place = np.linspace(-1.0, 1.0, _RUN)
-    for n_steps in (1, _RUN_STEPS):
-        is_run = sliding_window_view(gap < (n_steps + 0.5) * step_deg, _RUN - 1).all(axis=1)
-        runs, azimuth_deg = (sliding_window_view(of_all, _RUN)[is_run] for of_all in (sweep.range_m, sweep.azimuth_deg))
-        is_surface = np.ptp(runs, axis=1) < 0.05 * runs.mean(axis=1)
-        runs = runs[is_surface]
-        if n_steps > 1:
-            place = azimuth_deg[is_surface] - azimuth_deg[is_surface].mean(axis=1, keepdims=True)
-        if len(runs) >= _FEWEST_RUNS:
-            break
-    else:
+    if len(runs) < _FEWEST_RUNS:
+        runs, azimuth_deg = _runs_on_surface(sweep, (_RUN_STEPS + 0.5) * step_deg)
+        place = azimuth_deg - azimuth_deg.mean(axis=1, keepdims=True)
+    if len(runs) < _FEWEST_RUNS:
         return None, f"{len(runs)} runs of {_RUN} returns on a surface, at least {_FEWEST_RUNS} are needed"
     basis = np.linalg.qr(np.stack([np.ones_like(place), place, place**2], axis=-1))[0]
     fit = (runs[:, None] @ basis @ np.swapaxes(basis, -1, -2))[:, 0]
     rms = np.sqrt(((runs - fit) ** 2).sum(axis=1) / (_RUN - 3))
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4), ""
+
+
+def _runs_on_surface(sweep: _Sweep, most_deg: float) -> tuple[FloatArray, FloatArray]:
+    """Ranges and azimuths, (n, 9) each, of returns of a beam in a row with at most this gap from one to the next."""
+    is_run = sliding_window_view(np.nan_to_num(sweep.gap_deg, nan=np.inf) < most_deg, _RUN - 1).all(axis=1)
+    range_m, azimuth_deg = (sliding_window_view(own, _RUN)[is_run] for own in (sweep.range_m, sweep.azimuth_deg))
+    is_surface = np.ptp(range_m, axis=1) < 0.05 * range_m.mean(axis=1)
+    return range_m[is_surface], azimuth_deg[is_surface]
 
 
 def _surface_firings(sweep: _Sweep, step_deg: float | None) -> IndexArray:

@@ -133,7 +133,10 @@ def test_surface_that_is_elsewhere_than_in_the_floor_is_the_first_cause(runs, mo
     monkeypatch.setattr("fidpipe.pipeline.diagnose.diagnose.off_shares", lambda *of: (0.2, 0.15))
     first, second, *_ = diagnose_run(low, good).causes
     assert (first.name, first.unit, first.estimate) == ("unexplained", "share", pytest.approx(0.15))
-    assert first.words == "15 % of the flat surface elsewhere than in the floor, by no cause in the catalogue"
+    assert (
+        first.words
+        == "15 % of the flat surface lies elsewhere than in the floor, which no cause in the catalogue explains"
+    )
     assert second.name == "height"
     monkeypatch.undo()
     assert diagnose_run(low, good).causes[0].name == "height"
