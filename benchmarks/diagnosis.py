@@ -19,6 +19,7 @@ import argparse
 import pickle
 import zlib
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -27,6 +28,8 @@ import flawed_scans as fs
 import numpy as np
 import pandas as pd
 from flawed_scans import Scan, along_ray, ranges, ray_noise
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from fidpipe.pipeline.diagnose.causes import confirm, name_causes
 from fidpipe.pipeline.diagnose.diagnose import UNEXPLAINED, is_elsewhere
@@ -37,6 +40,8 @@ from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_ro
 from fidpipe.stages.surfels import fit_planes
 
 EVERY, N_HEALTHY, N_MIXED = 4, 20, 10
+CAR_RANGE_M, CAR_TOP_M = 25.0, 2.5
+CAR_LENGTH_M, CAR_WIDTH_M, CAR_HEIGHT_M = (2.5, 5.5), (0.8, 2.5), (1.1, 2.3)
 BASE_NOISE_M, BASE_LOSS = 0.02, 0.03
 PIECES = ("missing pieces", "invented pieces")
 
@@ -120,6 +125,48 @@ def shifted(x_m, y_m):
     return lambda scan, rng: scan.points + np.array([x_m, y_m, 0])
 
 
+def smallest_rectangle(level):
+    """Turn into the axes of the smallest upright box around points, its lower and its upper corner."""
+    boxes = []
+    for angle in np.radians(np.arange(0, 90, 2)):
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        low, high = (level @ turn.T).min(axis=0), (level @ turn.T).max(axis=0)
+        boxes.append((np.prod(high - low), turn, low, high))
+    return min(boxes, key=lambda box: box[0])[1:]
+
+
+def find_cars(points):
+    """Points and box of each car-sized cluster within 25 m."""
+    road_m = fs.road_height(points)
+    height_m = points[:, 2] - road_m
+    is_near = (height_m > -0.5) & (height_m < CAR_TOP_M) & (np.hypot(*points.T[:2]) < CAR_RANGE_M)
+    near = points[~fs.is_ground(points) & is_near]
+    links = fs.cKDTree(near).query_pairs(0.35, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(links)), links.T), shape=(len(near), len(near)))
+    _, cluster = connected_components(graph, directed=False)
+    for one in np.flatnonzero(np.bincount(cluster) >= 100):
+        own = near[cluster == one]
+        turn, low, high = smallest_rectangle(own[:, :2])
+        sizes = (*np.sort(high - low)[::-1], own[:, 2].max() - road_m)
+        limits = (CAR_LENGTH_M, CAR_WIDTH_M, CAR_HEIGHT_M)
+        if all(least <= size <= most for size, (least, most) in zip(sizes, limits, strict=True)):
+            yield own, turn, np.array([*low, road_m + 0.2]), np.array([*high, own[:, 2].max()])
+
+
+def as_boxes(scan, rng):
+    """Returns of cars lie on the box where their ray enters it."""
+    points, is_road = scan.points.copy(), fs.is_ground(scan.points)
+    for own, turn, low, high in scan.cars:
+        rows = np.flatnonzero(~is_road & (fs.cKDTree(own).query(points)[0] < 0.4))
+        turned = np.column_stack([points[rows, :2] @ turn.T, points[rows, 2]])
+        turned[turned == 0] = 1e-9
+        sides = np.sort([low / turned, high / turned], axis=0)
+        enter, leave = sides[0].max(axis=1), sides[1].min(axis=1)
+        is_hit = (enter < leave) & (enter > 0)
+        points[rows[is_hit]] *= enter[is_hit, None]
+    return points
+
+
 #: By flaw: the causes that are right, and for each amount the altered scan and the true estimate, or None.
 FLAWS = {
     "drop": (("lost returns",), [(fs.drop(a), a) for a in (0.05, 0.15, 0.4)]),
@@ -142,6 +189,7 @@ FLAWS = {
     "motion": (("motion forward",), [(motion(v), -v / 10) for v in (4, 8, 16)]),
     "rain": (("clutter",), [(rain(n), None) for n in (60, 200, 600)]),
     "range limit": (("maximum range",), [(fs.range_limit(m), None) for m in (60, 45, 30)]),
+    "boxes": (("flat shapes",), [(as_boxes, None)]),
     "mixed pixels": (("mixed pixels",), [(mixed(a), a) for a in (0.015, 0.03, 0.06)]),
 }
 
@@ -233,7 +281,7 @@ def read(path):
 
 def remeasured(scan, rng, noise_m=BASE_NOISE_M, lost=BASE_LOSS):
     kept = scan.points[rng.random(len(scan.points)) >= lost]
-    return ray_noise(noise_m)(Scan(kept, scan.car, scan.poles), rng)
+    return ray_noise(noise_m)(replace(scan, points=kept), rng)
 
 
 def read_scenes(folder, every, first=0):
@@ -248,8 +296,8 @@ def read_scenes(folder, every, first=0):
             car = fs.find_car(full)
         except SystemExit:
             car = np.full((1, 3), 1e6)
-        scan = Scan(full[::EVERY], car, fs.find_poles(full))
-        own = Scan(full[first::EVERY], car, scan.poles)
+        scan = Scan(full[::EVERY], car, fs.find_poles(full), [*find_cars(full)])
+        own = replace(scan, points=full[first::EVERY])
         bases = {"good": remeasured(own, random(path, "base")), "poor": read(folder / "sim" / path.name)[first::EVERY]}
         sensor = sensor_row(describe_sensor(scan.points))
         scenes.append((f"{folder.name}-{path.stem}", scan, bases, fs.is_ground(scan.points), sensor))
@@ -266,7 +314,7 @@ def altered(scene, base, flaws):
     name, scan, bases, *_ = scene
     points = bases[base]
     for flaw, alter in flaws:
-        points = alter(Scan(points, scan.car, scan.poles), random(name, base, flaw))
+        points = alter(replace(scan, points=points), random(name, base, flaw))
     return points
 
 
@@ -342,6 +390,8 @@ def prepare(folders, every, has_other_rays):
 def is_possible(flaw, folder):
     """False if the scenes lack what a flaw acts on: a car, a pole, rows that run along the beams."""
     scans = [scan for _, scan, *_ in SCENES[folder]]
+    if flaw == "boxes":
+        return all(scan.cars for scan in scans)
     if flaw.startswith("car"):
         return all(len(scan.car) > 1 for scan in scans)
     if flaw == "poles removed":

@@ -21,11 +21,13 @@ class Scan:
     points : (n, 3) float64, metres, simulated side, sensor at the origin, z up
     car : (m, 3) points of the car-sized object, found on the real scan at full density
     poles : (k, 2) x, y of thin poles, found there too
+    cars : points and box of all car-sized objects, for flaws that need them
     """
 
     points: np.ndarray
     car: np.ndarray
     poles: np.ndarray
+    cars: tuple = ()
 
 
 # Geometry of a scan, for the flaws that need to know what is where

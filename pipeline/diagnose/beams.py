@@ -24,10 +24,7 @@ _ERRORS = {
 #: A beam stands out by an error of which the interval lies beyond both: this many standard deviations of the errors of
 #: the beams around it (from their median absolute error), and the least error.
 _DEVIATIONS, _AROUND = 3.0, 9
-_HEADINGS = (
-    *("beam", "pairs", "at °", "rays", "only real", "only sim"),
-    *("range cm", "±", "angle °", "±"),
-)
+_HEADINGS = ("beam", "pairs", "at °", "rays", "only real", "only sim", "range cm", "±", "angle °", "±")
 
 
 def beam_table(folder: Path, floor: Path | None = None, pattern: str | None = None) -> pd.DataFrame:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES, CauseModel
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.diagnose.evidence import UNEVEN
+from ...stages.diagnose.evidence import FLAT, LOSSES, UNEVEN
 from ...stages.diagnose.gain import Shares
 from ...stages.displacement import PARAMETERS
 from ...stages.statistics.comparison import block_means
@@ -21,10 +21,11 @@ LEAST_EXCESS_M = 0.005
 LEAST_PART, LEAST_PART_MOVED = 0.03, 0.15
 #: Causes that are also looked for between the simulated scans of a run and of its floor: all that moves surface.
 CHANGES = frozenset((*PARAMETERS, "missing pieces", "invented pieces", "moved pieces"))
-_RANDOM = ("lost returns", "lost far returns", "lost grazing returns")
 _UNEVEN = 0.01  # variance between directions that is still random, and the square of the loss
 #: More of the points in other places, with both of these, are a bent world.
 _BENT, _ALONE = 0.03, ("missing pieces", "invented pieces")
+_MELTED = 0.3  # more of the curved surface is flatter not for the shape of some objects
+_ACCURACY = 0.3  # of the resolution, which is above all errors without the flaw; above 95 % of all errors
 _ENOUGH = 4  # blocks that all lie beyond a tolerance
 
 
@@ -65,7 +66,7 @@ def name_causes(
             np.array([pair.get(name, np.nan) for pair in pairs]) if pairs else np.zeros(len(estimates))
             for pairs in (estimates, floor)
         )
-        return own - base
+        return 1.0 - (1.0 - own) / np.maximum(1.0 - base, 1e-9) if name in LOSSES else own - base
 
     named = []
     uneven, alone = np.nanmean(excess(UNEVEN)), min(np.nanmean(excess(name)) for name in _ALONE)
@@ -77,13 +78,16 @@ def name_causes(
         means = block_means(values[is_known], blocks[is_known])
         mean, low, high = mean_interval(means)
         is_bent = model.name == "moved pieces" and mean > _BENT and alone > mean / 10
-        if is_bent or (model.name in _RANDOM and uneven > _UNEVEN + mean**2):
+        is_melted = model.name == FLAT and mean > _MELTED
+        if is_bent or is_melted or (model.name in LOSSES and uneven > _UNEVEN + mean**2):
             continue
         limit = model.resolution if floor else model.tolerance
         least, most = (means.min(), means.max()) if floor and len(means) >= _ENOUGH else (low, high)
         if max(low, least) > limit or (min(high, most) < -limit and len(model.words) > 1):
-            reach = float(np.linalg.norm([(high - low) / 2, model.resolution, model.relative * mean]))
+            reach = float(np.linalg.norm([(high - low) / 2, _ACCURACY * model.resolution, model.relative * mean]))
             named.append(NamedCause(model, mean, mean - reach, mean + reach, values[is_known]))
+    if any(own.model.name == "solid foliage" for own in named):  # it is flat too
+        named = [own for own in named if own.model.name != FLAT]
     return sorted(named, key=lambda own: -abs(own.mean) / own.model.resolution)
 
 

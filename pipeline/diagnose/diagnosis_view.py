@@ -28,9 +28,10 @@ def diagnosis_view(found: Diagnosis) -> View:
         f"average{over}, distances counted up to 1 m"
     )
     least = "at least " * any(own.is_upper_bound for own in found.causes)
+    places = "; no. 1 counts places instead" * bool(found.floor and rows and found.causes[0].name == UNEXPLAINED)
     notes = [
         f"unexplained: {least}{percent(found.unexplained)} of the distance{' over the floor' * bool(found.floor)} "
-        "remains if all causes are corrected"
+        f"remains if all causes are corrected{places}"
         if found.unexplained is not None
         else "hardly any distance over the floor: gains are in cm, not shares; causes are in the order of their size",
         f"intervals: 95 % over {found.over}" + ("" if found.floor else "; without --floor only clear causes are named"),

@@ -61,12 +61,11 @@ def latency_words(ahead_m: FloatArray, speeds_m_s: FloatArray) -> tuple[str, str
     reach = float(stats.t.ppf(0.975, len(speeds_m_s) - 2))
     low_s, high_s = fit.slope - reach * fit.stderr, fit.slope + reach * fit.stderr
     if low_s * high_s > 0:
-        grows = (
-            f"in proportion to the speed: {1e3 * fit.slope:.0f} ms of latency ({1e3 * low_s:.0f} to {1e3 * high_s:.0f})"
-        )
+        late = f"{1e3 * fit.slope:.0f} ms of latency ({1e3 * low_s:.0f} to {1e3 * high_s:.0f})"
+        grows = f"in proportion to the speed: {late}"
         if abs(fit.intercept) <= reach * fit.intercept_stderr + _AT_REST_M:
             return grows, "poses and time stamps"
         return f"partly {grows}, and {fit.intercept:+.2f} m at rest", "poses and time stamps; position of the sensor"
-    if low_s <= 0 <= high_s and not low_s <= alone_s <= high_s:
+    if not low_s <= alone_s <= high_s:
         return "at any speed, so no latency", "position of the sensor, T_real_sim"
     return either

@@ -273,14 +273,9 @@ def _read_stored(run: FinishedRun, name: str, side: str) -> Frame:
     points = np.column_stack([column(ground, axis) for axis in "xyz"])
     moved = run.store.ledger.jobs(name)["ground", side].metadata["T_real_sim"]
     T = np.array(moved).reshape(3, 4) if moved and side == "sim" else np.eye(3, 4)
-    intensity = ground.column("intensity")
-    return Frame(
-        points,
-        (points - T[:, 3]) @ T[:, :3],
-        column(ground, "height_m"),
-        ground.column("is_ground").to_numpy(),
-        None if intensity.null_count else intensity.to_numpy(),
-    )
+    intensity = None if ground.column("intensity").null_count else column(ground, "intensity")
+    own_points = (points - T[:, 3]) @ T[:, :3]
+    return Frame(points, own_points, column(ground, "height_m"), column(ground, "is_ground"), intensity)
 
 
 def _read_clean(path: Path, side: str, settings: Settings) -> Frame:

@@ -21,6 +21,8 @@ Sensor = Mapping[str, Any]
 #: Amount that is not a cause: variance of the share of returns between directions, beyond that of counting and of the
 #: fit of the losses; at most 0 if they are lost at random.
 UNEVEN = "unevenness of returns"
+#: Amount: share of curved real surface where the simulated surface is much flatter.
+FLAT = "flat shapes"
 #: Returns beyond this range are far.
 FAR_M = 25.0
 #: Returns at a larger angle to the normal of the surface are grazing.
@@ -35,10 +37,17 @@ _APART_M, _APART_PER_M = 0.25, 0.01  # a point without a counterpart is farther 
 _CLUSTER_M, _CLUSTER = 0.6, 5  # a piece: other points without a counterpart around one, at 6 m and beyond
 _MOVED_M = 1.5  # from a missing to an invented piece
 _KINDS = ("lost far returns", "lost grazing returns")
+#: Causes that lose a share of the returns: over a floor, of what the floor returns.
+LOSSES = ("lost returns", *_KINDS)
 _FEWEST_OF_KIND = 100  # returns, far or grazing
 _LEAVES, _FEWEST_LEAVES, _LEAF_SPREAD_M = 20, 50, 1.0
 SCATTERED = 0.1  # l3 / l1 of foliage, and more
 _RAY_DEG, _LEAF_STEP_M = 0.4, 0.3
+#: Neighbourhood of a shape.
+SHAPE_M = 0.6
+_SHAPE_TOP_M = 2.5  # above the road, up to which shapes are compared
+_SHAPE_POINTS = 10
+_CURVED_M, _CURVED, _FLATTER = 0.03, 0.15, 0.5  # thickness and scattering of curved surface; of which flat is less
 _AROUND = 8  # neighbours in direction
 _SMOOTH = 0.01  # relative residual of inverse ranges on smooth surface
 _STRAY_M, _STRAY_STDS = 0.15, 6.0
@@ -205,6 +214,9 @@ def _amounts(a: Side, b: Side) -> dict[str, float]:
     _, step_m = foliage_steps(a, b)
     if len(step_m) >= _FEWEST_LEAVES:
         found["solid foliage"] = (step_m < -_LEAF_STEP_M).mean() - (step_m > _LEAF_STEP_M).mean()
+    places, is_flat = flat_shapes(a, b)
+    if len(places) >= _FEWEST_LEAVES:
+        found[FLAT] = is_flat.mean()
     if b.sensor["n_beams"]:
         found["range steps"] = (b.sensor["range_quantum_m"] or 0.0) - (a.sensor["range_quantum_m"] or 0.0)
     of_sensor = {
@@ -267,6 +279,17 @@ def foliage_steps(a: Side, b: Side) -> tuple[IndexArray, FloatArray]:
     angle, near = cKDTree(b.rays).query(a.rays[is_leaf])
     is_met = angle < np.radians(_RAY_DEG)
     return near[is_met], b.range_m[near[is_met]] - a.range_m[is_leaf][is_met]
+
+
+def flat_shapes(a: Side, b: Side) -> tuple[IndexArray, BoolArray]:
+    """Real returns on curved surface near the road, (k,) rows, and where the simulated surface is much flatter."""
+    road_m = np.median(a.points[a.is_ground, 2]) if a.is_ground.any() else np.inf
+    rows = np.flatnonzero(~a.is_ground & (a.points[:, 2] < road_m + _SHAPE_TOP_M) & (a.range_m < FAR_M))
+    mine, other = (fit_planes(side.points, a.points[rows], _LEAVES, SHAPE_M) for side in (a, b))
+    is_known = np.minimum(mine.n_neighbours, other.n_neighbours) >= _SHAPE_POINTS
+    is_broad = (mine.variance[:, 1] > 0.05 * mine.variance[:, 2]) & (mine.scattering < _CURVED)
+    is_curved = is_known & is_broad & (mine.variance[:, 0] > _CURVED_M**2)
+    return rows[is_curved], other.variance[is_curved, 0] < _FLATTER**2 * mine.variance[is_curved, 0]
 
 
 def find_strays(side: Side) -> tuple[BoolArray, BoolArray]:

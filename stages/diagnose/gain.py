@@ -14,12 +14,16 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import PARAMETERS, Displacement
 from ..surfels import fit_planes
 from .evidence import (
+    FLAT,
+    LOSSES,
     SCATTERED,
+    SHAPE_M,
     PairEstimates,
     PairScans,
     Side,
     find_strays,
     find_unmatched,
+    flat_shapes,
     foliage_steps,
     noise_without_steps,
 )
@@ -117,10 +121,10 @@ def corrections(
             made[name] = Correction(np.where([one == name for one in PARAMETERS], amount, 0.0))
         elif name in ("range noise", "range steps"):
             made[name] = _noise(a, b, name, amount, rng)
-        elif name in ("lost returns", "lost far returns", "lost grazing returns", "azimuth step", "beams"):
-            made[name] = _density(name, amount, a, b, others, rng)
-        elif name == "solid foliage":
-            made[name] = _foliage(a, b, part, rng)
+        elif name in (*LOSSES, "azimuth step", "beams"):
+            made[name] = _density(name, amount, found.amounts.get(name, amount), a, b, others, rng)
+        elif name in (FLAT, "solid foliage"):
+            made[name] = _onto_real(name, a, b, part, rng)
         elif name == "mixed pixels":
             made[name] = Correction(keep=~_some(find_strays(b)[0], part, rng))
         elif name in invented_by:
@@ -258,10 +262,17 @@ def _as_simulated(real: Side, sim: Side, is_lost: IndexArray) -> FloatArray:
     return points + ((sim.points[near] - points) * normal).sum(axis=1, keepdims=True) * normal
 
 
-def _density(name: str, amount: float, a: Side, b: Side, is_common: BoolArray, rng: Generator) -> Correction:
-    """Real returns on common surface, where the simulated ones are farthest apart, or fewer of the simulated ones."""
+def _density(
+    name: str, amount: float, of_run: float, a: Side, b: Side, is_common: BoolArray, rng: Generator
+) -> Correction:
+    """Real returns on common surface, where the simulated ones are farthest apart, or fewer of the simulated ones.
+
+    Parameters
+    ----------
+    amount, of_run : over the floor, and of the pair; a share that is lost is one of what the floor returns
+    """
     step_deg, n_beams = b.sensor["azimuth_step_deg"], b.sensor["n_beams"]
-    share = amount
+    share = amount * (1.0 - of_run) / (1.0 - amount) if name in LOSSES and amount > 0 else amount
     if name == "azimuth step":
         share = amount / step_deg if step_deg else 0.0
     elif name == "beams":
@@ -273,9 +284,16 @@ def _density(name: str, amount: float, a: Side, b: Side, is_common: BoolArray, r
     return Correction(keep=~_some(b.concerned(name), 1.0 - 1.0 / (1.0 - share), rng))
 
 
-def _foliage(a: Side, b: Side, part: float, rng: Generator) -> Correction:
-    """Simulated returns in the direction of real foliage at the range of the real return."""
-    rows, step_m = foliage_steps(a, b)
+def _onto_real(name: str, a: Side, b: Side, part: float, rng: Generator) -> Correction:
+    """Simulated returns in the direction of foliage, or of surface that is too flat, at the range of the real one."""
+    if name == FLAT:
+        places, is_flat = flat_shapes(a, b)
+        apart, _ = cKDTree(a.points[places[is_flat]]).query(b.points, distance_upper_bound=SHAPE_M)
+        rows = np.flatnonzero(np.isfinite(apart))
+        step_m = b.range_m[rows] - _seen_m(b.rays[rows], a)
+        step_m[np.abs(step_m) > REACH_M] = 0.0
+    else:
+        rows, step_m = foliage_steps(a, b)
     along_m = np.zeros(len(b.range_m))
     along_m[rows] = -step_m
     return Correction(along_m=np.where(_some(along_m != 0, part, rng), along_m, 0.0))

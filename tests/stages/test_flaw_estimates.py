@@ -6,7 +6,7 @@ import pytest
 from fidpipe.pipeline.diagnose.causes import confirm, name_causes
 from fidpipe.pipeline.diagnose.diagnose import is_elsewhere
 from fidpipe.schemas.cause_catalogue import CAUSES
-from fidpipe.stages.diagnose.evidence import UNEVEN, PairScans, Side, estimate, find_unmatched
+from fidpipe.stages.diagnose.evidence import FLAT, UNEVEN, PairScans, Side, estimate, find_unmatched
 from fidpipe.stages.diagnose.gain import changes, corrections, off_share, off_shares, shares, surface_distance
 from fidpipe.stages.displacement import PARAMETERS, Displacement, fit_displacement
 from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
@@ -236,6 +236,54 @@ def test_moved_pieces_with_missing_and_invented_ones_are_a_bent_world():
     assert sorted(names[1]) == ["invented pieces", "missing pieces"]
 
 
+def test_a_loss_over_a_floor_is_a_share_of_what_the_floor_returns(places):
+    real, is_ground, sensor = places[0]
+    keep = np.random.default_rng(0).random(len(real))
+    floor, pair = (
+        PairScans(Side(real, is_ground, sensor), Side(real[keep < share], is_ground[keep < share], sensor))
+        for share in (0.6, 0.45)
+    )
+    found = [estimate(own) for own in (floor, pair)]
+    named = name_causes([found[1].amounts], [found[0].amounts], np.arange(1))
+    (lost,) = [own for own in named if own.model.name == "lost returns"]
+    assert lost.mean == pytest.approx(0.25, abs=0.02)
+    made = corrections(pair, found[1], {"lost returns": lost.mean}, np.random.default_rng(0))["lost returns"]
+    assert len(made.add) / len(real) == pytest.approx(0.15, abs=0.02)
+
+
+def with_balls_or_boxes(real, n):
+    """A scan with balls of 2 m ahead of the sensor, and with the faces of the boxes around them in their place."""
+    rng, balls, boxes = np.random.default_rng(0), [], []
+    for i in range(n):
+        centre = np.array([10.0, 6.0 * i - 6, -0.4])
+        own = rng.normal(size=(400, 3))
+        own = centre + own / np.linalg.norm(own, axis=1, keepdims=True)
+        own = own[((own - centre) * own).sum(axis=1) < 0]  # seen from the sensor
+        enter = np.sort([(centre - 1) / own, (centre + 1) / own], axis=0)[0].max(axis=1)
+        balls.append(own)
+        boxes.append(own * enter[:, None])
+    scene = real[np.abs(real - [10.0, 0, 0]).max(axis=1) > 10]
+    return [np.vstack([scene, *own]) for own in (balls, boxes)]
+
+
+def test_boxes_instead_of_shapes_are_flat_unless_foliage_is_solid(places):
+    real, _, sensor = places[0]
+    balls, boxes = (Side(own, own[:, 2] < -1.4, sensor) for own in with_balls_or_boxes(real, 5))
+    floor, pair = PairScans(balls, balls), PairScans(balls, boxes)
+    found = [estimate(own) for own in (floor, pair)]
+    named = {own.model.name: own for own in name_causes([found[1].amounts], [found[0].amounts], np.arange(1))}
+    assert FLAT in named
+    made = corrections(pair, found[1], {FLAT: named[FLAT].mean}, np.random.default_rng(0))
+    gain = shares(pair, made, np.random.default_rng(0))
+    assert gain.by_cause[FLAT] > 0.3 * gain.before_m
+    solid = found[1].amounts | {"solid foliage": 0.3}
+    names = {own.model.name for own in name_causes([solid], [found[0].amounts], np.arange(1))}
+    assert "solid foliage" in names
+    assert FLAT not in names
+    melted = found[1].amounts | {FLAT: 0.8}
+    assert FLAT not in {own.model.name for own in name_causes([melted], [found[0].amounts], np.arange(1))}
+
+
 def test_scans_without_common_surface_have_no_estimates(places):
     points, is_ground, sensor = places[0]
     far = points + [0, 0, 500.0]
@@ -258,5 +306,7 @@ def test_the_interval_of_a_share_grows_with_its_amount_and_what_is_named_does_no
         assert (own.model.name, own.mean) == (model.name, pytest.approx(amount))
         assert own.mean - own.low == pytest.approx(own.high - own.mean)
         half_widths.append(own.high - own.mean)
-    assert half_widths == pytest.approx([np.hypot(model.resolution, model.relative * a) for a in (0.006, 0.06, 0.6)])
+    assert half_widths == pytest.approx(
+        [np.hypot(0.3 * model.resolution, model.relative * a) for a in (0.006, 0.06, 0.6)]
+    )
     assert name_causes([{**floor[0], model.name: 0.9 * model.resolution}] * 4, floor, np.arange(4)) == []
