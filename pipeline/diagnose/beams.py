@@ -101,8 +101,8 @@ def beam_view(table: pd.DataFrame, has_floor: bool) -> View:
     ]
     notes += outstanding(table) or ["no beam stands out"]
     plain = shown.astype(object).where(shown.notna(), None).reset_index().to_numpy().tolist()
-    digits = {2: 1, 3: 0, 6: 1, 7: 1}
-    return [Table("Beams, mean over pairs", _HEADINGS, plain, words=(), digits=digits), *map(Note, notes)]
+    beams = Table("Beams, mean over pairs", _HEADINGS, plain, words=(), digits={2: 1, 3: 0, 6: 1, 7: 1})
+    return [beams, *map(Note, notes)]
 
 
 def outstanding(table: pd.DataFrame) -> list[str]:

@@ -40,11 +40,6 @@ def diagnosis_view(found: Diagnosis) -> View:
         notes.append(f"left out, too little surface in common: {', '.join(found.left_out)}")
     if found.doubtful:
         notes.append(f"measured, but hardly closer if corrected: {'; '.join(found.doubtful)}")
-    if not rows:
-        return [Note(title, "bold"), Note("no cause named"), *map(Note, notes)]
-    return [
-        Table(
-            title, ("", "cause", "95 % interval", "gain if corrected", "setting"), rows, words=(1, 2, 3, 4), whole=(4,)
-        ),
-        *map(Note, notes),
-    ]
+    columns, none = ("", "cause", "95 % interval", "gain if corrected", "setting"), Note("no cause named")
+    table = Table(title, columns, rows, words=(1, 2, 3, 4), whole=(4,))
+    return [*([table] if rows else [Note(title, "bold"), none]), *map(Note, notes)]

@@ -14,7 +14,7 @@ from sklearn.linear_model import PoissonRegressor
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import PARAMETERS, Displacement, fit_displacement
 from ..inspect.sensor_description import describe_sensor, sensor_row
-from ..surfels import LocalPlanes, fit_planes
+from ..surfels import LocalPlanes, fit_planes, voxel_means
 
 Sensor = Mapping[str, Any]
 
@@ -46,7 +46,7 @@ _RAY_DEG, _LEAF_STEP_M = 0.4, 0.3
 #: Neighbourhood of a shape.
 SHAPE_M = 0.6
 _SHAPE_TOP_M = 2.5  # above the road, up to which shapes are compared
-_SHAPE_POINTS = 10
+_SHAPE_POINTS, _SHAPE_VOXEL_M = 10, 0.1
 _CURVED_M, _CURVED, _FLATTER = 0.03, 0.15, 0.5  # thickness and scattering of curved surface; of which flat is less
 _AROUND = 8  # neighbours in direction
 _SMOOTH = 0.01  # relative residual of inverse ranges on smooth surface
@@ -214,8 +214,8 @@ def _amounts(a: Side, b: Side) -> dict[str, float]:
     _, step_m = foliage_steps(a, b)
     if len(step_m) >= _FEWEST_LEAVES:
         found["solid foliage"] = (step_m < -_LEAF_STEP_M).mean() - (step_m > _LEAF_STEP_M).mean()
-    places, is_flat = flat_shapes(a, b)
-    if len(places) >= _FEWEST_LEAVES:
+    _, is_flat = flat_shapes(a, b)
+    if len(is_flat) >= _FEWEST_LEAVES:
         found[FLAT] = is_flat.mean()
     if b.sensor["n_beams"]:
         found["range steps"] = (b.sensor["range_quantum_m"] or 0.0) - (a.sensor["range_quantum_m"] or 0.0)
@@ -281,15 +281,20 @@ def foliage_steps(a: Side, b: Side) -> tuple[IndexArray, FloatArray]:
     return near[is_met], b.range_m[near[is_met]] - a.range_m[is_leaf][is_met]
 
 
-def flat_shapes(a: Side, b: Side) -> tuple[IndexArray, BoolArray]:
-    """Real returns on curved surface near the road, (k,) rows, and where the simulated surface is much flatter."""
-    road_m = np.median(a.points[a.is_ground, 2]) if a.is_ground.any() else np.inf
-    rows = np.flatnonzero(~a.is_ground & (a.points[:, 2] < road_m + _SHAPE_TOP_M) & (a.range_m < FAR_M))
-    mine, other = (fit_planes(side.points, a.points[rows], _LEAVES, SHAPE_M) for side in (a, b))
+def flat_shapes(a: Side, b: Side) -> tuple[FloatArray, BoolArray]:
+    """Places of curved real surface near the road, (k, 3) metres, and where the simulated surface is much flatter.
+
+    Both sides have one point per voxel, so that the size of a neighbourhood does not depend on the density.
+    """
+    road_m = np.median(a.points[a.is_ground, 2]) if a.is_ground.any() else -np.inf
+    is_shape = ~a.is_ground & (a.points[:, 2] < road_m + _SHAPE_TOP_M) & (a.range_m < FAR_M)
+    places = voxel_means(a.points[is_shape], _SHAPE_VOXEL_M)
+    surfaces = [voxel_means(side.points[side.range_m < FAR_M + SHAPE_M], _SHAPE_VOXEL_M) for side in (a, b)]
+    mine, other = (fit_planes(points, places, _LEAVES, SHAPE_M) for points in surfaces)
     is_known = np.minimum(mine.n_neighbours, other.n_neighbours) >= _SHAPE_POINTS
     is_broad = (mine.variance[:, 1] > 0.05 * mine.variance[:, 2]) & (mine.scattering < _CURVED)
     is_curved = is_known & is_broad & (mine.variance[:, 0] > _CURVED_M**2)
-    return rows[is_curved], other.variance[is_curved, 0] < _FLATTER**2 * mine.variance[is_curved, 0]
+    return places[is_curved], other.variance[is_curved, 0] < _FLATTER**2 * mine.variance[is_curved, 0]
 
 
 def find_strays(side: Side) -> tuple[BoolArray, BoolArray]:

@@ -288,7 +288,7 @@ def _onto_real(name: str, a: Side, b: Side, part: float, rng: Generator) -> Corr
     """Simulated returns in the direction of foliage, or of surface that is too flat, at the range of the real one."""
     if name == FLAT:
         places, is_flat = flat_shapes(a, b)
-        apart, _ = cKDTree(a.points[places[is_flat]]).query(b.points, distance_upper_bound=SHAPE_M)
+        apart, _ = cKDTree(places[is_flat]).query(b.points, distance_upper_bound=SHAPE_M)
         rows = np.flatnonzero(np.isfinite(apart))
         step_m = b.range_m[rows] - _seen_m(b.rays[rows], a)
         step_m[np.abs(step_m) > REACH_M] = 0.0
