@@ -121,6 +121,18 @@ def raised(up_m):
     return lambda scan, rng: scan.points + fs.is_ground(scan.points)[:, None] * [0, 0, up_m]
 
 
+def jittered(elevation_deg, azimuth_deg):
+    def jitter(scan, rng):
+        range_m, (x, y, z) = ranges(scan.points), scan.points.T
+        level = np.arcsin(z / range_m) + np.radians(elevation_deg) * rng.normal(size=len(x))
+        turn = np.arctan2(y, x) + np.radians(azimuth_deg) * rng.normal(size=len(x))
+        return range_m[:, None] * np.column_stack(
+            [np.cos(level) * np.cos(turn), np.cos(level) * np.sin(turn), np.sin(level)]
+        )
+
+    return jitter
+
+
 def shifted(x_m, y_m):
     return lambda scan, rng: scan.points + np.array([x_m, y_m, 0])
 
@@ -175,6 +187,8 @@ FLAWS = {
     "holes": (PIECES[:1], [(holes(n), None) for n in (5, 12, 25)]),
     "ghosts": (PIECES[1:], [(ghosts(a), a / (1 + a)) for a in (0.01, 0.02, 0.04)]),
     "noise": (("range noise",), [(ray_noise(a), None) for a in (0.04, 0.1, 0.2)]),
+    "blurred beams": (("elevation noise",), [(jittered(a, 0), None) for a in (0.04, 0.07, 0.1)]),
+    "jittering azimuth": (("azimuth noise",), [(jittered(0, a), None) for a in (0.02, 0.04, 0.06)]),
     "offset ahead": (("forward",), [(shifted(a, 0), a) for a in (0.1, 0.2, 0.4)]),
     "offset sideways": (("sideways",), [(shifted(0, a), a) for a in (-0.1, 0.2, -0.4)]),
     "solid foliage": (("solid foliage",), [(fs.solid_foliage, None)]),

@@ -364,11 +364,11 @@ class DiagnosedCause(Result):
     high: float
     unit: str
     n_pairs: int
-    gain_m: float | None
-    gain: float | None
-    is_upper_bound: bool
+    gain_m: float | None = None
+    gain: float | None = None
+    is_upper_bound: bool = False
     setting: str
-    limbs: tuple[int, ...]
+    limbs: tuple[int, ...] = ()
     evidence: Evidence | None = None
 
 

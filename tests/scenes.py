@@ -64,7 +64,7 @@ def moved(points, T):
 def write_bin(path: Path, points, columns=4):
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = np.zeros((len(points), columns), dtype="<f4")
-    rows[:, :3] = points
+    rows[:, : np.shape(points)[1]] = points
     rows.tofile(path)
     return path
 

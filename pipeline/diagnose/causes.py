@@ -21,10 +21,14 @@ LEAST_EXCESS_M = 0.005
 LEAST_PART, LEAST_PART_MOVED = 0.03, 0.15
 #: Causes that are also looked for between the simulated scans of a run and of its floor: all that moves surface.
 CHANGES = frozenset((*PARAMETERS, "missing pieces", "invented pieces", "moved pieces"))
+#: Part of the intensity that is missing; without a floor only if both sides have one scale.
+SCALE = "intensity scale"
 _UNEVEN = 0.01  # variance between directions that is still random, and the square of the loss
 #: More of the points in other places, with both of these, are a bent world.
 _BENT, _ALONE = 0.03, ("missing pieces", "invented pieces")
 _MELTED = 0.3  # more of the curved surface is flatter not for the shape of some objects
+#: Causes that are not named with others that look like them: solid foliage is flat, a displaced scan has blurred beams.
+_FEIGNED_BY = {FLAT: ("solid foliage",), "elevation noise": PARAMETERS, "azimuth noise": PARAMETERS}
 _ACCURACY = 0.3  # of the resolution, which is above all errors without the flaw; above 95 % of all errors
 _ENOUGH = 4  # blocks that all lie beyond a tolerance
 
@@ -66,7 +70,7 @@ def name_causes(
             np.array([pair.get(name, np.nan) for pair in pairs]) if pairs else np.zeros(len(estimates))
             for pairs in (estimates, floor)
         )
-        return 1.0 - (1.0 - own) / np.maximum(1.0 - base, 1e-9) if name in LOSSES else own - base
+        return 1.0 - (1.0 - own) / np.maximum(1.0 - base, 1e-9) if name in (*LOSSES, SCALE) else own - base
 
     named = []
     uneven, alone = np.nanmean(excess(UNEVEN)), min(np.nanmean(excess(name)) for name in _ALONE)
@@ -86,8 +90,8 @@ def name_causes(
         if max(low, least) > limit or (min(high, most) < -limit and len(model.words) > 1):
             reach = float(np.linalg.norm([(high - low) / 2, _ACCURACY * model.resolution, model.relative * mean]))
             named.append(NamedCause(model, mean, mean - reach, mean + reach, values[is_known]))
-    if any(own.model.name == "solid foliage" for own in named):  # it is flat too
-        named = [own for own in named if own.model.name != FLAT]
+    names = {own.model.name for own in named}
+    named = [own for own in named if names.isdisjoint(_FEIGNED_BY.get(own.model.name, ()))]
     return sorted(named, key=lambda own: -abs(own.mean) / own.model.resolution)
 
 

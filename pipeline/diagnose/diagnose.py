@@ -26,7 +26,7 @@ from ..results.diagnosis import DIAGNOSIS, UNEXPLAINED, results_identity
 from ..results.finished import FinishedRun
 from ..storage.files import write_whole
 from ..storage.run_record import dumps
-from .causes import LEAST_EXCESS_M, NamedCause, confirm, name_causes
+from .causes import LEAST_EXCESS_M, SCALE, NamedCause, confirm, name_causes
 from .latency import AHEAD, follow, latency_words, speed_m_s
 
 #: Without a floor, *unexplained* is the first cause if more of the distance remains, metres, and more than half of it.
@@ -34,7 +34,6 @@ MOST_LEFT_M = 0.02
 #: Over a floor, if at least this share of the flat surface remains elsewhere, and more than half of what was before.
 MOST_OFF = 0.03
 _SEED = 20240917
-_SENSOR = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m")
 #: Estimates from columns of `pairs`: simulated minus real.
 _OF_PAIRS = {
     "intensity by range": ("intensity_sim_by_range", "intensity_real_by_range"),
@@ -148,11 +147,8 @@ def is_elsewhere(before: float, after: float) -> bool:
 def _unexplained(left: Sequence[float], blocks: IntArray, unit: str, words: str) -> DiagnosedCause:
     """The rest, of each pair, as the first cause."""
     mean, low, high = mean_interval(block_means(np.array(left), blocks))
-    return DiagnosedCause(
-        name=UNEXPLAINED, words=words, estimate=mean, low=low, high=high, unit=unit,
-        n_pairs=len(left), gain_m=None, gain=None, is_upper_bound=False,
-        setting="the worst places; diagnose --tell-apart", limbs=(),
-    )  # fmt: skip
+    found = {"words": words, "estimate": mean, "low": low, "high": high, "unit": unit, "n_pairs": len(left)}
+    return DiagnosedCause(name=UNEXPLAINED, setting="the worst places; diagnose --tell-apart", **found)
 
 
 def read_pair(run: FinishedRun, pair_id: str) -> PairScans:
@@ -161,7 +157,7 @@ def read_pair(run: FinishedRun, pair_id: str) -> PairScans:
     for side in SIDES:
         table = run.read_table("ground", pair_id, side, ["x", "y", "z", "is_ground"])
         points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64)
-        sensor = run.read_table("sensor", pair_id, side, [*_SENSOR]).to_pylist()[0]
+        sensor = run.read_table("sensor", pair_id, side).to_pylist()[0]
         sides.append(Side(points, table["is_ground"].to_numpy(), sensor))
     return PairScans(*sides)
 
@@ -193,6 +189,8 @@ def _estimates(run: FinishedRun, base: FinishedRun | None, pair_id: str) -> Esti
         for name, (sim, real) in _OF_PAIRS.items():
             if row.get(sim) is not None and (real is None or row.get(real) is not None):
                 amounts[name] = row[sim] - (row[real] if real else 0.0)
+        if row.get("intensity_ratio") is not None and (base or row["intensity_rmse"] is not None):
+            amounts[SCALE] = 1.0 - row["intensity_ratio"]
     return found, over
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from pydantic import JsonValue
@@ -30,7 +30,6 @@ from ..results.finished import FinishedRun
 #: Points per side, and frames that they are drawn from at most.
 POINTS, MOST_FRAMES = 20_000, 40
 _ROAD_M = 0.3
-_Item = TypeVar("_Item")
 
 
 @dataclass(frozen=True)
@@ -296,7 +295,7 @@ def _half(source: Source, seed: int, which: int) -> Frame:
     return Frame(**half)
 
 
-def _evenly(items: Sequence[_Item]) -> Sequence[_Item]:
+def _evenly(items: Sequence[Any]) -> Sequence[Any]:
     """At most `MOST_FRAMES`: neighbours in twos, evenly over all."""
     if len(items) <= MOST_FRAMES:
         return items

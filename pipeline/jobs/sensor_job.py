@@ -56,5 +56,5 @@ STAGE = Stage(
     make=make_sensor,
     libraries=("small_gicp",),
     takes_real=_takes_real,
-    version=2,
+    version=3,
 )

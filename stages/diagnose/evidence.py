@@ -30,7 +30,14 @@ GRAZING_DEG = 75.0
 #: Simulated returns nearer than this, without a real counterpart, are clutter.
 CLUTTER_M = 6.0
 _CELL_DEG = 2.0
-_DOUBTFUL_BEAMS = 3
+_DOUBTFUL_BEAMS, _BLURRED_DEG = 3, 0.005
+_BLUR, _JITTER = "elevation_noise_deg", "azimuth_noise_deg"
+_OF_SENSOR = {
+    "beams": "n_beams",
+    "azimuth step": "azimuth_step_deg",
+    "elevation noise": _BLUR,
+    "azimuth noise": _JITTER,
+}
 _FEWEST = 5  # returns of a cell
 _ALIKE = 0.1  # relative difference of the median ranges of a cell in which both sides see one surface
 _APART_M, _APART_PER_M = 0.25, 0.01  # a point without a counterpart is farther than this, and this times its range
@@ -219,11 +226,8 @@ def _amounts(a: Side, b: Side) -> dict[str, float]:
         found[FLAT] = is_flat.mean()
     if b.sensor["n_beams"]:
         found["range steps"] = (b.sensor["range_quantum_m"] or 0.0) - (a.sensor["range_quantum_m"] or 0.0)
-    of_sensor = {
-        "beams": [side.sensor["n_beams"] for side in (a, b)],
-        "azimuth step": [side.sensor["azimuth_step_deg"] for side in (a, b)],
-        "range noise": [noise_without_steps(side.sensor) for side in (a, b)],
-    }
+    of_sensor = {name: [side.sensor[column] for side in (a, b)] for name, column in _OF_SENSOR.items()}
+    of_sensor["range noise"] = [noise_without_steps(side.sensor) for side in (a, b)]
     found |= {name: sim - real for name, (real, sim) in of_sensor.items() if real is not None and sim is not None}
     return {name: float(amount) for name, amount in found.items()}
 

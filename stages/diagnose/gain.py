@@ -167,11 +167,10 @@ def shares(scans: PairScans, made: Mapping[str, Correction], rng: Generator, flo
             known[chosen] = surface_distance(scans.real.points, points, tree)
         return known[chosen]
 
-    orders: Sequence[Sequence[str]]
     if len(names) <= _MOST_EXACT:
         orders = [*permutations(names)]
     else:
-        half = [rng.permutation(names).tolist() for _ in range(_ORDERS // 2)]
+        half = [tuple(rng.permutation(names).tolist()) for _ in range(_ORDERS // 2)]
         orders = [*half, *(order[::-1] for order in half)]
     gains = dict.fromkeys(names, 0.0)
     for order in orders:

@@ -54,14 +54,15 @@ class BeamPattern:
     is_sharp: bool = True
     focal_m: float = 0.0
 
-    def beam_of(self, points: FloatArray) -> IndexArray:
-        """Beam of each point, (n,) intp, -1 for none."""
+    def beam_of(self, points: FloatArray) -> tuple[IndexArray, FloatArray]:
+        """Beam of each point, (n,) intp, -1 for none; and the elevation above it, (n,) degrees."""
         level = np.maximum(np.hypot(points[:, 0], points[:, 1]) - self.focal_m, 1e-9)
         elevation = _elevation(points[:, 2] / level, 1.0 / level, self.origin_height_m, self.block_deg)
         middle = (self.elevation_deg[1:] + self.elevation_deg[:-1]) / 2
         beam = np.searchsorted(middle, elevation)
         reach = np.minimum(2 * self.width_deg, 0.4 * _spacing(self.elevation_deg))
-        return np.where(np.abs(elevation - self.elevation_deg[beam]) <= reach[beam], beam, -1)
+        off_deg = elevation - self.elevation_deg[beam]
+        return np.where(np.abs(off_deg) <= reach[beam], beam, -1), off_deg
 
 
 def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern | str:

@@ -28,6 +28,7 @@ _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
 _RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
 _FEWEST_RUNS = 200
+_MAD = 1.4826  # standard deviation over median absolute value
 _RUN_QUARTILE = 0.759  # sqrt(quartile of chi squared / degrees of freedom), six degrees
 
 
@@ -46,6 +47,8 @@ class SensorDescription:
     azimuth_step_deg : angle between two firings of a beam
     range_quantum_m : ranges are multiples of it
     range_noise_m : standard deviation along the ray on smooth surfaces
+    elevation_noise_deg : standard deviation of the elevation of returns around that of their beam
+    azimuth_noise_deg : standard deviation of the azimuth of returns around multiples of the step
     lost_share : by range band, see `LOST_BANDS_M`: share of the pulses without a return within visible surfaces
     lost_in_all : share over all bands
     has_ring, has_time : each point has a beam number, and a time
@@ -65,6 +68,8 @@ class SensorDescription:
     azimuth_step_deg: float | None = None
     range_quantum_m: float | None = None
     range_noise_m: float | None = None
+    elevation_noise_deg: float | None = None
+    azimuth_noise_deg: float | None = None
     lost_share: tuple[float | None, ...] = ()
     lost_in_all: float | None = None
     has_ring: bool = False
@@ -93,10 +98,11 @@ def describe_with_gaps(
     Elevations are the peaks of the density of z / r - h / r over all points, in angle, where r is the horizontal
     distance and h the height at which beams start; see `beam_patterns.find_beams`. With rings they are medians over
     each ring. Step: the most frequent distance in azimuth of neighbouring returns of a beam. Quantum: the largest q of
-    a list for which ranges R of a beam have |mean exp(2 pi i R / q)| >= 0.7. Noise: rms residual of a parabola through
-    nine returns in a row, its lower quartile over all such runs, as a standard deviation; if fewer than 200 runs have
-    no gap, of returns up to eight steps apart. Lost: of the gaps between returns of one surface, the firings without
-    one.
+    a list for which ranges R of a beam have |mean exp(2 pi i R / q)| >= 0.7. Range noise: rms residual of a parabola
+    through nine returns in a row, its lower quartile over all such runs, as a standard deviation; if fewer than 200
+    runs have no gap, of returns up to eight steps apart. Angular noise: median absolute difference of elevations from
+    that of their beam, and of neighbouring azimuths from one step, as standard deviations of one return. Lost: of the
+    gaps between returns of one surface, the firings without one.
 
     Parameters
     ----------
@@ -141,6 +147,8 @@ def describe_with_gaps(
         azimuth_step_deg=step,
         range_quantum_m=quantum,
         range_noise_m=noise,
+        elevation_noise_deg=_spread(sweep.off_deg),
+        azimuth_noise_deg=None if step is None else _azimuth_noise(sweep, step),
         lost_share=lost,
         lost_in_all=lost_in_all,
         model=known.title,
@@ -162,6 +170,8 @@ def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
         "azimuth_step_deg": sensor.azimuth_step_deg,
         "range_quantum_m": sensor.range_quantum_m,
         "range_noise_m": sensor.range_noise_m,
+        "elevation_noise_deg": sensor.elevation_noise_deg,
+        "azimuth_noise_deg": sensor.azimuth_noise_deg,
         "lost_share": sensor.lost_in_all,
         "reason": "; ".join(f"{name}: {why}" for name, why in sensor.untold.items()) or None,
     }
@@ -283,6 +293,7 @@ def sensor_lines(sensor: SensorDescription) -> list[str]:
         _property(sensor, "azimuth step", "azimuth_step_deg", lambda step: f"{step:.3f} degrees"),
         _property(sensor, "range quantum", "range_quantum_m", lambda quantum: f"{1e3 * quantum:g} mm"),
         _property(sensor, "range noise", "range_noise_m", lambda noise: f"{1e3 * noise:.0f} mm on smooth surfaces"),
+        ("angular noise", _angular_text(sensor)) if sensor.elevation_deg else ("", ""),
         _property(sensor, "pulses lost in surfaces", "lost_share", _lost_text),
         ("for each point", f"ring: {_yes(sensor.has_ring)}, time: {_yes(sensor.has_time)}"),
     ]
@@ -294,6 +305,11 @@ def _property(sensor: SensorDescription, name: str, attribute: str, text: Callab
         return name, f"none detected ({sensor.untold[attribute]})"
     value = getattr(sensor, attribute)
     return (name, text(value)) if value not in (None, ()) else ("", "")
+
+
+def _angular_text(sensor: SensorDescription) -> str:
+    known = [("elevation", sensor.elevation_noise_deg), ("azimuth", sensor.azimuth_noise_deg)]
+    return ", ".join(f"{noise:.3f} degrees in {name}" for name, noise in known if noise is not None)
 
 
 def _lost_text(shares: Sequence[float | None]) -> str:
@@ -340,11 +356,13 @@ class _Sweep:
     """Returns in beams, sorted by beam, then by azimuth.
 
     beam : (m,) intp, row of the pattern's elevations
+    off_deg : (m,) float64, elevation above that of the beam
     azimuth_deg, range_m : (m,) float64; range from the crossing point of the beams
     row : (m,) intp, of the scan
     """
 
     beam: IndexArray
+    off_deg: FloatArray
     azimuth_deg: FloatArray
     range_m: FloatArray
     row: IndexArray
@@ -356,14 +374,14 @@ class _Sweep:
 
 
 def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
-    beam = pattern.beam_of(points)
+    beam, off_deg = pattern.beam_of(points)
     row = np.flatnonzero(beam >= 0)
-    points, beam = points[row], beam[row]
+    points, beam, off_deg = points[row], beam[row], off_deg[row]
     azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
     level = np.hypot(points[:, 0], points[:, 1]) - pattern.focal_m
     range_m = np.sqrt(level**2 + points[:, 2] ** 2)
     order = np.lexsort((range_m, azimuth_deg, beam))
-    return _Sweep(beam[order], azimuth_deg[order], range_m[order], row[order])
+    return _Sweep(beam[order], off_deg[order], azimuth_deg[order], range_m[order], row[order])
 
 
 def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:
@@ -382,6 +400,17 @@ def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:
     if len(near) < 0.15 * len(gap):
         return None, "neighbouring returns have no common distance in azimuth"
     return round(float(np.median(near)), 4), ""
+
+
+def _spread(off_deg: FloatArray) -> float | None:
+    """Standard deviation around 0, from the median absolute value."""
+    return round(_MAD * float(np.median(np.abs(off_deg))), 4) if len(off_deg) else None
+
+
+def _azimuth_noise(sweep: _Sweep, step_deg: float) -> float | None:
+    """Noise of one azimuth, from neighbouring returns that are one step apart."""
+    off_deg = sweep.gap_deg - step_deg
+    return _spread(off_deg[np.abs(off_deg) < step_deg / 2] / np.sqrt(2))
 
 
 def _range_quantum(points: FloatArray, sweep: _Sweep) -> tuple[float | None, str]:

@@ -243,6 +243,27 @@ def test_beams_with_errors_of_their_own_stand_out(tmp_path, two_runs):
     assert rows[11]["lost"] == table.lost[11]
 
 
+def test_the_scale_of_the_intensity_is_a_cause_over_a_floor_or_with_one_scale(tmp_path):
+    rng = np.random.default_rng(7)
+    for i in range(3):
+        sides = [room(rng)[0] for _ in range(2)]
+        for name, scale in (("good", 1.0), ("bright", 1.3)):
+            for side, points in zip(("real", "sim"), sides, strict=True):
+                intensity = (20 + 10 * (points[:, 1] > 0)) * (scale if side == "sim" else 1.0)
+                write_bin(tmp_path / name / side / f"{i}.bin", np.column_stack([points, intensity]))
+    for name in ("good", "bright"):
+        run(tmp_path / name, tmp_path / f"run-{name}", load(None, ["graph.k=10"], preset="reference"))
+    one_scale = load(None, ["graph.k=10", "input.intensity_scale=same"], preset="reference")
+    run(tmp_path / "bright", tmp_path / "run-same", one_scale)
+    good, bright, same = (tmp_path / f"run-{name}" for name in ("good", "bright", "same"))
+    for found in (diagnose_run(bright, good), diagnose_run(same)):
+        (scale,) = [cause for cause in found.causes if cause.name == "intensity scale"]
+        assert scale.estimate == pytest.approx(-0.3, abs=0.01)
+        assert scale.words == "intensities 30 % too high"
+        assert scale.gain is None
+    assert "intensity scale" not in {cause.name for cause in diagnose_run(bright).causes}
+
+
 def test_a_run_without_rays_has_no_beams(two_runs):
     for floor in (None, two_runs / "run-low"):
         with pytest.raises(RunError, match="no pair has rays"):

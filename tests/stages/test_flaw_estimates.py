@@ -58,6 +58,18 @@ def box_cut(points, rng):
     return points[(np.abs(points - [8.0, 0.0, 0.0]) > [4, 3, 5]).any(axis=1)]
 
 
+def jittered(elevation_deg, azimuth_deg):
+    def jitter(points, rng):
+        level = np.arcsin(points[:, 2] / ranges(points)[:, 0]) + np.radians(elevation_deg) * rng.normal(
+            size=len(points)
+        )
+        turn = np.arctan2(points[:, 1], points[:, 0]) + np.radians(azimuth_deg) * rng.normal(size=len(points))
+        rays = np.column_stack([np.cos(level) * np.cos(turn), np.cos(level) * np.sin(turn), np.sin(level)])
+        return ranges(points) * rays
+
+    return jitter
+
+
 def during_sweep(points, rng):
     turn = np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi)
     return points - turn[:, None] * [0.8, 0, 0]
@@ -71,6 +83,8 @@ FLAWS = {
     "range bias": (lambda points, rng: points * (1 + 0.15 / ranges(points)), 0.15),
     "motion forward": (during_sweep, -0.8),
     "range noise": (noise(0.08), 0.07),
+    "elevation noise": (jittered(0.1, 0), None),
+    "azimuth noise": (jittered(0, 0.03), 0.03),
     "range steps": (steps(0.1), 0.1),
     "lost returns": (lost(0.25), 0.27),
     "lost far returns": (lost(0.5, 25.0), 0.5),
@@ -80,6 +94,9 @@ FLAWS = {
     "clutter": (drops(150), 0.01),
     "azimuth step": (lambda points, rng: points[::2], None),
 }
+
+
+NO_GAIN = ("elevation noise", "azimuth noise")
 
 
 def on_a_grid(points, rng):
@@ -143,7 +160,7 @@ def test_a_flaw_is_named_with_its_amount_and_its_correction_gains(places, health
     made = corrections(pairs[0], found[0], {own.model.name: own.mean for own in named}, np.random.default_rng(0))
     found = shares(pairs[0], made, np.random.default_rng(0))
     assert sum(found.by_cause.values()) == pytest.approx(found.before_m - found.after_m)
-    assert max(found.by_cause, key=found.by_cause.get) == name
+    assert name in NO_GAIN or max(found.by_cause, key=found.by_cause.get) == name
     assert found.before_m == surface_distance(pairs[0].real.points, pairs[0].sim.points)
 
 
@@ -249,6 +266,22 @@ def test_a_loss_over_a_floor_is_a_share_of_what_the_floor_returns(places):
     assert lost.mean == pytest.approx(0.25, abs=0.02)
     made = corrections(pair, found[1], {"lost returns": lost.mean}, np.random.default_rng(0))["lost returns"]
     assert len(made.add) / len(real) == pytest.approx(0.15, abs=0.02)
+
+
+def test_blurred_beams_are_not_named_where_the_world_is_displaced():
+    floor = dict.fromkeys((*CAUSES, UNEVEN), 0.0)
+    blurred = floor | {"elevation noise": 0.05, "azimuth noise": 0.02}
+    found = [
+        [own.model.name for own in name_causes([pair], [floor], np.arange(1))]
+        for pair in (blurred, blurred | {"pitch": 1})
+    ]
+    assert found == [["elevation noise", "azimuth noise"], ["pitch"]]
+
+
+def test_the_scale_of_intensities_is_relative_to_that_of_the_floor():
+    floor = dict.fromkeys((*CAUSES, UNEVEN), 0.0) | {"intensity scale": 1 - 0.5}
+    (own,) = name_causes([floor | {"intensity scale": 1 - 0.75}] * 2, [floor] * 2, np.arange(2))
+    assert own.sentence == "intensities 50 % too high"
 
 
 def with_balls_or_boxes(real, n):
