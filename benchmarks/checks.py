@@ -24,10 +24,10 @@ from fidpipe.pipeline.inspect.side_checks import SideSamples
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import FRAME_AXES, InputSettings
 from fidpipe.stages.clean import as_ros, clean_scan
+from fidpipe.stages.frame_search import check_frames
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.frame_search import check_frames
-from fidpipe.stages.inspect.plausibility import implausible
 from fidpipe.stages.inspect.stamps import describe_stamps
+from fidpipe.stages.plausibility import implausible
 
 SETTINGS = InputSettings()
 SEEN = {  # which fault a warning is of

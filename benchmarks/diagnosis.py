@@ -36,7 +36,7 @@ from fidpipe.pipeline.diagnose.diagnose import UNEXPLAINED, is_elsewhere
 from fidpipe.stages.diagnose.evidence import PairScans, Side, amounts_of_floor, estimate
 from fidpipe.stages.diagnose.gain import changes, corrections, off_shares, shares, surface_distance
 from fidpipe.stages.displacement import PARAMETERS, Displacement
-from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
+from fidpipe.stages.sensor_description import describe_sensor, sensor_row
 from fidpipe.stages.surfels import fit_planes
 
 EVERY, N_HEALTHY, N_MIXED = 4, 20, 10

@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import InputSettings
+from fidpipe.stages.frame_search import check_frames
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.frame_search import check_frames
 
 
 def turned(degrees, axis="z", shift=(0, 0, 0)):

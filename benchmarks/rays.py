@@ -22,8 +22,8 @@ import numpy as np
 import pandas as pd
 from flawed_scans import ALL, Scan, find_car, find_poles, ranges, ray_noise
 
-from fidpipe.stages.inspect.sensor_description import describe_sensor
 from fidpipe.stages.rays import OUTCOMES, RANGE_EDGES_M, find_rays, score_rays
+from fidpipe.stages.sensor_description import describe_sensor
 
 FLAWS = ALL | {"range +0.5 %": lambda scan, rng: 1.005 * scan.points}
 SCORES = (*(f"rays_{name}" for name in OUTCOMES[:-1]), "rays_bias_m", "rays_scale", "rays_medae_m", "rays_rmse_m")

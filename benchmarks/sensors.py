@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from fidpipe.pipeline.datasets.readers import frames_of, holds_frames, read_scan
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.sensor_description import beams_text, describe_sensor
+from fidpipe.stages.sensor_description import beams_text, describe_sensor
 
 HEIGHTS_M = {"hdl64": (0.12, 0.21)}  # of the lower and the upper block above the origin of its recordings
 RECORDINGS = {

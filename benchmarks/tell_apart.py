@@ -26,10 +26,10 @@ from fidpipe.pipeline.datasets.readers import frames_of, read_scan
 from fidpipe.pipeline.diagnose.tell_apart import Frame, compare_samples, draw_sample
 from fidpipe.schemas.settings import load
 from fidpipe.stages.diagnose import tell_apart as classifier
-from fidpipe.stages.inspect.sensor_description import describe_sensor
 from fidpipe.stages.method import measure_coverage, remove_road
 from fidpipe.stages.pieces import CutScan, find_pieces
 from fidpipe.stages.rays import find_rays, score_rays
+from fidpipe.stages.sensor_description import describe_sensor
 from fidpipe.stages.surface import compare_roughness, describe_surface, measure_offsets
 
 SETTINGS = load(preset="reference")

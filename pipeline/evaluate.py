@@ -17,12 +17,11 @@ from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError
 from ..schemas.settings import Settings, parse
 from ..stages.arrays import FloatArray, IntArray
-from ..stages.inspect.frame_search import check_frames
+from ..stages.frame_search import check_frames
 from ..stages.method import Evaluation, evaluate, n_communities
 from .datasets.readers import read_scan
 from .datasets.readers.scan import Scan
 from .engine.pool import one_blas_thread
-from .inspect.frame_checks import frame_warning
 from .jobs import stages_under
 from .jobs.communities_job import communities_result
 from .jobs.coverage_job import coverage_result
@@ -35,6 +34,7 @@ from .jobs.rays_job import rays_result
 from .jobs.selection_job import selection_result
 from .jobs.sensor_job import sensor_result
 from .jobs.surface_job import surface_result
+from .pair_checks import frame_warning
 from .stage import OF_PAIR, Inputs, JobResult, Metadata
 from .storage.table_files import plain_metadata
 
@@ -97,7 +97,7 @@ def evaluate_pair(
     Warns
     -----
     UserWarning
-        The simulated scan seems to be in another frame: mirrored, rotated, shifted (`stages.inspect.frame_search`).
+        The simulated scan seems to be in another frame: mirrored, rotated, shifted (`stages.frame_search`).
         If the warning names 12 numbers of `T_real_sim` = [R | t], pass `sim @ R.T + t`.
 
     Raises

@@ -29,8 +29,8 @@ from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .engine.engine import Machines, RunEngine, Survey
 from .engine.plan import PairPlan, Planner, with_results
 from .engine.progress import Reporter
-from .inspect.frame_checks import frame_suspect, inspection_of, pair_warnings, shared_files, swapped_sides
 from .jobs import stages_under
+from .pair_checks import frame_suspect, inspection_of, pair_warnings, shared_files, swapped_sides
 from .results.causes import CAUSE_COLUMNS
 from .results.overview import cautions, describe_objects
 from .stage import OF_PAIR, Stage

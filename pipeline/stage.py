@@ -25,8 +25,8 @@ SCAN = "scan"  #: among the inputs of a stage: the side's input file
 OBJECTS = "objects"  #: metadata: the objects that later stages process one by one
 OF_PAIR = "pairs"  #: metadata: columns of the pair's row in `pairs`
 N_RAW = "n_raw"  #: metadata: number of points in a side's input file
-INSPECTION = "inspection"  #: metadata: plausibility of a side's scan, see `stages.inspect.plausibility`
-FRAMES = "frames"  #: metadata: comparison of both scans' frames, see `stages.inspect.frame_search`
+INSPECTION = "inspection"  #: metadata: plausibility of a side's scan, see `stages.plausibility`
+FRAMES = "frames"  #: metadata: comparison of both scans' frames, see `stages.frame_search`
 
 Metadata = dict[str, Any]
 Tables = dict[str, pa.Table]

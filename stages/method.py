@@ -23,7 +23,6 @@ from .communities import find_communities
 from .coverage import Coverage, below_cut, cover, nearest_distances
 from .graph import build_graph
 from .ground import MIN_OBJECT_POINTS, GroundResult, remove_ground
-from .inspect.sensor_description import SensorDescription, describe_sensor
 from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
 from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object
@@ -32,6 +31,7 @@ from .pieces import CutScan, Pieces, find_pieces
 from .rays import Rays, find_rays
 from .reference import Annotation, ReferenceObjects, assign_to_reference, find_reference_objects, visiting_order
 from .selection import Selection, select_nodes
+from .sensor_description import SensorDescription, describe_sensor
 from .summary import summarise_pair
 from .surface import Offsets, compare_roughness, describe_surface, measure_offsets
 

@@ -178,7 +178,7 @@ def find_rays(
     Parameters
     ----------
     real, sim : (n, 3) and (m, 3) float64, metres, clean points of both sides in the real sensor's frame
-    sensors : of the real and the simulated side, the fields of `inspect.SensorDescription` by name
+    sensors : of the real and the simulated side, the fields of `SensorDescription` by name
     T_real_sim : (3, 4) float64, motion of the simulated into the real sensor's frame, if they differ
     """
     for side, sensor in zip(("real", "simulated"), sensors, strict=True):

@@ -14,8 +14,8 @@ import pandas as pd
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
 from fidpipe.stages.rays import find_rays, score_rays
+from fidpipe.stages.sensor_description import describe_sensor, sensor_row
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 

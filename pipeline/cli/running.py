@@ -97,9 +97,9 @@ def check(
     fidpipe check dataset/ --json | jq -r '.faults[]'
     """
     from ...schemas.settings import load
+    from ..inspect.check_view import check_json, check_view
     from ..inspect.scan_checks import check_dataset
     from ..inspect.sensor_settings import read_sensor_settings
-    from ..report.views.check_view import check_json, check_view
 
     options = [("--preset", preset), ("--settings", settings), *(("--set", own) for own in assignments or [])]
     if not any(own for _, own in options):

@@ -18,8 +18,8 @@ from ...schemas.results import JsonObject
 from ...schemas.settings import Settings
 from ...stages.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from ...stages.diagnose.tell_apart import FAMILIES, LEAST_PLACES, Separation, auc_of, describe_points, separate
-from ...stages.inspect.sensor_description import describe_sensor
 from ...stages.method import remove_road
+from ...stages.sensor_description import describe_sensor
 from ...stages.statistics.findings import BAND_EDGES_M
 from ...stages.statistics.neighbours import SAME_PLACE, PlaceMap, map_place, overlap
 from ..datasets.pairing import scans_in

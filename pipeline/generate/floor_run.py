@@ -19,7 +19,7 @@ from ...schemas.errors import DatasetError, RunError, ScanError
 from ...schemas.settings import FrameName, InputSettings, Settings
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.perturbations import fill_gaps, remeasure
-from ...stages.inspect.sensor_description import NO_GAPS, SurfaceGaps, describe_with_gaps
+from ...stages.sensor_description import NO_GAPS, SurfaceGaps, describe_with_gaps
 from ..datasets.content import scan_content
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
 from ..datasets.readers import read_scan

@@ -16,9 +16,9 @@ from ...schemas.results import JsonObject
 from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan, too_few_left
+from ...stages.frame_search import FrameCheck, check_frames
 from ...stages.ground import MIN_OBJECT_POINTS
-from ...stages.inspect.frame_search import FrameCheck, check_frames
-from ...stages.inspect.plausibility import ScanInspection, inspect_points
+from ...stages.plausibility import ScanInspection, inspect_points
 from ..datasets.content import scan_content
 from ..datasets.pairing import require_partners
 from ..datasets.pairs import ScanPair, read_dataset
@@ -26,7 +26,7 @@ from ..datasets.readers import may_crash, read_scan
 from ..datasets.readers.scan import Scan
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
-from .frame_checks import pair_warnings, shared_files, swapped_sides
+from ..pair_checks import pair_warnings, shared_files, swapped_sides
 from .sensor_settings import DIFFERS, SettingCheck, check_sensor_settings
 from .side_checks import SensorCheck, SideSamples
 

@@ -14,7 +14,7 @@ import orjson
 from ...schemas.data_files import parse_toml, read_data
 from ...schemas.errors import FidpipeError, suggestion
 from ...stages.arrays import FloatArray
-from ...stages.inspect.sensor_description import HOLE, LOST_BANDS_M, SensorDescription
+from ...stages.sensor_description import HOLE, LOST_BANDS_M, SensorDescription
 from ..datasets.readers.scan import cause_of
 
 AS_SET, DIFFERS, NOT_CHECKED = "as set", "differs", "not checked"

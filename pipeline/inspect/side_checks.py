@@ -14,7 +14,6 @@ from ...schemas.columns import FARTHEST_M, SIDES
 from ...schemas.settings import InputSettings
 from ...stages.arrays import FloatArray
 from ...stages.clean import as_ros, clean_scan
-from ...stages.inspect.sensor_description import SensorDescription, describe_sensor, differences, unlike_others
 from ...stages.inspect.sequence_checks import (
     MAX_FRAMES_LATE,
     EgoHits,
@@ -28,6 +27,7 @@ from ...stages.inspect.sequence_checks import (
 )
 from ...stages.inspect.stamps import StampCheck, describe_stamps, stamp_differences
 from ...stages.intensity import intensity_law
+from ...stages.sensor_description import SensorDescription, describe_sensor, differences, has_other_beams, name_text
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
 from .sensor_settings import SensorEvidence
@@ -101,7 +101,7 @@ class SideSamples:
         sides, unlike = {}, []
         for side, sensors in self._sensors.items():
             if sensors:
-                usual, lines = unlike_others(sensors)
+                usual, lines = _unlike_others(sensors)
                 sides[side] = sensors[usual]
                 unlike += [f"{_NAMES[side]} scan of pair {line}" for line in lines]
         found = differences(sides["real"], sides["sim"]) if len(sides) == len(SIDES) else []
@@ -223,6 +223,25 @@ def _stretches(pairs: Sequence[ScanPair]) -> list[list[ScanPair]]:
     first = len(ordered) // 4
     second = max(first + _STRETCH, 3 * len(ordered) // 4 - _STRETCH)
     return [ordered[start : start + _STRETCH] for start in (first, second)]
+
+
+def _unlike_others(sensors: Mapping[str, SensorDescription]) -> tuple[str, list[str]]:
+    """Name of the scan whose sensor is the most frequent, and one line for each scan with another sensor.
+
+    Parameters
+    ----------
+    sensors : by name of the scan, at least one
+    """
+    seen = {name: sensor for name, sensor in sensors.items() if sensor.elevation_deg} or sensors
+    n_alike = {name: sum(not has_other_beams(own, other) for other in seen.values()) for name, own in seen.items()}
+
+    def rank(name: str) -> tuple[int, bool, bool, int]:
+        own = seen[name]
+        return n_alike[name], own.model is not None, bool(own.is_sharp), own.n_points
+
+    usual = max(seen, key=rank)
+    others = [name for name, own in seen.items() if has_other_beams(seen[usual], own)]
+    return usual, [f"{name}: beams {name_text(seen[name])}, others {name_text(seen[usual])}" for name in others]
 
 
 def _ego_text(hits: EgoHits, side: str, settings: InputSettings) -> str:

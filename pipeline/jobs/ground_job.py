@@ -11,8 +11,8 @@ from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.clean import CleanResult
 from ...stages.ground import GroundResult
-from ...stages.inspect.plausibility import inspect_points
 from ...stages.method import remove_road
+from ...stages.plausibility import inspect_points
 from ..datasets.readers.scan import Scan
 from ..stage import INSPECTION, N_RAW, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import coordinates

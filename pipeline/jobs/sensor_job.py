@@ -12,7 +12,8 @@ import numpy as np
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.clean import as_ros
-from ...stages.inspect.sensor_description import SensorDescription, describe_sensor, pair_columns, sensor_row
+from ...stages.frame_search import check_frames
+from ...stages.sensor_description import SensorDescription, describe_sensor, pair_columns, sensor_row
 from ..stage import FRAMES, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Stage
 
 
@@ -26,8 +27,6 @@ def make_sensor(own: Inputs) -> JobResult:
     result = sensor_result(own.pair_id, own.part, sensor)
     if own.part == "real" or "real" not in own.scans:
         return result
-    from ...stages.inspect.frame_search import check_frames
-
     with own.step("read"):
         real = own.scans["real"]()
     with own.step("frames"):

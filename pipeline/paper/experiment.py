@@ -29,8 +29,8 @@ from ..datasets.readers.frame_address import address_of
 from ..engine.engine import Machines, RunEngine
 from ..engine.plan import NOT_REQUESTED, PairPlan, Part, Planner, with_results
 from ..engine.progress import Reporter
-from ..inspect.frame_checks import inspection_of, pair_warnings
 from ..jobs import STAGES
+from ..pair_checks import inspection_of, pair_warnings
 from ..run import select_pairs
 from ..stage import Stage
 from ..storage.files import key_of

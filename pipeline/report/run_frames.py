@@ -21,8 +21,8 @@ from ...schemas.metric_catalogue import METRIC
 from ...schemas.settings import PieceSettings
 from ...stages.arrays import BoolArray, FloatArray, IntArray
 from ...stages.coverage import nearest_distances
-from ...stages.inspect.sensor_description import SensorDescription
 from ...stages.pieces import CutScan, label_pieces
+from ...stages.sensor_description import SensorDescription
 from ..results.finished import FinishedRun
 from ..results.object_frame import QUADRANTS, UNKNOWN
 from ..results.overview import NO_LABEL

@@ -18,9 +18,9 @@ from ...schemas.metric_catalogue import BASELINES, COVERAGE_REACHES, OBJECT_METR
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IndexArray
 from ...stages.clean import as_ros
-from ...stages.inspect.sensor_description import PAIR_COLUMNS, describe_sensor, sensor_row
 from ...stages.literal import literal_baselines as distances
 from ...stages.literal import literal_method, literal_pieces, literal_surfaces
+from ...stages.sensor_description import PAIR_COLUMNS, describe_sensor, sensor_row
 from ..jobs import stages_under
 from ..storage.run_record import library_versions
 from .compare_frames import DEFAULT_TOLERANCE

@@ -13,7 +13,7 @@ from sklearn.linear_model import PoissonRegressor
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import PARAMETERS, Displacement, fit_displacement
-from ..inspect.sensor_description import describe_sensor, sensor_row
+from ..sensor_description import describe_sensor, sensor_row
 from ..surfels import LocalPlanes, fit_planes, voxel_means
 
 Sensor = Mapping[str, Any]

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..frame_search import ground_height
 from ..linalg.subgraph import connected_points
 from ..surfels import voxel_ids
-from .frame_search import ground_height
 
 _COMPARED_M = (3.0, 40.0)
 _VOXEL_M = 0.5

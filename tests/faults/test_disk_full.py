@@ -8,8 +8,8 @@ import pytest
 
 from fidpipe.pipeline.cli.output import print_view
 from fidpipe.pipeline.engine.costs import CostModel
+from fidpipe.pipeline.inspect import check_view
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
-from fidpipe.pipeline.report.views import check_view
 from fidpipe.pipeline.storage.ledger import Ledger
 from fidpipe.schemas.errors import DiskFullError
 from fidpipe.schemas.settings import Settings

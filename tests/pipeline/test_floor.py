@@ -26,7 +26,7 @@ from fidpipe.schemas.metric_catalogue import COVERAGE_SCORES, OBJECT_METRICS
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.sensor_description import describe_sensor
+from fidpipe.stages.sensor_description import describe_sensor
 from reports import text_of
 from runs import QUIET, assert_same_tables, command, listening, run
 from scenes import drifted, moved, rigid, street, write_bin, write_dataset

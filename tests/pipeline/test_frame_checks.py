@@ -12,14 +12,14 @@ import pytest
 import fidpipe
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
+from fidpipe.pipeline.jobs import sensor_job
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.pipeline.results.measures import Measures
 from fidpipe.pipeline.run import few_of_each
 from fidpipe.schemas.settings import InputSettings, Settings, load
-from fidpipe.stages.inspect import frame_search
-from fidpipe.stages.inspect.frame_search import check_frames
+from fidpipe.stages.frame_search import check_frames
 from runs import command, run
 from scenes import box, drifted, road, street, write_bin, write_pair
 
@@ -128,7 +128,7 @@ def test_a_gate_fails_on_a_suspect_pair_unless_it_is_allowed(finished):
 def test_frames_are_compared_again_only_where_files_or_input_settings_changed(mirrored, tmp_path, monkeypatch):
     data, out, settings = shutil.copytree(mirrored, tmp_path / "streets"), tmp_path / "run", load(None, ["graph.k=10"])
     compared = []
-    monkeypatch.setattr(frame_search, "check_frames", lambda *scans: compared.append(scans) or check_frames(*scans))
+    monkeypatch.setattr(sensor_job, "check_frames", lambda *scans: compared.append(scans) or check_frames(*scans))
     assert run(data, out, settings).record.frames.keys() == {"0"}
     assert len(compared) == 2
     assert run(data, out, settings).record.frames.keys() == {"0"}

@@ -11,7 +11,7 @@ import pytest
 from fidpipe.pipeline.inspect import side_checks
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.schemas.settings import load
-from fidpipe.stages.inspect.sensor_description import describe_sensor
+from fidpipe.stages.sensor_description import describe_sensor
 from runs import command
 from scenes import box, road
 

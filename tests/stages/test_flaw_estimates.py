@@ -9,7 +9,7 @@ from fidpipe.schemas.cause_catalogue import CAUSES
 from fidpipe.stages.diagnose.evidence import FLAT, UNEVEN, PairScans, Side, estimate, find_unmatched
 from fidpipe.stages.diagnose.gain import changes, corrections, off_share, off_shares, shares, surface_distance
 from fidpipe.stages.displacement import PARAMETERS, Displacement, fit_displacement
-from fidpipe.stages.inspect.sensor_description import describe_sensor, sensor_row
+from fidpipe.stages.sensor_description import describe_sensor, sensor_row
 from fidpipe.stages.surfels import fit_planes
 from runs import some_of
 

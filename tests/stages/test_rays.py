@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fidpipe.schemas.sensor_models import SENSORS
+from fidpipe.stages import sensor_description
 from fidpipe.stages.generate.ray_casting import fire
-from fidpipe.stages.inspect import sensor_description
 from fidpipe.stages.intensity import explained_share, intensity_law, score_intensity
 from fidpipe.stages.rays import OUTCOMES, RayGrid, Rays, compare_rays, find_rays, score_rays
 

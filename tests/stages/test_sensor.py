@@ -7,11 +7,11 @@ import pytest
 
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import InputSettings
+from fidpipe.stages.beam_patterns import BeamPattern, find_beams, recognise
 from fidpipe.stages.generate.ray_casting import fire, measure_ranges
-from fidpipe.stages.inspect.beam_patterns import BeamPattern, find_beams, recognise
-from fidpipe.stages.inspect.plausibility import implausible, inspect_points, widest_azimuth_gap_deg
-from fidpipe.stages.inspect.sensor_description import beams_text, describe_sensor, differences, sensor_lines
 from fidpipe.stages.inspect.stamps import describe_stamps, stamp_differences
+from fidpipe.stages.plausibility import implausible, inspect_points, widest_azimuth_gap_deg
+from fidpipe.stages.sensor_description import beams_text, describe_sensor, differences, sensor_lines
 from runs import some_of
 from scenes import road, street
 

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter
 from ....schemas.columns import SIDES
 from ....schemas.errors import RunError
 from ....schemas.metric_catalogue import METRIC, metric_of
-from ....stages.inspect.sensor_description import differences, pair_columns, sensor_lines
+from ....stages.sensor_description import differences, pair_columns, sensor_lines
 from ...results.causes import with_tolerance
 from ...results.diagnosis import gain_words, interval_words, read_diagnosis
 from ...results.floor import RunExcess

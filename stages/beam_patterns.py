@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ...schemas.sensor_models import SENSORS, SensorModel
-from ..arrays import BoolArray, FloatArray, IndexArray, IntArray
+from ..schemas.sensor_models import SENSORS, SensorModel
+from .arrays import BoolArray, FloatArray, IndexArray, IntArray
 
 _HEIGHTS_M = np.round(np.arange(-0.3, 0.301, 0.01), 2)
 _BLOCKS_APART_M = (0.05, 0.12)

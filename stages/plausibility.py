@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...schemas.columns import FARTHEST_M
-from ...schemas.settings import InputSettings
-from ..arrays import FloatArray
-from ..clean import as_ros
+from ..schemas.columns import FARTHEST_M
+from ..schemas.settings import InputSettings
+from .arrays import FloatArray
+from .clean import as_ros
 
 FAR_COORDINATE_M = 1000.0
 SMALLEST_EXTENT_M = 1.0

@@ -7,16 +7,16 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
-from ....schemas.columns import SIDES
-from ....schemas.results import JsonObject
-from ....stages.inspect.sensor_description import pair_columns, sensor_lines
-from ...engine.costs import CostModel
-from ...inspect.scan_checks import DatasetCheck
-from ...inspect.sensor_settings import DIFFERS
-from ...inspect.side_checks import SensorCheck
-from ...results.causes import with_tolerance
-from ...storage.files import free_bytes, megabytes
-from ..view import Note, Table, View
+from ...schemas.columns import SIDES
+from ...schemas.results import JsonObject
+from ...stages.sensor_description import pair_columns, sensor_lines
+from ..engine.costs import CostModel
+from ..report.view import Note, Table, View
+from ..results.causes import with_tolerance
+from ..storage.files import free_bytes, megabytes
+from .scan_checks import DatasetCheck
+from .sensor_settings import DIFFERS
+from .side_checks import SensorCheck
 
 RUNS = Path("runs")  #: where runs lie unless --out says otherwise
 

@@ -8,13 +8,13 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 
-from ...schemas.columns import SIDES
-from ...schemas.record import ELSEWHERE, FrameSuspect
-from ...stages.inspect.frame_search import MIN_GAIN, MIN_SAME_PLACE, FrameCheck
-from ...stages.inspect.plausibility import HALF_SWEEP_GAP_DEG, ScanInspection
-from ..datasets.pairs import ScanPair
-from ..stage import FRAMES, INSPECTION
-from ..storage.table_files import JobRecord
+from ..schemas.columns import SIDES
+from ..schemas.record import ELSEWHERE, FrameSuspect
+from ..stages.frame_search import MIN_GAIN, MIN_SAME_PLACE, FrameCheck
+from ..stages.plausibility import HALF_SWEEP_GAP_DEG, ScanInspection
+from .datasets.pairs import ScanPair
+from .stage import FRAMES, INSPECTION
+from .storage.table_files import JobRecord
 
 _WORDS = {"real": {"real"}, "sim": {"sim", "simulated", "simulation"}}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ...schemas.columns import FARTHEST_M
-from ..arrays import FloatArray, IndexArray, IntArray
+from ..schemas.columns import FARTHEST_M
+from .arrays import FloatArray, IndexArray, IntArray
 from .beam_patterns import BeamPattern, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
 
@@ -216,7 +216,7 @@ def _beam_differences(real: SensorDescription, sim: SensorDescription) -> list[s
         return [f"beams: {_count_text(real)} real, {_count_text(sim)} simulated"] if is_one else []
     found = []
     if has_other_beams(real, sim):
-        found.append(f"beams: {_name_text(real)} real, {_name_text(sim)} simulated")
+        found.append(f"beams: {name_text(real)} real, {name_text(sim)} simulated")
     bottom, top = np.subtract(_limits(sim), _limits(real))
     if max(abs(bottom), abs(top)) > 0.3:
         found.append(f"simulated beams: highest {top:+.1f} degrees, lowest {bottom:+.1f} degrees from the real ones")
@@ -249,27 +249,9 @@ def beams_text(sensor: SensorDescription) -> str:
     return f"{text}: {sensor.model or sensor.untold['model']}"
 
 
-def _name_text(sensor: SensorDescription) -> str:
+def name_text(sensor: SensorDescription) -> str:
+    """Number of the beams, and the model: "32 (...)"."""
     return f"{_count_text(sensor)} ({sensor.model})" if sensor.model else _count_text(sensor)
-
-
-def unlike_others(sensors: Mapping[str, SensorDescription]) -> tuple[str, list[str]]:
-    """Name of the scan whose sensor is the most frequent, and one line for each scan with another sensor.
-
-    Parameters
-    ----------
-    sensors : by name of the scan, at least one
-    """
-    seen = {name: sensor for name, sensor in sensors.items() if sensor.elevation_deg} or sensors
-    n_alike = {name: sum(not has_other_beams(own, other) for other in seen.values()) for name, own in seen.items()}
-
-    def rank(name: str) -> tuple[int, bool, bool, int]:
-        own = seen[name]
-        return n_alike[name], own.model is not None, bool(own.is_sharp), own.n_points
-
-    usual = max(seen, key=rank)
-    others = [name for name, own in seen.items() if has_other_beams(seen[usual], own)]
-    return usual, [f"{name}: beams {_name_text(seen[name])}, others {_name_text(seen[usual])}" for name in others]
 
 
 def _count_text(sensor: SensorDescription) -> str:

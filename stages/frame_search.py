@@ -13,11 +13,11 @@ from importlib.util import find_spec
 import numpy as np
 import scipy
 
-from ...schemas.data_files import read_data
-from ...schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
-from ..arrays import BoolArray, FloatArray, IndexArray
-from ..clean import as_ros, clean_scan, inside
-from ..surfels import voxel_ids
+from ..schemas.data_files import read_data
+from ..schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
+from .arrays import BoolArray, FloatArray, IndexArray
+from .clean import as_ros, clean_scan, inside
+from .surfels import voxel_ids
 
 AS_GIVEN = "as given"
 VOXEL_M = 0.5
