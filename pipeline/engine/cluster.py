@@ -25,7 +25,7 @@ from typing import Any
 
 from ...schemas.errors import FidpipeError, RunError, StoreError
 from ..storage.run_record import library_versions
-from ..storage.urls import is_url
+from ..storage.urls import is_url, remote
 from . import prefork
 from .costs import CostModel
 from .pool import (
@@ -443,9 +443,7 @@ def worker_fault(required: Requirements) -> str:
 def _beginning(path: str) -> bytes:
     """The first bytes of a file, or the etag of an object."""
     if is_url(path):
-        from ..remote.object_store import describe_object
-
-        return describe_object(path).etag.encode()
+        return remote().describe_object(path).etag.encode()
     with Path(path).open("rb") as file:
         return file.read(_BEGINNING_BYTES)
 

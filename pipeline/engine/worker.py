@@ -22,6 +22,7 @@ from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..stage import SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
 from ..storage.table_files import JobId, JobRecord, TableFolder, plain_metadata, table_name
+from ..storage.urls import remote
 from .costs import CostModel, largest_object
 from .plan import Job, PairPlan
 from .time_limit import OutOfTimeError, limited
@@ -147,9 +148,7 @@ class PairTables:
     def __init__(self, plan: PairPlan) -> None:
         self._folder = TableFolder(plan.folder, plan.token)
         if plan.url or plan.stubs:
-            from ..remote.remote_run import folder_of_worker
-
-            self._folder = folder_of_worker(plan.folder, plan.token, plan.url, plan.stubs)
+            self._folder = remote().folder_of_worker(plan.folder, plan.token, plan.url, plan.stubs)
         self._scans: dict[str, Scan] = {}
         self._tables: dict[tuple[str, str], pa.Table] = {}
         self._parts: dict[tuple[str, str, tuple[str, ...]], pa.Table] = {}

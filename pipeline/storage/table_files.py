@@ -26,6 +26,7 @@ import pyarrow.parquet as pq
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from .files import key_of, write_whole
+from .urls import remote
 
 TOKEN = ".writer"  #: the file that names the run which may write
 AT_URL = ".at_url"  #: a file of this name in a folder of the cache: tables that it lacks are at its URL
@@ -252,9 +253,7 @@ class TableFolder:
         except OSError as error:
             raise self.damaged(name, error.strerror or str(error)) from error
         if content is None and self.url:
-            from ..remote.object_store import read_object
-
-            content = read_object(f"{self.url}/{name}")
+            content = remote().read_object(f"{self.url}/{name}")
             content = content if hashlib.sha256(content).hexdigest() == stored.sha256 else None
         if content is None:
             with suppress(OSError):

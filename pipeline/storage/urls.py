@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
+from types import ModuleType
 from urllib.parse import urlsplit
 
 from ...schemas.errors import StoreError
@@ -24,6 +25,13 @@ _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 def is_url(text: str) -> bool:
     """True for text such as s3://bucket/key."""
     return bool(_URL.match(text))
+
+
+def remote() -> ModuleType:
+    """The package that reads and writes objects at URLs; the core imports it only here, when it meets a URL."""
+    from .. import remote as package
+
+    return package
 
 
 def cache_of(url: str) -> Path:
