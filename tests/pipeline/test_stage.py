@@ -250,14 +250,3 @@ def test_stages_by_any_other_name_give_the_same_tables(whole, dataset, tmp_path,
     assert set(pq.read_table(tmp_path / "run" / "timings.parquet").column("stage").to_pylist()) == {
         stage.name for stage in renamed
     }
-
-
-def test_a_job_is_given_no_column_but_those_that_its_stage_declares(dataset, tmp_path):
-    columns = []
-
-    def make(inputs):
-        columns.append(inputs.table("communities", inputs.part).schema.names)
-        return OF_SIDE.make(inputs)
-
-    run(dataset, tmp_path / "run", ToySettings(), stages=with_toys(replace(OF_SIDE, make=make)), pattern="000")
-    assert columns == [["community_id"]] * 2
