@@ -18,6 +18,8 @@ FILE_LIST := $(shell echo '$(SOURCES)' | cksum | cut -d' ' -f1)
 LOCK := requirements.lock
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # As many processes as cores; a file of tests stays in one of them, until another one has nothing left to do.
+# So tests of clusters run one after the other without an xdist group, for which loadgroup would build in each process
+# what the tests of a file share.
 AT_ONCE := --numprocesses auto --dist worksteal
 TESTED := -m "not exhaustive"
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
