@@ -29,7 +29,7 @@ _BENT, _ALONE = 0.03, ("missing pieces", "invented pieces")
 _MELTED = 0.3  # more of the curved surface is flatter not for the shape of some objects
 #: Causes that are not named with others that look like them: solid foliage is flat, a displaced scan has blurred beams.
 _FEIGNED_BY = {FLAT: ("solid foliage",), "elevation noise": PARAMETERS, "azimuth noise": PARAMETERS}
-_ACCURACY = 0.3  # of the resolution, which is above all errors without the flaw; above 95 % of all errors
+_ACCURACY = 0.7  # of the resolution, which is above all errors without the flaw; above 95 % of all errors
 _ENOUGH = 4  # blocks that all lie beyond a tolerance
 
 

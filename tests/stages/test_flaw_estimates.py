@@ -340,6 +340,6 @@ def test_the_interval_of_a_share_grows_with_its_amount_and_what_is_named_does_no
         assert own.mean - own.low == pytest.approx(own.high - own.mean)
         half_widths.append(own.high - own.mean)
     assert half_widths == pytest.approx(
-        [np.hypot(0.3 * model.resolution, model.relative * a) for a in (0.006, 0.06, 0.6)]
+        [np.hypot(0.7 * model.resolution, model.relative * a) for a in (0.006, 0.06, 0.6)]
     )
     assert name_causes([{**floor[0], model.name: 0.9 * model.resolution}] * 4, floor, np.arange(4)) == []
