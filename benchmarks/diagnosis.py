@@ -187,8 +187,8 @@ FLAWS = {
     "holes": (PIECES[:1], [(holes(n), None) for n in (5, 12, 25)]),
     "ghosts": (PIECES[1:], [(ghosts(a), a / (1 + a)) for a in (0.01, 0.02, 0.04)]),
     "noise": (("range noise",), [(ray_noise(a), None) for a in (0.04, 0.1, 0.2)]),
-    "blurred beams": (("elevation noise",), [(jittered(a, 0), None) for a in (0.04, 0.07, 0.1)]),
-    "jittering azimuth": (("azimuth noise",), [(jittered(0, a), None) for a in (0.02, 0.04, 0.06)]),
+    "blurred beams": (("elevation noise",), [(jittered(a, 0), None) for a in (0.02, 0.03, 0.04)]),
+    "jittering azimuth": (("azimuth noise",), [(jittered(0, a), None) for a in (0.01, 0.02, 0.04)]),
     "offset ahead": (("forward",), [(shifted(a, 0), a) for a in (0.1, 0.2, 0.4)]),
     "offset sideways": (("sideways",), [(shifted(0, a), a) for a in (-0.1, 0.2, -0.4)]),
     "solid foliage": (("solid foliage",), [(fs.solid_foliage, None)]),
@@ -206,6 +206,10 @@ FLAWS = {
     "boxes": (("flat shapes",), [(as_boxes, None)]),
     "mixed pixels": (("mixed pixels",), [(mixed(a), a) for a in (0.015, 0.03, 0.06)]),
 }
+
+
+#: Flaws of the mixtures: those of `decisions.py`.
+MIXED = [name for name in FLAWS if name not in ("boxes", "blurred beams", "jittering azimuth")]
 
 
 def warped(scan, rng):
@@ -425,7 +429,7 @@ def tasks_of(args):
                     yield args, folder, base, ("single", name, i), [(name, amounts[i][0])]
             for name, alter in UNKNOWN.items():
                 yield args, folder, base, ("unknown", name, 0), [(name, alter)]
-            mixtures = random("mixtures").permutation([*combinations(FLAWS, 2)])[: args.mixed]
+            mixtures = random("mixtures").permutation([*combinations(MIXED, 2)])[: args.mixed]
             for a, b in mixtures.tolist():
                 if not (is_possible(a, folder) and is_possible(b, folder)):
                     continue

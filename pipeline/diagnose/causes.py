@@ -27,8 +27,9 @@ _UNEVEN = 0.01  # variance between directions that is still random, and the squa
 #: More of the points in other places, with both of these, are a bent world.
 _BENT, _ALONE = 0.03, ("missing pieces", "invented pieces")
 _MELTED = 0.3  # more of the curved surface is flatter not for the shape of some objects
-#: Causes that are not named with others that look like them: solid foliage is flat, a displaced scan has blurred beams.
-_FEIGNED_BY = {FLAT: ("solid foliage",), "elevation noise": PARAMETERS, "azimuth noise": PARAMETERS}
+#: Solid foliage makes surface flat, by less than this part of it; boxes stop rays in foliage: one of both is named.
+_FLAT_OF_SOLID = 0.25
+_BLURRED = ("elevation noise", "azimuth noise")  # not named with a displacement, which blurs beams too
 _ACCURACY = 0.7  # of the resolution, which is above all errors without the flaw; above 95 % of all errors
 _ENOUGH = 4  # blocks that all lie beyond a tolerance
 
@@ -90,8 +91,12 @@ def name_causes(
         if max(low, least) > limit or (min(high, most) < -limit and len(model.words) > 1):
             reach = float(np.linalg.norm([(high - low) / 2, _ACCURACY * model.resolution, model.relative * mean]))
             named.append(NamedCause(model, mean, mean - reach, mean + reach, values[is_known]))
-    names = {own.model.name for own in named}
-    named = [own for own in named if names.isdisjoint(_FEIGNED_BY.get(own.model.name, ()))]
+    amounts = {own.model.name: own.mean for own in named}
+    feigned = {*(() if amounts.keys().isdisjoint(PARAMETERS) else _BLURRED)}
+    if FLAT in amounts:
+        is_solid = amounts[FLAT] < _FLAT_OF_SOLID * abs(amounts.get("solid foliage", 0.0))
+        feigned.add(FLAT if is_solid else "solid foliage")
+    named = [own for own in named if own.model.name not in feigned]
     return sorted(named, key=lambda own: -abs(own.mean) / own.model.resolution)
 
 

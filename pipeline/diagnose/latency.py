@@ -51,10 +51,8 @@ def latency_words(ahead_m: FloatArray, speeds_m_s: FloatArray) -> tuple[str, str
     if not len(speeds_m_s) or abs(speeds_m_s.mean()) < _LEAST_M_S:
         return None
     alone_s = float(ahead_m @ speeds_m_s / (speeds_m_s @ speeds_m_s))
-    either = (
-        f"or {1e3 * alone_s:.0f} ms of latency at {speeds_m_s.mean():.0f} m/s",
-        "position of the sensor, or time stamps",
-    )
+    at_once = f"or {1e3 * alone_s:.0f} ms of latency at {speeds_m_s.mean():.0f} m/s"
+    either = at_once, "position of the sensor, or time stamps"
     if len(speeds_m_s) < 4 or np.ptp(speeds_m_s) < _LEAST_M_S:
         return either
     fit = stats.linregress(speeds_m_s, ahead_m)

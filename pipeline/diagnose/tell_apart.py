@@ -199,7 +199,6 @@ def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: boo
     """Points of a side. A place begins with the first frame that does not show that of the frames before."""
     drawn, place = [], -1
     first: PlaceMap | None = None
-    names: tuple[str, ...] = ()
     for i, source in enumerate(sources):
         own = source()
         n = min(POINTS // len(sources), len(own.points))

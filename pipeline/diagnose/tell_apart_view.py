@@ -62,8 +62,8 @@ def draw_map(found: TellApart, path: Path) -> None:
         f"{name} points": [(points, 2.0, probability, look)]
         for (points, probability), name in zip(found.maps, ("real", "simulated"), strict=True)
     }
-    title, label = style.shown_name(found.title, 80), "probability of being simulated"
-    with style.new_maps(frame, panels, title, label=label) as (figure, _):
+    label = "probability of being simulated"
+    with style.new_maps(frame, panels, style.shown_name(found.title, 80), label=label) as (figure, _):
         content = BytesIO()
         figure.savefig(content, format="png", bbox_inches="tight", pad_inches=0.08)
     write_whole(path, content.getvalue())

@@ -87,17 +87,16 @@ def describe_points(
     chosen, range_m = points[rows], np.linalg.norm(points[rows], axis=1)
     distance_m, near = tree.query(chosen, k=min(SCALES[-1] + 1, len(points)))
     offsets = points[near] - chosen[:, None]
-    columns: list[FloatArray] = []
-    inclination = np.zeros(len(rows))
+    columns, inclinations = list[FloatArray](), list[FloatArray]()
     for k in SCALES:
         own = offsets[:, : k + 1] - offsets[:, : k + 1].mean(axis=1, keepdims=True)
         values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", own, own) / own.shape[1])
         l3, l2, l1 = np.maximum(values, 0.0).T
         l1 = np.maximum(l1, 1e-12)
         columns += [(l2 - l3) / l1, np.sqrt(l3), distance_m[:, min(k, distance_m.shape[1] - 1)] / range_m]
-        inclination = np.abs(vectors[:, 2, 0]) if k == SCALES[1] else inclination
+        inclinations.append(np.abs(vectors[:, 2, 0]))
     n_near = tree.query_ball_point(chosen, _DENSITY_M, return_length=True)
-    columns += [inclination, np.log(n_near), height_m[rows]]
+    columns += [inclinations[1], np.log(n_near), height_m[rows]]
     names = _SURFACE
     if own_points is not None:
         columns, names = columns + _rays(own_points, rows), names + _RAYS

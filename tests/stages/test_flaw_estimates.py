@@ -309,10 +309,10 @@ def test_boxes_instead_of_shapes_are_flat_unless_foliage_is_solid(places):
     made = corrections(pair, found[1], {FLAT: named[FLAT].mean}, np.random.default_rng(0))
     gain = shares(pair, made, np.random.default_rng(0))
     assert gain.by_cause[FLAT] > 0.3 * gain.before_m
-    solid = found[1].amounts | {"solid foliage": 0.3}
-    names = {own.model.name for own in name_causes([solid], [found[0].amounts], np.arange(1))}
-    assert "solid foliage" in names
-    assert FLAT not in names
+    for flat, rival in ((0.05, "solid foliage"), (0.2, FLAT)):
+        both = found[0].amounts | {FLAT: flat, "solid foliage": 0.3}
+        names = {own.model.name for own in name_causes([both], [found[0].amounts], np.arange(1))}
+        assert names == {rival}
     melted = found[1].amounts | {FLAT: 0.8}
     assert FLAT not in {own.model.name for own in name_causes([melted], [found[0].amounts], np.arange(1))}
 
