@@ -15,6 +15,7 @@ from time import perf_counter
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError
@@ -31,13 +32,11 @@ from .engine.plan import PairPlan, Planner, with_results
 from .engine.progress import Reporter
 from .jobs import stages_under
 from .pair_checks import frame_suspect, inspection_of, pair_warnings, shared_files, swapped_sides
-from .results.causes import CAUSE_COLUMNS
 from .results.overview import cautions, describe_objects
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of
 from .storage.folder import RunFolder, check_folder
 from .storage.run_record import (
-    SUMMARISED,
     StageSeconds,
     last_results,
     library_versions,
@@ -277,13 +276,11 @@ class _Run:
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
-        rows = pairs.select([*dict.fromkeys(("pair_id", *SUMMARISED, *CAUSE_COLUMNS, *_PEAKS))]).to_pylist()
-        scored = [row for row in rows if row["status"] == "scored"]
-        for row in scored:
-            real_m, sim_m = (row[name] for name in _PEAKS)
+        scored = pairs.filter(pc.equal(pairs["status"], "scored"))
+        scored_ids, *peaks_m = (scored[name].to_pylist() for name in ("pair_id", *_PEAKS))
+        for pair_id, real_m, sim_m in zip(scored_ids, *peaks_m, strict=True):
             if note := peaks_note(real_m, sim_m, self._settings.ground):
-                jobs.notes[row["pair_id"]].append(note)
-        scored_ids = [row["pair_id"] for row in scored]
+                jobs.notes[pair_id].append(note)
         findings, overview, metrics = self._describe_objects(scored, times_s, is_same=is_same)
         extras: dict[str, Any] = {}
         for stage in self._stages:
@@ -294,7 +291,7 @@ class _Run:
             **dict(header),
             workers=self._engine.n_workers,
             wall_s=self._wall_s,
-            pairs=PairCounts(scored=len(scored), failed=len(rows) - len(scored), to_do=n_to_do),
+            pairs=PairCounts(scored=len(scored), failed=len(pairs) - len(scored), to_do=n_to_do),
             summary=summarise_pairs(scored),
             findings=findings,
             metrics=metrics,
@@ -329,14 +326,14 @@ class _Run:
 
     def _write_record(self, record: RunHeader) -> None:
         """Write the settings and the record, or its header."""
-        write_record(self._out, self._settings, record.as_dict(), self._folder.check_token)
+        write_record(self._out, self._settings, record.entries(), self._folder.check_token)
 
     def plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair under the current settings."""
         return self._planner.plan(pair, self._engine.contents[pair.pair_id])
 
     def _describe_objects(
-        self, scored: list[Row], times_s: dict[str, float | None], *, is_same: bool
+        self, scored: pa.Table, times_s: dict[str, float | None], *, is_same: bool
     ) -> tuple[Findings | None, Overview | None, MetricsSummary]:
         """Findings, overview and unmatched objects; those of the last record if its tables are the same."""
         last = self._last

@@ -185,7 +185,9 @@ class Experiment:
             "experiment": self.name,
             **run_header(self.source.folder, self.engine.settings, _VERSIONS).as_dict(),
         }
-        write_record(self.folder.folder, self.engine.settings, header | dict(outcome), self.folder.check_token)
+        write_record(
+            self.folder.folder, self.engine.settings, (header | dict(outcome)).items(), self.folder.check_token
+        )
 
     def _records(self) -> Iterator[JobRecord]:
         for pair_id in self.folder.ledger.pair_ids():

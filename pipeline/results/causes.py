@@ -79,7 +79,7 @@ class CauseKind:
     count: str = ""
     null_as: float | None = None
 
-    def sides(self, pairs: Columns) -> list[FloatArray]:
+    def sides(self, pairs: Mapping[str, FloatArray]) -> list[FloatArray]:
         """The values of the real and the simulated side, (n,) each; a difference has 0 on the real side."""
         if "{side}" not in self.column:
             return [np.zeros(len(pairs[self.column])), pairs[self.column]]
@@ -89,7 +89,7 @@ class CauseKind:
         is_known = [pairs[f"sensor_{side}_beams"] > 0 for side in SIDES]
         return [np.where(np.isnan(v) & has, self.null_as, v) for v, has in zip(values, is_known, strict=True)]
 
-    def value(self, pairs: Columns) -> FloatArray:
+    def value(self, pairs: Mapping[str, FloatArray]) -> FloatArray:
         """The estimate of each pair, (n,): simulated minus real, 0 without the flaw; NaN if it is not known.
 
         Examples
@@ -140,17 +140,17 @@ CAUSE_COLUMNS = (
 
 
 def find_causes(
-    rows: Sequence[Row], floor: Mapping[str, Row] | None = None, surface: Sequence[Cause] = ()
+    pairs: Mapping[str, FloatArray], floors: Mapping[str, FloatArray] | None = None, surface: Sequence[Cause] = ()
 ) -> list[Cause]:
     """The causes that are beyond their tolerance, most severe first.
 
     Parameters
     ----------
-    rows : of `pairs`, the scored ones
-    floor : by pair, rows of a floor, whose values are subtracted
+    pairs : `CAUSE_COLUMNS` of the scored pairs; NaN for null
+    floors : those of a floor, pair by pair, which are subtracted
     surface : from `surface_causes`
     """
-    pairs, floors = Columns(rows), Columns((floor or {}).get(row["pair_id"], {}) for row in rows)
+    floors = Columns([{}]) if floors is None else floors
     named = [cause for kind in _KINDS if (cause := _cause_of(kind, pairs, floors))]
     return sorted([*named, *surface], key=lambda cause: -cause.severity)
 
@@ -234,7 +234,7 @@ def _contrast(cause: Cause) -> float:
     return cause.estimate**2 * share * (1 - share)
 
 
-def _cause_of(kind: CauseKind, pairs: Columns, floors: Columns) -> Cause | None:
+def _cause_of(kind: CauseKind, pairs: Mapping[str, FloatArray], floors: Mapping[str, FloatArray]) -> Cause | None:
     values = kind.value(pairs)
     known = ~np.isnan(values)
     if not known.any():

@@ -187,14 +187,13 @@ STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", "cdc", "r_lambda", 
 
 def arrays_of(objects: pd.DataFrame) -> tuple[Objects, Objects]:
     """The objects of either side for the statistics over all objects; remnants do not count."""
-    objects = objects[objects["fate"] != "remnant"]
     real, sim = (
         Objects(
-            label=own["label"].fillna("").to_numpy(dtype=np.str_),
-            is_matched=(own["fate"] == "matched").to_numpy(),
-            **{name: own[name].to_numpy() for name in ("pair", *STATISTICS_COLUMNS) if name != "label"},
+            label=objects["label"][own].fillna("").to_numpy(dtype=np.str_),
+            is_matched=(objects["fate"][own] == "matched").to_numpy(),
+            **{name: objects[name][own].to_numpy() for name in ("pair", *STATISTICS_COLUMNS) if name != "label"},
         )
-        for own in (objects[objects["side"] == side] for side in SIDES)
+        for own in ((objects["side"] == side) & (objects["fate"] != "remnant") for side in SIDES)
     )
     return real, sim
 

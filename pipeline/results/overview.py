@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.record import (
@@ -33,7 +34,7 @@ from ...stages.statistics.findings import BAND_NAMES, summarise_objects
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.urls import recorded_path
-from .causes import CLASS, FAR, find_causes, surface_causes
+from .causes import CAUSE_COLUMNS, CLASS, FAR, Columns, find_causes, surface_causes
 from .diagnosis import read_diagnosis
 from .finished import FinishedRun
 from .floor import FLOOR_RECIPE
@@ -82,7 +83,7 @@ def alignment_is_bad(alignment_rms_m: float | FloatArray, diagonal_m: float | Fl
 
 def describe_objects(
     store: RunFolder,
-    rows: Sequence[Row],
+    scored: pa.Table,
     timestamps_s: Mapping[str, float | None],
     hashes: Mapping[str, Mapping[str, str]],
     *,
@@ -92,17 +93,17 @@ def describe_objects(
 
     Parameters
     ----------
-    rows : of `pairs`, the scored ones
+    scored : rows of `pairs`
     timestamps_s : by pair
     hashes : by pair, content hash of its real scan (`real`)
     by_reference : True if the real side fixes the objects
     """
     import pandas as pd
 
-    if not rows:
+    if not len(scored):
         none = SurfaceStates(there=0, partly=0, absent=0, road=0)
         return None, None, MetricsSummary(unmatched=UnmatchedSurface(missing=none, hallucinated=none))
-    pair_ids = [row["pair_id"] for row in rows]
+    pair_ids = scored["pair_id"].to_pylist()
     columns = list({*STATISTICS_COLUMNS, *OVERVIEW_COLUMNS})
     parts = object_parts(store, pair_ids, columns, by_reference=by_reference)
     objects = pd.concat([part.loc[part["fate"] != "remnant", [*_KEYS, *columns]] for part in parts])
@@ -111,7 +112,7 @@ def describe_objects(
     n_independent = len(np.unique(blocks_of([hashes[pair_id]["real"] for pair_id in pair_ids], times)))
     found = summarise_objects(*arrays_of(objects), pair_ids, times)
     findings = Findings(n_independent=n_independent, **vars(found))
-    return findings, _overview(objects, rows, largest_pieces(store, pair_ids)), _unmatched(objects)
+    return findings, _overview(objects, scored, largest_pieces(store, pair_ids)), _unmatched(objects)
 
 
 def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
@@ -125,16 +126,17 @@ def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
     return MetricsSummary(unmatched=UnmatchedSurface(**counts))
 
 
-def _overview(objects: pd.DataFrame, rows: Sequence[Row], pieces: Sequence[Piece]) -> Overview:
+def _overview(objects: pd.DataFrame, scored_pairs: pa.Table, pieces: Sequence[Piece]) -> Overview:
     import pandas as pd
 
     points = objects.assign(alone=objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0)))
-    bands = _coverage(points, "band", pd.RangeIndex(len(BAND_NAMES)), len(rows))
-    classes = _coverage(points, "label", pd.Index(sorted(set(objects["label"]))), len(rows))
+    bands = _coverage(points, "band", pd.RangeIndex(len(BAND_NAMES)), len(scored_pairs))
+    classes = _coverage(points, "label", pd.Index(sorted(set(objects["label"]))), len(scored_pairs))
     scored = objects[(objects["side"] == "real") & objects["r_lambda"].notna()]
     is_bad = alignment_is_bad(scored["alignment_rms_m"].to_numpy(), scored["diagonal_m"].to_numpy())
+    pairs = {name: scored_pairs[name].to_numpy().astype(np.float64) for name in CAUSE_COLUMNS}
     return Overview(
-        causes=tuple(find_causes(rows, surface=surface_causes(bands["real"], classes["real"]))),
+        causes=tuple(find_causes(pairs, surface=surface_causes(bands["real"], classes["real"]))),
         pieces=tuple(pieces),
         surface=(*_groups("range", bands, BAND_NAMES), *_groups("class", classes)),
         n_aligned=len(scored),
@@ -146,7 +148,7 @@ def _coverage(points: pd.DataFrame, kind: str, groups: pd.Index[Any], n_pairs: i
     """By side, its points by pair and group, and those without a counterpart within 0.3 m."""
 
     def sums(side: str, what: str) -> pd.DataFrame:
-        found = points[points["side"] == side].pivot_table(index="pair", columns=kind, values=what, aggfunc="sum")
+        found = points.loc[points["side"] == side, ["pair", kind, what]].groupby(["pair", kind])[what].sum().unstack()
         return found.reindex(index=range(n_pairs), columns=groups).fillna(0.0)
 
     return {side: (sums(side, "n_points"), sums(side, "alone")) for side in SIDES}
@@ -180,10 +182,11 @@ def over_floor(run: FinishedRun, floor: Path) -> Overview | None:
     found = read_diagnosis(run.folder, run.record)
     if found and found.floor == str(floor):
         return run.overview
-    rows = {row["pair_id"]: row for row in FinishedRun(floor).scored}
+    rows, scored = {row["pair_id"]: row for row in FinishedRun(floor).scored}, run.scored
+    pairs, floors = Columns(scored), Columns(rows.get(row["pair_id"], {}) for row in scored)
     surface = [cause for cause in overview.causes if cause.name in (FAR, CLASS)]
     trust = tuple(caution for caution in overview.trust if caution.kind != "floor")
-    return overview.model_copy(update={"causes": tuple(find_causes(run.scored, rows, surface)), "trust": trust})
+    return overview.model_copy(update={"causes": tuple(find_causes(pairs, floors, surface)), "trust": trust})
 
 
 def independence(findings: Findings | None) -> list[str]:

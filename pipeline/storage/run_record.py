@@ -7,8 +7,9 @@ import os
 import platform
 import re
 import shlex
+import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -16,9 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import orjson
+import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from ...schemas.columns import Row
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, RUN_SCORES
 from ...schemas.record import Machine, RunHeader, RunRecord, Seconds
@@ -31,12 +32,8 @@ from .urls import name_in_records, url_or_path
 if TYPE_CHECKING:
     from ...schemas.settings import Settings
 
-#: Columns of `pairs` that the summary of a run is made from.
-SUMMARISED = ("status", "n_matched", "n_missing", "n_hallucinated", "n_too_small", *RUN_SCORES)
-
 RUN_JSON = "run.json"
 _SEAL = re.compile(rb',\n  "sha256": "([0-9a-f]{64})"\n}\n\Z')  # records written by others have none
-_END = b"\n}\n"
 SETTINGS_TOML = "settings.toml"
 
 #: Everything whose version can change a number or a file.
@@ -136,15 +133,29 @@ def finished_record(folder: Path) -> dict[str, Any]:
 
 
 def write_record(
-    folder: Path, settings: Settings, record: Mapping[str, Any], before_rename: Callable[[], None]
+    folder: Path, settings: Settings, entries: Iterable[tuple[str, Any]], before_rename: Callable[[], None]
 ) -> None:
-    """Write `settings.toml` and `run.json`, whose last entry is the hash of the text before it."""
+    """Write `settings.toml` and `run.json`, whose last entry is the hash of the text before it.
+
+    Parameters
+    ----------
+    entries : of the record, written one by one: the text of ten thousand pairs is never in memory as a whole
+    """
     from ...schemas.settings_text import to_toml  # not needed to read a record
 
     write_whole(folder / SETTINGS_TOML, to_toml(settings).encode(), before_rename=before_rename)
-    text = dumps(record).removesuffix(_END)
-    seal = f',\n  "sha256": "{hashlib.sha256(text).hexdigest()}"'.encode()
-    write_whole(folder / RUN_JSON, [text, seal, _END], before_rename=before_rename)
+    write_whole(folder / RUN_JSON, _sealed(entries), before_rename=before_rename)
+
+
+def _sealed(entries: Iterable[tuple[str, Any]]) -> Iterator[bytes]:
+    """The text of a record in parts, each hashed, and the hash."""
+    digest, before = hashlib.sha256(), b"{"
+    for name, value in entries:
+        part = before + dumps({name: value})[1:-3]
+        digest.update(part)
+        yield part
+        before = b","
+    yield f',\n  "sha256": "{digest.hexdigest()}"\n}}\n'.encode()
 
 
 def dumps(record: Mapping[str, Any]) -> bytes:
@@ -206,9 +217,14 @@ def replaced_results(before: Mapping[str, Any], last: RunRecord | None, *, is_sa
         return None
 
 
-def summarise_pairs(scored: Sequence[Row]) -> dict[str, ScoreSummary]:
-    """Mean and standard deviation of each score over scored pairs; of bounded ones also with unmatched as worst."""
-    scores = {name: [row[name] for row in scored] for name in RUN_SCORES}
+def summarise_pairs(scored: pa.Table) -> dict[str, ScoreSummary]:
+    """Mean and standard deviation of each score over scored pairs; of bounded ones also with unmatched as worst.
+
+    Parameters
+    ----------
+    scored : of `pairs`
+    """
+    scores = {name: scored[name].to_pylist() for name in RUN_SCORES}
     return summarise_dataset(scores | {unmatched_worst(name): _with_unmatched(scored, name) for name in DISTRIBUTED})
 
 
@@ -217,20 +233,19 @@ def unmatched_worst(metric: str) -> str:
     return f"{metric}_unmatched_worst_mean"
 
 
-def _with_unmatched(rows: Sequence[Row], name: str) -> list[float | None]:
+def _with_unmatched(scored: pa.Table, name: str) -> list[float | None]:
     """Mean of an object score of each pair with missing and hallucinated objects counted at its upper bound."""
     worst = METRIC[name].high
     if worst is None:
         raise ValueError(f"{name} has no upper bound that an unmatched object could count as")
-    n_without = None if "required" in METRIC[name].flags else "n_too_small"
+    means, *counts = (
+        scored[column].to_pylist()
+        for column in (METRIC[name].mean_column, "n_matched", "n_too_small", "n_missing", "n_hallucinated")
+    )
+    is_required = "required" in METRIC[name].flags
     return [
-        with_unmatched_as_worst(
-            row[METRIC[name].mean_column],
-            row["n_matched"] - (row[n_without] if n_without else 0),
-            row["n_missing"] + row["n_hallucinated"],
-            worst,
-        )
-        for row in rows
+        with_unmatched_as_worst(mean, n_matched - (0 if is_required else n_too_small), n_missing + n_extra, worst)
+        for mean, n_matched, n_too_small, n_missing, n_extra in zip(means, *counts, strict=True)
     ]
 
 
@@ -248,11 +263,12 @@ class StageSeconds:
         """Counts a finished job, unless its seconds went with the ledger."""
         if not record.steps:
             return
-        total, of_pair = self._steps.setdefault(record.stage, {}), self._pairs.setdefault(record.pair_id, {})
-        of_pair.setdefault(record.stage, 0.0)
+        stage = sys.intern(record.stage)  # one string for all pairs
+        total, of_pair = self._steps.setdefault(stage, {}), self._pairs.setdefault(record.pair_id, {})
+        of_pair.setdefault(stage, 0.0)
         for step, seconds in record.steps:
             total[step] = total.get(step, 0.0) + seconds
-            of_pair[record.stage] += seconds
+            of_pair[stage] += seconds
 
     def mean(self) -> dict[str, dict[str, float]]:
         """By stage and step, the mean over the pairs that have the stage."""
@@ -261,8 +277,9 @@ class StageSeconds:
 
     def result(self) -> Seconds:
         """`mean`, and seconds by pair and stage, rounded to microseconds."""
-        pairs = {pair_id: {stage: round(s, 6) for stage, s in own.items()} for pair_id, own in self._pairs.items()}
-        return Seconds(mean=self.mean(), pairs=dict(sorted(pairs.items())))
+        for own in self._pairs.values():
+            own |= {stage: round(seconds, 6) for stage, seconds in own.items()}
+        return Seconds.model_construct(mean=self.mean(), pairs=dict(sorted(self._pairs.items())))  # without a copy
 
 
 def what_changed(before: Mapping[str, Any], settings: Settings, stages: Mapping[str, int]) -> list[str]:

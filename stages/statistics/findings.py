@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,16 +144,29 @@ def peak_density(values: FloatArray) -> float:
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> RankCorrelation:
-    """Spearman's rho and Kendall's tau-b of the objects with both scores; None for fewer than 3 or constant scores."""
-    from scipy import stats
+    """Spearman's rho and Kendall's tau-b of the objects with both scores; None for fewer than 3 or constant scores.
 
+    The values of `scipy.stats`, whose import takes a sixth of the memory of a run.
+    """
     both = ~(np.isnan(a) | np.isnan(b))
     a, b = a[both], b[both]
     if len(a) < 3 or np.ptp(a) == 0 or np.ptp(b) == 0:
         return RankCorrelation(n=len(a), spearman=None, kendall=None)
-    return RankCorrelation(
-        n=len(a), spearman=float(stats.spearmanr(a, b).statistic), kendall=float(stats.kendalltau(a, b).statistic)
-    )
+    (x, n_x), (y, n_y) = (np.unique(values, return_inverse=True, return_counts=True)[1:] for values in (a, b))
+    ranks: list[Any] = [(np.cumsum(n) - (n - 1) / 2)[i] for i, n in ((x, n_x), (y, n_y))]
+    concordant, discordant = (_n_inversions(own[np.lexsort((own, x))]) for own in (-y, y))
+    untied_x, untied_y = (np.sqrt(len(a) * (len(a) - 1) // 2 - (n * (n - 1) // 2).sum()) for n in (n_x, n_y))
+    tau = np.clip((concordant - discordant) / untied_x / untied_y, -1.0, 1.0)
+    return RankCorrelation(n=len(a), spearman=float(np.corrcoef(ranks)[1, 0]), kendall=float(tau))
+
+
+def _n_inversions(values: NDArray[np.intp]) -> int:
+    """Number of pairs of values of which the larger one comes first."""
+    if len(values) <= 64:  # from here on faster than a sort
+        return int(np.triu(values[:, None] > values, 1).sum())
+    left, right = np.array_split(values, 2)
+    n_not_larger = int(np.searchsorted(np.sort(left), right, side="right").sum())
+    return _n_inversions(left) + _n_inversions(right) + len(left) * len(right) - n_not_larger
 
 
 def density_ratio(n_real: IntArray, n_sim: IntArray) -> DensityRatio:

@@ -64,11 +64,12 @@ def names(causes):
 
 def test_a_healthy_re_measurement_has_no_cause():
     assert HEALTHY.keys() <= set(TABLES["pairs"].schema.names)
-    assert find_causes(rows_of()) == []
+    assert find_causes(Columns(rows_of())) == []
 
 
 def test_a_low_and_noisy_simulator_is_named_with_direction_interval_and_setting():
-    low, noise = find_causes(rows_of(ground_sim_peak_m=-0.12, shift_z_m=-0.12, sensor_sim_range_noise_m=0.041 - 0.0175))
+    rows = rows_of(ground_sim_peak_m=-0.12, shift_z_m=-0.12, sensor_sim_range_noise_m=0.041 - 0.0175)
+    low, noise = find_causes(Columns(rows))
     assert low.words == "simulated world 12 cm too low"
     assert low.detail == "shift z -0.12 ± 0.00 m, road -1.89 against -1.77 m"
     assert low.setting == "mount height, T_real_sim"
@@ -79,7 +80,7 @@ def test_a_low_and_noisy_simulator_is_named_with_direction_interval_and_setting(
 
 
 def test_a_road_that_moves_alone_is_not_called_the_world():
-    (road,) = find_causes(rows_of(ground_sim_peak_m=0.1))
+    (road,) = find_causes(Columns(rows_of(ground_sim_peak_m=0.1)))
     assert road.words == "simulated road 10 cm too high"
     assert road.setting == "road height of the map"
 
@@ -102,31 +103,31 @@ def test_a_road_that_moves_alone_is_not_called_the_world():
     ],
 )
 def test_each_flaw_is_named(changes, words):
-    assert [cause.words for cause in find_causes(rows_of(**changes))] == [words]
+    assert [cause.words for cause in find_causes(Columns(rows_of(**changes)))] == [words]
 
 
 def test_pairs_that_disagree_name_nothing_and_two_pairs_have_no_interval():
     rows = rows_of(4)
     for row, shift in zip(rows, (0.5, -0.2, 0.6, 0.1), strict=True):
         row["shift_x_m"] = shift
-    assert find_causes(rows) == []
-    (two,) = find_causes(rows_of(2, shift_x_m=0.2))
+    assert find_causes(Columns(rows)) == []
+    (two,) = find_causes(Columns(rows_of(2, shift_x_m=0.2)))
     assert (two.low, two.high, two.n_pairs) == (None, None, 2)
     split = rows_of(2)
     split[1]["shift_x_m"] = 0.9
-    assert find_causes(split) == []
+    assert find_causes(Columns(split)) == []
 
 
 def test_a_floor_is_subtracted():
     rows = rows_of(sensor_sim_lost_share=0.07)
     floor = {row["pair_id"]: row for row in rows_of(sensor_sim_lost_share=0.06)}
-    assert names(find_causes(rows)) == ["lost pulses"]
-    assert find_causes(rows, floor) == []
+    assert names(find_causes(Columns(rows))) == ["lost pulses"]
+    assert find_causes(Columns(rows), Columns(floor[row["pair_id"]] for row in rows)) == []
 
 
 def test_unknown_values_name_nothing():
     rows = [{"pair_id": "a"} | dict.fromkeys(HEALTHY)] * 3
-    assert find_causes(rows) == []
+    assert find_causes(Columns(rows)) == []
     assert all(np.isnan(kind.value(Columns(rows))).all() for kind in CAUSE_KINDS.values())
 
 
@@ -173,7 +174,7 @@ def test_scans_that_were_moved_and_made_noisy_name_both_and_healthy_ones_nothing
     for seed in range(3):
         scan = make_pair(seed, 0, SENSORS["vlp16"], 12_000).real.rows[:, :3]
         rows.append(evaluate_pair(scan, re_measured(scan, rng, **change), settings).summary | {"pair_id": str(seed)})
-    causes = find_causes(rows)
+    causes = find_causes(Columns(rows))
     assert sorted(names(causes)) == expected
     if causes:
         height, noise = sorted(causes, key=lambda cause: cause.name)

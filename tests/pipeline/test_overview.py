@@ -72,8 +72,8 @@ def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_n
     assert again.record.overview == outcome.record.overview
     for module in (object_frame, overview):
         monkeypatch.setattr(module, "PAIRS_AT_ONCE", 1)
-    rows, times = again.scored, {name: 100.0 * i for i, name in enumerate(NUSCENES)}
-    findings, found, metrics = describe_objects(again.store, rows, times, again.record.inputs, by_reference=False)
+    pairs, times = outcome.pairs, {name: 100.0 * i for i, name in enumerate(NUSCENES)}
+    findings, found, metrics = describe_objects(again.store, pairs, times, again.record.inputs, by_reference=False)
     assert findings == again.record.findings
     assert metrics == again.record.metrics
     assert found.as_dict() == {
