@@ -79,10 +79,15 @@ class RunOutcome:
         return rows
 
     @property
+    def states(self) -> list[Row]:
+        """Name, state and reason of each pair."""
+        rows: list[Row] = self.pairs.select(["pair_id", "status", "reason"]).to_pylist()
+        return rows
+
+    @property
     def failures(self) -> dict[str, str]:
         """Reason of each failed pair, and of each scored pair with a failed extra."""
-        rows = self.pairs.select(["pair_id", "status", "reason"]).to_pylist()
-        return {row["pair_id"]: row["reason"] for row in rows if row["status"] == "failed"} | self.failed_extras
+        return {row["pair_id"]: row["reason"] for row in self.states if row["status"] == "failed"} | self.failed_extras
 
     def as_dict(self) -> JsonObject:
         """Plain values for JSON: those of `fidpipe show --json`, with the number of jobs and the failures."""
@@ -276,7 +281,8 @@ class _Run:
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
-        scored = pairs.filter(pc.equal(pairs["status"], "scored"))
+        is_scored = pc.equal(pairs["status"], "scored")
+        scored = pairs.filter(is_scored) if pc.any(pc.invert(is_scored)).as_py() else pairs  # rather not twice
         scored_ids, *peaks_m = (scored[name].to_pylist() for name in ("pair_id", *_PEAKS))
         for pair_id, real_m, sim_m in zip(scored_ids, *peaks_m, strict=True):
             if note := peaks_note(real_m, sim_m, self._settings.ground):
@@ -320,7 +326,7 @@ class _Run:
         names = [pair.pair_id for pair in pairs if pair.pair_id in jobs.keys]
         hashes = {name: self._hashes[name] for name in names}
         self._reporter.warn(
-            *few_of_each([*shared_files(hashes), *(text for name in names for text in jobs.warnings[name])])
+            *few_of_each([*shared_files(hashes), *(text for name in names for text in jobs.warnings.pop(name))])
         )
         return jobs
 

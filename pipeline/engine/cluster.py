@@ -52,12 +52,14 @@ _BEGINNING_BYTES = 64
 
 #: For a cluster on this machine. A task at which two workers die is given up; `schedule` decides what is tried again. A
 #: silent worker is busy in a library, a busy event loop is not reported, logs of messages would grow with the pairs.
-#: The rows of the objects of a large pair are a large argument. Workers would profile themselves every 10 ms.
+#: The rows of the objects of a large pair are a large argument. Workers would profile themselves every 10 ms, and all
+#: processes measure the delay of their event loop every 20 ms: 1 ms of CPU per small pair.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
     "distributed.scheduler.worker-ttl": None,
     "distributed.worker.multiprocessing-method": "forkserver",
     "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
     "distributed.admin.tick.limit": "1h",
     "distributed.admin.low-level-log-length": 0,
     "distributed.admin.large-graph-warning-threshold": "1GB",

@@ -119,7 +119,7 @@ def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
     """Counts of unmatched objects whose surface the other side has, and of those that are road."""
     counts = {}
     for fate in UnmatchedSurface.model_fields:
-        own = objects[objects["fate"] == fate]
+        own = objects.loc[objects["fate"] == fate, ["covered_0p3m", "road_share"]]
         states = Counter(map(surface_state, own["covered_0p3m"]))
         n_road = int((own["road_share"] > ROAD).sum())
         counts[fate] = SurfaceStates(**{state: states[state] for state in SURFACE_STATES}, road=n_road)

@@ -147,13 +147,13 @@ def write_record(
     write_whole(folder / RUN_JSON, _sealed(entries), before_rename=before_rename)
 
 
-def _sealed(entries: Iterable[tuple[str, Any]]) -> Iterator[bytes]:
+def _sealed(entries: Iterable[tuple[str, Any]]) -> Iterator[bytes | memoryview]:
     """The text of a record in parts, each hashed, and the hash."""
     digest, before = hashlib.sha256(), b"{"
     for name, value in entries:
-        part = before + dumps({name: value})[1:-3]
-        digest.update(part)
-        yield part
+        for part in (before, memoryview(dumps({name: value}))[1:-3]):
+            digest.update(part)
+            yield part
         before = b","
     yield f',\n  "sha256": "{digest.hexdigest()}"\n}}\n'.encode()
 
@@ -224,7 +224,7 @@ def summarise_pairs(scored: pa.Table) -> dict[str, ScoreSummary]:
     ----------
     scored : of `pairs`
     """
-    scores = {name: scored[name].to_pylist() for name in RUN_SCORES}
+    scores = {name: scored[name].to_numpy() for name in RUN_SCORES}
     return summarise_dataset(scores | {unmatched_worst(name): _with_unmatched(scored, name) for name in DISTRIBUTED})
 
 

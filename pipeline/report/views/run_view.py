@@ -58,7 +58,9 @@ def outcome_view(outcome: RunOutcome) -> View:
     seconds = record.wall_s["total"]
     took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     jobs = f", {outcome.n_made} jobs done, {outcome.n_reused} reused" * bool(outcome.n_reused)
-    return summary_view(outcome.folder, outcome.rows, record, overview, outcome.reported_failures, took=f"{took}{jobs}")
+    return summary_view(
+        outcome.folder, outcome.states, record, overview, outcome.reported_failures, took=f"{took}{jobs}"
+    )
 
 
 def summary_view(
