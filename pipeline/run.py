@@ -15,12 +15,11 @@ from time import perf_counter
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from ..schemas.columns import Row, Table
 from ..schemas.errors import DatasetError
-from ..schemas.record import FrameSuspect, MetricsSummary, PairCounts, RunHeader, RunRecord
-from ..schemas.results import Findings, JsonObject, Overview
+from ..schemas.record import FrameSuspect, PairCounts, RunHeader, RunRecord
+from ..schemas.results import JsonObject
 from ..schemas.settings import Settings, preset_of
 from ..schemas.tables import TABLES
 from ..stages.ground import peaks_note
@@ -79,15 +78,10 @@ class RunOutcome:
         return rows
 
     @property
-    def states(self) -> list[Row]:
-        """Name, state and reason of each pair."""
-        rows: list[Row] = self.pairs.select(["pair_id", "status", "reason"]).to_pylist()
-        return rows
-
-    @property
     def failures(self) -> dict[str, str]:
         """Reason of each failed pair, and of each scored pair with a failed extra."""
-        return {row["pair_id"]: row["reason"] for row in self.states if row["status"] == "failed"} | self.failed_extras
+        rows = self.pairs.select(["pair_id", "status", "reason"]).to_pylist()
+        return {row["pair_id"]: row["reason"] for row in rows if row["status"] == "failed"} | self.failed_extras
 
     def as_dict(self) -> JsonObject:
         """Plain values for JSON: those of `fidpipe show --json`, with the number of jobs and the failures."""
@@ -281,13 +275,18 @@ class _Run:
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         n_to_do = len({pair.pair_id for pair in self._dataset.pairs}) - pairs.num_rows
-        is_scored = pc.equal(pairs["status"], "scored")
-        scored = pairs.filter(is_scored) if pc.any(pc.invert(is_scored)).as_py() else pairs  # rather not twice
+        is_scored = [status == "scored" for status in pairs["status"].to_pylist()]
+        scored = pairs if all(is_scored) else pairs.filter(is_scored)  # which is a copy
         scored_ids, *peaks_m = (scored[name].to_pylist() for name in ("pair_id", *_PEAKS))
         for pair_id, real_m, sim_m in zip(scored_ids, *peaks_m, strict=True):
             if note := peaks_note(real_m, sim_m, self._settings.ground):
                 jobs.notes[pair_id].append(note)
-        findings, overview, metrics = self._describe_objects(scored, times_s, is_same=is_same)
+        last, by_reference = self._last, preset_of(self._settings) == "reference"
+        if not (is_same and last and last.overview and last.metrics):
+            of_objects = describe_objects(self._folder, scored, times_s, self._hashes, by_reference=by_reference)
+        else:
+            of_objects = last.findings, last.overview, last.metrics
+        findings, overview, metrics = of_objects
         extras: dict[str, Any] = {}
         for stage in self._stages:
             if stage.summarise:
@@ -337,16 +336,6 @@ class _Run:
     def plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair under the current settings."""
         return self._planner.plan(pair, self._engine.contents[pair.pair_id])
-
-    def _describe_objects(
-        self, scored: pa.Table, times_s: dict[str, float | None], *, is_same: bool
-    ) -> tuple[Findings | None, Overview | None, MetricsSummary]:
-        """Findings, overview and unmatched objects; those of the last record if its tables are the same."""
-        last = self._last
-        if is_same and last is not None and last.overview is not None and last.metrics is not None:
-            return last.findings, last.overview, last.metrics
-        by_reference = preset_of(self._settings) == "reference"
-        return describe_objects(self._folder, scored, times_s, self._hashes, by_reference=by_reference)
 
     def _header(self, *, is_same: bool = False) -> RunHeader:
         """Content of `run.json` from the start; identical results do not count as a replacement."""

@@ -224,7 +224,7 @@ def summarise_pairs(scored: pa.Table) -> dict[str, ScoreSummary]:
     ----------
     scored : of `pairs`
     """
-    scores = {name: scored[name].to_numpy() for name in RUN_SCORES}
+    scores = {name: scored[name].to_pylist() for name in RUN_SCORES}
     return summarise_dataset(scores | {unmatched_worst(name): _with_unmatched(scored, name) for name in DISTRIBUTED})
 
 
@@ -238,14 +238,12 @@ def _with_unmatched(scored: pa.Table, name: str) -> list[float | None]:
     worst = METRIC[name].high
     if worst is None:
         raise ValueError(f"{name} has no upper bound that an unmatched object could count as")
-    means, *counts = (
-        scored[column].to_pylist()
-        for column in (METRIC[name].mean_column, "n_matched", "n_too_small", "n_missing", "n_hallucinated")
-    )
-    is_required = "required" in METRIC[name].flags
+    names = METRIC[name].mean_column, "n_matched", "n_too_small", "n_missing", "n_hallucinated"
+    columns = [scored[name].to_pylist() for name in names]
+    is_left_out = "required" not in METRIC[name].flags
     return [
-        with_unmatched_as_worst(mean, n_matched - (0 if is_required else n_too_small), n_missing + n_extra, worst)
-        for mean, n_matched, n_too_small, n_missing, n_extra in zip(means, *counts, strict=True)
+        with_unmatched_as_worst(mean, n_matched - is_left_out * n_too_small, n_missing + n_extra, worst)
+        for mean, n_matched, n_too_small, n_missing, n_extra in zip(*columns, strict=True)
     ]
 
 

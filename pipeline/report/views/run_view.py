@@ -53,14 +53,12 @@ _SEED_SCORES = HEADLINE_SCORES[:4]
 
 def outcome_view(outcome: RunOutcome) -> View:
     """The end of a run: failures, baselines and spread over seeds if computed, and the first answer."""
-    record = outcome.record
+    record, rows = outcome.record, outcome.pairs.select(["pair_id", "status", "reason"]).to_pylist()
     overview = diagnosed(outcome.folder, record, record.overview)
     seconds = record.wall_s["total"]
     took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     jobs = f", {outcome.n_made} jobs done, {outcome.n_reused} reused" * bool(outcome.n_reused)
-    return summary_view(
-        outcome.folder, outcome.states, record, overview, outcome.reported_failures, took=f"{took}{jobs}"
-    )
+    return summary_view(outcome.folder, rows, record, overview, outcome.reported_failures, took=f"{took}{jobs}")
 
 
 def summary_view(
