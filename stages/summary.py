@@ -47,7 +47,7 @@ def summarise_pair(
     return summary
 
 
-def summarise_dataset(pair_means: Mapping[str, Sequence[Number]]) -> dict[str, ScoreSummary]:
+def summarise_dataset(pair_means: Mapping[str, Sequence[Number] | FloatArray]) -> dict[str, ScoreSummary]:
     """Mean, standard deviation (n - 1) over pairs, and number of pairs, of each per-pair value; nulls are left out."""
     summary = {}
     for name, of_pairs in pair_means.items():

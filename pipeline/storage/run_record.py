@@ -16,6 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import orjson
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -224,7 +225,7 @@ def summarise_pairs(scored: pa.Table) -> dict[str, ScoreSummary]:
     ----------
     scored : of `pairs`
     """
-    scores = {name: scored[name].to_pylist() for name in RUN_SCORES}
+    scores = {name: np.array(scored[name].to_pylist(), dtype=np.float64) for name in RUN_SCORES}
     return summarise_dataset(scores | {unmatched_worst(name): _with_unmatched(scored, name) for name in DISTRIBUTED})
 
 
