@@ -279,6 +279,16 @@ def test_a_distribution_by_hand():
     assert found.cv == pytest.approx(np.std([0, 0.01, 0.02, 1], ddof=1) / 0.2575)
 
 
+@pytest.mark.parametrize(("n", "n_values"), [(3, 2), (64, 5), (65, 1000), (700, 30), (2000, 10**6)])
+def test_a_rank_correlation_is_that_of_scipy_also_with_ties(n, n_values):
+    rng = np.random.default_rng(n)
+    a, b = rng.integers(0, n_values, (2, n)) + np.eye(2, n)
+    b[::3] = a[::3]
+    found = rank_correlation(a, b)
+    assert found.spearman == pytest.approx(stats.spearmanr(a, b).statistic, abs=1e-12)
+    assert found.kendall == pytest.approx(stats.kendalltau(a, b).statistic, abs=1e-12)
+
+
 def test_a_rank_correlation_sees_order_only():
     a = np.array([1.0, 2.0, 3.0, 100.0, np.nan])
     assert vars(rank_correlation(a, -(a**3))) == {"n": 4, "spearman": pytest.approx(-1), "kendall": pytest.approx(-1)}
