@@ -14,7 +14,7 @@ class CauseModel:
 
     tolerance : without a floor it is named beyond this: the difference of two measurements of a scene, and for
         positions what a poor twin shows without being displaced
-    resolution : above all estimates without the flaw; over a floor the cause is named beyond it
+    resolution : larger than any estimate without the flaw; over a floor the cause is named beyond it
     relative : further error of the estimate, per amount; it widens the interval, and has no influence on what is named
     words : with {size}, above 0, and below 0 unless the flaw has one direction
     setting : what controls it, attributes of CARLA's blueprint where they fit

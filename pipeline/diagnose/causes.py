@@ -26,11 +26,11 @@ SCALE = "intensity scale"
 _UNEVEN = 0.01  # variance between directions that is still random, and the square of the loss
 #: More of the points in other places, with both of these, are a bent world.
 _BENT, _ALONE = 0.03, ("missing pieces", "invented pieces")
-_MELTED = 0.3  # more of the curved surface is flatter not for the shape of some objects
+_MELTED = 0.3  # if more of the curved surface is too flat, more than the shape of some objects is wrong
 #: Solid foliage makes surface flat, by less than this part of it; boxes stop rays in foliage: one of both is named.
 _FLAT_OF_SOLID = 0.25
 _BLURRED = ("elevation noise", "azimuth noise")  # not named with a displacement, which blurs beams too
-_ACCURACY = 0.7  # of the resolution, which is above all errors without the flaw; above 95 % of all errors
+_ACCURACY = 0.7  # part of the resolution that covers the errors of 95 % of the estimates
 _ENOUGH = 4  # blocks that all lie beyond a tolerance
 
 

@@ -28,7 +28,7 @@ def diagnosis_view(found: Diagnosis) -> View:
         f"average{over}, distances counted up to 1 m"
     )
     least = "at least " * any(own.is_upper_bound for own in found.causes)
-    places = "; no. 1 counts places instead" * bool(found.floor and rows and found.causes[0].name == UNEXPLAINED)
+    places = "; no. 1 is a share of the surface" * bool(found.floor and rows and found.causes[0].name == UNEXPLAINED)
     notes = [
         f"unexplained: {least}{percent(found.unexplained)} of the distance{' over the floor' * bool(found.floor)} "
         f"remains if all causes are corrected{places}"

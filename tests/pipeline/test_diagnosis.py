@@ -131,7 +131,10 @@ def test_what_no_correction_removes_is_the_first_cause_and_unsupported_causes_ar
 def test_surface_that_is_elsewhere_than_in_the_floor_is_the_first_cause(runs, monkeypatch):
     good, low = runs
     monkeypatch.setattr("fidpipe.pipeline.diagnose.diagnose.off_shares", lambda *of: (0.2, 0.15))
-    first, second, *_ = diagnose_run(low, good).causes
+    found = diagnose_run(low, good)
+    first, second, *_ = found.causes
+    note = "no. 1 is a share of the surface"
+    assert any(note in getattr(own, "text", "") for own in diagnosis_view(found))
     assert (first.name, first.unit, first.estimate) == ("unexplained", "share", pytest.approx(0.15))
     assert (
         first.words
@@ -139,7 +142,9 @@ def test_surface_that_is_elsewhere_than_in_the_floor_is_the_first_cause(runs, mo
     )
     assert second.name == "height"
     monkeypatch.undo()
-    assert diagnose_run(low, good).causes[0].name == "height"
+    found = diagnose_run(low, good)
+    assert found.causes[0].name == "height"
+    assert not any(note in getattr(own, "text", "") for own in diagnosis_view(found))
 
 
 def test_a_diagnosis_of_other_results_is_not_used(runs):
