@@ -502,10 +502,9 @@ def _range_image(points: FloatArray) -> FloatArray:
     """
     range_m = np.linalg.norm(points, axis=1)
     x, y, z = points.T
-    lower_edge = np.radians(_IMAGE_UP_DEG - _IMAGE_DEG)
-    elevation = np.arctan2(z, np.hypot(x, y)) - lower_edge
+    elevation = np.arctan2(z, np.hypot(x, y)) + (_IMAGE_DEG - _IMAGE_UP_DEG) / 180 * np.pi
     column = np.rint((np.pi - np.arctan2(y, x)) / (2 * np.pi / _IMAGE_COLUMNS)).astype(np.intp)
-    row = np.rint(_IMAGE_ROWS - elevation / (np.radians(_IMAGE_DEG) / _IMAGE_ROWS)).astype(np.intp)
+    row = np.rint(_IMAGE_ROWS - elevation / (_IMAGE_DEG / 180 * np.pi / _IMAGE_ROWS)).astype(np.intp)
     is_inside = (range_m < _IMAGE_RANGE_M) & (row >= 0) & (row < _IMAGE_ROWS)
     is_inside &= (column >= 0) & (column < _IMAGE_COLUMNS)
     pixel = row[is_inside] * _IMAGE_COLUMNS + column[is_inside]
@@ -519,7 +518,7 @@ def _points_of_image(image: FloatArray) -> FloatArray:
     """(n, 3) metres, the returns placed in the directions of their pixels."""
     row, column = np.nonzero(image)
     azimuth = -(column - _IMAGE_COLUMNS / 2) / _IMAGE_COLUMNS * 2 * np.pi
-    elevation = np.radians(_IMAGE_UP_DEG - row / _IMAGE_ROWS * _IMAGE_DEG)
+    elevation = (_IMAGE_UP_DEG - row / _IMAGE_ROWS * _IMAGE_DEG) / 180 * np.pi
     level = np.cos(elevation)
     directions = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
     return directions * image[row, column, None]

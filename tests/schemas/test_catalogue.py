@@ -64,7 +64,9 @@ def twice():
 def test_the_baselines_that_are_computed_are_those_of_the_catalogue_and_identical_objects_have_their_value(twice):
     own, chosen = twice
     found = compare_objects(own, own, chosen, 1.0, MetricsSettings(baselines=BASELINE_NAMES))
-    assert [(each.name, each.unit) for each in found] == [(metric.column, metric.unit) for metric in BASELINES]
+    assert [(each.name, each.unit) for each in found] == [
+        (metric.column, metric.unit) for metric in BASELINES if metric.method != "nvs"
+    ]
     for each in found:
         if each.value is not None:
             assert each.value == pytest.approx(METRIC[each.name].equal, abs=1e-6), each.name

@@ -143,7 +143,8 @@ def baselines_view(rows: Sequence[BaselineSummary]) -> View:
     columns = ("baseline", "unit", "objects", "s", "whole scans", "s")
     total_s = sum(row.seconds or 0.0 for row in rows)
     lines = (
-        "A pair counts with the mean over its matched objects, or with all object points of its two scans.",
+        "A pair counts with the mean over its matched objects, or with all object points of its two scans "
+        "(nvs: ground as well).",
         f"s: seconds per pair, next to the first number of a method; in total {total_s:.1f}",
         *(f"{row.baseline} is null for {row.n_null} of {row.n + row.n_null} {row.level}" for row in rows if row.n_null),
     )
