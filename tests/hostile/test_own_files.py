@@ -13,7 +13,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from campaign import campaign
 from fidpipe.pipeline.cli import completion
 from fidpipe.pipeline.exchange.convert import convert
 from fidpipe.pipeline.generate import synth, twin
@@ -52,12 +51,6 @@ def test_a_sensor_table_is_refused_in_one_short_line(tmp_path, text):
         read_sensor(str(tmp_path / "a.csv"))
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 1000
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("number", [1797, 18581])
-def test_a_recipe_of_names_longer_than_a_files_is_read(number):
-    assert campaign("recipe", 1, first=number)[0] == []
 
 
 @pytest.mark.parametrize("files", ['["../../victim"]', '["/etc/hostname"]', '[".."]', "[5]", '"0.bin"', "5"])
