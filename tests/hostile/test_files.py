@@ -209,7 +209,7 @@ def test_a_table_of_text_is_bounded(tmp_path):
 
 def test_a_class_name_is_not_a_book(tmp_path):
     (tmp_path / "labels.toml").write_text(f'1 = "{"a" * 1000}"\n')
-    with pytest.raises(DatasetError, match="got one of 1000"):
+    with pytest.raises(DatasetError, match="1000"):
         read_label_names(tmp_path)
 
 
@@ -226,7 +226,7 @@ def test_a_file_name_that_is_no_text_is_named(tmp_path):
     for side in ("real", "sim"):
         (tmp_path / side).mkdir()
         Path(os.fsdecode(os.fsencode(tmp_path / side) + b"/\xff.bin")).write_bytes(bytes(160))
-    with pytest.raises(DatasetError, match="the name is not UTF-8"):
+    with pytest.raises(DatasetError, match="UTF-8"):
         read_dataset(tmp_path)
     done = command("check", tmp_path, code=1)
     assert "Traceback" not in done.stderr
