@@ -16,7 +16,7 @@ from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
-from runs import command, contents, marks, own_process, run
+from runs import command, contents, marks, run
 
 NO_CLUSTER = "tcp://127.0.0.1:9"
 
@@ -28,17 +28,6 @@ def test_a_run_without_its_cluster_removes_nothing(again, dataset, monkeypatch):
         run(dataset, again, load(None, ["communities.seed=3"]), workers=None, scheduler=NO_CLUSTER)
     assert contents(again) == before
     assert run(dataset, again).n_made == 0
-
-
-@pytest.mark.exhaustive
-def test_an_experiment_without_its_cluster_removes_nothing(dataset, tmp_path):
-    words = ["ablate", dataset, "--out", tmp_path / "ablate"]
-    values = ["--k", "30", "--tau", "0.2", "--t", "1", "--delta", "3,5"]
-    assert own_process(*words, *values, "--workers", 1).returncode == 0
-    before = contents(tmp_path / "ablate")
-    failed = own_process(*words, *values, "--set", "communities.seed=3", "--replace", "--scheduler", NO_CLUSTER, code=1)
-    assert NO_CLUSTER in failed.stderr
-    assert contents(tmp_path / "ablate") == before
 
 
 @pytest.mark.parametrize("word", ["matching.delta_m=3", "communities.seed=3", "input.max_range_m=50"])

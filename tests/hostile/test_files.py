@@ -264,12 +264,11 @@ def test_a_few_points_are_read_to_the_last_bit(tmp_path, name, n):
     assert scan.intensity.tolist() == rows[:, 3].tolist()
 
 
-@pytest.mark.parametrize("cut", [5, 40])
 @pytest.mark.parametrize("name", ["bin", "npy", "pcd", "packed pcd", "ply", "parquet", "las", "laz"])
-def test_a_file_that_is_cut_off_is_refused(tmp_path, name, cut):
+def test_a_file_that_is_cut_off_is_refused(tmp_path, name):
     file, write = WRITERS[name]
     write(tmp_path / file, repeated(1000))
-    (tmp_path / file).write_bytes((tmp_path / file).read_bytes()[:-cut])
+    (tmp_path / file).write_bytes((tmp_path / file).read_bytes()[:-5])
     with pytest.raises(ScanError, match=file):
         read(tmp_path / file)
 

@@ -154,13 +154,6 @@ def test_equal_files_are_named_within_a_pair_and_between_pairs(tmp_path):
     assert [text.partition(":")[0] for text in warnings] == ["pair a", "pairs a (real), a (sim), b (real)"]
 
 
-def test_a_run_names_equal_files(tmp_path):
-    for name in ("real/a", "sim/a"):
-        write_bin(tmp_path / "streets" / f"{name}.bin", street())
-    done = command("run", tmp_path / "streets", "--out", tmp_path / "run", "--workers", 1, "--set", "graph.k=10")
-    assert "warning: pair a: " in done.stderr
-
-
 def test_many_warnings_of_a_kind_are_counted():
     lines = few_of_each([*(f"pair {i}: too {i}; set x" for i in range(13)), "pair 1: half a sweep"])
     assert lines[9:] == ["pair 9: too 9; set x", "3 more like that; fidpipe check lists them", "pair 1: half a sweep"]

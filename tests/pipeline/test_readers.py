@@ -121,13 +121,6 @@ def test_a_label_file_of_another_length_is_refused(tmp_path):
         read_scan(path)
 
 
-@pytest.mark.parametrize("name", ["a.bin", "a.npy", "a.pcd", "a.ply", "a.csv", "a.parquet", "a.pcd.bin"])
-def test_an_empty_file_is_refused(tmp_path, name):
-    (tmp_path / name).touch()
-    with pytest.raises(ScanError, match=name):
-        read_scan(tmp_path / name)
-
-
 def test_a_missing_file_and_an_unknown_format_are_refused(tmp_path):
     with pytest.raises(ScanError, match="gone.bin"):
         read_scan(tmp_path / "gone.bin")
