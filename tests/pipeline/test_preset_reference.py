@@ -102,7 +102,7 @@ def test_a_run_is_named_by_its_preset_and_what_departs_from_it(preset, words, na
 
 
 def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
-    with pytest.raises(SettingsError, match="preset 'papr': no such preset; did you mean paper"):
+    with pytest.raises(SettingsError, match="'papr'.*did you mean paper"):
         load(None, preset="papr")
     named = tmp_path / "named.toml"
     named.write_text('preset = "reference"\n[graph]\nk = 60\n')
@@ -110,7 +110,7 @@ def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
     assert load(named) == parse({"preset": "reference", "graph": {"k": 60}})
     full = tmp_path / "settings.toml"
     full.write_text(to_toml(load(None)))
-    with pytest.raises(SettingsError, match="communities.objects = 'independent', unlike the preset reference"):
+    with pytest.raises(SettingsError, match="communities.objects = 'independent'"):
         load(full, preset="reference")
     with pytest.raises(SettingsError, match='expected objects = "reference" with reference'):
         load(None, ["communities.reference=labels"])

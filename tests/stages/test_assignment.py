@@ -81,7 +81,7 @@ def test_what_the_prices_do_not_prove_is_refused(monkeypatch, rng, shape, spoil)
         return p, prices
 
     monkeypatch.setattr(assignment, "_solve", spoilt)
-    with pytest.raises(StageError, match="alignment of 401 nodes"):
+    with pytest.raises(StageError, match="401"):
         assign_nodes(*LARGE[shape](rng, 401))
 
 
