@@ -101,7 +101,7 @@ def grid(*axes):
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float64)
 
 
-def degenerate():
+def degenerate_scenes():
     """Degenerate pairs by description: a real and a simulated scan, some at the limits of float64."""
     some, line = cloud(), np.outer(np.arange(40.0), [1, 0.5, 0.2]) + [3, 3, 1]
     plane = np.column_stack([np.random.default_rng(1).uniform(5, 15, (80, 2)), np.ones(80)])

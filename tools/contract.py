@@ -86,7 +86,6 @@ def json_fields(scenario):
             "compare": printed("compare", one, other),
             "compare --history": printed("compare", one, other, "--history"),
             "gate": gate.read_text(),
-            "verify": printed("verify", one),
             "diagnose": printed("diagnose", other),
             "diagnose --tell-apart": printed("diagnose", other, "--tell-apart"),
             "check": printed("check", labelled / "streets"),

@@ -19,7 +19,6 @@ SATELLITES = {
     "diagnose": ("pipeline/diagnose", "stages/diagnose"),
     "inspect": ("pipeline/inspect", "stages/inspect"),
     "remote": ("pipeline/remote",),
-    "verify": ("pipeline/verify", "stages/literal"),
 }
 _NO_CODE = {
     tokenize.COMMENT,

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from degenerate import OPEN, evaluated, faults_of
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from degenerate import OPEN, evaluated, faults_of
 from fidpipe.schemas.columns import FARTHEST_M
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import MetricsSettings, load
