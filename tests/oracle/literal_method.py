@@ -187,6 +187,24 @@ def nearest(points: NDArray[np.float64], i: int, k: int, ties: str = "point_id")
     return candidates[:k]
 
 
+def edges(points: NDArray[np.float64], k: int, tau_m: float, rule: str, ties: str) -> list[tuple[int, int]]:
+    """Edges of the graph, each as its smaller and larger index: nearest neighbours, and points within tau.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    rule : "union" if either suffices, "intersection" if both are needed
+    ties : see `nearest`
+    """
+    linked = set()
+    for i in range(len(points)):
+        neighbours = set(nearest(points, i, k, ties))
+        within = set(np.flatnonzero(distances(points, points[i]) <= tau_m).tolist()) - {i}
+        chosen = neighbours | within if rule == "union" else neighbours & within
+        linked |= {(min(i, j), max(i, j)) for j in chosen}
+    return sorted(linked)
+
+
 def louvain(
     n_nodes: int, src: NDArray[np.intp], dst: NDArray[np.intp], length_m: NDArray[np.float64], order: NDArray[np.intp]
 ) -> list[int]:

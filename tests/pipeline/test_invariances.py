@@ -64,12 +64,7 @@ def test_on_a_lattice_of_ties_the_graph_is_that_of_the_literal_oracle(points, k,
     points = shuffled(points, seed)
     edges = build_graph(points, GraphSettings(k=k, tau_m=tau_m, edges=rule, ties=ties))
     found = dict(zip(zip(edges.src.tolist(), edges.dst.tolist(), strict=True), edges.length_m.tolist(), strict=True))
-    knn, near = set(), set()
-    for i in range(len(points)):
-        knn |= {(min(i, j), max(i, j)) for j in literal_method.nearest(points, i, k, ties)}
-        within = np.flatnonzero(literal_method.distances(points, points[i]) <= tau_m)
-        near |= {(min(i, j), max(i, j)) for j in within.tolist() if j != i}
-    expected = knn | near if rule == "union" else knn & near
+    expected = literal_method.edges(points, k, tau_m, rule, ties)
     lengths = {(i, j): np.float32(literal_method.distances(points[j : j + 1], points[i])[0]) for i, j in expected}
     assert found == lengths
 
