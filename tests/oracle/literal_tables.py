@@ -211,12 +211,10 @@ def matching(pair):
     for i, j in matched.items():
         distance_m = math.dist(real[i], sim[j])
         rows.append({"real_id": i, "sim_id": j, "status": "matched", "centroid_distance_m": distance_m})
-    for i in range(len(real)):
-        if i not in matched:
-            rows.append({"real_id": i, "sim_id": -1, "status": "missing", "centroid_distance_m": None})
-    for j in range(n_fixed, len(sim)):
-        if j not in matched.values():
-            rows.append({"real_id": -1, "sim_id": j, "status": "hallucinated", "centroid_distance_m": None})
+    missing = [i for i in range(len(real)) if i not in matched]
+    hallucinated = [j for j in range(n_fixed, len(sim)) if j not in matched.values()]
+    rows += [{"real_id": i, "sim_id": -1, "status": "missing"} for i in missing]
+    rows += [{"real_id": -1, "sim_id": j, "status": "hallucinated"} for j in hallucinated]
     yield pair.rows("matching", rows)
 
 
@@ -279,7 +277,7 @@ def surface(pair):
     """Displacement of the surface of each real object and of the whole side; roughness of both sides."""
     planes = _planes(pair.sides["real"])
     sim_planes = _planes(pair.sides["sim"])
-    stored = pair.table("surface").set_index("real_id")
+    stored = pair.table("surface").set_index("real_id").drop(columns="pair_id")
     labels = pair.sides["real"].labels
     n_objects = len(pair.table("objects", "real"))
     rows = []

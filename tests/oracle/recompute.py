@@ -2,8 +2,8 @@
 
     python tests/oracle/recompute.py RUN
 
-The dataset of the run must be in place. A pair of full scans takes minutes: all distances, dense matrices. The exit code
-is 1 if a difference is beyond its tolerance.
+The dataset of the run must be in place. A pair of full scans takes many minutes: all distances, dense matrices.
+The exit code is 1 if a difference is beyond its tolerance.
 """
 
 import sys
