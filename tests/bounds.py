@@ -39,7 +39,9 @@ def faults_of_table(table):
     for name, column in table.select_dtypes("number").items():
         faults += faults_of_column(name, column.dropna())
     for name in ("r_lambda", "value"):
-        if name in table and "reason" in table and (table[name].isna() & table["reason"].isna()).any():
+        if not {name, "reason"} <= set(table):
+            continue
+        if (table[name].isna() & table["reason"].isna()).any():
             faults.append(f"{name}: null without a reason")
     return faults
 
@@ -55,5 +57,6 @@ def faults_of_column(name, values):
     is_too_low = metric.low is not None and values.min() < metric.low
     is_too_high = metric.high is not None and values.max() > metric.high
     if is_too_low or is_too_high:
-        return [f"{name}: expected {metric.low} to {metric.high}, got {values.min()} to {values.max()}"]
+        expected = f"{metric.low} to {metric.high}"
+        return [f"{name}: expected {expected}, got {values.min()} to {values.max()}"]
     return []

@@ -144,7 +144,7 @@ class RunFolder(TableFolder):
         )
 
     def damaged_files(self, record: JobRecord) -> list[str]:
-        """Names of the files of a job that are not as they were written; those at the URL alone are not checked."""
+        """Names of the files of a job that are not as they were written; files at the URL alone are not checked."""
         damaged = []
         for name, stored in record.files.items():
             if stored.is_at(f"{self.folder}/{name}"):

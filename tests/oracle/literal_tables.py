@@ -1,8 +1,8 @@
 """Tables of a pair, recomputed literally, each from the stored tables before it.
 
-Where ties or rounding allow several correct answers, the stored one is accepted if it is one of them. Not recomputed:
-descriptions of the sensors, incidence angles and rows of `rays`, scores under other seeds, ground flags of patchwork++,
-objects by labels, ICP.
+Where ties or rounding allow several correct answers, the stored one is accepted if it is one of
+them. Not recomputed: descriptions of the sensors, incidence angles and rows of `rays`, scores under
+other seeds, ground flags of patchwork++, objects by labels, ICP.
 """
 
 import math
@@ -19,11 +19,16 @@ import literal_pieces
 import literal_rays
 import literal_surfaces
 from fidpipe.schemas.columns import SIDES
-from fidpipe.schemas.metric_catalogue import COVERAGE_REACHES, INTENSITY_SCORES, OBJECT_METRICS, SHIFT_COLUMNS
+from fidpipe.schemas.metric_catalogue import (
+    COVERAGE_REACHES,
+    INTENSITY_SCORES,
+    OBJECT_METRICS,
+    SHIFT_COLUMNS,
+)
 
 #: Objects with more points are accepted as stored: dense matrices of all their nodes take minutes.
 MOST_NODES = 3000
-#: Heights this near to the threshold, and distances this near to delta, may be on either side of it.
+#: Heights this near to the threshold, and distances this near to delta, may be on either side.
 ROUNDING_M = 1e-9
 _REACHES_M = dict(zip(COVERAGE_REACHES, (0.1, 0.3, 1.0), strict=True))
 _COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
@@ -41,8 +46,9 @@ def clean(pair):
         transform = None
         if side == "sim" and pair.pair.T_real_sim:
             transform = np.array(pair.pair.T_real_sim).reshape(3, 4)
-        settings = pair.settings.input
-        kept, points = literal_method.clean(scan.points, settings.model_dump(), settings.frame_of(side), transform)
+        frame = pair.settings.input.frame_of(side)
+        settings = pair.settings.input.model_dump()
+        kept, points = literal_method.clean(scan.points, settings, frame, transform)
         rows = {"point_id": kept, "x": points[:, 0], "y": points[:, 1], "z": points[:, 2]}
         rows["intensity"] = None if scan.intensity is None else scan.intensity[kept]
         rows["label"] = None if scan.labels is None else scan.labels[kept]
@@ -89,8 +95,8 @@ def _cut(pair, side):
             cut = {**real, "axis": axis, "peak_m": real["peak_m"] + offset_m}
             if real["threshold_m"] is not None:
                 cut["threshold_m"] = real["threshold_m"] + offset_m
-            threshold_m = cut["threshold_m"] or 0.0
-            cut["loss"] = literal_method.variance_loss(points, heights, threshold_m, cut["peak_m"], settings.loss)
+            limits_m = cut["threshold_m"] or 0.0, cut["peak_m"]
+            cut["loss"] = literal_method.variance_loss(points, heights, *limits_m, settings.loss)
     if settings.method != "pca":
         cut |= {"threshold_m": None, "loss": None, "iterations": None}
     return cut, heights, is_unique
@@ -100,9 +106,11 @@ def graph(pair):
     """All edges, from all distances."""
     settings = pair.settings.graph
     for side, stored in pair.sides.items():
-        edges = literal_method.edges(stored.points, settings.k, settings.tau_m, settings.edges, settings.ties)
+        points = stored.points
+        rule = settings.edges
+        edges = literal_method.edges(points, settings.k, settings.tau_m, rule, settings.ties)
         src, dst = np.array(edges, dtype=int).reshape(-1, 2).T
-        length_m = literal_method.distances(stored.points[dst], stored.points[src]).astype(np.float32)
+        length_m = literal_method.distances(points[dst], points[src]).astype(np.float32)
         rows = {"src": stored.point_ids[src], "dst": stored.point_ids[dst], "length_m": length_m}
         yield pair.rows("graph", rows, side)
 
@@ -147,7 +155,7 @@ def _labels_of_graph(pair, stored):
 
 
 def _labels_of_nearest(pair):
-    """Object of each simulated point: that of the nearest real point, or out of reach a separate one."""
+    """Object of each simulated point: that of the nearest real one, or out of reach a new one."""
     settings = pair.settings.communities
     real = pair.sides["real"]
     sim = pair.sides["sim"]
@@ -181,7 +189,8 @@ def objects(pair):
             row = dict.fromkeys((*literal_method.PLACE, *literal_method.SHAPE)) | {"n_points": 0}
             if len(members):
                 row = literal_method.describe(stored.points[members])
-            rows.append(row | {"community_id": community, "label": _most_frequent(point_labels.iloc[members])})
+            label = _most_frequent(point_labels.iloc[members])
+            rows.append(row | {"community_id": community, "label": label})
         yield pair.rows("objects", rows, side)
 
 
@@ -209,8 +218,9 @@ def matching(pair):
         yield _optimal_total(pair, real, sim)
     rows = []
     for i, j in matched.items():
-        distance_m = math.dist(real[i], sim[j])
-        rows.append({"real_id": i, "sim_id": j, "status": "matched", "centroid_distance_m": distance_m})
+        row = {"real_id": i, "sim_id": j, "status": "matched"}
+        row["centroid_distance_m"] = math.dist(real[i], sim[j])
+        rows.append(row)
     missing = [i for i in range(len(real)) if i not in matched]
     hallucinated = [j for j in range(n_fixed, len(sim)) if j not in matched.values()]
     rows += [{"real_id": i, "sim_id": -1, "status": "missing"} for i in missing]
@@ -226,7 +236,7 @@ def _matches_of_reference(pair, real, sim):
 
 
 def _optimal_total(pair, real, sim):
-    """Mean cost of the stored matches and of an optimal matching; a pair of objects beyond delta costs a constant."""
+    """Mean cost of the stored matches and of an optimal matching; beyond delta it is a constant."""
     delta_m = pair.settings.matching.delta_m
     n_matches = min(len(real), len(sim))
     n = max(len(real), len(sim))
@@ -254,12 +264,14 @@ def coverage(pair):
         for community, members in groups.items():
             row = _covered(nearest_m[members], stored.points[members], cut)
             rows.append(row | {"side": side, "community_id": community})
-        yield pair.summary({f"covered_{side}_{reach}": rows[-1][f"covered_{reach}"] for reach in COVERAGE_REACHES})
+        whole = rows[-1]
+        row = {f"covered_{side}_{reach}": whole[f"covered_{reach}"] for reach in _REACHES_M}
+        yield pair.summary(row)
     yield pair.rows("coverage", rows)
 
 
 def _covered(nearest_m, points, cut):
-    """Covered shares of some points, their median distance from the other side, and the share below its cut."""
+    """Covered shares of points, their median distance to the other side, share below its cut."""
     n = len(points)
     row = dict.fromkeys((*_COVERED, "median_distance_m", "road_share")) | {"n_points": n}
     if n == 0:
@@ -274,7 +286,7 @@ def _covered(nearest_m, points, cut):
 
 
 def surface(pair):
-    """Displacement of the surface of each real object and of the whole side; roughness of both sides."""
+    """Displacement of the surface of each real object and of the whole; roughness of both sides."""
     planes = _planes(pair.sides["real"])
     sim_planes = _planes(pair.sides["sim"])
     stored = pair.table("surface").set_index("real_id").drop(columns="pair_id")
@@ -309,8 +321,12 @@ def _roughness(planes, sim_planes):
     real = np.array([plane.roughness_m for plane in planes.values()])
     sim = np.array([plane.roughness_m for plane in sim_planes.values()])
     bias_m = float(sim.mean() - real.mean())
-    area_m = literal_surfaces.area_between(real.tolist(), (sim - bias_m).tolist())
-    return dict(zip(_ROUGHNESS, (float(np.median(real)), float(np.median(sim)), bias_m, area_m), strict=True))
+    return {
+        "roughness_real_m": float(np.median(real)),
+        "roughness_sim_m": float(np.median(sim)),
+        "roughness_bias_m": bias_m,
+        "roughness_area_m": literal_surfaces.area_between(real.tolist(), (sim - bias_m).tolist()),
+    }
 
 
 def pieces(pair):
@@ -318,12 +334,14 @@ def pieces(pair):
     rows = {}
     for side, stored in pair.sides.items():
         table = pair.table("ground", side)
-        settings = pair.settings.pieces.model_dump()
-        others = pair.sides[_OTHER[side]].all_points
-        heights = table["height_m"].to_numpy()
-        recomputed = literal_pieces.pieces(stored.all_points, ~stored.is_object, heights, others, settings)
         rows[side] = []
-        for members, row in recomputed:
+        for members, row in literal_pieces.pieces(
+            stored.all_points,
+            ~stored.is_object,
+            table["height_m"].to_numpy(),
+            pair.sides[_OTHER[side]].all_points,
+            pair.settings.pieces.model_dump(),
+        ):
             rows[side].append(row | {"label": _most_frequent(table["label"].iloc[members])})
         word = {"real": "missing", "sim": "invented"}[side]
         n_points = sum(row["n_points"] for row in rows[side])
@@ -335,7 +353,7 @@ def pieces(pair):
 
 
 def rays(pair):
-    """Partners and outcomes of the rays of the real returns; scores of all rays, of groups and of intensities."""
+    """Partners and outcomes of the real returns; scores of all rays, groups and intensities."""
     stored = pair.table("rays")
     range_m = stored["real_range_m"].fillna(stored["sim_range_m"])
     yield pair.rows("ray_scores", _ray_scores(pair, stored, range_m))
@@ -348,7 +366,7 @@ def rays(pair):
 
 
 def _outcomes(pair, stored):
-    """Partner of each real return and outcome of each ray; returns of the simulated side alone are as stored."""
+    """Partner of each real return, outcome of each ray; rays without real return are as stored."""
     sensors = [pair.metadata("sensor", side)["sensor"] for side in SIDES]
     noise_m = math.hypot(*(sensor["range_noise_m"] or 0.0 for sensor in sensors))
     points = [pair.sides[side].all_points for side in SIDES]
@@ -386,7 +404,7 @@ def _ray_scores(pair, stored, range_m):
         elif by == "class":
             group = stored[stored["label"] == band]
         row = {"by": by, "band": band} | literal_rays.scores(_ray_columns(group))
-        if by not in ("all", "azimuth"):  # rays without any return have no range, incidence or class
+        if by not in ("all", "azimuth"):  # without a return: no range, incidence or class
             row["rays_drop_f1"] = None
         rows.append(row)
     return rows
@@ -406,8 +424,8 @@ def _intensity_scores(pair, stored):
     for side in SIDES:
         of_point = pair.table("ground", side).set_index("point_id")["intensity"].astype(float)
         intensity[side] = of_point.reindex(stored[f"{side}_point_id"]).to_numpy()
-    has_one_scale = pair.settings.input.intensity_scale == "same"
-    return literal_rays.intensity_scores(_ray_columns(stored), intensity, has_one_scale=has_one_scale)
+    is_same = pair.settings.input.intensity_scale == "same"
+    return literal_rays.intensity_scores(_ray_columns(stored), intensity, has_one_scale=is_same)
 
 
 def _ray_columns(stored):
@@ -429,7 +447,8 @@ def selection(pair):
         if max(map(len, members)) > MOST_NODES or len(stored) != n_keep:
             rows += stored[:n_keep]
             continue
-        of_object = [{"real_id": match["real_id"], "sim_id": match["sim_id"], "rank": k} for k in range(n_keep)]
+        ids = {"real_id": match["real_id"], "sim_id": match["sim_id"]}
+        of_object = [ids | {"rank": rank} for rank in range(n_keep)]
         for side, indices in zip(SIDES, members, strict=True):
             kept = _selected(pair, pair.sides[side], indices, pd.DataFrame(stored))
             for row, (node, influence) in zip(of_object, kept, strict=True):
@@ -446,7 +465,8 @@ def _alignment_cost(pair, match):
     cost = cdist(real - real.mean(axis=0), sim - sim.mean(axis=0))
     n = len(cost)
     name = "mean distance of aligned nodes, m"
-    return pair.values("selection", {name: math.fsum(np.diag(cost)) / n}, {name: literal_method.least_total(cost) / n})
+    stored = math.fsum(np.diag(cost)) / n
+    return pair.values("selection", {name: stored}, {name: literal_method.least_total(cost) / n})
 
 
 def _selected(pair, stored_side, members, stored):
@@ -496,7 +516,7 @@ def metrics(pair):
 
 
 def baselines(pair):
-    """Baseline metrics of every object and of the whole scans; those that have no literal definition are as stored."""
+    """Baseline metrics of every object and of the whole scans; others than these are as stored."""
     settings = pair.settings.metrics
     if not settings.baselines:
         return
@@ -505,7 +525,8 @@ def baselines(pair):
     for match in pair.matches:
         values[match["real_id"], match["sim_id"]] = _baselines_of_object(pair, match)
     rows = []
-    for row in pair.table("baselines")[["real_id", "sim_id", "baseline", "value"]].to_dict("records"):
+    table = pair.table("baselines")[["real_id", "sim_id", "baseline", "value"]]
+    for row in table.to_dict("records"):
         of_object = values[row["real_id"], row["sim_id"]]
         rows.append(row | {"value": of_object.get(row["baseline"], row["value"])})
     yield pair.rows("baselines", rows)
@@ -539,7 +560,10 @@ def pairs(pair):
     n_matched, n_missing, n_hallucinated = [
         int((fates["status"] == status).sum()) for status in ("matched", "missing", "hallucinated")
     ]
-    row = {"status": "scored", "n_matched": n_matched, "n_missing": n_missing, "n_hallucinated": n_hallucinated}
+    row = {"status": "scored"}
+    row["n_matched"] = n_matched
+    row["n_missing"] = n_missing
+    row["n_hallucinated"] = n_hallucinated
     row["n_communities_real"] = n_matched + n_missing
     row["n_communities_sim"] = n_matched + n_hallucinated
     row["match_rate"] = n_matched / (n_matched + max(n_missing, n_hallucinated))

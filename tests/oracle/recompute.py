@@ -1,9 +1,9 @@
-"""Recomputes the tables of a finished run literally and prints the largest difference of each stage.
+"""Recompute the tables of a finished run literally; print the largest difference of each stage.
 
     python tests/oracle/recompute.py RUN
 
-The dataset of the run must be in place. A pair of full scans takes many minutes: all distances, dense matrices.
-The exit code is 1 if a difference is beyond its tolerance.
+The dataset of the run must be in place. A pair of full scans takes many minutes: all distances,
+dense matrices. The exit code is 1 if a difference is beyond its tolerance.
 """
 
 import sys
@@ -63,13 +63,12 @@ def recompute(folder):
         stored_pair = StoredPair(run, pair, settings, dataset.label_names)
         for stage in STAGES:
             for recomputed in stage(stored_pair):
-                for column, largest, is_too_large in compare(recomputed):
-                    differences.append(Difference(stage.__name__, pair.pair_id, column, largest, is_too_large))
+                differences += [Difference(stage.__name__, pair.pair_id, *column) for column in compare(recomputed)]
     return differences
 
 
 def compare(recomputed):
-    """Name, largest difference, and whether it is beyond the tolerance, of each recomputed column of a table."""
+    """Name, largest difference, and True if that is beyond the tolerance, of each column."""
     stored = recomputed.stored
     frame = recomputed.recomputed
     has_same_rows = stored.index.equals(frame.index)
@@ -80,13 +79,14 @@ def compare(recomputed):
         column = f"{recomputed.table}.{name}"
         allowed = TOLERANCES.get(column, TOLERANCE)
         if pd.api.types.is_numeric_dtype(stored[name]):
-            allowed = allowed + RELATIVE_TOLERANCE * np.abs(stored[name].to_numpy(dtype=float, na_value=0.0))
+            size = np.abs(stored[name].to_numpy(dtype=float, na_value=0.0))
+            allowed = allowed + RELATIVE_TOLERANCE * size
         difference = _difference(stored[name], frame[name])
         yield column, float(difference.max(initial=0.0)), bool(np.any(difference > allowed))
 
 
 def _difference(stored, recomputed):
-    """Absolute difference of each value; 0 if both are null, infinite if one is null or texts are unequal."""
+    """Absolute difference of each value; infinite if one of both is null, or for unequal texts."""
     is_null = stored.isna().to_numpy()
     difference = np.where(is_null == recomputed.isna().to_numpy(), 0.0, np.inf)
     is_known = ~is_null & (difference == 0.0)
@@ -103,11 +103,13 @@ def main(folder):
     """Print a line per stage; return the exit code."""
     differences = recompute(folder)
     for stage in STAGES:
-        of_stage = [difference for difference in differences if difference.stage == stage.__name__]
-        worst = max(of_stage, key=lambda difference: (difference.is_too_large, difference.largest), default=None)
-        if worst is not None:
+        name = stage.__name__
+        of_stage = [difference for difference in differences if difference.stage == name]
+        if of_stage:
+            worst = max(of_stage, key=lambda row: (row.is_too_large, row.largest))
             verdict = "TOO LARGE" if worst.is_too_large else "ok"
-            print(f"{worst.stage:12} {worst.largest:8.1e}  {verdict:9}  pair {worst.pair_id}, {worst.column}")
+            place = f"pair {worst.pair_id}, {worst.column}"
+            print(f"{name:12} {worst.largest:8.1e}  {verdict:9}  {place}")
     return 1 if any(difference.is_too_large for difference in differences) else 0
 
 

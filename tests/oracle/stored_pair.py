@@ -56,7 +56,8 @@ class StoredPair:
 
     def scan(self, side):
         """The scan of a side, as it is in its file."""
-        return read_scan(self.pair.path(side), self.settings.input.columns_of(side), self.label_names)
+        columns = self.settings.input.columns_of(side)
+        return read_scan(self.pair.path(side), columns, self.label_names)
 
     def metadata(self, stage, side=""):
         """The stored metadata of a job."""
@@ -85,11 +86,13 @@ class StoredPair:
 
     def points(self, nodes):
         """Coordinates of some points of both sides."""
-        return [self.sides[side].points[indices] for side, indices in zip(SIDES, nodes, strict=True)]
+        real, sim = nodes
+        return [self.sides["real"].points[real], self.sides["sim"].points[sim]]
 
     def laplacians(self, nodes):
         """Dense Laplacians of the graphs among some points of both sides."""
-        return [self.sides[side].laplacian(indices) for side, indices in zip(SIDES, nodes, strict=True)]
+        real, sim = nodes
+        return [self.sides["real"].laplacian(real), self.sides["sim"].laplacian(sim)]
 
     def rows(self, table, recomputed, side=""):
         """All rows of a table, recomputed, next to the stored ones."""
@@ -101,7 +104,8 @@ class StoredPair:
     def values(self, table, stored, recomputed):
         """Single values by name."""
         names = list(recomputed)
-        return Recomputed(table, pd.DataFrame([stored], columns=names), pd.DataFrame([recomputed], columns=names))
+        stored_frame = pd.DataFrame([stored], columns=names)
+        return Recomputed(table, stored_frame, pd.DataFrame([recomputed]))
 
     def summary(self, recomputed):
         """Some columns of the pair's row of `pairs`."""
@@ -143,7 +147,8 @@ class StoredSide:
     def edges(self):
         """Indices of both ends of each edge, and the lengths."""
         graph = self._pair.table("graph", self.side)
-        return self.index(graph["src"]), self.index(graph["dst"]), graph["length_m"].to_numpy().astype(float)
+        length_m = graph["length_m"].to_numpy().astype(float)
+        return self.index(graph["src"]), self.index(graph["dst"]), length_m
 
     @cached_property
     def adjacency(self):

@@ -33,7 +33,7 @@ REJECTED = {
     r"got \(\)": 5.0,
     "expected at least 8 points": np.empty((0, 3)),
 }
-UNCHANGED_BY_MOTION = ("n_matched", "match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")
+UNCHANGED_BY_MOTION = ("n_matched", "match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean")
 
 
 @pytest.mark.parametrize("kind", ACCEPTED)

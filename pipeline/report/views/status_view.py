@@ -17,7 +17,7 @@ def status_view(status: RunStatus, more: View = ()) -> View:
     ----------
     more : what is shown of the run as well
     """
-    is_open = bool(status.damaged) or any(counts["stale"] or counts["to do"] for counts in status.stages.values())
+    is_open = any(counts["stale"] or counts["to do"] for counts in status.stages.values())
     finished = [stage for stage, counts in status.stages.items() if counts["done"] == status.n_pairs]
     lines = [f"done of all pairs: {', '.join(finished)}"] if finished else []
     for stage, counts in status.stages.items():
@@ -34,5 +34,9 @@ def status_view(status: RunStatus, more: View = ()) -> View:
         *map(Note, lines),
         *(Note(line, "red") for line in [*failed, *damaged]),
         *more,
-        *([Note(f"finish it with: {command_again(status.folder, status.dataset)}")] if is_open else ()),
+        *(
+            [Note(f"finish it with: {command_again(status.folder, status.dataset)}")]
+            if is_open or status.damaged
+            else ()
+        ),
     ]
