@@ -272,7 +272,7 @@ def status(
     run: RunFolder,
     timings: bool = False,
 ) -> None:
-    """Show the progress of a run: the number of pairs done, stale, failed and to do, by stage.
+    """Show the progress of a run: pairs done, stale, failed and to do, by stage; name damaged tables.
 
     Parameters
     ----------

@@ -212,7 +212,7 @@ def test_an_out_that_cannot_be_made_is_named_in_one_line(dataset, out):
     assert one_error(result).startswith(f"error: run {out}: cannot be written (")
 
 
-@pytest.mark.parametrize("words", [("show",), ("status",), ("gate", "--max", "r_lambda.mean=1"), ("verify",)])
+@pytest.mark.parametrize("words", [("show",), ("status",), ("gate", "--max", "r_lambda.mean=1")])
 def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
     (tmp_path / "page.html").touch()
     assert f"run {tmp_path}/page.html: " in one_error(command(words[0], tmp_path / "page.html", *words[1:]))

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+import literal_method
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import InputSettings, load
 from fidpipe.stages.clean import clean_scan
-from fidpipe.stages.literal import literal_method
 from scenes import rigid
 
 

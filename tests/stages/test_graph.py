@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from sknetwork.clustering import Louvain
 
+import literal_method
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import CommunitySettings, GraphSettings, MatchingSettings
 from fidpipe.stages.communities import find_communities
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.subgraph import Edges, adjacency
-from fidpipe.stages.literal import literal_method
 from fidpipe.stages.matching import match_communities
 from fidpipe.stages.objects import majority_labels
 from scenes import box
