@@ -82,7 +82,6 @@ def json_fields(scenario):
             "show RUN": printed("show", one),
             "show RUN PAIR": printed("show", one, pair),
             "show RUN PAIR OBJECT": printed("show", one, pair, "0"),
-            "show RUN --paper": printed("show", one, "--paper"),
             "compare": printed("compare", one, other),
             "compare --history": printed("compare", one, other, "--history"),
             "gate": gate.read_text(),

@@ -16,7 +16,6 @@ from ..engine.plan import Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import stages_under
 from ..storage.folder import RunFolder
-from ..storage.run_record import StageSeconds
 from .finished import record_of_run
 
 STATES = ("done", "stale", "failed", "to do")
@@ -28,7 +27,6 @@ class RunStatus:
 
     stages : by stage, how many pairs are in which state
     failures : why each failed pair failed
-    mean_seconds : by stage and step, mean over the pairs that have it
     """
 
     folder: Path
@@ -36,7 +34,6 @@ class RunStatus:
     n_pairs: int
     stages: dict[str, Counter[str]]
     failures: dict[str, str]
-    mean_seconds: dict[str, dict[str, float]]
 
 
 def run_status(folder: Path) -> RunStatus:
@@ -60,7 +57,7 @@ def run_status(folder: Path) -> RunStatus:
     stages, run_folder = stages_under(settings), RunFolder(folder)
     ledger, planner = run_folder.ledger, Planner(stages, settings, dataset.label_names)
     states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
-    seconds, failures = StageSeconds(), {}
+    failures: dict[str, str] = {}
     with RunEngine(run_folder, settings, Machines(workers=1), Reporter(Console(quiet=True))) as engine:
         engine.hash_files(dataset.pairs)
         for pair in dataset.pairs:
@@ -80,7 +77,4 @@ def run_status(folder: Path) -> RunStatus:
                 else:
                     state = "failed" if pair.pair_id in failures else "stale" if is_stale else "to do"
                 states[stage.name][state] += 1
-            for own in ledger.jobs(pair.pair_id).values():
-                if own.stage in states and own.name not in unwanted:
-                    seconds.add(own)
-    return RunStatus(folder, record["dataset"], len(dataset.pairs), states, failures, seconds.mean())
+    return RunStatus(folder, record["dataset"], len(dataset.pairs), states, failures)

@@ -1,6 +1,6 @@
 """Findings over the objects of all pairs: the numbers of the paper's section "Real experiments".
 
-Counts and distributions pool the objects of all pairs. Means over pairs are in `summary`, the claims in `claims`.
+Counts and distributions pool the objects of all pairs. Means over pairs are in `summary`.
 """
 
 from __future__ import annotations
@@ -278,18 +278,12 @@ def scans_apart(timestamps_s: Sequence[float | None]) -> list[int]:
     >>> scans_apart([0.0, 30.0, 61.0, None, 500.0])
     [0, 2, 4]
     """
-    chain = chain_apart(timestamps_s)
-    return [chain[i] for i in evenly(len(chain), N_SCANS)]
-
-
-def chain_apart(timestamps_s: Sequence[float | None]) -> list[int]:
-    """A longest chain of scans, each more than a minute after the one before; empty without timestamps."""
-    known = sorted((time, i) for i, time in enumerate(timestamps_s) if time is not None)
+    known = sorted((time_s, i) for i, time_s in enumerate(timestamps_s) if time_s is not None)
     chain: list[tuple[float, int]] = []
-    for time, i in known:
-        if not chain or time - chain[-1][0] > SCAN_GAP_S:
-            chain.append((time, i))
-    return [i for _, i in chain]
+    for time_s, i in known:
+        if not chain or time_s - chain[-1][0] > SCAN_GAP_S:
+            chain.append((time_s, i))
+    return [chain[place][1] for place in evenly(len(chain), N_SCANS)]
 
 
 def evenly(n: int, most: int) -> list[int]:
