@@ -283,7 +283,8 @@ def test_copies_of_a_pair_count_once(tmp_path):
             shutil.copy(data / side / "000.bin", data / side / f"{name}.bin")
     copied = run(data, tmp_path / "copied")
     assert copied.record.findings.n_independent == once.record.findings.n_independent == 1
-    assert "3 pairs count as 1" in command("show", tmp_path / "copied").stdout
+    cautions = [caution.words for caution in copied.record.overview.trust]
+    assert "3 pairs count as 1: copies, and scans within 10 s, count once" in cautions
 
 
 def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp_path):
