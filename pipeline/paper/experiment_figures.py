@@ -1,4 +1,4 @@
-"""The figures of the paper's experiments, `fidpipe perturb` (Fig. 3) and `fidpipe ablate` (Fig. "ablation")."""
+"""The figures of the paper's experiments, `fidpipe perturb` (Fig. 2) and `fidpipe ablate` (Fig. 5)."""
 
 from __future__ import annotations
 
