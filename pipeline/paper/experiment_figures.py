@@ -1,4 +1,4 @@
-"""The figures of the paper's experiments, `fidpipe perturb` (Fig. 3) and `fidpipe ablate` (Fig. "ablation")."""
+"""The figures of the paper's experiments, `fidpipe perturb` (Fig. 2) and `fidpipe ablate` (Fig. 5)."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def _draw_scores(axis: Any, outcome: AblateOutcome, name: str) -> None:
     if values.max() > 10 * values.min() > 0:
         axis.set_xscale("log")
     mark_amounts(axis, values)
-    axis.set(ylim=(0, 1), xlabel=PARAMETERS[name]["label"])
+    axis.set(ylim=(0, 1), xlabel=PARAMETERS[name].label)
 
 
 def _draw_maps(figure: Any, outcome: AblateOutcome) -> None:
@@ -156,5 +156,5 @@ def _draw_maps(figure: Any, outcome: AblateOutcome) -> None:
             axis.text(column, row, f"{value:.3f}", **look)
         axis.set_xticks(range(table.shape[1]), [f"{k:g}" for k in table.columns])
         axis.set_yticks(range(table.shape[0]), [f"{tau_m:g}" for tau_m in table.index])
-        axis.set(xlabel=PARAMETERS["k"]["label"], ylabel=PARAMETERS["tau_m"]["label"], title=metric_of(score).label)
+        axis.set(xlabel=PARAMETERS["k"].label, ylabel=PARAMETERS["tau_m"].label, title=metric_of(score).label)
         figure.colorbar(picture, ax=axis)

@@ -18,7 +18,6 @@ from ..engine.progress import Reporter
 from ..jobs import stages_under
 from ..stage import Stage
 from ..storage.folder import RunFolder
-from ..storage.run_record import StageSeconds
 from ..storage.table_files import JobName
 from .finished import record_of_run
 
@@ -31,7 +30,6 @@ class RunStatus:
 
     stages : by stage, how many pairs are in which state
     failures : why each failed pair failed
-    mean_seconds : by stage and step, mean over the pairs that have it
     damaged : names of the tables that are not as they were written
     """
 
@@ -40,7 +38,6 @@ class RunStatus:
     n_pairs: int
     stages: dict[str, Counter[str]]
     failures: dict[str, str]
-    mean_seconds: dict[str, dict[str, float]]
     damaged: list[str]
 
 
@@ -65,7 +62,6 @@ def run_status(folder: Path) -> RunStatus:
     stages, run_folder = stages_under(settings), RunFolder(folder)
     ledger, planner = run_folder.ledger, Planner(stages, settings, dataset.label_names)
     states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
-    seconds = StageSeconds()
     failures: dict[str, str] = {}
     damaged: list[str] = []
     with RunEngine(run_folder, settings, Machines(workers=1), Reporter(Console(quiet=True))) as engine:
@@ -86,8 +82,6 @@ def run_status(folder: Path) -> RunStatus:
             for job in ledger.jobs(pair.pair_id).values():
                 if job.name in unwanted:
                     damaged += run_folder.damaged_files(job)
-                elif job.stage in states:
-                    seconds.add(job)
     for job in ledger.jobs("").values():
         damaged += run_folder.damaged_files(job)
     return RunStatus(
@@ -96,7 +90,6 @@ def run_status(folder: Path) -> RunStatus:
         n_pairs=len(dataset.pairs),
         stages=states,
         failures=failures,
-        mean_seconds=seconds.mean(),
         damaged=damaged,
     )
 

@@ -100,7 +100,7 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
         ("diagnose {run} --tell-apart --beams", "one of --beams and --tell-apart"),
         ("diagnose {run} --tell-apart --set input.min_range_m=1", "two folders"),
         ("show {run} --csv --json", "give one of them"),
-        ("show {run} --markdown --paper", "leave out --paper"),
+        ("show {run} --markdown --all", "leave out --all"),
         ("gate {run}", "no criterion given"),
         ("export {run}", "no format given"),
         ("settings --json-schema --preset paper", "give it alone"),

@@ -10,13 +10,8 @@ from ..view import Note, View
 _MOST_LINES = 3
 
 
-def status_view(status: RunStatus, more: View = ()) -> View:
-    """Progress of a run in about ten lines: stages that all pairs have in one, the others one by one; failed pairs.
-
-    Parameters
-    ----------
-    more : what is shown of the run as well
-    """
+def status_view(status: RunStatus) -> View:
+    """Progress of a run in about ten lines: stages that all pairs have in one, the others one by one; failed pairs."""
     is_open = any(counts["stale"] or counts["to do"] for counts in status.stages.values())
     finished = [stage for stage, counts in status.stages.items() if counts["done"] == status.n_pairs]
     lines = [f"done of all pairs: {', '.join(finished)}"] if finished else []
@@ -33,7 +28,6 @@ def status_view(status: RunStatus, more: View = ()) -> View:
         Note(f"{url_or_path(status.folder)}: {status.n_pairs} pairs of {status.dataset}", "bold"),
         *map(Note, lines),
         *(Note(line, "red") for line in [*failed, *damaged]),
-        *more,
         *(
             [Note(f"finish it with: {command_again(status.folder, status.dataset)}")]
             if is_open or status.damaged
