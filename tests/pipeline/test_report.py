@@ -439,7 +439,7 @@ def test_points_in_the_page_have_the_distances_that_the_stored_coverage_is_of(ei
         for reach_m, reach in ((0.1, "0p1m"), (0.3, "0p3m"), (1.0, "1m")):
             assert (distance_m <= reach_m).mean() == pytest.approx(pair[f"covered_{side}_{reach}"], abs=1e-12)
         nearest = cKDTree(tables.clouds[side].points).query(points_in(view, side))[1]
-        shown = unpacked(view)[f"{side}_distance"] / 255
+        shown = unpacked(view["sides"][side]["distance"]) / 255
         assert np.abs(shown - np.minimum(distance_m[nearest], 1)).max() <= 0.5 / 255 + 1e-12
 
 
@@ -454,9 +454,9 @@ def test_a_page_has_every_point_of_every_object_and_no_other(either_run):
             assert distance_m.max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
             assert sorted(nearest) == list(range(len(shown)))
             assert np.repeat(counted["ids"], counted["counts"]).tolist() == cloud.community[nearest].tolist()
-            kept = cloud.point_ids[nearest[unpacked(view)[f"{side}_kept"] == 1]]
+            kept = cloud.point_ids[nearest[unpacked(counted["kept"]) == 1]]
             assert set(kept) == set(tables.selection[f"{side}_point_id"])
-            road = points_in(view, f"{side}_road")
+            road = points_in(view, side, "road")
             assert 0 < len(road) <= len(cloud.road)
             assert cKDTree(cloud.road).query(road)[0].max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
 
@@ -464,14 +464,14 @@ def test_a_page_has_every_point_of_every_object_and_no_other(either_run):
 def test_aligned_points_lie_as_the_alignment_error_is_measured(results):
     pair_id = results.pairs.pair_id[0]
     tables, view = PairFrames(results, pair_id), pair_data(results, pair_id)
-    columns = unpacked(view)
     real, sim = (points_in(view, side) for side in ("real", "sim"))
+    real_line, sim_line = (unpacked(view["sides"][side]["line"], "<i4") for side in ("real", "sim"))
     owner = np.repeat(view["sides"]["real"]["ids"], view["sides"]["real"]["counts"])
     for row in tables.matched.itertuples():
         move = np.array(view["moves"][str(row.real_id)])
-        is_own = owner[columns["real_line"]] == row.real_id
+        is_own = owner[real_line] == row.real_id
         assert is_own.sum() == row.n_keep
-        apart = real[columns["real_line"][is_own]] - sim[columns["sim_line"][is_own]] - move
+        apart = real[real_line[is_own]] - sim[sim_line[is_own]] - move
         assert np.sqrt((apart**2).sum(axis=1).mean()) == pytest.approx(row.alignment_rms_m, abs=2 * view["step_m"])
         assert np.abs(apart.mean(axis=0)).max() < view["step_m"], "both sides have one mean"
 
