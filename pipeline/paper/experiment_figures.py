@@ -17,10 +17,10 @@ from ..report.figures.style import (
     box_of,
     dots,
     draw_band,
+    draw_object,
     frame_of,
     from_above,
     mark_amounts,
-    metres,
     new_figure,
     shown_name,
 )
@@ -57,9 +57,7 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
         for place, chosen in enumerate(shown, start=1):
             axis = top.add_subplot(grid[place], projection="3d", **VIEW)
             own = points[community == chosen.community_id]
-            corner, size = box_of(own)
-            dots(axis, own - corner, 1.5, colours[chosen.name])
-            metres(axis, size, zoom=0.75)
+            draw_object(axis, own, colours[chosen.name], box_of(own), zoom=0.75)
             title = f"{shown_name(chosen.name)}: {chosen.n_points:,} points,\n{chosen.range_m:.0f} m away"
             axis.set_title(title, fontsize=8.5)
         if curves:

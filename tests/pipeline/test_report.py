@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.report.charts import along_the_sequence, range_bins, run_charts, score_spread
 from fidpipe.pipeline.report.figures import style
-from fidpipe.pipeline.report.figures.run_figures import draw_coverage
+from fidpipe.pipeline.report.figures.pair_plots import plot_coverage
 from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
 from fidpipe.pipeline.report.page.pair_data import pair_data, thinned
 from fidpipe.pipeline.report.page.run_data import page_data, page_words, score_limits, verdict_of
@@ -97,7 +97,8 @@ def test_the_figure_of_objects_shows_points_of_both_sides(written):
 
 def test_the_map_of_surfaces_has_what_is_missing_left_and_what_is_invented_right(by_reference, tmp_path):
     results = read_results(by_reference)
-    path, *_ = draw_coverage(results, results.pairs.pair_id[0], tmp_path)
+    figure = plot_coverage(results.run, results.pairs.pair_id[0])
+    path, *_ = style.save(figure, tmp_path, "coverage")
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
     near, far = (close_to(picture, RAMPS["light"][end]) for end in (0, -1))
     left, right = np.split(np.arange(int(0.85 * picture.shape[1])), [int(0.47 * picture.shape[1])])
@@ -194,7 +195,7 @@ def test_a_report_leaves_nothing_of_an_earlier_one_and_keeps_what_is_not_its_own
     notes = copied_run / "report" / "notes.txt"
     notes.write_text("mine")
     (copied_run / "figures" / "mine.png").write_bytes(b"")
-    monkeypatch.setattr("fidpipe.pipeline.report.figures.run_figures.draw_objects", lambda results, folder: [])
+    monkeypatch.setattr("fidpipe.pipeline.report.figures.run_figures.plot_objects", lambda *_: None)
     write_report(copied_run, with_figures=True)
     assert [path.name for path in notes.parent.iterdir()] == ["notes.txt"]
     assert {path.stem for path in (copied_run / "figures").iterdir()} == FIGURES - {"objects"} | {"mine"}
