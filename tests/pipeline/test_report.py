@@ -464,11 +464,11 @@ def test_a_page_has_every_point_of_every_object_and_no_other(either_run):
 
 def test_aligned_points_lie_as_the_alignment_error_is_measured(results):
     pair_id = results.pairs.pair_id[0]
-    tables, view = PairFrames(results, pair_id), pair_data(results, pair_id)
+    view = pair_data(results, pair_id)
     real, sim = (points_in(view, side) for side in ("real", "sim"))
     real_line, sim_line = (unpacked(view["sides"][side]["line"], "<i4") for side in ("real", "sim"))
     owner = np.repeat(view["sides"]["real"]["ids"], view["sides"]["real"]["counts"])
-    for row in tables.matched.itertuples():
+    for row in results.matched[results.matched.pair_id == pair_id].itertuples():
         move = np.array(view["moves"][str(row.real_id)])
         is_own = owner[real_line] == row.real_id
         assert is_own.sum() == row.n_keep

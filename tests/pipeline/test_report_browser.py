@@ -16,7 +16,7 @@ from browsers import IN_3D, by_id, choose, missing_programs, open_page, resize, 
 from fidpipe.pipeline.report.page.compare_page import compare_page, history_page
 from fidpipe.pipeline.report.page.run_data import score_limits
 from fidpipe.pipeline.report.page.run_page import write_report
-from fidpipe.pipeline.report.run_frames import PairFrames, read_results
+from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.compare import compare_runs, read_history
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 
@@ -489,7 +489,7 @@ def test_road_and_sensor_are_seen_and_road_can_be_left_out(page):
 @pytest.mark.exhaustive
 def test_an_unmatched_object_says_how_much_of_it_is_road_and_cannot_be_aligned(page, report_run):
     results = read_results(report_run)
-    lone = PairFrames(results, FIRST_PAIR).unmatched
+    lone = results.unmatched[results.unmatched.pair_id == FIRST_PAIR]
     for row in lone.head(3).itertuples():
         choose(page, "object", f"{row.side} {row.community_id}")
         share = getattr(row, f"road_share_{row.side}")

@@ -39,7 +39,6 @@ def plot_object(run: FinishedRun, pair_id: str, name: str) -> Figure:
     members = {side: cloud[is_member[side]] for side, cloud in clouds.items()}
     low, high = box_around(np.concatenate([*members.values()]))
     box = style.box_of(np.stack([low, high]))
-    figure: Figure
     with style.new_figure(7.5, 3.5, _object_title(facts, pair_id)) as figure:
         for place, (side, cloud) in enumerate(clouds.items(), start=1):
             axis = figure.add_subplot(1, 2, place, projection="3d", **style.VIEW)
@@ -75,12 +74,11 @@ def plot_objects(run: FinishedRun, matched: pd.DataFrame, class_is: str) -> Figu
     chosen = _choose_objects(matched, class_is)
     if chosen.empty:
         return None
-    figure: Figure
     with style.new_figure(2.9 * max(2, len(chosen)), 5.8) as figure:
         # The layout does not see the label of z.
         figure.set_layout_engine("constrained", rect=(0, 0, 0.975, 1))
         grid = figure.add_gridspec(3, len(chosen), height_ratios=(1, 1, 0.3))
-        for place, row in enumerate(chosen.itertuples()):
+        for place, (_, row) in enumerate(chosen.iterrows()):
             members = _members(run, row.pair_id, {"real": row.real_id, "sim": row.sim_id})
             box = style.box_of(np.concatenate([*members.values()]))
             for level, (side, points) in enumerate(members.items()):

@@ -47,9 +47,8 @@ def plot_overview(run: FinishedRun, matched: pd.DataFrame, pair_id: str) -> Figu
     points = object_points(run, pair_id)
     matched = matched[matched.pair_id == pair_id]
     n_objects = points["real"].community_id.max() + 1
-    figure: Figure
     with style.new_maps(_frame(points), 3, _title(pair_id)) as (figure, axes):
-        draw_communities(points["real"], axes[0])
+        draw_objects(points["real"], axes[0])
         axes[0].set_title(f"(A) {n_objects} objects of the real scan")
         draw_both_sides(points, axes[1])
         draw_centroids(points, matched, axes[1])
@@ -65,7 +64,6 @@ def plot_coverage(run: FinishedRun, pair_id: str) -> Figure:
     points = object_points(run, pair_id)
     distances_m = nearest_distances(_xyz(points["real"]), _xyz(points["sim"]))
     missing, invented = (100 * np.mean(distance_m > _UNCOVERED_M) for distance_m in distances_m)
-    figure: Figure
     with style.new_maps(_frame(points), 2, _title(pair_id)) as (figure, axes):
         for axis, side, distance_m in zip(axes, SIDES, distances_m, strict=True):
             coloured = draw_distances(points[side].assign(distance_m=distance_m), axis)
@@ -91,7 +89,6 @@ def plot_unmatched(run: FinishedRun, unmatched: pd.DataFrame, pair_id: str) -> F
     title = "unmatched objects"
     if len(unmatched):
         title += f", median range {unmatched.range_m.median():.0f} m"
-    figure: Figure
     with style.new_maps(_frame(points), 2, _title(pair_id)) as (figure, axes):
         draw_both_sides(points, axes[0])
         axes[0].set_title("all objects")
@@ -110,7 +107,6 @@ def plot_pieces(run: FinishedRun, pair_id: str) -> Figure:
     settings = PieceSettings.model_validate(run.record.settings["pieces"])
     missing, invented = find_pieces(scans[0], scans[1], settings)
     frame = style.frame_of(*(scan.points[~scan.is_ground] for scan in scans))
-    figure: Figure
     with style.new_maps(frame, 2, _title(pair_id)) as (figure, axes):
         draw_pieces(points["real"], missing, FATE_COLOURS["missing"], axes[0])
         axes[0].set_title(f"{len(missing.partner)} missing pieces, {100 * missing.share:.0f} % of the real points")
@@ -121,7 +117,7 @@ def plot_pieces(run: FinishedRun, pair_id: str) -> Figure:
     return figure
 
 
-def draw_communities(points: pd.DataFrame, axis: Any) -> None:
+def draw_objects(points: pd.DataFrame, axis: Any) -> None:
     """Draw points, each object in a colour."""
     community = points.community_id.to_numpy(dtype=int)
     style.dots(axis, _xyz(points), 1.2, style.community_colours(community.max() + 1)[community])
@@ -201,7 +197,6 @@ def plot_range_image(run: FinishedRun, pair_id: str) -> Figure:
         "sim_range_m": "simulated range on the same rays",
     }
     farthest_m = float(np.nanquantile(rays[[*titles]].to_numpy(dtype=float), 0.99))
-    figure: Figure
     with style.new_figure(11, 5, _title(pair_id)) as figure:
         axes = figure.subplots(3, 1, sharex=True)
         for axis, (name, title) in zip(axes, titles.items(), strict=False):

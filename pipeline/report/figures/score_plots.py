@@ -26,7 +26,6 @@ def plot_distributions(matched: pd.DataFrame) -> Figure:
     ----------
     matched : the matched objects, as in `RunResults`
     """
-    figure: Figure
     with style.new_figure(10, 3.3) as figure:
         *histograms, scatter = figure.subplots(1, 3, width_ratios=(1, 1, 1.35))
         for axis, score in zip(histograms, SCORES, strict=True):
@@ -79,11 +78,10 @@ def plot_boxes(matched: pd.DataFrame, class_is: str, scans: Sequence[str]) -> Fi
     matched, class_is : the matched objects of the run and what their groups are, as in `RunResults`
     scans : names of pairs
     """
-    classes = matched.group.value_counts().index[:_MOST_CLASSES]
+    classes = [*matched.group.value_counts().index[:_MOST_CLASSES]]
     of_scans = _groups(matched, "pair_id", scans)
     of_classes = _groups(matched, "group", classes)
     widths = (1 + len(of_scans), 1 + len(of_classes))
-    figure: Figure
     with style.new_figure(10, 3.3) as figure:
         left, right = figure.subplots(1, 2, width_ratios=widths, sharey=True)
         draw_boxes(of_scans, left)

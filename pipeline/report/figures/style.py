@@ -9,13 +9,16 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ....stages.arrays import FloatArray
 from ...storage.files import write_whole
 from ..look import GREY, RAMPS, clipped
+
+if TYPE_CHECKING:
+    from .shown_figure import ShownFigure
 
 #: Where points in space are seen from.
 VIEW = {"elev": 20, "azim": -60}
@@ -32,7 +35,7 @@ def in_our_style() -> Any:
 
 
 @contextmanager
-def new_figure(width_in: float, height_in: float, title: str = "") -> Iterator[Any]:
+def new_figure(width_in: float, height_in: float, title: str = "") -> Iterator[ShownFigure]:
     """A figure in our style that needs no display, and that notebooks show."""
     from .shown_figure import ShownFigure
 
@@ -94,7 +97,7 @@ def frame_of(*clouds: FloatArray) -> FloatArray:
 
 
 @contextmanager
-def new_maps(frame: FloatArray, n_maps: int, title: str) -> Iterator[tuple[Any, Any]]:
+def new_maps(frame: FloatArray, n_maps: int, title: str) -> Iterator[tuple[ShownFigure, Any]]:
     """A figure of maps side by side, and their axes; what is drawn on them is seen from above.
 
     Parameters

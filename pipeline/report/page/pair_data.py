@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ....schemas.columns import SIDES, Row
-from ....stages.arrays import FloatArray, IndexArray
+from ....stages.arrays import FloatArray, IndexArray, IntArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.surface import signed_distances
 from ...results.object_frame import plain_rows
@@ -147,7 +147,7 @@ def _side_data(tables: PairFrames, side: str, shown: IndexArray, step_m: float) 
     return data
 
 
-def _lines(tables: PairFrames, shown: dict[str, IndexArray]) -> dict[str, IndexArray]:
+def _lines(tables: PairFrames, shown: dict[str, IndexArray]) -> dict[str, IntArray]:
     """By side the places, among the shown points, of the aligned nodes that both sides show."""
     places = {}
     for side, cloud in tables.clouds.items():
