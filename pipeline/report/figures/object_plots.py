@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import METRIC
 from ....stages.arrays import BoolArray, FloatArray
-from ....stages.statistics.typical_objects import SHAPES
 from ...results.finished import FinishedRun, ObjectFacts, object_facts
 from ..look import SIDE_COLOURS
 from ..pictures import box_around, inside
@@ -62,16 +61,16 @@ def _object_title(facts: ObjectFacts, pair_id: str) -> str:
     return title
 
 
-def plot_objects(run: FinishedRun, matched: pd.DataFrame, class_is: str) -> Figure | None:
+def plot_objects(run: FinishedRun, matched: pd.DataFrame) -> Figure | None:
     """Up to four typical objects, real above simulated, with their scores.
 
     Returns None if no object has a spectral score.
 
     Parameters
     ----------
-    matched, class_is : the matched objects of the run and what their groups are, as in `RunResults`
+    matched : the matched objects of the run, as in `RunResults`
     """
-    chosen = _choose_objects(matched, class_is)
+    chosen = _choose_objects(matched)
     if chosen.empty:
         return None
     with style.new_figure(2.9 * max(2, len(chosen)), 5.8) as figure:
@@ -105,17 +104,15 @@ def _members(run: FinishedRun, pair_id: str, ids: dict[str, int]) -> dict[str, F
     return members
 
 
-def _choose_objects(matched: pd.DataFrame, class_is: str) -> pd.DataFrame:
+def _choose_objects(matched: pd.DataFrame) -> pd.DataFrame:
     """Up to four objects to look at: of each class that of median r_lambda in the larger half.
 
-    Labelled runs show car, vegetation, tree and wall, as the paper does, where they occur, then the
-    most frequent other labels; others show the shape classes, then the largest objects.
+    Car, vegetation, tree and wall come first, as in the paper, then the most frequent other classes
+    (or shapes), then the largest objects.
     """
     scored = matched[matched.r_lambda.notna()]
-    preferred = _CLASSES if class_is == "class" else tuple(SHAPES.values())
     frequent = [*scored.group.value_counts().index]
-    names = [name for name in preferred if name in frequent]
-    names += [name for name in frequent if name not in preferred]
+    names = sorted(frequent, key=lambda name: name not in _CLASSES)
     chosen = []
     for name in names[:4]:
         rows = scored[scored.group == name]

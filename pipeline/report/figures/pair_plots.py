@@ -68,10 +68,12 @@ def plot_coverage(run: FinishedRun, pair_id: str) -> Figure:
         for axis, side, distance_m in zip(axes, SIDES, distances_m, strict=True):
             coloured = draw_distances(points[side].assign(distance_m=distance_m), axis)
         axes[0].set_title(
-            f"(A) missing surface: {missing:.0f} % of the real points\nhave no simulated one within {_UNCOVERED_M} m"
+            f"(A) missing surface: {missing:.0f} % of the real points\n"
+            f"have no simulated one within {_UNCOVERED_M:.1f} m"
         )
         axes[1].set_title(
-            f"(B) invented surface: {invented:.0f} % of the simulated points\nhave no real one within {_UNCOVERED_M} m"
+            f"(B) invented surface: {invented:.0f} % of the simulated points\n"
+            f"have no real one within {_UNCOVERED_M:.1f} m"
         )
         style.colour_bar(axes[1], coloured, "distance to the other side (m)", extend="max")
     return figure

@@ -32,7 +32,7 @@ def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[P
         "unmatched": plot_unmatched(run, results.unmatched, median),
         "distributions": plot_distributions(results.matched),
         "box_plots": plot_boxes(results.matched, results.class_is, scans),
-        "objects": plot_objects(run, results.matched, results.class_is),
+        "objects": plot_objects(run, results.matched),
     }
     paths = []
     for name, figure in figures.items():

@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 VIEW = {"elev": 20, "azim": -60}
 
 #: Formats in which each figure is written, each with the metadata of its file.
-KINDS: dict[str, dict[str, None]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+KINDS: dict[str, dict[str, None]] = {
+    "png": {},
+    "svg": {"Date": None},
+    "pdf": {"CreationDate": None},
+}
 
 
 def in_our_style() -> Any:
@@ -130,7 +134,13 @@ def from_above(axis: Any, frame: FloatArray) -> None:
     if axis.get_subplotspec().is_first_col():
         axis.set_ylabel("y, left (m)")
     if axis.get_legend_handles_labels()[0]:  # a fixed way under the axis, clear of its label
-        legend = axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=4.3, ncols=3, handletextpad=0.1)
+        legend = axis.legend(
+            loc="upper center",
+            bbox_to_anchor=(0.5, 0),
+            borderaxespad=4.3,
+            ncols=3,
+            handletextpad=0.1,
+        )
         for handle in legend.legend_handles:
             handle.set(sizes=[22], alpha=1)
 
@@ -143,7 +153,11 @@ def box_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def draw_object(
-    axis: Any, points: FloatArray, colour: str, box: tuple[FloatArray, FloatArray], zoom: float = 0.87
+    axis: Any,
+    points: FloatArray,
+    colour: str,
+    box: tuple[FloatArray, FloatArray],
+    zoom: float = 0.87,
 ) -> None:
     """Draw points in space, in metres from the corner of their box (see `box_of`)."""
     corner, size = box

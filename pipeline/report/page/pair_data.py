@@ -1,7 +1,8 @@
 """Content of a page about one pair: its objects, the points of both sides, road, aligned nodes.
 
-Points are 16-bit integers in units of a small step. Each array is packed as base64 of its deflated bytes, which the
-browser reads as a typed array. Points are sorted so that neighbours follow one another, which compresses well.
+Points are 16-bit integers in units of a small step. Each array is packed as base64 of its deflated
+bytes, which the browser reads as a typed array. Points are sorted so that neighbours follow one
+another, which compresses well.
 """
 
 from __future__ import annotations
@@ -25,7 +26,16 @@ from ..views.show_view import alone_judgement, judgement
 
 #: Properties shown of a chosen object, the first ones at first sight; an object shows those that it has.
 FACTS = (
-    *("range_m", "cdc", "r_lambda", *OBJECT_COVERAGE, "centroid_distance_m", "n_real", "n_sim", "bearing_deg"),
+    *(
+        "range_m",
+        "cdc",
+        "r_lambda",
+        *OBJECT_COVERAGE,
+        "centroid_distance_m",
+        "n_real",
+        "n_sim",
+        "bearing_deg",
+    ),
     *("r_gap", "quadrant", *OBJECT_ROAD, "alignment_rms_m", "n_keep", "group", "status", "reason"),
     *("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim"),
 )

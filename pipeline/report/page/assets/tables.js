@@ -5,7 +5,7 @@
 import { report } from "./draw.js";
 
 const ROWS_AT_ONCE = 100;
-export const NULL_SIGN = "–";
+const NULL_SIGN = "–";
 const steering = new RegExp(report.steering, "g");
 export const shown = (text) =>
   String(text).replace(steering, (sign) => `\\u${sign.charCodeAt(0).toString(16).padStart(4, "0")}`);
@@ -28,8 +28,10 @@ export function element(tag, text, attributes = {}, ...children) {
 export const records = (columns, rows) =>
   rows.map((row) => Object.fromEntries(columns.map((column, i) => [column, row[i]])));
 
-// A value of a column as its cell shows it.
-const cellText = (value, { digits }) => (typeof value === "number" ? number(value, digits) : (value ?? NULL_SIGN));
+// A value of a column as the page shows it.
+export function cellText(value, { digits }) {
+  return typeof value === "number" ? number(value, digits) : (value ?? NULL_SIGN);
+}
 
 // Order of two values, nulls last in both directions.
 function order(a, b, isUp) {
