@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.image import imread
 
 import fidpipe
-from fidpipe.pipeline.report.figures.run_plots import plot_range_image
+from fidpipe.pipeline.report.figures.pair_plots import plot_range_image
 from fidpipe.pipeline.report.look import SIDE_COLOURS
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.tables import TABLES
