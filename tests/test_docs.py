@@ -69,3 +69,18 @@ def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(t
     assert {pair.pair_id: pair.timestamp_s for pair in times} == {f"{20 * i}.000": 20.0 * i for i in range(8)}
     assert "8 of 8 pairs can be evaluated" in command("check", "drive", "build42").stdout
     assert "0 jobs done" in command("run", "drive", "build42", "--preset", "reference").stdout
+
+
+def test_the_snippets_of_how_do_i_run(report_run, tmp_path, monkeypatch):
+    (tmp_path / "runs").mkdir()
+    for build in ("build41", "build42"):
+        (tmp_path / "runs" / build).symlink_to(report_run)
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for _, code in blocks("how-do-i.md", "python"):
+        exec(code, names)
+    pairs = pd.DataFrame(fidpipe.open_run(report_run).scored)
+    assert names["table"].mean().to_dict() == pytest.approx(
+        dict.fromkeys(["build41", "build42"], pairs.cdc_mean.mean())
+    )
+    assert (tmp_path / "cdc.png").stat().st_size > 0

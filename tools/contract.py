@@ -84,7 +84,6 @@ def json_fields(scenario):
             "show RUN PAIR OBJECT": printed("show", one, pair, "0"),
             "show RUN --paper": printed("show", one, "--paper"),
             "compare": printed("compare", one, other),
-            "compare --history": printed("compare", one, other, "--history"),
             "gate": gate.read_text(),
             "verify": printed("verify", one),
             "diagnose": printed("diagnose", other),

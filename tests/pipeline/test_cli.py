@@ -104,8 +104,6 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
         ("compare {run} {run} --fail-on nose", "expected worse or undecided, got 'nose'"),
         ("compare {run} {run} --junit a.xml", "give it as well"),
         ("compare {run} {run} --json --csv", "give one of them"),
-        ("compare {run} {run} --by-date", "--history"),
-        ("compare {run} {run} --history --fail-on worse", "without it"),
         ("diagnose {run} elsewhere", "--tell-apart"),
         ("diagnose {run} --tell-apart --beams", "one of --beams and --tell-apart"),
         ("diagnose {run} --tell-apart --set input.min_range_m=1", "two folders"),
