@@ -192,18 +192,6 @@ def _read_gate_json(folder):
     return criteria
 
 
-def _sensor_settings():
-    text = 'noise_stddev = 0.03\nchannels = "32"\nupper_fov = 10.0\n'
-    return [{"a.toml": text.encode()}, {"a.json": json.dumps({"channels": 32, "range": 80}).encode()}]
-
-
-def _read_sensor_settings(folder):
-    from fidpipe.pipeline.inspect.sensor_settings import read_sensor_settings
-
-    (path,) = folder.glob("a.*")
-    return read_sensor_settings(path)
-
-
 _RECORD = SimpleNamespace(inputs={}, settings={}, stages={})
 
 
@@ -272,7 +260,6 @@ TARGETS = SCANS | {
     "criteria": Target(_criteria, _read_criteria, words=(b"[[criterion]]\n", b"[criterion]\n", b"max = nan\n")),
     "sensor table": Target(_sensors, _read_sensor, words=(b"channels = ", b"[a]\n", b"elevation_deg", b"[[1]]")),
     "recipe": Target(_recipes, _go_on, words=(b"[files]\n", b'"../x"', b'".."', b"[[seed]]\n", b'"\\u0000"', b"nan")),
-    "sensor settings": Target(_sensor_settings, _read_sensor_settings, words=(b"channels = ", b"[a]\n", b"[[1]]")),
     "diagnosis.json": Target(_diagnoses, _read_diagnosis, hot="diagnosis", words=(b"NaN", b"[[[[", b"null", b"1e999")),
     "gate.json": Target(_gate_json, _read_gate_json, words=(b"NaN", b"[[[[", b'{"a":', b"null", b"1e999")),
     "names at Tab": Target(_records, _complete, hot="run", words=(b"[[[[", b"null", b'{"inputs": [5]}', b"\x00")),
