@@ -143,7 +143,6 @@ def all_commands(dataset):
     yield FIDPIPE, "floor", dataset, "--out", "floor", "--workers", "1", "--pairs", "000"
     yield FIDPIPE, "perturb", dataset, "--out", "perturbed", "--workers", "1", "--pairs", "000", "--repeats", "1"
     yield FIDPIPE, "ablate", dataset, "--out", "ablated", "--workers", "1", "--pairs", "000"
-    yield FIDPIPE, "convert", dataset / "real" / "000.bin", "scan.ply"
     yield FIDPIPE, "settings"
 
 

@@ -28,9 +28,9 @@ LOOPBACK = (
 GENERATED = re.compile(r"PKG-INFO|setup\.cfg|fidpipe\.egg-info/.*")
 MISSING = {  # a command on a machine with the required libraries alone, and what its only line must advise
     "synth": (["synth", "streets"], "synth"),
-    "ros": (["convert", "scan.bag", "out.ply"], "ros"),
-    "velodyne": (["convert", "scan.pcap", "out.ply"], "velodyne"),
-    "las": (["convert", "scan.las", "out.ply"], "las"),
+    "ros": (["pair", "scan.bag", "scan.bag", "--out", "paired"], "ros"),
+    "velodyne": (["pair", "scan.pcap", "scan.pcap", "--out", "paired"], "velodyne"),
+    "las": (["run", "las", "--workers", "1"], "las"),
     "patchwork": (["run", "dataset", "--set", "ground.method=patchwork", "--out", "patchwork"], "patchwork"),
 }
 
@@ -91,8 +91,11 @@ def try_wheel(folder):
         run(fidpipe, *words.split(), cwd=place)
     page = (place / "runs" / "dataset" / "report.html").stat().st_size
     demand(page > 100_000, f"the report has {page} bytes")
-    for ending in ("bag", "pcap", "las"):
-        (place / f"scan.{ending}").write_bytes(b"LASF" if ending == "las" else b"\0" * 64)
+    for ending in ("bag", "pcap"):
+        (place / f"scan.{ending}").write_bytes(b"\0" * 64)
+    for side in ("real", "sim"):
+        (place / "las" / side).mkdir(parents=True)
+        (place / "las" / side / "scan.las").write_bytes(b"LASF")
     for extra, (words, advised) in MISSING.items():
         refused = subprocess.run([fidpipe, *words], cwd=place, capture_output=True, text=True, check=False)
         lines = [line for line in refused.stderr.splitlines() if re.search(rf"pip install .fidpipe\[{advised}\]", line)]

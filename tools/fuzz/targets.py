@@ -225,17 +225,6 @@ def _complete(folder):
         raise FidpipeError("no names")
 
 
-def _names_beside():
-    rows = "x,y,z,label\n1,2,3,car\n4,5,6,tree\n"
-    return [{"scan.csv": rows.encode(), "out/labels.toml": b'1 = "car"\n7 = "tree"\n'}]
-
-
-def _convert(folder):
-    from fidpipe.pipeline.exchange.convert import convert
-
-    return convert(folder / "scan.csv", folder / "out" / "a.ply", replace=True)
-
-
 def _exported():
     message = [("/fidpipe/points", 10**9, lambda types: cloud(types, _ROWS))]
     files = files_written(lambda folder: write_bag(folder / "a_mcap", message))
@@ -263,8 +252,5 @@ TARGETS = SCANS | {
     "diagnosis.json": Target(_diagnoses, _read_diagnosis, hot="diagnosis", words=(b"NaN", b"[[[[", b"null", b"1e999")),
     "gate.json": Target(_gate_json, _read_gate_json, words=(b"NaN", b"[[[[", b'{"a":', b"null", b"1e999")),
     "names at Tab": Target(_records, _complete, hot="run", words=(b"[[[[", b"null", b'{"inputs": [5]}', b"\x00")),
-    "labels.toml to write": Target(
-        _names_beside, _convert, hot="out/", words=(b"[a]\n", b'a = "b"\n', b"-1 = ", b'""')
-    ),
     "file in the way": Target(_exported, _in_the_way, words=SCANS["mcap"].words),
 }
