@@ -105,7 +105,6 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
         ("compare {run} {run} --junit a.xml", "give it as well"),
         ("compare {run} {run} --json --csv", "give one of them"),
         ("diagnose {run} elsewhere", "--tell-apart"),
-        ("diagnose {run} --tell-apart --beams", "one of --beams and --tell-apart"),
         ("diagnose {run} --tell-apart --set input.min_range_m=1", "two folders"),
         ("show {run} --csv --json", "give one of them"),
         ("show {run} --markdown --paper", "leave out --paper"),
