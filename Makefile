@@ -47,7 +47,6 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy -p fidpipe
 	$(BIN)/lint-imports
-	$(BIN)/python tools/prose.py
 	$(BIN)/codespell
 	$(BIN)/python tools/size.py
 
