@@ -123,6 +123,11 @@ def test_a_shifted_and_mirrored_scan_is_named_as_both():
     assert "input.sim_frame=carla and T_real_sim" in found.setting
 
 
+def test_a_small_rotation_with_a_shift_is_not_named():
+    found = check(scene(), moved(again(scene()), rigid(6, [1.6, 0.3, 0])))
+    assert (found.is_suspect, found.reading) == (False, "as given")
+
+
 def test_a_mirror_that_is_set_and_should_not_be_is_named():
     found = check(scene(), again(scene()), sim_flip_y=True)
     assert (found.reading, found.setting) == ("mirrored in y", "input.sim_flip_y=false")
