@@ -22,7 +22,7 @@ from ..stages.method import Evaluation, evaluate, n_communities
 from .datasets.readers import read_scan
 from .datasets.readers.scan import Scan
 from .engine.pool import one_blas_thread
-from .jobs import stages_under
+from .jobs import causes_job, stages_under
 from .jobs.communities_job import communities_result
 from .jobs.coverage_job import coverage_result
 from .jobs.graph_job import graph_result
@@ -69,6 +69,7 @@ class PairResult:
     pieces: pd.DataFrame
     rays: pd.DataFrame
     ray_scores: pd.DataFrame
+    causes: pd.DataFrame
     selection: pd.DataFrame
     metrics: pd.DataFrame
     baselines: pd.DataFrame | None = None
@@ -130,9 +131,10 @@ def evaluate_pair(
         found = evaluate(scans["real"].points, scans["sim"].points, settings)
         tables, metadata = _results(found, scans, settings)
         for stage in stages_under(settings):
-            if stage.is_extra:
+            if stage.is_extra or stage is causes_job.STAGE:
                 result = stage.make(Inputs(pair_id=_PAIR, part="", settings=settings, tables=tables, outputs=metadata))
                 tables |= {(name, ""): partial(_whole, rows) for name, rows in result.tables.items()}
+                metadata |= {(name, ""): result.metadata for name in result.tables}
     summary: dict[str, Any] = {"pair_id": _PAIR, "status": "scored"}
     for own in metadata.values():
         summary |= plain_metadata(own.get(OF_PAIR, {}))

@@ -216,28 +216,54 @@ class Findings(ObjectFindings):
     n_independent: int
 
 
+class Evidence(Result):
+    """Curves behind a cause, means over pairs, at the middles of the bins `x`.
+
+    real, sim : both sides; `real` is null for a displacement
+    corrected : the simulated side without its displacement; null for other causes
+    """
+
+    x_label: str
+    y_label: str
+    x: tuple[float, ...]
+    real: tuple[float, ...] | None
+    sim: tuple[float, ...]
+    corrected: tuple[float, ...] | None
+
+
 class Cause(Result):
     """A flaw of the simulator with the setting that controls it; see `pipeline.results.causes`.
 
-    words, detail : the flaw with its number and direction; further evidence, "" if none
-    estimate, low, high : mean over pairs with its 95 % interval in `unit`; the interval is null below 3 pairs
-    unit : "m", "deg", "share" or "" for a count
-    real, sim : values behind the estimate: of each side, or of the other surface and of this one
-    severity : share of the surface that it affects, 0 to 1; causes are ordered by it
+    kind : "sensor" for a property of the sensor or its pose, "world" for what differs from place to place
+    words : the flaw with its amount and direction
+    estimate, low, high : mean over pairs with its 95 % interval in `unit`
+    unit : "m", "deg", "share" or "" for a number
+    real, sim : means of the values of both sides; null if the cause has none
+    share : share of the surface that it affects, 0 to 1
+    gain_m : metres by which the surface distance becomes smaller if it is corrected; null if that was not measured
+    gain : the same as a share of the distance beyond that of a perfect second measurement; null if there is hardly any
+    is_upper_bound : real returns were restored, so that the gain is at most this
+    limbs : identifiers of PerCollECT's LidarLimbs cause tree
+    evidence : curves to look at; null if there are none
     """
 
     name: str
+    kind: str
     words: str
-    detail: str
     setting: str
     estimate: float
-    low: float | None
-    high: float | None
+    low: float
+    high: float
     unit: str
     n_pairs: int
-    real: float
-    sim: float
-    severity: float
+    real: float | None
+    sim: float | None
+    share: float
+    gain_m: float | None = None
+    gain: float | None = None
+    is_upper_bound: bool = False
+    limbs: tuple[int, ...] = ()
+    evidence: Evidence | None = None
 
 
 class Piece(Result):
@@ -332,21 +358,6 @@ class CauseEstimate(Result):
     resolution: float
     setting: str
     values: dict[str, float]
-
-
-class Evidence(Result):
-    """Curves behind a cause, means over pairs, at the middles of the bins `x`.
-
-    real, sim : both sides; `real` is null for a displacement
-    corrected : the simulated side without its displacement; null for other causes
-    """
-
-    x_label: str
-    y_label: str
-    x: tuple[float, ...]
-    real: tuple[float, ...] | None
-    sim: tuple[float, ...]
-    corrected: tuple[float, ...] | None
 
 
 class DiagnosedCause(Result):

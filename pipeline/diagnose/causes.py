@@ -9,8 +9,8 @@ import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES, CauseModel
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.diagnose.evidence import FLAT, LOSSES, UNEVEN
-from ...stages.diagnose.gain import Shares
+from ...stages.causes.evidence import FLAT, LOSSES, UNEVEN
+from ...stages.causes.gain import Shares
 from ...stages.displacement import PARAMETERS
 from ...stages.statistics.comparison import block_means
 from ..results.causes import mean_interval, size_words

@@ -15,9 +15,9 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
 from ...schemas.results import CauseEstimate, DiagnosedCause, Diagnosis, Evidence
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.diagnose.curves import AXES, curves
-from ...stages.diagnose.evidence import PairEstimates, PairScans, Side, amounts_of_floor, estimate
-from ...stages.diagnose.gain import Shares, changes, corrections, off_shares, shares, surface_distance
+from ...stages.causes.curves import AXES, curves
+from ...stages.causes.evidence import PairEstimates, PairScans, Side, amounts_of_floor, estimate
+from ...stages.causes.gain import Shares, changes, corrections, off_shares, shares, surface_distance
 from ...stages.displacement import PARAMETERS, Displacement
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, blocks_of
 from ..engine.progress import Reporter

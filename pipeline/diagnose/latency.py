@@ -9,8 +9,8 @@ import numpy as np
 from scipy import stats
 
 from ...stages.arrays import FloatArray
-from ...stages.diagnose.evidence import PairScans
-from ...stages.diagnose.gain import surface_distance
+from ...stages.causes.evidence import PairScans
+from ...stages.causes.gain import surface_distance
 from ...stages.displacement import PARAMETERS, fit_displacement
 
 AHEAD = "forward"

@@ -12,7 +12,6 @@ from ...schemas.results import JsonObject
 from ...stages.sensor_description import pair_columns, sensor_lines
 from ..engine.costs import CostModel
 from ..report.view import Note, Table, View
-from ..results.causes import with_tolerance
 from ..storage.files import free_bytes, megabytes
 from .scan_checks import DatasetCheck
 from .sensor_settings import DIFFERS
@@ -77,7 +76,7 @@ def _sensor_lines(sensors: SensorCheck) -> list[Note]:
     lines = [Note(f"Sensors (estimated from {pairs})", "bold")] if sensors.sides else []
     for side, facts in sensors.sides.items():
         lines += [Note(names[side]), *(Note(f"  {line}") for line in sensor_lines(facts))]
-    lines += [Note(f"differs: {text}", "yellow") for text in with_tolerance(sensors.differences, row)]
+    lines += [Note(f"differs: {text}", "yellow") for text in sensors.differences]
     return [*lines, *(Note(f"warning: {text}", "yellow") for text in sensors.unlike)]
 
 

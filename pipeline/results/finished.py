@@ -31,7 +31,6 @@ from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.run_record import RUN_JSON, command_again, finished_record
 from ..storage.urls import url_or_path
-from .diagnosis import diagnosed
 from .object_frame import ALL_COLUMNS, COLUMNS_OF, object_parts, plain_rows
 
 if TYPE_CHECKING:
@@ -158,7 +157,7 @@ class FinishedRun:
     @property
     def overview(self) -> Overview | None:
         """The first answer of the run, with the causes of its diagnosis if it has one; None if no pair is scored."""
-        return diagnosed(self.folder, self.record, self.record.overview)
+        return self.record.overview
 
     @property
     def preset(self) -> str:

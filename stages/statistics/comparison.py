@@ -125,6 +125,23 @@ def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | 
     return Difference(*counts, std, float(low), float(high))
 
 
+def mean_interval(values: FloatArray) -> tuple[float, float, float]:
+    """Mean with its 95 % interval (Student's t on n - 1 degrees of freedom); below 3 values, their range.
+
+    Parameters
+    ----------
+    values : (n,) float64, at least one
+    """
+    from scipy.special import stdtrit  # takes longer to load than the rest of `show`
+
+    n = len(values)
+    mean = float(values.mean())
+    if n < LEAST_FOR_INTERVAL:
+        return mean, float(values.min()), float(values.max())
+    reach = float(stdtrit(n - 1, (1 + CONFIDENCE) / 2) * values.std(ddof=1) / np.sqrt(n))
+    return mean, mean - reach, mean + reach
+
+
 def mean_test(change: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The p-value of a mean of 0, and the ends of its 95 % interval: Student's t on (n - 1) / 2 degrees of freedom.
 

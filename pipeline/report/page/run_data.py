@@ -21,7 +21,6 @@ from ...results.diagnosis import gain_words, interval_words, read_diagnosis
 from ...results.floor import RunExcess
 from ...results.gate import Criterion, judge_run
 from ...results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, plain_rows
-from ...results.overview import over_floor
 from ...terminal import STEERING
 from ..charts import MOST_DOTS, along_the_sequence, evidence_chart, run_charts
 from ..look import PAGE_COLOURS, SIGNED_RAMP_M
@@ -212,7 +211,7 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
     is_met is True if the acceptance criteria of the last gate are met, None without any.
     """
     record = results.run.record
-    overview = over_floor(results.run, excess.floor) if excess else results.run.overview
+    overview = results.run.overview
     if overview is None:
         raise RunError(f"run {results.run.folder}: no pair is scored, so there is nothing to report")
     is_met, good_enough = _good_enough(results, excess)

@@ -8,13 +8,13 @@ from pathlib import Path
 from ....schemas.metric_catalogue import metric_of
 from ....schemas.record import RunRecord
 from ....schemas.results import Overview
-from ...results.diagnosis import BASE
+from ...results.causes import MOST_SHOWN, interval_words
 from ...results.floor import FloorRecipe, RunExcess, read_recipe, run_of_floor
 from ...storage.urls import url_or_path
 from ..view import Answers, Note, View, number, percent, shortened
 
 #: Causes, places and cautions that are shown without --all.
-_FEW = 5, 3, 2
+_FEW = MOST_SHOWN, 3, 2
 _PAIR = 16
 _SCORES = ("cdc_mean", "r_lambda_mean", "r_gap_mean")
 _COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
@@ -23,7 +23,7 @@ _NO_CAUSE = (
     "no cause can be named before the warning above is dealt with",
 )
 #: Cautions that are shown above the answer.
-_SHOWN_ABOVE = ("failed", "frames", BASE)
+_SHOWN_ABOVE = ("failed", "frames")
 
 
 def answer_view(
@@ -39,7 +39,7 @@ def answer_view(
 
     Parameters
     ----------
-    overview : of the record, or over a floor (`over_floor`)
+    overview : of the record
     excess : the run over a floor, whose coverage is shown
     with_all : all causes, places and cautions
     took : time and reused jobs of a run that just ended
@@ -49,8 +49,10 @@ def answer_view(
     if overview is None:
         return [line]
     n_causes, n_places, n_cautions = (None, None, None) if with_all else _FEW
-    causes = [(f"{i}  {own.words}", own.detail, own.setting) for i, own in enumerate(overview.causes[:n_causes], 1)]
-    causes = [(own.words, "", "") for own in overview.trust if own.kind == BASE] + causes
+    causes = [
+        (f"{i}  {cause.words}", f"95 %: {interval_words(cause)}", cause.setting)
+        for i, cause in enumerate(overview.causes[:n_causes], 1)
+    ]
     pieces = overview.pieces[:n_places]
     names = shortened({own.pair_id for own in pieces}, _PAIR)
     trust = [own.words for own in overview.trust if own.kind not in _SHOWN_ABOVE][:n_cautions]

@@ -32,7 +32,6 @@ from ....schemas.record import (
 )
 from ....schemas.results import ClassFindings, Findings, Overview, Unmatched
 from ....stages.coverage import ABSENT, THERE
-from ...results.diagnosis import diagnosed
 from ...results.floor import RunExcess
 from ...storage.run_record import unmatched_worst
 from ...storage.urls import url_or_path
@@ -54,7 +53,7 @@ _SEED_SCORES = HEADLINE_SCORES[:4]
 def outcome_view(outcome: RunOutcome) -> View:
     """The end of a run: failures, baselines and spread over seeds if computed, and the first answer."""
     record, rows = outcome.record, outcome.pairs.select(["pair_id", "status", "reason"]).to_pylist()
-    overview = diagnosed(outcome.folder, record, record.overview)
+    overview = record.overview
     seconds = record.wall_s["total"]
     took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     jobs = f", {outcome.n_made} jobs done, {outcome.n_reused} reused" * bool(outcome.n_reused)

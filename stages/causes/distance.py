@@ -1,0 +1,107 @@
+"""Distance between the surfaces of two scans, and that of a perfect second measurement."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.random import Generator
+from scipy.spatial import cKDTree
+
+from ..arrays import FloatArray, IndexArray
+from ..surfels import fit_planes
+from .sides import SCATTERED, Side
+
+#: Distances to the other side count up to this.
+REACH_M = 1.0
+_SAMPLE = 4000
+_NEIGHBOURS = 16
+_OFF_STDS, _LEAST_STD_M = 3.0, 0.02  # of a flat surface, from which a point is off
+
+
+def every_kth(points: FloatArray) -> FloatArray:
+    """Every k-th point, 4000 at most."""
+    return points[:: len(points) // _SAMPLE + 1]
+
+
+def surface_distance(real: FloatArray, sim: FloatArray, real_tree: cKDTree | None = None) -> float:
+    """Mean distance to the other side, counted up to 1 m, averaged over both directions; metres.
+
+    It is also the mean uncovered share over all reaches from 0 to 1 m, since the integral of P(d > r) over r in
+    [0, 1 m] is the mean of min(d, 1 m). Of both sides, every k-th point is used, 4000 at most.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    real_tree : search tree of the real points, if it exists already
+    """
+    if not len(sim):
+        return REACH_M
+    to_sim = _mean_apart(cKDTree(sim), every_kth(real))
+    to_real = _mean_apart(cKDTree(real) if real_tree is None else real_tree, every_kth(sim))
+    return (to_sim + to_real) / 2
+
+
+def _mean_apart(tree: cKDTree, points: FloatArray) -> float:
+    """Mean distance of some points to the nearest of a tree, each counted up to 1 m."""
+    apart_m, _ = tree.query(points, distance_upper_bound=REACH_M)
+    return float(np.minimum(apart_m, REACH_M).mean())
+
+
+def surface_floor(real: Side, aligned: Side, rng: Generator) -> float:
+    """Surface distance of a perfect second measurement of the real scan, with rays like the simulated ones; metres.
+
+    Real points are moved along the surface by the angle between the simulated rays and the real ones (the median, in a
+    random direction), and along the ray by the range noise of the real sensor; returns are lost in the share that the
+    real sensor loses. So neither the spacing of points nor the noise of a measurement counts as a difference.
+
+    Parameters
+    ----------
+    aligned : the simulated side without its displacement
+    """
+    rows = _sample_rows(len(real.points))
+    angle, _ = aligned.ray_tree.query(real.rays[rows])
+    points = real.points
+    range_m = real.range_m
+    step_m = float(np.median(angle)) * range_m
+    moved = points + _along_surface(real, rng) * step_m[:, None]
+    noise_m = real.sensor.range_noise_m or 0.0
+    moved += real.rays * rng.normal(0.0, noise_m, len(points))[:, None]
+    is_kept = rng.random(len(points)) >= (real.sensor.lost_in_all or 0.0)
+    return surface_distance(points, moved[is_kept], real.tree)
+
+
+def _sample_rows(n: int) -> IndexArray:
+    return np.arange(0, n, n // _SAMPLE + 1)
+
+
+def _along_surface(side: Side, rng: Generator) -> FloatArray:
+    """(n, 3) random unit vectors across the rays; on planes they lie in the plane, elsewhere across the ray."""
+    random = rng.normal(size=side.points.shape)
+    across = random - (random * side.rays).sum(axis=1, keepdims=True) * side.rays
+    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-9)[:, None]
+    normal = side.planes.normal
+    toward = (side.rays * normal).sum(axis=1)
+    is_plane = (side.planes.scattering < SCATTERED) & ~side.planes.is_line & (np.abs(toward) > 0.1)
+    # the ray turns across by a small angle: it meets the plane where the offset along the ray cancels that along n
+    along_ray = -(across * normal).sum(axis=1) / np.where(is_plane, toward, 1.0)
+    return across + np.where(is_plane, along_ray, 0.0)[:, None] * side.rays
+
+
+def off_share(a: FloatArray, b: FloatArray) -> float:
+    """Share of the flat surface of two scans that the other has elsewhere, averaged over both directions.
+
+    A point is off if the plane through the 16 nearest points of the other scan is farther than three times their
+    standard deviation, and 6 cm. It does not depend on which rays both scans have; points more than 1 m from the mean
+    of those neighbours, and neighbours that are scattered or on a line, do not count. Of both, every k-th point is
+    used, 4000 at most.
+    """
+    return (_off_share_of(a, b) + _off_share_of(b, a)) / 2
+
+
+def _off_share_of(points: FloatArray, other: FloatArray) -> float:
+    chosen = every_kth(points)
+    planes = fit_planes(other, chosen, _NEIGHBOURS)
+    offset = chosen - planes.mean
+    is_flat = (planes.scattering < SCATTERED) & ~planes.is_line & ((offset**2).sum(axis=1) < REACH_M**2)
+    limit_m = _OFF_STDS * np.maximum(np.sqrt(planes.variance[:, 0]), _LEAST_STD_M)
+    is_off = np.abs((offset * planes.normal).sum(axis=1)) > limit_m
+    return float(is_off[is_flat].mean()) if is_flat.any() else 0.0
