@@ -20,7 +20,7 @@ PARAMETERS = (
 BEHIND_DEG = 180.0
 SEAMS_DEG = (BEHIND_DEG, 0.0, 90.0, -90.0)
 _COARSE_STEPS = 2
-_CLEARLY = 0.85  # misfit of another seam, over that behind
+_CLEARLY = 0.93  # misfit of another seam, over that behind
 _IS_ANGLE = np.isin(PARAMETERS, ("roll", "pitch", "yaw"))
 _VOXEL_M = 0.5
 _MOST_PLACES = 6000
@@ -43,6 +43,12 @@ class Displacement:
 
     values: FloatArray
     seam_deg: float = BEHIND_DEG
+
+    def without(self, parameter: int) -> Displacement:
+        """The displacement without one of its parameters."""
+        values = self.values.copy()
+        values[parameter] = 0.0
+        return Displacement(values, self.seam_deg)
 
     def of(self, points: FloatArray, is_ground: BoolArray) -> FloatArray:
         """(n, 3) metres, displacement of real points."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from typing import Any
+
 import numpy as np
 import pyarrow as pa
 
@@ -9,12 +12,14 @@ from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import SIDES
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
-from ...stages.causes.estimates import Amount, estimate
+from ...stages.causes.estimates import Amount, Pose, estimate
 from ...stages.causes.sides import PairScans, Side
+from ...stages.displacement import Displacement
 from ...stages.sensor_description import SensorDescription
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
 
+POSE = "pose"  #: metadata: fields of `Pose`, None without enough surface in common
 POINT_COLUMNS = ("x", "y", "z", "is_ground")
 _TOO_LITTLE = "the scans have too little surface in common"
 
@@ -26,11 +31,14 @@ def make_causes(inputs: Inputs) -> JobResult:
     if estimates is None:
         amounts = {name: Amount(None, reason=_TOO_LITTLE) for name in CAUSES}
         distances: Metadata = {"surface_distance_m": None, "surface_floor_m": None}
+        pose = None
     else:
         amounts = estimates.amounts | intensity_amounts(inputs)
         distances = {"surface_distance_m": estimates.distance_m, "surface_floor_m": estimates.floor_m}
+        pose = asdict(estimates.pose)
+        pose["displacement"]["values"] = estimates.pose.displacement.values.tolist()
     rows = [_row(inputs.pair_id, name, amounts.get(name, Amount(None, reason="not estimated"))) for name in CAUSES]
-    return JobResult({"causes": TABLES["causes"].from_rows(rows)}, {OF_PAIR: distances})
+    return JobResult({"causes": TABLES["causes"].from_rows(rows)}, {OF_PAIR: distances, POSE: pose})
 
 
 def _row(pair_id: str, name: str, amount: Amount) -> dict[str, float | str | None]:
@@ -44,6 +52,19 @@ def pair_scans(inputs: Inputs) -> PairScans:
     real, sim = (_side(inputs, side) for side in SIDES)
     sim.T_real_sim = T_real_sim
     return PairScans(real, sim)
+
+
+def pose_of(metadata: dict[str, Any]) -> Pose | None:
+    """The pose that the job has left in its metadata."""
+    pose = metadata[POSE]
+    if pose is None:
+        return None
+    displacement = pose["displacement"]
+    return Pose(
+        Displacement(np.array(displacement["values"]), displacement["seam_deg"]),
+        pose["elevation_scale"],
+        SensorDescription(**pose["sensor"]),
+    )
 
 
 def _side(inputs: Inputs, side: str) -> Side:

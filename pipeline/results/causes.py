@@ -36,6 +36,9 @@ _FLAT_OF_SOLID = 0.25
 _BLURRED = ("elevation noise", "azimuth noise")
 #: Part of the resolution that covers the errors of 95 % of the estimates.
 _ACCURACY = 0.7
+#: Displacements move every point: they count if they explain this part of the distance that all others leave.
+LEAST_PART_OF_POSE = 0.15
+_OF_POSE = (*PARAMETERS, "elevation scale")
 #: Independent places that all lie beyond a resolution.
 _ENOUGH = 4
 _COLUMNS = ("cause", "amount", "real", "sim", "share", "reason")
@@ -95,6 +98,8 @@ def named_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Ca
     blocks = independent_blocks(blocks)
     causes = []
     for name in _named(amounts, blocks, is_change=False):
+        if name in _OF_POSE and _mean(values[name].share) < LEAST_PART_OF_POSE:
+            continue
         causes.append(_cause(CAUSES[name], values[name], values[name].amount, blocks))
     return sorted(causes, key=lambda cause: -cause.share)
 

@@ -10,17 +10,18 @@ from ...schemas.columns import SIDES
 from ...schemas.data_files import read_data
 from ..arrays import FloatArray
 from ..surface import describe_surface, signed_distances
-from .evidence import PairEstimates, PairScans, find_unmatched, foliage_steps
+from .estimates import Pose, find_unmatched, foliage_steps
+from .sides import PairScans
 
 _POINTS = 4000  # of the simulated side, evenly
 _REACH_M = 0.5
 
 
 #: Axis of a curve by its kind: its label, that of the values, and the edges of its bins.
-AXES = {kind: {**own, "edges": np.linspace(*own["edges"])} for kind, own in read_data("curves").items()}
+AXES = {kind: {**axis, "edges": np.linspace(*axis["edges"])} for kind, axis in read_data("curves").items()}
 
 
-def curves(scans: PairScans, found: PairEstimates, kind: str) -> Mapping[str, FloatArray]:
+def curves(scans: PairScans, pose: Pose, kind: str) -> Mapping[str, FloatArray]:
     """The curve of each side over the bins of an axis, per cent.
 
     Of pieces: the points that only one side has. Of foliage: the steps of the simulated side. Of a displacement: the
@@ -28,7 +29,7 @@ def curves(scans: PairScans, found: PairEstimates, kind: str) -> Mapping[str, Fl
     them. Of all others: both sides ("real", "sim").
     """
     real, sim, edges = scans.real, scans.sim, AXES[kind]["edges"]
-    corrected = found.undisplaced(sim)
+    corrected = pose.undisplaced(sim)
     if kind in ("road", "objects"):
         rows = np.flatnonzero(sim.is_ground == (kind == "road"))
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _POINTS)).round().astype(int))]

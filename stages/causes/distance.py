@@ -17,11 +17,6 @@ _NEIGHBOURS = 16
 _OFF_STDS, _LEAST_STD_M = 3.0, 0.02  # of a flat surface, from which a point is off
 
 
-def every_kth(points: FloatArray) -> FloatArray:
-    """Every k-th point, 4000 at most."""
-    return points[:: len(points) // _SAMPLE + 1]
-
-
 def surface_distance(real: FloatArray, sim: FloatArray, real_tree: cKDTree | None = None) -> float:
     """Mean distance to the other side, counted up to 1 m, averaged over both directions; metres.
 
@@ -35,12 +30,12 @@ def surface_distance(real: FloatArray, sim: FloatArray, real_tree: cKDTree | Non
     """
     if not len(sim):
         return REACH_M
-    to_sim = _mean_apart(cKDTree(sim), every_kth(real))
-    to_real = _mean_apart(cKDTree(real) if real_tree is None else real_tree, every_kth(sim))
+    to_sim = mean_apart(cKDTree(sim), real[sample_rows(len(real))])
+    to_real = mean_apart(cKDTree(real) if real_tree is None else real_tree, sim[sample_rows(len(sim))])
     return (to_sim + to_real) / 2
 
 
-def _mean_apart(tree: cKDTree, points: FloatArray) -> float:
+def mean_apart(tree: cKDTree, points: FloatArray) -> float:
     """Mean distance of some points to the nearest of a tree, each counted up to 1 m."""
     apart_m, _ = tree.query(points, distance_upper_bound=REACH_M)
     return float(np.minimum(apart_m, REACH_M).mean())
@@ -57,7 +52,7 @@ def surface_floor(real: Side, aligned: Side, rng: Generator) -> float:
     ----------
     aligned : the simulated side without its displacement
     """
-    rows = _sample_rows(len(real.points))
+    rows = sample_rows(len(real.points))
     angle, _ = aligned.ray_tree.query(real.rays[rows])
     points = real.points
     range_m = real.range_m
@@ -69,7 +64,8 @@ def surface_floor(real: Side, aligned: Side, rng: Generator) -> float:
     return surface_distance(points, moved[is_kept], real.tree)
 
 
-def _sample_rows(n: int) -> IndexArray:
+def sample_rows(n: int) -> IndexArray:
+    """Every k-th row of n, 4000 at most."""
     return np.arange(0, n, n // _SAMPLE + 1)
 
 
@@ -98,7 +94,7 @@ def off_share(a: FloatArray, b: FloatArray) -> float:
 
 
 def _off_share_of(points: FloatArray, other: FloatArray) -> float:
-    chosen = every_kth(points)
+    chosen = points[sample_rows(len(points))]
     planes = fit_planes(other, chosen, _NEIGHBOURS)
     offset = chosen - planes.mean
     is_flat = (planes.scattering < SCATTERED) & ~planes.is_line & ((offset**2).sum(axis=1) < REACH_M**2)

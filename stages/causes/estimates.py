@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +21,7 @@ from .beams import (
     road_blur_deg2,
     second_returns,
 )
-from .distance import surface_distance, surface_floor
+from .distance import mean_apart, sample_rows, surface_distance, surface_floor
 from .sides import FAR_M, PLANE_NEIGHBOURS, SCATTERED, PairScans, Side
 
 #: Amount that is not a cause: variance of the share of returns between directions, beyond that of counting and of the
@@ -36,7 +35,7 @@ CLUTTER_M = 6.0
 LOSSES = ("lost returns", "lost far returns", "lost grazing returns")
 #: Neighbourhood of a shape.
 SHAPE_M = 0.6
-_NOTICED_M = 0.3  # displacement that counts as a whole
+_LEAST_MOVED_M = 0.005  # mean displacement whose part in the distance is measured
 _NOISY_M = 0.1  # range error that counts as a whole
 _CELL_DEG = 2.0
 _DOUBTFUL_BEAMS = 3
@@ -77,22 +76,17 @@ class Amount:
 
 
 @dataclass(frozen=True)
-class PairEstimates:
-    """Estimates of one pair.
+class Pose:
+    """How a simulated side lies against the real one.
 
     displacement : of the simulated side
-    sensor : of the simulated side, as it is without the displacement
-    elevation_scale : by which simulated elevations are too large
-    amounts : by name of the cause
-    distance_m, floor_m : surface distance of both sides, and of a perfect second measurement
+    elevation_scale : by which its elevations are too large
+    sensor : its sensor, as it is without the displacement
     """
 
     displacement: Displacement
-    sensor: SensorDescription
     elevation_scale: float
-    amounts: dict[str, Amount]
-    distance_m: float
-    floor_m: float
+    sensor: SensorDescription
 
     def undisplaced(self, sim: Side) -> Side:
         """The simulated side without its displacement and the scale of its elevations."""
@@ -100,9 +94,19 @@ class PairEstimates:
         points = self.displacement.undo(points, sim.is_ground)
         return Side(points, sim.is_ground, self.sensor, sim.T_real_sim)
 
-    def amount(self, name: str) -> float | None:
-        """The amount of a cause, or None if it is unknown."""
-        return self.amounts[name].amount if name in self.amounts else None
+
+@dataclass(frozen=True)
+class PairEstimates:
+    """Estimates of one pair.
+
+    amounts : by name of the cause
+    distance_m, floor_m : surface distance of both sides, and of a perfect second measurement
+    """
+
+    pose: Pose
+    amounts: dict[str, Amount]
+    distance_m: float
+    floor_m: float
 
 
 def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
@@ -111,21 +115,42 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     Specific flaws come first, and take what they explain: second returns, blind directions, dead and exchanged beams
     do not count as missing, invented or lost.
     """
-    real, _ = _without_second_returns(scans.real)
+    real, real_second_share = _without_second_returns(scans.real)
     sim, second_share = _without_second_returns(scans.sim)
-    fit = _fit_pose(real, sim)
-    if fit is None:
+    pose = fit_pose(real, sim)
+    if pose is None:
         return None
-    displacement, scale, aligned = fit
-    sensor = _described(real, aligned)
-    aligned = Side(aligned.points, aligned.is_ground, sensor, aligned.T_real_sim)
-    amounts = _pose_amounts(displacement, scale, real, sim)
-    real_second_share = float(second_returns(scans.real).mean())
-    amounts["second returns"] = _difference(real_second_share, second_share, share=second_share - real_second_share)
-    amounts |= _amounts(real, aligned, sim)
+    aligned = pose.undisplaced(sim)
     distance_m = surface_distance(scans.real.points, scans.sim.points, scans.real.tree)
     floor_m = surface_floor(scans.real, aligned, np.random.default_rng(seed))
-    return PairEstimates(displacement, sensor, scale, amounts, distance_m, floor_m)
+    amounts = _pose_amounts(pose, real, sim, floor_m)
+    amounts["second returns"] = _difference(real_second_share, second_share, share=second_share - real_second_share)
+    amounts |= _amounts(real, aligned, sim)
+    return PairEstimates(pose, amounts, distance_m, floor_m)
+
+
+def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | None:
+    """Pose and beams of a simulated side against another one of the same place, such as of an earlier version.
+
+    Most of the surface is the same on both, so that these amounts are far more accurate than differences of two amounts
+    against the real scan. None if the scans have too little surface in common.
+    """
+    pose = fit_pose(base, sim)
+    if pose is None:
+        return None
+    amounts = dict(zip(PARAMETERS, pose.displacement.values.tolist(), strict=True))
+    if elevation_scale(base.sensor, sim.sensor) is not None:
+        amounts["elevation scale"] = pose.elevation_scale
+    if base.sensor.elevation_deg:
+        aligned = pose.undisplaced(sim)
+        explained = explain_directions(base, aligned)
+        for name, amount in (
+            ("beams", _beam_amount(base, aligned, explained)),
+            ("elevation noise", _elevation_noise(base, aligned, sim)),
+        ):
+            if amount.amount is not None:
+                amounts[name] = amount.amount
+    return pose, amounts
 
 
 def _difference(real: float, sim: float, share: float | None = None) -> Amount:
@@ -139,8 +164,8 @@ def _without_second_returns(side: Side) -> tuple[Side, float]:
     return (side.chosen(~is_second) if share > _MANY_SECOND else side), share
 
 
-def _fit_pose(real: Side, sim: Side) -> tuple[Displacement, float, Side] | None:
-    """Displacement of the simulated side, the scale of its elevations, and the side without both.
+def fit_pose(real: Side, sim: Side) -> Pose | None:
+    """Displacement of the simulated side and the scale of its elevations; None without enough surface in common.
 
     A scale of the elevations of the beams counts only if undoing it brings the surfaces closer: beams can also be
     spaced differently without distorting the world.
@@ -149,19 +174,16 @@ def _fit_pose(real: Side, sim: Side) -> tuple[Displacement, float, Side] | None:
     if displacement is None:
         return None
     aligned = replace_points(sim, displacement.undo(sim.points, sim.is_ground))
-    scale = elevation_scale(real.sensor, sim.sensor)
-    if scale is None or abs(scale) < _LEAST_SCALE:
-        return displacement, 0.0, aligned
-    points = scale_elevations(sim.points, 1.0 / (1.0 + scale))
-    other = fit_displacement(real.points, points, real.is_ground)
-    if other is None:
-        return displacement, 0.0, aligned
-    rescaled = replace_points(sim, other.undo(points, sim.is_ground))
-    distance_m = surface_distance(real.points, aligned.points, real.tree)
-    rescaled_m = surface_distance(real.points, rescaled.points, real.tree)
-    if rescaled_m > _BETTER * distance_m:
-        return displacement, 0.0, aligned
-    return other, scale, rescaled
+    scale = elevation_scale(real.sensor, sim.sensor) or 0.0
+    if abs(scale) >= _LEAST_SCALE:
+        points = scale_elevations(sim.points, 1.0 / (1.0 + scale))
+        other = fit_displacement(real.points, points, real.is_ground)
+        if other is not None:
+            rescaled = replace_points(sim, other.undo(points, sim.is_ground))
+            distance_m = surface_distance(real.points, aligned.points, real.tree)
+            if surface_distance(real.points, rescaled.points, real.tree) < _BETTER * distance_m:
+                return Pose(other, scale, _described(real, rescaled))
+    return Pose(displacement, 0.0, _described(real, aligned))
 
 
 def replace_points(side: Side, points: FloatArray) -> Side:
@@ -193,23 +215,40 @@ def _described(real: Side, aligned: Side) -> SensorDescription:
     return replace(aligned.sensor, elevation_deg=again.elevation_deg or aligned.sensor.elevation_deg)
 
 
-def _pose_amounts(displacement: Displacement, scale: float, real: Side, sim: Side) -> dict[str, Amount]:
-    """Amounts of the displacement and of the elevation scale; shares are of 0.3 m of the displacement of each point."""
+def _pose_amounts(pose: Pose, real: Side, sim: Side, floor_m: float) -> dict[str, Amount]:
+    """Amounts of the displacement and of the elevation scale.
+
+    The share of each is its part of the distance from the simulated to the real surface that the others leave: how much
+    of the distance over the floor disappears if it is undone as well.
+    """
+    displacement, scale = pose.displacement, pose.elevation_scale
+    rows = sample_rows(len(sim.points))
+    rescaled = scale_elevations(sim.points[rows], 1.0 / (1.0 + scale))
+    is_ground = sim.is_ground[rows]
+    after_m = mean_apart(real.tree, displacement.undo(rescaled, is_ground))
     amounts = {}
     for i, name in enumerate(PARAMETERS):
-        values = np.zeros(len(PARAMETERS))
-        values[i] = displacement.values[i]
-        length_m = np.linalg.norm(Displacement(values).of(sim.points, sim.is_ground), axis=1)
-        share = float(np.minimum(length_m / _NOTICED_M, 1.0).mean())
-        amounts[name] = Amount(float(displacement.values[i]), share=share)
-    known = elevation_scale(real.sensor, sim.sensor)
-    if known is None:
+        value = float(displacement.values[i])
+        without = displacement.without(i)
+        moved_m = np.linalg.norm(displacement.of(rescaled, is_ground) - without.of(rescaled, is_ground), axis=1)
+        share = 0.0
+        if moved_m.mean() > _LEAST_MOVED_M:
+            with_it_m = mean_apart(real.tree, without.undo(rescaled, is_ground))
+            share = _part_of(with_it_m - after_m, after_m - floor_m)
+        amounts[name] = Amount(value, share=share)
+    if elevation_scale(real.sensor, sim.sensor) is None:
         amounts["elevation scale"] = Amount(None, reason="the beams of both sides do not correspond")
     else:
-        length_m = np.linalg.norm(scale_elevations(sim.points, 1.0 + scale) - sim.points, axis=1)
-        share = float(np.minimum(length_m / _NOTICED_M, 1.0).mean())
-        amounts["elevation scale"] = Amount(scale, share=share)
+        with_it_m = mean_apart(real.tree, displacement.undo(sim.points[rows], is_ground))
+        amounts["elevation scale"] = Amount(scale, share=_part_of(with_it_m - after_m, after_m - floor_m))
     return amounts
+
+
+def _part_of(gain_m: float, left_m: float) -> float:
+    """Part of a gain in the distance that was there before it; 0 if there is no gain."""
+    if gain_m <= 0.0:
+        return 0.0
+    return gain_m / (gain_m + max(left_m, 0.0))
 
 
 @dataclass(frozen=True)
@@ -350,14 +389,14 @@ def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
     missing, invented = find_unmatched(real, sim, explained)
     is_used_real = ~(missing.is_piece | missing.is_moved | missing.is_beyond | explained.real)
     is_used_sim = ~(invented.is_piece | invented.is_moved | explained.sim)
-    amounts = {
+    return {
         "maximum range": _maximum_range(real, sim, missing, invented),
         "minimum range": _difference(float(np.quantile(real.range_m, 0.001)), float(np.quantile(sim.range_m, 0.001))),
         "moved pieces": _share_of(missing.is_moved),
         "missing pieces": _share_of(missing.is_piece),
         "invented pieces": _share_of(invented.is_piece),
         "clutter": _share_of(invented.is_clutter),
-        "mixed pixels": _stray_amount(real, sim),
+        "mixed pixels": _stray_amount(real, recorded),
         "blind sector": Amount(explained.blind_deg, share=float(explained.is_blind.mean())),
         "far surface": _far_surface(real, missing, explained),
         **_losses(real, sim, is_used_real, is_used_sim),
@@ -365,7 +404,6 @@ def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
         FLAT: _flat_amount(real, sim),
         **_sensor_amounts(real, sim, recorded, explained),
     }
-    return amounts
 
 
 def _share_of(is_concerned: BoolArray) -> Amount:
@@ -510,8 +548,8 @@ def _losses(real: Side, sim: Side, is_used_real: BoolArray, is_used_sim: BoolArr
     """
     real_step, sim_step = real.sensor.azimuth_step_deg, sim.sensor.azimuth_step_deg
     firings = real_step / sim_step if real_step and sim_step else 1.0  # simulated ones per real one
-    n_real, range_m, n_kinds = _by_cell(real, is_used_real)
-    n_sim, sim_range_m, _ = _by_cell(sim, is_used_sim)
+    n_real, range_m, n_kinds = _by_cell(real, is_used_real, LOSSES[1:])
+    n_sim, sim_range_m, _ = _by_cell(sim, is_used_sim, ())
     is_alike = (n_real >= _FEWEST) & (n_sim > 0) & (np.abs(sim_range_m - range_m) <= _ALIKE * range_m)
     n_real, n_sim = n_real[is_alike], n_sim[is_alike]
     kinds = {}
@@ -539,7 +577,9 @@ def _losses(real: Side, sim: Side, is_used_real: BoolArray, is_used_sim: BoolArr
     return amounts
 
 
-def _by_cell(side: Side, is_used: BoolArray) -> tuple[IndexArray, FloatArray, dict[str, IndexArray]]:
+def _by_cell(
+    side: Side, is_used: BoolArray, kinds: tuple[str, ...]
+) -> tuple[IndexArray, FloatArray, dict[str, IndexArray]]:
     """By cell of 2 degrees of direction: number of used returns, their median range (longer of two), number by kind."""
     used = np.flatnonzero(is_used)
     rows = (side.elevation_deg[used] + 90.0) // _CELL_DEG
@@ -550,7 +590,7 @@ def _by_cell(side: Side, is_used: BoolArray) -> tuple[IndexArray, FloatArray, di
     range_m = side.range_m[used]
     n = np.bincount(cell, minlength=n_cells)
     middle = np.minimum(np.cumsum(n) - n + n // 2, len(cell) - 1)
-    by_kind = {name: np.bincount(cell[side.concerned(name)[used]], minlength=n_cells) for name in LOSSES[1:]}
+    by_kind = {name: np.bincount(cell[side.concerned(name)[used]], minlength=n_cells) for name in kinds}
     return n, range_m[np.lexsort((range_m, cell))][middle], by_kind
 
 
