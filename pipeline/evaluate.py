@@ -54,7 +54,6 @@ class PairResult:
     matching, coverage, surface, pieces, rays, ray_scores, selection, metrics : of the pair
     baselines : of the pair, where `metrics.baselines` names some
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
-    nvs : of the pair, where `nvs.scores` is set
     """
 
     summary: dict[str, Any]
@@ -74,7 +73,6 @@ class PairResult:
     metrics: pd.DataFrame
     baselines: pd.DataFrame | None = None
     seeds: pd.DataFrame | None = None
-    nvs: pd.DataFrame | None = None
 
     def __repr__(self) -> str:
         names = ("n_matched", "n_missing", "n_hallucinated", "match_rate", "cdc_mean", "r_lambda_mean")

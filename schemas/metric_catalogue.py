@@ -32,7 +32,7 @@ class PaperMean:
 class Metric:
     """One score.
 
-    group : object, pair, coverage, surface, piece, ray, intensity, baseline, nvs, or dataset (all scans at once)
+    group : object, pair, coverage, surface, piece, ray, intensity, or baseline
     column : name in the tables, with the unit if it has one
     heading : short name for table headings, without the unit
     short : heading for narrow columns if `heading` is too long
@@ -134,10 +134,6 @@ COVERAGE_SCORES, SURFACE_SCORES = _of_group("coverage"), _of_group("surface")
 PIECE_SCORES, RAY_SCORES, INTENSITY_SCORES = _of_group("piece"), _of_group("ray"), _of_group("intensity")
 #: The baseline metrics, in the order in which they are computed and shown.
 BASELINES = _of_group("baseline")
-#: Scores of papers on LiDAR synthesis as their code defines them, in the order in which they are computed and shown.
-NVS_SCORES = _of_group("nvs")
-#: Of a pair and of all scans of a dataset, and of these alone.
-BEV_JSD, BEV_MMD = METRIC["bev_jsd_100x100_160m"], METRIC["bev_mmd_100x100_160m_sigma0p5"]
 #: Scores of the displacement of the simulated surface.
 SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
 #: Scores of rays whose mean over pairs describes a run.

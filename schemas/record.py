@@ -9,14 +9,14 @@ from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer
 from .results import Findings, JsonObject, Overview, PreviousRun, Result, ScoreSummary
 
 #: Levels of a baseline.
-OF_OBJECTS, OF_SCAN, OF_DATASET = "objects", "scans", "dataset"
+OF_OBJECTS, OF_SCAN = "objects", "scans"
 
 
 class BaselineSummary(Result):
     """A baseline over the pairs.
 
-    level : "objects" (mean over the matched objects of a pair), "scans" (its two scans) or "dataset" (all at once)
-    n, n_null : objects, pairs of scans, or scans with and without a value
+    level : "objects" (mean over the matched objects of a pair) or "scans" (its two scans)
+    n, n_null : objects or pairs of scans with and without a value
     seconds : per pair, with the first number of a method; else null
     """
 
@@ -170,7 +170,7 @@ class RunRecord(RunHeader):
     frames : by pair, those whose simulated scan seems to lie in another frame, or shows another place
     notes : by pair, notes on its ground cut
     metrics : what is behind the unmatched objects
-    baselines, seeds, nvs : only if requested
+    baselines, seeds : only if requested
     """
 
     model_config = ConfigDict(extra="allow")  # what a later version adds is shown as it is
@@ -193,4 +193,3 @@ class RunRecord(RunHeader):
     metrics: MetricsSummary | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None
-    nvs: tuple[BaselineSummary, ...] = ()

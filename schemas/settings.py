@@ -344,15 +344,6 @@ class StabilitySettings(_Group):
     seeds: int = Field(1, ge=1, le=1000)
 
 
-class NvsSettings(_Group):
-    """Scores of papers on LiDAR synthesis (novel view synthesis), to compare with their tables.
-
-    scores : compute errors of range images as LiDAR4D defines them, and distances of maps from above
-    """
-
-    scores: bool = False
-
-
 class MachineSettings(_Group):
     """Limits on the machine's resources; no result depends on them.
 
@@ -374,7 +365,6 @@ class Settings(_Group):
     selection: SelectionSettings = SelectionSettings()
     metrics: MetricsSettings = MetricsSettings()
     stability: StabilitySettings = StabilitySettings()
-    nvs: NvsSettings = NvsSettings()
 
     @model_validator(mode="after")
     def _seeds_stay_in_range(self) -> Settings:
@@ -388,18 +378,15 @@ class Settings(_Group):
     machine: MachineSettings = MachineSettings()
 
 
-_REFERENCE: dict[str, dict[str, Any]] = {
-    "ground": {"peak": "real"},
-    "graph": {"ties": "coordinates"},
-    "communities": {"objects": "reference"},
-}
-
 #: Settings that belong together, as departures from the defaults. `paper` reproduces the paper; `reference` fixes the
-#: objects on the real side, for comparing simulators; `nvs` is `reference` with the scores of papers on synthesis.
+#: objects on the real side, for comparing simulators.
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "paper": {},
-    "reference": _REFERENCE,
-    "nvs": _REFERENCE | {"nvs": {"scores": True}},
+    "reference": {
+        "ground": {"peak": "real"},
+        "graph": {"ties": "coordinates"},
+        "communities": {"objects": "reference"},
+    },
 }
 
 #: What the objects of each preset are.
@@ -410,7 +397,7 @@ PRESET_OBJECTS = {
 
 
 def preset_of(settings: Settings) -> str:
-    """The preset that settings belong to: the first one whose objects they have, "reference" for those of "nvs"."""
+    """The preset that settings belong to: the one whose objects they have."""
     return next(
         name for name, values in PRESETS.items() if parse(values).communities.objects == settings.communities.objects
     )

@@ -32,7 +32,7 @@ def commented_toml(settings: Settings) -> str:
     Examples
     --------
     >>> print(commented_toml(Settings()).splitlines()[5])
-    preset = "paper"  # paper, reference, nvs
+    preset = "paper"  # paper, reference
     """
     objects = "; ".join(f"{name}: {words}" for name, words in PRESET_OBJECTS.items())
     lines = [

@@ -34,6 +34,12 @@ _MAX_PIVOTS = 10**12  # of the network simplex; far more than it needs, so that 
 _DIRECTIONS_PER_STEP = 10  # bounds the memory: all points are projected on each
 _ICP_POINTS = 11  # the library warns of fewer
 _ICP_ITERATIONS = 100
+# Range images of LiDAR4D: rows and columns, degrees from the upper edge to the horizon and to the lower edge, range
+_IMAGE_ROWS, _IMAGE_COLUMNS = 66, 1030
+_IMAGE_UP_DEG, _IMAGE_DEG = 2.0, 26.9
+_IMAGE_RANGE_M = 80.0
+_LEAST_RANGE_M = 1e-6
+_NEAR_M2 = 0.05  # squared distance of two points that are near: 22.4 cm
 
 
 @dataclass(frozen=True)
@@ -109,7 +115,7 @@ def compare_objects(
         with watch(name):
             if name in OF_POINTS:
                 values += OF_POINTS[name](real.points, sim.points, settings)
-            else:
+            elif name in OF_OBJECTS:
                 values += OF_OBJECTS[name](real, sim, selection, t, settings)
     return tuple(values)
 
@@ -449,6 +455,91 @@ def diffusion_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix
     return min(1.0, heat_change(real, sim, t) / (t * change))
 
 
+def nvs(real: FloatArray, sim: FloatArray) -> Baselines:
+    """Scores of two whole scans as papers on LiDAR synthesis define them, to compare with their tables.
+
+    Both scans become images of 66 x 1030 ranges (fields of view of KITTI-360, nearest return, below 80 m), in which a
+    pixel without a return has the range 0. Over all pixels, so that a dropped ray counts with its whole range:
+    nvs_depth_rmse_m and nvs_depth_medae_m, root mean square and median absolute difference in metres;
+    nvs_depth_psnr_db = 10 log10(80^2 / mean squared difference). Of the points of the images:
+    nvs_chamfer_m2, mean squared distance to the nearest point of the other side, both directions added, and
+    nvs_f_score_0p05m2, harmonic mean of the shares of points with a squared distance below 0.05 m2. That is a radius
+    of 22.4 cm, although the papers call it 5 cm. Definitions of LiDAR4D (Zheng et al., LiDAR4D, CVPR 2024:
+    `utils/convert.py` and `utils/metrics.py` at commit 4d6abbd).
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, in the real sensor's frame, ground included, none at the origin
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> scan = np.array([[10.0, 0, 0], [0, 10, 0]])
+    >>> [baseline.value for baseline in nvs(scan, scan)]
+    [0.0, 0.0, None, 0.0, 1.0]
+    """
+    real_image, sim_image = _range_image(real), _range_image(sim)
+    clipped_real = np.clip(real_image, _LEAST_RANGE_M, _IMAGE_RANGE_M)
+    clipped_sim = np.clip(sim_image, _LEAST_RANGE_M, _IMAGE_RANGE_M)
+    mean_square = float(np.mean((clipped_real - clipped_sim) ** 2))
+    median = float(np.median(np.abs(clipped_real - clipped_sim)))
+    if mean_square > 0:
+        psnr = Baseline("nvs_depth_psnr_db", 10 * float(np.log10(_IMAGE_RANGE_M**2 / mean_square)))
+    else:
+        psnr = Baseline("nvs_depth_psnr_db", None, "both images are equal")
+    return (
+        Baseline("nvs_depth_rmse_m", math.sqrt(mean_square)),
+        Baseline("nvs_depth_medae_m", median),
+        psnr,
+        *_image_points_apart(_points_of_image(real_image), _points_of_image(sim_image)),
+    )
+
+
+def _range_image(points: FloatArray) -> FloatArray:
+    """(66, 1030) metres, range of the nearest return of each pixel, 0 without one.
+
+    Rows and columns are rounded, half to even; points outside of the image are left out.
+    """
+    range_m = np.linalg.norm(points, axis=1)
+    x, y, z = points.T
+    elevation = np.arctan2(z, np.hypot(x, y)) + (_IMAGE_DEG - _IMAGE_UP_DEG) / 180 * np.pi
+    column = np.rint((np.pi - np.arctan2(y, x)) / (2 * np.pi / _IMAGE_COLUMNS)).astype(np.intp)
+    row = np.rint(_IMAGE_ROWS - elevation / (_IMAGE_DEG / 180 * np.pi / _IMAGE_ROWS)).astype(np.intp)
+    is_inside = (range_m < _IMAGE_RANGE_M) & (row >= 0) & (row < _IMAGE_ROWS)
+    is_inside &= (column >= 0) & (column < _IMAGE_COLUMNS)
+    pixel = row[is_inside] * _IMAGE_COLUMNS + column[is_inside]
+    image = np.full(_IMAGE_ROWS * _IMAGE_COLUMNS, np.inf)
+    np.minimum.at(image, pixel, range_m[is_inside])
+    image[np.isinf(image)] = 0.0
+    return image.reshape(_IMAGE_ROWS, _IMAGE_COLUMNS)
+
+
+def _points_of_image(image: FloatArray) -> FloatArray:
+    """(n, 3) metres, the returns placed in the directions of their pixels."""
+    row, column = np.nonzero(image)
+    azimuth = -(column - _IMAGE_COLUMNS / 2) / _IMAGE_COLUMNS * 2 * np.pi
+    elevation = (_IMAGE_UP_DEG - row / _IMAGE_ROWS * _IMAGE_DEG) / 180 * np.pi
+    level = np.cos(elevation)
+    directions = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    return directions * image[row, column, None]
+
+
+def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
+    """Chamfer distance and F-score of the points of two range images."""
+    if not min(len(real), len(sim)):
+        reason = "a side has no point in the range image"
+        return Baseline("nvs_chamfer_m2", None, reason), Baseline("nvs_f_score_0p05m2", None, reason)
+    to_sim, to_real = nearest_distances(real, sim)
+    to_sim2, to_real2 = to_sim**2, to_real**2
+    recall, precision = float(np.mean(to_sim2 < _NEAR_M2)), float(np.mean(to_real2 < _NEAR_M2))
+    return (
+        Baseline("nvs_chamfer_m2", float(to_sim2.mean() + to_real2.mean())),
+        Baseline("nvs_f_score_0p05m2", harmonic_mean(precision, recall)),
+    )
+
+
+#: Name in the settings of the scores of whole scans, ground included; objects do not have them.
+OF_SCANS = "nvs"
 #: Baseline metrics of two point sets by their names in the settings.
 OF_POINTS: dict[str, Callable[[FloatArray, FloatArray, MetricsSettings], Baselines]] = {
     "chamfer": chamfer,

@@ -17,7 +17,6 @@ from . import (
     ground_job,
     matching_job,
     metrics_job,
-    nvs_job,
     pieces_job,
     rays_job,
     seeds_job,
@@ -32,7 +31,7 @@ STAGES = (
 )
 
 #: Additional stages that the settings may request; no stage above depends on them.
-EXTRAS = (baselines_job.STAGE, seeds_job.STAGE, nvs_job.STAGE)
+EXTRAS = (baselines_job.STAGE, seeds_job.STAGE)
 
 
 def stages_under(settings: Settings) -> tuple[Stage, ...]:

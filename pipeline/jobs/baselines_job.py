@@ -17,7 +17,7 @@ from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
-from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, kept_nodes, matched_objects, object_points
+from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, coordinates, kept_nodes, matched_objects, object_points
 
 if TYPE_CHECKING:
     from ...stages.baselines import Baseline
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def make_baselines(own: Inputs) -> JobResult:
     """Compare each matched object, and all object points of the two scans; the metadata hold the pair's means."""
-    from ...stages.baselines import compare_objects, compare_points
+    from ...stages.baselines import OF_SCANS, compare_objects, compare_points, nvs
 
     settings, selection = own.settings, own.table("selection")
     rows: list[Row] = []
@@ -39,6 +39,9 @@ def make_baselines(own: Inputs) -> JobResult:
 
     real_points, sim_points = (object_points(own, side)[1] for side in SIDES)
     values = compare_points(real_points, sim_points, settings.metrics, watch=watch)
+    if OF_SCANS in settings.metrics.baselines:
+        with watch(OF_SCANS):
+            values += nvs(*(coordinates(own.table("ground", side)) for side in SIDES))
     rows += [_row(own, value, None, None) for value in values]
     return JobResult({"baselines": TABLES["baselines"].from_rows(rows)}, {"means": _means(rows)})
 
@@ -107,7 +110,7 @@ STAGE = Stage(
     gives=("baselines",),
     settings=("selection", "metrics"),
     grain=Grain.PAIR,
-    version=3,
+    version=4,
     make=make_baselines,
     libraries=("POT", "small_gicp"),
     is_wanted=_is_wanted,

@@ -24,7 +24,6 @@ from ...stages.sensor_description import PAIR_COLUMNS, describe_sensor, sensor_r
 from ..jobs import stages_under
 from ..storage.run_record import library_versions
 from .compare_frames import DEFAULT_TOLERANCE
-from .recompute_nvs import nvs
 from .recompute_rays import rays
 from .stored import StoredPair, StoredSide, rows_of
 
@@ -555,6 +554,6 @@ RECOMPUTED: dict[str, Callable[[StoredPair], None]] = {
     one.__name__: one
     for one in (
         *(rows, scan, ground, sensor, graph, communities, objects, matching, coverage, surface, pieces, rays),
-        *(selection, metrics, baselines, seeds, nvs, pairs),
+        *(selection, metrics, baselines, seeds, pairs),
     )
 }

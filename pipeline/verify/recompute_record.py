@@ -7,12 +7,10 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import pandas as pd
 
-from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import BEV_JSD, BEV_MMD, DISTRIBUTED, METRIC, RUN_SCORES
-from ...schemas.record import OF_DATASET, OF_OBJECTS, OF_SCAN, BaselineSummary
+from ...schemas.columns import Row
+from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, RUN_SCORES
+from ...schemas.record import OF_OBJECTS, OF_SCAN, BaselineSummary
 from ...schemas.settings import Settings
-from ...stages.literal import literal_nvs
-from ..jobs.nvs_job import MOST_SCANS
 from ..results.finished import FinishedRun
 from ..storage.run_record import unmatched_worst
 from .compare_frames import Tally
@@ -46,34 +44,6 @@ def compare_baselines(run: FinishedRun, settings: Settings, tally: Tally) -> Non
         rows = run.table("baselines").to_pandas()
         rows["level"] = np.where(rows["real_id"].isna(), OF_SCAN, OF_OBJECTS)
         _compare_summaries(run.record.baselines, _over_pairs(rows), tally)
-
-
-def compare_nvs(run: FinishedRun, settings: Settings, tally: Tally) -> None:
-    """Means and deviations over pairs of the scores of LiDAR synthesis, and the distances of the maps of all scans."""
-    if not settings.nvs.scores:
-        return
-    rows = run.table("nvs").to_pandas().rename(columns={"score": "baseline"}).assign(level=OF_SCAN)
-    pair_ids = sorted(row["pair_id"] for row in run.scored)
-    n = len(pair_ids)
-    chosen = sorted({int(i) for i in np.linspace(0, n - 1, min(n, MOST_SCANS))})
-    sums, single = [], []
-    for side in SIDES:
-        maps = []
-        for pair_id in pair_ids:
-            table = run.read_table("ground", pair_id, side, ["x", "y", "z"])
-            maps.append(literal_nvs.map_from_above(table.to_pandas().to_numpy()))
-        sums.append(sum(maps, np.zeros(1)))
-        single.append([maps[i] for i in chosen])
-    of_all = []
-    for metric, value, size in (
-        (BEV_JSD, literal_nvs.map_jsd(*sums), n),
-        (BEV_MMD, literal_nvs.map_mmd(*single), len(chosen)),
-    ):
-        n_known = 0 if value is None else size
-        of_all.append((metric.column, OF_DATASET, value, None, n_known, size - n_known))
-    expected = _over_pairs(rows)
-    dataset = pd.DataFrame(of_all, columns=[*_LEVEL, *expected.columns]).set_index(_LEVEL)
-    _compare_summaries(run.record.nvs, pd.concat([expected, dataset.astype(float)]), tally)
 
 
 def compare_scores(run: FinishedRun, settings: Settings, tally: Tally) -> None:
@@ -110,6 +80,5 @@ def _compare_summaries(stored: Iterable[BaselineSummary], recomputed: pd.DataFra
 RECORD: dict[str, Callable[[FinishedRun, Settings, Tally], None]] = {
     "unmatched objects": compare_unmatched,
     "baselines": compare_baselines,
-    "nvs": compare_nvs,
     "scores": compare_scores,
 }

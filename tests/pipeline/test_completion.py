@@ -47,7 +47,7 @@ def offered(place, line):
         ("fidpipe run streets --from ", STAGE_NAMES),
         ("fidpipe run other --out runs/streets --from me", ["metrics"]),
         ("fidpipe run other --from ", []),
-        ("fidpipe run streets --preset ", ["paper", "reference", "nvs"]),
+        ("fidpipe run streets --preset ", ["paper", "reference"]),
         ("fidpipe run streets --set graph.", ["graph.k=", "graph.tau_m=", "graph.edges=", "graph.ties="]),
     ],
 )

@@ -1,4 +1,4 @@
-"""Stages that a run has on demand (baselines, seeds, nvs): their tables, their record, and how long they stay."""
+"""Stages that a run has on demand (baselines and seeds): their tables, their record, and how long they stay."""
 
 import json
 import shutil
@@ -13,14 +13,14 @@ from fidpipe.pipeline.jobs.baselines_job import summarise_baselines
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.table_files import JobRecord
 from fidpipe.schemas.errors import SettingsError
-from fidpipe.schemas.metric_catalogue import BEV_JSD, BEV_MMD, NVS_SCORES, SEEDED_SCORES
+from fidpipe.schemas.metric_catalogue import SEEDED_SCORES
 from fidpipe.schemas.settings import load
 from fidpipe.schemas.tables import TABLES
 from runs import JOBS_PER_PAIR, assert_same_tables, changed_tables, command, marks, run
 
 BASELINE_WORD, SEED_WORD = "metrics.baselines=all", "stability.seeds=2"
-ALL = load(None, [BASELINE_WORD, SEED_WORD, "nvs.scores=true"])
-EXTRAS = ("baselines", "seeds", "nvs")
+ALL = load(None, [BASELINE_WORD, SEED_WORD])
+EXTRAS = ("baselines", "seeds")
 
 
 @pytest.fixture(scope="module")
@@ -152,11 +152,11 @@ def test_python_gives_the_same_numbers_as_the_command(finished, dataset):
     scans = [fidpipe.read_scan(dataset / side / "001.bin").points for side in ("real", "sim")]
     result = fidpipe.evaluate_pair(*scans, settings=ALL)
     assert result.summary["status"] == "scored"
-    for stage, found in (("baselines", result.baselines), ("seeds", result.seeds), ("nvs", result.nvs)):
+    for stage, found in (("baselines", result.baselines), ("seeds", result.seeds)):
         written = extras(finished)[stage, "001"].to_pandas()
         pd.testing.assert_frame_equal(found.drop(columns="pair_id"), written.drop(columns="pair_id"), check_exact=True)
     plain = fidpipe.evaluate_pair(*scans)
-    assert (plain.baselines, plain.nvs) == (None, None)
+    assert (plain.baselines, plain.seeds) == (None, None)
 
 
 def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset):
@@ -168,20 +168,6 @@ def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset)
         assert name in done.stdout
     for word in ("match rate", "r_lambda", "repeatability limit", "000", "001"):
         assert word in done.stdout
-
-
-def test_the_record_has_the_scores_of_papers_over_pairs_and_over_all_scans(finished, record):
-    of = {(row["baseline"], row["level"]): row for row in record["nvs"]}
-    values = pd.read_parquet(finished / "nvs").pivot(index="score", columns="pair_id", values="value")
-    for metric in NVS_SCORES:
-        own, row = values.loc[metric.column].dropna(), of.pop((metric.column, "scans"))
-        assert (row["unit"], row["n"], row["n_null"]) == (metric.unit, len(own), 2 - len(own))
-        assert row["mean"] == (pytest.approx(own.mean()) if len(own) else None)
-    assert of.keys() == {(metric.column, "dataset") for metric in (BEV_JSD, BEV_MMD)}
-    assert all(row["n"] == 2 and 0 < row["mean"] < 1 for row in of.values())
-    shown = command("show", finished).stdout
-    assert "Scores of papers on LiDAR synthesis" in shown
-    assert "nvs_intensity_rmse is null for 2 of 2" in shown
 
 
 def test_a_baseline_that_is_null_in_every_object_has_no_mean():

@@ -85,7 +85,6 @@ def test_an_input_without_labels_fails_with_the_next_step(dataset, tmp_path, kin
     [
         ("paper", [], "paper", []),
         ("reference", [], "reference", []),
-        ("nvs", [], "reference", ["nvs.scores=true"]),
         (
             "reference",
             ["graph.k=60", "communities.reach_m=0.5"],

@@ -32,7 +32,7 @@ from scenes import box, drifted, street, write_dataset, write_pair
 from toys import TOY_TABLES
 
 SMALL = ["matching.delta_m=20"]  # the objects of so small a street are matched all the same
-WITH_EXTRAS = [*SMALL, "metrics.baselines=all", "stability.seeds=2", "nvs.scores=true"]
+WITH_EXTRAS = [*SMALL, "metrics.baselines=all", "stability.seeds=2"]
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_all_numbers_of_a_run_agree(verified):
     assert (result.n_drawn, result.n_pairs, result.n_scans) == (result.n_objects, 1, 1)
     assert {table.table for table in result.tables} == {
         *("files", "scan", "ground", "sensor", "graph", "communities", "objects", "matching", "coverage", "surface"),
-        *("pieces", "rays", "ray_scores", "selection", "metrics", "baselines", "seeds", "nvs", "pairs"),
+        *("pieces", "rays", "ray_scores", "selection", "metrics", "baselines", "seeds", "pairs"),
         *("run.json", "rows"),
     }
     assert all(table.n_numbers > 0 for table in result.tables if "ray" not in table.table)
@@ -118,7 +118,7 @@ FILES = {
     "communities": "communities/000.sim.parquet",
     "objects": "objects/000.real.parquet",
     **{name: f"{name}/000.parquet" for name in ("matching", "coverage", "surface", "pieces", "selection", "metrics")},
-    **{name: f"{name}/000.parquet" for name in ("baselines", "seeds", "nvs", "rays", "ray_scores")},
+    **{name: f"{name}/000.parquet" for name in ("baselines", "seeds", "rays", "ray_scores")},
     "pairs": "pairs.parquet",
 }
 RAYS = ("rays", "ray_scores")
@@ -142,7 +142,6 @@ FEW = [
     *(
         ("selection", "sim_point_id"),
         ("baselines", "value"),
-        ("nvs", "value"),
         ("surface", "n_points"),
         ("metrics", "status"),
     ),
@@ -156,7 +155,7 @@ def forge_column(folder, table, name):
 
 @pytest.mark.parametrize(("table", "column"), some_of(SINGLE, FEW))
 def test_an_edited_number_is_found_though_the_ledger_agrees(whole, plain, tmp_path, table, column):
-    copy = shutil.copytree(whole if table in ("baselines", "seeds", "nvs") else plain, tmp_path / "run")
+    copy = shutil.copytree(whole if table in ("baselines", "seeds") else plain, tmp_path / "run")
     forge_column(copy, table, column)
     try:
         result = verify_run(copy, None)

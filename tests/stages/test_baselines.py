@@ -26,6 +26,7 @@ from fidpipe.stages.baselines import (
     heat_trace_distance,
     histogram,
     icp,
+    nvs,
     sliced_wasserstein,
 )
 from fidpipe.stages.linalg.heat import heat_row_sums
@@ -305,3 +306,22 @@ def test_the_diffusion_change_of_a_small_change_in_a_short_time_is_nearly_one():
     length = 1 + 0.1 * np.arange(5)
     b = normalised_laplacian(sparse.csr_matrix(np.diag(length, 1) + np.diag(length, -1)))
     assert diffusion_change(a, b, 1e-4) == pytest.approx(1, abs=1e-3)
+
+
+def test_scores_of_synthesis_papers_on_two_scans_worked_out_by_hand():
+    real = np.array([[10.0, 0.0, 0.0], [0.0, 20.0, 0.0]])
+    sim = np.array([[10.0, 0.0, 0.0]])  # one ray dropped: it counts with its whole range
+    n_pixels = 66 * 1030
+    values = {baseline.name: baseline.value for baseline in nvs(real, sim)}
+    assert values["nvs_depth_rmse_m"] == pytest.approx(np.sqrt(20.0**2 / n_pixels), rel=1e-6)
+    assert values["nvs_depth_medae_m"] == 0.0
+    assert values["nvs_depth_psnr_db"] == pytest.approx(10 * np.log10(80.0**2 * n_pixels / 20.0**2), rel=1e-6)
+    assert values["nvs_chamfer_m2"] == pytest.approx((10.0**2 + 20.0**2) / 2, rel=1e-2)  # of directions of pixels
+    assert values["nvs_f_score_0p05m2"] == pytest.approx(2 * 1.0 * 0.5 / 1.5)
+
+
+def test_scores_of_synthesis_papers_have_reasons_where_the_image_is_empty():
+    far = np.array([[90.0, 0.0, 0.0]])
+    reasons = {baseline.name: baseline.reason for baseline in nvs(far, far)}
+    assert reasons["nvs_depth_psnr_db"] == "both images are equal"
+    assert reasons["nvs_chamfer_m2"] == reasons["nvs_f_score_0p05m2"] == "a side has no point in the range image"

@@ -21,7 +21,6 @@ from ....schemas.metric_catalogue import (
     unit_words,
 )
 from ....schemas.record import (
-    OF_DATASET,
     OF_OBJECTS,
     OF_SCAN,
     SURFACE_STATES,
@@ -85,7 +84,6 @@ def summary_view(
         *(_all_tables(rows, record) if with_all else ()),
         *(baselines_view(record.baselines) if record.baselines else ()),
         *(seeds_view(record.seeds) if record.seeds else ()),
-        *(nvs_view(record.nvs) if record.nvs else ()),
         *([*excess_view(excess, HEADLINES), Note("")] if excess else ()),
         *_failures_parts(folder, rows, reported),
         *(Note(f"warning: {words}", "yellow") for words in frames),
@@ -144,7 +142,8 @@ def baselines_view(rows: Sequence[BaselineSummary]) -> View:
     columns = ("baseline", "unit", "objects", "s", "whole scans", "s")
     total_s = sum(row.seconds or 0.0 for row in rows)
     lines = (
-        "A pair counts with the mean over its matched objects, or with all object points of its two scans.",
+        "A pair counts with the mean over its matched objects, or with all object points of its two scans "
+        "(nvs: ground as well).",
         f"s: seconds per pair, next to the first number of a method; in total {total_s:.1f}",
         *(f"{row.baseline} is null for {row.n_null} of {row.n + row.n_null} {row.level}" for row in rows if row.n_null),
     )
@@ -172,18 +171,6 @@ def seeds_view(seeds: SeedSummary) -> View:
         "that differ by less may do so by chance alone (95 %); a simulator is better only if it is so by more",
     )
     return [dataset, *map(Note, lines), pairs]
-
-
-def nvs_view(rows: Sequence[BaselineSummary]) -> View:
-    """Mean and deviation over pairs of the scores of papers on LiDAR synthesis, and those of all scans at once."""
-    by_name, levels = {(row.baseline, row.level): row for row in rows}, (OF_SCAN, OF_DATASET)
-    cells = [
-        (name, unit_words(METRIC[name].unit), *(_baseline_cells(by_name.get((name, level)))[0] for level in levels))
-        for name in dict.fromkeys(row.baseline for row in rows)
-    ]
-    title = "Scores of papers on LiDAR synthesis (mean and standard deviation over pairs)"
-    nulls = [f"{row.baseline} is null for {row.n_null} of {row.n + row.n_null}" for row in rows if row.n_null]
-    return [Table(title, ("score", "unit", "pairs", "all scans"), cells, words=(0, 1)), *map(Note, nulls)]
 
 
 def _pairs_table(scored: Sequence[Row], most: int) -> Table:
