@@ -346,71 +346,20 @@ class PreviousRun(Result):
     means: dict[str, float | None]
 
 
-class CauseEstimate(Result):
-    """Amounts of one flaw over the pairs, whether it is named or not; see `pipeline.diagnose.causes`.
-
-    resolution : smaller amounts are within the accuracy of the estimate
-    values : by pair, simulated minus real, 0 without the flaw
-    """
-
-    name: str
-    unit: str
-    resolution: float
-    setting: str
-    values: dict[str, float]
-
-
-class DiagnosedCause(Result):
-    """A flaw that a diagnosis names.
-
-    words : the flaw with its amount and direction
-    estimate, low, high : mean over pairs, over the floor if there is one, with its 95 % interval in `unit`; the
-        interval is the range of the values below three pairs
-    gain_m : metres by which the surface distance becomes smaller if it is corrected; null if it has no correction
-    gain : the same as a share of the distance over the floor; null if there is hardly any
-    is_upper_bound : real returns were restored, so that the gain is at most this
-    limbs : identifiers of PerCollECT's LidarLimbs cause tree
-    evidence : curves to look at; null if the cause has none
-    """
-
-    name: str
-    words: str
-    estimate: float
-    low: float
-    high: float
-    unit: str
-    n_pairs: int
-    gain_m: float | None = None
-    gain: float | None = None
-    is_upper_bound: bool = False
-    setting: str
-    limbs: tuple[int, ...] = ()
-    evidence: Evidence | None = None
-
-
 class Diagnosis(Result):
-    """Causes of the difference between both sides, as `fidpipe diagnose` writes them to `diagnosis.json`.
+    """Causes of the difference between both sides, with the gain of correcting each.
 
-    of : identity of the results that were diagnosed
-    floor : folder of the floor's run
-    n_pairs, n_blocks : diagnosed pairs, and independent ones among them; the intervals are over `over`
-    distance_m, floor_m : mean distance of both sides' surfaces, counted up to 1 m, and that of the floor
-    unexplained : share of the distance over the floor that no correction explains; null if there is hardly any
-    causes : most important first
-    doubtful : measured, but the sides are not closer if they are corrected
-    estimates : of the whole catalogue
-    left_out : pairs with too little surface in common
+    n_pairs : diagnosed pairs
+    distance_m, floor_m : mean distance of both sides' surfaces, counted up to 1 m, and that of a perfect second
+        measurement of the real scans
+    unexplained : share of the distance over `floor_m` that no correction explains; null if there is hardly any
+    causes : those with the largest gain first
+    doubtful : seen, but fixing them would not help
     """
 
-    of: str
-    floor: str | None
     n_pairs: int
-    n_blocks: int
-    over: str
     distance_m: float
     floor_m: float
     unexplained: float | None
-    causes: tuple[DiagnosedCause, ...]
-    estimates: tuple[CauseEstimate, ...]
-    left_out: tuple[str, ...]
+    causes: tuple[Cause, ...]
     doubtful: tuple[str, ...] = ()

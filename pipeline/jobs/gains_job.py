@@ -15,12 +15,10 @@ from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.causes.curves import curves
 from ...stages.causes.gain import Shares, corrections, shares
+from ..results.diagnosis import AMOUNTS, CURVES, DISTANCES, UNEXPLAINED
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
 from .causes_job import POINT_COLUMNS, pair_scans, pose_of
 
-UNEXPLAINED = "unexplained"  #: name of the distance that no correction removes
-DISTANCES = "distances_m"  #: metadata: distance before and after all corrections, and that of a second measurement
-CURVES = "curves"  #: metadata: curves of both sides, by kind
 _SEED = 20240917
 
 
@@ -56,7 +54,7 @@ def _result(inputs: Inputs, gains: Shares, drawn: dict[str, dict[str, list[float
     gain_m = dict(sorted((gains.by_cause | {UNEXPLAINED: gains.after_m - gains.floor_m}).items()))
     rows = [{"pair_id": inputs.pair_id, "cause": name, "gain_m": value} for name, value in gain_m.items()]
     metadata = {DISTANCES: [gains.before_m, gains.after_m, gains.floor_m], CURVES: drawn}
-    return JobResult({"gains": TABLES["gains"].from_rows(rows)}, metadata | {"amounts": dict(inputs.arguments)})
+    return JobResult({"gains": TABLES["gains"].from_rows(rows)}, metadata | {AMOUNTS: dict(inputs.arguments)})
 
 
 def gains_stage(amounts: dict[str, float]) -> Stage:

@@ -31,6 +31,7 @@ from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.run_record import RUN_JSON, command_again, finished_record
 from ..storage.urls import url_or_path
+from .diagnosis import diagnosis_of, with_gains
 from .object_frame import ALL_COLUMNS, COLUMNS_OF, object_parts, plain_rows
 
 if TYPE_CHECKING:
@@ -157,7 +158,8 @@ class FinishedRun:
     @property
     def overview(self) -> Overview | None:
         """The first answer of the run, with the causes of its diagnosis if it has one; None if no pair is scored."""
-        return self.record.overview
+        names = [row["pair_id"] for row in self.scored]
+        return with_gains(self.record.overview, diagnosis_of(self.store, self.record, names))
 
     @property
     def preset(self) -> str:

@@ -7,18 +7,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from ...schemas.columns import SIDES
-from ...schemas.data_files import read_data
 from ..arrays import FloatArray
 from ..surface import describe_surface, signed_distances
+from .axes import AXES
 from .estimates import Pose, find_unmatched, foliage_steps
 from .sides import PairScans
 
 _POINTS = 4000  # of the simulated side, evenly
 _REACH_M = 0.5
-
-
-#: Axis of a curve by its kind: its label, that of the values, and the edges of its bins.
-AXES = {kind: {**axis, "edges": np.linspace(*axis["edges"])} for kind, axis in read_data("curves").items()}
 
 
 def curves(scans: PairScans, pose: Pose, kind: str) -> Mapping[str, FloatArray]:
