@@ -43,7 +43,7 @@ EVERY, N_HEALTHY, N_MIXED = 4, 20, 10
 CAR_RANGE_M, CAR_TOP_M = 25.0, 2.5
 CAR_LENGTH_M, CAR_WIDTH_M, CAR_HEIGHT_M = (2.5, 5.5), (0.8, 2.5), (1.1, 2.3)
 BASE_NOISE_M, BASE_LOSS = 0.02, 0.03
-PIECES = ("missing pieces", "invented pieces")
+PARTS = ("missing parts", "invented parts")
 
 
 def far_drop(share):
@@ -184,8 +184,8 @@ FLAWS = {
     "drop": (("lost returns",), [(fs.drop(a), a) for a in (0.05, 0.15, 0.4)]),
     "drop beyond 25 m": (("lost far returns",), [(far_drop(a), a) for a in (0.3, 0.5, 0.8)]),
     "drop at grazing incidence": (("lost grazing returns",), [(grazing_drop(a), a) for a in (0.3, 0.5, 0.8)]),
-    "holes": (PIECES[:1], [(holes(n), None) for n in (5, 12, 25)]),
-    "ghosts": (PIECES[1:], [(ghosts(a), a / (1 + a)) for a in (0.01, 0.02, 0.04)]),
+    "holes": (PARTS[:1], [(holes(n), None) for n in (5, 12, 25)]),
+    "ghosts": (PARTS[1:], [(ghosts(a), a / (1 + a)) for a in (0.01, 0.02, 0.04)]),
     "noise": (("range noise",), [(ray_noise(a), None) for a in (0.04, 0.1, 0.2)]),
     "blurred beams": (("elevation noise",), [(jittered(a, 0), None) for a in (0.02, 0.03, 0.04)]),
     "jittering azimuth": (("azimuth noise",), [(jittered(0, a), None) for a in (0.01, 0.02, 0.04)]),
@@ -195,9 +195,9 @@ FLAWS = {
     "pitch": (("pitch",), [(pitch(a), a) for a in (0.3, -1, 2)]),
     "range scale": (("range scale",), [(lambda scan, rng, a=a: scan.points * (1 + a), a) for a in (0.01, -0.02, 0.04)]),
     "range quantum": (("range steps",), [(quantum(a), a) for a in (0.05, 0.1, 0.2)]),
-    "car moved": ((*PIECES, "moved pieces"), [(car_moved(a), None) for a in (0.3, 0.6, 1.2)]),
-    "car removed": (PIECES[:1], [(fs.car_removed, None), (fs.car_removed_road_seen, None)]),
-    "poles removed": (PIECES[:1], [(fs.poles_removed, None)]),
+    "car moved": ((*PARTS, "moved parts"), [(car_moved(a), None) for a in (0.3, 0.6, 1.2)]),
+    "car removed": (PARTS[:1], [(fs.car_removed, None), (fs.car_removed_road_seen, None)]),
+    "poles removed": (PARTS[:1], [(fs.poles_removed, None)]),
     "azimuth": (("azimuth step",), [(lambda scan, rng, n=n: scan.points[::n], None) for n in (2, 3, 4)]),
     "ground raised": (("road height",), [(raised(a), a) for a in (0.06, 0.1, -0.2)]),
     "motion": (("motion forward",), [(motion(v), -v / 10) for v in (4, 8, 16)]),
@@ -497,7 +497,7 @@ def tables(rows):
     hit = []
     for row in mixture.itertuples():
         truths = [FLAWS[name][0] for name in row.flaw.split(" + ")]
-        hit.append(all(any(name in truth for name in row.named[: 2 + (truth[:2] == PIECES)]) for truth in truths))
+        hit.append(all(any(name in truth for name in row.named[: 2 + (truth[:2] == PARTS)]) for truth in truths))
     mixture["both"] = hit
     print(mixture.groupby(["scenes", "base", "floor", "pairs"]).both.agg(["mean", "count"]).round(3).to_string())
     print(

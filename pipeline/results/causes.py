@@ -27,7 +27,7 @@ SCALE = "intensity scale"
 #: Variance of returns between directions that is still random, and the square of the loss.
 _UNEVEN = 0.01
 #: More of the points in other places, with both of these, are a bent world.
-_BENT, _ALONE = 0.03, ("missing pieces", "invented pieces")
+_BENT, _ALONE = 0.03, ("missing parts", "invented parts")
 #: If more of the curved surface is too flat, more than the shape of some objects is wrong.
 _MELTED = 0.3
 #: Solid foliage makes surface flat, by less than this part of it; boxes stop rays in foliage: one of both is named.
@@ -170,7 +170,7 @@ def _is_beyond(model: CauseModel, means: FloatArray, limit: float, *, is_change:
 def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
     """True if a larger flaw of the world, or losses that are not random, feign a cause."""
     mean = means[name]
-    if name == "moved pieces":
+    if name == "moved parts":
         return mean > _BENT and min(means.get(other, 0.0) for other in _ALONE) > mean / 10
     if name == FLAT:
         return mean > _MELTED

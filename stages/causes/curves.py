@@ -37,7 +37,7 @@ def curves(scans: PairScans, pose: Pose, kind: str) -> Mapping[str, FloatArray]:
         return {"sim": _percent(step_m, edges, len(step_m))}
     if kind == "pieces":
         return {
-            name: _percent(side.range_m[own.is_piece | own.is_moved | own.is_clutter], edges, len(side.points))
+            name: _percent(side.range_m[own.is_part | own.is_moved | own.is_clutter], edges, len(side.points))
             for name, side, own in zip(SIDES, (real, corrected), find_unmatched(real, corrected), strict=True)
         }
     sides = {"real": real, "sim": sim}

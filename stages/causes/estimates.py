@@ -326,14 +326,14 @@ class Unmatched:
     apart_m : (n,) distance to the nearest point of the other side
     is_beyond : farther than the other side ever returns
     is_clutter : near the sensor
-    is_piece : others, in groups
+    is_part : others, in groups
     is_moved : those of objects that have one of the other side next to them
     """
 
     apart_m: FloatArray
     is_beyond: BoolArray
     is_clutter: BoolArray
-    is_piece: BoolArray
+    is_part: BoolArray
     is_moved: BoolArray
 
 
@@ -349,8 +349,8 @@ def find_unmatched(a: Side, b: Side, explained: Explained | None = None) -> tupl
     step_deg = max(side.sensor.azimuth_step_deg or 0.0 for side in (a, b))
     missing = _unmatched(a, b, step_deg, None if explained is None else explained.real)
     invented = _unmatched(b, a, step_deg, None if explained is None else explained.sim)
-    missing_objects = missing.is_piece & ~a.is_ground
-    invented_objects = invented.is_piece & ~b.is_ground
+    missing_objects = missing.is_part & ~a.is_ground
+    invented_objects = invented.is_part & ~b.is_ground
     missing_points = a.points[missing_objects]
     invented_points = b.points[invented_objects]
     _mark_moved(missing, missing_objects, missing_points, invented_points)
@@ -361,7 +361,7 @@ def find_unmatched(a: Side, b: Side, explained: Explained | None = None) -> tupl
 def _mark_moved(unmatched: Unmatched, is_object: BoolArray, points: FloatArray, others: FloatArray) -> None:
     apart_m, _ = cKDTree(others).query(points, distance_upper_bound=_MOVED_M)
     unmatched.is_moved[is_object] = np.isfinite(apart_m)
-    unmatched.is_piece[unmatched.is_moved] = False
+    unmatched.is_part[unmatched.is_moved] = False
 
 
 def _unmatched(side: Side, other: Side, step_deg: float, is_explained: BoolArray | None) -> Unmatched:
@@ -370,12 +370,12 @@ def _unmatched(side: Side, other: Side, step_deg: float, is_explained: BoolArray
     if is_explained is not None:
         is_apart &= ~is_explained
     is_beyond = side.range_m > other.range_m.max()
-    is_piece = is_apart & ~is_beyond
-    rows = np.flatnonzero(is_piece)
+    is_part = is_apart & ~is_beyond
+    rows = np.flatnonzero(is_part)
     n_near = cKDTree(side.points[rows]).query_ball_point(side.points[rows], _CLUSTER_M, return_length=True)
-    is_piece[rows] = n_near > _CLUSTER * np.maximum(CLUTTER_M / side.range_m[rows], 1.0) ** 2
-    is_clutter = is_apart & ~is_piece & (side.range_m < CLUTTER_M)
-    return Unmatched(apart_m, is_beyond, is_clutter, is_piece, np.zeros(len(is_piece), np.bool_))
+    is_part[rows] = n_near > _CLUSTER * np.maximum(CLUTTER_M / side.range_m[rows], 1.0) ** 2
+    is_clutter = is_apart & ~is_part & (side.range_m < CLUTTER_M)
+    return Unmatched(apart_m, is_beyond, is_clutter, is_part, np.zeros(len(is_part), np.bool_))
 
 
 def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
@@ -387,14 +387,14 @@ def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
     """
     explained = explain_directions(real, sim)
     missing, invented = find_unmatched(real, sim, explained)
-    is_used_real = ~(missing.is_piece | missing.is_moved | missing.is_beyond | explained.real)
-    is_used_sim = ~(invented.is_piece | invented.is_moved | explained.sim)
+    is_used_real = ~(missing.is_part | missing.is_moved | missing.is_beyond | explained.real)
+    is_used_sim = ~(invented.is_part | invented.is_moved | explained.sim)
     return {
         "maximum range": _maximum_range(real, sim, missing, invented),
         "minimum range": _difference(float(np.quantile(real.range_m, 0.001)), float(np.quantile(sim.range_m, 0.001))),
-        "moved pieces": _share_of(missing.is_moved),
-        "missing pieces": _share_of(missing.is_piece),
-        "invented pieces": _share_of(invented.is_piece),
+        "moved parts": _share_of(missing.is_moved),
+        "missing parts": _share_of(missing.is_part),
+        "invented parts": _share_of(invented.is_part),
         "clutter": _share_of(invented.is_clutter),
         "mixed pixels": _stray_amount(real, recorded),
         "blind sector": Amount(explained.blind_deg, share=float(explained.is_blind.mean())),

@@ -93,7 +93,7 @@ def corrections(
     sim = pose.undisplaced(scans.sim)
     explained = explain_directions(real, sim)
     missing, invented = find_unmatched(real, sim, explained)
-    is_common = ~(missing.is_beyond | missing.is_piece | missing.is_moved | missing.is_clutter | explained.real)
+    is_common = ~(missing.is_beyond | missing.is_part | missing.is_moved | missing.is_clutter | explained.real)
     made: dict[str, Correction] = {}
     for name, amount in excess.items():
         whole = amounts.get(name)
@@ -114,13 +114,13 @@ def corrections(
             made[name] = Correction(keep=~second_returns(scans.sim))
         elif name == "mixed pixels":
             made[name] = Correction(keep=~_some(find_strays(sim)[0], part, rng))
-        elif name == "invented pieces":
-            made[name] = Correction(keep=~_some(invented.is_piece, part, rng))
+        elif name == "invented parts":
+            made[name] = Correction(keep=~_some(invented.is_part, part, rng))
         elif name == "clutter":
             made[name] = Correction(keep=~_some(invented.is_clutter, part, rng))
-        elif name == "missing pieces":
-            made[name] = Correction(add=real.points[_some(missing.is_piece, part, rng)])
-        elif name == "moved pieces":
+        elif name == "missing parts":
+            made[name] = Correction(add=real.points[_some(missing.is_part, part, rng)])
+        elif name == "moved parts":
             made[name] = Correction(keep=~_some(invented.is_moved, part, rng), add=real.points[missing.is_moved])
         elif name == "maximum range":
             made[name] = Correction(keep=sim.range_m <= real.range_m.max(), add=real.points[missing.is_beyond])
