@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES, CauseModel
-from ...schemas.results import Cause
+from ...schemas.results import Cause, Unknown
 from ...stages.arrays import BoolArray, FloatArray, IntArray
 from ...stages.causes.estimates import FLAT, LOSSES, UNEVEN
 from ...stages.displacement import PARAMETERS
@@ -104,6 +104,27 @@ def named_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Ca
     return sorted(causes, key=lambda cause: -cause.share)
 
 
+def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:
+    """The causes that are unknown in most pairs, by reason."""
+    by_reason: dict[str, list[str]] = {}
+    for name, of_cause in values.items():
+        if not _is_known(of_cause.amount):
+            by_reason.setdefault(of_cause.reason, []).append(name)
+    return [Unknown(causes=tuple(names), reason=reason) for reason, names in by_reason.items()]
+
+
+def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | None:
+    """A cause with its mean amount over the pairs, also if it is too small to be named; None if it is unknown."""
+    if not _is_known(values.amount):
+        return None
+    return _cause(CAUSES[name], values, values.amount, independent_blocks(blocks))
+
+
+def _is_known(amounts: FloatArray) -> bool:
+    """True if a cause has an amount in at least half of the pairs."""
+    return 2 * int(np.count_nonzero(~np.isnan(amounts))) >= len(amounts)
+
+
 def changed_causes(
     before: Mapping[str, CauseValues],
     after: Mapping[str, CauseValues],
@@ -146,7 +167,7 @@ def _named(amounts: Mapping[str, FloatArray], blocks: IntArray, *, is_change: bo
     for name, values in amounts.items():
         model = CAUSES[name]
         is_known = ~np.isnan(values)
-        if name == UNEVEN or 2 * is_known.sum() < len(values) or _is_feigned(name, means):
+        if name == UNEVEN or not _is_known(values) or _is_feigned(name, means):
             continue
         limit = model.resolution if is_change else model.tolerance
         if _is_beyond(model, block_means(values[is_known], blocks[is_known]), limit, is_change=is_change):
