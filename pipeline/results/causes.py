@@ -15,7 +15,7 @@ import numpy as np
 from ...schemas.cause_catalogue import CAUSES, CauseModel
 from ...schemas.results import Cause, Unknown
 from ...stages.arrays import BoolArray, FloatArray, IntArray
-from ...stages.causes.estimates import FLAT, LOSSES, UNEVEN
+from ...stages.causes.estimates import FLAT, LOSSES, UNEVEN, Amount
 from ...stages.displacement import PARAMETERS
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, mean_interval
 from ..storage.folder import RunFolder
@@ -76,6 +76,20 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseVal
         columns = {column: rows[column].to_numpy(np.float64) for column in ("amount", "real", "sim", "share")}
         reasons = rows["reason"].dropna()
         values[str(name)] = CauseValues(**columns, reason=str(reasons.iloc[0]) if len(reasons) else "")
+    return values
+
+
+def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, CauseValues]:
+    """Estimates of some pairs, by name of the cause; those that no pair has are left out."""
+    values = {}
+    for name in CAUSES:
+        of_pairs = [pair[name] for pair in amounts if name in pair]
+        if of_pairs:
+            columns = {}
+            for column in ("amount", "real", "sim", "share"):
+                columns[column] = np.array([getattr(amount, column) for amount in of_pairs], dtype=np.float64)
+            reasons = [amount.reason for amount in of_pairs if amount.reason]
+            values[name] = CauseValues(**columns, reason=reasons[0] if reasons else "")
     return values
 
 
@@ -148,9 +162,7 @@ def changed_causes(
     return sorted(causes, key=lambda cause: -abs(cause.estimate) / CAUSES[cause.name].resolution)
 
 
-def change_of(
-    name: str, before: CauseValues, after: CauseValues, between: Mapping[str, FloatArray]
-) -> FloatArray:
+def change_of(name: str, before: CauseValues, after: CauseValues, between: Mapping[str, FloatArray]) -> FloatArray:
     """(n,) change of the amount of a cause; of a lost share, relative to what the first run returned."""
     if name in between:
         return between[name]
@@ -160,8 +172,7 @@ def change_of(
 
 
 def _named(amounts: Mapping[str, FloatArray], blocks: IntArray, *, is_change: bool) -> list[str]:
-    """Names of the causes beyond the tolerance, or of the changes beyond the resolution, of which none feigns another.
-    """
+    """Names of the causes beyond the tolerance, or of the changes beyond the resolution, of which none feigns another."""
     means = {name: _mean(values) for name, values in amounts.items()}
     named = {}
     for name, values in amounts.items():

@@ -83,9 +83,7 @@ def answer_view(
 
 def cause_items(causes: Sequence[Cause]) -> list[tuple[str, str, str]]:
     """Causes as items of an answer: words, interval and gain, and the setting."""
-    return [
-        (f"{i}  {cause.words}", f"95 %: {amount_words(cause)}", cause.setting) for i, cause in enumerate(causes, 1)
-    ]
+    return [(f"{i}  {cause.words}", f"95 %: {amount_words(cause)}", cause.setting) for i, cause in enumerate(causes, 1)]
 
 
 def amount_words(cause: Cause) -> str:
