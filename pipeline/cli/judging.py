@@ -93,8 +93,6 @@ def compare(
     fail_on: Annotated[str | None, typer.Option(metavar="VERDICT")] = None,
     junit: OutFile = None,
     json_file: OutFile = None,
-    history: bool = False,
-    by_date: bool = False,
     allow_different_settings: bool = False,
     independent: bool = False,
     all_: Annotated[bool, typer.Option("--all")] = False,
@@ -114,8 +112,6 @@ def compare(
     fail_on : Exit with 4 on worse, or also on undecided.
     junit : JUnit XML of --fail-on.
     json_file : JSON of --fail-on.
-    history : One table of all runs.
-    by_date : Order --history by date.
     allow_different_settings : Allow runs of other settings.
     independent : Treat each pair as independent.
     all_ : Show every score, class and range.
@@ -130,8 +126,9 @@ def compare(
 
     fidpipe compare runs/base runs/new --fail-on worse --junit build/compare.xml
 
-    fidpipe compare runs/build4? --history --markdown >> comment.md
+    fidpipe compare runs/build41 runs/build42 --markdown >> comment.md
     """
+    from ..engine.progress import Reporter
     from ..report.views.compare_view import compare_records, compare_view
     from ..report.views.gate_view import base_view, junit_xml
     from ..results.compare import MOST_RUNS, compare_runs
@@ -146,18 +143,14 @@ def compare(
         raise typer.BadParameter(f"--fail-on: expected {' or '.join(FAIL_ON)}, got {fail_on!r}")
     if fail_on is None and (junit or json_file):
         raise typer.BadParameter("--junit and --json-file are what --fail-on writes; give it as well")
-    if history and (fail_on or floor):
-        raise typer.BadParameter("--history has no --fail-on and no --floor; compare the runs without it")
-    if by_date and not history:
-        raise typer.BadParameter("--by-date orders the runs of --history; give it as well")
     page = html or (out and out / "compare.html")
     runs = _evaluated(runs)
-    if history:
-        options = {"by_date": by_date, "allow_different_settings": allow_different_settings, "independent": independent}
-        _history(runs, page, output, **options)
-        return
     comparisons = compare_runs(
-        runs, allow_different_settings=allow_different_settings, floor=floor, independent=independent
+        runs,
+        allow_different_settings=allow_different_settings,
+        floor=floor,
+        independent=independent,
+        reporter=Reporter(),
     )
     if page:
         from ..report.page.compare_page import compare_page
@@ -218,18 +211,6 @@ def verify(
         result = verify_run(run, None if all_ else objects or 20, seed, pair_done)
     print_json(result.as_dict()) if as_json else print_view(verify_view(result))
     raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
-
-
-def _history(runs: list[Path], page: Path | None, output: str, **options: bool) -> None:
-    from ..report.page.compare_page import history_page
-    from ..report.views.compare_view import history_records, history_view
-    from ..results.compare import read_history
-    from ..storage.files import write_whole
-
-    history = read_history(runs, **options)
-    if page:
-        write_whole(page, history_page(history).encode())
-    print_as(output, lambda: history_view(history), lambda: history_records(history), history.as_dict)
 
 
 def _evaluated(folders: list[Path]) -> list[Path]:

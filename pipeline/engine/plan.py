@@ -173,7 +173,9 @@ class Planner:
         self.settings = settings
         self.label_names = label_names
         self.sides = tuple(sides)
-        self._parts = [Part(stage, name, stage.arguments) for stage in stages for name in stage.parts if name in ("", *self.sides)]
+        self._parts = [
+            Part(stage, name, stage.arguments) for stage in stages for name in stage.parts if name in ("", *self.sides)
+        ]
         self._method_keys: dict[tuple[str, int], tuple[Settings, str]] = {}
         self._layouts: dict[tuple[str, ...], dict[JobId, Job]] = {}
 

@@ -9,7 +9,6 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -128,9 +127,7 @@ def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
     return MetricsSummary(unmatched=UnmatchedSurface(**counts))
 
 
-def _overview(
-    objects: pd.DataFrame, n_pairs: int, pieces: Sequence[Piece], causes: Sequence[Cause]
-) -> Overview:
+def _overview(objects: pd.DataFrame, n_pairs: int, pieces: Sequence[Piece], causes: Sequence[Cause]) -> Overview:
     import pandas as pd
 
     points = objects.assign(alone=objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0)))
