@@ -1,4 +1,4 @@
-"""The commands that evaluate finished runs: gate, compare, verify."""
+"""The commands that evaluate finished runs: gate and compare."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from .options import (
     Floor,
     OutFile,
     RunFolder,
-    Seed,
     criterion_option,
     format_of,
     paired,
     run_folder,
 )
-from .output import print_as, print_json, print_view
+from .output import print_as, print_view
 
 
 def gate(
@@ -171,46 +170,6 @@ def compare(
         content = dumps({"comparisons": [one.as_dict() for one in results]})
         _write_for_ci(json_file, folder / "compare.json", content, is_asked=bool(out))
         raise typer.Exit(EXIT_GATE_FAILED if any(one.failed for one in results) else 0)
-
-
-def verify(
-    run: RunFolder,
-    objects: Annotated[int | None, typer.Option(min=1, show_default="20")] = None,
-    seed: Seed = 0,
-    all_: Annotated[bool, typer.Option("--all")] = False,
-    as_json: AsJson = False,
-) -> None:
-    """Recompute a sample of a finished run in an independent way; exits with 4 if a number does not agree.
-
-    Every file is read and must be as it was written. For objects drawn at random, the numbers of each table are
-    recomputed from the stored tables before it, by loops, all distances and dense matrices that share no code with the
-    stages. Nothing is written. If the dataset is missing, everything except the cleaning of the scans is compared.
-
-    Parameters
-    ----------
-    objects : Number of objects in the sample.
-    seed : Seed of the sample.
-    all_ : Every object, the edges of every node, and both complete sides of every pair.
-
-    Examples
-    --------
-    fidpipe verify runs/dataset
-
-    fidpipe verify runs/dataset --objects 200 --seed 7
-
-    fidpipe verify runs/dataset --all --json    every object; minutes per pair
-    """
-    if all_ and objects is not None:
-        raise typer.BadParameter("--all and --objects exclude each other; give one of them")
-    from ..engine.progress import Reporter
-    from ..engine.tasks import counting
-    from ..verify.verify import verify_run
-    from ..verify.verify_view import verify_view
-
-    with counting(Reporter()) as pair_done:
-        result = verify_run(run, None if all_ else objects or 20, seed, pair_done)
-    print_json(result.as_dict()) if as_json else print_view(verify_view(result))
-    raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
 
 
 def _evaluated(folders: list[Path]) -> list[Path]:

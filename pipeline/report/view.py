@@ -31,7 +31,6 @@ class Table:
     fixed : indices of the columns that never break into lines; None for all that hold numbers
     ruled : indices of rows that a line follows
     bold : indices of bold rows
-    faint : indices of grey columns
     whole : indices of columns as wide as their longest word, which is not shortened
     """
 
@@ -44,7 +43,6 @@ class Table:
     fixed: Container[int] | None = None
     ruled: Container[int] = ()
     bold: Container[int] = ()
-    faint: Container[int] = ()
     whole: Container[int] = ()
 
     @property

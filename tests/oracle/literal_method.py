@@ -1,6 +1,6 @@
 """Literal implementation of the method, slow and obvious: loops, all distances, dense matrices.
 
-`fidpipe verify` compares finished runs with it, and the tests compare the stages. It imports nothing from the stages,
+`test_oracle.py` and `recompute.py` compare runs with it, other tests single stages. It imports nothing from fidpipe,
 so that agreement confirms the definition, not an implementation.
 """
 
@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.optimize import linear_sum_assignment
-
-from ..arrays import FloatArray, IndexArray
 
 Settings = Mapping[str, Any]  #: one group of the settings, by name
 _MAX_TILT_DEG = 10
@@ -42,7 +41,9 @@ SPECTRAL = (
 )
 
 
-def clean(points: FloatArray, settings: Settings, frame: str, T: FloatArray | None) -> tuple[list[int], FloatArray]:
+def clean(
+    points: NDArray[np.float64], settings: Settings, frame: str, T: NDArray[np.float64] | None
+) -> tuple[list[int], NDArray[np.float64]]:
     """Rows and coordinates, (m, 3), of the points that are measurements, in the real sensor's frame.
 
     Parameters
@@ -76,7 +77,9 @@ def clean(points: FloatArray, settings: Settings, frame: str, T: FloatArray | No
 Cut = dict[str, Any]  #: axis (3,), tilt_deg, peak_m, threshold_m, loss and iterations of a ground cut
 
 
-def ground(points: FloatArray, settings: Settings, default_axis: FloatArray) -> tuple[Cut, FloatArray, bool]:
+def ground(
+    points: NDArray[np.float64], settings: Settings, default_axis: NDArray[np.float64]
+) -> tuple[Cut, NDArray[np.float64], bool]:
     """The PCA Z-cut of a scan, heights of its points along the axis (n,), and False if another axis has the same right.
 
     Parameters
@@ -114,7 +117,7 @@ def _median_of_fullest_window(heights: Sequence[float]) -> float:
     return median(ascending[start : ends[start]])
 
 
-def road_offset(real: FloatArray, sim: FloatArray, axis: FloatArray) -> float | None:
+def road_offset(real: NDArray[np.float64], sim: NDArray[np.float64], axis: NDArray[np.float64]) -> float | None:
     """Height of the simulated road above the real one: the median of the fullest 0.1 m of the cells' differences.
 
     Parameters
@@ -132,7 +135,9 @@ def road_offset(real: FloatArray, sim: FloatArray, axis: FloatArray) -> float | 
     return _median_of_fullest_window(above) if len(above) >= _FEWEST_CELLS else None
 
 
-def variance_loss(points: FloatArray, height: FloatArray, threshold_m: float, peak_m: float, loss: str) -> float:
+def variance_loss(
+    points: NDArray[np.float64], height: NDArray[np.float64], threshold_m: float, peak_m: float, loss: str
+) -> float:
     """Share of the variance that is lost with the points below a threshold, by the definition that `loss` selects.
 
     Parameters
@@ -151,7 +156,7 @@ def variance_loss(points: FloatArray, height: FloatArray, threshold_m: float, pe
     return float(np.var(counted) * len(counted)) / whole if counted else 0.0
 
 
-def distances(points: FloatArray, place: FloatArray) -> FloatArray:
+def distances(points: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance of each point from one place, (n,) metres: sqrt(dx^2 + dy^2 + dz^2).
 
     Parameters
@@ -159,11 +164,11 @@ def distances(points: FloatArray, place: FloatArray) -> FloatArray:
     points, place : (n, 3), (3,) float64, metres
     """
     dx, dy, dz = (points - place).T
-    apart: FloatArray = np.sqrt(dx * dx + dy * dy + dz * dz)
+    apart: NDArray[np.float64] = np.sqrt(dx * dx + dy * dy + dz * dz)
     return apart
 
 
-def nearest(points: FloatArray, i: int, k: int, ties: str = "point_id") -> list[int]:
+def nearest(points: NDArray[np.float64], i: int, k: int, ties: str = "point_id") -> list[int]:
     """The k nearest neighbours of point i, nearest first; for equal distances the first by index or by x, y, z.
 
     Parameters
@@ -182,7 +187,27 @@ def nearest(points: FloatArray, i: int, k: int, ties: str = "point_id") -> list[
     return candidates[:k]
 
 
-def louvain(n_nodes: int, src: IndexArray, dst: IndexArray, length_m: FloatArray, order: IndexArray) -> list[int]:
+def edges(points: NDArray[np.float64], k: int, tau_m: float, rule: str, ties: str) -> list[tuple[int, int]]:
+    """Edges of the graph, each as its smaller and larger index: nearest neighbours, and points within tau.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    rule : "union" if either suffices, "intersection" if both are needed
+    ties : see `nearest`
+    """
+    linked = set()
+    for i in range(len(points)):
+        neighbours = set(nearest(points, i, k, ties))
+        within = set(np.flatnonzero(distances(points, points[i]) <= tau_m).tolist()) - {i}
+        chosen = neighbours | within if rule == "union" else neighbours & within
+        linked |= {(min(i, j), max(i, j)) for j in chosen}
+    return sorted(linked)
+
+
+def louvain(
+    n_nodes: int, src: NDArray[np.intp], dst: NDArray[np.intp], length_m: NDArray[np.float64], order: NDArray[np.intp]
+) -> list[int]:
     """Communities by scikit-network's Louvain with nodes visited in a given order.
 
     Parameters
@@ -201,7 +226,9 @@ def louvain(n_nodes: int, src: IndexArray, dst: IndexArray, length_m: FloatArray
     return labels
 
 
-def best_merge_gain(labels: IndexArray, src: IndexArray, dst: IndexArray, length_m: FloatArray) -> float:
+def best_merge_gain(
+    labels: NDArray[np.intp], src: NDArray[np.intp], dst: NDArray[np.intp], length_m: NDArray[np.float64]
+) -> float:
     """Largest gain of Q by merging two communities that are connected by an edge; -inf without such communities.
 
     dQ = 2 (w_cd / 2m - k_c k_d / (2m)^2), w_cd the length of all edges between c and d, k their degrees, 2m the sum of
@@ -221,7 +248,7 @@ def best_merge_gain(labels: IndexArray, src: IndexArray, dst: IndexArray, length
     return float(gain[c != d].max(initial=-math.inf))
 
 
-def canonical(labels: Sequence[int] | IndexArray, order: Iterable[int] | None = None) -> list[int]:
+def canonical(labels: Sequence[int] | NDArray[np.intp], order: Iterable[int] | None = None) -> list[int]:
     """Renumber communities by size, largest first, then by the first of their nodes in an order; -1 is kept."""
     members: dict[int, list[int]] = {}
     for node in range(len(labels)) if order is None else order:
@@ -232,7 +259,7 @@ def canonical(labels: Sequence[int] | IndexArray, order: Iterable[int] | None = 
     return [new.get(node, -1) for node in range(len(labels))]
 
 
-def describe(points: FloatArray) -> dict[str, float]:
+def describe(points: NDArray[np.float64]) -> dict[str, float]:
     """Size, place and shape of the points of one community, by column of `objects`.
 
     Parameters
@@ -252,8 +279,8 @@ Matches = list[tuple[int, int, float]]  #: real id, simulated id, distance of th
 
 
 def match_greedy(
-    real: FloatArray,
-    sim: FloatArray,
+    real: NDArray[np.float64],
+    sim: NDArray[np.float64],
     delta_m: float,
     stored: Mapping[int, int] = MappingProxyType({}),
     rounding_m: float = 0,
@@ -279,7 +306,7 @@ def match_greedy(
     return pairs
 
 
-def laplacian(A: FloatArray) -> FloatArray:
+def laplacian(A: NDArray[np.float64]) -> NDArray[np.float64]:
     """I - D^-1/2 A D^-1/2, (n, n); zero rows for isolated nodes.
 
     Parameters
@@ -292,18 +319,18 @@ def laplacian(A: FloatArray) -> FloatArray:
     return np.diag(joined.astype(float)) - np.divide(A, scale, out=np.zeros_like(A), where=scale > 0)
 
 
-def influence(L: FloatArray, t: float) -> FloatArray:
+def influence(L: NDArray[np.float64], t: float) -> NDArray[np.float64]:
     """Row sums of the dense heat kernel, (n,), not rounded.
 
     Parameters
     ----------
     L : (n, n) float64, normalised Laplacian
     """
-    sums: FloatArray = scipy.linalg.expm(-t * L).sum(axis=1)
+    sums: NDArray[np.float64] = scipy.linalg.expm(-t * L).sum(axis=1)
     return sums
 
 
-def least_total(cost: FloatArray) -> float:
+def least_total(cost: NDArray[np.float64]) -> float:
     """Lower bound of the total cost of any one-to-one assignment; equal to the minimum up to rounding.
 
     For any v, sum_i min_j (c_ij - v_j) + sum_j v_j is at most any total (linear programming duality). The best v are
@@ -327,7 +354,7 @@ def least_total(cost: FloatArray) -> float:
     return float((moved - price).min(axis=1).sum() + price.sum())
 
 
-def nearest_distances(xs: FloatArray, ys: FloatArray) -> FloatArray:
+def nearest_distances(xs: NDArray[np.float64], ys: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance of each x to the nearest y, (n,) metres, from all distances.
 
     Parameters
@@ -337,7 +364,7 @@ def nearest_distances(xs: FloatArray, ys: FloatArray) -> FloatArray:
     return np.array([distances(ys, x).min() for x in xs])
 
 
-def cdc(real: FloatArray, sim: FloatArray) -> float:
+def cdc(real: NDArray[np.float64], sim: NDArray[np.float64]) -> float:
     """CDC by the paper's equation.
 
     Parameters
@@ -345,13 +372,13 @@ def cdc(real: FloatArray, sim: FloatArray) -> float:
     real, sim : (n, 3), (m, 3) float64, metres
     """
 
-    def one_way(xs: FloatArray, ys: FloatArray) -> float:
+    def one_way(xs: NDArray[np.float64], ys: NDArray[np.float64]) -> float:
         return math.fsum(1 - math.exp(-(d**2)) for d in nearest_distances(xs, ys).tolist()) / len(xs)
 
     return one_way(real, sim) + one_way(sim, real)
 
 
-def alignment_rms(real: FloatArray, sim: FloatArray) -> float:
+def alignment_rms(real: NDArray[np.float64], sim: NDArray[np.float64]) -> float:
     """Root mean square distance of aligned nodes, both sides centred, metres.
 
     Parameters
@@ -362,7 +389,7 @@ def alignment_rms(real: FloatArray, sim: FloatArray) -> float:
     return math.sqrt(sum(x * x for row in apart.tolist() for x in row) / len(apart))
 
 
-def spectral(L_real: FloatArray, L_sim: FloatArray) -> dict[str, float]:
+def spectral(L_real: NDArray[np.float64], L_sim: NDArray[np.float64]) -> dict[str, float]:
     """r_lambda, r_gap and their components, from LAPACK's dense eigenvalues.
 
     Parameters

@@ -7,16 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..arrays import BoolArray, FloatArray
-from .literal_method import PLACE, Settings, canonical, describe, distances
+from literal_method import PLACE, Settings, canonical, describe, distances
 
 _MOVED_WITHIN_M = 3.0
 _SLACK_M, _SLACK = 0.5, 1 / 3
 _ROUNDED_DIGITS = 9
 
 
-def components(points: FloatArray, link_m: float) -> list[int]:
+def components(points: NDArray[np.float64], link_m: float) -> list[int]:
     """Component of each point: number of its first point, from which it is reached by steps of at most the link.
 
     Parameters
@@ -38,7 +38,11 @@ def components(points: FloatArray, link_m: float) -> list[int]:
 
 
 def pieces(
-    points: FloatArray, is_ground: BoolArray, height_m: FloatArray, others: FloatArray, settings: Settings
+    points: NDArray[np.float64],
+    is_ground: NDArray[np.bool_],
+    height_m: NDArray[np.float64],
+    others: NDArray[np.float64],
+    settings: Settings,
 ) -> list[tuple[list[int], dict[str, float]]]:
     """Pieces of a side, their points by index and a row of `pieces`; largest first, for equal sizes by x, y, z.
 

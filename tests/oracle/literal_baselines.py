@@ -7,16 +7,18 @@ from collections import Counter
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 from scipy.stats import wasserstein_distance
 
-from ..arrays import FloatArray
-from .literal_method import distances, nearest_distances
-from .literal_surfaces import visiting_order
+from literal_method import distances, nearest_distances
+from literal_surfaces import visiting_order
 
 
-def of_points(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> dict[str, float | None]:
+def of_points(
+    real: NDArray[np.float64], sim: NDArray[np.float64], settings: dict[str, float]
+) -> dict[str, float | None]:
     """Baseline metrics of two point sets by name; without ICP, whose result depends on the implementation.
 
     Parameters
@@ -39,7 +41,7 @@ def of_points(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> 
     }
 
 
-def dcd(real: FloatArray, sim: FloatArray, alpha: float) -> float | None:
+def dcd(real: NDArray[np.float64], sim: NDArray[np.float64], alpha: float) -> float | None:
     """The published density-aware Chamfer distance, on the scale of the real object; None if it has no extent.
 
     Parameters
@@ -50,7 +52,7 @@ def dcd(real: FloatArray, sim: FloatArray, alpha: float) -> float | None:
     if size_m == 0:
         return None
 
-    def one_way(xs: FloatArray, ys: FloatArray) -> float:
+    def one_way(xs: NDArray[np.float64], ys: NDArray[np.float64]) -> float:
         ys = np.array(sorted(ys.tolist()))  # for equal distances the first by x, y, z
         nearest = [int(distances(ys, x).argmin()) for x in xs]
         count, terms = Counter(nearest), []
@@ -62,7 +64,7 @@ def dcd(real: FloatArray, sim: FloatArray, alpha: float) -> float | None:
     return (one_way(real, sim) + one_way(sim, real)) / 2
 
 
-def histogram(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> float | None:
+def histogram(real: NDArray[np.float64], sim: NDArray[np.float64], settings: dict[str, float]) -> float | None:
     """Minkowski distance of two histograms of pairwise distances; None if all points of a side coincide.
 
     Parameters
@@ -81,7 +83,7 @@ def histogram(real: FloatArray, sim: FloatArray, settings: dict[str, float]) -> 
     return float((abs(shares[0] - shares[1]) ** order).sum() ** (1 / order))
 
 
-def sliced_wasserstein(real: FloatArray, sim: FloatArray, n_projections: int) -> float:
+def sliced_wasserstein(real: NDArray[np.float64], sim: NDArray[np.float64], n_projections: int) -> float:
     """Mean over random directions of the earth mover's distance along each.
 
     Parameters
@@ -93,7 +95,7 @@ def sliced_wasserstein(real: FloatArray, sim: FloatArray, n_projections: int) ->
     return math.fsum(wasserstein_distance(a, b) for a, b in along) / n_projections
 
 
-def assignment_mean(a: FloatArray, b: FloatArray) -> float:
+def assignment_mean(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     """Mean distance of the best one-to-one assignment, metres: the earth mover's distance of sets of equal size.
 
     Parameters
@@ -104,7 +106,7 @@ def assignment_mean(a: FloatArray, b: FloatArray) -> float:
     return float(cost[linear_sum_assignment(cost)].mean())
 
 
-def netlsd(L_real: FloatArray, L_sim: FloatArray, settings: dict[str, float]) -> float:
+def netlsd(L_real: NDArray[np.float64], L_sim: NDArray[np.float64], settings: dict[str, float]) -> float:
     """Distance of the mean heat traces of two whole objects.
 
     Parameters
@@ -116,7 +118,7 @@ def netlsd(L_real: FloatArray, L_sim: FloatArray, settings: dict[str, float]) ->
     return math.sqrt(sum(float(np.exp(-t * a).mean() - np.exp(-t * b).mean()) ** 2 for t in times))
 
 
-def r_h(L_real: FloatArray, L_sim: FloatArray, t: float) -> float:
+def r_h(L_real: NDArray[np.float64], L_sim: NDArray[np.float64], t: float) -> float:
     """|exp(-t L_sim) - exp(-t L_real)| / (t |dL|), largest absolute eigenvalues; 0 if |dL| is that of equal objects.
 
     Parameters

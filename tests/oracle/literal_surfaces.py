@@ -8,10 +8,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from sklearn.utils import murmurhash3_32
 
-from ..arrays import FloatArray
-from .literal_method import distances
+from literal_method import distances
 
 _NEIGHBOURS = 20
 _MIN_PLANARITY = 0.1
@@ -23,7 +23,7 @@ _MIN_STEP_M = 1e-3
 _MAX_STEPS = 20
 
 
-def visiting_order(points: FloatArray, seed: int = 0) -> list[int]:
+def visiting_order(points: NDArray[np.float64], seed: int = 0) -> list[int]:
     """Indices of the points by a hash of their coordinates, number by number; for equal hashes by z, y, x.
 
     Parameters
@@ -49,14 +49,14 @@ class Plane:
     is_tied : another point is as near as the last of them, so that the choice is not unique
     """
 
-    point: FloatArray
-    normal: FloatArray
+    point: NDArray[np.float64]
+    normal: NDArray[np.float64]
     roughness_m: float
     is_plane: bool
     is_tied: bool
 
 
-def local_plane(points: FloatArray, place: FloatArray) -> Plane:
+def local_plane(points: NDArray[np.float64], place: NDArray[np.float64]) -> Plane:
     """Plane through the 20 points nearest to a place.
 
     Parameters
@@ -81,7 +81,7 @@ def local_plane(points: FloatArray, place: FloatArray) -> Plane:
     )
 
 
-def offset(planes: Iterable[Plane], sim: FloatArray) -> dict[str, float | None]:
+def offset(planes: Iterable[Plane], sim: NDArray[np.float64]) -> dict[str, float | None]:
     """Translation of the simulated surface against some real planes, point to plane, by least squares.
 
     By column of `surface`; values that are not observable are None.

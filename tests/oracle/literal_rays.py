@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from ..arrays import FloatArray
-
 _REACH, _PHASE_REACH, _CANDIDATES = 0.75, 1.75, 6
 _BLOCK = 32
 _STEP_DEG = 0.01
@@ -23,7 +21,7 @@ Sensor = Mapping[str, Any]  #: metadata of the stage sensor
 Near = list[tuple[float, float, int]]  #: azimuth and rows on to a return of the other side, and its index
 
 
-def beam_of(point: FloatArray, sensor: Sensor) -> int:
+def beam_of(point: NDArray[np.float64], sensor: Sensor) -> int:
     """The beam nearest in elevation, seen from where it starts."""
     x, y, z = point.tolist()
     level, height = max(math.hypot(x, y), 1e-9), 0.0
@@ -34,16 +32,16 @@ def beam_of(point: FloatArray, sensor: Sensor) -> int:
     return min(range(len(beams)), key=lambda beam: abs(beams[beam] - elevation))
 
 
-def rows_by_elevation(real: Sensor, sim: Sensor) -> FloatArray:
+def rows_by_elevation(real: Sensor, sim: Sensor) -> NDArray[np.float64]:
     """Row at each hundredth of a degree from -90 to 90: the sum of the steps over the wider distance of beams there."""
     elevation, wider = _STEP_DEG * np.arange(18_001) - 90.0, np.zeros(18_001)
     for beams in (np.array(sensor["elevation_deg"]) for sensor in (real, sim)):
         wider = np.maximum(wider, np.interp(elevation, (beams[:-1] + beams[1:]) / 2, np.diff(beams)))
-    rows: FloatArray = np.cumsum(_STEP_DEG / wider) - _STEP_DEG / wider[0]
+    rows: NDArray[np.float64] = np.cumsum(_STEP_DEG / wider) - _STEP_DEG / wider[0]
     return rows
 
 
-def place(point: FloatArray, rows: FloatArray, step: float) -> tuple[float, float]:
+def place(point: NDArray[np.float64], rows: NDArray[np.float64], step: float) -> tuple[float, float]:
     """Azimuth in cells from -180 degrees on, and row, of a return."""
     x, y, z = point.tolist()
     azimuth = (math.degrees(math.atan2(y, x)) + 180.0) / step % (360.0 / step)
@@ -51,7 +49,9 @@ def place(point: FloatArray, rows: FloatArray, step: float) -> tuple[float, floa
     return azimuth, float(np.interp(at, np.arange(len(rows)), rows))
 
 
-def partners(real: FloatArray, sim: FloatArray, real_sensor: Sensor, sim_sensor: Sensor) -> dict[int, int]:
+def partners(
+    real: NDArray[np.float64], sim: NDArray[np.float64], real_sensor: Sensor, sim_sensor: Sensor
+) -> dict[int, int]:
     """Simulated partner of each real return that has one: nearest pairs first, each return once."""
     step = max(real_sensor["azimuth_step_deg"], sim_sensor["azimuth_step_deg"])
     width, rows = 360.0 / step, rows_by_elevation(real_sensor, sim_sensor)
@@ -187,7 +187,7 @@ def intensity_scores(
     }
 
 
-def _eta_squared(values: FloatArray, cause: FloatArray, n_groups: int) -> float | None:
+def _eta_squared(values: NDArray[np.float64], cause: NDArray[np.float64], n_groups: int) -> float | None:
     """Sum of squares of ranks between groups over the total: groups of equal cause, or of about equal size."""
     values, cause = values[~np.isnan(cause)], cause[~np.isnan(cause)]
     if len(values) < 100 or np.ptp(values) == 0:
