@@ -71,13 +71,11 @@ class Distribution(Quantiles):
     """Some values: their number, quantiles, mean, standard deviation (n - 1); null for too few.
 
     cv : coefficient of variation, std / mean
-    peak_density : share of the values in the fullest bin of width 0.05, over that width
     """
 
     mean: float | None
     std: float | None
     cv: float | None
-    peak_density: float | None
 
 
 class ScoreDistributions(Result):
@@ -136,13 +134,11 @@ class RangeFindings(Result):
 
     median_matched, median_unmatched : metres; unmatched objects of both sides, each by its own side
     bands : of fixed edges
-    halves : below and above the median range of all objects
     """
 
     median_matched: float | None
     median_unmatched: float | None
     bands: tuple[RangeBand, ...]
-    halves: tuple[RangeBand, ...]
 
 
 class GroupMean(Result):
@@ -160,21 +156,11 @@ class _Label(Result):
 class ClassFindings(Unmatched, _Label):  # in this order the label comes first in JSON
     """The objects of one class; a matched object has the class of its real side.
 
-    scores : of cdc, r_lambda, r_gap; cdc_excess, cdc minus r_lambda; r_lambda_near and r_lambda_far, of the matched
-        objects nearer than the median range of the class, and of the others
-    spearman : rank correlation of CDC and r_lambda within the class
+    scores : of cdc, r_lambda, r_gap
     """
 
     n_matched: int
     scores: dict[str, GroupMean]
-    spearman: float | None
-
-
-class WithinPairs(Result):
-    """In how many of `n_pairs` pairs r_lambda varies more than CDC over the objects of the pair."""
-
-    n_pairs: int
-    n_r_lambda_wider: int
 
 
 class ScanFindings(Result):
@@ -203,7 +189,6 @@ class ObjectFindings(Result):
     density_ratio: DensityRatio
     range_m: RangeFindings
     classes: tuple[ClassFindings, ...]
-    within_pairs: WithinPairs
     scans: Scans
 
 

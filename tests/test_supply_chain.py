@@ -138,7 +138,6 @@ def all_commands(dataset):
     yield FIDPIPE, "show", "a", "000"
     yield FIDPIPE, "gate", "a", "--max", "cdc.mean=2"
     yield FIDPIPE, "export", "a", "--ply", "--mcap"
-    yield FIDPIPE, "verify", "a", "--objects", "1"
     yield FIDPIPE, "status", "a"
     yield FIDPIPE, "floor", dataset, "--out", "floor", "--workers", "1", "--pairs", "000"
     yield FIDPIPE, "perturb", dataset, "--out", "perturbed", "--workers", "1", "--pairs", "000", "--repeats", "1"

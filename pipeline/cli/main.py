@@ -24,7 +24,7 @@ from ...schemas.docstrings import split_docstring
 from .datasets import convert, pair, synth, twin
 from .diagnosing import diagnose
 from .experiments import ablate, perturb
-from .judging import compare, gate, verify
+from .judging import compare, gate
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from .running import check, floor, run, settings, status
 from .show_report_export import export, report, show
@@ -236,7 +236,7 @@ _COMMANDS = {
     "Evaluate": (check, run, show, report),
     "Compare": (compare, gate, floor),
     "Data": (pair, convert, synth, twin),
-    "Research": (diagnose, perturb, ablate, verify),
+    "Research": (diagnose, perturb, ablate),
     "Other": (status, export, settings),
 }
 

@@ -269,29 +269,14 @@ def floor(
     print_outcome(outcome_view(outcome), outcome.failures)
 
 
-def status(
-    run: RunFolder,
-    timings: bool = False,
-) -> None:
-    """Show the progress of a run: the number of pairs done, stale, failed and to do, by stage.
-
-    Parameters
-    ----------
-    timings : Milliseconds by step, next to the paper's.
+def status(run: RunFolder) -> None:
+    """Show the progress of a run: pairs done, stale, failed and to do, by stage; name damaged tables.
 
     Examples
     --------
     fidpipe status runs/dataset
-
-    fidpipe status runs/dataset --timings        where the time of a pair goes
     """
     from ..report.views.status_view import status_view
     from ..results.status import run_status
 
-    found = run_status(run)
-    if timings and found.mean_seconds:
-        from ..paper.timings_view import timings_view
-
-        print_view(status_view(found, timings_view(found.mean_seconds)))
-    else:
-        print_view(status_view(found))
+    print_view(status_view(run_status(run)))

@@ -299,7 +299,7 @@ def with_results(
             continue
         if record.key != plan.keys[name]:
             unwanted[record.name] = OUT_OF_DATE
-        elif not folder.is_whole(record):
+        elif folder.damaged_files(record):
             unwanted[record.name] = "damaged or gone"
         elif job.stage.name in redo:
             unwanted[record.name] = "requested by --from"

@@ -156,9 +156,8 @@ def changed_causes(
     """
     changes = {name: change_of(name, before[name], after[name], between) for name in after if name in before}
     blocks = independent_blocks(blocks)
-    causes = []
-    for name in _named(changes, blocks, is_change=True):
-        causes.append(_cause(CAUSES[name], after[name], changes[name], blocks))
+    named = _named(changes, blocks, is_change=True)
+    causes = [_cause(CAUSES[name], after[name], changes[name], blocks) for name in named]
     return sorted(causes, key=lambda cause: -abs(cause.estimate) / CAUSES[cause.name].resolution)
 
 
@@ -172,7 +171,7 @@ def change_of(name: str, before: CauseValues, after: CauseValues, between: Mappi
 
 
 def _named(amounts: Mapping[str, FloatArray], blocks: IntArray, *, is_change: bool) -> list[str]:
-    """Names of the causes beyond the tolerance, or of the changes beyond the resolution, of which none feigns another."""
+    """Names of the causes beyond the tolerance, or of the changes beyond the resolution; those feigned are left out."""
     means = {name: _mean(values) for name, values in amounts.items()}
     named = {}
     for name, values in amounts.items():

@@ -133,9 +133,11 @@ def scores_words(record: RunRecord) -> str:
     """The object scores; those of the paper next to them under its preset."""
     words = []
     for column in headline_scores(record):
-        paper = metric_of(column).paper if record.preset == "paper" else None
-        value = number(record.summary[column].mean, 2)
-        words.append(f"{metric_of(column).label} {value}{f' (paper {paper.mean:.2f})' if paper else ''}")
+        metric = metric_of(column)
+        word = f"{metric.label} {number(record.summary[column].mean, 2)}"
+        if record.preset == "paper" and metric.paper_mean is not None:
+            word += f" (paper {metric.paper_mean:.2f})"
+        words.append(word)
     return "   ".join(words)
 
 

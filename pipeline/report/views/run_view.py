@@ -196,7 +196,7 @@ def dataset_table(record: RunRecord, columns: Sequence[str]) -> Table:
         worst = record.summary.get(unmatched_worst(metric.column))
         pairs = f"{score.n_pairs} of {record.pairs.scored}"
         values = (metric.label, score.mean, score.std, pairs, worst.mean if worst else "")
-        paper = [metric.paper.mean if metric.paper else ""] * with_paper
+        paper = ["" if metric.paper_mean is None else metric.paper_mean] * with_paper
         rows.append((*values, metric.reading or metric.meaning, *paper))
     title = "Dataset (mean and standard deviation over pairs; pairs without a match have no object scores)"
     headings = ("score", "mean", "std", "pairs", "unmatched\nas worst", "how to read it", *["paper"] * with_paper)
