@@ -71,8 +71,8 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseVal
     frame = table.to_pandas()
     frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
     values = {}
-    for name, rows in frame.groupby("cause"):
-        rows = rows.set_index("pair").reindex(range(len(pair_ids)))
+    for name, group in frame.groupby("cause"):
+        rows = group.set_index("pair").reindex(range(len(pair_ids)))
         columns = {column: rows[column].to_numpy(np.float64) for column in ("amount", "real", "sim", "share")}
         reasons = rows["reason"].dropna()
         values[str(name)] = CauseValues(**columns, reason=str(reasons.iloc[0]) if len(reasons) else "")
