@@ -68,7 +68,7 @@ def _survey(run: FinishedRun, engine: RunEngine, planner: Planner, stage: Stage)
         survey.usable.append(pair)
         key = _plan(run, planner, stage, pair).keys[stage.name, ""]
         record = run.store.ledger.jobs(pair.pair_id).get((stage.name, ""))
-        if record is not None and record.key == key and run.store.is_whole(record):
+        if record is not None and record.key == key and not run.store.damaged_files(record):
             continue
         survey.todo.append(pair)
         survey.n_jobs += 1
