@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -18,7 +18,6 @@ def diagnose(
     floor: Annotated[Path | None, typer.Option(metavar="RUN", autocompletion=completion.run_folders)] = None,
     pairs: Pairs = None,
     workers: Annotated[int | None, typer.Option(min=1, show_default="one per core")] = None,
-    beams: bool = False,
     tell_apart: bool = False,
     picture: Annotated[Path | None, typer.Option(metavar="PNG")] = None,
     settings: SettingsFile = None,
@@ -43,7 +42,6 @@ def diagnose(
     sources : Folder of a run; with --tell-apart also two folders of scans (or recordings), which need no pairs.
     floor : Run on the same real scans that is subtracted: of fidpipe floor, or of an earlier version.
     workers : Threads.
-    beams : Instead a table of the beams: rays that only one side returned, errors of range and elevation.
     tell_apart : Test if a classifier can distinguish real and simulated points.
     picture : With --tell-apart: map of the recognised points.
 
@@ -54,8 +52,6 @@ def diagnose(
     fidpipe diagnose runs/build42 --floor runs/build41       what changed between two versions
 
     fidpipe diagnose runs/dataset --json | jq '.causes[0]'
-
-    fidpipe diagnose runs/dataset --floor runs/dataset-floor --beams
 
     fidpipe diagnose runs/dataset --tell-apart --picture map.png
 
@@ -68,12 +64,8 @@ def diagnose(
         )
     if len(sources) == 1 and (settings or assignments):
         raise typer.BadParameter("--settings and --set are for two folders; a run has its settings")
-    if beams and tell_apart:
-        raise typer.BadParameter("expected one of --beams and --tell-apart")
     if tell_apart and as_csv:
         raise typer.BadParameter("--csv is for causes; with --tell-apart give --json or --markdown")
-    if beams:
-        return _beams(sources[0], floor, pairs, output)
     if tell_apart:
         return _tell_apart(sources, floor, pairs, picture, settings, assignments or [], output)
     from ..diagnose.diagnose import diagnose_run
@@ -83,20 +75,6 @@ def diagnose(
     found = diagnose_run(sources[0], floor, pairs, workers or os.cpu_count() or 1, Reporter())
     print_as(output, lambda: diagnosis_view(found), lambda: diagnosis_records(found), found.as_dict)
     return None
-
-
-def _beams(run: Path, floor: Path | None, pairs: str | None, output: str) -> None:
-    from ..diagnose.beams import beam_table, beam_view
-    from ..report.view import Table
-
-    table = beam_table(run, floor, pairs).reset_index()
-    records: Any = table.astype(object).where(table.notna(), None)
-    print_as(
-        output,
-        lambda: beam_view(table.set_index("beam"), floor is not None),
-        lambda: Table("", [*records], records.to_numpy().tolist()),
-        lambda: {"beams": records.to_dict("records")},
-    )
 
 
 def _tell_apart(

@@ -14,7 +14,6 @@ from ..engine.costs import CostModel
 from ..report.view import Note, Table, View
 from ..storage.files import free_bytes, megabytes
 from .scan_checks import DatasetCheck
-from .sensor_settings import DIFFERS
 from .side_checks import SensorCheck
 
 RUNS = Path("runs")  #: where runs lie unless --out says otherwise
@@ -34,7 +33,6 @@ def check_json(dataset: DatasetCheck) -> JsonObject:
         "warnings": [*dataset.warnings],
         "faults": [*dataset.faults],
         "sensors": asdict(dataset.sensors),
-        "settings": [asdict(setting) for setting in dataset.settings],
         "disk_bytes": _disk_bytes(dataset),
     }
 
@@ -57,7 +55,6 @@ def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
     return [
         Table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
         *_sensor_lines(dataset.sensors),
-        *(Note(f"{one.verdict}: {one.text}") for one in dataset.settings if one.verdict != DIFFERS),
         *map(Note, dataset.notes),
         *(Note(f"warning: {text}", "yellow") for text in dataset.warnings),
         *(Note(f"error: {text}", "red") for text in dataset.faults),

@@ -53,7 +53,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.SIDE,
     make=make_sensor,
-    libraries=("small_gicp",),
     takes_real=_takes_real,
     version=3,
 )
