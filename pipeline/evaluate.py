@@ -38,8 +38,8 @@ class PairResult:
 
     summary : the pair's row of `pairs`: counts, match rate, means and standard deviations
     points, sensor, edges, communities, objects : by side, "real" and "sim"
-    matching, coverage, surface, pieces, rays, ray_scores, selection, metrics : of the pair
-    causes : flaws of the simulated side with their amounts, regardless of any tolerance
+    matching, coverage, surface, pieces, rays, ray_scores, causes, selection, metrics : of the pair; `causes` has the
+        amount of every flaw, whether it is noticeable or not
     baselines : of the pair, where `metrics.baselines` names some
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
     """

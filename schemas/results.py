@@ -302,10 +302,18 @@ class Caution(Result):
     words: str
 
 
+class Unknown(Result):
+    """Causes that cannot be estimated in most pairs, and the reason."""
+
+    causes: tuple[str, ...]
+    reason: str
+
+
 class Overview(Result):
     """The first answer of a run, from the objects and pieces of all scored pairs; see `pipeline.results.overview`.
 
     causes : what to fix first, most severe first
+    unknown : causes that cannot be estimated
     pieces : the largest pieces
     surface : coverage by range and by class
     n_aligned, n_badly_aligned : objects with an r_lambda, and those whose alignment is too bad for it
@@ -313,6 +321,7 @@ class Overview(Result):
     """
 
     causes: tuple[Cause, ...]
+    unknown: tuple[Unknown, ...]
     pieces: tuple[Piece, ...]
     surface: tuple[SurfaceGroup, ...]
     n_aligned: int
@@ -340,6 +349,7 @@ class Diagnosis(Result):
     unexplained : share of the distance over `floor_m` that no correction explains; null if there is hardly any
     causes : those with the largest gain first
     doubtful : seen, but fixing them would not help
+    notes : on causes that can have several reasons
     """
 
     n_pairs: int
@@ -348,3 +358,4 @@ class Diagnosis(Result):
     unexplained: float | None
     causes: tuple[Cause, ...]
     doubtful: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()

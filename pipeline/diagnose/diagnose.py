@@ -16,6 +16,7 @@ from ..jobs.gains_job import gains_stage
 from ..results.diagnosis import diagnosis_of
 from ..results.finished import FinishedRun
 from ..stage import Stage
+from .latency import latency_note
 
 
 def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = None) -> Diagnosis:
@@ -49,7 +50,8 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     diagnosis = diagnosis_of(run.store, run.record, [row["pair_id"] for row in run.scored])
     if diagnosis is None:
         raise RunError(f"run {folder}: the run changed while it was diagnosed; diagnose it again")
-    return diagnosis
+    note = latency_note(run, diagnosis.causes)
+    return diagnosis.model_copy(update={"notes": (note,)}) if note else diagnosis
 
 
 def _plan(run: FinishedRun, planner: Planner, stage: Stage, pair: ScanPair) -> PairPlan:

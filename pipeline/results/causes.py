@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES, CauseModel
-from ...schemas.results import Cause
+from ...schemas.results import Cause, Unknown
 from ...stages.arrays import BoolArray, FloatArray, IntArray
-from ...stages.causes.estimates import FLAT, LOSSES, UNEVEN
+from ...stages.causes.estimates import FLAT, LOSSES, UNEVEN, Amount
 from ...stages.displacement import PARAMETERS
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, mean_interval
 from ..storage.folder import RunFolder
@@ -79,6 +79,20 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseVal
     return values
 
 
+def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, CauseValues]:
+    """Estimates of some pairs, by name of the cause; those that no pair has are left out."""
+    values = {}
+    for name in CAUSES:
+        of_pairs = [pair[name] for pair in amounts if name in pair]
+        if of_pairs:
+            columns = {}
+            for column in ("amount", "real", "sim", "share"):
+                columns[column] = np.array([getattr(amount, column) for amount in of_pairs], dtype=np.float64)
+            reasons = [amount.reason for amount in of_pairs if amount.reason]
+            values[name] = CauseValues(**columns, reason=reasons[0] if reasons else "")
+    return values
+
+
 def independent_blocks(blocks: IntArray) -> IntArray:
     """The blocks over which an interval is formed: each pair counts as one if there are fewer than three blocks."""
     if len(np.unique(blocks)) < LEAST_FOR_INTERVAL:
@@ -102,6 +116,27 @@ def named_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Ca
             continue
         causes.append(_cause(CAUSES[name], values[name], values[name].amount, blocks))
     return sorted(causes, key=lambda cause: -cause.share)
+
+
+def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:
+    """The causes that are unknown in most pairs, by reason."""
+    by_reason: dict[str, list[str]] = {}
+    for name, of_cause in values.items():
+        if not _is_known(of_cause.amount):
+            by_reason.setdefault(of_cause.reason, []).append(name)
+    return [Unknown(causes=tuple(names), reason=reason) for reason, names in by_reason.items()]
+
+
+def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | None:
+    """A cause with its mean amount over the pairs, also if it is too small to be named; None if it is unknown."""
+    if not _is_known(values.amount):
+        return None
+    return _cause(CAUSES[name], values, values.amount, independent_blocks(blocks))
+
+
+def _is_known(amounts: FloatArray) -> bool:
+    """True if a cause has an amount in at least half of the pairs."""
+    return 2 * int(np.count_nonzero(~np.isnan(amounts))) >= len(amounts)
 
 
 def changed_causes(
@@ -142,7 +177,7 @@ def _named(amounts: Mapping[str, FloatArray], blocks: IntArray, *, is_change: bo
     for name, values in amounts.items():
         model = CAUSES[name]
         is_known = ~np.isnan(values)
-        if name == UNEVEN or 2 * is_known.sum() < len(values) or _is_feigned(name, means):
+        if name == UNEVEN or not _is_known(values) or _is_feigned(name, means):
             continue
         limit = model.resolution if is_change else model.tolerance
         if _is_beyond(model, block_means(values[is_known], blocks[is_known]), limit, is_change=is_change):

@@ -11,7 +11,7 @@ import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -20,11 +20,13 @@ from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
 from ...schemas.settings import expected_and_got
 from ...stages.statistics.comparison import LEAST_PAIRS
-from .compare import Comparison
-from .families import FamilyChange
 from .finished import FinishedRun, partition_note
 from .floor import excess_over
 from .measures import Measures
+
+if TYPE_CHECKING:
+    from .compare import Comparison
+    from .families import FamilyChange
 
 Bound = Literal["max", "min"]
 #: What a comparison may fail on.
