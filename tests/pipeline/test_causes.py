@@ -1,4 +1,4 @@
-"""One list of causes: a simulator with known flaws, read from every command; and the rules by which causes are named."""
+"""One list of causes: a simulator with known flaws, read from every command; and the rules that name causes."""
 
 import json
 import re
