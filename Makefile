@@ -44,7 +44,6 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy -p fidpipe
 	$(BIN)/lint-imports
-	$(BIN)/python tools/prose.py
 	$(BIN)/codespell
 	$(BIN)/python tools/plain.py
 
@@ -127,7 +126,7 @@ test-pythons: setup
 		fi && $$place/bin/pytest $(AT_ONCE) $(TESTS) || exit 1; \
 	done
 
-# Archives, clean installs, extras, the Dockerfile's steps: some minutes, wants the package index.
+# Archives, clean installs, extras, licences, the Dockerfile's steps: some minutes, wants the package index.
 release-check: setup
 	$(BIN)/python tools/release.py
 

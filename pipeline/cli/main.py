@@ -21,7 +21,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from ...schemas.docstrings import split_docstring
-from .datasets import convert, pair, synth, twin
+from .datasets import pair, synth, twin
 from .diagnosing import diagnose
 from .experiments import ablate, perturb
 from .judging import compare, gate
@@ -235,7 +235,7 @@ def _root(
 _COMMANDS = {
     "Evaluate": (check, run, show, report),
     "Compare": (compare, gate, floor),
-    "Data": (pair, convert, synth, twin),
+    "Data": (pair, synth, twin),
     "Research": (diagnose, perturb, ablate),
     "Other": (status, export, settings),
 }

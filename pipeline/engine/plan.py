@@ -207,6 +207,10 @@ class Planner:
             keys[name] = hashlib.sha256(" ".join((job.key, *_reads(job, keys))).encode()).hexdigest()
         return PairPlan(pair, jobs, keys, {}, inputs, self.label_names)
 
+    def jobs(self) -> tuple[Job, ...]:
+        """The jobs of a pair that has files of all sides, in their order."""
+        return tuple(self._layout(self.sides, ()).values())
+
     def plan_on_results(self, pair: ScanPair, records: Mapping[JobId, JobRecord], stage: Stage) -> PairPlan:
         """The job of one stage of a pair whose other results are taken as they are, whatever they were made of.
 

@@ -17,7 +17,6 @@ from ..results.causes import MOST_SHOWN
 from ..storage.files import free_bytes, megabytes
 from .cause_checks import CauseCheck
 from .scan_checks import DatasetCheck
-from .sensor_settings import DIFFERS
 from .side_checks import SensorCheck
 
 RUNS = Path("runs")  #: where runs lie unless --out says otherwise
@@ -41,7 +40,6 @@ def check_json(dataset: DatasetCheck) -> JsonObject:
             "pair_ids": [*dataset.causes.pair_ids],
             "causes": [cause.as_dict() for cause in dataset.causes.causes],
         },
-        "settings": [asdict(setting) for setting in dataset.settings],
         "disk_bytes": _disk_bytes(dataset),
     }
 
@@ -65,7 +63,6 @@ def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
         Table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
         *_sensor_lines(dataset.sensors),
         *_causes(dataset.causes),
-        *(Note(f"{one.verdict}: {one.text}") for one in dataset.settings if one.verdict != DIFFERS),
         *map(Note, dataset.notes),
         *(Note(f"warning: {text}", "yellow") for text in dataset.warnings),
         *(Note(f"error: {text}", "red") for text in dataset.faults),

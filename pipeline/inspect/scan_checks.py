@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -28,7 +26,6 @@ from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..pair_checks import pair_warnings, shared_files, swapped_sides
 from .cause_checks import CauseCheck, CauseSamples
-from .sensor_settings import DIFFERS, SettingCheck, check_sensor_settings
 from .side_checks import SensorCheck, SideSamples
 
 
@@ -81,7 +78,6 @@ class DatasetCheck:
 
     sensors : of the two sides
     causes : of a few pairs
-    settings : of the simulated sensor, each compared with its scans; those that differ are warnings too
     notes : of each side as a whole, one line each, that is nothing wrong
     `faults`, warnings : one line each, with the name of the pair
     """
@@ -93,17 +89,12 @@ class DatasetCheck:
     notes: list[str]
     faults: list[str]
     warnings: list[str]
-    settings: list[SettingCheck] = field(default_factory=list)
 
 
-def check_dataset(folder: Path, settings: Settings, sensor_settings: Mapping[str, Any] | None = None) -> DatasetCheck:
+def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     """Read every file of a dataset once and name every problem; computes no score.
 
     If a reader may end its process, files are read in worker processes.
-
-    Parameters
-    ----------
-    sensor_settings : of the simulated sensor, see `read_sensor_settings`
 
     Raises
     ------
@@ -135,9 +126,7 @@ def check_dataset(folder: Path, settings: Settings, sensor_settings: Mapping[str
         warnings += pair_warnings(check.pair, found, check.frames)
     counts = {side: [check.sides[side].n_clean for check in checks if side in check.sides] for side in SIDES}
     warnings += samples.warnings(counts)
-    compared = check_sensor_settings(sensor_settings or {}, samples.evidence())
-    warnings += [f"simulated sensor: {setting.text}" for setting in compared if setting.verdict == DIFFERS]
-    return DatasetCheck(folder, checks, samples.sensors(), causes.named(), samples.notes(), faults, warnings, compared)
+    return DatasetCheck(folder, checks, samples.sensors(), causes.named(), samples.notes(), faults, warnings)
 
 
 def check_scan(

@@ -25,7 +25,7 @@ _ABLATED_SCORES = ("match_rate", *(METRIC[name].mean_column for name in _OBJECT_
 
 
 def perturb_view(outcome: PerturbOutcome) -> View:
-    """The scores of the whole scan (the paper's Table I), those of the objects, and the reactions of the metrics."""
+    """Scores of the whole scan (the paper's Table I) and of objects; reactions of the metrics."""
     means, levels = outcome.means, outcome.levels
     parts: list[Part] = []
     if outcome.scans:

@@ -34,7 +34,7 @@ from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, foll
 from .object_frame import object_parts, plain_rows
 from .sectors import N_SECTORS, sector_rows
 
-#: Largest number of runs that fit into one table.
+#: Largest number of runs in one command.
 MOST_RUNS = 8
 
 

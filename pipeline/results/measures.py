@@ -29,6 +29,7 @@ from .measure_names import (
     OF_PAIRS,
     PAIR_SCORES,
     PLAIN_NAMES,
+    SENSOR_VALUES,
     STATES,
 )
 
@@ -181,7 +182,9 @@ class Measures:
 
 def _column(score: str) -> str:
     """The column of `pairs` with a score of pairs."""
-    return METRIC[score].mean_column if score in OBJECT_METRICS else DOTTED.get(score, score)
+    if score in OBJECT_METRICS:
+        return METRIC[score].mean_column
+    return (DOTTED | SENSOR_VALUES).get(score, score)
 
 
 def _statistic(values: FloatArray, stat: str, what: str, score: str) -> float:
@@ -205,8 +208,10 @@ def _either(name: str, words: Iterable[str]) -> str:
 _CLASS = r"(?:class\.(?P<label>.+)\.)"
 _WITHIN = r"(?:\.within_(?P<within>[0-9]+(?:\.[0-9]+)?)m)?"
 _SCORE = _either("score", (*PAIR_SCORES, *map(re.escape, DOTTED)))
+_SENSOR_VALUE = _either("score", map(re.escape, SENSOR_VALUES))
 _MEASURES: dict[str, Callable[..., float]] = {
     rf"{_SCORE}\.{_either('stat', OF_PAIRS)}": Measures._of_pairs,
+    rf"{_SENSOR_VALUE}\.{_either('stat', OF_PAIRS)}": Measures._of_pairs,
     rf"excess\.{_SCORE}\.{_either('stat', (*OF_PAIRS, *OF_DISTRIBUTIONS))}": Measures._over_floor,
     rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', OF_OBJECTS)}": Measures._of_objects,
     rf"{_CLASS}?{_either('what', ('missing', 'hallucinated'))}{_WITHIN}(?:\.{_either('count', COUNTS)})?": (

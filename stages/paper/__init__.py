@@ -1,1 +1,1 @@
-"""Statistics of the paper's experiments: means of a perturbation sweep, and the choice of parameters."""
+"""Statistics of the paper's experiments: means of a sweep, and the choice of parameters."""

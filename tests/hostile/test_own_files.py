@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from fidpipe.pipeline.cli import completion
-from fidpipe.pipeline.exchange.convert import convert
 from fidpipe.pipeline.generate import synth, twin
 from fidpipe.pipeline.generate.recordings import Recording
 from fidpipe.pipeline.generate.sensor_files import read_sensor
@@ -31,7 +30,7 @@ from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.pipeline.storage.run_record import read_run
 from fidpipe.pipeline.storage.table_files import read_footer
 from fidpipe.pipeline.terminal import Terminal
-from fidpipe.schemas.errors import DatasetError, FidpipeError, RunError
+from fidpipe.schemas.errors import FidpipeError, RunError
 from runs import QUIET, command, rewrite, run
 
 TWIN = 'version = 1\nseed = 0\nsensor = "x"\ninputs_sha256 = "00"\nfiles = {}\n'
@@ -109,16 +108,6 @@ def test_a_record_of_any_content_offers_no_names(tmp_path, record):
     context = SimpleNamespace(params={"run": tmp_path, "out": tmp_path}, args=[])
     assert completion.pairs(context, "") == []
     assert completion.stages(context, "") == []
-
-
-@pytest.mark.parametrize("names", ['car = "car"', "[1]", "= 5", '"\\ud800" = 1'])
-def test_names_of_labels_of_any_content_are_added_to_or_refused(tmp_path, names):
-    (tmp_path / "scan.csv").write_text("x,y,z,label\n1,2,3,car\n4,5,6,tree\n")
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "labels.toml").write_text(names)
-    with pytest.raises(DatasetError, match=r"labels\.toml"):
-        convert(tmp_path / "scan.csv", tmp_path / "out" / "a.ply")
-    assert (tmp_path / "out" / "labels.toml").read_text() == names
 
 
 ESCAPE = "\x1b]0;owned\x07\x1b[2J\u202eevil\x9b31m"

@@ -13,11 +13,11 @@ import pytest
 from PIL import Image
 
 from browsers import IN_3D, by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
-from fidpipe.pipeline.report.page.compare_page import compare_page, history_page
+from fidpipe.pipeline.report.page.compare_page import compare_page
 from fidpipe.pipeline.report.page.run_data import score_limits
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.run_frames import read_results
-from fidpipe.pipeline.results.compare import compare_runs, read_history
+from fidpipe.pipeline.results.compare import compare_runs
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 
 WIDTHS = (1280, 390)
@@ -291,7 +291,6 @@ def buttons(browser):
 def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, report_run, tmp_path):
     single = write_report(report_run, one_page_a_pair=True, out=tmp_path / "single").page
     (tmp_path / "compare.html").write_text(compare_page(compare_runs([report_run, report_run])), encoding="utf-8")
-    (tmp_path / "history.html").write_text(history_page(read_history([report_run] * 3)), encoding="utf-8")
     write_report(report_run, out=tmp_path / "whole")
     with_3d = [*(set(single.parent.glob("*.html")) - {single}), *(tmp_path / "whole").glob("*.html")]
     assert len(with_3d) == len(HOSTILE_PAIRS) + 1
@@ -301,7 +300,7 @@ def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, report_run, 
         see_all(browser)
         assert browser.execute_script("return Boolean(document.getElementById('overlay').data)")
         assert buttons(browser) == [{"scene": BUTTONS_3D}, [""]], path
-    for path in (single, tmp_path / "compare.html", tmp_path / "history.html"):
+    for path in (single, tmp_path / "compare.html"):
         open_page(browser, path)
         see_all(browser)
         assert buttons(browser) == [{}, [""]], path
@@ -347,27 +346,22 @@ def test_a_click_on_a_dot_of_a_chart_opens_its_object(page):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", WIDTHS)
-def test_comparison_and_history_draw_their_charts_in_the_theme_and_fit_the_window(
-    browser, report_run, tmp_path, width, dark
-):
-    (comparison,), history = compare_runs([report_run] * 2), read_history([report_run] * 3)
+def test_a_comparison_draws_its_charts_in_the_theme_and_fits_the_window(browser, report_run, tmp_path, width, dark):
+    (comparison,) = compare_runs([report_run] * 2)
     resize(browser, width, dark)
-    for text, marks, chart, n_marks in (
-        (compare_page([comparison]), "#undecided_0 .ytick", "undecided_0", len(comparison.scores)),
-        (history_page(history), ".chart .js-line", "history_0", len(history.families)),
-    ):
-        path = tmp_path / f"{chart}.html"
-        path.write_text(text, encoding="utf-8")
-        complaints(browser), requests(browser)
-        open_page(browser, path)
-        see_all(browser)
-        assert browser.execute_script("return document.documentElement.scrollWidth") <= width
-        picture = pixels(browser, chart).mean(axis=2)
-        assert (picture.mean() < 100) == dark
-        assert picture.std() > 2, "an empty chart"
-        assert len(browser.find_elements("css selector", marks)) == n_marks >= 5
-        assert complaints(browser) == []
-        assert requests(browser) == [path.as_uri()]
+    path = tmp_path / "compare.html"
+    path.write_text(compare_page([comparison]), encoding="utf-8")
+    complaints(browser), requests(browser)
+    open_page(browser, path)
+    see_all(browser)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    picture = pixels(browser, "undecided_0").mean(axis=2)
+    assert (picture.mean() < 100) == dark
+    assert picture.std() > 2, "an empty chart"
+    marks = browser.find_elements("css selector", "#undecided_0 .ytick")
+    assert len(marks) == len(comparison.scores) >= 5
+    assert complaints(browser) == []
+    assert requests(browser) == [path.as_uri()]
 
 
 @pytest.mark.exhaustive

@@ -11,7 +11,7 @@ _MOST_LINES = 3
 
 
 def status_view(status: RunStatus) -> View:
-    """Progress of a run in about ten lines: stages that all pairs have in one, the others one by one; failed pairs."""
+    """Progress of a run in about ten lines: finished stages in one, then the others; failures."""
     is_open = any(counts["stale"] or counts["to do"] for counts in status.stages.values())
     finished = [stage for stage, counts in status.stages.items() if counts["done"] == status.n_pairs]
     lines = [f"done of all pairs: {', '.join(finished)}"] if finished else []
