@@ -6,7 +6,7 @@ the amounts that were corrected.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,22 +88,43 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
         return None
     before_m, after_m, floor_m = gains.distances_m.mean(axis=0).tolist()
     excess_m = before_m - floor_m
-    confirmed, doubtful = [], []
-    for cause in record.overview.causes:
-        diagnosed = _with_gain(cause, gains, excess_m)
-        if _is_weak(diagnosed, after_m - floor_m):
-            doubtful.append(cause.words)
-        else:
-            confirmed.append(diagnosed)
+    gains_m = {name: float(values.mean()) for name, values in gains.by_cause.items()}
+    confirmed, doubtful = confirm(record.overview.causes, gains_m, (before_m, after_m, floor_m))
+    shown = []
+    for cause in confirmed:
+        evidence = _evidence(CAUSES[cause.name].curve, gains)
+        shown.append(cause.model_copy(update={"evidence": evidence}))
     is_share = excess_m >= LEAST_EXCESS_M
     return Diagnosis(
         n_pairs=len(pair_ids),
         distance_m=before_m,
         floor_m=floor_m,
         unexplained=min(max((after_m - floor_m) / excess_m, 0.0), 1.0) if is_share else None,
-        causes=tuple(sorted(confirmed, key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0)))),
-        doubtful=tuple(doubtful),
+        causes=tuple(shown),
+        doubtful=tuple(cause.words for cause in doubtful),
     )
+
+
+def confirm(
+    causes: Sequence[Cause], gains_m: Mapping[str, float], distances_m: tuple[float, float, float]
+) -> tuple[list[Cause], list[Cause]]:
+    """The causes with the gain of correcting each, largest first, and those whose correction hardly helps.
+
+    Parameters
+    ----------
+    causes : from `causes.named_causes`
+    gains_m : by name, metres by which the surface distance becomes smaller
+    distances_m : before and after all corrections, and that of a second measurement
+    """
+    before_m, after_m, floor_m = distances_m
+    confirmed, doubtful = [], []
+    for cause in causes:
+        diagnosed = _with_gain(cause, gains_m.get(cause.name), before_m - floor_m)
+        if _is_weak(diagnosed, after_m - floor_m):
+            doubtful.append(diagnosed)
+        else:
+            confirmed.append(diagnosed)
+    return sorted(confirmed, key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0))), doubtful
 
 
 def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overview | None:
@@ -113,11 +134,9 @@ def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overvi
     return overview.model_copy(update={"causes": diagnosis.causes})
 
 
-def _with_gain(cause: Cause, gains: Gains, excess_m: float) -> Cause:
-    model = CAUSES[cause.name]
-    found = {"is_upper_bound": model.is_restored, "evidence": _evidence(model.curve, gains)}
-    if cause.name in gains.by_cause:
-        gain_m = float(gains.by_cause[cause.name].mean())
+def _with_gain(cause: Cause, gain_m: float | None, excess_m: float) -> Cause:
+    found: dict[str, object] = {"is_upper_bound": CAUSES[cause.name].is_restored}
+    if gain_m is not None:
         found |= {"gain_m": gain_m, "gain": gain_m / excess_m if excess_m >= LEAST_EXCESS_M else None}
     return cause.model_copy(update=found)
 
