@@ -25,8 +25,8 @@ UNEXPLAINED = "unexplained"  #: row of table `gains`: distance that no correctio
 DISTANCES = "distances_m"  #: metadata: distance before and after all corrections, and that of a second measurement
 CURVES = "curves"  #: metadata: curves of both sides, by kind
 AMOUNTS = "amounts"  #: metadata: mean amount of each cause that was corrected
-#: Below this distance over that of a second measurement, metres, gains are not shares.
-LEAST_EXCESS_M = 0.005
+#: Below this distance over that of a second measurement, metres and relative to it, gains are not shares.
+LEAST_EXCESS_M, LEAST_EXCESS = 0.005, 0.1
 #: Part of what the other causes leave that a cause must explain, else fixing it would not help.
 LEAST_PART = 0.03
 
@@ -87,19 +87,17 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
     if gains is None:
         return None
     before_m, after_m, floor_m = gains.distances_m.mean(axis=0).tolist()
-    excess_m = before_m - floor_m
     gains_m = {name: float(values.mean()) for name, values in gains.by_cause.items()}
     confirmed, doubtful = confirm(record.overview.causes, gains_m, (before_m, after_m, floor_m))
     shown = []
     for cause in confirmed:
         evidence = _evidence(CAUSES[cause.name].curve, gains)
         shown.append(cause.model_copy(update={"evidence": evidence}))
-    is_share = excess_m >= LEAST_EXCESS_M
     return Diagnosis(
         n_pairs=len(pair_ids),
         distance_m=before_m,
         floor_m=floor_m,
-        unexplained=min(max((after_m - floor_m) / excess_m, 0.0), 1.0) if is_share else None,
+        unexplained=unexplained_share((before_m, after_m, floor_m)),
         causes=tuple(shown),
         doubtful=tuple(cause.words for cause in doubtful),
     )
@@ -116,15 +114,37 @@ def confirm(
     gains_m : by name, metres by which the surface distance becomes smaller
     distances_m : before and after all corrections, and that of a second measurement
     """
-    before_m, after_m, floor_m = distances_m
+    _, after_m, floor_m = distances_m
+    excess_m = _excess(distances_m)
     confirmed, doubtful = [], []
     for cause in causes:
-        diagnosed = _with_gain(cause, gains_m.get(cause.name), before_m - floor_m)
+        diagnosed = _with_gain(cause, gains_m.get(cause.name), excess_m)
         if _is_weak(diagnosed, after_m - floor_m):
             doubtful.append(diagnosed)
         else:
             confirmed.append(diagnosed)
     return sorted(confirmed, key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0))), doubtful
+
+
+def unexplained_share(distances_m: tuple[float, float, float]) -> float | None:
+    """Share of the distance over that of a second measurement that no correction explains; None if hardly any is.
+
+    Parameters
+    ----------
+    distances_m : before and after all corrections, and that of a second measurement
+    """
+    _, after_m, floor_m = distances_m
+    excess_m = _excess(distances_m)
+    if excess_m is None:
+        return None
+    return min(max((after_m - floor_m) / excess_m, 0.0), 1.0)
+
+
+def _excess(distances_m: tuple[float, float, float]) -> float | None:
+    """Distance over that of a second measurement, metres; None if it is within the accuracy of the latter."""
+    before_m, _, floor_m = distances_m
+    excess_m = before_m - floor_m
+    return excess_m if excess_m >= max(LEAST_EXCESS_M, LEAST_EXCESS * floor_m) else None
 
 
 def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overview | None:
@@ -134,10 +154,10 @@ def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overvi
     return overview.model_copy(update={"causes": diagnosis.causes})
 
 
-def _with_gain(cause: Cause, gain_m: float | None, excess_m: float) -> Cause:
+def _with_gain(cause: Cause, gain_m: float | None, excess_m: float | None) -> Cause:
     found: dict[str, object] = {"is_upper_bound": CAUSES[cause.name].is_restored}
     if gain_m is not None:
-        found |= {"gain_m": gain_m, "gain": gain_m / excess_m if excess_m >= LEAST_EXCESS_M else None}
+        found |= {"gain_m": gain_m, "gain": None if excess_m is None else gain_m / excess_m}
     return cause.model_copy(update=found)
 
 
