@@ -410,13 +410,22 @@ def compare(pairs, base_pairs):
     weak = unconfirmed(gains)
     rows = [cause_row(cause) for cause in causes if cause.name not in weak]
     elsewhere = elsewhere_share([off_shares for _, *off_shares in undone])
-    if DEBUG: print("  ", mean_distances(gains)[:2], {c.name:(round(c.estimate,4),round(mean_gains(gains).get(c.name,-1),4)) for c in causes}, weak, np.mean([o for _,*o in undone],axis=0).round(3), elsewhere, flush=True)
+    if DEBUG:
+        print(
+            "  ",
+            mean_distances(gains)[:2],
+            {c.name: (round(c.estimate, 4), round(mean_gains(gains).get(c.name, -1), 4)) for c in causes},
+            weak,
+            np.mean([o for _, *o in undone], axis=0).round(3),
+            elsewhere,
+            flush=True,
+        )
     if elsewhere is not None:
         rows.insert(0, (UNEXPLAINED, elsewhere, np.nan, np.nan))
     return rows
 
 
-DEBUG=os.environ.get("DEBUG")
+DEBUG = os.environ.get("DEBUG")
 
 
 def judge(task):
@@ -425,7 +434,8 @@ def judge(task):
     file = args.out / f"{zlib.crc32(repr((str(folder), base, label)).encode()):08x}.pkl"
     if file.exists():
         return pickle.loads(file.read_bytes())
-    if DEBUG: print(folder.name, base, label, flush=True)
+    if DEBUG:
+        print(folder.name, base, label, flush=True)
     scenes = SCENES[folder]
     pairs = [estimated(pair_of(scene, altered(scene, base, flaws))) for scene in scenes]
     found = []
@@ -435,7 +445,8 @@ def judge(task):
         found.append((n, "base", compare(chosen, base_pairs)))
         if base != "poor":
             found.append((n, "none", diagnose(chosen)))
-            if DEBUG: print("   none:", [(r[0],round(r[1],4)) for r in found[-1][2]], flush=True)
+            if DEBUG:
+                print("   none:", [(r[0], round(r[1], 4)) for r in found[-1][2]], flush=True)
     result = [(folder.name, base, label, *own) for own in found]
     file.write_bytes(pickle.dumps(result))
     return result

@@ -46,7 +46,8 @@ def surface_floor(real: Side, sim: Side, aligned: Side, rng: Generator) -> float
     """Surface distance of a perfect second measurement of the real scan, with rays like the simulated ones; metres.
 
     Real rays are turned by the angle between the simulated rays and the real ones (the median, in a random direction;
-    with or without the displacement, which is smaller, as small displacements are errors of the fit), and their returns moved along the ray by the range noise of the real sensor, or of the simulated one as far as that
+    with or without the displacement, whichever is smaller, as small displacements are errors of the fit), and their
+    returns moved along the ray by the range noise of the real sensor, or of the simulated one as far as that
     is within the tolerance; returns are lost in the share that the real sensor loses. So neither the spacing of points
     nor the noise of a measurement counts as a difference.
 
