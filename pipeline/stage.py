@@ -75,6 +75,7 @@ class Stage:
     gather : for grain OBJECT, returns the metadata of the pair from the rows of all objects
     is_wanted : for an extra, True if the settings request it; None for a stage that every run has
     summarise : entries of `run.json` about its finished jobs
+    arguments : plain values for its jobs, covered by their keys
     """
 
     name: str
@@ -89,6 +90,7 @@ class Stage:
     gather: Callable[[Inputs, Tables], Metadata] | None = None
     is_wanted: Callable[[Settings], bool] | None = None
     summarise: Callable[[Iterable[JobRecord], Settings], dict[str, Any]] | None = None
+    arguments: tuple[Any, ...] = ()
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -155,7 +157,7 @@ class Inputs:
     T_real_sim : motion of the simulated into the real sensor's frame, 12 numbers row by row; None if not given, or if
         the stage takes no input file, or for the real side, whose key does not cover it
     objects : of grain OBJECT, the ids of the matched objects to be scored
-    arguments : of a part of an experiment, what distinguishes it from its neighbours
+    arguments : of the stage, or of a part of an experiment
     step : times a step of the job
     memo : computes once what several jobs of the pair need
     """

@@ -1,4 +1,4 @@
-"""Catalogue of the causes that `fidpipe diagnose` knows, from `causes.toml`."""
+"""Catalogue of causes: named flaws of a simulator, from `causes.toml`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from .data_files import read_data
 class CauseModel:
     """A flaw of the catalogue.
 
-    tolerance : without a floor it is named beyond this: the difference of two measurements of a scene, and for
-        positions what a poor twin shows without being displaced
-    resolution : larger than any estimate without the flaw; over a floor the cause is named beyond it
+    kind : "sensor" for a property of the sensor or its pose, the same in all scans; "world" for what differs from place
+        to place
+    tolerance : it is named beyond this: the difference of two measurements of a scene, and for positions what a poor
+        twin shows without being displaced
+    resolution : larger than any estimate without the flaw; a change between two runs is named beyond it
     relative : further error of the estimate, per amount; it widens the interval, and has no influence on what is named
     words : with {size}, above 0, and below 0 unless the flaw has one direction
     setting : what controls it, attributes of CARLA's blueprint where they fit
@@ -24,6 +26,7 @@ class CauseModel:
     """
 
     name: str
+    kind: str
     unit: str
     tolerance: float
     resolution: float

@@ -201,28 +201,54 @@ class Findings(ObjectFindings):
     n_independent: int
 
 
+class Evidence(Result):
+    """Curves behind a cause, means over pairs, at the middles of the bins `x`.
+
+    real, sim : both sides; `real` is null for a displacement
+    corrected : the simulated side without its displacement; null for other causes
+    """
+
+    x_label: str
+    y_label: str
+    x: tuple[float, ...]
+    real: tuple[float, ...] | None
+    sim: tuple[float, ...]
+    corrected: tuple[float, ...] | None
+
+
 class Cause(Result):
     """A flaw of the simulator with the setting that controls it; see `pipeline.results.causes`.
 
-    words, detail : the flaw with its number and direction; further evidence, "" if none
-    estimate, low, high : mean over pairs with its 95 % interval in `unit`; the interval is null below 3 pairs
-    unit : "m", "deg", "share" or "" for a count
-    real, sim : values behind the estimate: of each side, or of the other surface and of this one
-    severity : share of the surface that it affects, 0 to 1; causes are ordered by it
+    kind : "sensor" for a property of the sensor or its pose, "world" for what differs from place to place
+    words : the flaw with its amount and direction
+    estimate, low, high : mean over pairs with its 95 % interval in `unit`
+    unit : "m", "deg", "share" or "" for a number
+    real, sim : means of the values of both sides; null if the cause has none
+    share : share of the surface that it affects, 0 to 1
+    gain_m : metres by which the surface distance becomes smaller if it is corrected; null if that was not measured
+    gain : the same as a share of the distance beyond that of a perfect second measurement; null if there is hardly any
+    is_upper_bound : real returns were restored, so that the gain is at most this
+    limbs : identifiers of PerCollECT's LidarLimbs cause tree
+    evidence : curves to look at; null if there are none
     """
 
     name: str
+    kind: str
     words: str
-    detail: str
     setting: str
     estimate: float
-    low: float | None
-    high: float | None
+    low: float
+    high: float
     unit: str
     n_pairs: int
-    real: float
-    sim: float
-    severity: float
+    real: float | None
+    sim: float | None
+    share: float
+    gain_m: float | None = None
+    gain: float | None = None
+    is_upper_bound: bool = False
+    limbs: tuple[int, ...] = ()
+    evidence: Evidence | None = None
 
 
 class Piece(Result):
@@ -276,10 +302,18 @@ class Caution(Result):
     words: str
 
 
+class Unknown(Result):
+    """Causes that cannot be estimated in most pairs, and the reason."""
+
+    causes: tuple[str, ...]
+    reason: str
+
+
 class Overview(Result):
     """The first answer of a run, from the objects and pieces of all scored pairs; see `pipeline.results.overview`.
 
     causes : what to fix first, most severe first
+    unknown : causes that cannot be estimated
     pieces : the largest pieces
     surface : coverage by range and by class
     n_aligned, n_badly_aligned : objects with an r_lambda, and those whose alignment is too bad for it
@@ -287,6 +321,7 @@ class Overview(Result):
     """
 
     causes: tuple[Cause, ...]
+    unknown: tuple[Unknown, ...]
     pieces: tuple[Piece, ...]
     surface: tuple[SurfaceGroup, ...]
     n_aligned: int
@@ -305,86 +340,22 @@ class PreviousRun(Result):
     means: dict[str, float | None]
 
 
-class CauseEstimate(Result):
-    """Amounts of one flaw over the pairs, whether it is named or not; see `pipeline.diagnose.causes`.
-
-    resolution : smaller amounts are within the accuracy of the estimate
-    values : by pair, simulated minus real, 0 without the flaw
-    """
-
-    name: str
-    unit: str
-    resolution: float
-    setting: str
-    values: dict[str, float]
-
-
-class Evidence(Result):
-    """Curves behind a cause, means over pairs, at the middles of the bins `x`.
-
-    real, sim : both sides; `real` is null for a displacement
-    corrected : the simulated side without its displacement; null for other causes
-    """
-
-    x_label: str
-    y_label: str
-    x: tuple[float, ...]
-    real: tuple[float, ...] | None
-    sim: tuple[float, ...]
-    corrected: tuple[float, ...] | None
-
-
-class DiagnosedCause(Result):
-    """A flaw that a diagnosis names.
-
-    words : the flaw with its amount and direction
-    estimate, low, high : mean over pairs, over the floor if there is one, with its 95 % interval in `unit`; the
-        interval is the range of the values below three pairs
-    gain_m : metres by which the surface distance becomes smaller if it is corrected; null if it has no correction
-    gain : the same as a share of the distance over the floor; null if there is hardly any
-    is_upper_bound : real returns were restored, so that the gain is at most this
-    limbs : identifiers of PerCollECT's LidarLimbs cause tree
-    evidence : curves to look at; null if the cause has none
-    """
-
-    name: str
-    words: str
-    estimate: float
-    low: float
-    high: float
-    unit: str
-    n_pairs: int
-    gain_m: float | None = None
-    gain: float | None = None
-    is_upper_bound: bool = False
-    setting: str
-    limbs: tuple[int, ...] = ()
-    evidence: Evidence | None = None
-
-
 class Diagnosis(Result):
-    """Causes of the difference between both sides, as `fidpipe diagnose` writes them to `diagnosis.json`.
+    """Causes of the difference between both sides, with the gain of correcting each.
 
-    of : identity of the results that were diagnosed
-    floor : folder of the floor's run
-    n_pairs, n_blocks : diagnosed pairs, and independent ones among them; the intervals are over `over`
-    distance_m, floor_m : mean distance of both sides' surfaces, counted up to 1 m, and that of the floor
-    unexplained : share of the distance over the floor that no correction explains; null if there is hardly any
-    causes : most important first
-    doubtful : measured, but the sides are not closer if they are corrected
-    estimates : of the whole catalogue
-    left_out : pairs with too little surface in common
+    n_pairs : diagnosed pairs
+    distance_m, floor_m : mean distance of both sides' surfaces, counted up to 1 m, and that of a perfect second
+        measurement of the real scans
+    unexplained : share of the distance over `floor_m` that no correction explains; null if there is hardly any
+    causes : those with the largest gain first
+    doubtful : seen, but fixing them would not help
+    notes : on causes that can have several reasons
     """
 
-    of: str
-    floor: str | None
     n_pairs: int
-    n_blocks: int
-    over: str
     distance_m: float
     floor_m: float
     unexplained: float | None
-    causes: tuple[DiagnosedCause, ...]
-    estimates: tuple[CauseEstimate, ...]
-    left_out: tuple[str, ...]
+    causes: tuple[Cause, ...]
     doubtful: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()

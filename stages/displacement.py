@@ -16,6 +16,11 @@ PARAMETERS = (
     *("forward", "sideways", "height", "roll", "pitch", "yaw", "range scale", "range bias"),
     *("motion forward", "motion sideways", "road height"),
 )
+#: Azimuth of the seam of a sweep of which the pose is right ahead, and all seams that are tried, this one first.
+BEHIND_DEG = 180.0
+SEAMS_DEG = (BEHIND_DEG, 0.0, 90.0, -90.0)
+_COARSE_STEPS = 2
+_CLEARLY = 0.93  # misfit of another seam, over that behind
 _IS_ANGLE = np.isin(PARAMETERS, ("roll", "pitch", "yaw"))
 _VOXEL_M = 0.5
 _MOST_PLACES = 6000
@@ -32,14 +37,23 @@ _NOISE_M, _CORRELATED = 0.1, 20  # of a distance to a plane, and the places that
 class Displacement:
     """Displacement of the simulated side: x_sim = x + displacement(x).
 
-    values : (10,) float64, of `PARAMETERS`
+    values : (11,) float64, of `PARAMETERS`
+    seam_deg : azimuth at which a sweep begins and ends; the pose is right in the opposite direction
     """
 
     values: FloatArray
+    seam_deg: float = BEHIND_DEG
+
+    def without(self, parameter: int) -> Displacement:
+        """The displacement without one of its parameters."""
+        values = self.values.copy()
+        values[parameter] = 0.0
+        return Displacement(values, self.seam_deg)
 
     def of(self, points: FloatArray, is_ground: BoolArray) -> FloatArray:
         """(n, 3) metres, displacement of real points."""
-        return _columns(points, is_ground) @ np.where(_IS_ANGLE, np.radians(self.values), self.values)
+        values = np.where(_IS_ANGLE, np.radians(self.values), self.values)
+        return _columns(points, is_ground, self.seam_deg) @ values
 
     def undo(self, points: FloatArray, is_ground: BoolArray) -> FloatArray:
         """(n, 3) simulated points without the displacement: two steps of a fixed point."""
@@ -52,9 +66,10 @@ def fit_displacement(real: FloatArray, sim: FloatArray, is_ground: BoolArray) ->
 
     Least squares of distances along normals, point to plane (Chen and Medioni, Image Vision Comput. 1992), linear in
     all parameters: a rigid motion, a scale and a constant error of range, and a motion of the sensor during the sweep,
-    of which the pose is right ahead (azimuth 0) and the seam behind. A weak prior keeps at 0 what no surface shows.
-    The last steps compare the mean of as many simulated points as the plane has, which lies inside a curved surface as
-    that of the real ones does, and weigh distances by Tukey's biweight: surface that differs has no say.
+    of which the pose is right opposite the seam. The seam is behind, unless another one fits clearly better. A weak
+    prior keeps at 0 what no surface shows. The last steps compare the mean of as many simulated points as the plane
+    has, which lies inside a curved surface as that of the real ones does, and weigh distances by Tukey's biweight:
+    surface that differs has no say.
 
     Parameters
     ----------
@@ -63,31 +78,84 @@ def fit_displacement(real: FloatArray, sim: FloatArray, is_ground: BoolArray) ->
     order = visiting_order(real, 0)
     _, first = np.unique(voxel_ids(real[order], _VOXEL_M), return_index=True)
     rows = order[np.sort(first)[:_MOST_PLACES]]
-    places = real[rows]
-    planes = fit_planes(real, places, _NEIGHBOURS)
+    planes = fit_planes(real, real[rows], _NEIGHBOURS)
     l3, _, l1 = planes.variance.T
     is_plane = (l3 <= _FLAT * l1) & ~planes.is_line
-    places, normal = planes.mean[is_plane], planes.normal[is_plane]
-    tree = cKDTree(sim)
-    columns = _columns(places, is_ground[rows[is_plane]])
-    slopes = np.einsum("nkp,nk->np", columns, normal)
-    values = np.zeros(len(PARAMETERS))
+    fit = _Fit(planes.mean[is_plane], planes.normal[is_plane], is_ground[rows[is_plane]], cKDTree(sim), sim)
+    found = _fit_coarsely(fit)
+    if found is None:
+        return None
+    values, seam_deg = found
     for reach_m in (*_REACHES_M, *[_FINE_REACH_M] * _FINE_STEPS):
+        step = fit.step(values, seam_deg, reach_m)
+        if step is None:
+            return None
+        values = step
+    return Displacement(np.where(_IS_ANGLE, np.degrees(values), values), seam_deg)
+
+
+def _fit_coarsely(fit: _Fit) -> tuple[FloatArray, float] | None:
+    """Parameters after two steps, and the seam that fits best; None without enough planes in common."""
+    found = []
+    for seam_deg in SEAMS_DEG:
+        values: FloatArray | None = np.zeros(len(PARAMETERS))
+        for _ in range(_COARSE_STEPS):
+            values = None if values is None else fit.step(values, seam_deg, _REACHES_M[0])
+        if values is not None:
+            found.append((fit.misfit(values, seam_deg), seam_deg, values))
+    if not found:
+        return None
+    misfit, seam_deg, values = min(found, key=lambda candidate: candidate[0])
+    if found[0][1] == BEHIND_DEG and misfit > _CLEARLY * found[0][0]:
+        _, seam_deg, values = found[0]
+    return values, seam_deg
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Planes of the real surface, and the simulated points that are fitted to them.
+
+    places, normal : (n, 3) of each plane
+    is_ground : (n,) bool
+    tree : of the simulated points
+    """
+
+    places: FloatArray
+    normal: FloatArray
+    is_ground: BoolArray
+    tree: cKDTree
+    sim: FloatArray
+
+    def step(self, values: FloatArray, seam_deg: float, reach_m: float) -> FloatArray | None:
+        """Better parameters from the simulated points within reach; None if too few planes have any."""
         is_fine = reach_m == _FINE_REACH_M
-        distance, near = tree.query(
-            places + columns @ values, k=range(1, 1 + (_NEIGHBOURS if is_fine else 1)), distance_upper_bound=reach_m
+        columns = _columns(self.places, self.is_ground, seam_deg)
+        slopes = np.einsum("nkp,nk->np", columns, self.normal)
+        n_near = _NEIGHBOURS if is_fine else 1
+        distance, near = self.tree.query(
+            self.places + columns @ values, k=range(1, 1 + n_near), distance_upper_bound=reach_m
         )
         met = np.flatnonzero(np.isfinite(distance[:, 0]))
         if len(met) < 10 * len(PARAMETERS):
             return None
         is_near = np.isfinite(distance[met])
-        points = (sim[np.where(is_near, near[met], 0)] * is_near[..., None]).sum(axis=1) / is_near.sum(axis=1)[:, None]
-        gap = ((points - places[met]) * normal[met]).sum(axis=1)
+        total = (self.sim[np.where(is_near, near[met], 0)] * is_near[..., None]).sum(axis=1)
+        points = total / is_near.sum(axis=1)[:, None]
+        gap = ((points - self.places[met]) * self.normal[met]).sum(axis=1)
         weighted = slopes[met] / (_NOISE_M**2 * _CORRELATED)
         if is_fine:
             weighted *= _biweight(gap - slopes[met] @ values)[:, None]
-        values = np.linalg.solve(weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0), weighted.T @ gap)
-    return Displacement(np.where(_IS_ANGLE, np.degrees(values), values))
+        better: FloatArray = np.linalg.solve(weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0), weighted.T @ gap)
+        return better
+
+    def misfit(self, values: FloatArray, seam_deg: float) -> float:
+        """Mean distance of the simulated points from the displaced planes, each counted up to half a metre."""
+        displaced = self.places + _columns(self.places, self.is_ground, seam_deg) @ values
+        distance, near = self.tree.query(displaced, distance_upper_bound=_FINE_REACH_M)
+        is_met = np.isfinite(distance)
+        gap = np.full(len(displaced), _FINE_REACH_M)
+        gap[is_met] = np.abs(((self.sim[near[is_met]] - displaced[is_met]) * self.normal[is_met]).sum(axis=1))
+        return float(gap.mean())
 
 
 def _biweight(residual: FloatArray) -> FloatArray:
@@ -96,17 +164,21 @@ def _biweight(residual: FloatArray) -> FloatArray:
     return np.maximum(1.0 - (residual / (_TUKEY * spread)) ** 2, 0.0) ** 2
 
 
-def _columns(points: FloatArray, is_ground: BoolArray) -> FloatArray:
+def _columns(points: FloatArray, is_ground: BoolArray, seam_deg: float) -> FloatArray:
     """(n, 3, 11) derivative of each point's position by the parameters, angles in radians."""
     columns = np.zeros((len(points), 3, len(PARAMETERS)))
     x, y, z = points.T
     columns[:, [0, 1, 2], [0, 1, 2]] = 1.0
-    columns[:, 1, 3], columns[:, 2, 3] = -z, y
-    columns[:, 0, 4], columns[:, 2, 4] = z, -x
-    columns[:, 0, 5], columns[:, 1, 5] = -y, x
+    columns[:, 1, 3] = -z
+    columns[:, 2, 3] = y
+    columns[:, 0, 4] = z
+    columns[:, 2, 4] = -x
+    columns[:, 0, 5] = -y
+    columns[:, 1, 5] = x
     columns[:, :, 6] = points
     columns[:, :, 7] = points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None]
-    turn = np.arctan2(y, x) / (2 * np.pi)
+    since_seam = np.arctan2(y, x) - np.radians(seam_deg)
+    turn = np.mod(since_seam, 2 * np.pi) / (2 * np.pi) - 0.5
     columns[:, 0, 8] = columns[:, 1, 9] = turn
     columns[:, 2, 10] = is_ground
     return columns

@@ -54,15 +54,19 @@ class RayGrid:
     origin_height_m: tuple[float, ...] = ()
     block_deg: float = -90.0
 
-    def beam_of(self, points: FloatArray) -> IndexArray:
-        """(n,) intp, the beam nearest in elevation to each point."""
+    def elevation_of(self, points: FloatArray) -> FloatArray:
+        """(n,) degrees, elevation of each point seen from where its beam starts."""
         level = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
         height: float | FloatArray = 0.0
         if self.origin_height_m:
             seen = np.degrees(np.arctan2(points[:, 2] - np.mean(self.origin_height_m), level))
             height = np.where(seen < self.block_deg, self.origin_height_m[0], self.origin_height_m[-1])
-        elevation = np.degrees(np.arctan2(points[:, 2] - height, level))
-        return np.searchsorted((self.elevation_deg[1:] + self.elevation_deg[:-1]) / 2, elevation)
+        return np.degrees(np.arctan2(points[:, 2] - height, level))
+
+    def beam_of(self, points: FloatArray) -> IndexArray:
+        """(n,) intp, the beam nearest in elevation to each point."""
+        limits = (self.elevation_deg[1:] + self.elevation_deg[:-1]) / 2
+        return np.searchsorted(limits, self.elevation_of(points))
 
 
 @dataclass(frozen=True)

@@ -42,8 +42,8 @@ def gate(
     run's folder is read-only, the result is only printed.
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
-    missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; with --floor also
-    excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
+    missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total, causes.height (its size;
+    spaces are underscores); with --floor also excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
 
     Parameters
     ----------
@@ -59,6 +59,8 @@ def gate(
     fidpipe gate runs/dataset --max r_lambda.mean=0.4 --min match_rate.mean=0.55
 
     fidpipe gate runs/dataset --max missing.within_20m=3 --max pairs.failed=1 --junit build/gate.xml
+
+    fidpipe gate runs/dataset --max causes.height=0.05 --max causes.missing_parts=0.02
 
     fidpipe gate runs/dataset --criteria acceptance.toml
 
@@ -124,7 +126,10 @@ def compare(
     fidpipe compare runs/base runs/new --floor runs/base-floor --html new.html
 
     fidpipe compare runs/base runs/new --fail-on worse --junit build/compare.xml
+
+    fidpipe compare runs/build41 runs/build42 --markdown >> comment.md
     """
+    from ..engine.progress import Reporter
     from ..report.views.compare_view import compare_records, compare_view
     from ..report.views.gate_view import base_view, junit_xml
     from ..results.compare import MOST_RUNS, compare_runs
@@ -142,7 +147,11 @@ def compare(
     page = html or (out and out / "compare.html")
     runs = _evaluated(runs)
     comparisons = compare_runs(
-        runs, allow_different_settings=allow_different_settings, floor=floor, independent=independent
+        runs,
+        allow_different_settings=allow_different_settings,
+        floor=floor,
+        independent=independent,
+        reporter=Reporter(),
     )
     if page:
         from ..report.page.compare_page import compare_page

@@ -95,7 +95,8 @@ def check(
 
     options = [("--preset", preset), ("--settings", settings), *(("--set", own) for own in assignments or [])]
     if not any(own for _, own in options):
-        options = [("--preset", "reference")]
+        preset = "reference"
+        options = [("--preset", preset)]
     words = [*filter(None, (dataset, sim)), *chain.from_iterable(own for own in options if own[1])]
     run_command = shlex.join(["fidpipe", "run", *map(str, words)])
     if sim is not None:

@@ -173,7 +173,9 @@ class Planner:
         self.settings = settings
         self.label_names = label_names
         self.sides = tuple(sides)
-        self._parts = [Part(stage, name) for stage in stages for name in stage.parts if name in ("", *self.sides)]
+        self._parts = [
+            Part(stage, name, stage.arguments) for stage in stages for name in stage.parts if name in ("", *self.sides)
+        ]
         self._method_keys: dict[tuple[str, int], tuple[Settings, str]] = {}
         self._layouts: dict[tuple[str, ...], dict[JobId, Job]] = {}
 
@@ -204,6 +206,26 @@ class Planner:
         for name, job in jobs.items():  # keys are hexadecimal digits, so that a space ends each
             keys[name] = hashlib.sha256(" ".join((job.key, *_reads(job, keys))).encode()).hexdigest()
         return PairPlan(pair, jobs, keys, {}, inputs, self.label_names)
+
+    def jobs(self) -> tuple[Job, ...]:
+        """The jobs of a pair that has files of all sides, in their order."""
+        return tuple(self._layout(self.sides, ()).values())
+
+    def plan_on_results(self, pair: ScanPair, records: Mapping[JobId, JobRecord], stage: Stage) -> PairPlan:
+        """The job of one stage of a pair whose other results are taken as they are, whatever they were made of.
+
+        Parameters
+        ----------
+        records : finished jobs of the pair, by name
+        stage : one of the planner's, of grain PAIR
+        """
+        layout = self._layout(self.sides, ())
+        name = (stage.name, "")
+        jobs = {job: layout[job] for job in layout if job in records or job == name}
+        keys = {job: record.key for job, record in records.items()}
+        keys[name] = hashlib.sha256(" ".join((jobs[name].key, *_reads(jobs[name], keys))).encode()).hexdigest()
+        others = {job: record for job, record in records.items() if job in jobs and job != name}
+        return PairPlan(pair, jobs, keys, others, {}, self.label_names)
 
     def _layout(self, sides: tuple[str, ...], parts: Iterable[Part]) -> dict[JobId, Job]:
         """The jobs of all pairs that have files of these sides."""

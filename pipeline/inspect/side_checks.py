@@ -27,7 +27,7 @@ from ...stages.inspect.sequence_checks import (
 )
 from ...stages.inspect.stamps import StampCheck, describe_stamps, stamp_differences
 from ...stages.intensity import intensity_law
-from ...stages.sensor_description import SensorDescription, describe_sensor, differences, has_other_beams, name_text
+from ...stages.sensor_description import SensorDescription, describe_sensor, has_other_beams, name_text
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
 
@@ -43,13 +43,11 @@ class SensorCheck:
 
     pair_ids : pairs whose scans were described
     sides : by side, the most frequent sensor; a side none of whose files can be read is left out
-    differences : one line for each property in which the sides differ
     unlike : one line for each scan whose sensor is not that of the other scans of its side
     """
 
     pair_ids: tuple[str, ...]
     sides: dict[str, SensorDescription]
-    differences: list[str]
     unlike: list[str]
 
 
@@ -93,16 +91,19 @@ class SideSamples:
                 self._places[side][pair.pair_id] = SequenceScan(points)
 
     def sensors(self) -> SensorCheck:
-        """Compare the sensors of both sides, and those of each side among its pairs."""
+        """The sensors of both sides, and those that differ from the others of their side."""
         sides, unlike = {}, []
         for side, sensors in self._sensors.items():
             if sensors:
                 usual, lines = _unlike_others(sensors)
                 sides[side] = sensors[usual]
                 unlike += [f"{_NAMES[side]} scan of pair {line}" for line in lines]
-        found = differences(sides["real"], sides["sim"]) if len(sides) == len(SIDES) else []
         pair_ids = sorted({pair_id for sensors in self._sensors.values() for pair_id in sensors})
-        return SensorCheck(tuple(pair_ids), sides, found, unlike)
+        return SensorCheck(tuple(pair_ids), sides, unlike)
+
+    def sensors_of(self, pair_id: str) -> dict[str, SensorDescription]:
+        """The sensors of a pair by side; a side that could not be read is left out."""
+        return {side: sensors[pair_id] for side, sensors in self._sensors.items() if pair_id in sensors}
 
     def notes(self) -> list[str]:
         """Notes on the times of points, one line for each side that has them."""

@@ -111,3 +111,14 @@ def sentence(text: str) -> str:
 
 def _text(value: object, digits: int) -> str:
     return number(value, digits) if value is None or isinstance(value, float) else str(value)
+
+
+def count(n: int, noun: str) -> str:
+    """A number with its noun.
+
+    Examples
+    --------
+    >>> count(1, "pair"), count(5, "independent place")
+    ('1 pair', '5 independent places')
+    """
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"

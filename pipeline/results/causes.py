@@ -1,209 +1,269 @@
-"""Causes: what to fix first in a simulator, from the columns of `pairs` and from coverage by range and class.
+"""Causes of a run: flaws of the catalogue with amount, 95 % interval and setting, from the table `causes`.
 
-A cause is named if its 95 % interval over pairs lies beyond its tolerance. The tolerance covers the difference between
-two measurements of one scene and, for positions, what a poor twin shows without being displaced (docs/power.md).
-Causes are ordered by severity: the share of the surface that the flaw affects. A length counts as a share of the reach
-at which it is noticed (displacement 0.3 m, noise and range steps 0.1 m), a number of beams or an azimuth step as a
-share of the real one, and missing or invented points as a share of all points.
+Every command shows this list. A cause is named if its interval over the pairs lies beyond its tolerance; a change
+between two runs, if it lies beyond the resolution of the estimate. Causes are ordered by the gain of correcting them
+(table `gains`, from `fidpipe diagnose`), or without it by the share of the surface that they affect.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...schemas.columns import SIDES, Row
-from ...schemas.results import Cause
-from ...stages.arrays import BoolArray, FloatArray
-from ...stages.statistics.findings import BAND_EDGES_M
-from .places import short_label
+from ...schemas.cause_catalogue import CAUSES, CauseModel
+from ...schemas.results import Cause, Unknown
+from ...stages.arrays import BoolArray, FloatArray, IntArray
+from ...stages.causes.estimates import FLAT, LOSSES, UNEVEN, Amount
+from ...stages.displacement import PARAMETERS
+from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, mean_interval
+from ..storage.folder import RunFolder
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-    #: Points of a side by pair (rows) and group (columns), and those of them without a counterpart within 0.3 m.
-    GroupPoints = tuple[pd.DataFrame, pd.DataFrame]
-
-#: Names of the causes from coverage by range and by class.
-FAR, CLASS = "far surface", "class"
-#: Fewer pairs have no interval: a cause is then named if each of them is beyond the tolerance.
-LEAST_FOR_INTERVAL = 3
-CONFIDENCE = 0.95
-#: The world is displaced in height, not only its road, if its other surfaces follow the road by at least this share.
-_FOLLOWS = 1 / 3
-#: Surface of a range band or a class is a cause if more of it is missing than of the rest, by this share.
-_MORE_MISSING = 0.2
-#: Far surface begins at 20 m or beyond.
-_FIRST_FAR = BAND_EDGES_M.index(20.0)
-#: A band or a class counts in pairs with this many points in it, and outside.
-_FEWEST_POINTS = 50
-
-
-class Columns(dict[str, FloatArray]):
-    """Columns of some rows of `pairs`, read when first used; NaN for null, and if the rows lack the column."""
-
-    def __init__(self, rows: Iterable[Row]) -> None:
-        super().__init__()
-        self._rows = [*rows]
-
-    def __missing__(self, name: str) -> FloatArray:
-        self[name] = np.array([row.get(name) for row in self._rows], dtype=np.float64)
-        return self[name]
+#: Most causes that are shown at first.
+MOST_SHOWN = 7
+#: Intensity that is missing, as a share: over another run, of what that one has.
+SCALE = "intensity scale"
+#: Variance of returns between directions that is still random, and the square of the loss.
+_UNEVEN = 0.01
+#: More of the points in other places, with both of these, are a bent world.
+_BENT, _ALONE = 0.03, ("missing parts", "invented parts")
+#: If more of the curved surface is too flat, more than the shape of some objects is wrong.
+_MELTED = 0.3
+#: Solid foliage makes surface flat, by less than this part of it; boxes stop rays in foliage: one of both is named.
+_FLAT_OF_SOLID = 0.25
+#: Not named with a displacement, which blurs beams too.
+_BLURRED = ("elevation noise", "azimuth noise")
+#: Part of the resolution that covers the errors of 95 % of the estimates.
+_ACCURACY = 0.7
+#: Displacements move every point: they count if they explain this part of the distance that all others leave.
+LEAST_PART_OF_POSE = 0.15
+_OF_POSE = (*PARAMETERS, "elevation scale")
+#: Independent places that all lie beyond a resolution.
+_ENOUGH = 4
+_COLUMNS = ("cause", "amount", "real", "sim", "share", "reason")
 
 
 @dataclass(frozen=True)
-class CauseKind:
-    """A flaw that can be estimated from columns of `pairs`.
+class CauseValues:
+    """One cause in all pairs of a run, (n,) float64 each; NaN if unknown.
 
-    column : of both sides ("{side}" is replaced), or of their difference
-    tolerance, relative : not named within `tolerance` plus `relative` times the smaller of both values
-    full : value that affects the whole surface; 0: the real value
-    words : with {size} (absolute estimate), {way} (of `ways`: above and below 0), {real}, {sim}, {count}
-    setting : attributes of CARLA's LiDAR blueprint where they fit
-    count : column whose mean over pairs is {count}
-    null_as : value of a null if the sensor of that side was recognised
+    amount, real, sim, share : columns of table `causes`
+    reason : why it is unknown, in the first pair without an amount; "" if it is known everywhere
     """
 
-    name: str
-    unit: str
-    column: str
-    tolerance: float
-    relative: float
-    full: float
-    words: str
-    setting: str
-    ways: tuple[str, str] = ("", "")
-    count: str = ""
-    null_as: float | None = None
-
-    def sides(self, pairs: Mapping[str, FloatArray]) -> list[FloatArray]:
-        """The values of the real and the simulated side, (n,) each; a difference has 0 on the real side."""
-        if "{side}" not in self.column:
-            return [np.zeros(len(pairs[self.column])), pairs[self.column]]
-        values = [pairs[self.column.format(side=side)] for side in SIDES]
-        if self.null_as is None:
-            return values
-        is_known = [pairs[f"sensor_{side}_beams"] > 0 for side in SIDES]
-        return [np.where(np.isnan(v) & has, self.null_as, v) for v, has in zip(values, is_known, strict=True)]
-
-    def value(self, pairs: Mapping[str, FloatArray]) -> FloatArray:
-        """The estimate of each pair, (n,): simulated minus real, 0 without the flaw; NaN if it is not known.
-
-        Examples
-        --------
-        >>> CAUSE_KINDS["height"].value(Columns([{"ground_real_peak_m": -1.75, "ground_sim_peak_m": -2.0}]))
-        array([-0.25])
-        """
-        real, sim = self.sides(pairs)
-        return sim - real
+    amount: FloatArray
+    real: FloatArray
+    sim: FloatArray
+    share: FloatArray
+    reason: str
 
 
-_WORLD, _PIECES = "simulated world {size} too {way}", "{count} %s pieces per pair, {size} of the points"
-_MOUNT, _FOV, _RATE = "mount height, T_real_sim", "channels, upper_fov, lower_fov", "points_per_second"
-_NOISE, _STEP, _QUANTUM = (f"{name} {{sim}}, real {{real}}" for name in ("range noise", "azimuth step", "range steps"))
-_LOST, _BEAMS = "{sim} of the pulses lost, real {real}", "{sim} beams, real {real}"
-_KINDS = (
-    CauseKind("height", "m", "ground_{side}_peak_m", 0.03, 0, 0.3, _WORLD, _MOUNT, ("high", "low")),
-    CauseKind("forward", "m", "shift_x_m", 0.1, 0, 0.3, _WORLD, "T_real_sim", ("far ahead", "far back")),
-    CauseKind("sideways", "m", "shift_y_m", 0.1, 0, 0.3, _WORLD, "T_real_sim", ("far left", "far right")),
-    CauseKind("range noise", "m", "sensor_{side}_range_noise_m", 0.015, 0.5, 0.1, _NOISE, "noise_stddev"),
-    CauseKind("lost pulses", "share", "sensor_{side}_lost_share", 0.05, 0, 1, _LOST, "dropoff_general_rate"),
-    CauseKind("beams", "", "sensor_{side}_beams", 1.5, 0.05, 0, _BEAMS, _FOV),
-    CauseKind("azimuth step", "deg", "sensor_{side}_azimuth_step_deg", 0, 0.2, 0, _STEP, _RATE),
-    CauseKind("range steps", "m", "sensor_{side}_range_quantum_m", 0.01, 0, 0.1, _QUANTUM, "range format", null_as=0.0),
-    *(
-        CauseKind(f"{what} pieces", "share", f"{what}_pieces_share", 0.005, 0, 1, _PIECES % what, "assets", count=count)
-        for what, count in (("missing", "n_missing_pieces"), ("invented", "n_invented_pieces"))
-    ),
-)
-#: The flaws by name.
-CAUSE_KINDS = {kind.name: kind for kind in _KINDS}
+def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseValues]:
+    """The table `causes` of some pairs, by name of the cause.
 
-#: Causes by the beginning of a difference of the sensors.
-_DIFFERENCES = {
-    "beams: ": "beams",
-    "azimuth step": "azimuth step",
-    "range quantum": "range steps",
-    "range noise": "range noise",
-    "pulses lost": "lost pulses",
-}
-
-#: Columns of `pairs` that the causes are estimated from.
-CAUSE_COLUMNS = (
-    *dict.fromkeys(kind.column.format(side=side) for kind in _KINDS for side in SIDES),
-    *(kind.count for kind in _KINDS if kind.count),
-    "shift_z_m",
-)
+    Raises
+    ------
+    RunError
+        A table is damaged or gone.
+    """
+    table, n_rows = store.read_pairs(pair_ids, {("causes", ""): _COLUMNS})["causes", ""]
+    frame = table.to_pandas()
+    frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
+    values = {}
+    for name, group in frame.groupby("cause"):
+        rows = group.set_index("pair").reindex(range(len(pair_ids)))
+        columns = {column: rows[column].to_numpy(np.float64) for column in ("amount", "real", "sim", "share")}
+        reasons = rows["reason"].dropna()
+        values[str(name)] = CauseValues(**columns, reason=str(reasons.iloc[0]) if len(reasons) else "")
+    return values
 
 
-def find_causes(
-    pairs: Mapping[str, FloatArray], floors: Mapping[str, FloatArray] | None = None, surface: Sequence[Cause] = ()
+def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, CauseValues]:
+    """Estimates of some pairs, by name of the cause; those that no pair has are left out."""
+    values = {}
+    for name in CAUSES:
+        of_pairs = [pair[name] for pair in amounts if name in pair]
+        if of_pairs:
+            columns = {}
+            for column in ("amount", "real", "sim", "share"):
+                columns[column] = np.array([getattr(amount, column) for amount in of_pairs], dtype=np.float64)
+            reasons = [amount.reason for amount in of_pairs if amount.reason]
+            values[name] = CauseValues(**columns, reason=reasons[0] if reasons else "")
+    return values
+
+
+def independent_blocks(blocks: IntArray) -> IntArray:
+    """The blocks over which an interval is formed: each pair counts as one if there are fewer than three blocks."""
+    if len(np.unique(blocks)) < LEAST_FOR_INTERVAL:
+        return np.arange(len(blocks), dtype=np.int32)
+    return blocks
+
+
+def named_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Cause]:
+    """The causes whose interval lies beyond the tolerance, those that affect most of the surface first.
+
+    Parameters
+    ----------
+    values : from `read_causes`
+    blocks : (n,) independent place of each pair; pairs of one place count once, with their mean
+    """
+    amounts = {name: own.amount for name, own in values.items()}
+    blocks = independent_blocks(blocks)
+    causes = []
+    for name in _named(amounts, blocks, is_change=False):
+        if name in _OF_POSE and _mean(values[name].share) < LEAST_PART_OF_POSE:
+            continue
+        causes.append(_cause(CAUSES[name], values[name], values[name].amount, blocks))
+    return sorted(causes, key=lambda cause: -cause.share)
+
+
+def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:
+    """The causes that are unknown in most pairs, by reason."""
+    by_reason: dict[str, list[str]] = {}
+    for name, of_cause in values.items():
+        if not _is_known(of_cause.amount):
+            by_reason.setdefault(of_cause.reason, []).append(name)
+    return [Unknown(causes=tuple(names), reason=reason) for reason, names in by_reason.items()]
+
+
+def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | None:
+    """A cause with its mean amount over the pairs, also if it is too small to be named; None if it is unknown."""
+    if not _is_known(values.amount):
+        return None
+    return _cause(CAUSES[name], values, values.amount, independent_blocks(blocks))
+
+
+def _is_known(amounts: FloatArray) -> bool:
+    """True if a cause has an amount in at least half of the pairs."""
+    return 2 * int(np.count_nonzero(~np.isnan(amounts))) >= len(amounts)
+
+
+def changed_causes(
+    before: Mapping[str, CauseValues],
+    after: Mapping[str, CauseValues],
+    between: Mapping[str, FloatArray],
+    blocks: IntArray,
 ) -> list[Cause]:
-    """The causes that are beyond their tolerance, most severe first.
+    """The causes that changed from one run to another by more than the resolution, those that moved most first.
 
     Parameters
     ----------
-    pairs : `CAUSE_COLUMNS` of the scored pairs; NaN for null
-    floors : those of a floor, pair by pair, which are subtracted
-    surface : from `surface_causes`
+    before, after : of the same pairs in both runs
+    between : by name, amounts that were measured between the simulated scans of both runs, which are more accurate
+        than differences of two amounts against the real scan
+    blocks : (n,) independent place of each pair
     """
-    floors = Columns([{}]) if floors is None else floors
-    named = [cause for kind in _KINDS if (cause := _cause_of(kind, pairs, floors))]
-    return sorted([*named, *surface], key=lambda cause: -cause.severity)
+    changes = {name: change_of(name, before[name], after[name], between) for name in after if name in before}
+    blocks = independent_blocks(blocks)
+    named = _named(changes, blocks, is_change=True)
+    causes = [_cause(CAUSES[name], after[name], changes[name], blocks) for name in named]
+    return sorted(causes, key=lambda cause: -abs(cause.estimate) / CAUSES[cause.name].resolution)
 
 
-def surface_causes(bands: GroupPoints, classes: GroupPoints) -> list[Cause]:
-    """Range bands and classes of which much more is missing than of the rest.
+def change_of(name: str, before: CauseValues, after: CauseValues, between: Mapping[str, FloatArray]) -> FloatArray:
+    """(n,) change of the amount of a cause; of a lost share, relative to what the first run returned."""
+    if name in between:
+        return between[name]
+    if name in (*LOSSES, SCALE):
+        return 1.0 - (1.0 - after.amount) / np.maximum(1.0 - before.amount, 1e-9)
+    return after.amount - before.amount
+
+
+def _named(amounts: Mapping[str, FloatArray], blocks: IntArray, *, is_change: bool) -> list[str]:
+    """Names of the causes beyond the tolerance, or of the changes beyond the resolution; those feigned are left out."""
+    means = {name: _mean(values) for name, values in amounts.items()}
+    named = {}
+    for name, values in amounts.items():
+        model = CAUSES[name]
+        is_known = ~np.isnan(values)
+        if name == UNEVEN or not _is_known(values) or _is_feigned(name, means):
+            continue
+        limit = model.resolution if is_change else model.tolerance
+        if _is_beyond(model, block_means(values[is_known], blocks[is_known]), limit, is_change=is_change):
+            named[name] = means[name]
+    return [name for name in named if name not in _weaker(named)]
+
+
+def _mean(values: FloatArray) -> float:
+    return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+
+
+def _is_beyond(model: CauseModel, means: FloatArray, limit: float, *, is_change: bool) -> bool:
+    """True if the interval of the mean lies beyond a limit; of a change, also if that of each of many places does."""
+    _, low, high = mean_interval(means)
+    if is_change and len(means) >= _ENOUGH:
+        low = max(low, float(means.min()))
+        high = min(high, float(means.max()))
+    return low > limit or (high < -limit and len(model.words) > 1)
+
+
+def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
+    """True if a larger flaw of the world, or losses that are not random, feign a cause."""
+    mean = means[name]
+    if name == "moved parts":
+        return mean > _BENT and min(means.get(other, 0.0) for other in _ALONE) > mean / 10
+    if name == FLAT:
+        return mean > _MELTED
+    return name in LOSSES and means.get(UNEVEN, 0.0) > _UNEVEN + mean**2
+
+
+def _weaker(named: Mapping[str, float]) -> set[str]:
+    """Of causes that exclude each other, those that are not named."""
+    weaker = set()
+    if not named.keys().isdisjoint(PARAMETERS):
+        weaker.update(_BLURRED)
+    if FLAT in named:
+        is_solid = named[FLAT] < _FLAT_OF_SOLID * abs(named.get("solid foliage", 0.0))
+        weaker.add(FLAT if is_solid else "solid foliage")
+    return weaker
+
+
+def cause_interval(model: CauseModel, amounts: FloatArray, blocks: IntArray) -> tuple[float, float, float]:
+    """Mean amount of a cause with its 95 % interval.
+
+    Half of the interval is the root of the sum of the squares of Student's t over places, of the accuracy of the
+    estimate, and of its error in proportion to the amount.
 
     Parameters
     ----------
-    bands, classes : of the real side, by range band (index in `BAND_EDGES_M`) and by class ("" for none)
+    amounts, blocks : (n,) of the pairs in which it is known
     """
-    far = [
-        _coverage_cause(FAR, f"beyond {edge_m:g} m {{sim}} of the surface missing", "range, dropoff", bands, is_far)
-        for i, edge_m in list(enumerate(BAND_EDGES_M))[_FIRST_FAR:]
-        for is_far in [np.arange(len(BAND_EDGES_M)) >= i]
-    ]
-    farthest = max((cause for cause in far if cause), key=_contrast, default=None)
-    named = [
-        _coverage_cause(CLASS, f"{short_label(name)}: {{sim}} of the surface missing", "assets", classes, is_own)
-        for name in classes[0].columns
-        if name
-        for is_own in [classes[0].columns == name]
-    ]
-    return [cause for cause in (farthest, *named) if cause]
-
-
-def with_tolerance(texts: Sequence[str], row: Row) -> list[str]:
-    """Differences of both sensors, those within the tolerance of their cause marked.
-
-    Parameters
-    ----------
-    texts : from `sensor_description.differences`
-    row : `sensor_description.pair_columns` of both
-    """
-    pairs = Columns([row])
-    small = {
-        kind.name
-        for kind in _KINDS
-        if not np.isnan(kind.value(pairs)).any() and _cause_of(kind, pairs, Columns([{}])) is None
-    }
-    starts = tuple(start for start, name in _DIFFERENCES.items() if name in small)
-    return [f"{text} (too little for Fix first)" if text.startswith(starts) else text for text in texts]
-
-
-def mean_interval(values: FloatArray) -> tuple[float, float, float]:
-    """Mean over pairs with its 95 % interval (Student's t); the range of the values below 3 pairs."""
-    from scipy.special import stdtrit  # takes longer to load than the rest of `show`
-
-    n, mean = len(values), float(values.mean())
-    if n < LEAST_FOR_INTERVAL:
-        return mean, float(values.min()), float(values.max())
-    reach = float(stdtrit(n - 1, (1 + CONFIDENCE) / 2) * values.std(ddof=1) / np.sqrt(n))
+    mean, low, high = mean_interval(block_means(amounts, blocks))
+    reach = float(np.linalg.norm([(high - low) / 2, _ACCURACY * model.resolution, model.relative * mean]))
     return mean, mean - reach, mean + reach
+
+
+def _cause(model: CauseModel, values: CauseValues, amounts: FloatArray, blocks: IntArray) -> Cause:
+    is_known = ~np.isnan(amounts)
+    mean, low, high = cause_interval(model, amounts[is_known], blocks[is_known])
+    return Cause(
+        name=model.name,
+        kind=model.kind,
+        words=cause_words(model, mean),
+        setting=model.setting,
+        estimate=mean,
+        low=low,
+        high=high,
+        unit=model.unit,
+        n_pairs=int(is_known.sum()),
+        real=_known_mean(values.real, is_known),
+        sim=_known_mean(values.sim, is_known),
+        share=_known_mean(values.share, is_known) or 0.0,
+        limbs=model.limbs,
+    )
+
+
+def _known_mean(values: FloatArray, is_chosen: BoolArray) -> float | None:
+    chosen = values[is_chosen & ~np.isnan(values)]
+    return float(chosen.mean()) if len(chosen) else None
+
+
+def cause_words(model: CauseModel, amount: float) -> str:
+    """The flaw as a sentence with its amount."""
+    too_much = model.words[0]
+    too_little = model.words[-1]
+    return (too_little if amount < 0 else too_much).format(size=size_words(amount, model.unit))
 
 
 def size_words(value: float, unit: str) -> str:
@@ -211,93 +271,31 @@ def size_words(value: float, unit: str) -> str:
 
     Examples
     --------
-    >>> [size_words(*one) for one in ((0.12, "m"), (0.041, "m"), (0.78, "share"), (0.004, "share"), (32, ""))]
+    >>> [size_words(*pair) for pair in ((0.12, "m"), (0.041, "m"), (0.78, "share"), (0.004, "share"), (32, ""))]
     ['12 cm', '41 mm', '78 %', '0.4 %', '32']
     """
     value = abs(value)
     if unit == "m":
-        mm = round(value * 1000)
-        return f"{mm} mm" if mm < 50 else f"{value * 100:.0f} cm" if value < 1 else f"{value:.1f} m"
+        return _length_words(value)
     if unit == "share":
-        return f"{100 * value:.{int(value < 0.01)}f} %"
+        return f"{100 * value:.1f} %" if value < 0.01 else f"{100 * value:.0f} %"
     return f"{value:.3g} {unit}".rstrip()
 
 
-def _signed(mean_m: float, width_m: float, n_pairs: int) -> str:
-    """A signed length with half of its interval."""
-    return f"{mean_m:+.2f}{f' ± {width_m / 2:.2f}' if n_pairs >= LEAST_FOR_INTERVAL else ''} m"
+def _length_words(length_m: float) -> str:
+    n_mm = round(length_m * 1000)
+    if n_mm < 50:
+        return f"{n_mm} mm"
+    return f"{length_m * 100:.0f} cm" if length_m < 1 else f"{length_m:.1f} m"
 
 
-def _contrast(cause: Cause) -> float:
-    """Variance between both groups of points, by which the distance is chosen at which far surface begins."""
-    share = cause.severity / cause.estimate
-    return cause.estimate**2 * share * (1 - share)
+def interval_words(cause: Cause) -> str:
+    """The 95 % interval of the amount of a cause; a minus is the opposite of its sentence."""
+    sign = -1 if cause.estimate < 0 else 1
+    ends = sorted((sign * cause.low, sign * cause.high))
+    return " to ".join(_signed_size(end, cause.unit) for end in ends)
 
 
-def _cause_of(kind: CauseKind, pairs: Mapping[str, FloatArray], floors: Mapping[str, FloatArray]) -> Cause | None:
-    values = kind.value(pairs)
-    known = ~np.isnan(values)
-    if not known.any():
-        return None
-    n = int(known.sum())
-    mean, low, high = mean_interval((values - np.nan_to_num(kind.value(floors)))[known])
-    real, sim = np.column_stack(kind.sides(pairs))[known].mean(axis=0).tolist()
-    if max(low, -high) <= kind.tolerance + kind.relative * min(abs(real), abs(sim)):
-        return None
-    words, setting, detail = kind.words, kind.setting, []
-    if kind.name == "height":
-        shifts = pairs["shift_z_m"][known & ~np.isnan(pairs["shift_z_m"])]
-        shift, shift_low, shift_high = mean_interval(shifts) if len(shifts) else (0.0, 0.0, 0.0)
-        if shift / mean < _FOLLOWS:
-            words, setting = words.replace("world", "road"), "road height of the map"
-        detail = [f"shift z {_signed(shift, shift_high - shift_low, len(shifts))}"] * bool(len(shifts))
-        detail = [", ".join([*detail, f"road {sim:.2f} against {real:.2f} m"])]
-    elif kind.ways[0]:
-        detail = [f"{kind.column.removesuffix('_m').replace('_', ' ')} {_signed(mean, high - low, n)}"]
-    if n < LEAST_FOR_INTERVAL:
-        detail.append(f"{n} pair{'s' * (n > 1)}, no interval: confirm with diagnose")
-    sizes = {name: size_words(value, kind.unit) for name, value in (("size", mean), ("real", real), ("sim", sim))}
-    count = f"{pairs[kind.count][known].mean():.1f}" if kind.count else ""
-    return Cause(
-        name=kind.name,
-        words=words.format(way=kind.ways[mean < 0], count=count, **sizes),
-        detail="; ".join(detail),
-        setting=setting,
-        estimate=mean,
-        low=low if n >= LEAST_FOR_INTERVAL else None,
-        high=high if n >= LEAST_FOR_INTERVAL else None,
-        unit=kind.unit,
-        n_pairs=n,
-        real=real,
-        sim=sim,
-        severity=min(1.0, abs(mean) / (kind.full or abs(real) or 1.0)),
-    )
-
-
-def _coverage_cause(name: str, words: str, setting: str, groups: GroupPoints, is_inside: BoolArray) -> Cause | None:
-    """A cause for the chosen groups if more of them is missing than of the others, pair by pair."""
-    (n, alone), (n_rest, alone_rest) = (
-        [points.to_numpy()[:, own].sum(axis=1) for points in groups] for own in (is_inside, ~is_inside)
-    )
-    judged = (n >= _FEWEST_POINTS) & (n_rest >= _FEWEST_POINTS)
-    if not judged.any():
-        return None
-    n, alone, n_rest, alone_rest = (values[judged] for values in (n, alone, n_rest, alone_rest))
-    mean, low, high = mean_interval(alone / n - alone_rest / n_rest)
-    if low <= _MORE_MISSING:
-        return None
-    sim, real = float((alone / n).mean()), float((alone_rest / n_rest).mean())
-    return Cause(
-        name=name,
-        words=words.format(sim=size_words(sim, "share")),
-        detail=f"{size_words(real, 'share')} {'nearer' if name == FAR else 'elsewhere'}",
-        setting=setting,
-        estimate=mean,
-        low=low if len(n) >= LEAST_FOR_INTERVAL else None,
-        high=high if len(n) >= LEAST_FOR_INTERVAL else None,
-        unit="share",
-        n_pairs=len(n),
-        real=real,
-        sim=sim,
-        severity=mean * float((n / (n + n_rest)).mean()),
-    )
+def _signed_size(value: float, unit: str) -> str:
+    size = size_words(value, unit)
+    return f"-{size}" if value < 0 else size

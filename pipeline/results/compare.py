@@ -1,39 +1,32 @@
 """Compares finished runs of the same real scans: simulator versions, each with a base.
 
-Pairs are the same if they have the same name and the same real scan, by content. What is decided is in `families`; the
+Pairs are the same if they have the same name and the same real scan, by content. Causes of the sensor and its pose are
+decided by their precision (`changes`), the world by families of scores over independent places (`families`); the
 objects are followed from run to run (`followed`) as a description.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ...schemas.cause_catalogue import CAUSES
+from ...schemas.columns import Row
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import SEEDED_SCORES
-from ...schemas.results import CauseEstimate, JsonObject
-from ...stages.arrays import FloatArray, IntArray
-from ...stages.statistics.comparison import (
-    BLOCK_S,
-    KINDS,
-    LEAST_FLIPPED,
-    LEAST_PAIRS,
-    Difference,
-    blocks_of,
-    paired_difference,
-)
+from ...schemas.results import JsonObject
+from ...stages.arrays import IntArray
+from ...stages.statistics.comparison import BLOCK_S, KINDS, LEAST_FLIPPED, LEAST_PAIRS, blocks_of
 from ...stages.statistics.neighbours import neighbours
 from ...stages.statistics.spread import spread
+from ..engine.progress import Reporter
 from ..storage.table_files import table_name
-from .causes import CAUSE_KINDS, CauseKind, Columns
-from .diagnosis import read_diagnosis
-from .displaced import MovedWorld, find_moved
+from .changes import Changes, change_rows, find_changes
 from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
@@ -43,24 +36,6 @@ from .sectors import N_SECTORS, sector_rows
 
 #: Largest number of runs in one command.
 MOST_RUNS = 8
-#: A cause changed if its estimate moved by more than this share of the tolerance within which it is not named.
-_LEAST_OF_TOLERANCE = 0.1
-#: A cause, its estimates before and after, the least change that matters, that without an interval, and the unit of
-#: the changes by which causes are ordered.
-_Estimates = tuple[CauseKind | CauseEstimate, FloatArray, FloatArray, float, float, float]
-
-
-@dataclass(frozen=True)
-class CauseChange:
-    """The estimate of a cause in both runs, with the interval of its change.
-
-    unit, setting : see `causes.CauseKind`
-    """
-
-    name: str
-    unit: str
-    setting: str
-    difference: Difference
 
 
 @dataclass(frozen=True)
@@ -74,13 +49,12 @@ class Comparison:
     unfollowed : pairs whose real communities differ, so that their objects cannot be followed
     settings : settings that differ, as text
     notes : what else differs
-    families : what is decided, see `families`
-    causes : those whose estimate changed by more than a tenth of its tolerance: the interval excludes 0, or if there is
-        none, the change exceeds the tolerance; displacements only if `find_moved` confirms them
+    changes : causes that changed
+    families : scores of the world
     objects : the real objects and their fates, see `followed.follow`
     n_blocks : independent pairs: copies and neighbouring frames count once
     blocking : one sentence on how they were found
-    by_direction : True if few blocks are left, so that changes must be consistent over frames and over directions
+    by_direction : True if few blocks are left, so that changes of the world must be consistent over directions as well
     on_partition : what chance does to scores of the paper's partition; "" of reference objects
     excess : of the base and of the other run over the floor; None without one
     """
@@ -94,8 +68,8 @@ class Comparison:
     unfollowed: tuple[str, ...]
     settings: tuple[str, ...]
     notes: tuple[str, ...]
+    changes: Changes
     families: tuple[FamilyChange, ...]
-    causes: tuple[CauseChange, ...]
     objects: pd.DataFrame
     n_blocks: int
     blocking: str
@@ -110,9 +84,17 @@ class Comparison:
 
     @property
     def decision(self) -> str:
-        """Over all families (`overall`); worse or mixed if a pair fails that did not."""
-        found = overall(self.families)
-        return found if not self.failed else "mixed" if found in ("better", "mixed") else "worse"
+        """Over the causes of the sensor and all families; worse or mixed if a pair fails that did not."""
+        verdicts = {family.verdict for family in self.families if not family.why}
+        decided = {changed.verdict for changed in self.changes.causes}
+        verdicts |= decided & {"better", "worse"}
+        if "changed" in decided:
+            verdicts.add("undecided")
+        tends_worse = any(family.tendency == "worse" for family in self.families)
+        decision = overall(verdicts, tends_worse=tends_worse)
+        if not self.failed:
+            return decision
+        return "mixed" if decision in ("better", "mixed") else "worse"
 
     @property
     def scores(self) -> list[ScoreChange]:
@@ -127,13 +109,14 @@ class Comparison:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for programs."""
-        excess = None if self.excess is None else [each.as_dict() for each in self.excess]
-        return (
-            asdict(replace(self, excess=None))
-            | {"base": str(self.base), "other": str(self.other), "decision": self.decision}
-            | {"kinds": self.kinds, "excess": excess, "objects": plain_rows(self.objects)}
-            | {"by_class": by_class(self.objects), "by_range": by_range(self.objects)}
-        )
+        plain = asdict(replace(self, excess=None, changes=Changes()))
+        plain |= {"base": str(self.base), "other": str(self.other), "decision": self.decision}
+        plain |= {"causes": change_rows(self.changes), "unexplained": self.changes.elsewhere}
+        plain["excess"] = None if self.excess is None else [excess.as_dict() for excess in self.excess]
+        plain |= {"kinds": self.kinds, "objects": plain_rows(self.objects)}
+        plain |= {"by_class": by_class(self.objects), "by_range": by_range(self.objects)}
+        del plain["changes"]
+        return plain
 
 
 def compare_runs(
@@ -142,6 +125,7 @@ def compare_runs(
     allow_different_settings: bool = False,
     floor: Path | None = None,
     independent: bool = False,
+    reporter: Reporter | None = None,
 ) -> list[Comparison]:
     """Each run but the first against the first.
 
@@ -149,6 +133,7 @@ def compare_runs(
     ----------
     independent : treat each pair as independent, also neighbouring frames
     floor : the run of fidpipe floor of the same real scans; all runs then need its settings
+    reporter : shows the progress over many pairs
 
     Raises
     ------
@@ -157,25 +142,23 @@ def compare_runs(
         common, or the floor belongs to other runs.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
-    return [compare_two(base, other, allow_different_settings, floor, independent=independent) for other in others]
+    options: dict[str, Any] = {"floor": floor, "independent": independent, "reporter": reporter}
+    return [compare_two(base, other, allow_different_settings, **options) for other in others]
 
 
 def compare_two(
     base: FinishedRun,
     other: FinishedRun,
     allow_different_settings: bool = False,
+    *,
     floor: Path | None = None,
     independent: bool = False,
+    reporter: Reporter | None = None,
 ) -> Comparison:
     """One run against another, as `compare_runs` does."""
     differing = settings_changes(base, other)
     if differing and not allow_different_settings:
-        presets = "" if base.preset == other.preset else f"preset {base.preset} and preset {other.preset}: "
-        raise RunError(
-            f"runs {base.folder} and {other.folder}: settings differ ({presets}{'; '.join(differing)}), so that a "
-            "difference need not be the simulator's; run both with the same settings, or give "
-            "--allow-different-settings"
-        )
+        raise RunError(_settings_differ(base, other, differing))
     left_out = pairs_left_out(base, other)
     names = tuple(row["pair_id"] for row in base.scored if row["pair_id"] not in left_out)
     lost = tuple(row["pair_id"] for row in base.scored if row["pair_id"] in left_out)
@@ -184,24 +167,14 @@ def compare_two(
     if not names and not failed:
         why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
         raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'no pair is scored'})")
-    changes, unfollowed = _followed(base, other, names)
-    excess = None if floor is None or not names else (excess_over(base, floor, names), excess_over(other, floor, names))
+    objects, unfollowed = _followed(base, other, names)
+    excess = None
+    if floor is not None and names:
+        excess = excess_over(base, floor, names), excess_over(other, floor, names)
     blocks, blocking = _blocks(base, other, names, independent)
-    rows = {name: (base.row(name), other.row(name)) for name in names}
-    n_blocks, sectors = len(np.unique(blocks)), None
-    if n_blocks < min(LEAST_FLIPPED, len(names)):
-        of_runs = zip(sector_rows(base, names), sector_rows(other, names), strict=True)
-        parts = {f"{i}": rows_of_sector for i, rows_of_sector in enumerate(of_runs)}
-        sectors = parts, (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
-        blocks = np.arange(len(names), dtype=np.int32)
-    seeds, others = (_seed_noise(run, names) for run in (base, other))
-    noise = {
-        column: math.hypot(own, others[column]) / math.sqrt(2) for column, own in seeds.items() if column in others
-    }
-    floors = {} if excess is None else {column: own.floor_from_equal for column, own in excess[0].scores.items()}
-    preset = base.preset if base.preset == other.preset else "paper"
-    moved = find_moved(base, other, names, blocks)
-    causes = _changed(_diagnosed(base, other, names), blocks) or _changed(_estimated(base, other, names), blocks)
+    n_blocks = len(np.unique(blocks))
+    changes = find_changes(base, other, names, blocks, reporter) if names else Changes()
+    by_direction = n_blocks < min(LEAST_FLIPPED, len(names))
     return Comparison(
         base=base.folder,
         other=other.folder,
@@ -212,15 +185,61 @@ def compare_two(
         unfollowed=tuple(unfollowed),
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
-        families=judge_families(preset, rows, blocks, noise, floors, sectors, moved) if names else (),
-        causes=_confirmed(causes, moved),
-        objects=changes,
+        changes=changes,
+        families=_families(base, other, names, blocks, excess, changes) if names else (),
+        objects=objects,
         n_blocks=n_blocks,
         blocking=blocking,
-        by_direction=sectors is not None,
+        by_direction=by_direction,
         on_partition=partition_note((base, other)),
         excess=excess,
     )
+
+
+def _settings_differ(base: FinishedRun, other: FinishedRun, differing: Sequence[str]) -> str:
+    presets = "" if base.preset == other.preset else f"preset {base.preset} and preset {other.preset}: "
+    return (
+        f"runs {base.folder} and {other.folder}: settings differ ({presets}{'; '.join(differing)}), so that a "
+        "difference need not be the simulator's; run both with the same settings, or give --allow-different-settings"
+    )
+
+
+def _families(
+    base: FinishedRun,
+    other: FinishedRun,
+    names: Sequence[str],
+    blocks: IntArray,
+    excess: tuple[RunExcess, RunExcess] | None,
+    changes: Changes,
+) -> tuple[FamilyChange, ...]:
+    """The families of scores of the world."""
+    rows = {name: (base.row(name), other.row(name)) for name in names}
+    sectors = None
+    if len(np.unique(blocks)) < min(LEAST_FLIPPED, len(names)):
+        sectors = _by_sector(base, other, names, blocks)
+        blocks = np.arange(len(names), dtype=np.int32)
+    floors = {}
+    if excess is not None:
+        floors = {column: score.floor_from_equal for column, score in excess[0].scores.items()}
+    preset = base.preset if base.preset == other.preset else "paper"
+    worse = [changed.cause.name for changed in changes.causes if changed.verdict == "worse"]
+    return judge_families(preset, rows, blocks, _noise_of_seeds(base, other, names), floors, sectors, worse)
+
+
+def _by_sector(
+    base: FinishedRun, other: FinishedRun, names: Sequence[str], blocks: IntArray
+) -> tuple[dict[str, tuple[Row, Row]], IntArray]:
+    """Rows of all sectors of all pairs before and after, and the block of each: a direction from a place."""
+    both = zip(sector_rows(base, names), sector_rows(other, names), strict=True)
+    rows = {str(i): pair for i, pair in enumerate(both)}
+    of_sectors = N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)
+    return rows, of_sectors.ravel().astype(np.int32)
+
+
+def _noise_of_seeds(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> dict[str, float]:
+    """Difference of two means that Louvain seeds alone make, by column, where both runs were repeated."""
+    first, second = _seed_noise(base, names), _seed_noise(other, names)
+    return {column: math.hypot(first[column], second[column]) / math.sqrt(2) for column in first if column in second}
 
 
 def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tuple[pd.DataFrame, list[str]]:
@@ -258,56 +277,6 @@ def _blocks(base: FinishedRun, other: FinishedRun, names: Sequence[str], indepen
         return blocks, f"{n} {unit} form {n_blocks} block{'s' * (n_blocks != 1)} of neighbouring frames ({found_by})"
     why = "no time stamps, and no two scans show the same place" if untimed else f"{BLOCK_S:g} s apart or more"
     return blocks, f"{n} {unit}, taken as independent ({why})"
-
-
-def _estimated(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> Iterator[_Estimates]:
-    before, after = (Columns(run.row(name) for name in names) for run in (base, other))
-    for kind in CAUSE_KINDS.values():
-        real = np.abs(kind.sides(before)[0])
-        real = real[~np.isnan(real)]
-        tolerance = kind.tolerance + kind.relative * float(real.mean() if len(real) else 0.0)
-        least, scale = _LEAST_OF_TOLERANCE * tolerance, kind.tolerance or 1.0
-        yield kind, kind.value(before), kind.value(after), least, kind.tolerance, scale
-
-
-def _diagnosed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> Iterator[_Estimates]:
-    found = [read_diagnosis(run.folder, run.record) for run in (base, other)]
-    if not (found[0] and found[1]):
-        return
-    first = {estimate.name: estimate for estimate in found[0].estimates}
-    for own in found[1].estimates:
-        if own.name in first:
-            before, after = (
-                np.array([each.values.get(name, np.nan) for name in names]) for each in (first[own.name], own)
-            )
-            yield own, before, after, own.resolution, 0.0, own.resolution
-
-
-def _changed(estimates: Iterable[_Estimates], blocks: IntArray) -> tuple[CauseChange, ...]:
-    found = []
-    for cause, before, after, least, without_interval, scale in estimates:
-        own = paired_difference(before, after, blocks)
-        if own.size > max(least, without_interval if own.half_width is None else own.half_width):
-            found.append((own.size / scale, CauseChange(cause.name, cause.unit, cause.setting, own)))
-    return tuple(change for _, change in sorted(found, key=lambda each: -each[0]))
-
-
-def _confirmed(causes: tuple[CauseChange, ...], moved: MovedWorld | None) -> tuple[CauseChange, ...]:
-    """The causes with what moved between the simulated scans, without displacements that these exclude."""
-    if moved is None:
-        return causes
-    seen = [
-        own
-        for own in causes
-        if own.name not in moved.measured or moved.allows(own.name, own.difference.difference or 0.0)
-    ]
-    known = {own.name for own in seen}
-    first = [
-        CauseChange(name, CAUSES[name].unit, CAUSES[name].setting, own)
-        for name, own in moved.changes.items()
-        if name not in known
-    ]
-    return (*first, *seen)
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:

@@ -1,87 +1,214 @@
-"""The stored diagnosis of a run: what `fidpipe diagnose` found, as long as it is of the same results."""
+"""The diagnosis of a run: its causes with the gain of correcting each, and what no correction explains.
+
+`fidpipe diagnose` makes the table `gains`; here it is read. The gains count as long as the run names the causes with
+the amounts that were corrected.
+"""
 
 from __future__ import annotations
 
-import json
-from hashlib import sha256
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
-import orjson
+import numpy as np
 
+from ...schemas.cause_catalogue import CAUSES
 from ...schemas.record import RunRecord
-from ...schemas.results import Cause, Caution, DiagnosedCause, Diagnosis, Overview
-from .causes import CLASS, FAR, size_words
+from ...schemas.results import Cause, Diagnosis, Evidence, Overview
+from ...stages.arrays import FloatArray
+from ...stages.causes.axes import AXES
+from ...stages.displacement import PARAMETERS
+from ..storage.folder import RunFolder
+from .causes import LEAST_PART_OF_POSE
 
-DIAGNOSIS = "diagnosis.json"
-UNEXPLAINED = "unexplained"
-BASE = "base"  #: kind of the caution that the causes are over another run than a floor
-
-
-def results_identity(record: RunRecord) -> str:
-    """Identity of the results of a run: of its inputs, settings and stages."""
-    parts = [record.inputs, record.settings, record.stages]
-    return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def read_diagnosis(folder: Path, record: RunRecord) -> Diagnosis | None:
-    """The diagnosis in a run's folder; None without one, or if it is of other results or of another version."""
-    try:
-        found = Diagnosis.from_dict(orjson.loads((folder / DIAGNOSIS).read_bytes()))
-    except (OSError, ValueError):
-        return None
-    return found if found.of == results_identity(record) else None
+GAINS = "gains"
+UNEXPLAINED = "unexplained"  #: row of table `gains`: distance that no correction removes
+DISTANCES = "distances_m"  #: metadata: distance before and after all corrections, and that of a second measurement
+CURVES = "curves"  #: metadata: curves of both sides, by kind
+AMOUNTS = "amounts"  #: metadata: mean amount of each cause that was corrected
+#: Below this distance over that of a second measurement, metres and relative to it, gains are not shares.
+LEAST_EXCESS_M, LEAST_EXCESS = 0.005, 0.1
+#: Part of what the other causes leave that a cause must explain, else fixing it would not help.
+LEAST_PART = 0.03
 
 
-def diagnosed(folder: Path, record: RunRecord, overview: Overview | None) -> Overview | None:
-    """An overview with the causes of the run's diagnosis, if it has one; then surface missing by range and class.
+@dataclass(frozen=True)
+class Gains:
+    """Gains of all pairs.
 
-    Without a floor the unexplained part comes after the causes that can be fixed: any two measurements differ.
+    by_cause : (n,) metres by which the distance of each pair becomes smaller
+    distances_m : (n, 3) distance before and after all corrections, and that of a second measurement
+    curves : by kind, then by side, the mean over the pairs
     """
-    from .floor import read_recipe  # which imports finished runs
 
-    found = read_diagnosis(folder, record)
-    if overview is None or found is None:
+    by_cause: dict[str, FloatArray]
+    distances_m: FloatArray
+    curves: dict[str, dict[str, FloatArray]]
+
+
+def read_gains(store: RunFolder, pair_ids: Sequence[str], causes: Sequence[Cause]) -> Gains | None:
+    """The gains of all pairs; None if they are unknown or those of other amounts.
+
+    Raises
+    ------
+    RunError
+        A table is damaged or gone.
+    """
+    amounts = {cause.name: cause.estimate for cause in causes}
+    records = []
+    for pair_id in pair_ids:
+        record = store.ledger.jobs(pair_id).get((GAINS, ""))
+        if record is None or record.metadata[AMOUNTS] != amounts:
+            return None
+        records.append(record)
+    if not records:
+        return None
+    table, n_rows = store.read_pairs(pair_ids, {(GAINS, ""): ["cause", "gain_m"]})[GAINS, ""]
+    frame = table.to_pandas()
+    frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
+    by_cause = {str(name): rows["gain_m"].to_numpy() for name, rows in frame.groupby("cause")}
+    distances_m = np.array([record.metadata[DISTANCES] for record in records])
+    curves = {}
+    for kind, sides in records[0].metadata[CURVES].items():
+        drawn = [record.metadata[CURVES][kind] for record in records if kind in record.metadata[CURVES]]
+        curves[kind] = {side: np.mean([values[side] for values in drawn], axis=0) for side in sides}
+    return Gains(by_cause, distances_m, curves)
+
+
+def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -> Diagnosis | None:
+    """The diagnosis of a run; None if no pair is scored, or if it was not diagnosed since its causes changed.
+
+    Parameters
+    ----------
+    pair_ids : of the scored pairs
+    """
+    if record.overview is None:
+        return None
+    gains = read_gains(store, pair_ids, record.overview.causes)
+    if gains is None:
+        return None
+    before_m, after_m, floor_m = gains.distances_m.mean(axis=0).tolist()
+    gains_m = {name: float(values.mean()) for name, values in gains.by_cause.items()}
+    confirmed, doubtful = confirm(record.overview.causes, gains_m, (before_m, after_m, floor_m))
+    shown = []
+    for cause in confirmed:
+        evidence = _evidence(CAUSES[cause.name].curve, gains)
+        shown.append(cause.model_copy(update={"evidence": evidence}))
+    return Diagnosis(
+        n_pairs=len(pair_ids),
+        distance_m=before_m,
+        floor_m=floor_m,
+        unexplained=unexplained_share((before_m, after_m, floor_m)),
+        causes=tuple(shown),
+        doubtful=tuple(cause.words for cause in doubtful),
+    )
+
+
+def confirm(
+    causes: Sequence[Cause], gains_m: Mapping[str, float], distances_m: tuple[float, float, float]
+) -> tuple[list[Cause], list[Cause]]:
+    """The causes with the gain of correcting each, largest first, and those whose correction hardly helps.
+
+    Parameters
+    ----------
+    causes : from `causes.named_causes`
+    gains_m : by name, metres by which the surface distance becomes smaller
+    distances_m : before and after all corrections, and that of a second measurement
+    """
+    _, after_m, floor_m = distances_m
+    excess_m = _excess(distances_m)
+    confirmed, doubtful = [], []
+    for cause in causes:
+        diagnosed = _with_gain(cause, gains_m.get(cause.name), excess_m)
+        if _is_weak(diagnosed, after_m - floor_m):
+            doubtful.append(diagnosed)
+        else:
+            confirmed.append(diagnosed)
+    return sorted(confirmed, key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0))), doubtful
+
+
+def unexplained_share(distances_m: tuple[float, float, float]) -> float | None:
+    """Share of the distance over that of a second measurement that no correction explains; None if hardly any is.
+
+    Parameters
+    ----------
+    distances_m : before and after all corrections, and that of a second measurement
+    """
+    _, after_m, floor_m = distances_m
+    excess_m = _excess(distances_m)
+    if excess_m is None:
+        return None
+    return min(max((after_m - floor_m) / excess_m, 0.0), 1.0)
+
+
+def _excess(distances_m: tuple[float, float, float]) -> float | None:
+    """Distance over that of a second measurement, metres; None if it is within the accuracy of the latter."""
+    before_m, _, floor_m = distances_m
+    excess_m = before_m - floor_m
+    return excess_m if excess_m >= max(LEAST_EXCESS_M, LEAST_EXCESS * floor_m) else None
+
+
+def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overview | None:
+    """The overview of a run with the causes of its diagnosis, if it has one."""
+    if overview is None or diagnosis is None:
         return overview
-    surface = [cause for cause in overview.causes if cause.name in (FAR, CLASS)]
-    causes = sorted(found.causes, key=lambda own: own.name == UNEXPLAINED and found.floor is None)
-    trust = [own for own in overview.trust if own.kind != "floor" or found.floor is None]
-    if found.floor and read_recipe(Path(found.floor)) is None:
-        words = f"diagnosed causes are changes against {found.floor}, the others against the real scans"
-        trust.insert(0, Caution(kind=BASE, words=words))
-    return overview.model_copy(update={"causes": (*map(_cause, causes), *surface), "trust": tuple(trust)})
+    return overview.model_copy(update={"causes": diagnosis.causes})
 
 
-def gain_words(cause: DiagnosedCause) -> str:
-    """Gain of correcting a cause, as text.
+def _with_gain(cause: Cause, gain_m: float | None, excess_m: float | None) -> Cause:
+    found: dict[str, object] = {"is_upper_bound": CAUSES[cause.name].is_restored}
+    if gain_m is not None:
+        found |= {"gain_m": gain_m, "gain": None if excess_m is None else gain_m / excess_m}
+    return cause.model_copy(update=found)
+
+
+def _is_weak(cause: Cause, left_m: float) -> bool:
+    """True if correcting a cause brings the sides hardly closer, although they are apart."""
+    if cause.gain_m is None or cause.gain is None:
+        return False
+    least = LEAST_PART_OF_POSE if cause.name in PARAMETERS else LEAST_PART
+    return cause.gain_m <= least * (cause.gain_m + left_m)
+
+
+def _evidence(kind: str, gains: Gains) -> Evidence | None:
+    """Mean curves of a kind over the pairs."""
+    if kind not in gains.curves:
+        return None
+    axis = AXES[kind]
+    middles = (axis["edges"][:-1] + axis["edges"][1:]) / 2
+    sides = {side: tuple(values.round(4).tolist()) for side, values in gains.curves[kind].items()}
+    return Evidence(
+        x_label=axis["label"],
+        y_label=axis["values"],
+        x=tuple(middles.round(4).tolist()),
+        real=sides.get("real"),
+        sim=sides["sim"],
+        corrected=sides.get("corrected"),
+    )
+
+
+def unexplained_words(diagnosis: Diagnosis) -> str:
+    """Part of the distance that remains if all causes are corrected."""
+    distance = f"{100 * (diagnosis.distance_m - diagnosis.floor_m):.1f} cm"
+    over = "by which the surfaces are farther apart than in a second measurement"
+    if diagnosis.unexplained is None:
+        return f"unexplained: nothing; the surfaces are as close as in a second measurement ({distance})"
+    least = "at least " if any(cause.is_upper_bound for cause in diagnosis.causes) else ""
+    return f"unexplained: {least}{100 * diagnosis.unexplained:.0f} % of the {distance} {over}"
+
+
+def gain_words(cause: Cause) -> str:
+    """Gain of correcting a cause, as text; "" if it was not measured.
 
     Examples
     --------
-    >>> base = dict(name="height", words="", estimate=0.1, low=0, high=0.2, unit="m", n_pairs=3, setting="", limbs=())
-    >>> gain_words(DiagnosedCause(**base, gain_m=0.02, gain=0.41, is_upper_bound=True))
+    >>> base = dict(name="height", kind="sensor", words="", estimate=0.1, low=0, high=0.2, unit="m", n_pairs=3)
+    >>> rest = dict(setting="", real=None, sim=None, share=0.3)
+    >>> gain_words(Cause(**base, **rest, gain_m=0.02, gain=0.41, is_upper_bound=True))
     'gain at most 41 %'
     """
     if cause.gain_m is None:
         return ""
-    least = "at most " if cause.is_upper_bound else ""
     if cause.gain_m <= 0:
-        return "no gain alone"
-    return f"gain {least}{100 * cause.gain_m:.1f} cm" if cause.gain is None else f"gain {least}{100 * cause.gain:.0f} %"
-
-
-def interval_words(cause: DiagnosedCause) -> str:
-    """The 95 % interval of the size of a cause, as text; a minus is the opposite of its sentence."""
-    sign = -1 if cause.estimate < 0 else 1
-    ends = sorted((sign * cause.low, sign * cause.high))
-    low, high = (f"{'-' * (value < 0)}{size_words(value, cause.unit)}" for value in ends)
-    return f"{low} to {high}"
-
-
-def _cause(found: DiagnosedCause) -> Cause:
-    shared = DiagnosedCause.model_fields.keys() & Cause.model_fields
-    return Cause(
-        **found.model_dump(include=shared),
-        detail=gain_words(found),
-        real=0.0,
-        sim=found.estimate,
-        severity=max(found.gain or 0.0, 0.0),
-    )
+        return "fixing only this brings nothing closer"
+    size = f"{100 * cause.gain_m:.1f} cm" if cause.gain is None else f"{100 * cause.gain:.0f} %"
+    return f"gain at most {size}" if cause.is_upper_bound else f"gain {size}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ...schemas.cause_catalogue import CAUSES
 from ...schemas.data_files import read_rows
 from ...schemas.metric_catalogue import (
     COVERAGE_SCORES,
@@ -32,6 +33,11 @@ OF_DISTRIBUTIONS = ("bias", "area")
 
 STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
 
+#: Names of causes by that of the catalogue.
+CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES}
+#: Ends of the 95 % interval of a cause.
+INTERVAL_ENDS = ("low", "high")
+
 #: The names that stand for themselves, to guess what a wrong one means, and for the shell to complete.
 PLAIN_NAMES = (
     *(f"{value}.{stat}" for value in (*PAIR_SCORES, *DOTTED, *SENSOR_VALUES) for stat in OF_PAIRS),
@@ -39,5 +45,6 @@ PLAIN_NAMES = (
     *(f"{what}.{count}" for what in ("missing", "hallucinated") for count in (*COUNTS, "within_20m")),
     *(f"matched.{count}" for count in ("total", "mean", "min")),
     *(f"pairs.{state}" for state in STATES),
+    *(f"causes.{name}" for name in CAUSE_NAMES),
     *(f"excess.{score}.{stat}" for score in (*PAIR_SCORES, *DOTTED) for stat in (*OF_PAIRS, *OF_DISTRIBUTIONS)),
 )

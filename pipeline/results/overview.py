@@ -9,7 +9,6 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,9 +33,7 @@ from ...stages.statistics.findings import BAND_NAMES, summarise_objects
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.urls import recorded_path
-from .causes import CAUSE_COLUMNS, CLASS, FAR, Columns, find_causes, surface_causes
-from .diagnosis import read_diagnosis
-from .finished import FinishedRun
+from .causes import named_causes, read_causes, unknown_causes
 from .floor import FLOOR_RECIPE
 from .object_frame import PAIRS_AT_ONCE, STATISTICS_COLUMNS, arrays_of, object_parts, plain_rows
 from .places import moved_words, place_words
@@ -44,7 +41,8 @@ from .places import moved_words, place_words
 if TYPE_CHECKING:
     import pandas as pd
 
-    from .causes import GroupPoints
+    #: Points of a side by pair (rows) and group (columns), and those of them without a counterpart within 0.3 m.
+    GroupPoints = tuple[pd.DataFrame, pd.DataFrame]
 
 #: Number of the largest pieces that are kept.
 N_PIECES = 4
@@ -109,10 +107,19 @@ def describe_objects(
     objects = pd.concat([part.loc[part["fate"] != "remnant", [*_KEYS, *columns]] for part in parts])
     objects["label"] = objects["label"].fillna("")
     times = [timestamps_s.get(pair_id) for pair_id in pair_ids]
-    n_independent = len(np.unique(blocks_of([hashes[pair_id]["real"] for pair_id in pair_ids], times)))
+    blocks = blocks_of([hashes[pair_id]["real"] for pair_id in pair_ids], times)
+    n_independent = len(np.unique(blocks))
     found = summarise_objects(*arrays_of(objects), pair_ids, times)
     findings = Findings(n_independent=n_independent, **vars(found))
-    return findings, _overview(objects, scored, largest_pieces(store, pair_ids)), _unmatched(objects)
+    causes = read_causes(store, pair_ids)
+    overview = Overview(
+        causes=tuple(named_causes(causes, blocks)),
+        unknown=tuple(unknown_causes(causes)),
+        pieces=tuple(largest_pieces(store, pair_ids)),
+        surface=tuple(_surface(objects, len(scored))),
+        **_alignment(objects),
+    )
+    return findings, overview, _unmatched(objects)
 
 
 def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
@@ -126,22 +133,21 @@ def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
     return MetricsSummary(unmatched=UnmatchedSurface(**counts))
 
 
-def _overview(objects: pd.DataFrame, scored_pairs: pa.Table, pieces: Sequence[Piece]) -> Overview:
+def _surface(objects: pd.DataFrame, n_pairs: int) -> list[SurfaceGroup]:
+    """Coverage by range and by class."""
     import pandas as pd
 
     points = objects.assign(alone=objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0)))
-    bands = _coverage(points, "band", pd.RangeIndex(len(BAND_NAMES)), len(scored_pairs))
-    classes = _coverage(points, "label", pd.Index(sorted(set(objects["label"]))), len(scored_pairs))
+    bands = _coverage(points, "band", pd.RangeIndex(len(BAND_NAMES)), n_pairs)
+    classes = _coverage(points, "label", pd.Index(sorted(set(objects["label"]))), n_pairs)
+    return [*_groups("range", bands, BAND_NAMES), *_groups("class", classes)]
+
+
+def _alignment(objects: pd.DataFrame) -> dict[str, int]:
+    """Numbers of aligned and of badly aligned objects."""
     scored = objects[(objects["side"] == "real") & objects["r_lambda"].notna()]
     is_bad = alignment_is_bad(scored["alignment_rms_m"].to_numpy(), scored["diagonal_m"].to_numpy())
-    pairs = {name: scored_pairs[name].to_numpy().astype(np.float64) for name in CAUSE_COLUMNS}
-    return Overview(
-        causes=tuple(find_causes(pairs, surface=surface_causes(bands["real"], classes["real"]))),
-        pieces=tuple(pieces),
-        surface=(*_groups("range", bands, BAND_NAMES), *_groups("class", classes)),
-        n_aligned=len(scored),
-        n_badly_aligned=int(np.count_nonzero(is_bad)),
-    )
+    return {"n_aligned": len(scored), "n_badly_aligned": int(np.count_nonzero(is_bad))}
 
 
 def _coverage(points: pd.DataFrame, kind: str, groups: pd.Index[Any], n_pairs: int) -> dict[str, GroupPoints]:
@@ -172,21 +178,6 @@ def _groups(kind: str, coverage: dict[str, GroupPoints], names: Sequence[str] = 
                 )
             )
     return found
-
-
-def over_floor(run: FinishedRun, floor: Path) -> Overview | None:
-    """The overview of a run with the values of a floor subtracted from its causes."""
-    overview = run.record.overview
-    if overview is None:
-        return None
-    found = read_diagnosis(run.folder, run.record)
-    if found and found.floor == str(floor):
-        return run.overview
-    rows, scored = {row["pair_id"]: row for row in FinishedRun(floor).scored}, run.scored
-    pairs, floors = Columns(scored), Columns(rows.get(row["pair_id"], {}) for row in scored)
-    surface = [cause for cause in overview.causes if cause.name in (FAR, CLASS)]
-    trust = tuple(caution for caution in overview.trust if caution.kind != "floor")
-    return overview.model_copy(update={"causes": tuple(find_causes(pairs, floors, surface)), "trust": trust})
 
 
 def independence(findings: Findings | None) -> list[str]:

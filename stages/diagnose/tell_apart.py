@@ -149,7 +149,7 @@ def separate(
             loss[i, k] = aucs[-1] - _auc(truth, model.predict_proba(permuted)[:, 1])
             single = _fit(features[train][:, own], is_sim[train], TREES_ALONE)
             alone[i, k] = _auc(truth, single.predict_proba(features[test][:, own])[:, 1])
-    low, high = mean_interval(np.array(aucs))
+    _, low, high = mean_interval(np.array(aucs))
     return Separation(
         auc=float(np.mean(aucs)),
         low=max(0.0, low),

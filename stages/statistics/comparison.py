@@ -26,9 +26,6 @@ LEAST_FLIPPED = 9
 #: Up to this number of blocks, all flips of signs are enumerated; above it, `DRAWS` are drawn.
 MOST_ENUMERATED = 14
 DRAWS = 20_000
-#: The degrees of freedom of Student's t are this share of n - 1: a deviation that is estimated from a few values of
-#: skewed or heavy-tailed differences is worth less than one of normal ones (excess kurtosis 2 halves it).
-WORTH = 0.5
 #: Pairs within this time see the same surroundings, and count as one: a car leaves its view in that time.
 BLOCK_S = 10.0
 #: Of fewer than `LEAST_PAIRS` blocks, only a change of more than this many standard deviations is decided.
@@ -121,25 +118,25 @@ def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | 
     std = float(change.std(ddof=1))
     if len(change) < LEAST_FOR_INTERVAL:
         return Difference(*counts, std)
-    return Difference(*counts, std, *mean_interval(change))
+    _, low, high = mean_interval(change)
+    return Difference(*counts, std, low, high)
 
 
-def mean_interval(values: FloatArray) -> tuple[float, float]:
-    """The ends of the 95 % interval of a mean: Student's t on (n - 1) / 2 degrees of freedom.
-
-    Few values hide how heavy their tails are, hence the halved degrees of freedom.
+def mean_interval(values: FloatArray) -> tuple[float, float, float]:
+    """Mean with its 95 % interval (Student's t on n - 1 degrees of freedom); below 3 values, their range.
 
     Parameters
     ----------
-    values : (n,) float64, n at least 2
+    values : (n,) float64, at least one
     """
-    from scipy.stats import t as student_t
+    from scipy.special import stdtrit  # takes longer to load than the rest of `show`
 
     n = len(values)
-    mean = values.mean()
-    error = values.std(ddof=1) / np.sqrt(n)
-    reach = student_t.isf((1 - CONFIDENCE) / 2, WORTH * (n - 1)) * error
-    return float(mean - reach), float(mean + reach)
+    mean = float(values.mean())
+    if n < LEAST_FOR_INTERVAL:
+        return mean, float(values.min()), float(values.max())
+    reach = float(stdtrit(n - 1, (1 + CONFIDENCE) / 2) * values.std(ddof=1) / np.sqrt(n))
+    return mean, mean - reach, mean + reach
 
 
 def adjusted_p_values(change: FloatArray, least: FloatArray, step: FloatArray) -> FloatArray:

@@ -108,7 +108,7 @@ def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
         ],
         "undecided": [family_table(comparison, families[False]), score_table(comparison, by_effect[n_decided:])],
         "n_decided": (len(families[True]), len(families[False])),
-        "causes": [cause_table(comparison)] if comparison.causes else [],
+        "causes": [cause_table(comparison)] if comparison.changes.causes else [],
         "remarks": remarks(comparison),
         "runs": runs,
         "worst": worst_changes(comparison.objects),

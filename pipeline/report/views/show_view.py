@@ -16,7 +16,7 @@ from ....stages.coverage import surface_state
 from ...results.finished import FinishedRun, ObjectFacts, PairFacts, object_facts, pair_facts, run_facts
 from ...results.floor import RunExcess
 from ...results.object_frame import UNKNOWN
-from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad, over_floor
+from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad
 from ...storage.urls import url_or_path
 from ..view import Note, Table, View, number, percent
 from .floor_view import pair_excess_table
@@ -69,8 +69,7 @@ def show_view(
             *notes,
             *([pair_excess_table(excess, pair)] if excess else ()),
         ]
-    overview = run.overview if excess is None else over_floor(run, excess.floor)
-    return summary_view(run.folder, run.rows, run.record, overview, excess=excess, with_all=with_all)
+    return summary_view(run.folder, run.rows, run.record, run.diagnosis, excess=excess, with_all=with_all)
 
 
 def show_json(run: FinishedRun, pair: str | None, name: str | None, excess: RunExcess | None = None) -> JsonValue:

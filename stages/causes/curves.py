@@ -7,20 +7,17 @@ from collections.abc import Mapping
 import numpy as np
 
 from ...schemas.columns import SIDES
-from ...schemas.data_files import read_data
 from ..arrays import FloatArray
 from ..surface import describe_surface, signed_distances
-from .evidence import PairEstimates, PairScans, find_unmatched, foliage_steps
+from .axes import AXES
+from .estimates import Pose, find_unmatched, foliage_steps
+from .sides import PairScans
 
 _POINTS = 4000  # of the simulated side, evenly
 _REACH_M = 0.5
 
 
-#: Axis of a curve by its kind: its label, that of the values, and the edges of its bins.
-AXES = {kind: {**own, "edges": np.linspace(*own["edges"])} for kind, own in read_data("curves").items()}
-
-
-def curves(scans: PairScans, found: PairEstimates, kind: str) -> Mapping[str, FloatArray]:
+def curves(scans: PairScans, pose: Pose, kind: str) -> Mapping[str, FloatArray]:
     """The curve of each side over the bins of an axis, per cent.
 
     Of pieces: the points that only one side has. Of foliage: the steps of the simulated side. Of a displacement: the
@@ -28,7 +25,7 @@ def curves(scans: PairScans, found: PairEstimates, kind: str) -> Mapping[str, Fl
     them. Of all others: both sides ("real", "sim").
     """
     real, sim, edges = scans.real, scans.sim, AXES[kind]["edges"]
-    corrected = found.undisplaced(sim)
+    corrected = pose.undisplaced(sim)
     if kind in ("road", "objects"):
         rows = np.flatnonzero(sim.is_ground == (kind == "road"))
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _POINTS)).round().astype(int))]
@@ -40,7 +37,7 @@ def curves(scans: PairScans, found: PairEstimates, kind: str) -> Mapping[str, Fl
         return {"sim": _percent(step_m, edges, len(step_m))}
     if kind == "pieces":
         return {
-            name: _percent(side.range_m[own.is_piece | own.is_moved | own.is_clutter], edges, len(side.points))
+            name: _percent(side.range_m[own.is_part | own.is_moved | own.is_clutter], edges, len(side.points))
             for name, side, own in zip(SIDES, (real, corrected), find_unmatched(real, corrected), strict=True)
         }
     sides = {"real": real, "sim": sim}

@@ -1,0 +1,104 @@
+"""Stage causes: the amount of every flaw of the catalogue in a pair, and its surface distance."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from ...schemas.cause_catalogue import CAUSES
+from ...schemas.columns import SIDES
+from ...schemas.tables import TABLES
+from ...stages.arrays import FloatArray
+from ...stages.causes.estimates import Amount, Pose, estimate
+from ...stages.causes.sides import PairScans, Side
+from ...stages.displacement import Displacement
+from ...stages.sensor_description import SensorDescription
+from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
+from .points_job import column, coordinates
+
+POSE = "pose"  #: metadata: fields of `Pose`, None without enough surface in common
+POINT_COLUMNS = ("x", "y", "z", "is_ground")
+_TOO_LITTLE = "the scans have too little surface in common"
+
+
+def make_causes(inputs: Inputs) -> JobResult:
+    """One row per cause of the catalogue."""
+    with inputs.step("causes"):
+        estimates = estimate(pair_scans(inputs))
+    if estimates is None:
+        amounts = {name: Amount(None, reason=_TOO_LITTLE) for name in CAUSES}
+        distances: Metadata = {"surface_distance_m": None, "surface_floor_m": None}
+        pose = None
+    else:
+        amounts = estimates.amounts | intensity_amounts(inputs)
+        distances = {"surface_distance_m": estimates.distance_m, "surface_floor_m": estimates.floor_m}
+        pose = asdict(estimates.pose)
+        pose["displacement"]["values"] = estimates.pose.displacement.values.tolist()
+    rows = [_row(inputs.pair_id, name, amounts.get(name, Amount(None, reason="not estimated"))) for name in CAUSES]
+    return JobResult({"causes": TABLES["causes"].from_rows(rows)}, {OF_PAIR: distances, POSE: pose})
+
+
+def _row(pair_id: str, name: str, amount: Amount) -> dict[str, float | str | None]:
+    return {"pair_id": pair_id, "cause": name, "unit": CAUSES[name].unit} | vars(amount)
+
+
+def pair_scans(inputs: Inputs) -> PairScans:
+    """Both sides of the pair, from the tables ground and sensor."""
+    moved = inputs.metadata("ground", "sim").get("T_real_sim")
+    T_real_sim = np.array(moved).reshape(3, 4) if moved else None
+    real, sim = (_side(inputs, side) for side in SIDES)
+    sim.T_real_sim = T_real_sim
+    return PairScans(real, sim)
+
+
+def pose_of(metadata: dict[str, Any]) -> Pose | None:
+    """The pose that the job has left in its metadata."""
+    pose = metadata[POSE]
+    if pose is None:
+        return None
+    displacement = pose["displacement"]
+    return Pose(
+        Displacement(np.array(displacement["values"]), displacement["seam_deg"]),
+        pose["elevation_scale"],
+        SensorDescription(**pose["sensor"]),
+    )
+
+
+def _side(inputs: Inputs, side: str) -> Side:
+    ground = inputs.table("ground", side)
+    sensor = SensorDescription(**inputs.metadata("sensor", side)["sensor"])
+    return side_of(ground, sensor)
+
+
+def side_of(ground: pa.Table, sensor: SensorDescription, T_real_sim: FloatArray | None = None) -> Side:
+    """A side from its table `ground`."""
+    return Side(coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim)
+
+
+def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
+    """Amounts of the causes of the intensity, from the scores of the rays; shares are those of the rays compared."""
+    scores = inputs.metadata("rays")[OF_PAIR]
+    reason = scores["rays_reason"] or scores["intensity_note"] or "intensities were not compared"
+    unknown = Amount(None, reason=reason)
+    amounts = dict.fromkeys(("intensity by range", "intensity ranks", "intensity scale"), unknown)
+    by_range = scores["intensity_real_by_range"], scores["intensity_sim_by_range"]
+    if None not in by_range:
+        amounts["intensity by range"] = Amount(by_range[1] - by_range[0], *by_range)
+    if scores["intensity_rank_distance"] is not None:
+        amounts["intensity ranks"] = Amount(scores["intensity_rank_distance"])
+    if scores["intensity_ratio"] is not None and scores["intensity_rmse"] is not None:
+        amounts["intensity scale"] = Amount(1.0 - scores["intensity_ratio"])
+    return amounts
+
+
+STAGE = Stage(
+    name="causes",
+    takes={"ground": POINT_COLUMNS, "sensor": (), "rays": ()},
+    gives=("causes",),
+    grain=Grain.PAIR,
+    make=make_causes,
+    libraries=("scikit-learn",),
+)

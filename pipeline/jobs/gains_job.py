@@ -1,0 +1,76 @@
+"""Stage gains: how much closer the surfaces of a pair come if each cause of the run is corrected.
+
+It is not part of a run: `fidpipe diagnose` requests it, with the mean amounts of the causes that the run names.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...schemas.cause_catalogue import CAUSES
+from ...schemas.settings import Settings
+from ...schemas.tables import TABLES
+from ...stages.causes.curves import curves
+from ...stages.causes.gain import Shares, corrections, shares
+from ..results.diagnosis import AMOUNTS, CURVES, DISTANCES, UNEXPLAINED
+from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
+from .causes_job import POINT_COLUMNS, pair_scans, pose_of
+
+_SEED = 20240917
+
+
+def make_gains(inputs: Inputs) -> JobResult:
+    """One row per cause that can be corrected, and one for what remains; arguments: (name, mean amount) of each."""
+    amounts = dict(inputs.arguments)
+    pose = pose_of(inputs.metadata("causes"))
+    if pose is None:
+        return _result(inputs, Shares(0.0, 0.0, 0.0, {}), {})
+    scans = pair_scans(inputs)
+    rng = np.random.default_rng(_SEED)
+    of_pair = _amounts_of_pair(inputs)
+    with inputs.step("gains"):
+        made = corrections(scans, pose, of_pair, amounts, rng)
+        floor_m = inputs.metadata("causes")[OF_PAIR]["surface_floor_m"]
+        gains = shares(scans, made, pose.displacement.seam_deg, rng, floor_m)
+    kinds = {CAUSES[name].curve for name in amounts if CAUSES[name].curve}
+    with inputs.step("curves"):
+        drawn = {kind: _rounded(curves(scans, pose, kind)) for kind in sorted(kinds)}
+    return _result(inputs, gains, drawn)
+
+
+def _amounts_of_pair(inputs: Inputs) -> dict[str, float | None]:
+    table = inputs.table("causes")
+    return dict(zip(table["cause"].to_pylist(), table["amount"].to_pylist(), strict=True))
+
+
+def _rounded(of_sides: Any) -> dict[str, list[float]]:
+    return {side: np.round(values, 4).tolist() for side, values in of_sides.items()}
+
+
+def _result(inputs: Inputs, gains: Shares, drawn: dict[str, dict[str, list[float]]]) -> JobResult:
+    gain_m = dict(sorted((gains.by_cause | {UNEXPLAINED: gains.after_m - gains.floor_m}).items()))
+    rows = [{"pair_id": inputs.pair_id, "cause": name, "gain_m": value} for name, value in gain_m.items()]
+    metadata = {DISTANCES: [gains.before_m, gains.after_m, gains.floor_m], CURVES: drawn}
+    return JobResult({"gains": TABLES["gains"].from_rows(rows)}, metadata | {AMOUNTS: dict(inputs.arguments)})
+
+
+def gains_stage(amounts: dict[str, float]) -> Stage:
+    """The stage for causes with these mean amounts."""
+    return replace(STAGE, arguments=tuple((name, float(amount)) for name, amount in sorted(amounts.items())))
+
+
+def _is_wanted(settings: Settings) -> bool:
+    return False
+
+
+STAGE = Stage(
+    name="gains",
+    takes={"ground": POINT_COLUMNS, "sensor": (), "causes": ("cause", "amount")},
+    gives=("gains",),
+    grain=Grain.PAIR,
+    make=make_gains,
+    is_wanted=_is_wanted,
+)

@@ -1,0 +1,1 @@
+"""Explaining the difference between a simulated and a real scan."""

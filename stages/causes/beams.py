@@ -1,0 +1,181 @@
+"""Flaws of single beams and their angles: dead and exchanged beams, scale and noise of elevations, second returns."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IndexArray
+from ..rays import RayGrid
+from ..sensor_description import SensorDescription
+from ..surfels import fit_planes
+from .sides import PLANE_NEIGHBOURS, Side
+
+_FEWEST_RETURNS = 20  # reference returns of a beam that is compared
+_DEAD = 0.2  # share of the usual number of returns
+_BIN_DEG = 2.0  # of azimuth, in which ranges of two beams are compared
+_FEWEST_BINS = 10
+_SUSPECT_LOG, _SUSPECT = 0.02, 2.0  # log of the range ratio, and over the median of all beams
+_BETTER = 0.5  # of the difference of ranges, from the own to the exchanged beam
+_MOST_RESIDUAL_DEG = 0.05
+_FEWEST_BEAMS = 8
+_LEAST_RESULTANT = 0.03  # of phases between beams
+_COHERENT = 0.8  # resultant of the mean phases of all beams
+_ROAD_M = (8.0, 40.0)
+_ROAD_POINTS = 4000
+_SAME_RAY = 2e-4  # chord between two directions of one ray
+_BEHIND_M = 0.3
+
+
+def grid_of(sensor: SensorDescription) -> RayGrid | None:
+    """Directions of the beams of a sensor; None if they were not recognised."""
+    if not sensor.elevation_deg:
+        return None
+    return RayGrid(
+        np.array(sensor.elevation_deg),
+        sensor.azimuth_step_deg or 0.0,
+        tuple(sensor.origin_height_m),
+        sensor.block_deg,
+    )
+
+
+def dead_beams(grid: RayGrid, reference: Side, side: Side) -> IndexArray:
+    """Beams of a grid that return almost nothing on a side, although they do on the reference side.
+
+    A beam is dead if it has less than 0.2 of the returns that it would have at the median ratio over all beams.
+    """
+    n_beams = len(grid.elevation_deg)
+    n_reference = np.bincount(grid.beam_of(reference.own_points), minlength=n_beams)
+    n_side = np.bincount(_beams_hit(grid, side), minlength=n_beams)
+    is_compared = n_reference >= _FEWEST_RETURNS
+    if not is_compared.any():
+        return np.empty(0, dtype=np.intp)
+    usual = np.median(n_side[is_compared] / n_reference[is_compared])
+    return np.flatnonzero(is_compared & (n_side < _DEAD * usual * n_reference))
+
+
+def _beams_hit(grid: RayGrid, side: Side) -> IndexArray:
+    """Beam of each point within 0.4 of the spacing from one."""
+    elevation = grid.elevation_of(side.own_points)
+    beam = grid.beam_of(side.own_points)
+    spacing = np.gradient(grid.elevation_deg)
+    return beam[np.abs(elevation - grid.elevation_deg[beam]) < 0.4 * spacing[beam]]
+
+
+def exchanged_beams(grid: RayGrid, side: Side) -> list[tuple[int, int]]:
+    """Pairs of beams of a grid whose ranges are exchanged on a side.
+
+    The ranges of a beam over azimuth are a profile of the scene, and between those of its two neighbours. Two beams are
+    exchanged if the profile of each is nearest to the mean of the neighbours of the other, by the median ratio of
+    ranges, and at most half as far from it as from that of its own.
+    """
+    profiles = _range_profiles(grid, side)
+    around = np.full_like(profiles, np.nan)
+    around[1:-1] = (profiles[:-2] + profiles[2:]) / 2
+    distances = np.array([_profile_distance(a, b) for a, b in zip(profiles, around, strict=True)])
+    known = np.isfinite(distances)
+    if not known.any():
+        return []
+    limit = max(_SUSPECT_LOG, _SUSPECT * float(np.median(distances[known])))
+    nearest = {}
+    for beam in np.flatnonzero(known & (distances > limit)).tolist():
+        to_others = np.array([_profile_distance(profiles[beam], other) for other in around])
+        best = int(np.nanargmin(to_others))
+        if to_others[best] < _BETTER * distances[beam]:
+            nearest[beam] = best
+    return [(a, b) for a, b in combinations(nearest, 2) if nearest[a] == b and nearest[b] == a]
+
+
+def _range_profiles(grid: RayGrid, side: Side) -> FloatArray:
+    """(beams, bins) log of the median range of each beam and bin of azimuth; NaN without a return."""
+    n_bins = round(360.0 / _BIN_DEG)
+    column = ((side.azimuth_deg + 180.0) // _BIN_DEG).astype(np.intp) % n_bins
+    cell = grid.beam_of(side.own_points) * n_bins + column
+    order = np.lexsort((side.range_m, cell))
+    n_returns = np.bincount(cell, minlength=len(grid.elevation_deg) * n_bins)
+    middle = np.cumsum(n_returns) - n_returns + n_returns // 2
+    median_m = side.range_m[order][np.minimum(middle, len(order) - 1)]
+    return np.where(n_returns > 0, np.log(median_m), np.nan).reshape(-1, n_bins)
+
+
+def _profile_distance(a: FloatArray, b: FloatArray) -> float:
+    """Median absolute difference of two profiles; NaN if they share too few bins."""
+    difference = np.abs(a - b)
+    difference = difference[np.isfinite(difference)]
+    return float(np.median(difference)) if len(difference) >= _FEWEST_BINS else np.nan
+
+
+def elevation_scale(reference: SensorDescription, sensor: SensorDescription) -> float | None:
+    """Elevations of a sensor over those of a reference, minus 1; None if no scale and offset map one on the other.
+
+    Both need the same number of beams, and beams that start at the same heights.
+    """
+    a, b = np.array(reference.elevation_deg), np.array(sensor.elevation_deg)
+    if len(a) != len(b) or len(a) < _FEWEST_BEAMS:
+        return None
+    scale, offset = np.polyfit(a, b, 1)
+    residual_deg = np.abs(b - scale * a - offset)
+    return float(scale) - 1.0 if np.median(residual_deg) < _MOST_RESIDUAL_DEG else None
+
+
+def blurred_elevation_deg(grid: RayGrid, side: Side) -> float | None:
+    """Standard deviation of the elevations of a side around the beams of a grid; None if they are unrelated to them.
+
+    The phase of an elevation between two neighbouring beams, spaced s apart, has the resultant exp(-2 pi^2 sigma^2 /
+    s^2) if elevations scatter normally with sigma around the beams (Mardia and Jupp, Directional Statistics, 2000). It
+    also works if the noise is so large that no beams can be recognised in the side itself.
+    """
+    beams_deg = grid.elevation_deg
+    elevation_deg = grid.elevation_of(side.own_points)
+    below = np.searchsorted(beams_deg, elevation_deg) - 1
+    is_inside = (below >= 0) & (below < len(beams_deg) - 1)
+    below = below[is_inside]
+    if len(below) < _FEWEST_RETURNS * _FEWEST_BEAMS:
+        return None
+    spacing_deg = np.diff(beams_deg)
+    phase = 2 * np.pi * (elevation_deg[is_inside] - beams_deg[below]) / spacing_deg[below]
+    direction = np.exp(1j * phase)
+    by_gap = np.bincount(below, direction.real) + 1j * np.bincount(below, direction.imag)
+    by_gap = by_gap[by_gap != 0]
+    coherence = (by_gap / np.abs(by_gap)).mean().real
+    resultant = float(direction.mean().real)
+    if coherence < _COHERENT or resultant < _LEAST_RESULTANT:
+        return None
+    low, high = 0.0, float(spacing_deg.max())
+    for _ in range(40):
+        sigma = (low + high) / 2
+        expected = np.exp(-2 * np.pi**2 * sigma**2 / spacing_deg[below] ** 2).mean()
+        if expected > resultant:
+            low = sigma
+        else:
+            high = sigma
+    return (low + high) / 2
+
+
+def road_blur_deg2(side: Side) -> float | None:
+    """Slope of the variance of the road's height over the squared range, degrees^2; None without enough road.
+
+    Noise of the elevation of sigma radians moves a return on the road up and down by range times sigma, so that the
+    slope grows by sigma^2, whatever the beams are. Roughness and range noise hardly depend on the range.
+    """
+    is_road = side.is_ground & (side.range_m > _ROAD_M[0]) & (side.range_m < _ROAD_M[1])
+    rows = np.flatnonzero(is_road)
+    if len(rows) < _FEWEST_RETURNS * _FEWEST_BEAMS:
+        return None
+    rows = rows[:: len(rows) // _ROAD_POINTS + 1]
+    planes = fit_planes(side.points[is_road], side.points[rows], PLANE_NEIGHBOURS)
+    squared_range = side.range_m[rows] ** 2
+    is_near = squared_range < np.median(squared_range)
+    variance_near = np.median(planes.variance[is_near, 0])
+    variance_far = np.median(planes.variance[~is_near, 0])
+    step = np.median(squared_range[~is_near]) - np.median(squared_range[is_near])
+    return float((variance_far - variance_near) / step * np.degrees(1.0) ** 2)
+
+
+def second_returns(side: Side) -> BoolArray:
+    """(n,) True for returns behind another one of the same ray: the directions are equal, the range is larger."""
+    chord, rows = side.near_rays
+    is_same = chord < _SAME_RAY
+    is_behind = side.range_m[:, None] > side.range_m[rows] + _BEHIND_M
+    return (is_same & is_behind).any(axis=1)

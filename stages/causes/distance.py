@@ -1,0 +1,118 @@
+"""Distance between the surfaces of two scans, and that of a perfect second measurement."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.random import Generator
+from scipy.spatial import cKDTree
+
+from ...schemas.cause_catalogue import CAUSES
+from ..arrays import FloatArray, IndexArray
+from ..surfels import fit_planes
+from .sides import SCATTERED, Side, noise_without_steps
+
+#: Distances to the other side count up to this.
+REACH_M = 1.0
+_SAMPLE = 4000
+_NEIGHBOURS = 16
+_OFF_STDS, _LEAST_STD_M = 3.0, 0.02  # of a flat surface, from which a point is off
+
+
+def surface_distance(real: FloatArray, sim: FloatArray, real_tree: cKDTree | None = None) -> float:
+    """Mean distance to the other side, counted up to 1 m, averaged over both directions; metres.
+
+    It is also the mean uncovered share over all reaches from 0 to 1 m, since the integral of P(d > r) over r in
+    [0, 1 m] is the mean of min(d, 1 m). Of both sides, every k-th point is used, 4000 at most.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    real_tree : search tree of the real points, if it exists already
+    """
+    if not len(sim):
+        return REACH_M
+    to_sim = mean_apart(cKDTree(sim), real[sample_rows(len(real))])
+    to_real = mean_apart(cKDTree(real) if real_tree is None else real_tree, sim[sample_rows(len(sim))])
+    return (to_sim + to_real) / 2
+
+
+def mean_apart(tree: cKDTree, points: FloatArray) -> float:
+    """Mean distance of some points to the nearest of a tree, each counted up to 1 m."""
+    apart_m, _ = tree.query(points, distance_upper_bound=REACH_M)
+    return float(np.minimum(apart_m, REACH_M).mean())
+
+
+def surface_floor(real: Side, sim: Side, aligned: Side, rng: Generator) -> float:
+    """Surface distance of a perfect second measurement of the real scan, with rays like the simulated ones; metres.
+
+    Real rays are turned by the angle between the simulated rays and the real ones (the median, in a random direction;
+    with or without the displacement, whichever is smaller, as small displacements are errors of the fit), and their
+    returns moved along the ray by the range noise of the real sensor, or of the simulated one as far as that
+    is within the tolerance; returns are lost in the share that the real sensor loses. So neither the spacing of points
+    nor the noise of a measurement counts as a difference.
+
+    Parameters
+    ----------
+    sim, aligned : the simulated side, and without its displacement
+    """
+    rays = real.rays[sample_rows(len(real.points))]
+    step = min(float(np.median(side.ray_tree.query(rays)[0])) for side in (sim, aligned))
+    moved = _by_other_rays(real, step, rng)
+    real_noise_m = real.sensor.range_noise_m or 0.0
+    sim_noise_m = noise_without_steps(aligned.sensor) or 0.0
+    noise_m = min(max(sim_noise_m, real_noise_m), real_noise_m + CAUSES["range noise"].tolerance)
+    moved += real.rays * rng.normal(0.0, noise_m, len(moved))[:, None]
+    is_kept = rng.random(len(moved)) >= (real.sensor.lost_in_all or 0.0)
+    return surface_distance(real.points, moved[is_kept], real.tree)
+
+
+def sample_rows(n: int) -> IndexArray:
+    """Every k-th row of n, 4000 at most."""
+    return np.arange(0, n, n // _SAMPLE + 1)
+
+
+def _by_other_rays(side: Side, step: float, rng: Generator) -> FloatArray:
+    """(n, 3) returns of rays that are turned by an angle, radians, in random directions.
+
+    On a plane they lie in it. Elsewhere, as in foliage, a ray in the middle between two others sees something else than
+    either: its range is that of one of the neighbouring rays, the more often the nearer it comes to the middle.
+    """
+    random = rng.normal(size=side.points.shape)
+    across = random - (random * side.rays).sum(axis=1, keepdims=True) * side.rays
+    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-9)[:, None]
+    normal = side.planes.normal
+    toward = (side.rays * normal).sum(axis=1)
+    is_plane = (side.planes.scattering < SCATTERED) & ~side.planes.is_line & (np.abs(toward) > 0.1)
+    # the ray turns across by a small angle: it meets the plane where the offset along the ray cancels that along n
+    along_ray = -(across * normal).sum(axis=1) / np.where(is_plane, toward, 1.0)
+    direction = across + np.where(is_plane, along_ray, 0.0)[:, None] * side.rays
+    returns = side.points + direction * (step * side.range_m)[:, None]
+    chord, near = side.near_rays
+    chosen = rng.integers(chord.shape[1], size=(len(chord), 1))
+    spacing = np.take_along_axis(chord, chosen, axis=1)[:, 0]
+    other_m = side.range_m[np.take_along_axis(near, chosen, axis=1)[:, 0]]
+    is_other = ~is_plane & (rng.random(len(chord)) < 2 * step / np.maximum(spacing, 1e-9))
+    ratio = np.where(is_other, other_m / side.range_m, 1.0)
+    scaled: FloatArray = returns * ratio[:, None]
+    return scaled
+
+
+def off_share(a: FloatArray, b: FloatArray) -> float:
+    """Share of the flat surface of two scans that the other has elsewhere, averaged over both directions.
+
+    A point is off if the plane through the 16 nearest points of the other scan is farther than three times their
+    standard deviation, and 6 cm. It does not depend on which rays both scans have; points more than 1 m from the mean
+    of those neighbours, and neighbours that are scattered or on a line, do not count. Of both, every k-th point is
+    used, 4000 at most.
+    """
+    return (_off_share_of(a, b) + _off_share_of(b, a)) / 2
+
+
+def _off_share_of(points: FloatArray, other: FloatArray) -> float:
+    chosen = points[sample_rows(len(points))]
+    planes = fit_planes(other, chosen, _NEIGHBOURS)
+    offset = chosen - planes.mean
+    is_flat = (planes.scattering < SCATTERED) & ~planes.is_line & ((offset**2).sum(axis=1) < REACH_M**2)
+    limit_m = _OFF_STDS * np.maximum(np.sqrt(planes.variance[:, 0]), _LEAST_STD_M)
+    is_off = np.abs((offset * planes.normal).sum(axis=1)) > limit_m
+    return float(is_off[is_flat].mean()) if is_flat.any() else 0.0

@@ -1,0 +1,303 @@
+"""Gain of a correction: the share of the distance between both sides that disappears if a cause is corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import permutations
+
+import numpy as np
+from numpy.random import Generator
+from scipy.spatial import cKDTree
+
+from ..arrays import BoolArray, FloatArray, IndexArray
+from ..displacement import PARAMETERS, Displacement
+from ..surfels import fit_planes
+from .beams import second_returns
+from .distance import REACH_M, off_share, surface_distance
+from .estimates import (
+    FLAT,
+    LOSSES,
+    SHAPE_M,
+    Explained,
+    Pose,
+    explain_directions,
+    find_strays,
+    find_unmatched,
+    flat_shapes,
+    foliage_steps,
+    scale_elevations,
+)
+from .sides import PairScans, Side, noise_without_steps
+
+_NEIGHBOURS = 16
+_MOST_MOVED = 0.1  # of a range, from a return's own to that of the plane through it
+_MOST_EXACT, _ORDERS = 4, 6
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Changes of the simulated points that correct causes.
+
+    displacement : (11,) of `displacement.PARAMETERS`, to be undone
+    elevation_scale : to be undone
+    along_m : (m,) change of the ranges
+    keep : (m,) bool
+    add : (k, 3) real points
+    """
+
+    displacement: FloatArray | float = 0.0
+    elevation_scale: float = 0.0
+    along_m: FloatArray | float = 0.0
+    keep: BoolArray | bool = True
+    add: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+
+
+def corrected(sim: Side, chosen: Sequence[Correction], seam_deg: float) -> FloatArray:
+    """The simulated points with some corrections.
+
+    Parameters
+    ----------
+    seam_deg : of the displacement
+    """
+    displacement = np.zeros(len(PARAMETERS))
+    scale = 0.0
+    along_m = np.zeros(len(sim.points))
+    keep = np.ones(len(sim.points), dtype=np.bool_)
+    for correction in chosen:
+        displacement = displacement + correction.displacement
+        scale += correction.elevation_scale
+        along_m = along_m + correction.along_m
+        keep = keep & correction.keep
+    points = scale_elevations(sim.points, 1.0 / (1.0 + scale))
+    if displacement.any():
+        points = Displacement(displacement, seam_deg).undo(points, sim.is_ground)
+    if along_m.any():
+        points = points * (1.0 + along_m / np.maximum(np.linalg.norm(points, axis=1), 1e-9))[:, None]
+    return np.concatenate([points[keep], *(correction.add for correction in chosen)])
+
+
+def corrections(
+    scans: PairScans, pose: Pose, amounts: Mapping[str, float | None], excess: Mapping[str, float], rng: Generator
+) -> dict[str, Correction]:
+    """The correction of each cause for one pair.
+
+    Parameters
+    ----------
+    pose : of the simulated side
+    amounts : by cause, of the pair
+    excess : by cause to be corrected, its amount over that of a base
+    """
+    real = scans.real
+    sim = pose.undisplaced(scans.sim)
+    explained = explain_directions(real, sim)
+    missing, invented = find_unmatched(real, sim, explained)
+    is_common = ~(missing.is_beyond | missing.is_part | missing.is_moved | missing.is_clutter | explained.real)
+    made: dict[str, Correction] = {}
+    for name, amount in excess.items():
+        whole = amounts.get(name)
+        part = amount / max(amount if whole is None else whole, amount) if amount > 0 else 1.0  # the rest is the base's
+        if name in PARAMETERS:
+            made[name] = Correction(np.where(np.array(PARAMETERS) == name, amount, 0.0))
+        elif name == "elevation scale":
+            made[name] = Correction(elevation_scale=amount)
+        elif name in ("range noise", "range steps"):
+            made[name] = _noise(real, sim, name, amount, rng)
+        elif name in (*LOSSES, "azimuth step"):
+            made[name] = _density(name, amount, whole or 0.0, real, sim, is_common, rng)
+        elif name in (FLAT, "solid foliage"):
+            made[name] = _onto_real(name, real, sim, part, rng)
+        elif name in ("blind sector", "beams", "exchanged beams"):
+            made[name] = _restored(name, amount, real, sim, explained, is_common, rng)
+        elif name == "second returns":
+            made[name] = Correction(keep=~second_returns(scans.sim))
+        elif name == "mixed pixels":
+            made[name] = Correction(keep=~_some(find_strays(sim)[0], part, rng))
+        elif name == "invented parts":
+            made[name] = Correction(keep=~_some(invented.is_part, part, rng))
+        elif name == "clutter":
+            made[name] = Correction(keep=~_some(invented.is_clutter, part, rng))
+        elif name == "missing parts":
+            made[name] = Correction(add=real.points[_some(missing.is_part, part, rng)])
+        elif name == "moved parts":
+            made[name] = Correction(keep=~_some(invented.is_moved, part, rng), add=real.points[missing.is_moved])
+        elif name == "maximum range":
+            made[name] = Correction(keep=sim.range_m <= real.range_m.max(), add=real.points[missing.is_beyond])
+        elif name == "minimum range":
+            made[name] = Correction(add=real.points[real.range_m < sim.range_m.min()])
+    return made
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Distances of a pair, metres: before and after all corrections, that of the floor, and the part of each cause."""
+
+    before_m: float
+    after_m: float
+    floor_m: float
+    by_cause: dict[str, float]
+
+
+def shares(
+    scans: PairScans, made: Mapping[str, Correction], seam_deg: float, rng: Generator, floor_m: float = 0.0
+) -> Shares:
+    """Distance of both sides before and after all corrections, and the metres that each correction contributes.
+
+    Distances count down to `floor_m`: restored real returns are better than those of a second measurement.
+
+    The contribution is averaged over the orders in which the corrections can be applied (Shapley, 1953): over all
+    orders up to four corrections, else over six at random.
+    """
+    names = sorted(made)
+    known: dict[frozenset[str], float] = {}
+
+    def distance(chosen: frozenset[str]) -> float:
+        if chosen not in known:
+            points = corrected(scans.sim, [made[name] for name in sorted(chosen)], seam_deg)
+            known[chosen] = surface_distance(scans.real.points, points, scans.real.tree)
+        return known[chosen]
+
+    if len(names) <= _MOST_EXACT:
+        orders = list(permutations(names))
+    else:
+        drawn = [tuple(rng.permutation(names).tolist()) for _ in range(_ORDERS // 2)]
+        orders = drawn + [order[::-1] for order in drawn]
+    gains = dict.fromkeys(names, 0.0)
+    for order in orders:
+        for i, name in enumerate(order):
+            before_m = distance(frozenset(order[:i]))
+            after_m = distance(frozenset(order[: i + 1]))
+            gains[name] += (max(before_m, floor_m) - max(after_m, floor_m)) / len(orders)
+    return Shares(distance(frozenset()), max(distance(frozenset(names)), floor_m), floor_m, gains)
+
+
+def changes(
+    base: Side, sim: Side, pose: Pose, excess: Mapping[str, float], rng: Generator
+) -> tuple[Shares, float, float]:
+    """Shares in the distance between two simulated scans of a place, and the flat surface that they have elsewhere.
+
+    A poor simulator is far from the real surface everywhere, so that any correction brings it closer; what a flaw has
+    changed is seen next to the same simulator without it.
+
+    Parameters
+    ----------
+    base, sim : without and with the changes
+    pose : of `sim` against `base`
+    excess : by cause, the amount of the change
+
+    Returns
+    -------
+    Shares, and the share of flat surface elsewhere (`off_share`) before and after all corrections.
+    """
+    scans = PairScans(base, sim)
+    made = corrections(scans, pose, {}, excess, rng)
+    after = corrected(sim, list(made.values()), pose.displacement.seam_deg)
+    before_share = off_share(base.points, sim.points)
+    after_share = off_share(base.points, after)
+    return shares(scans, made, pose.displacement.seam_deg, rng), before_share, after_share
+
+
+def _some(flags: BoolArray, part: float, rng: Generator) -> BoolArray:
+    """A random part of the flagged points."""
+    return flags & (rng.random(len(flags)) < part)
+
+
+def _noise(real: Side, sim: Side, name: str, amount: float, rng: Generator) -> Correction:
+    """Missing noise, added along the rays; or less of the distance to the real surface along the rays."""
+    noise_m = max(sim.sensor.range_noise_m or 0.0, 1e-4)
+    if name == "range noise":
+        noise_m = max(noise_without_steps(sim.sensor) or 0.0, 1e-4)
+    elif amount > 0:
+        noise_m = max(noise_m, amount / np.sqrt(12))
+    if amount < 0:
+        return Correction(along_m=rng.normal(0.0, np.sqrt(amount**2 + 2 * noise_m * -amount), len(sim.points)))
+    target_m = noise_m - amount
+    if name == "range steps":
+        target_m = np.sqrt(max(noise_m**2 - amount**2 / 12, 0.0))
+    along_m = (1.0 - max(target_m, 0.0) / noise_m) * (_seen_m(sim.rays, real) - sim.range_m)
+    return Correction(along_m=np.where(np.abs(along_m) < 4 * noise_m, along_m, 0.0))
+
+
+def _seen_m(rays: FloatArray, real: Side) -> FloatArray:
+    """(k,) range at which rays meet the real surface: the plane through the return nearest in direction.
+
+    Where a ray grazes the plane, the range of the return itself.
+    """
+    _, near = real.ray_tree.query(rays)
+    places, of_ray = np.unique(near, return_inverse=True)
+    normal = fit_planes(real.points, real.points[places], _NEIGHBOURS).normal[of_ray]
+    range_m = real.range_m[near]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        met_m = (normal * real.points[near]).sum(axis=1) / (normal * rays).sum(axis=1)
+        is_met = np.abs(met_m - range_m) < _MOST_MOVED * range_m
+    return np.where(is_met, met_m, range_m)
+
+
+def _as_simulated(real: Side, sim: Side, rows: IndexArray) -> FloatArray:
+    """Real points with the error of the simulated surface: moved along the real normal, as far as the nearest point."""
+    points = real.points[rows]
+    normal = fit_planes(real.points, points, _NEIGHBOURS).normal
+    _, near = sim.tree.query(points)
+    return points + ((sim.points[near] - points) * normal).sum(axis=1, keepdims=True) * normal
+
+
+def _density(
+    name: str, amount: float, of_run: float, real: Side, sim: Side, is_common: BoolArray, rng: Generator
+) -> Correction:
+    """Real returns on common surface, where the simulated ones are farthest apart, or fewer of the simulated ones.
+
+    Parameters
+    ----------
+    amount, of_run : over the base, and of the pair; a share that is lost is one of what the base returns
+    """
+    step_deg = sim.sensor.azimuth_step_deg
+    share = amount * (1.0 - of_run) / (1.0 - amount) if name in LOSSES and amount > 0 else amount
+    if name == "azimuth step":
+        share = amount / step_deg if step_deg else 0.0
+    if share > 0:
+        rows = np.flatnonzero(is_common & real.concerned(name))
+        gap, _ = sim.ray_tree.query(real.rays[rows])
+        return Correction(add=_as_simulated(real, sim, rows[np.argsort(-gap)[: round(share * len(rows))]]))
+    return Correction(keep=~_some(sim.concerned(name), 1.0 - 1.0 / (1.0 - share), rng))
+
+
+def _restored(
+    name: str,
+    amount: float,
+    real: Side,
+    sim: Side,
+    explained: Explained,
+    is_common: BoolArray,
+    rng: Generator,
+) -> Correction:
+    """Real returns of directions and beams that the simulated side lacks or exchanges."""
+    if name == "blind sector":
+        return Correction(add=real.points[explained.is_blind])
+    if name == "exchanged beams":
+        is_real = explained.real & ~explained.is_blind & ~explained.is_dead
+        return Correction(keep=~explained.sim, add=real.points[is_real])
+    if explained.is_dead.any():
+        rows = np.flatnonzero(explained.is_dead)
+        return Correction(add=_as_simulated(real, sim, rows))
+    n_beams = len(sim.sensor.elevation_deg)
+    share = -amount / max(n_beams - min(amount, 0.0), 1.0)
+    if share > 0:
+        rows = np.flatnonzero(is_common)
+        gap, _ = sim.ray_tree.query(real.rays[rows])
+        return Correction(add=_as_simulated(real, sim, rows[np.argsort(-gap)[: round(share * len(rows))]]))
+    return Correction(keep=~_some(np.ones(len(sim.points), np.bool_), 1.0 - 1.0 / (1.0 - share), rng))
+
+
+def _onto_real(name: str, real: Side, sim: Side, part: float, rng: Generator) -> Correction:
+    """Simulated returns in the direction of foliage, or of surface that is too flat, at the range of the real one."""
+    if name == FLAT:
+        places, is_flat = flat_shapes(real, sim)
+        apart_m, _ = cKDTree(places[is_flat]).query(sim.points, distance_upper_bound=SHAPE_M)
+        rows = np.flatnonzero(np.isfinite(apart_m))
+        step_m = sim.range_m[rows] - _seen_m(sim.rays[rows], real)
+        step_m[np.abs(step_m) > REACH_M] = 0.0
+    else:
+        rows, step_m = foliage_steps(real, sim)
+    along_m = np.zeros(len(sim.range_m))
+    along_m[rows] = -step_m
+    return Correction(along_m=np.where(_some(along_m != 0, part, rng), along_m, 0.0))

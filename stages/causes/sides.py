@@ -1,0 +1,135 @@
+"""The two scans of a pair as the estimators of causes need them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..arrays import BoolArray, FloatArray, IndexArray
+from ..rays import Rays
+from ..sensor_description import SensorDescription
+from ..surfels import LocalPlanes, fit_planes
+
+#: Returns beyond this range are far.
+FAR_M = 25.0
+#: Returns at a larger angle to the normal of the surface are grazing.
+GRAZING_DEG = 75.0
+#: l3 / l1 of foliage, and more.
+SCATTERED = 0.1
+#: Neighbours that define the plane around a point.
+PLANE_NEIGHBOURS = 20
+#: Nearest rays that are searched around each ray.
+RAYS_AROUND = 8
+
+
+class Side:
+    """Clean points of one side, with what is derived from them when first used.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, in the real sensor's frame
+    is_ground : (n,) bool
+    sensor : description of the side's sensor, from the points as recorded
+    T_real_sim : (3, 4) float64, of the simulated side, if its frame is another
+    """
+
+    def __init__(
+        self,
+        points: FloatArray,
+        is_ground: BoolArray,
+        sensor: SensorDescription,
+        T_real_sim: FloatArray | None = None,
+    ) -> None:
+        self.points = points
+        self.is_ground = is_ground
+        self.sensor = sensor
+        self.T_real_sim = T_real_sim
+
+    @cached_property
+    def range_m(self) -> FloatArray:
+        """(n,) distance from the real sensor."""
+        range_m: FloatArray = np.maximum(np.linalg.norm(self.points, axis=1), 1e-9)
+        return range_m
+
+    @cached_property
+    def rays(self) -> FloatArray:
+        """(n, 3) directions, unit vectors."""
+        return self.points / self.range_m[:, None]
+
+    @cached_property
+    def azimuth_deg(self) -> FloatArray:
+        """(n,) direction around the vertical, 0 ahead, positive to the left."""
+        return np.degrees(np.arctan2(self.points[:, 1], self.points[:, 0]))
+
+    @cached_property
+    def elevation_deg(self) -> FloatArray:
+        """(n,) angle above the horizon."""
+        return np.degrees(np.arcsin(self.rays[:, 2]))
+
+    @cached_property
+    def own_points(self) -> FloatArray:
+        """(n, 3) the points in the frame of the side's own sensor, in which its beams are."""
+        if self.T_real_sim is None:
+            return self.points
+        rotation = self.T_real_sim[:, :3]
+        return (self.points - self.T_real_sim[:, 3]) @ rotation
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Search tree of the points."""
+        return cKDTree(self.points)
+
+    @cached_property
+    def ray_tree(self) -> cKDTree:
+        """Search tree of the directions."""
+        return cKDTree(self.rays)
+
+    @cached_property
+    def near_rays(self) -> tuple[FloatArray, IndexArray]:
+        """Chord to the eight nearest other rays of each ray and their rows, (n, 8) each."""
+        chord, rows = self.ray_tree.query(self.rays, k=RAYS_AROUND + 1)
+        return chord[:, 1:], rows[:, 1:]
+
+    @cached_property
+    def planes(self) -> LocalPlanes:
+        """Planes through the neighbours of each point."""
+        return fit_planes(self.points, self.points, PLANE_NEIGHBOURS)
+
+    @cached_property
+    def incidence_deg(self) -> FloatArray:
+        """(n,) angle between ray and normal of the surface, of road to the vertical; NaN on no plane."""
+        is_plane = (self.planes.scattering < SCATTERED) & ~self.planes.is_line
+        normal = np.where(self.is_ground[:, None], [0.0, 0.0, 1.0], self.planes.normal)
+        cosine = np.minimum(np.abs((normal * self.rays).sum(axis=1)), 1.0)
+        return np.where(self.is_ground | is_plane, np.degrees(np.arccos(cosine)), np.nan)
+
+    def concerned(self, cause: str) -> BoolArray:
+        """(n,) True for the returns of which a cause loses some: far ones, grazing ones, or all."""
+        if cause == "lost far returns":
+            return self.range_m > FAR_M
+        if cause == "lost grazing returns":
+            return self.incidence_deg > GRAZING_DEG
+        return np.ones(len(self.points), dtype=np.bool_)
+
+    def chosen(self, is_kept: BoolArray) -> Side:
+        """The side with some of its points."""
+        return Side(self.points[is_kept], self.is_ground[is_kept], self.sensor, self.T_real_sim)
+
+
+@dataclass(frozen=True)
+class PairScans:
+    """Both sides of a pair, and their rays (or the reason why there are none)."""
+
+    real: Side
+    sim: Side
+    rays: Rays | str = field(default="rays were not compared")
+
+
+def noise_without_steps(sensor: SensorDescription) -> float | None:
+    """Range noise of a sensor without that of rounding to its range steps, q / sqrt(12)."""
+    noise_m = sensor.range_noise_m
+    step_m = sensor.range_quantum_m or 0.0
+    return None if noise_m is None else float(np.sqrt(max(noise_m**2 - step_m**2 / 12, 0.0)))
