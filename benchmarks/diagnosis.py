@@ -32,7 +32,8 @@ from scipy.sparse.csgraph import connected_components
 
 from fidpipe.pipeline.results.causes import CauseValues, changed_causes, named_causes
 from fidpipe.pipeline.results.changes import elsewhere_share, unconfirmed
-from fidpipe.pipeline.results.diagnosis import UNEXPLAINED, confirm
+from fidpipe.pipeline.results.diagnosis import confirm
+from fidpipe.pipeline.stage import UNEXPLAINED
 from fidpipe.schemas.cause_catalogue import CAUSES
 from fidpipe.stages.causes.estimates import PairEstimates, estimate, estimate_between
 from fidpipe.stages.causes.gain import changes, corrections, shares

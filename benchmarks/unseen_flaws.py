@@ -77,7 +77,7 @@ def turned(angle_deg):
 
 
 def late(delay_s):
-    return lambda points, rng: points + [SPEED_M_S * delay_s, 0, 0]
+    return lambda points, rng: points + np.array([SPEED_M_S * delay_s, 0.0, 0.0])
 
 
 def biased(bias_m):

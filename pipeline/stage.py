@@ -28,6 +28,11 @@ N_RAW = "n_raw"  #: metadata: number of points in a side's input file
 INSPECTION = "inspection"  #: metadata: plausibility of a side's scan, see `stages.plausibility`
 FRAMES = "frames"  #: metadata: comparison of both scans' frames, see `stages.frame_search`
 
+DISTANCES = "distances_m"  #: metadata: surface distance before and after corrections, and of a second measurement
+CURVES = "curves"  #: metadata: curves of both sides, by kind
+AMOUNTS = "amounts"  #: metadata: mean amount of each cause that was corrected
+UNEXPLAINED = "unexplained"  #: row of table `gains`: distance that no correction removes
+
 Metadata = dict[str, Any]
 Tables = dict[str, pa.Table]
 Columns = Mapping[str, tuple[str, ...]]  #: by table; none if only the metadata of its job is read

@@ -25,17 +25,20 @@ from . import (
     surface_job,
 )
 
+#: The stages of a run in their order: the method on one screen, and what runs.
 STAGES = (
-    *(ground_job.STAGE, sensor_job.STAGE, graph_job.STAGE, communities_job.STAGE, matching_job.STAGE),
-    *(
-        coverage_job.STAGE,
-        surface_job.STAGE,
-        pieces_job.STAGE,
-        rays_job.STAGE,
-        causes_job.STAGE,
-        selection_job.STAGE,
-        metrics_job.STAGE,
-    ),
+    ground_job.STAGE,  # clean points, and which of them are road
+    sensor_job.STAGE,  # beams, steps, noise and losses of each side's sensor
+    graph_job.STAGE,  # edges among the object points of a side
+    communities_job.STAGE,  # objects of a side
+    matching_job.STAGE,  # objects that both sides have
+    coverage_job.STAGE,  # surface that both sides have
+    surface_job.STAGE,  # displacement and roughness of surfaces
+    pieces_job.STAGE,  # connected surface that only one side has
+    rays_job.STAGE,  # each ray of the real sensor on both sides
+    causes_job.STAGE,  # amounts of all flaws of the simulated side
+    selection_job.STAGE,  # aligned nodes of matched objects
+    metrics_job.STAGE,  # scores of matched objects
 )
 
 #: Additional stages that the settings may request; no stage above depends on them.

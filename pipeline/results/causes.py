@@ -41,7 +41,7 @@ LEAST_PART_OF_POSE = 0.15
 _OF_POSE = (*PARAMETERS, "elevation scale")
 #: Independent places that all lie beyond a resolution.
 _ENOUGH = 4
-_COLUMNS = ("cause", "amount", "real", "sim", "share", "reason")
+_COLUMNS = ["cause", "amount", "real", "sim", "share", "reason"]
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
 
 def _weaker(named: Mapping[str, float]) -> set[str]:
     """Of causes that exclude each other, those that are not named."""
-    weaker = set()
+    weaker = set[str]()
     if not named.keys().isdisjoint(PARAMETERS):
         weaker.update(_BLURRED)
     if FLAT in named:

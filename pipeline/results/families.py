@@ -74,9 +74,15 @@ class ComparedScore:
 
 def _read_scores() -> Iterator[ComparedScore]:
     for row in read_rows("compared_scores"):
-        heading = row["heading"] or metric_of(row["column"]).label
-        numbers = {"least": float(row["least"]), "step": float(row["step"] or 0)}
-        yield ComparedScore(**{**row, "heading": heading, **numbers})
+        yield ComparedScore(
+            family=row["family"],
+            preset=row["preset"],
+            heading=row["heading"] or metric_of(row["column"]).label,
+            column=row["column"],
+            best=row["best"],
+            least=float(row["least"]),
+            step=float(row["step"] or 0),
+        )
 
 
 _SCORES = tuple(_read_scores())

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
-from sklearn.linear_model import PoissonRegressor
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import PARAMETERS, Displacement, fit_displacement
@@ -306,7 +305,7 @@ def explain_directions(real: Side, sim: Side) -> Explained:
 def _near_elevations(side: Side, elevations_deg: FloatArray) -> BoolArray:
     """(n,) True within half a degree of one of some elevations."""
     apart = np.abs(side.elevation_deg[:, None] - elevations_deg)
-    return (apart < 0.5).any(axis=1)
+    return np.logical_or.reduce(apart < 0.5, axis=1)
 
 
 def _blind_sectors(real: Side, sim: Side) -> tuple[IndexArray, BoolArray]:
@@ -538,6 +537,8 @@ def _losses(real: Side, sim: Side, is_used_real: BoolArray, is_used_sim: BoolArr
     Shares of returns by cell of direction on surface that both sides see, fitted by Poisson regression with a
     logarithmic link: the shares that remain are multiplied.
     """
+    from sklearn.linear_model import PoissonRegressor  # takes a second to load
+
     real_step, sim_step = real.sensor.azimuth_step_deg, sim.sensor.azimuth_step_deg
     firings = real_step / sim_step if real_step and sim_step else 1.0  # simulated ones per real one
     n_real, range_m, n_kinds = _by_cell(real, is_used_real, LOSSES[1:])

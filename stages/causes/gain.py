@@ -21,6 +21,7 @@ from .estimates import (
     SHAPE_M,
     Explained,
     Pose,
+    Unmatched,
     explain_directions,
     find_strays,
     find_unmatched,
@@ -93,39 +94,81 @@ def corrections(
     explained = explain_directions(real, sim)
     missing, invented = find_unmatched(real, sim, explained)
     is_common = ~(missing.is_beyond | missing.is_part | missing.is_moved | missing.is_clutter | explained.real)
+    pair = _Pair(scans.sim, real, sim, explained, missing, invented, is_common, rng)
     made: dict[str, Correction] = {}
     for name, amount in excess.items():
-        whole = amounts.get(name)
-        part = amount / max(amount if whole is None else whole, amount) if amount > 0 else 1.0  # the rest is the base's
-        if name in PARAMETERS:
-            made[name] = Correction(np.where(np.array(PARAMETERS) == name, amount, 0.0))
-        elif name == "elevation scale":
-            made[name] = Correction(elevation_scale=amount)
-        elif name in ("range noise", "range steps"):
-            made[name] = _noise(real, sim, name, amount, rng)
-        elif name in (*LOSSES, "azimuth step"):
-            made[name] = _density(name, amount, whole or 0.0, real, sim, is_common, rng)
-        elif name in (FLAT, "solid foliage"):
-            made[name] = _onto_real(name, real, sim, part, rng)
-        elif name in ("blind sector", "beams", "exchanged beams"):
-            made[name] = _restored(name, amount, real, sim, explained, is_common, rng)
-        elif name == "second returns":
-            made[name] = Correction(keep=~second_returns(scans.sim))
-        elif name == "mixed pixels":
-            made[name] = Correction(keep=~_some(find_strays(sim)[0], part, rng))
-        elif name == "invented parts":
-            made[name] = Correction(keep=~_some(invented.is_part, part, rng))
-        elif name == "clutter":
-            made[name] = Correction(keep=~_some(invented.is_clutter, part, rng))
-        elif name == "missing parts":
-            made[name] = Correction(add=real.points[_some(missing.is_part, part, rng)])
-        elif name == "moved parts":
-            made[name] = Correction(keep=~_some(invented.is_moved, part, rng), add=real.points[missing.is_moved])
-        elif name == "maximum range":
-            made[name] = Correction(keep=sim.range_m <= real.range_m.max(), add=real.points[missing.is_beyond])
-        elif name == "minimum range":
-            made[name] = Correction(add=real.points[real.range_m < sim.range_m.min()])
+        correction = pair.correction(name, amount, amounts.get(name))
+        if correction is not None:
+            made[name] = correction
     return made
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """What corrections of a pair are made of.
+
+    recorded : the simulated side as recorded
+    real, sim : both sides, the simulated one without its displacement
+    explained, missing, invented : see `estimates`
+    is_common : (n,) bool, real points of surface that both sides see
+    """
+
+    recorded: Side
+    real: Side
+    sim: Side
+    explained: Explained
+    missing: Unmatched
+    invented: Unmatched
+    is_common: BoolArray
+    rng: Generator
+
+    def correction(self, name: str, amount: float, whole: float | None) -> Correction | None:
+        """The correction of one cause; None if it has none.
+
+        Parameters
+        ----------
+        amount, whole : over that of a base, and of the pair
+        """
+        if name in (*PARAMETERS, "elevation scale"):
+            return _undone(name, amount)
+        if name in ("range noise", "range steps"):
+            return _noise(self.real, self.sim, name, amount, self.rng)
+        if name in (*LOSSES, "azimuth step"):
+            return _density(name, amount, whole or 0.0, self.real, self.sim, self.is_common, self.rng)
+        part = 1.0  # of the pair's amount; the rest is the base's
+        if amount > 0:
+            part = amount / max(amount if whole is None else whole, amount)
+        if name in (FLAT, "solid foliage"):
+            return _onto_real(name, self.real, self.sim, part, self.rng)
+        if name in ("blind sector", "beams", "exchanged beams"):
+            return _restored(name, amount, self.real, self.sim, self.explained, self.is_common, self.rng)
+        return self._removed(name, part) or self._added(name, part)
+
+    def _removed(self, name: str, part: float) -> Correction | None:
+        """Fewer simulated points."""
+        if name == "second returns":
+            return Correction(keep=~second_returns(self.recorded))
+        if name == "mixed pixels":
+            return Correction(keep=~_some(find_strays(self.sim)[0], part, self.rng))
+        if name == "invented parts":
+            return Correction(keep=~_some(self.invented.is_part, part, self.rng))
+        if name == "clutter":
+            return Correction(keep=~_some(self.invented.is_clutter, part, self.rng))
+        return None
+
+    def _added(self, name: str, part: float) -> Correction | None:
+        """More points, those of the real side."""
+        real, sim, missing = self.real, self.sim, self.missing
+        if name == "missing parts":
+            return Correction(add=real.points[_some(missing.is_part, part, self.rng)])
+        if name == "moved parts":
+            is_moved = _some(self.invented.is_moved, part, self.rng)
+            return Correction(keep=~is_moved, add=real.points[missing.is_moved])
+        if name == "maximum range":
+            return Correction(keep=sim.range_m <= real.range_m.max(), add=real.points[missing.is_beyond])
+        if name == "minimum range":
+            return Correction(add=real.points[real.range_m < sim.range_m.min()])
+        return None
 
 
 @dataclass(frozen=True)
@@ -195,6 +238,13 @@ def changes(
     before_share = off_share(base.points, sim.points)
     after_share = off_share(base.points, after)
     return shares(scans, made, pose.displacement.seam_deg, rng), before_share, after_share
+
+
+def _undone(name: str, amount: float) -> Correction:
+    """An error of the pose that is undone."""
+    if name == "elevation scale":
+        return Correction(elevation_scale=amount)
+    return Correction(np.where(np.array(PARAMETERS) == name, amount, 0.0))
 
 
 def _some(flags: BoolArray, part: float, rng: Generator) -> BoolArray:

@@ -119,6 +119,12 @@ def _reasons(comparison: Comparison, verdict: str) -> list[str]:
     return reasons + [_both_ways(family) if verdict == "mixed" else family.name for family in families]
 
 
+def _both_ways(family: FamilyChange) -> str:
+    """A family some scores of which are better and some worse."""
+    counted = [score for score in family.scores if not score.why and score.verdict in ("worse", "better")]
+    return f"{family.name} ({', '.join(f'{score.name} {score.verdict}' for score in counted)})"
+
+
 def _nothing_decided(comparison: Comparison) -> str:
     """What is known if nothing is worse or better."""
     if comparison.decision == "same":
