@@ -1,13 +1,13 @@
-"""Does `fidpipe diagnose` name the true flaw, how much of it, and none where there is none?
+"""Do `fidpipe diagnose` and `fidpipe compare` name the true flaw, how much of it, and none where there is none?
 
     fidpipe twin ../shared/data/kitti_sequence .cache/twins
     fidpipe synth .cache/diagnosis-streets --pairs 10 --sensor hdl64 --points 60000
     python benchmarks/diagnosis.py .cache/twins .cache/diagnosis-streets
 
 Flaws in three amounts on two bases: *poor* (the simulated scans as they are) and *good* (each real scan re-measured
-with 2 cm range noise and 3 % loss), both reduced to every fourth row as in `decisions.py`. The diagnosis is that of
-`fidpipe diagnose RUN --floor BASE`, and on the good base also without a floor, of the scans in memory. The estimators
-were tuned on `kitti_twin`, which is therefore not judged. Results are kept in `--out`; stopped, it resumes.
+with 2 cm range noise and 3 % loss), both reduced to every fourth row as in `decisions.py`. The causes are those that
+`fidpipe compare BASE RUN` names, and on the good base also those of `fidpipe diagnose RUN`, of the scans in memory. The
+estimators were tuned on `kitti_twin`, which is therefore not judged. Results are kept in `--out`; stopped, it resumes.
 """
 
 import os
@@ -19,8 +19,7 @@ import argparse
 import pickle
 import zlib
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -31,12 +30,14 @@ from flawed_scans import Scan, along_ray, ranges, ray_noise
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from fidpipe.pipeline.diagnose.causes import confirm, name_causes
-from fidpipe.pipeline.diagnose.diagnose import UNEXPLAINED, is_elsewhere
-from fidpipe.stages.diagnose.evidence import PairScans, Side, amounts_of_floor, estimate
-from fidpipe.stages.diagnose.gain import changes, corrections, off_shares, shares, surface_distance
-from fidpipe.stages.displacement import PARAMETERS, Displacement
-from fidpipe.stages.sensor_description import describe_sensor, sensor_row
+from fidpipe.pipeline.results.causes import CauseValues, changed_causes, named_causes
+from fidpipe.pipeline.results.changes import elsewhere_share, unconfirmed
+from fidpipe.pipeline.results.diagnosis import UNEXPLAINED, confirm
+from fidpipe.schemas.cause_catalogue import CAUSES
+from fidpipe.stages.causes.estimates import PairEstimates, estimate, estimate_between
+from fidpipe.stages.causes.gain import changes, corrections, shares
+from fidpipe.stages.causes.sides import PairScans, Side
+from fidpipe.stages.sensor_description import describe_sensor
 from fidpipe.stages.surfels import fit_planes
 
 EVERY, N_HEALTHY, N_MIXED = 4, 20, 10
@@ -317,14 +318,14 @@ def read_scenes(folder, every, first=0):
         scan = Scan(full[::EVERY], car, fs.find_poles(full), [*find_cars(full)])
         own = replace(scan, points=full[first::EVERY])
         bases = {"good": remeasured(own, random(path, "base")), "poor": read(folder / "sim" / path.name)[first::EVERY]}
-        sensor = sensor_row(describe_sensor(scan.points))
+        sensor = describe_sensor(scan.points)
         scenes.append((f"{folder.name}-{path.stem}", scan, bases, fs.is_ground(scan.points), sensor))
     return scenes
 
 
 def pair_of(scene, points):
     _, scan, _, real_is_ground, sensor = scene
-    sim = Side(points, fs.is_ground(points), sensor_row(describe_sensor(points)))
+    sim = Side(points, fs.is_ground(points), describe_sensor(points))
     return PairScans(Side(scan.points, real_is_ground, sensor), sim)
 
 
@@ -336,70 +337,129 @@ def altered(scene, base, flaws):
     return points
 
 
-def diagnose(pairs, floor):
-    """Names of the causes, most important first, with estimate and interval, over the floor or without one."""
+@dataclass(frozen=True)
+class Estimated:
+    """The scans of a pair and their estimates."""
 
-    def correct(causes):
-        found = []
-        for i, (scans, own) in enumerate(pairs):
-            made = corrections(scans, own, causes, np.random.default_rng(i))
-            found.append(shares(scans, made, np.random.default_rng(i), floor[i][0] if floor else 0.0))
-        return found
+    scans: PairScans
+    estimates: PairEstimates
 
-    def moved(i):
-        return Displacement(pairs[i][1].displacement.values - [amounts[i][name] for name in PARAMETERS])
 
-    def over_floor(compare, causes):
-        return [
-            compare(scans, floor[i][1], moved(i), causes, np.random.default_rng(i))
-            for i, (scans, _) in enumerate(pairs)
-        ]
+def estimated(scans):
+    return Estimated(scans, estimate(scans))
 
-    amounts = floor and [amounts_of_floor(own, scans, *floor[i][1:]) for i, (scans, own) in enumerate(pairs)]
-    candidates = name_causes([own.amounts for _, own in pairs], amounts, np.arange(len(pairs)))
-    named, _, _ = confirm(candidates, correct, partial(over_floor, changes) if floor else None)
-    rows = [(one.model.name, one.mean, one.low, one.high) for one in named]
-    if floor:
-        off = np.mean(over_floor(off_shares, {one.model.name: one.mean for one in named}), axis=0)
-        if is_elsewhere(*off):
-            rows.insert(0, (UNEXPLAINED, off[1], np.nan, np.nan))
+
+def cause_values(pairs):
+    """What `read_causes` returns for a run of these pairs."""
+    values = {}
+    for name in CAUSES:
+        amounts = [pair.estimates.amounts.get(name) for pair in pairs]
+        if None in amounts:
+            continue
+        columns = {}
+        for column in ("amount", "real", "sim", "share"):
+            columns[column] = np.array([getattr(amount, column) for amount in amounts], dtype=float)
+        values[name] = CauseValues(**columns, reason="")
+    return values
+
+
+def diagnose(pairs):
+    """Rows of the causes that `run` names, by the gain that `diagnose` measures."""
+    blocks = np.arange(len(pairs), dtype=np.int32)
+    causes = named_causes(cause_values(pairs), blocks)
+    excess = {cause.name: cause.estimate for cause in causes}
+    gains = []
+    for i, pair in enumerate(pairs):
+        rng = np.random.default_rng(i)
+        pose = pair.estimates.pose
+        amounts = {name: amount.amount for name, amount in pair.estimates.amounts.items()}
+        made = corrections(pair.scans, pose, amounts, excess, rng)
+        gains.append(shares(pair.scans, made, pose.displacement.seam_deg, rng, pair.estimates.floor_m))
+    confirmed, _ = confirm(causes, mean_gains(gains), mean_distances(gains))
+    return [cause_row(cause) for cause in confirmed]
+
+
+def mean_gains(gains):
+    return {name: float(np.mean([pair.by_cause[name] for pair in gains])) for name in gains[0].by_cause}
+
+
+def mean_distances(gains):
+    return tuple(np.mean([(pair.before_m, pair.after_m, pair.floor_m) for pair in gains], axis=0).tolist())
+
+
+def cause_row(cause):
+    return cause.name, cause.estimate, cause.low, cause.high
+
+
+def compare(pairs, base_pairs):
+    """Rows of the causes that `compare` names against a base, and of the surface elsewhere that none explains."""
+    blocks = np.arange(len(pairs), dtype=np.int32)
+    poses, amounts = [], []
+    for pair, base in zip(pairs, base_pairs, strict=True):
+        pose, between = estimate_between(base.scans.sim, pair.scans.sim)
+        poses.append(pose)
+        amounts.append(between)
+    names = {name for between in amounts for name in between}
+    between = {name: np.array([pair.get(name, np.nan) for pair in amounts]) for name in names}
+    causes = changed_causes(cause_values(base_pairs), cause_values(pairs), between, blocks)
+    excess = {cause.name: cause.estimate for cause in causes}
+    undone = []
+    for i, (pair, base, pose) in enumerate(zip(pairs, base_pairs, poses, strict=True)):
+        undone.append(changes(base.scans.sim, pair.scans.sim, pose, excess, np.random.default_rng(i)))
+    gains = [gain for gain, _, _ in undone]
+    weak = unconfirmed(gains)
+    rows = [cause_row(cause) for cause in causes if cause.name not in weak]
+    elsewhere = elsewhere_share([off_shares for _, *off_shares in undone])
+    if DEBUG:
+        print(
+            "  ",
+            mean_distances(gains)[:2],
+            {c.name: (round(c.estimate, 4), round(mean_gains(gains).get(c.name, -1), 4)) for c in causes},
+            weak,
+            np.mean([o for _, *o in undone], axis=0).round(3),
+            elsewhere,
+            flush=True,
+        )
+    if elsewhere is not None:
+        rows.insert(0, (UNEXPLAINED, elsewhere, np.nan, np.nan))
     return rows
 
 
+DEBUG = os.environ.get("DEBUG")
+
+
 def judge(task):
-    """The diagnoses of one flaw (or mixture) on one base: by number of pairs and floor."""
+    """The causes of one flaw (or mixture) on one base: by number of pairs, against the base and without it."""
     args, folder, base, label, flaws = task
     file = args.out / f"{zlib.crc32(repr((str(folder), base, label)).encode()):08x}.pkl"
     if file.exists():
         return pickle.loads(file.read_bytes())
-    scenes, found = SCENES[folder], []
-    floors = FLOORS[folder, base]
-    pairs = []
-    for scene in scenes:
-        scans = pair_of(scene, altered(scene, base, flaws))
-        pairs.append((scans, estimate(scans)))
+    if DEBUG:
+        print(folder.name, base, label, flush=True)
+    scenes = SCENES[folder]
+    pairs = [estimated(pair_of(scene, altered(scene, base, flaws))) for scene in scenes]
+    found = []
     for n in args.pairs[: 1 + (len(pairs) >= args.pairs[-1])]:
         step = len(pairs) // n or 1
-        some, over = pairs[::step][:n], floors[::step][:n]
-        found.append((n, "floor", diagnose(some, over)))
+        chosen, base_pairs = pairs[::step][:n], BASES[folder, base][::step][:n]
+        found.append((n, "base", compare(chosen, base_pairs)))
         if base != "poor":
-            found.append((n, "none", diagnose(some, None)))
+            found.append((n, "none", diagnose(chosen)))
+            if DEBUG:
+                print("   none:", [(r[0], round(r[1], 4)) for r in found[-1][2]], flush=True)
     result = [(folder.name, base, label, *own) for own in found]
     file.write_bytes(pickle.dumps(result))
     return result
 
 
-SCENES, FLOORS = {}, {}
+SCENES, BASES = {}, {}
 
 
 def prepare(folders, every, has_other_rays):
     for folder in folders:
         SCENES[folder] = read_scenes(folder, every)
         for base in ("good", "poor"):
-            pairs = [pair_of(scene, scene[2][base]) for scene in SCENES[folder]]
-            FLOORS[folder, base] = [
-                (surface_distance(own.real.points, own.sim.points), own, estimate(own).amounts) for own in pairs
-            ]
+            BASES[folder, base] = [estimated(pair_of(scene, scene[2][base])) for scene in SCENES[folder]]
         if has_other_rays:
             for scene, other in zip(SCENES[folder], read_scenes(folder, every, 1), strict=True):
                 scene[2].update(other[2])
@@ -452,7 +512,7 @@ def run_all(args):
     for folder in args.datasets:
         for _, scan, bases, *_ in SCENES[folder]:
             bases["real"] = scan.points
-        FLOORS[folder, "real"] = FLOORS[folder, "good"]
+        BASES[folder, "real"] = BASES[folder, "good"]
     tasks = [task for task in tasks_of(args) if not args.kinds or task[3][0] in args.kinds]
     ALL.extend(tasks)
     with ProcessPoolExecutor(args.jobs) as pool:
@@ -467,31 +527,31 @@ def judge_number(i):
 
 
 def tables(rows):
-    frame = pd.DataFrame(rows, columns=["scenes", "base", "label", "pairs", "floor", "causes"])
+    frame = pd.DataFrame(rows, columns=["scenes", "base", "label", "pairs", "against", "causes"])
     frame["kind"], frame["flaw"], frame["amount"] = zip(*frame.label, strict=True)
     frame["named"] = [[name for name, *_ in causes] for causes in frame.causes]
     single = frame[frame.kind == "single"].copy()
     single["first"] = [named[0] if named else "none" for named in single.named]
     single["right"] = [first in FLAWS[flaw][0] for first, flaw in zip(single["first"], single.flaw, strict=True)]
-    print(single.groupby(["scenes", "base", "floor", "pairs"]).right.agg(["mean", "count"]).round(3).to_string())
+    print(single.groupby(["scenes", "base", "against", "pairs"]).right.agg(["mean", "count"]).round(3).to_string())
     errors = []
     for row in single.itertuples():
         truth = FLAWS[row.flaw][1][row.amount][1]
-        if row.flaw == "drop" and row.floor == "none":
+        if row.flaw == "drop" and row.against == "none":
             truth = 1 - (1 - truth) * (1 - BASE_LOSS)
         for name, mean, low, high in row.causes:
             if truth is not None and name in FLAWS[row.flaw][0]:
-                errors.append((row.base, row.floor, row.pairs, abs(mean / truth - 1), low <= truth <= high))
-    errors = pd.DataFrame(errors, columns=["base", "floor", "pairs", "relative error", "interval holds"])
+                errors.append((row.base, row.against, row.pairs, abs(mean / truth - 1), low <= truth <= high))
+    errors = pd.DataFrame(errors, columns=["base", "against", "pairs", "relative error", "interval holds"])
     print(
-        errors.groupby(["base", "floor", "pairs"])
+        errors.groupby(["base", "against", "pairs"])
         .agg({"relative error": "median", "interval holds": ["mean", "count"]})
         .round(3)
         .to_string()
     )
-    for base, floor in (("good", "floor"), ("good", "none"), ("poor", "floor")):
-        some = single[(single.base == base) & (single.floor == floor)]
-        print(f"\n{base} base, {floor}: flaw (rows), first cause (columns)")
+    for base, against in (("good", "base"), ("good", "none"), ("poor", "base")):
+        some = single[(single.base == base) & (single.against == against)]
+        print(f"\n{base} base, against {against}: flaw (rows), first cause (columns)")
         print(pd.crosstab(some.flaw, some["first"]).to_string())
     mixture = frame[frame.kind == "mixture"].copy()
     hit = []
@@ -499,18 +559,18 @@ def tables(rows):
         truths = [FLAWS[name][0] for name in row.flaw.split(" + ")]
         hit.append(all(any(name in truth for name in row.named[: 2 + (truth[:2] == PARTS)]) for truth in truths))
     mixture["both"] = hit
-    print(mixture.groupby(["scenes", "base", "floor", "pairs"]).both.agg(["mean", "count"]).round(3).to_string())
+    print(mixture.groupby(["scenes", "base", "against", "pairs"]).both.agg(["mean", "count"]).round(3).to_string())
     print(
-        mixture[(mixture.pairs == 10) & (mixture.floor == "floor") & ~mixture.both][
+        mixture[(mixture.pairs == 10) & (mixture.against == "base") & ~mixture.both][
             ["scenes", "base", "flaw", "named"]
         ].to_string()
     )
     print("\nany cause named: healthy (other noise and loss than the base), repeated (the same)")
     again = frame[frame.kind.isin(["healthy", "repeated"])]
     is_named = again.assign(named=again.named.str.len() > 0)
-    print(is_named.groupby(["kind", "scenes", "floor", "pairs"]).named.agg(["mean", "count"]).to_string())
+    print(is_named.groupby(["kind", "scenes", "against", "pairs"]).named.agg(["mean", "count"]).to_string())
     print(again.named[again.named.str.len() > 0].astype(str).value_counts().to_string())
-    print(frame[frame.kind == "unknown"][["scenes", "base", "floor", "pairs", "flaw", "named"]].to_string())
+    print(frame[frame.kind == "unknown"][["scenes", "base", "against", "pairs", "flaw", "named"]].to_string())
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ def diagnose(
     sources: Annotated[list[Path], typer.Argument(metavar="RUN | REAL SIM", autocompletion=completion.run_folders)],
     workers: Workers = None,
     scheduler: Scheduler = None,
+    since: Annotated[Path | None, typer.Option(metavar="RUN", autocompletion=completion.run_folders)] = None,
     tell_apart: bool = False,
     floor: Floor = None,
     picture: Annotated[Path | None, typer.Option(metavar="PNG")] = None,
@@ -40,7 +41,7 @@ def diagnose(
 
     The gain of a cause is the share of the distance between the surfaces, beyond that of a second measurement, that
     disappears if the simulated points are corrected for it. run, show, report and compare then list causes by gain.
-    An interrupted diagnosis resumes.
+    An interrupted diagnosis resumes. With --since also what has changed from an earlier build, as compare shows it.
 
     With --tell-apart instead: a classifier learns to recognise simulated points by their neighbourhood (shape,
     roughness, spacing, rays, intensity) and is tested on other places. AUC 0.5: it cannot; 1: it always can. Position
@@ -49,6 +50,7 @@ def diagnose(
     Parameters
     ----------
     sources : Folder of a run; with --tell-apart also two folders of scans (or recordings), which need no pairs.
+    since : Run of an earlier build on the same real scans.
     tell_apart : Test if a classifier can distinguish real and simulated points.
     floor : With --tell-apart: floor whose second measurements are compared.
     picture : With --tell-apart: map of the recognised points.
@@ -56,6 +58,8 @@ def diagnose(
     Examples
     --------
     fidpipe diagnose runs/dataset
+
+    fidpipe diagnose runs/build42 --since runs/build41
 
     fidpipe diagnose runs/dataset --json | jq '.causes[0]'
 
@@ -73,6 +77,8 @@ def diagnose(
         raise typer.BadParameter("--csv is for causes; with --tell-apart give --json or --markdown")
     if floor and not tell_apart:
         raise typer.BadParameter("--floor is for --tell-apart; causes need no floor")
+    if since and tell_apart:
+        raise typer.BadParameter("--since is for causes; leave out --tell-apart")
     if tell_apart:
         return _tell_apart(sources, floor, picture, settings, assignments or [], output)
     from ..diagnose.diagnose import diagnose_run
@@ -81,7 +87,19 @@ def diagnose(
     from ..engine.progress import Reporter
 
     diagnosis = diagnose_run(sources[0], Reporter(), Machines(workers, scheduler))
-    print_as(output, lambda: diagnosis_view(diagnosis), lambda: diagnosis_records(diagnosis), diagnosis.as_dict)
+    if since is None:
+        print_as(output, lambda: diagnosis_view(diagnosis), lambda: diagnosis_records(diagnosis), diagnosis.as_dict)
+        return None
+    from ..report.views.compare_view import changed_since
+    from ..results.compare import compare_runs
+
+    (comparison,) = compare_runs([since, sources[0]], reporter=Reporter())
+    print_as(
+        output,
+        lambda: [*diagnosis_view(diagnosis), *changed_since(comparison)],
+        lambda: diagnosis_records(diagnosis),
+        lambda: diagnosis.as_dict() | {"since": str(since), "changes": comparison.as_dict()["causes"]},
+    )
     return None
 
 

@@ -6,7 +6,7 @@ the amounts that were corrected.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +25,8 @@ UNEXPLAINED = "unexplained"  #: row of table `gains`: distance that no correctio
 DISTANCES = "distances_m"  #: metadata: distance before and after all corrections, and that of a second measurement
 CURVES = "curves"  #: metadata: curves of both sides, by kind
 AMOUNTS = "amounts"  #: metadata: mean amount of each cause that was corrected
-#: Below this distance over that of a second measurement, metres, gains are not shares.
-LEAST_EXCESS_M = 0.005
+#: Below this distance over that of a second measurement, metres and relative to it, gains are not shares.
+LEAST_EXCESS_M, LEAST_EXCESS = 0.005, 0.1
 #: Part of what the other causes leave that a cause must explain, else fixing it would not help.
 LEAST_PART = 0.03
 
@@ -87,23 +87,64 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
     if gains is None:
         return None
     before_m, after_m, floor_m = gains.distances_m.mean(axis=0).tolist()
-    excess_m = before_m - floor_m
-    confirmed, doubtful = [], []
-    for cause in record.overview.causes:
-        diagnosed = _with_gain(cause, gains, excess_m)
-        if _is_weak(diagnosed, after_m - floor_m):
-            doubtful.append(cause.words)
-        else:
-            confirmed.append(diagnosed)
-    is_share = excess_m >= LEAST_EXCESS_M
+    gains_m = {name: float(values.mean()) for name, values in gains.by_cause.items()}
+    confirmed, doubtful = confirm(record.overview.causes, gains_m, (before_m, after_m, floor_m))
+    shown = []
+    for cause in confirmed:
+        evidence = _evidence(CAUSES[cause.name].curve, gains)
+        shown.append(cause.model_copy(update={"evidence": evidence}))
     return Diagnosis(
         n_pairs=len(pair_ids),
         distance_m=before_m,
         floor_m=floor_m,
-        unexplained=min(max((after_m - floor_m) / excess_m, 0.0), 1.0) if is_share else None,
-        causes=tuple(sorted(confirmed, key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0)))),
-        doubtful=tuple(doubtful),
+        unexplained=unexplained_share((before_m, after_m, floor_m)),
+        causes=tuple(shown),
+        doubtful=tuple(cause.words for cause in doubtful),
     )
+
+
+def confirm(
+    causes: Sequence[Cause], gains_m: Mapping[str, float], distances_m: tuple[float, float, float]
+) -> tuple[list[Cause], list[Cause]]:
+    """The causes with the gain of correcting each, largest first, and those whose correction hardly helps.
+
+    Parameters
+    ----------
+    causes : from `causes.named_causes`
+    gains_m : by name, metres by which the surface distance becomes smaller
+    distances_m : before and after all corrections, and that of a second measurement
+    """
+    _, after_m, floor_m = distances_m
+    excess_m = _excess(distances_m)
+    confirmed, doubtful = [], []
+    for cause in causes:
+        diagnosed = _with_gain(cause, gains_m.get(cause.name), excess_m)
+        if _is_weak(diagnosed, after_m - floor_m):
+            doubtful.append(diagnosed)
+        else:
+            confirmed.append(diagnosed)
+    return sorted(confirmed, key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0))), doubtful
+
+
+def unexplained_share(distances_m: tuple[float, float, float]) -> float | None:
+    """Share of the distance over that of a second measurement that no correction explains; None if hardly any is.
+
+    Parameters
+    ----------
+    distances_m : before and after all corrections, and that of a second measurement
+    """
+    _, after_m, floor_m = distances_m
+    excess_m = _excess(distances_m)
+    if excess_m is None:
+        return None
+    return min(max((after_m - floor_m) / excess_m, 0.0), 1.0)
+
+
+def _excess(distances_m: tuple[float, float, float]) -> float | None:
+    """Distance over that of a second measurement, metres; None if it is within the accuracy of the latter."""
+    before_m, _, floor_m = distances_m
+    excess_m = before_m - floor_m
+    return excess_m if excess_m >= max(LEAST_EXCESS_M, LEAST_EXCESS * floor_m) else None
 
 
 def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overview | None:
@@ -113,12 +154,10 @@ def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overvi
     return overview.model_copy(update={"causes": diagnosis.causes})
 
 
-def _with_gain(cause: Cause, gains: Gains, excess_m: float) -> Cause:
-    model = CAUSES[cause.name]
-    found = {"is_upper_bound": model.is_restored, "evidence": _evidence(model.curve, gains)}
-    if cause.name in gains.by_cause:
-        gain_m = float(gains.by_cause[cause.name].mean())
-        found |= {"gain_m": gain_m, "gain": gain_m / excess_m if excess_m >= LEAST_EXCESS_M else None}
+def _with_gain(cause: Cause, gain_m: float | None, excess_m: float | None) -> Cause:
+    found: dict[str, object] = {"is_upper_bound": CAUSES[cause.name].is_restored}
+    if gain_m is not None:
+        found |= {"gain_m": gain_m, "gain": None if excess_m is None else gain_m / excess_m}
     return cause.model_copy(update=found)
 
 

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
 
+from ...schemas.cause_catalogue import CAUSES
 from ..arrays import FloatArray, IndexArray
 from ..surfels import fit_planes
-from .sides import SCATTERED, Side
+from .sides import SCATTERED, Side, noise_without_steps
 
 #: Distances to the other side count up to this.
 REACH_M = 1.0
@@ -41,27 +42,28 @@ def mean_apart(tree: cKDTree, points: FloatArray) -> float:
     return float(np.minimum(apart_m, REACH_M).mean())
 
 
-def surface_floor(real: Side, aligned: Side, rng: Generator) -> float:
+def surface_floor(real: Side, sim: Side, aligned: Side, rng: Generator) -> float:
     """Surface distance of a perfect second measurement of the real scan, with rays like the simulated ones; metres.
 
-    Real points are moved along the surface by the angle between the simulated rays and the real ones (the median, in a
-    random direction), and along the ray by the range noise of the real sensor; returns are lost in the share that the
-    real sensor loses. So neither the spacing of points nor the noise of a measurement counts as a difference.
+    Real rays are turned by the angle between the simulated rays and the real ones (the median, in a random direction;
+    with or without the displacement, whichever is smaller, as small displacements are errors of the fit), and their
+    returns moved along the ray by the range noise of the real sensor, or of the simulated one as far as that
+    is within the tolerance; returns are lost in the share that the real sensor loses. So neither the spacing of points
+    nor the noise of a measurement counts as a difference.
 
     Parameters
     ----------
-    aligned : the simulated side without its displacement
+    sim, aligned : the simulated side, and without its displacement
     """
-    rows = sample_rows(len(real.points))
-    angle, _ = aligned.ray_tree.query(real.rays[rows])
-    points = real.points
-    range_m = real.range_m
-    step_m = float(np.median(angle)) * range_m
-    moved = points + _along_surface(real, rng) * step_m[:, None]
-    noise_m = real.sensor.range_noise_m or 0.0
-    moved += real.rays * rng.normal(0.0, noise_m, len(points))[:, None]
-    is_kept = rng.random(len(points)) >= (real.sensor.lost_in_all or 0.0)
-    return surface_distance(points, moved[is_kept], real.tree)
+    rays = real.rays[sample_rows(len(real.points))]
+    step = min(float(np.median(side.ray_tree.query(rays)[0])) for side in (sim, aligned))
+    moved = _by_other_rays(real, step, rng)
+    real_noise_m = real.sensor.range_noise_m or 0.0
+    sim_noise_m = noise_without_steps(aligned.sensor) or 0.0
+    noise_m = min(max(sim_noise_m, real_noise_m), real_noise_m + CAUSES["range noise"].tolerance)
+    moved += real.rays * rng.normal(0.0, noise_m, len(moved))[:, None]
+    is_kept = rng.random(len(moved)) >= (real.sensor.lost_in_all or 0.0)
+    return surface_distance(real.points, moved[is_kept], real.tree)
 
 
 def sample_rows(n: int) -> IndexArray:
@@ -69,8 +71,12 @@ def sample_rows(n: int) -> IndexArray:
     return np.arange(0, n, n // _SAMPLE + 1)
 
 
-def _along_surface(side: Side, rng: Generator) -> FloatArray:
-    """(n, 3) random unit vectors across the rays; on planes they lie in the plane, elsewhere across the ray."""
+def _by_other_rays(side: Side, step: float, rng: Generator) -> FloatArray:
+    """(n, 3) returns of rays that are turned by an angle, radians, in random directions.
+
+    On a plane they lie in it. Elsewhere, as in foliage, a ray in the middle between two others sees something else than
+    either: its range is that of one of the neighbouring rays, the more often the nearer it comes to the middle.
+    """
     random = rng.normal(size=side.points.shape)
     across = random - (random * side.rays).sum(axis=1, keepdims=True) * side.rays
     across /= np.maximum(np.linalg.norm(across, axis=1), 1e-9)[:, None]
@@ -79,7 +85,16 @@ def _along_surface(side: Side, rng: Generator) -> FloatArray:
     is_plane = (side.planes.scattering < SCATTERED) & ~side.planes.is_line & (np.abs(toward) > 0.1)
     # the ray turns across by a small angle: it meets the plane where the offset along the ray cancels that along n
     along_ray = -(across * normal).sum(axis=1) / np.where(is_plane, toward, 1.0)
-    return across + np.where(is_plane, along_ray, 0.0)[:, None] * side.rays
+    direction = across + np.where(is_plane, along_ray, 0.0)[:, None] * side.rays
+    returns = side.points + direction * (step * side.range_m)[:, None]
+    chord, near = side.near_rays
+    chosen = rng.integers(chord.shape[1], size=(len(chord), 1))
+    spacing = np.take_along_axis(chord, chosen, axis=1)[:, 0]
+    other_m = side.range_m[np.take_along_axis(near, chosen, axis=1)[:, 0]]
+    is_other = ~is_plane & (rng.random(len(chord)) < 2 * step / np.maximum(spacing, 1e-9))
+    ratio = np.where(is_other, other_m / side.range_m, 1.0)
+    scaled: FloatArray = returns * ratio[:, None]
+    return scaled
 
 
 def off_share(a: FloatArray, b: FloatArray) -> float:

@@ -22,7 +22,7 @@ from .beams import (
     second_returns,
 )
 from .distance import mean_apart, sample_rows, surface_distance, surface_floor
-from .sides import FAR_M, PLANE_NEIGHBOURS, SCATTERED, PairScans, Side
+from .sides import FAR_M, PLANE_NEIGHBOURS, SCATTERED, PairScans, Side, noise_without_steps
 
 #: Amount that is not a cause: variance of the share of returns between directions, beyond that of counting and of the
 #: fit of the losses; at most 0 if they are lost at random.
@@ -55,7 +55,7 @@ _CURVED_M, _CURVED, _FLATTER = 0.03, 0.15, 0.5  # thickness and scattering of cu
 _SMOOTH = 0.01  # relative residual of inverse ranges on smooth surface
 _STRAY_M, _STRAY_STDS = 0.15, 6.0
 _SECTOR_DEG, _SECTOR_POINTS = 5, 10
-_FAR_SURFACE_M, _COVERED_M, _FEWEST_FAR = 20.0, 0.3, 50
+_FAR_SURFACE_M, _FEWEST_FAR = 20.0, 50
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
         return None
     aligned = pose.undisplaced(sim)
     distance_m = surface_distance(scans.real.points, scans.sim.points, scans.real.tree)
-    floor_m = surface_floor(scans.real, aligned, np.random.default_rng(seed))
+    floor_m = surface_floor(scans.real, sim, aligned, np.random.default_rng(seed))
     amounts = _pose_amounts(pose, real, sim, floor_m)
     amounts["second returns"] = _difference(real_second_share, second_share, share=second_share - real_second_share)
     amounts |= _amounts(real, aligned, sim)
@@ -323,14 +323,14 @@ def _blind_sectors(real: Side, sim: Side) -> tuple[IndexArray, BoolArray]:
 class Unmatched:
     """Points without a counterpart on the other side, by kind; (n,) bool over the points of a side.
 
-    apart_m : (n,) distance to the nearest point of the other side
+    is_apart : without a counterpart, of any kind or none
     is_beyond : farther than the other side ever returns
     is_clutter : near the sensor
     is_part : others, in groups
     is_moved : those of objects that have one of the other side next to them
     """
 
-    apart_m: FloatArray
+    is_apart: BoolArray
     is_beyond: BoolArray
     is_clutter: BoolArray
     is_part: BoolArray
@@ -375,7 +375,7 @@ def _unmatched(side: Side, other: Side, step_deg: float, is_explained: BoolArray
     n_near = cKDTree(side.points[rows]).query_ball_point(side.points[rows], _CLUSTER_M, return_length=True)
     is_part[rows] = n_near > _CLUSTER * np.maximum(CLUTTER_M / side.range_m[rows], 1.0) ** 2
     is_clutter = is_apart & ~is_part & (side.range_m < CLUTTER_M)
-    return Unmatched(apart_m, is_beyond, is_clutter, is_part, np.zeros(len(is_part), np.bool_))
+    return Unmatched(is_apart, is_beyond, is_clutter, is_part, np.zeros(len(is_part), np.bool_))
 
 
 def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
@@ -425,15 +425,14 @@ def _stray_amount(real: Side, sim: Side) -> Amount:
 
 
 def _far_surface(real: Side, missing: Unmatched, explained: Explained) -> Amount:
-    """Share of the object points beyond 20 m without simulated surface within 0.3 m, minus that share nearer."""
-    is_object = ~real.is_ground & ~explained.real
+    """Share of the object points beyond 20 m without a simulated counterpart, minus that share nearer."""
+    is_object = ~real.is_ground & ~explained.real & ~missing.is_beyond
     is_far = is_object & (real.range_m > _FAR_SURFACE_M)
     is_near = is_object & ~is_far
     if min(is_far.sum(), is_near.sum()) < _FEWEST_FAR:
         return Amount(None, reason=f"fewer than {_FEWEST_FAR} object points beyond or within {_FAR_SURFACE_M:g} m")
-    is_missing = missing.apart_m > _COVERED_M
-    far = float(is_missing[is_far].mean())
-    near = float(is_missing[is_near].mean())
+    far = float(missing.is_apart[is_far].mean())
+    near = float(missing.is_apart[is_near].mean())
     return _difference(near, far, (far - near) * float(is_far.sum() / is_object.sum()))
 
 
@@ -531,13 +530,6 @@ def _exchanged_amount(real: Side, sim: Side, explained: Explained) -> Amount:
     if not real.sensor.elevation_deg:
         return Amount(None, reason=_why_unknown(real.sensor, sim.sensor, "elevation_deg"))
     return Amount(2.0 * len(explained.exchanged), share=float(explained.sim.mean()))
-
-
-def noise_without_steps(sensor: SensorDescription) -> float | None:
-    """Range noise of a sensor without that of rounding to its range steps, q / sqrt(12)."""
-    noise_m = sensor.range_noise_m
-    step_m = sensor.range_quantum_m or 0.0
-    return None if noise_m is None else float(np.sqrt(max(noise_m**2 - step_m**2 / 12, 0.0)))
 
 
 def _losses(real: Side, sim: Side, is_used_real: BoolArray, is_used_sim: BoolArray) -> dict[str, Amount]:

@@ -26,10 +26,9 @@ from .estimates import (
     find_unmatched,
     flat_shapes,
     foliage_steps,
-    noise_without_steps,
     scale_elevations,
 )
-from .sides import PairScans, Side
+from .sides import PairScans, Side, noise_without_steps
 
 _NEIGHBOURS = 16
 _MOST_MOVED = 0.1  # of a range, from a return's own to that of the plane through it

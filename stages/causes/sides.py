@@ -126,3 +126,10 @@ class PairScans:
     real: Side
     sim: Side
     rays: Rays | str = field(default="rays were not compared")
+
+
+def noise_without_steps(sensor: SensorDescription) -> float | None:
+    """Range noise of a sensor without that of rounding to its range steps, q / sqrt(12)."""
+    noise_m = sensor.range_noise_m
+    step_m = sensor.range_quantum_m or 0.0
+    return None if noise_m is None else float(np.sqrt(max(noise_m**2 - step_m**2 / 12, 0.0)))

@@ -136,6 +136,48 @@ def test_every_command_shows_the_same_causes(streets, folder, named, tmp_path):
     assert "gain " in shown["run"]
 
 
+def blind(scan, rng):
+    azimuth_deg = np.degrees(np.arctan2(scan[:, 1], scan[:, 0]))
+    return healthy(scan[(azimuth_deg < 100) | (azimuth_deg > 157)], rng)
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory):
+    """The run of a simulator without flaws on the same real scans."""
+    place = tmp_path_factory.mktemp("base")
+    write_streets(place / "streets", healthy)
+    command("run", place / "streets", "--out", place / "run", "--preset", "reference", "--workers", 1, code=0)
+    return place / "run"
+
+
+def test_compare_decides_by_the_causes_of_the_sensor(base, folder, named):
+    (comparison,) = json.loads(command("compare", base, folder, "--json", code=0).stdout)
+    causes = {cause["cause"]: cause for cause in comparison["causes"]}
+    assert comparison["decision"] == "worse"
+    for name in ("height", "range noise", "lost returns"):
+        assert causes[name]["verdict"] == "worse"
+        assert causes[name]["after"] == pytest.approx(named[name].estimate, abs=CAUSES[name].resolution)
+    assert causes["height"]["change"] == pytest.approx(-TOO_LOW_M, abs=0.005)
+    assert causes["height"]["low"] < -TOO_LOW_M < causes["height"]["high"]
+    text = " ".join(command("compare", base, folder).stdout.split())
+    assert text.startswith("worse: ")
+    assert f"world 12 cm too low ({CAUSES['height'].setting})" in text
+    (back,) = json.loads(command("compare", folder, base, "--json", code=0).stdout)
+    assert back["decision"] == "better"
+    since = json.loads(command("diagnose", folder, "--since", base, "--workers", 1, "--json", code=0).stdout)
+    assert since["changes"] == comparison["causes"]
+    assert {cause["name"] for cause in since["causes"]} == {*named}
+
+
+def test_a_blind_sector_is_worse_and_explains_its_missing_parts(base, tmp_path):
+    write_streets(tmp_path / "streets", blind)
+    command("run", tmp_path / "streets", "--out", tmp_path / "run", "--preset", "reference", "--workers", 1, code=0)
+    assert [cause.name for cause in open_run(tmp_path / "run").record.overview.causes] == ["blind sector"]
+    (comparison,) = json.loads(command("compare", base, tmp_path / "run", "--json", code=0).stdout)
+    assert comparison["decision"] == "worse"
+    assert [cause["cause"] for cause in comparison["causes"]] == ["blind sector"]
+
+
 def test_a_gate_tests_the_size_of_a_cause(folder, named, tmp_path):
     limits = [f"--max=causes.{name}=0.03" for name in ("height", "roll", "intensity_scale", "height.high")]
     done = command("gate", folder, *limits, "--out", tmp_path, code=4)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from ....schemas.columns import Row
 from ....schemas.metric_catalogue import METRIC
@@ -114,10 +115,8 @@ def _reasons(comparison: Comparison, verdict: str) -> list[str]:
     reasons = [f"{change.words} ({change.cause.setting})" for change in causes[:_MOST_CAUSES]]
     if len(causes) > _MOST_CAUSES:
         reasons.append(f"{len(causes) - _MOST_CAUSES} more causes")
-    for family in comparison.families:
-        if family.verdict == verdict and not family.why:
-            reasons.append(_both_ways(family) if verdict == "mixed" else family.name)
-    return reasons
+    families = [family for family in comparison.families if family.verdict == verdict and not family.why]
+    return reasons + [_both_ways(family) if verdict == "mixed" else family.name for family in families]
 
 
 def _nothing_decided(comparison: Comparison) -> str:
@@ -219,6 +218,14 @@ def cause_table(comparison: Comparison) -> Table:
         rows.append((change.words, interval_words(change.cause), verdict, change.cause.setting))
     headings = ("cause", "change, 95 %", "verdict", "setting")
     return Table("Causes that changed", headings, rows, words=(0, 1, 2, 3))
+
+
+def changed_since(comparison: Comparison) -> View:
+    """The causes that changed since an earlier build; never to be read as against the real scans."""
+    title = Note(f"Changed since {comparison.base}", "bold")
+    if not comparison.changes.causes:
+        return [title, Note("no cause changed by more than the accuracy of its estimate")]
+    return [title, replace(cause_table(comparison), title="")]
 
 
 def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = None) -> Table:
