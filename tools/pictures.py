@@ -16,9 +16,11 @@ from fidpipe.pipeline.report.figures.pair_plots import draw_distances, draw_obje
 from fidpipe.pipeline.report.look import FATE_COLOURS, QUADRANT_COLOURS, SIDE_COLOURS
 from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from fidpipe.pipeline.results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT
+from fidpipe.schemas.cause_catalogue import CAUSES
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.metric_catalogue import METRIC
 from fidpipe.schemas.settings import Settings
+from fidpipe.stages.causes.estimates import UNEVEN
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M
 from fidpipe.stages.ground import WINDOW_M
 from fidpipe.stages.pieces import CutScan, find_pieces
@@ -45,6 +47,7 @@ GROUND_COLOUR = "#bbbbbb"
 #: How many nodes the object of the pictures of one object has, more or less.
 TYPICAL_NODES = 400
 PANEL_SHAPE = 0.7  #: height over width
+MOST_CAUSES = 12  #: in the picture of the causes
 NEAR_M = 30.0  #: what is too fine for a whole scan is shown so far around the sensor
 
 
@@ -331,6 +334,28 @@ def draw_rays(view, path):
         save(figure, path)
 
 
+def causes(axis, view):
+    """Amounts of the causes of a pair in units of their tolerances, the largest ones."""
+    table = view.run.read_table("causes", view.pair_id).to_pandas().dropna(subset="amount")
+    table = table[table.cause != UNEVEN]
+    table["size"] = table.amount / table.cause.map(lambda name: CAUSES[name].tolerance)
+    table = table.loc[table["size"].abs().sort_values(ascending=False).index[:MOST_CAUSES][::-1]]
+    is_beyond = table["size"].abs() > 1
+    axis.barh(table.cause, table["size"], color=np.where(is_beyond, SIDE_COLOURS["sim"], GROUND_COLOUR))
+    for limit in (-1, 1):
+        axis.axvline(limit, color="black", linewidth=0.6)
+    axis.set_title("amounts over tolerances")
+
+
+def draw_causes(view, path):
+    """The causes of a pair."""
+    with style.new_figure(6.4, 3.6) as figure:
+        axis = figure.subplots()
+        causes(axis, view)
+        axis.set_xlabel("amount / tolerance")
+        save(figure, path)
+
+
 def selection(axis, view, side="real"):
     """One object by the influence of its kept nodes; the others as rings."""
     own, nodes = view.own.graphs[side], view.own.nodes[side]
@@ -413,6 +438,7 @@ STAGE_PANELS = {
     "surface": surface,
     "pieces": pieces,
     "rays": rays,
+    "causes": causes,
     "selection": selection,
     "metrics": metrics,
 }
@@ -426,6 +452,7 @@ STAGE_PICTURES = {
     "surface": draw_surface,
     "pieces": draw_pieces,
     "rays": draw_rays,
+    "causes": draw_causes,
     "selection": draw_selection,
     "metrics": draw_metrics,
 }
@@ -449,7 +476,7 @@ def draw_pipeline(view, path):
         for number, (axis, (name, panel)) in enumerate(zip(axes, STAGE_PANELS.items(), strict=False), 1):
             panel(axis, view)
             axis.set(title=f"{number} {name}", xlabel="", ylabel="")
-            if name in ("ground", "sensor"):
+            if name in ("ground", "sensor", "causes"):
                 axis.set_box_aspect(PANEL_SHAPE)
             else:
                 fill_panel(axis)

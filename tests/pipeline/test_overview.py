@@ -294,7 +294,7 @@ def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp
     summary, n_scored = outcome.record.summary, outcome.record.pairs.scored
     assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (n_scored - 1, n_scored)
     assert summary["cdc_unmatched_worst_mean"].n_pairs == n_scored
-    view = summary_view(outcome.folder, outcome.rows, outcome.record, outcome.record.overview, with_all=True)
+    view = summary_view(outcome.folder, outcome.rows, outcome.record, with_all=True)
     (line,) = (line for line in text_of(view, 300).splitlines() if "geometry: 0 for the same " in line)
     assert f"{n_scored - 1} of {n_scored} " in line
     assert f"{summary['cdc_unmatched_worst_mean'].mean:.3f}" in line

@@ -222,8 +222,9 @@ def test_the_first_screen_begins_with_surface_and_pieces(report_run, written):
     counts = [pairs[f"n_{kind}_pieces"].mean() for kind in ("missing", "invented")]
     assert verdict["pieces"] == "{:.1f} pieces missing and {:.1f} invented per pair.".format(*counts)
     page = words(page_of(written))
-    for cause in verdict["causes"]:
+    for cause, amount in verdict["causes"]:
         assert cause.words in page
+        assert amount in page
         assert cause.setting in page
 
 
@@ -287,7 +288,7 @@ def test_a_class_says_of_how_many_objects_a_mean_is_where_some_have_no_score(rep
     fewer = first.model_copy(update={"scores": scores})
     findings = run.record.findings.model_copy(update={"classes": (fewer, *others)})
     record = run.record.model_copy(update={"findings": findings})
-    text = text_of(summary_view(report_run, run.rows, record, record.overview, with_all=True), 400)
+    text = text_of(summary_view(report_run, run.rows, record, with_all=True), 400)
     assert f"{known.mean:.3f}*" in text
     assert f"{first.label} r_lambda of {first.n_matched - 1}" in text
 
@@ -311,7 +312,7 @@ def test_identical_sides_are_faithful(tmp_path):
     made = write_report(tmp_path / "run")
     page = words(made.page)
     assert "100 % of the real surface is simulated within 0.3 m" in page
-    assert "No cause stands out" in page
+    assert "No cause is larger than the differences between two measurements" in page
     assert "No piece of surface is missing or invented" in page
 
 

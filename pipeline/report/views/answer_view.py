@@ -21,7 +21,7 @@ _PAIR = 16
 _SCORES = ("cdc_mean", "r_lambda_mean", "r_gap_mean")
 _COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
 #: Sentence if no cause is named.
-NO_CAUSE = "nothing: no cause is larger than the differences between two measurements of one scene"
+NO_CAUSE = "no cause is larger than the differences between two measurements of one scene"
 _NOT_YET = "the frame of the simulated scans: see the warning above"
 #: Cautions that are shown above the answer.
 _SHOWN_ABOVE = ("failed", "frames")
@@ -65,7 +65,7 @@ def answer_view(
         trust.append(f"more: {shlex.join(['fidpipe', 'show', run, '--all'])}")
     following = [["check", record.dataset]] if record.frames else [["report", run, "--open"]]
     if recipe is not None:
-        following = [[verb, run_of_floor(folder, recipe), "--floor", run] for verb in ("show", "diagnose")]
+        following = [["show", run_of_floor(folder, recipe), "--floor", run]]
     elif diagnosis is None and not record.frames:
         following.insert(0, ["diagnose", run])
     sections = {
