@@ -18,7 +18,7 @@ from ...stages.arrays import FloatArray
 from ...stages.causes.axes import AXES
 from ...stages.displacement import PARAMETERS
 from ..storage.folder import RunFolder
-from .causes import LEAST_PART_OF_POSE
+from .causes import LEAST_PART_OF_REAL
 
 GAINS = "gains"
 UNEXPLAINED = "unexplained"  #: row of table `gains`: distance that no correction removes
@@ -26,7 +26,7 @@ DISTANCES = "distances_m"  #: metadata: distance before and after all correction
 CURVES = "curves"  #: metadata: curves of both sides, by kind
 AMOUNTS = "amounts"  #: metadata: mean amount of each cause that was corrected
 #: Below this distance over that of a second measurement, metres and relative to it, gains are not shares.
-LEAST_EXCESS_M, LEAST_EXCESS = 0.005, 0.1
+LEAST_EXCESS_M, LEAST_EXCESS = 0.005, 0.2
 #: Part of what the other causes leave that a cause must explain, else fixing it would not help.
 LEAST_PART = 0.03
 
@@ -165,7 +165,7 @@ def _is_weak(cause: Cause, left_m: float) -> bool:
     """True if correcting a cause brings the sides hardly closer, although they are apart."""
     if cause.gain_m is None or cause.gain is None:
         return False
-    least = LEAST_PART_OF_POSE if cause.name in PARAMETERS else LEAST_PART
+    least = LEAST_PART_OF_REAL if cause.name in PARAMETERS else LEAST_PART
     return cause.gain_m <= least * (cause.gain_m + left_m)
 
 
