@@ -32,7 +32,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fidpipe.pipeline.results.causes import CauseValues, changed_causes, named_causes
 from fidpipe.pipeline.results.changes import elsewhere_share, unconfirmed
-from fidpipe.pipeline.results.diagnosis import confirm
+from fidpipe.pipeline.results.diagnosis import confirm, unexplained_share
 from fidpipe.pipeline.stage import UNEXPLAINED
 from fidpipe.schemas.cause_catalogue import CAUSES
 from fidpipe.stages.causes.estimates import PairEstimates, estimate, estimate_between
@@ -45,6 +45,8 @@ EVERY, N_HEALTHY, N_MIXED = 4, 20, 10
 CAR_RANGE_M, CAR_TOP_M = 25.0, 2.5
 CAR_LENGTH_M, CAR_WIDTH_M, CAR_HEIGHT_M = (2.5, 5.5), (0.8, 2.5), (1.1, 2.3)
 BASE_NOISE_M, BASE_LOSS = 0.02, 0.03
+#: Unexplained share of the distance from which it counts, below the causes.
+MOST_UNEXPLAINED = 0.5
 PARTS = ("missing parts", "invented parts")
 
 
@@ -319,15 +321,16 @@ def read_scenes(folder, every, first=0):
         scan = Scan(full[::EVERY], car, fs.find_poles(full), [*find_cars(full)])
         own = replace(scan, points=full[first::EVERY])
         bases = {"good": remeasured(own, random(path, "base")), "poor": read(folder / "sim" / path.name)[first::EVERY]}
-        sensor = describe_sensor(scan.points)
-        scenes.append((f"{folder.name}-{path.stem}", scan, bases, fs.is_ground(scan.points), sensor))
+        scenes.append((f"{folder.name}-{path.stem}", scan, bases, side_of(scan.points)))
     return scenes
 
 
+def side_of(points):
+    return Side(points, fs.is_ground(points), describe_sensor(points))
+
+
 def pair_of(scene, points):
-    _, scan, _, real_is_ground, sensor = scene
-    sim = Side(points, fs.is_ground(points), describe_sensor(points))
-    return PairScans(Side(scan.points, real_is_ground, sensor), sim)
+    return PairScans(scene[3], side_of(points))
 
 
 def altered(scene, base, flaws):
@@ -377,7 +380,18 @@ def diagnose(pairs):
         made = corrections(pair.scans, pose, amounts, excess, rng)
         gains.append(shares(pair.scans, made, pose.displacement.seam_deg, rng, pair.estimates.floor_m))
     confirmed, _ = confirm(causes, mean_gains(gains), mean_distances(gains))
-    return [cause_row(cause) for cause in confirmed]
+    rows = [cause_row(cause) for cause in confirmed]
+    unexplained = unexplained_share(mean_distances(gains))
+    if unexplained is not None and unexplained > MOST_UNEXPLAINED:
+        rows.append((UNEXPLAINED, unexplained, np.nan, np.nan))
+    if DEBUG:
+        print(
+            "  none",
+            np.round(mean_distances(gains), 4),
+            {c.name: (round(c.estimate, 4), round(mean_gains(gains).get(c.name, -1), 4)) for c in causes},
+            flush=True,
+        )
+    return rows
 
 
 def mean_gains(gains):
@@ -446,8 +460,6 @@ def judge(task):
         found.append((n, "base", compare(chosen, base_pairs)))
         if base != "poor":
             found.append((n, "none", diagnose(chosen)))
-            if DEBUG:
-                print("   none:", [(r[0], round(r[1], 4)) for r in found[-1][2]], flush=True)
     result = [(folder.name, base, label, *own) for own in found]
     file.write_bytes(pickle.dumps(result))
     return result

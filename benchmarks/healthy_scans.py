@@ -34,9 +34,9 @@ RECORDINGS = {
     "HDL-64E, every second beam": "kitti_twin/real/*.bin",
     "VLP-32C off-road": "rellis/vel000104.bin",
     "OS1-64 off-road": "rellis/000104.bin",
-    "HDL-32E": "nuscenes/*.pcd.bin",
     "VLP-32C parked": "velodyne_vlp32c/sweeps.pcap",
-    "HDL-32E, registration": "registration/*.ply",
+    "HDL-32E": "registration/*.ply",
+    "VLP-16 simulated": "unity_vlp16/*_Frame.csv",
 }
 
 

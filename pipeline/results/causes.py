@@ -36,8 +36,10 @@ _FLAT_OF_SOLID = 0.25
 _BLURRED = ("elevation noise", "azimuth noise")
 #: Part of the resolution that covers the errors of 95 % of the estimates.
 _ACCURACY = 0.7
-#: Displacements move every point: they count if they explain this part of the distance that all others leave.
+#: Displacements move every point: a change counts if it explains this part of the distance that all others leave.
 LEAST_PART_OF_POSE = 0.15
+#: The same of one against the real scan, from which a poor simulator is far in other ways too.
+LEAST_PART_OF_REAL = 0.02
 _OF_POSE = (*PARAMETERS, "elevation scale")
 #: Independent places that all lie beyond a resolution.
 _ENOUGH = 4
@@ -112,7 +114,7 @@ def named_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Ca
     blocks = independent_blocks(blocks)
     causes = []
     for name in _named(amounts, blocks, is_change=False):
-        if name in _OF_POSE and _mean(values[name].share) < LEAST_PART_OF_POSE:
+        if name in _OF_POSE and _mean(values[name].share) < LEAST_PART_OF_REAL:
             continue
         causes.append(_cause(CAUSES[name], values[name], values[name].amount, blocks))
     return sorted(causes, key=lambda cause: -cause.share)

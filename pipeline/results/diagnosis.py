@@ -19,11 +19,11 @@ from ...stages.causes.axes import AXES
 from ...stages.displacement import PARAMETERS
 from ..stage import AMOUNTS, CURVES, DISTANCES
 from ..storage.folder import RunFolder
-from .causes import LEAST_PART_OF_POSE
+from .causes import LEAST_PART_OF_REAL
 
 GAINS = "gains"
 #: Below this distance over that of a second measurement, metres and relative to it, gains are not shares.
-LEAST_EXCESS_M, LEAST_EXCESS = 0.005, 0.1
+LEAST_EXCESS_M, LEAST_EXCESS = 0.005, 0.2
 #: Part of what the other causes leave that a cause must explain, else fixing it would not help.
 LEAST_PART = 0.03
 
@@ -162,7 +162,7 @@ def _is_weak(cause: Cause, left_m: float) -> bool:
     """True if correcting a cause brings the sides hardly closer, although they are apart."""
     if cause.gain_m is None or cause.gain is None:
         return False
-    least = LEAST_PART_OF_POSE if cause.name in PARAMETERS else LEAST_PART
+    least = LEAST_PART_OF_REAL if cause.name in PARAMETERS else LEAST_PART
     return cause.gain_m <= least * (cause.gain_m + left_m)
 
 

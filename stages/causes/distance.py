@@ -15,6 +15,7 @@ from .sides import SCATTERED, Side, noise_without_steps
 REACH_M = 1.0
 _SAMPLE = 4000
 _NEIGHBOURS = 16
+_AROUND = 2  # nearest rays that another ray may lie next to
 _OFF_STDS, _LEAST_STD_M = 3.0, 0.02  # of a flat surface, from which a point is off
 
 
@@ -46,8 +47,9 @@ def surface_floor(real: Side, sim: Side, aligned: Side, rng: Generator) -> float
     """Surface distance of a perfect second measurement of the real scan, with rays like the simulated ones; metres.
 
     Real rays are turned by the angle between the simulated rays and the real ones (the median, in a random direction;
-    with or without the displacement, whichever is smaller, as small displacements are errors of the fit), and their
-    returns moved along the ray by the range noise of the real sensor, or of the simulated one as far as that
+    with or without the displacement, whichever is smaller, as small displacements are errors of the fit; and at most
+    half of the angle between real rays), and their returns moved along the ray by the range noise of the real sensor,
+    or of the simulated one as far as that
     is within the tolerance; returns are lost in the share that the real sensor loses. So neither the spacing of points
     nor the noise of a measurement counts as a difference.
 
@@ -56,7 +58,9 @@ def surface_floor(real: Side, sim: Side, aligned: Side, rng: Generator) -> float
     sim, aligned : the simulated side, and without its displacement
     """
     rays = real.rays[sample_rows(len(real.points))]
-    step = min(float(np.median(side.ray_tree.query(rays)[0])) for side in (sim, aligned))
+    steps = [float(np.median(side.ray_tree.query(rays)[0])) for side in (sim, aligned)]
+    chord, _ = real.near_rays
+    step = min(*steps, float(np.median(chord[:, 0])) / 2)
     moved = _by_other_rays(real, step, rng)
     real_noise_m = real.sensor.range_noise_m or 0.0
     sim_noise_m = noise_without_steps(aligned.sensor) or 0.0
@@ -74,8 +78,8 @@ def sample_rows(n: int) -> IndexArray:
 def _by_other_rays(side: Side, step: float, rng: Generator) -> FloatArray:
     """(n, 3) returns of rays that are turned by an angle, radians, in random directions.
 
-    On a plane they lie in it. Elsewhere, as in foliage, a ray in the middle between two others sees something else than
-    either: its range is that of one of the neighbouring rays, the more often the nearer it comes to the middle.
+    On a plane they lie in it. Elsewhere, as in foliage, a ray between two others sees what either sees: its range is that
+    of a neighbouring ray, the more often the nearer it comes to the middle.
     """
     random = rng.normal(size=side.points.shape)
     across = random - (random * side.rays).sum(axis=1, keepdims=True) * side.rays
@@ -88,7 +92,7 @@ def _by_other_rays(side: Side, step: float, rng: Generator) -> FloatArray:
     direction = across + np.where(is_plane, along_ray, 0.0)[:, None] * side.rays
     returns = side.points + direction * (step * side.range_m)[:, None]
     chord, near = side.near_rays
-    chosen = rng.integers(chord.shape[1], size=(len(chord), 1))
+    chosen = rng.integers(_AROUND, size=(len(chord), 1))
     spacing = np.take_along_axis(chord, chosen, axis=1)[:, 0]
     other_m = side.range_m[np.take_along_axis(near, chosen, axis=1)[:, 0]]
     is_other = ~is_plane & (rng.random(len(chord)) < 2 * step / np.maximum(spacing, 1e-9))
