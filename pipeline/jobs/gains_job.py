@@ -15,8 +15,7 @@ from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.causes.curves import curves
 from ...stages.causes.gain import Shares, corrections, shares
-from ..results.diagnosis import AMOUNTS, CURVES, DISTANCES, UNEXPLAINED
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
+from ..stage import AMOUNTS, CURVES, DISTANCES, OF_PAIR, UNEXPLAINED, Grain, Inputs, JobResult, Stage
 from .causes_job import POINT_COLUMNS, pair_scans, pose_of
 
 _SEED = 20240917

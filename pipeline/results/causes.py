@@ -9,16 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...schemas.cause_catalogue import CAUSES, CauseModel
+from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN, CauseModel
 from ...schemas.results import Cause, Unknown
 from ...stages.arrays import BoolArray, FloatArray, IntArray
-from ...stages.causes.estimates import FLAT, LOSSES, UNEVEN, Amount
-from ...stages.displacement import PARAMETERS
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, mean_interval
 from ..storage.folder import RunFolder
+
+if TYPE_CHECKING:
+    from ...stages.causes.estimates import Amount
 
 #: Most causes that are shown at first.
 MOST_SHOWN = 7
@@ -41,7 +43,7 @@ LEAST_PART_OF_POSE = 0.15
 _OF_POSE = (*PARAMETERS, "elevation scale")
 #: Independent places that all lie beyond a resolution.
 _ENOUGH = 4
-_COLUMNS = ("cause", "amount", "real", "sim", "share", "reason")
+_COLUMNS = ["cause", "amount", "real", "sim", "share", "reason"]
 
 
 @dataclass(frozen=True)
@@ -210,7 +212,7 @@ def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
 
 def _weaker(named: Mapping[str, float]) -> set[str]:
     """Of causes that exclude each other, those that are not named."""
-    weaker = set()
+    weaker = set[str]()
     if not named.keys().isdisjoint(PARAMETERS):
         weaker.update(_BLURRED)
     if FLAT in named:

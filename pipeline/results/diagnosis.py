@@ -11,20 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...schemas.cause_catalogue import CAUSES
+from ...schemas.cause_catalogue import CAUSES, PARAMETERS
 from ...schemas.record import RunRecord
 from ...schemas.results import Cause, Diagnosis, Evidence, Overview
 from ...stages.arrays import FloatArray
 from ...stages.causes.axes import AXES
-from ...stages.displacement import PARAMETERS
+from ..stage import AMOUNTS, CURVES, DISTANCES
 from ..storage.folder import RunFolder
 from .causes import LEAST_PART_OF_POSE
 
 GAINS = "gains"
-UNEXPLAINED = "unexplained"  #: row of table `gains`: distance that no correction removes
-DISTANCES = "distances_m"  #: metadata: distance before and after all corrections, and that of a second measurement
-CURVES = "curves"  #: metadata: curves of both sides, by kind
-AMOUNTS = "amounts"  #: metadata: mean amount of each cause that was corrected
 #: Below this distance over that of a second measurement, metres and relative to it, gains are not shares.
 LEAST_EXCESS_M, LEAST_EXCESS = 0.005, 0.1
 #: Part of what the other causes leave that a cause must explain, else fixing it would not help.
