@@ -7,6 +7,19 @@ from dataclasses import dataclass
 
 from .data_files import read_data
 
+#: Parameters of a displacement, in their order: metres, degrees, share, metres, and metres per sweep.
+PARAMETERS = (
+    *("forward", "sideways", "height", "roll", "pitch", "yaw", "range scale", "range bias"),
+    *("motion forward", "motion sideways", "road height"),
+)
+#: Amount that is not a cause: variance of the share of returns between directions, beyond that of counting and of the
+#: fit of the losses; at most 0 if they are lost at random.
+UNEVEN = "unevenness of returns"
+#: Share of curved real surface where the simulated surface is much flatter.
+FLAT = "flat shapes"
+#: Causes that lose a share of the returns: over another run, of what that one returns.
+LOSSES = ("lost returns", "lost far returns", "lost grazing returns")
+
 
 @dataclass(frozen=True)
 class CauseModel:
@@ -21,7 +34,7 @@ class CauseModel:
     words : with {size}, above 0, and below 0 unless the flaw has one direction
     setting : what controls it, attributes of CARLA's blueprint where they fit
     limbs : identifiers of PerCollECT's LidarLimbs cause tree (`data.json`, MIT) that fit
-    curve : kind of its curve in the report, see `stages/diagnose/curves.py`; "" for none
+    curve : kind of its curve in the report, see `stages/causes/curves.py`; "" for none
     is_restored : it is corrected by adding real points, so that the gain is an upper bound
     """
 
@@ -44,5 +57,5 @@ def _read_causes() -> Iterator[CauseModel]:
         yield CauseModel(name, **{**values, **lists})
 
 
-#: Causes by name, the displacements (`displacement.PARAMETERS`) first.
+#: Causes by name, the displacements (`PARAMETERS`) first.
 CAUSES = {cause.name: cause for cause in _read_causes()}

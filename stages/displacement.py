@@ -7,15 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..schemas.cause_catalogue import PARAMETERS
 from .arrays import BoolArray, FloatArray
 from .reference import visiting_order
 from .surfels import fit_planes, voxel_ids
 
-#: Parameters of a displacement, in their order: metres, degrees, share, metres, and metres per sweep.
-PARAMETERS = (
-    *("forward", "sideways", "height", "roll", "pitch", "yaw", "range scale", "range bias"),
-    *("motion forward", "motion sideways", "road height"),
-)
 #: Azimuth of the seam of a sweep of which the pose is right ahead, and all seams that are tried, this one first.
 BEHIND_DEG = 180.0
 SEAMS_DEG = (BEHIND_DEG, 0.0, 90.0, -90.0)

@@ -16,11 +16,10 @@ from fidpipe.pipeline.report.figures.pair_plots import draw_distances, draw_obje
 from fidpipe.pipeline.report.look import FATE_COLOURS, QUADRANT_COLOURS, SIDE_COLOURS
 from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from fidpipe.pipeline.results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT
-from fidpipe.schemas.cause_catalogue import CAUSES
+from fidpipe.schemas.cause_catalogue import CAUSES, UNEVEN
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.metric_catalogue import METRIC
 from fidpipe.schemas.settings import Settings
-from fidpipe.stages.causes.estimates import UNEVEN
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M
 from fidpipe.stages.ground import WINDOW_M
 from fidpipe.stages.pieces import CutScan, find_pieces
@@ -344,6 +343,8 @@ def causes(axis, view):
     axis.barh(table.cause, table["size"], color=np.where(is_beyond, SIDE_COLOURS["sim"], GROUND_COLOUR))
     for limit in (-1, 1):
         axis.axvline(limit, color="black", linewidth=0.6)
+    axis.set_xscale("symlog")
+    axis.tick_params(axis="y", labelsize=6)
     axis.set_title("amounts over tolerances")
 
 
@@ -476,7 +477,7 @@ def draw_pipeline(view, path):
         for number, (axis, (name, panel)) in enumerate(zip(axes, STAGE_PANELS.items(), strict=False), 1):
             panel(axis, view)
             axis.set(title=f"{number} {name}", xlabel="", ylabel="")
-            if name in ("ground", "sensor", "causes"):
+            if name in ("ground", "sensor", "rays", "causes"):
                 axis.set_box_aspect(PANEL_SHAPE)
             else:
                 fill_panel(axis)

@@ -8,10 +8,11 @@ from itertools import pairwise
 import numpy as np
 from scipy import stats
 
+from ...schemas.cause_catalogue import PARAMETERS
 from ...schemas.results import Cause
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.causes.distance import surface_distance
-from ...stages.displacement import PARAMETERS, fit_displacement
+from ...stages.displacement import fit_displacement
 from ..jobs.points_job import column, coordinates
 from ..results.causes import read_causes
 from ..results.finished import FinishedRun

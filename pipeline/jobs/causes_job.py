@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,12 +12,13 @@ from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import SIDES
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
-from ...stages.causes.estimates import Amount, Pose, estimate
-from ...stages.causes.sides import PairScans, Side
-from ...stages.displacement import Displacement
 from ...stages.sensor_description import SensorDescription
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
+
+if TYPE_CHECKING:
+    from ...stages.causes.estimates import Amount, Pose
+    from ...stages.causes.sides import PairScans, Side
 
 POSE = "pose"  #: metadata: fields of `Pose`, None without enough surface in common
 POINT_COLUMNS = ("x", "y", "z", "is_ground")
@@ -26,6 +27,8 @@ _TOO_LITTLE = "the scans have too little surface in common"
 
 def make_causes(inputs: Inputs) -> JobResult:
     """One row per cause of the catalogue."""
+    from ...stages.causes.estimates import Amount, estimate
+
     with inputs.step("causes"):
         estimates = estimate(pair_scans(inputs))
     if estimates is None:
@@ -47,6 +50,8 @@ def _row(pair_id: str, name: str, amount: Amount) -> dict[str, float | str | Non
 
 def pair_scans(inputs: Inputs) -> PairScans:
     """Both sides of the pair, from the tables ground and sensor."""
+    from ...stages.causes.sides import PairScans
+
     moved = inputs.metadata("ground", "sim").get("T_real_sim")
     T_real_sim = np.array(moved).reshape(3, 4) if moved else None
     real, sim = (_side(inputs, side) for side in SIDES)
@@ -56,6 +61,9 @@ def pair_scans(inputs: Inputs) -> PairScans:
 
 def pose_of(metadata: dict[str, Any]) -> Pose | None:
     """The pose that the job has left in its metadata."""
+    from ...stages.causes.estimates import Pose
+    from ...stages.displacement import Displacement
+
     pose = metadata[POSE]
     if pose is None:
         return None
@@ -75,11 +83,15 @@ def _side(inputs: Inputs, side: str) -> Side:
 
 def side_of(ground: pa.Table, sensor: SensorDescription, T_real_sim: FloatArray | None = None) -> Side:
     """A side from its table `ground`."""
+    from ...stages.causes.sides import Side
+
     return Side(coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim)
 
 
 def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
     """Amounts of the causes of the intensity, from the scores of the rays; shares are those of the rays compared."""
+    from ...stages.causes.estimates import Amount
+
     scores = inputs.metadata("rays")[OF_PAIR]
     reason = scores["rays_reason"] or scores["intensity_note"] or "intensities were not compared"
     unknown = Amount(None, reason=reason)

@@ -9,16 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...schemas.cause_catalogue import CAUSES, CauseModel
+from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN, CauseModel
 from ...schemas.results import Cause, Unknown
 from ...stages.arrays import BoolArray, FloatArray, IntArray
-from ...stages.causes.estimates import FLAT, LOSSES, UNEVEN, Amount
-from ...stages.displacement import PARAMETERS
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, mean_interval
 from ..storage.folder import RunFolder
+
+if TYPE_CHECKING:
+    from ...stages.causes.estimates import Amount
 
 #: Most causes that are shown at first.
 MOST_SHOWN = 7

@@ -13,14 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.cause_catalogue import CAUSES
+from ...schemas.cause_catalogue import CAUSES, PARAMETERS
 from ...schemas.columns import Row
 from ...schemas.results import Cause
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.causes.estimates import estimate_between, fit_pose
 from ...stages.causes.gain import Shares, changes
 from ...stages.causes.sides import Side
-from ...stages.displacement import PARAMETERS
 from ...stages.sensor_description import SensorDescription
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...schemas.cause_catalogue import CAUSES
+from ...schemas.cause_catalogue import CAUSES, PARAMETERS
 from ...schemas.record import RunRecord
 from ...schemas.results import Cause, Diagnosis, Evidence, Overview
 from ...stages.arrays import FloatArray
 from ...stages.causes.axes import AXES
-from ...stages.displacement import PARAMETERS
 from ..stage import AMOUNTS, CURVES, DISTANCES
 from ..storage.folder import RunFolder
 from .causes import LEAST_PART_OF_REAL

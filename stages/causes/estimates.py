@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ...schemas.cause_catalogue import FLAT, LOSSES, PARAMETERS, UNEVEN
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..displacement import PARAMETERS, Displacement, fit_displacement
+from ..displacement import Displacement, fit_displacement
 from ..sensor_description import SensorDescription, describe_sensor
 from ..surfels import fit_planes, voxel_means
 from .beams import (
@@ -23,15 +24,8 @@ from .beams import (
 from .distance import mean_apart, sample_rows, surface_distance, surface_floor
 from .sides import FAR_M, PLANE_NEIGHBOURS, SCATTERED, PairScans, Side, noise_without_steps
 
-#: Amount that is not a cause: variance of the share of returns between directions, beyond that of counting and of the
-#: fit of the losses; at most 0 if they are lost at random.
-UNEVEN = "unevenness of returns"
-#: Share of curved real surface where the simulated surface is much flatter.
-FLAT = "flat shapes"
 #: Simulated returns nearer than this, without a real counterpart, are clutter.
 CLUTTER_M = 6.0
-#: Causes that lose a share of the returns: over another run, of what that one returns.
-LOSSES = ("lost returns", "lost far returns", "lost grazing returns")
 #: Neighbourhood of a shape.
 SHAPE_M = 0.6
 _LEAST_MOVED_M = 0.005  # mean displacement whose part in the distance is measured

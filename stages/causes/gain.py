@@ -10,14 +10,13 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
 
+from ...schemas.cause_catalogue import FLAT, LOSSES, PARAMETERS
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..displacement import PARAMETERS, Displacement
+from ..displacement import Displacement
 from ..surfels import fit_planes
 from .beams import second_returns
 from .distance import REACH_M, off_share, surface_distance
 from .estimates import (
-    FLAT,
-    LOSSES,
     SHAPE_M,
     Explained,
     Pose,

@@ -19,11 +19,10 @@ from fidpipe.pipeline.results.causes import (
     named_causes,
     unknown_causes,
 )
-from fidpipe.schemas.cause_catalogue import CAUSES
+from fidpipe.schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS, UNEVEN
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import load
-from fidpipe.stages.causes.estimates import FLAT, UNEVEN, Amount
-from fidpipe.stages.displacement import PARAMETERS
+from fidpipe.stages.causes.estimates import Amount
 from fidpipe.stages.generate.street_scans import make_pair
 from reports import text_of
 from runs import command

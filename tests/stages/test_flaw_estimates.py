@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.results.causes import cause_values, changed_causes, named_causes
+from fidpipe.schemas.cause_catalogue import FLAT, PARAMETERS
 from fidpipe.stages.causes.distance import off_share
-from fidpipe.stages.causes.estimates import FLAT, estimate, estimate_between, explain_directions, find_unmatched
+from fidpipe.stages.causes.estimates import estimate, estimate_between, explain_directions, find_unmatched
 from fidpipe.stages.causes.gain import corrections, shares
 from fidpipe.stages.causes.sides import PairScans, Side
-from fidpipe.stages.displacement import PARAMETERS, Displacement, fit_displacement
+from fidpipe.stages.displacement import Displacement, fit_displacement
 from fidpipe.stages.sensor_description import SensorDescription, describe_sensor
 from fidpipe.stages.surfels import fit_planes
 from runs import some_of
