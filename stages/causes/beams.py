@@ -1,4 +1,4 @@
-"""Flaws of single beams and of their angles: dead and exchanged beams, scale and noise of elevations, second returns."""
+"""Flaws of beams and of their angles: dead and exchanged beams, scale and noise of elevations, second returns."""
 
 from __future__ import annotations
 
