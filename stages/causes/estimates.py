@@ -38,6 +38,7 @@ SHAPE_M = 0.6
 _LEAST_MOVED_M = 0.005  # mean displacement whose part in the distance is measured
 _NOISY_M = 0.1  # range error that counts as a whole
 _CELL_DEG = 2.0
+_EDGE_DEG = 0.15  # from a beam to the edge of a cell
 _DOUBTFUL_BEAMS = 3
 _BEAM_MARGIN_DEG = 0.2  # beyond the outermost beams of both sides
 _MANY_SECOND = 0.002  # share of second returns that are removed before anything else is estimated
@@ -547,8 +548,9 @@ def _losses(
     real_step, sim_step = real.sensor.azimuth_step_deg, sim.sensor.azimuth_step_deg
     firings = real_step / sim_step if real_step and sim_step else 1.0  # simulated ones per real one
     firings *= _beam_ratio(real.sensor, sim.sensor, explained)
-    n_real, range_m, n_kinds = _by_cell(real, is_used_real, LOSSES[1:])
-    n_sim, sim_range_m, _ = _by_cell(sim, is_used_sim, ())
+    edge_deg = _edge_between_beams(real.sensor)
+    n_real, range_m, n_kinds = _by_cell(real, is_used_real, LOSSES[1:], edge_deg)
+    n_sim, sim_range_m, _ = _by_cell(sim, is_used_sim, (), edge_deg)
     is_alike = (n_real >= _FEWEST) & (n_sim > 0) & (np.abs(sim_range_m - range_m) <= _ALIKE * range_m)
     n_real, n_sim = n_real[is_alike], n_sim[is_alike]
     kinds = {}
@@ -590,16 +592,26 @@ def _beam_ratio(real: SensorDescription, sim: SensorDescription, explained: Expl
     return n_sim / n_real if n_real and n_sim else 1.0
 
 
+def _edge_between_beams(sensor: SensorDescription) -> float:
+    """Elevation in [0, 2) at which cells begin, so that their edges have the fewest beams next to them, degrees.
+
+    An error of a hundredth of a degree would move all returns of such a beam to another cell.
+    """
+    edges_deg = np.arange(0.0, _CELL_DEG, _EDGE_DEG / 3)
+    apart_deg = (np.array(sensor.elevation_deg) - edges_deg[:, None] + _CELL_DEG / 2) % _CELL_DEG - _CELL_DEG / 2
+    return float(edges_deg[np.argmin((np.abs(apart_deg) < _EDGE_DEG).sum(axis=1))])
+
+
 def _by_cell(
-    side: Side, is_used: BoolArray, kinds: tuple[str, ...]
+    side: Side, is_used: BoolArray, kinds: tuple[str, ...], edge_deg: float
 ) -> tuple[IndexArray, FloatArray, dict[str, IndexArray]]:
     """By cell of 2 degrees of direction: number of used returns, their median range (longer of two), number by kind."""
     used = np.flatnonzero(is_used)
-    rows = (side.elevation_deg[used] + 90.0) // _CELL_DEG
+    rows = (side.elevation_deg[used] + 90.0 + _CELL_DEG - edge_deg) // _CELL_DEG
     columns = (side.azimuth_deg[used] + 180.0) // _CELL_DEG
     n_around = round(360.0 / _CELL_DEG)
     cell = (rows * n_around + columns % n_around).astype(np.intp)
-    n_cells = n_around * (n_around // 2 + 1)
+    n_cells = n_around * (n_around // 2 + 2)
     range_m = side.range_m[used]
     n = np.bincount(cell, minlength=n_cells)
     middle = np.minimum(np.cumsum(n) - n + n // 2, len(cell) - 1)
