@@ -20,8 +20,11 @@ import zlib
 from pathlib import Path
 
 import numpy as np
+from flawed_scans import ranges
 from measure import FIDPIPE
 
+from fidpipe.pipeline.diagnose.diagnose import diagnose_run
+from fidpipe.pipeline.engine.progress import Reporter
 from fidpipe.stages.causes.beams import grid_of
 from fidpipe.stages.sensor_description import describe_sensor
 
@@ -40,10 +43,6 @@ def read(path):
 def write(path, points):
     path.parent.mkdir(parents=True, exist_ok=True)
     np.column_stack([points, np.zeros(len(points))]).astype(np.float32).tofile(path)
-
-
-def ranges(points):
-    return np.linalg.norm(points, axis=1)
 
 
 def random(*names):
@@ -77,7 +76,11 @@ def turned(angle_deg):
 
 
 def late(delay_s):
+<<<<<<< HEAD
     return lambda points, rng: points + np.array([SPEED_M_S * delay_s, 0.0, 0.0])
+=======
+    return lambda points, rng: points + np.array([SPEED_M_S * delay_s, 0, 0])
+>>>>>>> causes-bench
 
 
 def biased(bias_m):
@@ -220,13 +223,9 @@ def run_of(args, base, flaw):
 
 def fidpipe(*words):
     done = subprocess.run([FIDPIPE, *map(str, words)], capture_output=True, text=True, check=False)
-    if done.returncode not in (0, 3):
+    if done.returncode not in (0, 4):
         raise SystemExit(f"fidpipe {' '.join(map(str, words))}: exit {done.returncode}\n{done.stderr[-2000:]}")
     return done.stdout
-
-
-def first_words(causes):
-    return causes[0]["words"] if causes else "-"
 
 
 def evaluate(args, base, flaw):
@@ -234,11 +233,11 @@ def evaluate(args, base, flaw):
     run = run_of(args, base, flaw)
     fidpipe("run", dataset(args, base, flaw), "--preset", "reference", "--out", run, "--workers", 1)
     named = json.loads((run / "run.json").read_text())["overview"]["causes"]
-    diagnosis = json.loads(fidpipe("diagnose", run, "--json"))
+    diagnosed = diagnose_run(run, Reporter()).causes
     headline = "-"
     if flaw != NONE:
         headline = fidpipe("compare", run_of(args, base, NONE), run).strip().splitlines()[0]
-    return first_words(named), first_words(diagnosis["causes"]), headline
+    return named[0]["words"] if named else "-", diagnosed[0].words if diagnosed else "-", headline
 
 
 if __name__ == "__main__":

@@ -40,8 +40,10 @@ _BLURRED = ("elevation noise", "azimuth noise")
 _ACCURACY = 0.7
 #: Displacements move every point: a change counts if it explains this part of the distance that all others leave.
 LEAST_PART_OF_POSE = 0.15
-#: The same of one against the real scan, from which a poor simulator is far in other ways too.
-LEAST_PART_OF_REAL = 0.02
+#: The same of angles against the real scan, from which a poor simulator is far in other ways too: no other flaw feigns
+#: an angle in all pairs.
+LEAST_PART_OF_ANGLE = 0.02
+_ANGLES = ("roll", "pitch", "yaw")
 _OF_POSE = (*PARAMETERS, "elevation scale")
 #: Independent places that all lie beyond a resolution.
 _ENOUGH = 4
@@ -116,12 +118,13 @@ def named_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Ca
     blocks = independent_blocks(blocks)
     causes = []
     for name in _named(amounts, blocks, is_change=False):
-        if name in _OF_POSE and _mean(values[name].share) < LEAST_PART_OF_REAL:
+        if name in _OF_POSE and _mean(values[name].share) < least_part_of_pose(name):
             continue
         causes.append(_cause(CAUSES[name], values[name], values[name].amount, blocks))
     return sorted(causes, key=lambda cause: -cause.share)
 
 
+<<<<<<< HEAD
 def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:
     """The causes that are unknown in most pairs, by reason."""
     by_reason: dict[str, list[str]] = {}
@@ -141,6 +144,11 @@ def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | Non
 def _is_known(amounts: FloatArray) -> bool:
     """True if a cause has an amount in at least half of the pairs."""
     return 2 * int(np.count_nonzero(~np.isnan(amounts))) >= len(amounts)
+=======
+def least_part_of_pose(name: str) -> float:
+    """Part of the distance that a displacement of this name must explain, of what all others leave."""
+    return LEAST_PART_OF_ANGLE if name in _ANGLES else LEAST_PART_OF_POSE
+>>>>>>> causes-bench
 
 
 def changed_causes(

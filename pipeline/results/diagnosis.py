@@ -18,7 +18,7 @@ from ...stages.arrays import FloatArray
 from ...stages.causes.axes import AXES
 from ..stage import AMOUNTS, CURVES, DISTANCES
 from ..storage.folder import RunFolder
-from .causes import LEAST_PART_OF_REAL
+from .causes import least_part_of_pose
 
 GAINS = "gains"
 #: Below this distance over that of a second measurement, metres and relative to it, gains are not shares.
@@ -161,7 +161,7 @@ def _is_weak(cause: Cause, left_m: float) -> bool:
     """True if correcting a cause brings the sides hardly closer, although they are apart."""
     if cause.gain_m is None or cause.gain is None:
         return False
-    least = LEAST_PART_OF_REAL if cause.name in PARAMETERS else LEAST_PART
+    least = least_part_of_pose(cause.name) if cause.name in PARAMETERS else LEAST_PART
     return cause.gain_m <= least * (cause.gain_m + left_m)
 
 

@@ -31,7 +31,9 @@ SHAPE_M = 0.6
 _LEAST_MOVED_M = 0.005  # mean displacement whose part in the distance is measured
 _NOISY_M = 0.1  # range error that counts as a whole
 _CELL_DEG = 2.0
+_EDGE_DEG = 0.15  # from a beam to the edge of a cell
 _DOUBTFUL_BEAMS = 3
+_BEAM_MARGIN_DEG = 0.2  # beyond the outermost beams of both sides
 _MANY_SECOND = 0.002  # share of second returns that are removed before anything else is estimated
 _LEAST_SCALE, _BETTER = 0.004, 0.97  # elevation scale that is tried, and the distance that confirms it
 _FEWEST = 5  # returns of a cell
@@ -392,7 +394,7 @@ def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
         "mixed pixels": _stray_amount(real, recorded),
         "blind sector": Amount(explained.blind_deg, share=float(explained.is_blind.mean())),
         "far surface": _far_surface(real, missing, explained),
-        **_losses(real, sim, is_used_real, is_used_sim),
+        **_losses(real, sim, is_used_real, is_used_sim, explained),
         "solid foliage": _foliage_amount(real, sim),
         FLAT: _flat_amount(real, sim),
         **_sensor_amounts(real, sim, recorded, explained),
@@ -506,12 +508,15 @@ def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
 
 
 def _beam_amount(real: Side, sim: Side, explained: Explained) -> Amount:
-    """Beams more or fewer than the real sensor's; dead ones are counted if the simulated beams are not distinct."""
+    """Beams more or fewer than the real sensor's; dead ones are counted if the simulated beams are not distinct.
+
+    Exchanged beams can appear as further ones.
+    """
     n_real, n_sim = len(real.sensor.elevation_deg), len(sim.sensor.elevation_deg)
     if not n_real:
         return Amount(None, reason=_why_unknown(real.sensor, sim.sensor, "elevation_deg"))
     n_dead = len(explained.dead)
-    if explained.exchanged:
+    if explained.exchanged and n_sim > n_real:
         n_sim = n_real
     elif not n_sim or (n_dead and not sim.sensor.is_sharp):
         n_sim = n_real - n_dead
@@ -525,7 +530,9 @@ def _exchanged_amount(real: Side, sim: Side, explained: Explained) -> Amount:
     return Amount(2.0 * len(explained.exchanged), share=float(explained.sim.mean()))
 
 
-def _losses(real: Side, sim: Side, is_used_real: BoolArray, is_used_sim: BoolArray) -> dict[str, Amount]:
+def _losses(
+    real: Side, sim: Side, is_used_real: BoolArray, is_used_sim: BoolArray, explained: Explained
+) -> dict[str, Amount]:
     """Share of the returns lost within 25 m at less than 75 degrees, and the further shares lost beyond each.
 
     Shares of returns by cell of direction on surface that both sides see, fitted by Poisson regression with a
@@ -535,8 +542,10 @@ def _losses(real: Side, sim: Side, is_used_real: BoolArray, is_used_sim: BoolArr
 
     real_step, sim_step = real.sensor.azimuth_step_deg, sim.sensor.azimuth_step_deg
     firings = real_step / sim_step if real_step and sim_step else 1.0  # simulated ones per real one
-    n_real, range_m, n_kinds = _by_cell(real, is_used_real, LOSSES[1:])
-    n_sim, sim_range_m, _ = _by_cell(sim, is_used_sim, ())
+    firings *= _beam_ratio(real.sensor, sim.sensor, explained)
+    edge_deg = _edge_between_beams(real.sensor)
+    n_real, range_m, n_kinds = _by_cell(real, is_used_real, LOSSES[1:], edge_deg)
+    n_sim, sim_range_m, _ = _by_cell(sim, is_used_sim, (), edge_deg)
     is_alike = (n_real >= _FEWEST) & (n_sim > 0) & (np.abs(sim_range_m - range_m) <= _ALIKE * range_m)
     n_real, n_sim = n_real[is_alike], n_sim[is_alike]
     kinds = {}
@@ -564,16 +573,40 @@ def _losses(real: Side, sim: Side, is_used_real: BoolArray, is_used_sim: BoolArr
     return amounts
 
 
+def _beam_ratio(real: SensorDescription, sim: SensorDescription, explained: Explained) -> float:
+    """Simulated beams per real one that is not dead, in the elevations of both; 1 if they are not counted exactly."""
+    n_more = abs(len(sim.elevation_deg) - len(real.elevation_deg))
+    is_counted = bool(real.elevation_deg and sim.elevation_deg) and sim.is_sharp and n_more > _DOUBTFUL_BEAMS
+    if not is_counted:
+        return 1.0
+    low_deg = max(min(real.elevation_deg), min(sim.elevation_deg)) - _BEAM_MARGIN_DEG
+    high_deg = min(max(real.elevation_deg), max(sim.elevation_deg)) + _BEAM_MARGIN_DEG
+    is_dead = np.isin(np.arange(len(real.elevation_deg)), explained.dead)
+    n_real = sum(low_deg <= elevation <= high_deg for elevation in np.array(real.elevation_deg)[~is_dead])
+    n_sim = sum(low_deg <= elevation <= high_deg for elevation in sim.elevation_deg)
+    return n_sim / n_real if n_real and n_sim else 1.0
+
+
+def _edge_between_beams(sensor: SensorDescription) -> float:
+    """Elevation in [0, 2) at which cells begin, so that their edges have the fewest beams next to them, degrees.
+
+    An error of a hundredth of a degree would move all returns of such a beam to another cell.
+    """
+    edges_deg = np.arange(0.0, _CELL_DEG, _EDGE_DEG / 3)
+    apart_deg = (np.array(sensor.elevation_deg) - edges_deg[:, None] + _CELL_DEG / 2) % _CELL_DEG - _CELL_DEG / 2
+    return float(edges_deg[np.argmin((np.abs(apart_deg) < _EDGE_DEG).sum(axis=1))])
+
+
 def _by_cell(
-    side: Side, is_used: BoolArray, kinds: tuple[str, ...]
+    side: Side, is_used: BoolArray, kinds: tuple[str, ...], edge_deg: float
 ) -> tuple[IndexArray, FloatArray, dict[str, IndexArray]]:
     """By cell of 2 degrees of direction: number of used returns, their median range (longer of two), number by kind."""
     used = np.flatnonzero(is_used)
-    rows = (side.elevation_deg[used] + 90.0) // _CELL_DEG
+    rows = (side.elevation_deg[used] + 90.0 + _CELL_DEG - edge_deg) // _CELL_DEG
     columns = (side.azimuth_deg[used] + 180.0) // _CELL_DEG
     n_around = round(360.0 / _CELL_DEG)
     cell = (rows * n_around + columns % n_around).astype(np.intp)
-    n_cells = n_around * (n_around // 2 + 1)
+    n_cells = n_around * (n_around // 2 + 2)
     range_m = side.range_m[used]
     n = np.bincount(cell, minlength=n_cells)
     middle = np.minimum(np.cumsum(n) - n + n // 2, len(cell) - 1)
