@@ -76,11 +76,7 @@ def turned(angle_deg):
 
 
 def late(delay_s):
-<<<<<<< HEAD
-    return lambda points, rng: points + np.array([SPEED_M_S * delay_s, 0.0, 0.0])
-=======
     return lambda points, rng: points + np.array([SPEED_M_S * delay_s, 0, 0])
->>>>>>> causes-bench
 
 
 def biased(bias_m):

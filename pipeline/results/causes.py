@@ -124,7 +124,6 @@ def named_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Ca
     return sorted(causes, key=lambda cause: -cause.share)
 
 
-<<<<<<< HEAD
 def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:
     """The causes that are unknown in most pairs, by reason."""
     by_reason: dict[str, list[str]] = {}
@@ -144,11 +143,11 @@ def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | Non
 def _is_known(amounts: FloatArray) -> bool:
     """True if a cause has an amount in at least half of the pairs."""
     return 2 * int(np.count_nonzero(~np.isnan(amounts))) >= len(amounts)
-=======
+
+
 def least_part_of_pose(name: str) -> float:
     """Part of the distance that a displacement of this name must explain, of what all others leave."""
     return LEAST_PART_OF_ANGLE if name in _ANGLES else LEAST_PART_OF_POSE
->>>>>>> causes-bench
 
 
 def changed_causes(

@@ -1,8 +1,4 @@
-<<<<<<< HEAD
-"""Flaws of single beams and their angles: dead and exchanged beams, scale and noise of elevations, second returns."""
-=======
 """Flaws of beams and of their angles: dead and exchanged beams, scale and noise of elevations, second returns."""
->>>>>>> causes-bench
 
 from __future__ import annotations
 

@@ -46,23 +46,15 @@ def mean_apart(tree: cKDTree, points: FloatArray) -> float:
 def surface_floor(real: Side, sim: Side, aligned: Side, rng: Generator) -> float:
     """Surface distance of a perfect second measurement of the real scan, with rays like the simulated ones; metres.
 
-    <<<<<<< HEAD
-        Real rays are turned by the angle between the simulated rays and the real ones (the median, in a random direction;
-        with or without the displacement, whichever is smaller, as small displacements are errors of the fit; and at most
-        half of the angle between real rays), and their returns moved along the ray by the range noise of the real sensor,
-        or of the simulated one as far as that is within the tolerance; returns are lost in the share that the real sensor
-        loses. So neither the spacing of points nor the noise of a measurement counts as a difference.
-    =======
-        Real rays are turned in random directions by the angle between the simulated rays and the real ones: the median,
-        with or without the displacement, whichever is smaller, as small displacements are errors of the fit; and at most
-        half of the angle between real rays. Their returns are moved along the ray by the range noise of the real sensor, or
-        of the simulated one as far as that is within the tolerance, and lost in the share that the real sensor loses. So
-        neither the spacing of points nor the noise of a measurement counts as a difference.
-    >>>>>>> causes-bench
+    Real rays are turned in random directions by the angle between the simulated rays and the real ones: the median,
+    with or without the displacement, whichever is smaller, as small displacements are errors of the fit; and at most
+    half of the angle between real rays. Their returns are moved along the ray by the range noise of the real sensor, or
+    of the simulated one as far as that is within the tolerance, and lost in the share that the real sensor loses. So
+    neither the spacing of points nor the noise of a measurement counts as a difference.
 
-        Parameters
-        ----------
-        sim, aligned : the simulated side, and without its displacement
+    Parameters
+    ----------
+    sim, aligned : the simulated side, and without its displacement
     """
     rays = real.rays[sample_rows(len(real.points))]
     steps = [float(np.median(side.ray_tree.query(rays)[0])) for side in (sim, aligned)]
@@ -85,13 +77,8 @@ def sample_rows(n: int) -> IndexArray:
 def _by_other_rays(side: Side, step: float, rng: Generator) -> FloatArray:
     """(n, 3) returns of rays that are turned by an angle, radians, in random directions.
 
-    <<<<<<< HEAD
-        On a plane they lie in it. Elsewhere, as in foliage, a ray between two others sees what either sees: its range is
-        that of a neighbouring ray, the more often the nearer it comes to the middle.
-    =======
-        On a plane they lie in it. Elsewhere, as in foliage, a ray between two others sees what either of them sees: its
-        range is that of a neighbouring ray, the more often the nearer it comes to the middle.
-    >>>>>>> causes-bench
+    On a plane they lie in it. Elsewhere, as in foliage, a ray between two others sees what either of them sees: its
+    range is that of a neighbouring ray, the more often the nearer it comes to the middle.
     """
     random = rng.normal(size=side.points.shape)
     across = random - (random * side.rays).sum(axis=1, keepdims=True) * side.rays
