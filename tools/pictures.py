@@ -46,7 +46,7 @@ GROUND_COLOUR = "#bbbbbb"
 #: How many nodes the object of the pictures of one object has, more or less.
 TYPICAL_NODES = 400
 PANEL_SHAPE = 0.7  #: height over width
-MOST_CAUSES = 12  #: in the picture of the causes
+MOST_CAUSES = 8  #: in the picture of the causes
 NEAR_M = 30.0  #: what is too fine for a whole scan is shown so far around the sensor
 
 
@@ -344,6 +344,7 @@ def causes(axis, view):
     for limit in (-1, 1):
         axis.axvline(limit, color="black", linewidth=0.6)
     axis.set_xscale("symlog")
+    axis.set_xticks((-10, -1, 0, 1, 10, 100), ("-10", "-1", "0", "1", "10", "100"))
     axis.tick_params(axis="y", labelsize=6)
     axis.set_title("amounts over tolerances")
 
