@@ -154,7 +154,7 @@ def perturb_source(
     request = {
         "seed": seed,
         "repeats": {"global": global_repeats, "object": repeats},
-        "levels": [_word(level) for level in levels],
+        "levels": [list(astuple(level)) for level in levels],
         "objects": None if objects is None else list(objects),
     }
     outcome = run_experiment(
@@ -175,7 +175,7 @@ def alter_scan(pair: ScanPair, scans: Mapping[str, Scan], settings: Settings, re
 
     Parameters
     ----------
-    request : seed, repeats, levels as words, and names of objects
+    request : seed, repeats, levels, and names of objects
     """
     jobs = Planner(_PARTITION_STAGES, settings, {}).jobs()
     real_jobs = [job for job in jobs if job.part == "real"]
@@ -191,7 +191,7 @@ def alter_scan(pair: ScanPair, scans: Mapping[str, Scan], settings: Settings, re
     whole_rows = []
     object_rows = []
     baseline_rows = []
-    for level in parse_levels(request["levels"]):
+    for level in [Perturbation(*values) for values in request["levels"]]:
         for repeat in _repeats(pair.pair_id, "all", level, request["repeats"]["global"], request):
             row = _altered_scan(scan, level, repeat["seed"], settings)
             whole_rows.append(repeat | row)
@@ -353,13 +353,6 @@ def _level(word: str, kind: str, text: str) -> Perturbation:
 
 #: All default levels, that of the scan against itself first.
 LEVELS = parse_levels([*_AMOUNTS])
-
-
-def _word(level: Perturbation) -> str:
-    """The level as `parse_levels` reads it, with all digits."""
-    if level.kind == "rigid":
-        return f"rigid={level.shift_m!r}:{level.amount!r}"
-    return f"{level.kind}={level.amount!r}"
 
 
 def _summary_rows(tables: Mapping[str, pa.Table]) -> list[Row]:
