@@ -179,18 +179,17 @@ def run_experiment(
         changes = _changes(before, experiment, source, settings, request)
         if has_ended(before) and changes and not replace_finished:
             refuse_overwrite(f"{experiment.name} {out}", "its results", changes)
+        tasks, failures = _tasks(experiment, source, folder, settings, request)
+        for pair_id, reason in failures.items():
+            reporter.fail(f"pair {pair_id}", reason)
         header = {
             "experiment": experiment.name,
             **run_header(source.folder, settings, experiment.versions).as_dict(),
             "request": dict(request),
         }
-        tasks, failures = _tasks(experiment, source, folder, settings, request)
-        for pair_id, reason in failures.items():
-            reporter.fail(f"pair {pair_id}", reason)
         done = _finished(tasks, folder)
-        missing = {pair_id: task for pair_id, task in tasks.items() if pair_id not in done}
         stale = [pair_id for pair_id in folder.ledger.pair_ids() if pair_id not in done]
-        if missing or stale:
+        if stale or len(done) < len(tasks):
             write_record(out, settings, header.items(), folder.check_token)
         if stale:
             why = "; ".join(changes) or "out of date"
@@ -198,42 +197,54 @@ def run_experiment(
         for pair_id in stale:
             folder.forget(pair_id)
         folder.remove_strays()
-        made, failed = map_tasks(
-            _evaluate,
-            missing,
-            reporter,
-            n_workers=n_workers,
-            memory_gib=settings.machine.memory_gib,
-            may_end_workers=any(may_crash(path) for pair in source.pairs for path in pair.paths),
-        )
-        for record in made.values():
-            folder.ledger.put_job(record)
-        failures |= failed
+        missing = {pair_id: task for pair_id, task in tasks.items() if pair_id not in done}
+        failures |= _evaluate_all(missing, folder, reporter, n_workers)
         if is_scan_path(source.folder) and failures:
             raise ScanError("; ".join(failures.values()))
         records = _finished(tasks, folder)
         metadata = {pair_id: record.metadata for pair_id, record in records.items()}
-        for values in metadata.values():
-            reporter.warn(*values.get("warnings", ()))
-            for note in values.get("notes", ()):
-                reporter.say(note)
+        _show(metadata, reporter)
         outcome = ExperimentOutcome(
             folder=out,
             failures=failures,
-            n_made=len(made),
+            n_made=len(records) - len(done),
             n_reused=len(done),
             wall_s=perf_counter() - start,
             metadata=metadata,
             tables=_write_tables(experiment, folder, list(records.values())),
         )
-        header |= {
-            "scans": metadata,
-            "failures": failures,
-            "jobs": {"made": outcome.n_made, "reused": outcome.n_reused},
-            "wall_s": outcome.wall_s,
-        }
+        header |= {"scans": metadata, "failures": failures, "wall_s": outcome.wall_s}
         write_record(out, settings, header.items(), folder.check_token)
     return outcome
+
+
+def _evaluate_all(
+    tasks: Mapping[str, PairTask], folder: RunFolder, reporter: Reporter, n_workers: int | None
+) -> dict[str, str]:
+    """Evaluate pairs, put the results into the ledger, and return the reasons of failures by pair_id."""
+    if not tasks:
+        return {}
+    paths = [path for task in tasks.values() for path in task.pair.paths]
+    settings = next(iter(tasks.values())).settings
+    made, failures = map_tasks(
+        _evaluate,
+        tasks,
+        reporter,
+        n_workers=n_workers,
+        memory_gib=settings.machine.memory_gib,
+        may_end_workers=any(may_crash(path) for path in paths),
+    )
+    for record in made.values():
+        folder.ledger.put_job(record)
+    return failures
+
+
+def _show(metadata: Mapping[str, Mapping[str, Any]], reporter: Reporter) -> None:
+    """Show the warnings and notes about the pairs."""
+    for values in metadata.values():
+        reporter.warn(*values.get("warnings", ()))
+        for note in values.get("notes", ()):
+            reporter.say(note)
 
 
 def mean_rows(scores: pd.DataFrame, keys: list[str]) -> Iterator[Row]:
