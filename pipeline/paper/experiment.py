@@ -191,12 +191,7 @@ def run_experiment(
         stale = [pair_id for pair_id in folder.ledger.pair_ids() if pair_id not in done]
         if stale or len(done) < len(tasks):
             write_record(out, settings, header.items(), folder.check_token)
-        if stale:
-            why = "; ".join(changes) or "out of date"
-            reporter.say(f"replacing results of pair {', '.join(stale)}: {why}")
-        for pair_id in stale:
-            folder.forget(pair_id)
-        folder.remove_strays()
+        _remove(stale, folder, reporter, "; ".join(changes) or "out of date")
         missing = {pair_id: task for pair_id, task in tasks.items() if pair_id not in done}
         failures |= _evaluate_all(missing, folder, reporter, n_workers)
         if is_scan_path(source.folder) and failures:
@@ -216,6 +211,15 @@ def run_experiment(
         header |= {"scans": metadata, "failures": failures, "wall_s": outcome.wall_s}
         write_record(out, settings, header.items(), folder.check_token)
     return outcome
+
+
+def _remove(pair_ids: list[str], folder: RunFolder, reporter: Reporter, why: str) -> None:
+    """Remove the results of pairs, and files that belong to no result."""
+    if pair_ids:
+        reporter.say(f"replacing results of pair {', '.join(pair_ids)}: {why}")
+    for pair_id in pair_ids:
+        folder.forget(pair_id)
+    folder.remove_strays()
 
 
 def _evaluate_all(

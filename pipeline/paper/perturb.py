@@ -184,31 +184,11 @@ def alter_scan(pair: ScanPair, scans: Mapping[str, Scan], settings: Settings, re
     notes: list[str] = []
     names = request["objects"]
     objects = choose_objects(objects_in(tables, pair.pair_id), names, settings.graph.k, notes.append)
-    graphs = {}
-    for chosen in objects:
-        points = scan.points[scan.labels == chosen.community_id]
-        graphs[chosen.community_id] = graph_of(points, settings)
-    whole_rows = []
-    object_rows = []
-    baseline_rows = []
-    for level in [Perturbation(*values) for values in request["levels"]]:
-        for repeat in _repeats(pair.pair_id, "all", level, request["repeats"]["global"], request):
-            row = _altered_scan(scan, level, repeat["seed"], settings)
-            whole_rows.append(repeat | row)
-        for chosen in objects:
-            number = chosen.community_id
-            of_object = {"community_id": number, "object": chosen.name}
-            n_repeats = request["repeats"]["object"]
-            for repeat in _repeats(pair.pair_id, number, level, n_repeats, request):
-                rng = np.random.default_rng(repeat["seed"])
-                altered = perturb(graphs[number].points, level, rng)
-                scores, baselines = _altered_object(graphs[number], altered, settings)
-                object_rows.append(repeat | of_object | scores)
-                baseline_rows += [repeat | of_object | baseline for baseline in baselines]
+    object_rows, baseline_rows = _object_rows(scan, objects, settings, request)
     inspection = ScanInspection(**outputs["ground", "real"][INSPECTION])
     return JobResult(
         {
-            "perturb_global": TABLES["perturb_global"].from_rows(whole_rows),
+            "perturb_global": TABLES["perturb_global"].from_rows(_whole_rows(scan, pair.pair_id, settings, request)),
             "perturb_objects": TABLES["perturb_objects"].from_rows(object_rows),
             "perturb_baselines": TABLES["perturb_baselines"].from_rows(baseline_rows),
             "ground": tables["ground", "real"],
@@ -220,6 +200,44 @@ def alter_scan(pair: ScanPair, scans: Mapping[str, Scan], settings: Settings, re
             "warnings": pair_warnings(pair, {"real": inspection}, None),
         },
     )
+
+
+def _levels(request: Request) -> list[Perturbation]:
+    return [Perturbation(*values) for values in request["levels"]]
+
+
+def _whole_rows(scan: PartitionedScan, scan_id: str, settings: Settings, request: Request) -> list[Row]:
+    """One row of `perturb_global` per level and repeat."""
+    rows = []
+    for level in _levels(request):
+        for repeat in _repeats(scan_id, "all", level, request["repeats"]["global"], request):
+            row = _altered_scan(scan, level, repeat["seed"], settings)
+            rows.append(repeat | row)
+    return rows
+
+
+def _object_rows(
+    scan: PartitionedScan, objects: Sequence[ChosenObject], settings: Settings, request: Request
+) -> tuple[list[Row], list[Row]]:
+    """The rows of `perturb_objects` and `perturb_baselines`: one object altered, its graph rebuilt from it alone."""
+    graphs = {}
+    for chosen in objects:
+        points = scan.points[scan.labels == chosen.community_id]
+        graphs[chosen.community_id] = graph_of(points, settings)
+    object_rows = []
+    baseline_rows = []
+    n_repeats = request["repeats"]["object"]
+    for level in _levels(request):
+        for chosen in objects:
+            number = chosen.community_id
+            names = {"community_id": number, "object": chosen.name}
+            for repeat in _repeats(chosen.pair_id, number, level, n_repeats, request):
+                rng = np.random.default_rng(repeat["seed"])
+                altered = perturb(graphs[number].points, level, rng)
+                scores, baselines = _altered_object(graphs[number], altered, settings)
+                object_rows.append(repeat | names | scores)
+                baseline_rows += [repeat | names | baseline for baseline in baselines]
+    return object_rows, baseline_rows
 
 
 def _partition_of(tables: PairTables, settings: Settings) -> PartitionedScan:
