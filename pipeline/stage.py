@@ -160,7 +160,7 @@ class Memo:
 class Inputs:
     """Argument of a job: what its stage declares, and nothing else.
 
-    part : the side, the part of an experiment, or ""
+    part : the side, or ""
     settings : the declared groups
     tables : by name and side, "" for a table of the pair: returns the declared columns; read when first called
     outputs : metadata of the jobs that made these tables, by name and side
@@ -168,7 +168,7 @@ class Inputs:
     T_real_sim : motion of the simulated into the real sensor's frame, 12 numbers row by row; None if not given, or if
         the stage takes no input file, or for the real side, whose key does not cover it
     objects : of grain OBJECT, the ids of the matched objects to be scored
-    arguments : of the stage, or of a part of an experiment
+    arguments : of the stage
     step : times a step of the job
     memo : computes once what several jobs of the pair need
     """

@@ -16,10 +16,8 @@ from .options import (
     Pairs,
     Preset,
     Replace,
-    Scheduler,
     SettingsFile,
     Workers,
-    check_machines,
 )
 from .output import print_outcome
 
@@ -37,7 +35,6 @@ def perturb(
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,
-    scheduler: Scheduler = None,
     pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
     replace: Replace = False,
 ) -> None:
@@ -72,13 +69,11 @@ def perturb(
     fidpipe perturb scan.bin --metrics all --global-repeats 0    which metric reacts to what
     """
     from ...schemas.settings import load
-    from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..paper.experiment_figures import draw_perturbations
     from ..paper.experiment_views import perturb_view
     from ..paper.perturb import LEVELS, NULL, parse_levels, perturb_source
 
-    check_machines(workers, scheduler)
     baselines = [] if metrics is None else [f"metrics.baselines={metrics}"]
     outcome = perturb_source(
         source,
@@ -91,7 +86,7 @@ def perturb(
         seed=seed,
         objects=tuple(objects.split(",")) if objects else None,
         pattern=pairs,
-        machines=Machines(workers, scheduler),
+        n_workers=workers,
         replace=replace,
     )
     draw_perturbations(outcome)
@@ -110,14 +105,13 @@ def ablate(
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,
-    scheduler: Scheduler = None,
     pairs: Pairs = None,
     replace: Replace = False,
 ) -> None:
     """See how match rate and r_lambda depend on k, tau, delta and t, and which setting the data prefer, if any.
 
     One setting is varied at a time, around the effective ones (--settings, --set), on all pairs. Graphs are computed
-    once for each k and tau. Run again to resume or to add values; to drop finished values use --replace or another
+    once for each k and tau. Run again to resume; other values of a finished ablation require --replace or another
     --out. --k with a single value keeps k fixed.
 
     Parameters
@@ -138,13 +132,11 @@ def ablate(
     fidpipe ablate dataset/ --grid --k 60,90,120 --tau 0.1,0.2,0.3 --delta 5 --t 1
     """
     from ...schemas.settings import load
-    from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..paper.ablate import ablate_dataset
     from ..paper.experiment_figures import draw_ablation
     from ..paper.experiment_views import ablate_view
 
-    check_machines(workers, scheduler)
     asked = {"k": ("--k", k), "tau_m": ("--tau", tau), "delta_m": ("--delta", delta), "t": ("--t", t)}
     outcome = ablate_dataset(
         dataset,
@@ -154,7 +146,7 @@ def ablate(
         values={name: _numbers(option, text) for name, (option, text) in asked.items() if text is not None},
         grid=grid,
         pattern=pairs,
-        machines=Machines(workers, scheduler),
+        n_workers=workers,
         replace=replace,
     )
     draw_ablation(outcome)

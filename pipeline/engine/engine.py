@@ -1,7 +1,4 @@
-"""One engine for runs and experiments: hashes files, plans, removes stale results, runs jobs, collects results.
-
-A run or an experiment only chooses pairs, stages and parts.
-"""
+"""The engine of a run: hashes files, plans, removes stale results, runs jobs, collects results."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ from ..storage.folder import RunFolder, refuse_overwrite
 from ..storage.run_record import LIBRARIES, changed_settings, has_ended, library_versions
 from ..storage.table_files import JobId, JobName
 from ..storage.urls import is_stub, read_stub, remote, stub_texts, url_of_cache
-from .plan import NOT_REQUESTED, OUT_OF_DATE, PairPlan, with_results
+from .plan import OUT_OF_DATE, PairPlan, with_results
 from .pool import Pool
 from .progress import Reporter
 from .schedule import Policy, Schedule
@@ -33,6 +30,7 @@ from .time_limit import TimeLimit
 from .worker import BatchResult, JobFailure, failure_text
 
 _LARGE_PAIR = 500_000  # points of both files
+_GONE = "no longer in the dataset"
 _TIME_NOTES = ".time_limit"  # folder in that of a run, while it works
 
 PlanPair = Callable[[ScanPair], PairPlan]
@@ -88,7 +86,7 @@ class RunEngine:
     Attributes
     ----------
     contents : hashes of the files of each pair, by pair_id and side; of pairs whose existing files can all be hashed
-    failures : reasons by pair_id, or by "pair_id, part" for a part of an experiment
+    failures : reasons by pair_id
     n_made : jobs that were done
     """
 
@@ -170,21 +168,16 @@ class RunEngine:
                 own = replace(own, url=self.folder.url, stubs=stub_texts(files))
             yield own
 
-    def fail(self, name: str, reason: str) -> None:
-        """Record and report a failure, by pair_id or "pair_id, part"."""
-        self.failures[name] = reason
-        self.reporter.fail(f"pair {name}", reason)
+    def fail(self, pair_id: str, reason: str) -> None:
+        """Record and report the failure of a pair."""
+        self.failures[pair_id] = reason
+        self.reporter.fail(f"pair {pair_id}", reason)
 
-    def hash_files(self, pairs: Iterable[ScanPair], *, sides: Sequence[str] = SIDES) -> None:
-        """Hash the files of pairs; a pair of which one is missing or empty fails. No file is parsed.
-
-        Parameters
-        ----------
-        sides : a pair can be used if these sides of it exist
-        """
+    def hash_files(self, pairs: Iterable[ScanPair]) -> None:
+        """Hash the files of pairs; a pair of which one is missing or empty fails. No file is parsed."""
         for pair in pairs:
             contents, reasons = {}, []
-            for side in sides:
+            for side in SIDES:
                 path = pair.path(side)
                 try:
                     if path is not None:
@@ -193,7 +186,7 @@ class RunEngine:
                         reasons.append(pair.fault)
                 except ScanError as error:
                     reasons.append(str(error))
-            if len(contents) == len([side for side in sides if pair.path(side) is not None]):
+            if len(contents) == len(pair.paths):
                 self.contents[pair.pair_id] = contents
             if reasons:
                 self.fail(pair.pair_id, "; ".join(reasons))
@@ -208,8 +201,6 @@ class RunEngine:
         *,
         selected: set[str],
         redo: frozenset[str] = frozenset(),
-        exhaustive: frozenset[str] = frozenset(),
-        why_absent: str = "no longer in the dataset",
         complete: Callable[[PairPlan], None] = lambda _: None,
     ) -> Survey:
         """Compare existing results with the plan; call `hash_files` first.
@@ -219,8 +210,7 @@ class RunEngine:
         pairs : all pairs that may have results
         plan_pair : returns the plan of a pair
         selected : names of the pairs to work on
-        redo, exhaustive : see `with_results`; `redo` counts for the selected pairs
-        why_absent : reason why results of other pairs are stale
+        redo : stages of the selected pairs to recompute regardless of their keys
         complete : called with the plan of each pair without jobs to do, so that its records are read once
         """
         survey, names = Survey(), set()
@@ -230,7 +220,7 @@ class RunEngine:
                 continue
             survey.usable.append(pair)
             is_selected = pair.pair_id in selected
-            plan, stale = with_results(plan_pair(pair), self.folder, redo if is_selected else frozenset(), exhaustive)
+            plan, stale = with_results(plan_pair(pair), self.folder, redo if is_selected else frozenset())
             survey.stale |= stale
             if not plan.todo:
                 complete(plan)
@@ -238,16 +228,14 @@ class RunEngine:
                 survey.todo.append(pair)
                 survey.n_jobs += len(plan.todo)
         for pair_id in list(self.folder.ledger.pair_ids()):
-            reason = "the input cannot be used" if pair_id in self._unusable else why_absent
+            reason = "the input cannot be used" if pair_id in self._unusable else _GONE
             if pair_id not in names or pair_id in self._unusable:
                 for record in self.folder.ledger.jobs(pair_id).values():
                     survey.stale[record.name] = reason
         return survey
 
-    def refuse_replacing(
-        self, survey: Survey, name: str, before: Mapping[str, Any], unrequested: Iterable[str] = ()
-    ) -> None:
-        """Raise `RunError` if finished results would be replaced because of settings, version or request.
+    def refuse_replacing(self, survey: Survey, name: str, before: Mapping[str, Any]) -> None:
+        """Raise `RunError` if finished results would be replaced because of settings or version.
 
         Those recomputed because of other input files or libraries are replaced too.
 
@@ -255,9 +243,8 @@ class RunEngine:
         ----------
         name : of the results, for the error
         before : last record of the folder
-        unrequested : description of what the last request had and this one lacks
         """
-        lost = [job for job, reason in survey.stale.items() if reason in (OUT_OF_DATE, NOT_REQUESTED)]
+        lost = [job for job, reason in survey.stale.items() if reason == OUT_OF_DATE]
         names, n_pairs = {stage for stage, _, _ in lost}, len({pair_id for _, pair_id, _ in lost})
         stages = [stage for stage in self._stages if stage.name in names]
         groups = {group for stage in stages for group in stage.settings}
@@ -270,7 +257,6 @@ class RunEngine:
         if old := [stage.name for stage in stages if versions.get(stage.name, stage.version) != stage.version]:
             written = f"fidpipe {before.get('fidpipe')} on {before.get('written', '')[:10]}"
             why.append(f"{written} had other code of {', '.join(old)}")
-        why += unrequested
         if lost and why and has_ended(before):
             listed = ", ".join(dict.fromkeys((*(stage.name for stage in stages), *sorted(names))))
             refuse_overwrite(name, f"{listed} of {n_pairs} pair{'s' * (n_pairs > 1)}", why)
@@ -357,21 +343,16 @@ class RunEngine:
         self.reporter.advance(0, objects=f"; {plan.pair_id}: {n_done} of {len(plan.objects or [])} objects")
 
     def pair_done(self, plan: PairPlan, failures: tuple[JobFailure, ...]) -> None:
-        """Report the failures of a pair that has ended, those of parts of an experiment one by one.
+        """Report the failures of a pair that has ended.
 
         The ledger keeps the reason of a failed pair; all results of a pair without scores are removed.
         """
-        own = []
         order = list(plan.jobs)
-        for failure in sorted(failures, key=lambda failure: order.index(failure.job)):
-            if plan.jobs[failure.job].is_part:
-                self.fail(f"{plan.pair_id}, {failure.job[1]}", failure.reason)
-            else:
-                own.append(failure)
+        own = sorted(failures, key=lambda failure: order.index(failure.job))
         self.reporter.advance(len(plan.todo), 1)
         if plan.limit is not None:
             rmtree(plan.limit.folder, ignore_errors=True)
-        if required := [failure for failure in own if plan.jobs[failure.job].is_required]:
+        if required := [failure for failure in own if not plan.jobs[failure.job].stage.is_extra]:
             own = required[:1]  # which of the others were begun depends on the number of workers
             for record in self.folder.forget(plan.pair_id):
                 self.n_made -= record.made_by == self.folder.token

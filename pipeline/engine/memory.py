@@ -19,7 +19,10 @@ PairTables = dict[tuple[str, str], pa.Table]
 
 
 def run_in_memory(
-    jobs: Iterable[Job], scans: Mapping[str, Scan], pair_id: str
+    jobs: Iterable[Job],
+    scans: Mapping[str, Scan],
+    pair_id: str,
+    T_real_sim: tuple[float, ...] | None = None,
 ) -> tuple[PairTables, dict[tuple[str, str], Metadata]]:
     """Run the jobs of a pair one after the other; returns their tables, and the metadata of the job of each table.
 
@@ -27,6 +30,7 @@ def run_in_memory(
     ----------
     jobs : in their order, from `Planner.jobs`
     scans : by side
+    T_real_sim : 12 numbers, [R | t] row by row: maps simulated points into the real sensor's frame
 
     Raises
     ------
@@ -38,7 +42,7 @@ def run_in_memory(
     matched: tuple[int, ...] = ()
     memo = Memo()
     for job in jobs:
-        inputs = _inputs(job, scans, tables, outputs, pair_id, memo, matched)
+        inputs = _inputs(job, scans, tables, outputs, pair_id, T_real_sim, memo, matched)
         try:
             result = job.stage.make(inputs)
         except StageError as error:
@@ -60,6 +64,7 @@ def _inputs(
     tables: PairTables,
     outputs: Mapping[tuple[str, str], Metadata],
     pair_id: str,
+    T_real_sim: tuple[float, ...] | None,
     memo: Memo,
     matched: tuple[int, ...],
 ) -> Inputs:
@@ -82,8 +87,9 @@ def _inputs(
         tables=declared,
         outputs=metadata,
         scans=own_scans,
+        T_real_sim=T_real_sim if "sim" in own_scans else None,
         objects=matched if job.stage.grain is Grain.OBJECT else (),
-        arguments=job.arguments,
+        arguments=job.stage.arguments,
         memo=memo,
     )
 

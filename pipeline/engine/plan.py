@@ -7,14 +7,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ...schemas.columns import SIDES
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ..datasets.content import ScanContent
 from ..datasets.pairs import ScanPair
-from ..stage import N_RAW, OBJECTS, SCAN, Grain, Stage
+from ..stage import N_RAW, OBJECTS, SCAN, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder
 from ..storage.run_record import library_versions
@@ -22,23 +22,6 @@ from ..storage.table_files import JobId, JobName, JobRecord
 from .time_limit import TimeLimit
 
 OUT_OF_DATE = "out of date"  #: reason why a result that was made from or with something else is stale
-NOT_REQUESTED = "not requested"
-
-
-@dataclass(frozen=True)
-class Part:
-    """A requested job of an experiment on a pair, next to others of the same stage.
-
-    stage : of grain PAIR
-    name : "dropout-0.4" or the like; only characters that are safe in a file's name
-    arguments : what makes it another than its neighbours, for the job; plain values, which its key covers
-    settings : if others than those of the run
-    """
-
-    stage: Stage
-    name: str
-    arguments: tuple[Any, ...] = ()
-    settings: Settings | None = None
 
 
 class Source(NamedTuple):
@@ -55,7 +38,7 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True)
 class Job:
-    """One stage of one part, the same for all pairs of a run that have files of the same sides.
+    """One stage of one part, the same for all pairs of a run.
 
     key : a hash of all that its result depends on, except for the inputs
     sources : what it takes
@@ -66,7 +49,6 @@ class Job:
     key: str
     settings: Settings
     sources: tuple[Source, ...] = ()
-    arguments: tuple[Any, ...] = ()
 
     @cached_property
     def name(self) -> JobId:
@@ -77,16 +59,6 @@ class Job:
     def needs(self) -> set[JobId]:
         """The jobs of the pair whose results it takes."""
         return {source.maker for source in self.sources if source.maker is not None}
-
-    @property
-    def is_part(self) -> bool:
-        """True for a part of an experiment."""
-        return self.part not in self.stage.parts
-
-    @property
-    def is_required(self) -> bool:
-        """True if its pair fails without it: it is neither an extra nor a part of an experiment."""
-        return not (self.stage.is_extra or self.is_part)
 
 
 @dataclass(frozen=True)
@@ -163,53 +135,39 @@ class Planner:
     stages : in their order
     settings : effective settings
     label_names : class names by number
-    sides : requested sides of a pair
+
+    Raises
+    ------
+    ValueError
+        A stage takes what none before it gives, or names a table or a column that `schemas.tables` does not have.
     """
 
-    def __init__(
-        self, stages: Sequence[Stage], settings: Settings, label_names: Mapping[int, str], sides: Sequence[str] = SIDES
-    ) -> None:
+    def __init__(self, stages: Sequence[Stage], settings: Settings, label_names: Mapping[int, str]) -> None:
         self.stages = tuple(stages)
         self.settings = settings
         self.label_names = label_names
-        self.sides = tuple(sides)
-        self._parts = [
-            Part(stage, name, stage.arguments) for stage in stages for name in stage.parts if name in ("", *self.sides)
-        ]
-        self._method_keys: dict[tuple[str, int], tuple[Settings, str]] = {}
-        self._layouts: dict[tuple[str, ...], dict[JobId, Job]] = {}
+        self._jobs = self._layout()
 
-    def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent], parts: Iterable[Part] = ()) -> PairPlan:
+    def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent]) -> PairPlan:
         """The jobs of a pair with their expected keys, none of them done yet.
 
         The key of a result is a hash of its stage's name, version, settings and libraries, the columns of the tables
-        that it gives, its part and arguments, and the keys of what it reads; that of an input file hashes its content,
+        that it gives, its arguments and part, and the keys of what it reads; that of an input file hashes its content,
         its labels with their names, and T_real_sim.
 
         Parameters
         ----------
         pair : the pair
         inputs : by side, what its file holds
-        parts : of experiments, requested in addition to the stages
-
-        Raises
-        ------
-        ValueError
-            Two parts have one name: they would write one file; a stage takes what none before it gives, or names a
-            table or a column that `schemas.tables` does not have.
         """
-        sides, parts = tuple(side for side in self.sides if side in inputs), tuple(parts)
-        if sides not in self._layouts:
-            self._layouts[sides] = self._layout(sides, ())
-        jobs = self._layout(sides, parts) if parts else self._layouts[sides]
-        keys = {(SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in sides}
-        for name, job in jobs.items():  # keys are hexadecimal digits, so that a space ends each
+        keys = {(SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in SIDES}
+        for name, job in self._jobs.items():  # keys are hexadecimal digits, so that a space ends each
             keys[name] = hashlib.sha256(" ".join((job.key, *_reads(job, keys))).encode()).hexdigest()
-        return PairPlan(pair, jobs, keys, {}, inputs, self.label_names)
+        return PairPlan(pair, self._jobs, keys, {}, inputs, self.label_names)
 
     def jobs(self) -> tuple[Job, ...]:
-        """The jobs of a pair that has files of all sides, in their order."""
-        return tuple(self._layout(self.sides, ()).values())
+        """The jobs of a pair, in their order."""
+        return tuple(self._jobs.values())
 
     def plan_on_results(self, pair: ScanPair, records: Mapping[JobId, JobRecord], stage: Stage) -> PairPlan:
         """The job of one stage of a pair whose other results are taken as they are, whatever they were made of.
@@ -219,50 +177,69 @@ class Planner:
         records : finished jobs of the pair, by name
         stage : one of the planner's, of grain PAIR
         """
-        layout = self._layout(self.sides, ())
         name = (stage.name, "")
-        jobs = {job: layout[job] for job in layout if job in records or job == name}
+        jobs = {job: self._jobs[job] for job in self._jobs if job in records or job == name}
         keys = {job: record.key for job, record in records.items()}
         keys[name] = hashlib.sha256(" ".join((jobs[name].key, *_reads(jobs[name], keys))).encode()).hexdigest()
         others = {job: record for job, record in records.items() if job in jobs and job != name}
         return PairPlan(pair, jobs, keys, others, {}, self.label_names)
 
-    def _layout(self, sides: tuple[str, ...], parts: Iterable[Part]) -> dict[JobId, Job]:
-        """The jobs of all pairs that have files of these sides."""
-        makers: dict[tuple[str, str], JobId | None] = {(SCAN, side): None for side in sides}
+    def _layout(self) -> dict[JobId, Job]:
+        """The jobs of all pairs."""
+        makers: dict[tuple[str, str], JobId | None] = {(SCAN, side): None for side in SIDES}
         jobs: dict[JobId, Job] = {}
-        for part in (*self._parts, *parts):
-            stage, settings = part.stage, part.settings or self.settings
-            side = part.name if stage.grain is Grain.SIDE else ""
+        for stage in self.stages:
             known = {table for table, _ in makers}
-            if missing := [table for table in stage.takes if table not in known]:
+            missing = [table for table in stage.takes if table not in known]
+            if missing:
                 raise ValueError(f"stage {stage.name} takes {', '.join(missing)}, which no earlier stage makes")
-            own_sides = ("", side) if side else ("", *SIDES)
-            declared = [(name, own, columns) for name, columns in stage.takes.items() for own in own_sides]
-            if side == "sim":
-                declared += [(name, "real", columns) for name, columns in stage.takes_real(settings).items()]
-            wanted = {(name, own): columns for name, own, columns in declared if (name, own) in makers}
-            sources = tuple(Source(*name, columns, makers[name]) for name, columns in wanted.items())
-            if (stage.name, part.name) in jobs:
-                raise ValueError(f"stage {stage.name} has two parts {part.name}; expected different names")
-            key = key_of(self._method_key(stage, settings), part.name, _plain(part.arguments))
-            jobs[stage.name, part.name] = Job(stage, part.name, key, settings, sources, part.arguments)
-            makers |= {(table, side): (stage.name, part.name) for table in stage.gives}
+            method_key = self._method_key(stage)
+            for part in stage.parts:
+                key = key_of(method_key, part, list(stage.arguments))
+                sources = _sources(stage, part, self.settings, makers)
+                jobs[stage.name, part] = Job(stage, part, key, self.settings, sources)
+                makers |= {(table, part): (stage.name, part) for table in stage.gives}
         return jobs
 
-    def _method_key(self, stage: Stage, settings: Settings) -> str:
+    def _method_key(self, stage: Stage) -> str:
         """A hash of the settings, versions and code of a stage, which is the same for all pairs."""
-        name = (stage.name, id(settings))
-        if name not in self._method_keys:
-            key = key_of(
-                stage.name,
-                stage.version,
-                {group: getattr(settings, group).model_dump(mode="json") for group in stage.settings},
-                library_versions(("numpy", "scipy", *stage.libraries)),
-                _given_columns(stage, settings),
-            )
-            self._method_keys[name] = settings, key  # kept, so that no other settings get the same id
-        return self._method_keys[name][1]
+        groups = {}
+        for group in stage.settings:
+            groups[group] = getattr(self.settings, group).model_dump(mode="json")
+        return key_of(
+            stage.name,
+            stage.version,
+            groups,
+            library_versions(("numpy", "scipy", *stage.libraries)),
+            _given_columns(stage, self.settings),
+        )
+
+
+def _sources(
+    stage: Stage,
+    part: str,
+    settings: Settings,
+    makers: Mapping[tuple[str, str], JobId | None],
+) -> tuple[Source, ...]:
+    """What one job of a stage takes: the tables and files that exist of its side or of the pair.
+
+    Parameters
+    ----------
+    makers : by table and side, the job that makes it; None for an input file
+    """
+    sides = ("", part) if part else ("", *SIDES)
+    declared = {}
+    for table, columns in stage.takes.items():
+        for side in sides:
+            declared[table, side] = columns
+    if part == "sim":
+        for table, columns in stage.takes_real(settings).items():
+            declared[table, "real"] = columns
+    sources = []
+    for (table, side), columns in declared.items():
+        if (table, side) in makers:
+            sources.append(Source(table, side, columns, makers[table, side]))
+    return tuple(sources)
 
 
 def _given_columns(stage: Stage, settings: Settings) -> dict[str, list[str]]:
@@ -282,7 +259,6 @@ def with_results(
     plan: PairPlan,
     folder: RunFolder,
     redo: frozenset[str] = frozenset(),
-    exhaustive: frozenset[str] = frozenset(),
 ) -> tuple[PairPlan, dict[JobName, str]]:
     """The plan knowing which jobs are done, and the stale finished jobs of the pair, with the reason.
 
@@ -293,7 +269,6 @@ def with_results(
     plan : as planned
     folder : of the run
     redo : stages to recompute regardless of their keys
-    exhaustive : stages of which only the results in the plan are kept
     """
     records = folder.ledger.jobs(plan.pair_id)
     whole, unwanted = [], {}
@@ -312,16 +287,9 @@ def with_results(
     for record in records.values():
         if not set(plan.keys.values()).issuperset(record.reads):
             unwanted[record.name] = OUT_OF_DATE
-        elif record.stage in exhaustive:
-            unwanted[record.name] = NOT_REQUESTED
     return replace(plan, folder=folder.folder, token=folder.token).with_records(whole), unwanted
 
 
 def _reads(job: Job, keys: Mapping[JobId, str]) -> tuple[str, ...]:
     """The keys of all that a job takes, in its order."""
     return tuple(dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in job.sources))
-
-
-def _plain(arguments: tuple[Any, ...]) -> Any:
-    """Arguments of a part as plain values for its key."""
-    return [vars(value) if hasattr(value, "__dict__") else value for value in arguments]

@@ -1,10 +1,9 @@
 """The order of work: when the jobs of each pair are submitted, and the next step when a batch ends.
 
 Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs are one together;
-only when few pairs are left for the workers does a pair fall into batches by side and, largest first, by object. Parts
-of an experiment, which do not wait for each other, are always separate batches. If the workers of a batch die, its
-pairs are tried again, each in a separate batch. A pair whose workers die again is tried once more, job by job with
-nothing else running, so that only the job that causes it fails.
+only when few pairs are left for the workers does a pair fall into batches by side and, largest first, by object. If the
+workers of a batch die, its pairs are tried again, each in a separate batch. A pair whose workers die again is tried
+once more, job by job with nothing else running, so that only the job that causes it fails.
 """
 
 from __future__ import annotations
@@ -76,7 +75,7 @@ class _Pair:
     def todo(self) -> list[Job]:
         """Its jobs that are neither done, nor failed, nor in need of one that did; none if a required one failed."""
         failed = {failure.job for failure in self.failures}
-        if any(self.plan.jobs[name].is_required for name in failed):
+        if not all(self.plan.jobs[name].stage.is_extra for name in failed):
             return []
         left = []
         for job in self.plan.todo:
@@ -234,8 +233,6 @@ class Schedule:
             largest = self._costs.object_bytes(largest_object(objects)[1])
             if largest > self._object_share(pair.plan):
                 return True  # its objects are admitted one by one
-        if any(job.is_part for job in pair.todo):
-            return True
         if self._pool.n_workers == 1:
             return self._is_long(pair)
         if not self._few_left():

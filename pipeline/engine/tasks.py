@@ -23,6 +23,7 @@ def map_tasks(
     reporter: Reporter,
     *,
     n_workers: int | None = 1,
+    memory_gib: float | None = None,
     may_end_workers: bool = False,
 ) -> tuple[dict[str, Result], dict[str, str]]:
     """Call a function with each task; Ctrl-C ends all of them.
@@ -33,6 +34,7 @@ def map_tasks(
     tasks : by name
     reporter : shows progress, and each failure
     n_workers : processes; None for one per core; 1 for this one, unless a task may end it
+    memory_gib : memory of all processes together; None for four fifths of the machine's
     may_end_workers : whether a task may end the process that it is in
 
     Returns
@@ -48,7 +50,10 @@ def map_tasks(
     failures: dict[str, str] = {}
     if not tasks:
         return results, failures
-    pool = start_pool(n_workers, None, None, (), {}, [function.__module__], may_end_workers=may_end_workers)
+    if len(tasks) == 1:
+        n_workers = 1
+    modules = [function.__module__]
+    pool = start_pool(n_workers, None, memory_gib, (), {}, modules, may_end_workers=may_end_workers)
     reporter.start(len(tasks), len(tasks))
     lost, alone = list[str](), ""
     try:

@@ -74,7 +74,7 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
     results = []
     for batch in batches:
         jobs = [batch.plan.jobs[name] for name in batch.jobs]
-        tables = _kept_tables(batch.plan) if any(job.is_part for job in jobs) else PairTables(batch.plan)
+        tables = PairTables(batch.plan)
         records: list[JobRecord] = []
         failures = [part for part in batch.rows or () if isinstance(part, JobFailure)][:1]
         failed: set[JobId] = set()
@@ -94,7 +94,7 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
                     except Exception as error:  # one broken pair does not stop a dataset
                         failures.append(_failure(job, error))
                         failed.add(job.name)
-                        if job.is_required:
+                        if not job.stage.is_extra:
                             break
         except OutOfTimeError as error:
             failures.append(JobFailure(batch.jobs[0], str(error)))
@@ -202,7 +202,7 @@ class PairTables:
             scans=scans,
             T_real_sim=self.plan.pair.T_real_sim if "sim" in scans else None,
             objects=objects,
-            arguments=job.arguments,
+            arguments=job.stage.arguments,
             step=step,
             memo=self._memo,
         )
@@ -279,7 +279,7 @@ def _finish_objects(tables: PairTables, job: Job, inputs: Inputs, made: Mapping[
 
 
 def _kept_tables(plan: PairPlan) -> PairTables:
-    """The tables of a pair that has several batches, by object or by part; a process keeps the last two."""
+    """The tables of a pair that has several batches of objects; a process keeps the last two."""
     name = plan.token, plan.pair_id, tuple(plan.keys.values())
     if name not in _KEPT:
         while len(_KEPT) >= 2:

@@ -47,7 +47,12 @@ def object_points(own: Inputs, side: str) -> tuple[IntArray, FloatArray]:
 
 def annotation(own: Inputs, side: str) -> Annotation:
     """Labels and instances of the object points of a side, where the input has them."""
-    ground = own.table("ground", side).select(("is_ground", "label", "instance"))
+    return annotation_in(own.table("ground", side))
+
+
+def annotation_in(ground: pa.Table) -> Annotation:
+    """See `annotation`."""
+    ground = ground.select(("is_ground", "label", "instance"))
     ground = ground.filter(pa.array(~column(ground, "is_ground")))
     labels, instances = ground.column("label"), ground.column("instance")
     return Annotation(

@@ -1,7 +1,6 @@
 """`fidpipe ablate`: match rate and r_lambda as functions of k, tau, delta and t (paper, section "Ablation Study").
 
-One parameter is varied at a time around the current settings, or all as a grid. A job is one pair under one graph
-setting: graph and communities are computed once, then matching, selection and scores for all requested delta and t. The
+One parameter is varied at a time around the current settings, or all as a grid. The
 paper states its choice (k = 90, tau = 0.2, delta = 5) but no ranges; those here are ours.
 """
 
@@ -17,7 +16,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from ...schemas.columns import SIDES
+from ...schemas.columns import SIDES, Row
 from ...schemas.errors import SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
@@ -25,14 +24,25 @@ from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.method import Memo, compare, n_communities, partition
 from ...stages.paper.parameter_choice import Choice, ParameterSet, Trial, choose_parameters
+from ...stages.plausibility import ScanInspection
+from ..datasets.pairs import ScanPair
 from ..datasets.readers import is_scan_path
-from ..engine.engine import Machines
-from ..engine.plan import Part
+from ..datasets.readers.scan import Scan
+from ..engine.memory import run_in_memory
+from ..engine.plan import Planner
 from ..engine.progress import Reporter
-from ..jobs import seeds_job
-from ..jobs.points_job import ANNOTATED_COLUMNS, annotation, object_points
-from ..stage import Grain, Inputs, JobResult, Stage
-from .experiment import ExperimentOutcome, experimenting, mean_rows, read_source
+from ..jobs import STAGES, ground_job
+from ..jobs.points_job import annotation_in, points_in
+from ..pair_checks import pair_warnings
+from ..stage import INSPECTION, JobResult
+from .experiment import (
+    Experiment,
+    ExperimentOutcome,
+    Request,
+    mean_rows,
+    read_source,
+    run_experiment,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,41 +95,65 @@ _SCORES = ("match_rate", "r_lambda_mean")
 _SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
-def make_rows(own: Inputs) -> JobResult:
-    """One row of `ablate` per point (k, tau, delta, t) of the arguments, with k and tau of the settings.
+def evaluate_pair(pair: ScanPair, scans: Mapping[str, Scan], settings: Settings, request: Request) -> JobResult:
+    """One row of `ablate` per parameter set of the request.
 
-    Graphs and communities of both sides are computed once; an object that is matched under several delta is scored once
-    for each t.
+    Graphs and communities of both sides are computed once for each k and tau; an object that is matched under several
+    delta is scored once for each t.
     """
-    declared = own.settings
-    (points,) = own.arguments
-    real = partition(object_points(own, "real")[1], declared, annotation=annotation(own, "real"))
-    sim = partition(object_points(own, "sim")[1], declared, reference=real.reference)
-    memo: Memo = {}
+    jobs = Planner((ground_job.STAGE,), settings, {}).jobs()
+    tables, outputs = run_in_memory(jobs, scans, pair.pair_id, pair.T_real_sim)
+    _, real_points = points_in(tables["ground", "real"])
+    _, sim_points = points_in(tables["ground", "sim"])
+    annotation = annotation_in(tables["ground", "real"])
+    base = ParameterSet(*request["base"])
     rows = []
-    for point in points:
-        _, _, delta_m, t = point
-        settings = Settings(
-            communities=declared.communities,
-            matching=declared.matching.model_copy(update={"delta_m": delta_m}),
-            selection=declared.selection.model_copy(update={"t": t}),
-        )
-        summary = compare(real, sim, settings, memo=memo).summary
-        scores = n_communities(summary) | {name: summary[name] for name in _SUMMARY}
-        rows.append({"pair_id": own.pair_id, **dict(zip(_NAMES, point, strict=True)), **scores})
-    return JobResult({"ablate": TABLES["ablate"].from_rows(rows)})
+    for sets in _by_graph(parameter_sets(base, request["values"], request["grid"])):
+        graph_settings = with_parameters(settings, sets[0])
+        real = partition(real_points, graph_settings, annotation=annotation)
+        sim = partition(sim_points, graph_settings, reference=real.reference)
+        memo: Memo = {}
+        for parameters in sets:
+            used = with_parameters(settings, parameters)
+            summary = compare(real, sim, used, memo=memo).summary
+            row: Row = {"pair_id": pair.pair_id, **parameters._asdict()}
+            row |= n_communities(summary)
+            row |= {name: summary[name] for name in _SUMMARY}
+            rows.append(row)
+    inspections = {}
+    for side in SIDES:
+        inspections[side] = ScanInspection(**outputs["ground", side][INSPECTION])
+    warnings = pair_warnings(pair, inspections, None)
+    return JobResult({"ablate": TABLES["ablate"].from_rows(rows)}, {"warnings": warnings})
 
 
-#: Increase its version when the same request results in other numbers.
-STAGE = Stage(
+def _by_graph(sets: Sequence[ParameterSet]) -> list[list[ParameterSet]]:
+    """The parameter sets in groups of the same graph."""
+    groups: dict[tuple[int, float], list[ParameterSet]] = {}
+    for parameters in sets:
+        groups.setdefault((parameters.k, parameters.tau_m), []).append(parameters)
+    return list(groups.values())
+
+
+def _summary_rows(tables: Mapping[str, pa.Table]) -> list[Row]:
+    """The rows of `ablate_summary`: means and standard deviations over the pairs."""
+    scores = tables["ablate"].to_pandas().melt(_NAMES, DATASET_SCORES, "metric")
+    rows = []
+    for row in mean_rows(scores, [*_NAMES, "metric"]):
+        n_pairs = row.pop("n")
+        rows.append({"n_pairs": n_pairs, **row})
+    return rows
+
+
+EXPERIMENT = Experiment(
     name="ablate",
-    takes={"ground": ANNOTATED_COLUMNS},
-    gives=("ablate",),
-    settings=("graph", "communities", "matching", "pieces", "selection"),
-    grain=Grain.PAIR,
-    version=2,
-    make=make_rows,
-    libraries=seeds_job.STAGE.libraries,
+    version=3,
+    sides=SIDES,
+    stages=STAGES,
+    tables=("ablate",),
+    summary="ablate_summary",
+    evaluate=evaluate_pair,
+    summarise=_summary_rows,
 )
 
 
@@ -129,13 +163,16 @@ class AblateOutcome(ExperimentOutcome):
 
     base : the current settings
     values : by parameter, all tried values, ascending
-    rows : of `ablate`, one row per pair and parameter set
     """
 
     base: ParameterSet
     values: dict[str, tuple[float, ...]]
     grid: bool
-    rows: pa.Table
+
+    @property
+    def rows(self) -> pa.Table:
+        """The table `ablate`: one row per pair and parameter set."""
+        return self.tables["ablate"]
 
     def along(self, name: str) -> list[ParameterSet]:
         """The parameter sets in which one parameter varies and the others have their current values."""
@@ -167,7 +204,7 @@ def ablate_dataset(
     values: Mapping[str, Sequence[float]] | None = None,
     grid: bool = False,
     pattern: str | None = None,
-    machines: Machines | None = None,
+    n_workers: int | None = None,
     replace: bool = False,
 ) -> AblateOutcome:
     """Evaluate the pairs of a dataset under each parameter set and write the tables.
@@ -178,7 +215,8 @@ def ablate_dataset(
     values : by parameter, values to try in addition to the current one; by default those of `PARAMETERS`
     grid : all combinations instead of one at a time
     pattern : only pairs whose name matches (shell style)
-    machines, replace : see `experimenting`
+    n_workers : processes; None for one per core
+    replace : allow results of a finished experiment to be replaced by another request
 
     Raises
     ------
@@ -191,21 +229,30 @@ def ablate_dataset(
         if {*requested.get("delta_m", ())} - {base.delta_m}:
             raise SettingsError("--delta: leave it out; objects fixed by the real side are not matched by distance")
         requested["delta_m"] = ()
-    tried = {name: _values(name, requested.get(name, PARAMETERS[name].values), getattr(base, name)) for name in _NAMES}
-    settings_of = {choice: with_parameters(settings, choice) for choice in parameter_sets(base, tried, grid)}
-    source = read_source(dataset, pattern, machines=machines)
+    tried = {}
+    for name, parameter in PARAMETERS.items():
+        tried[name] = _values(name, requested.get(name, parameter.values), getattr(base, name))
+    for parameters in parameter_sets(base, tried, grid):
+        with_parameters(settings, parameters)  # raises before any work
+    source = read_source(dataset, pattern)
     if is_scan_path(dataset):
         raise SettingsError(f"{dataset}: is a scan; expected a dataset with real and simulated scans")
-    with experimenting(
-        "ablate", source, out, settings, reporter, stages=(STAGE,), sides=SIDES, machines=machines, replace=replace
-    ) as experiment:
-        request = {"values": {name: list(own) for name, own in tried.items()}, "grid": grid}
-        experiment.make({plan.pair_id: _parts(settings_of) for plan in experiment.prepare()}, request)
-        rows = experiment.rows("ablate").sort_by([(key, "ascending") for key in TABLES["ablate"].keys])
-        scores = rows.to_pandas().melt(_NAMES, DATASET_SCORES, "metric")
-        means = ({"n_pairs": row.pop("n"), **row} for row in mean_rows(scores, [*_NAMES, "metric"]))
-        experiment.write_summary(TABLES["ablate_summary"], list(means))
-        return AblateOutcome(**experiment.finish(), base=base, values=tried, grid=grid, rows=rows)
+    request = {
+        "base": list(base),
+        "values": {name: list(numbers) for name, numbers in tried.items()},
+        "grid": grid,
+    }
+    outcome = run_experiment(
+        EXPERIMENT,
+        source,
+        out,
+        settings,
+        reporter,
+        request,
+        n_workers=n_workers,
+        replace_finished=replace,
+    )
+    return AblateOutcome(**vars(outcome), base=base, values=tried, grid=grid)
 
 
 def choose(outcome: AblateOutcome) -> list[Choice]:
@@ -259,16 +306,3 @@ def _values(name: str, requested: Sequence[float], current: float) -> tuple[floa
     if any(value != int(value) for value in requested):
         raise SettingsError(f"--k: expected whole numbers, got {', '.join(f'{value:g}' for value in requested)}")
     return tuple(sorted({*map(int, requested), int(current)}))
-
-
-def _parts(settings_of: dict[ParameterSet, Settings]) -> list[Part]:
-    """The parts of a pair: one for each distinct graph setting."""
-    by_graph: dict[tuple[int, float], list[ParameterSet]] = {}
-    for parameters in settings_of:
-        by_graph.setdefault((parameters.k, parameters.tau_m), []).append(parameters)
-    parts = []
-    for (k, tau_m), own in by_graph.items():
-        neutral = with_parameters(settings_of[own[0]], ParameterSet(k, tau_m, 1.0, 1.0))  # delta and t are arguments
-        arguments = ([[*parameters] for parameters in own],)
-        parts.append(Part(STAGE, f"k{k}-tau{tau_m!r}", arguments, neutral))
-    return parts

@@ -1,15 +1,12 @@
-"""Common parts of experiments: their scans, their folder, and the parts of their stages that are requested.
+"""What the experiments perturb and ablate have in common: their scans, one task per pair, their folder and record.
 
-An experiment has additional stages of grain PAIR and requests parts of them: each part is a task with arguments and one
-table, computed once and reused while its key is the same. The pipeline stages that they depend on are computed first.
+The tables of a pair are one result with one key: it is reused as long as the key is the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from dataclasses import replace as replace_fields
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -18,42 +15,74 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from ...schemas.columns import Row, Table
+from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, ScanError
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
+from ..datasets.content import scan_content
 from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
-from ..datasets.readers import is_scan_path, stem_of, suffix_of
+from ..datasets.readers import is_scan_path, may_crash, read_scan, stem_of, suffix_of
 from ..datasets.readers.frame_address import address_of
-from ..engine.engine import Machines, RunEngine
-from ..engine.plan import NOT_REQUESTED, PairPlan, Part, Planner, with_results
+from ..datasets.readers.scan import Scan
 from ..engine.progress import Reporter
-from ..jobs import STAGES
-from ..pair_checks import inspection_of, pair_warnings
+from ..engine.tasks import map_tasks
 from ..run import select_pairs
-from ..stage import Stage
+from ..stage import JobResult, Stage
 from ..storage.files import key_of
-from ..storage.folder import RunFolder, check_folder
+from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.run_record import (
+    changed_settings,
     has_ended,
+    library_versions,
     read_run,
     run_header,
-    what_changed,
     write_record,
 )
-from ..storage.table_files import JobRecord
+from ..storage.table_files import JobRecord, TableFolder, plain_metadata
 
-_SEED = "seed"  # another seed is another experiment; for other numbers a larger one includes the smaller
-_VERSIONS = {stage.name: stage.version for stage in STAGES}
+#: Arguments of an experiment as plain values, which `run.json` keeps.
+Request = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """Definition of an experiment.
+
+    name : of the command
+    version : of its code; increase it when the same request results in other numbers
+    sides : sides of a pair whose scans it reads
+    stages : stages whose code it uses
+    tables : its tables over all pairs
+    summary : table of means over all pairs
+    evaluate : from a pair, its scans by side, settings and request: the tables of the pair, with metadata; "warnings"
+        and "notes" among it are shown to the user
+    summarise : from `tables` of all pairs by name, the rows of `summary`
+    """
+
+    name: str
+    version: int
+    sides: tuple[str, ...]
+    stages: tuple[Stage, ...]
+    tables: tuple[str, ...]
+    summary: str
+    evaluate: Callable[[ScanPair, Mapping[str, Scan], Settings, Request], JobResult]
+    summarise: Callable[[Mapping[str, pa.Table]], list[Row]]
+
+    @property
+    def versions(self) -> dict[str, int]:
+        """Code versions of the experiment and its stages, by name."""
+        return {self.name: self.version} | {stage.name: stage.version for stage in self.stages}
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentOutcome:
     """Outcome of any experiment.
 
-    failures : reasons for failed tasks, pairs and scans, by name
-    n_made, n_reused : numbers of jobs
+    failures : reasons by failed pair
+    n_made, n_reused : number of pairs
+    metadata : of each finished pair
+    tables : all tables over all pairs, by name
     """
 
     folder: Path
@@ -61,11 +90,28 @@ class ExperimentOutcome:
     n_made: int
     n_reused: int
     wall_s: float
+    metadata: dict[str, dict[str, Any]]
+    tables: dict[str, pa.Table]
 
 
-def read_source(
-    path: Path, pattern: str | None = None, *, first_only: bool = False, machines: Machines | None = None
-) -> Dataset:
+@dataclass(frozen=True, kw_only=True)
+class PairTask:
+    """One pair of an experiment, for a worker.
+
+    record : of the result; its files are not written yet
+    folder : of the experiment
+    """
+
+    experiment: Experiment
+    pair: ScanPair
+    label_names: Mapping[int, str]
+    settings: Settings
+    request: Request
+    record: JobRecord
+    folder: Path
+
+
+def read_source(path: Path, pattern: str | None = None, *, first_only: bool = False) -> Dataset:
     """The pairs of a dataset, or a scan file as a dataset of one pair without a simulated side.
 
     Parameters
@@ -73,7 +119,6 @@ def read_source(
     path : a scan file or a dataset folder
     pattern : only pairs whose name matches (shell style)
     first_only : return only the first pair if no pattern is given
-    machines : workers of a cluster may have another working directory, and get absolute paths
 
     Raises
     ------
@@ -82,8 +127,6 @@ def read_source(
     ScanError
         The format of the file is unknown.
     """
-    if machines is not None and machines.scheduler:
-        path = path.absolute()
     if is_scan_path(path):
         if suffix_of(path) is None:
             raise ScanError(f"{path}: not a known scan format; expected a scan file or a dataset folder")
@@ -96,203 +139,246 @@ def read_source(
         raise ScanError(f"{path}: no such file; expected a scan file or a dataset folder")
     dataset = read_dataset(path)
     pairs = select_pairs(dataset, pattern)
-    return replace_fields(dataset, pairs=pairs[:1] if first_only and pattern is None else pairs)
+    if first_only and pattern is None:
+        pairs = pairs[:1]
+    return replace(dataset, pairs=pairs)
 
 
-@dataclass
-class Experiment:
-    """A running experiment; opened by `experimenting`, which describes its fields."""
-
-    name: str
-    engine: RunEngine
-    source: Dataset
-    stages: tuple[Stage, ...]
-    sides: Sequence[str]
-    replace: bool
-
-    def __post_init__(self) -> None:
-        self.folder = self.engine.folder
-        self._start = perf_counter()
-        before = read_run(self.folder.folder)
-        self._finished = before if has_ended(before) and not self.replace else {}
-        self._changes = what_changed(before, self.engine.settings, _VERSIONS)
-        self._planner = Planner(_needed(self.stages), self.engine.settings, self.source.label_names, self.sides)
-        self._parts: Mapping[str, Sequence[Part]] = {}
-        self._request: dict[str, Any] = {}
-
-    def prepare(self) -> list[PairPlan]:
-        """Compute the pipeline stages that the experiment needs; returns the pairs for which all of them are done.
-
-        Raises
-        ------
-        ScanError
-            The single scan file of the experiment is unusable.
-        """
-        self.engine.hash_files(self.source.pairs, sides=self.sides)
-        self._make(STAGES)
-        if is_scan_path(self.source.folder) and self.engine.failures:
-            raise ScanError("; ".join(self.engine.failures.values()))
-        for pair in self.source.pairs:
-            jobs = self.folder.ledger.jobs(pair.pair_id).values()
-            self.engine.reporter.warn(*pair_warnings(pair, *inspection_of(jobs)))
-        return [plan for plan in self._plans() if not plan.todo]
-
-    def make(self, parts: Mapping[str, Sequence[Part]], request: Mapping[str, Any]) -> None:
-        """Compute the requested parts that do not exist under their key; remove all others.
-
-        Parameters
-        ----------
-        parts : requested parts by pair_id
-        request : the request as stored in `run.json`: lists of values, numbers of repeats, a seed
-
-        Raises
-        ------
-        RunError
-            Results of a finished experiment that `request` no longer request would be removed without --replace.
-        ValueError
-            Two parts have the same name, and so the same file. Nothing is removed or computed.
-        """
-        self._parts, self._request = parts, dict(request)
-        self._make(self.stages)
-
-    def rows(self, table: str) -> pa.Table:
-        """All rows of one of the experiment's tables."""
-        files = ((name, stored) for record in self._records() for name, stored in record.files.items())
-        own = [each for each in files if each[0].startswith(f"{table}/")]
-        parts = (self.folder.read(table, stored, name) for name, stored in own)
-        return pa.concat_tables([TABLES[table].schema.empty_table(), *parts])
-
-    def write_summary(self, table: Table, rows: list[Row]) -> pa.Table:
-        """Write a table of the whole experiment and return it."""
-        key, path = key_of(sorted(record.key for record in self._records())), f"{table.name}.parquet"
-        summary = table.from_rows(rows)
-        stored = self.folder.write_at(self.folder.folder / path, table.name, summary, key)
-        self.folder.ledger.put_job(JobRecord(table.name, "", "", key, {path: stored}))
-        return summary
-
-    def finish(self) -> dict[str, Any]:
-        """Write the outcome into `run.json` and return the fields of an `ExperimentOutcome`."""
-        failures, n_made, wall_s = self.engine.failures, self.engine.n_made, perf_counter() - self._start
-        n_done = sum(len(plan.records) for plan in self._plans())
-        jobs = {"made": n_made, "reused": n_done - n_made}
-        self._write_record({**self._request, "failures": failures, "jobs": jobs, "wall_s": wall_s})
-        outcome = {"folder": self.folder.folder, "failures": failures, "wall_s": wall_s}
-        return outcome | {f"n_{name}": n for name, n in jobs.items()}
-
-    def _write_record(self, outcome: Mapping[str, Any]) -> None:
-        """Write the settings and the record; without outcome, that of an experiment that has not ended."""
-        header = {
-            "experiment": self.name,
-            **run_header(self.source.folder, self.engine.settings, _VERSIONS).as_dict(),
-        }
-        write_record(
-            self.folder.folder, self.engine.settings, (header | dict(outcome)).items(), self.folder.check_token
-        )
-
-    def _records(self) -> Iterator[JobRecord]:
-        for pair_id in self.folder.ledger.pair_ids():
-            yield from self.folder.ledger.jobs(pair_id).values()
-
-    def _plan(self, pair: ScanPair) -> PairPlan:
-        return self._planner.plan(pair, self.engine.contents[pair.pair_id], self._parts.get(pair.pair_id, ()))
-
-    def _plans(self) -> Iterator[PairPlan]:
-        """The plans of the usable pairs with their existing results."""
-        for pair in self.source.pairs:
-            if pair.pair_id in self.engine.contents and pair.pair_id not in self.engine.failures:
-                yield with_results(self._plan(pair), self.folder)[0]
-
-    def _make(self, stages: Sequence[Stage]) -> None:
-        """Compute the missing results of some stages and remove their other results."""
-        survey = self.engine.survey(
-            self.source.pairs,
-            self._plan,
-            selected={pair.pair_id for pair in self.source.pairs},
-            exhaustive=frozenset(stage.name for stage in stages),
-            why_absent=NOT_REQUESTED,
-        )
-        if self._finished:
-            existing = sorted({pair_id for _, pair_id, _ in survey.stale})
-            requested = self._request | {"pairs": [pair.pair_id for pair in self.source.pairs]}
-            unrequested = _reductions(self._finished | {"pairs": existing}, requested)
-            self.engine.refuse_replacing(survey, f"{self.name} {self.folder.folder}", self._finished, unrequested)
-
-        def begin() -> None:
-            """If results are only added, the record of the finished experiment stays valid."""
-            if survey.stale or not self._finished or stages is not STAGES:
-                self._write_record({})
-
-        with self.engine.making(survey, self._plan, begin, self._changes) as schedule:
-            schedule.run()
-
-
-@contextmanager
-def experimenting(
-    name: str,
+def run_experiment(
+    experiment: Experiment,
     source: Dataset,
     out: Path,
     settings: Settings,
     reporter: Reporter,
+    request: Request,
     *,
-    stages: tuple[Stage, ...],
-    sides: Sequence[str],
-    machines: Machines | None = None,
-    replace: bool = False,
-) -> Iterator[Experiment]:
-    """Open and lock the folder of an experiment.
+    n_workers: int | None = None,
+    replace_finished: bool = False,
+) -> ExperimentOutcome:
+    """Evaluate the pairs that have no current result, and write the tables over all pairs.
 
     Parameters
     ----------
-    name : of the experiment, equal to the command
-    source : the scans
-    out : the folder
-    settings : effective settings
-    stages : stages of the experiment
-    sides : sides of the pairs that it needs
-    machines : workers
-    replace : allow results of a finished experiment to be replaced by another request
+    source : the pairs
+    out : folder of the results
+    n_workers : processes; None for one per core
+    replace_finished : allow results of a finished experiment to be replaced by another request
 
     Raises
     ------
     RunError
-        The folder holds something else, or is in use.
+        The folder holds something else, is in use, or holds a finished experiment of another request.
+    ScanError
+        The only scan cannot be evaluated.
     """
-    check_folder(out, source.folder, name)
-    folder = RunFolder(out.absolute() if machines and machines.scheduler else out)
-    with folder.locked(), RunEngine(folder, settings, machines or Machines(), reporter, (*STAGES, *stages)) as engine:
-        yield Experiment(name, engine, source, stages, sides, replace)
+    check_folder(out, source.folder, experiment.name)
+    folder = RunFolder(out)
+    start = perf_counter()
+    with folder.locked():
+        before = read_run(out)
+        changes = _changes(before, experiment, source, settings, request)
+        if has_ended(before) and changes and not replace_finished:
+            refuse_overwrite(f"{experiment.name} {out}", "its results", changes)
+        tasks, failures = _tasks(experiment, source, folder, settings, request)
+        for pair_id, reason in failures.items():
+            reporter.fail(f"pair {pair_id}", reason)
+        header = {
+            "experiment": experiment.name,
+            **run_header(source.folder, settings, experiment.versions).as_dict(),
+            "request": dict(request),
+        }
+        done = _finished(tasks, folder)
+        stale = [pair_id for pair_id in folder.ledger.pair_ids() if pair_id not in done]
+        if stale or len(done) < len(tasks):
+            write_record(out, settings, header.items(), folder.check_token)
+        _remove(stale, folder, reporter, "; ".join(changes) or "out of date")
+        missing = {pair_id: task for pair_id, task in tasks.items() if pair_id not in done}
+        failures |= _evaluate_all(missing, folder, reporter, n_workers)
+        if is_scan_path(source.folder) and failures:
+            raise ScanError("; ".join(failures.values()))
+        records = _finished(tasks, folder)
+        metadata = {pair_id: record.metadata for pair_id, record in records.items()}
+        _show(metadata, reporter)
+        outcome = ExperimentOutcome(
+            folder=out,
+            failures=failures,
+            n_made=len(records) - len(done),
+            n_reused=len(done),
+            wall_s=perf_counter() - start,
+            metadata=metadata,
+            tables=_write_tables(experiment, folder, list(records.values())),
+        )
+        header |= {"scans": metadata, "failures": failures, "wall_s": outcome.wall_s}
+        write_record(out, settings, header.items(), folder.check_token)
+    return outcome
+
+
+def _remove(pair_ids: list[str], folder: RunFolder, reporter: Reporter, why: str) -> None:
+    """Remove the results of pairs, and files that belong to no result."""
+    if pair_ids:
+        reporter.say(f"replacing results of pair {', '.join(pair_ids)}: {why}")
+    for pair_id in pair_ids:
+        folder.forget(pair_id)
+    folder.remove_strays()
+
+
+def _evaluate_all(
+    tasks: Mapping[str, PairTask], folder: RunFolder, reporter: Reporter, n_workers: int | None
+) -> dict[str, str]:
+    """Evaluate pairs, put the results into the ledger, and return the reasons of failures by pair_id."""
+    if not tasks:
+        return {}
+    paths = [path for task in tasks.values() for path in task.pair.paths]
+    settings = next(iter(tasks.values())).settings
+    made, failures = map_tasks(
+        _evaluate,
+        tasks,
+        reporter,
+        n_workers=n_workers,
+        memory_gib=settings.machine.memory_gib,
+        may_end_workers=any(may_crash(path) for path in paths),
+    )
+    for record in made.values():
+        folder.ledger.put_job(record)
+    return failures
+
+
+def _show(metadata: Mapping[str, Mapping[str, Any]], reporter: Reporter) -> None:
+    """Show the warnings and notes about the pairs."""
+    for values in metadata.values():
+        reporter.warn(*values.get("warnings", ()))
+        for note in values.get("notes", ()):
+            reporter.say(note)
 
 
 def mean_rows(scores: pd.DataFrame, keys: list[str]) -> Iterator[Row]:
     """Keys, n, mean and std (n - 1) of `value` for each group of rows with equal keys, null keys included."""
     for names, values in scores.groupby(keys, dropna=False, sort=False)["value"]:
         mean, std = mean_and_std(values.to_numpy(dtype=np.float64))
-        yield dict(zip(keys, names, strict=True)) | {"n": int(values.notna().sum()), "mean": mean, "std": std}
+        row = dict(zip(keys, names, strict=True))
+        yield row | {"n": int(values.notna().sum()), "mean": mean, "std": std}
 
 
-def _reductions(before: Mapping[str, Any], now: Mapping[str, Any], name: str = "") -> Iterator[str]:
-    """Human-readable reductions of a request: values missing from a list, a smaller number, another seed."""
-    for key in (key for key in now if key in before):
-        own, (old, new) = f"{name}.{key}".lstrip("."), (before[key], now[key])
-        if isinstance(new, Mapping):
-            yield from _reductions(old, new, own)
-        elif isinstance(new, Sequence):
-            gone = [each for each in old if each not in new]
-            texts = [
-                " ".join(map(str, [*each.values()][:2])) if isinstance(each, Mapping) else str(each) for each in gone
-            ]
-            if gone:
-                yield f"{own} {', '.join(texts[:5])}{' ...' * (len(texts) > 5)} {NOT_REQUESTED}"
-        elif new != old if key == _SEED else new < old:
-            yield f"{own} was {old}, is {new}"
+def _changes(
+    before: Mapping[str, Any],
+    experiment: Experiment,
+    source: Dataset,
+    settings: Settings,
+    request: Request,
+) -> list[str]:
+    """Differences from the last record of the folder that change its results, as text."""
+    changes = []
+    for group, texts in changed_settings(before, settings).items():
+        if group != "machine":
+            changes += texts
+    stages = before.get("stages", {})
+    for name, version in experiment.versions.items():
+        if stages.get(name, version) != version:
+            changes.append(f"code of {name} is new")
+    last_request = before.get("request", {})
+    for name, value in request.items():
+        if last_request.get(name, value) != value:
+            changes.append(f"{name} was {last_request[name]}, is {value}")
+    pair_ids = {pair.pair_id for pair in source.pairs}
+    dropped = [pair_id for pair_id in before.get("scans", {}) if pair_id not in pair_ids]
+    if dropped:
+        changes.append(f"pairs {', '.join(dropped)} not requested")
+    return changes
 
 
-def _needed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
-    """The pipeline stages that produce the inputs of these, directly or indirectly, in their order."""
-    tables = {table for stage in stages for table in stage.takes}
-    needed = []
-    for stage in reversed(STAGES):
-        if tables.intersection(stage.gives):
-            needed.append(stage)
-            tables.update(stage.takes)
-    return tuple(reversed(needed))
+def _tasks(
+    experiment: Experiment,
+    source: Dataset,
+    folder: RunFolder,
+    settings: Settings,
+    request: Request,
+) -> tuple[dict[str, PairTask], dict[str, str]]:
+    """The tasks of all pairs with their keys, and the reasons why other pairs cannot be read, by pair_id."""
+    libraries = ["numpy", "scipy"]
+    for stage in experiment.stages:
+        libraries += stage.libraries
+    columns = {name: str(TABLES[name].schema) for name in experiment.tables}
+    request_key = key_of(
+        experiment.versions,
+        library_versions(libraries),
+        columns,
+        settings.model_dump(mode="json", exclude={"machine"}),
+        request,
+    )
+    tasks = {}
+    failures = {}
+    for pair in source.pairs:
+        try:
+            content = _content_keys(pair, experiment.sides, source.label_names)
+        except ScanError as error:
+            failures[pair.pair_id] = str(error)
+            continue
+        key = key_of(request_key, content)
+        record = JobRecord(experiment.name, pair.pair_id, "", key, {}, content)
+        tasks[pair.pair_id] = PairTask(
+            experiment=experiment,
+            pair=pair,
+            label_names=source.label_names,
+            settings=settings,
+            request=request,
+            record=replace(record, made_by=folder.token),
+            folder=folder.folder,
+        )
+    return tasks, failures
+
+
+def _content_keys(pair: ScanPair, sides: tuple[str, ...], label_names: Mapping[int, str]) -> tuple[str, ...]:
+    """A hash of the content of the scan of each side; `ScanError` if one cannot be read."""
+    keys = []
+    for side in sides:
+        path = pair.path(side)
+        if path is None:
+            raise ScanError(pair.fault or f"no {side} scan")
+        keys.append(scan_content(path).key(label_names, pair.motion(side)))
+    return tuple(keys)
+
+
+def _finished(tasks: Mapping[str, PairTask], folder: RunFolder) -> dict[str, JobRecord]:
+    """The intact results that exist under the keys of tasks, by pair_id."""
+    records = {}
+    for pair_id, task in tasks.items():
+        record = folder.ledger.jobs(pair_id).get(task.record.job)
+        if record is None or record.key != task.record.key:
+            continue
+        if not folder.damaged_files(record):
+            records[pair_id] = record
+    return records
+
+
+def _evaluate(task: PairTask) -> JobRecord:
+    """Read the scans of a pair, evaluate it and write its tables."""
+    scans = {}
+    for side in task.experiment.sides:
+        path = task.pair.path(side)
+        if path is None:
+            raise ScanError(f"no {side} scan")
+        columns = task.settings.input.columns_of(side)
+        scans[side] = read_scan(path, columns, dict(task.label_names))
+    content = _content_keys(task.pair, task.experiment.sides, task.label_names)
+    if content != task.record.reads:
+        raise ScanError("the file changed while it was used; run the same command again")
+    result = task.experiment.evaluate(task.pair, scans, task.settings, task.request)
+    record = replace(task.record, metadata=plain_metadata(result.metadata))
+    folder = TableFolder(task.folder, record.made_by)
+    return replace(record, files=folder.write_job(record, result.tables))
+
+
+def _write_tables(experiment: Experiment, folder: RunFolder, records: list[JobRecord]) -> dict[str, pa.Table]:
+    """Join the tables of all pairs, summarise them, and write both; returns them by name."""
+    tables = {}
+    for name in experiment.tables:
+        parts = [TABLES[name].schema.empty_table()]
+        parts += [folder.read_table(name, record.pair_id) for record in records]
+        tables[name] = pa.concat_tables(parts)
+    tables[experiment.summary] = TABLES[experiment.summary].from_rows(experiment.summarise(tables))
+    key = key_of(sorted(record.key for record in records))
+    for name, table in tables.items():
+        file_name = f"{name}.parquet"
+        stored = folder.write_at(folder.folder / file_name, name, table, key)
+        folder.ledger.put_job(JobRecord(name, "", "", key, {file_name: stored}))
+    return tables

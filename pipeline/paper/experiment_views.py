@@ -8,7 +8,7 @@ from ...schemas.metric_catalogue import METRIC, labels, narrow_labels
 from ...stages.generate.perturbations import KINDS, Perturbation
 from ...stages.paper.parameter_choice import RULE
 from ...stages.paper.sweep_means import OWN_METRICS, Mean, Means, react, strongest_levels
-from ..report.view import Note, Part, Table, View, mean_and_spread, number
+from ..report.view import Note, Part, Table, View, count, mean_and_spread, number
 from .ablate import PARAMETERS, AblateOutcome, choose
 from .experiment import ExperimentOutcome
 from .perturb import PerturbOutcome
@@ -36,7 +36,7 @@ def perturb_view(outcome: PerturbOutcome) -> View:
         parts.append(_detail_table(outcome, means))
         if len(react(means, levels)) > len(OWN_METRICS):
             parts.append(_reaction_table(outcome))
-    results = "perturb_summary.parquet (means), perturb_global/ and perturb_objects/ (one row per repeat), perturb.png"
+    results = "perturb_summary.parquet (means), perturb_global and perturb_objects (one row per repeat), perturb.png"
     return [*parts, *_last_lines(outcome, results)]
 
 
@@ -49,16 +49,18 @@ def ablate_view(outcome: AblateOutcome) -> View:
         parts += [Note(f"  {choice.name.removesuffix('_m')}: {choice.text}") for choice in choose(outcome)]
         note = "A small r_lambda can also result from a poor alignment (a large change): compare shift and change."
         parts.append(Note(f"{note}\n"))
-    results = "ablate_summary.parquet (means over pairs), ablate/ (one row per pair and parameter set), ablate.png"
+    results = (
+        "ablate_summary.parquet (means over pairs), ablate.parquet (one row per pair and parameter set), ablate.png"
+    )
     return [*parts, *_last_lines(outcome, results)]
 
 
 def _last_lines(outcome: ExperimentOutcome, results: str) -> list[Note]:
-    """Number of failures and jobs, and the files of the folder."""
+    """Number of failures and scans, and the files of the folder."""
     n_failed = len(outcome.failures)
     return [
         *([Note(f"{n_failed} failed, see the messages above and failures in run.json", "red")] if n_failed else []),
-        Note(f"{outcome.n_made} jobs done, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"),
+        Note(f"{count(outcome.n_made, 'scan')} evaluated, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"),
         Note(f"results: {outcome.folder}/{results}"),
     ]
 

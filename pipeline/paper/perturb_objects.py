@@ -10,8 +10,8 @@ import pyarrow.compute as pc
 
 from ...schemas.errors import DatasetError
 from ...stages.statistics.typical_objects import SHAPES, ChosenObject, ScanObjects, typical_of_class, typical_of_shapes
+from ..engine.memory import PairTables
 from ..jobs.points_job import column
-from ..storage.folder import RunFolder
 
 #: The classes of the paper, section "Controlled Perturbation Analysis".
 CLASSES = ("vegetation", "car", "tree", "wall")
@@ -53,21 +53,28 @@ def choose_objects(
     return objects
 
 
-def read_objects(folder: RunFolder, scan_id: str) -> ScanObjects:
-    """The objects of a scan with finished communities."""
-    tables = ("objects", "ground", "communities")
-    objects, ground, communities = (folder.read_table(name, scan_id, "real") for name in tables)
+def objects_in(tables: PairTables, scan_id: str) -> ScanObjects:
+    """The objects of the real side of a pair.
+
+    Parameters
+    ----------
+    tables : among them ground, communities and objects
+    """
+    ground = tables["ground", "real"]
+    objects = tables["objects", "real"]
+    community = column(tables["communities", "real"], "community_id")
+    n_points = column(objects, "n_points")
     labels = objects.column("label").to_pylist()
     point_labels = ground.filter(pc.invert(ground.column("is_ground"))).column("label")
-    community, n_points = column(communities, "community_id"), column(objects, "n_points")
-    own = pc.equal(point_labels, pa.array([labels[i] for i in community.tolist()], pa.string()))
-    n_own = np.bincount(community[pc.fill_null(own, False).to_numpy(zero_copy_only=False)], minlength=len(n_points))
+    label_of_object = pa.array([labels[number] for number in community.tolist()], pa.string())
+    has_label = pc.fill_null(pc.equal(point_labels, label_of_object), False)
+    labelled = community[has_label.to_numpy(zero_copy_only=False)]
     return ScanObjects(
         pair_id=scan_id,
         n_points=n_points,
         range_m=column(objects, "range_m"),
         labels=labels,
-        label_share=n_own / n_points,
+        label_share=np.bincount(labelled, minlength=len(n_points)) / n_points,
         shape=np.column_stack([column(objects, feature) for feature in SHAPES]),
     )
 

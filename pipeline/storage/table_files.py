@@ -44,7 +44,7 @@ _ENCODINGS = {
 #: What a table of a run may be called: `TABLE.parquet`, or `TABLE/FILE.parquet`; nothing that leads out of the folder.
 _TABLE_NAME = re.compile(r"[a-z0-9_]+(\.parquet|/[A-Za-z0-9][^/\0]*)")
 
-JobName = tuple[str, str, str]  #: stage, pair_id, part (a side, a part of an experiment, or "" for one job of a pair)
+JobName = tuple[str, str, str]  #: stage, pair_id, part (a side, or "" for one job of a pair)
 JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
 
 

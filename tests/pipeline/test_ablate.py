@@ -10,7 +10,6 @@ import pytest
 from matplotlib.image import imread
 
 from fidpipe.pipeline.datasets.readers import read_scan
-from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.pipeline.paper.ablate import ablate_dataset, choose, parameter_sets
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
@@ -20,6 +19,7 @@ from fidpipe.schemas.tables import TABLES
 from fidpipe.stages import method
 from fidpipe.stages.paper.parameter_choice import ParameterSet
 from runs import QUIET, command
+from scenes import write_bin
 
 N_POINTS = 100
 
@@ -28,7 +28,7 @@ VALUES = {"k": (8, 12), "tau_m": (0.2,), "delta_m": (0.5, 5.0), "t": (0.5, 1.0)}
 
 
 def ablated(dataset, out, **options):
-    return ablate_dataset(dataset, out, SETTINGS, QUIET, machines=Machines(1), **{"values": VALUES, **options})
+    return ablate_dataset(dataset, out, SETTINGS, QUIET, **{"values": VALUES, "n_workers": 1, **options})
 
 
 @pytest.fixture(scope="module")
@@ -36,24 +36,22 @@ def done(dataset, tmp_path_factory):
     return ablated(dataset, tmp_path_factory.mktemp("ablate") / "run")
 
 
-def test_a_finished_ablation_takes_further_values_and_pairs_unasked(done, dataset, tmp_path):
-    more = {name: (*values, 2.0) if name != "k" else (*values, 10) for name, values in VALUES.items()}
+def test_a_finished_ablation_takes_further_pairs_and_other_values_only_if_asked(done, dataset, tmp_path):
     out = tmp_path / "run"
     ablated(dataset, out, pattern="000")
     assert ablated(dataset, out).rows.equals(done.rows)
-    wider = ablated(dataset, out, values=more)
-    assert wider.values["k"] == (8, 10, 12)
-    assert wider.rows.equals(ablated(dataset, tmp_path / "fresh", values=more).rows)
-    assert ablated(dataset, out, values=more, grid=True).n_made > 0
     record = (out / "run.json").read_bytes()
     for options, why in (
-        ({}, "grid was True, is False"),
-        ({"values": VALUES | {"k": (12,)}, "grid": True}, r"values\.k 8, 10 not requested"),
-        ({"pattern": "000", "grid": True}, "pairs 001 not requested"),
+        ({"grid": True}, "grid was False, is True"),
+        ({"values": VALUES | {"k": (10,)}}, r"values was .* is .*10, 12"),
+        ({"pattern": "000"}, "pairs 001 not requested"),
     ):
         with pytest.raises(RunError, match=why):
-            ablated(dataset, out, **({"values": more} | options))
+            ablated(dataset, out, **options)
     assert (out / "run.json").read_bytes() == record
+    more = VALUES | {"delta_m": (0.5, 3.0, 5.0)}
+    wider = ablated(dataset, out, values=more, replace=True)
+    assert set(wider.rows.column("delta_m").to_pylist()) == {0.5, 3.0, 5.0}
 
 
 def test_one_setting_moves_at_a_time_or_all_of_them_do():
@@ -92,14 +90,27 @@ def test_a_row_has_the_numbers_of_an_evaluation_under_its_settings(done, dataset
             assert row[f"{metric}_mean"] == pytest.approx(summary[f"{metric}_mean"], rel=1e-12), (metric, words)
 
 
-def test_another_run_reuses_everything_and_another_value_of_delta_no_other_graph(done, dataset, tmp_path):
-    out = shutil.copytree(done.folder, tmp_path / "run")
-    again = ablated(dataset, out)
-    assert (again.n_made, again.n_reused) == (0, done.n_made)
+def test_another_run_reuses_everything(done, dataset, tmp_path):
+    again = ablated(dataset, shutil.copytree(done.folder, tmp_path / "run"))
+    assert (again.n_made, again.n_reused) == (0, 2)
     assert again.rows.equals(done.rows)
-    more = ablated(dataset, out, values=VALUES | {"delta_m": (0.5, 3.0, 5.0)})
-    assert more.n_made == 2  # the jobs of the current graph; those of k = 8 stay
-    assert {row["delta_m"] for row in more.rows.to_pylist()} == {0.5, 3.0, 5.0}
+
+
+def test_two_workers_give_the_same_rows(done, dataset, tmp_path):
+    assert ablated(dataset, tmp_path / "run", n_workers=2).rows.equals(done.rows)
+
+
+def test_simulated_points_are_moved_into_the_real_frame(done, dataset, tmp_path):
+    moved = tmp_path / "moved"
+    for side, shift_m in (("real", 0.0), ("sim", 1.0)):
+        points = read_scan(dataset / side / "001.bin").points
+        write_bin(moved / side / "001.bin", points - [shift_m, 0.0, 0.0])
+    motion = "1 0 0 1 0 1 0 0 0 0 1 0"
+    manifest = f"pair_id,real,sim,T_real_sim\n001,real/001.bin,sim/001.bin,{motion}\n"
+    (moved / "pairs.csv").write_text(manifest)
+    expected = done.rows.to_pandas().query("pair_id == '001'")
+    rows = ablated(moved, tmp_path / "run").rows.to_pandas()
+    assert rows.match_rate.to_numpy() == pytest.approx(expected.match_rate.to_numpy(), abs=0.1)
 
 
 def test_a_broken_pair_is_listed_and_the_others_are_there(data, tmp_path):
@@ -136,7 +147,9 @@ def made_up(done, rates, r_lambdas):
         for pair, (rate, r_lambda) in enumerate(zip(of_rate, of_lambda, strict=True))
     ]
     values = {"k": (30, 60, 90), "tau_m": (0.2,), "delta_m": (5.0,), "t": (1.0,)}
-    return replace(done, base=ParameterSet(90, 0.2, 5.0, 1.0), values=values, rows=TABLES["ablate"].from_rows(rows))
+    return replace(
+        done, base=ParameterSet(90, 0.2, 5.0, 1.0), values=values, tables={"ablate": TABLES["ablate"].from_rows(rows)}
+    )
 
 
 BETTER = [0.80, 0.83, 0.79, 0.80]
@@ -184,6 +197,6 @@ def test_the_command_prints_a_choice_and_its_rule(dataset, tmp_path):
     words = ("--workers", 1, "--set", "graph.k=12", "--k", "8", "--tau", "0.2", "--delta", "5", "--t", "1")
     result = command("ablate", dataset, *words, cwd=tmp_path, code=0)
     assert "Rule: " in result.stdout
-    assert len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate")) == 2 * 2
+    assert len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate.parquet")) == 2 * 2
     picture = imread(tmp_path / "runs" / "streets-ablate" / "ablate.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50

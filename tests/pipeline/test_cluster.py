@@ -22,19 +22,15 @@ from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.generate.floor_run import run_floor
 from fidpipe.pipeline.jobs import metrics_job, selection_job
-from fidpipe.pipeline.paper.ablate import ablate_dataset
-from fidpipe.pipeline.paper.perturb import perturb_source
 from fidpipe.pipeline.storage.run_record import library_versions
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import Settings
-from fidpipe.stages.generate.perturbations import Perturbation
 from runs import JOBS_PER_PAIR, QUIET, assert_same_tables, own_process, run, some_of, temporary_files
 
 N_PAIRS = 6
 LIMIT_S = 3.0  # a healthy pair takes 0.2 s
 ENDLESS_S = 900
 POISON_IN_METRICS = "002"
-NO_VALUES = dict.fromkeys(("k", "tau_m", "delta_m", "t"), ())
 
 
 @pytest.fixture
@@ -109,10 +105,6 @@ def test_relative_paths_are_those_of_the_command_not_of_workers_in_other_folders
     assert outcome.n_made == JOBS_PER_PAIR
     assert run(named, tmp_path / "run", **one).n_reused == JOBS_PER_PAIR
     assert run_floor(named, Path("floor"), Settings(), QUIET, machines=machines, **one).failures == {}
-    own = {"machines": machines, **one}
-    assert ablate_dataset(named, Path("ablate"), Settings(), QUIET, values=NO_VALUES, **own).failures == {}
-    levels = {"levels": (Perturbation("noise", 0.01),), "repeats": 1, "global_repeats": 1}
-    assert perturb_source(named, Path("perturb"), Settings(), QUIET, **levels, **own).failures == {}
     assert [path.name for path in (tmp_path / "cluster").iterdir() if path.is_dir()] == []
 
 

@@ -8,19 +8,19 @@ import pytest
 from matplotlib.image import imread
 from scipy.spatial import cKDTree
 
-from fidpipe.pipeline.engine.engine import Machines
+from fidpipe.pipeline.paper import perturb as experiment_module
 from fidpipe.pipeline.paper.perturb import LEVELS as DEFAULT_LEVELS
 from fidpipe.pipeline.paper.perturb import NULL, object_points, parse_levels, perturb_source
 from fidpipe.pipeline.paper.perturb_objects import choose_objects
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
+from fidpipe.schemas.errors import DatasetError, RunError, ScanError, SettingsError
 from fidpipe.schemas.settings import load
 from fidpipe.stages.generate.perturbations import Perturbation, perturb
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.method import partition
 from fidpipe.stages.paper.sweep_means import react
 from fidpipe.stages.statistics.typical_objects import ScanObjects
-from runs import QUIET, command, contents, listening, some_of
+from runs import QUIET, command, contents, listening
 from scenes import street, write_bin, write_dataset
 
 SETTINGS = load(None, ["graph.k=12"])
@@ -31,14 +31,15 @@ LEVELS = parse_levels(["noise=0.01", "dropout=0.1,0.4", "rigid=0:1,0:2"])
 ONCE = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 0}
 
 
-def perturbed(source, out, *, settings=SETTINGS, pool=None, reporter=QUIET, **options):
-    options = {"levels": LEVELS, "repeats": 3, "global_repeats": 2} | options
-    machines = Machines(1, pool=pool)
-    return perturb_source(source, out, settings, reporter, machines=machines, **options)
+def perturbed(source, out, *, settings=SETTINGS, reporter=QUIET, **options):
+    options = {"levels": LEVELS, "repeats": 3, "global_repeats": 2, "n_workers": 1} | options
+    return perturb_source(source, out, settings, reporter, **options)
 
 
 def rows(out, table="perturb_objects"):
-    return pd.read_parquet(out / table).sort_values(["pair_id", "kind", "amount", "repeat"], ignore_index=True)
+    return pd.read_parquet(out / f"{table}.parquet").sort_values(
+        ["pair_id", "kind", "amount", "repeat"], ignore_index=True
+    )
 
 
 @pytest.fixture(scope="module")
@@ -88,14 +89,14 @@ def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(s
         seeds.append(settings.communities.seed)
         return partition(points, settings, **options)
 
-    monkeypatch.setattr("fidpipe.pipeline.paper.perturb_jobs.partition", watched)
+    monkeypatch.setattr("fidpipe.pipeline.paper.perturb.partition", watched)
     assert DEFAULT_LEVELS[0] == NULL
     outcome = perturbed(scan, tmp_path / "run", levels=(NULL, *LEVELS[:1]), repeats=2, global_repeats=2)
     assert not outcome.failures
     of_scan = rows(tmp_path / "run", "perturb_global")
     null = of_scan.query("kind == 'null'")
     assert (null.n_points - null.n_points_altered).tolist() == [1, 1]
-    assert sorted(seeds) == sorted([*(null.seed % 2**31), SETTINGS.communities.seed, SETTINGS.communities.seed])
+    assert seeds == [*(null.seed % 2**31), SETTINGS.communities.seed, SETTINGS.communities.seed]
     assert rows(tmp_path / "run").query("kind == 'null'").r_lambda.notna().all()
 
 
@@ -105,83 +106,101 @@ def test_all_seeds_differ(done):
 
 
 def test_an_object_is_rebuilt_from_its_points_alone(done, scan, tmp_path, monkeypatch):
-    out, sizes = shutil.copytree(done.folder, tmp_path / "run"), []
+    sizes = []
     monkeypatch.setattr(
         "fidpipe.stages.method.build_graph",
         lambda points, settings: (sizes.append(len(points)), build_graph(points, settings))[1],
     )
-    chosen, options = done.objects[0], {"levels": parse_levels(["rigid=0:7"]), "repeats": 1, "global_repeats": 0}
-    perturbed(scan, out, objects=(str(chosen.community_id),), replace=True, **options)
+    chosen = done.objects[0]
+    once = {"levels": parse_levels(["rigid=0:7"]), "repeats": 1, "global_repeats": 0}
+    perturbed(scan, tmp_path / "run", objects=(str(chosen.community_id),), **once)
     assert sizes == [chosen.n_points, chosen.n_points]
 
 
-def test_another_run_reuses_everything_takes_more_and_another_seed_gives_other_numbers(done, scan, tmp_path):
+def test_a_finished_experiment_is_reused_and_another_request_replaces_it_only_if_asked(done, scan, tmp_path):
     out = shutil.copytree(done.folder, tmp_path / "run")
     again = perturbed(scan, out)
-    assert (again.n_made, again.n_reused) == (0, done.n_made)
-    assert again.summary.equals(done.summary)
-    perturbed(scan, out, levels=(*LEVELS, Perturbation("noise", 0.1)), repeats=4)  # more is no replacement
-    assert len(rows(out).merge(rows(done.folder))) == len(rows(done.folder)) < len(rows(out))
+    assert (again.n_made, again.n_reused) == (0, 1)
+    assert again.tables.keys() == done.tables.keys()
+    assert all(again.tables[name].equals(done.tables[name]) for name in done.tables)
+    before = contents(out)
+    for options, why in (
+        ({"settings": load(None, ["graph.k=12", "graph.tau_m=0.3"])}, r"graph\.tau_m was 0\.2, is 0\.3"),
+        ({"levels": LEVELS[1:]}, r"levels was .*noise.*, 0\.01"),
+        ({"seed": 1}, "seed was 0, is 1"),
+    ):
+        with pytest.raises(RunError, match=f"{why}.*--replace"):
+            perturbed(scan, out, **options)
+    assert contents(out) == before
     other = perturbed(scan, out, seed=1, replace=True)
-    assert other.n_reused == 3  # ground, graph, communities
+    assert other.n_made == 1
     assert not other.summary.equals(done.summary)
 
 
-REPLACEMENTS = [
-    ({"settings": load(None, ["graph.k=12", "graph.tau_m=0.3"])}, r"graph\.tau_m was 0\.2, is 0\.3"),
-    ({"levels": LEVELS[1:]}, r"levels noise 0\.01 not requested"),
-    ({"seed": 1}, "seed was 0, is 1"),
-    ({"repeats": 2}, r"repeats\.object was 3, is 2"),
-]
+def test_more_repeats_keep_the_rows_of_the_others(done, scan, tmp_path):
+    perturbed(scan, tmp_path / "run", levels=(*LEVELS, Perturbation("noise", 0.1)), repeats=4)
+    fewer, more = rows(done.folder), rows(tmp_path / "run")
+    assert len(more.merge(fewer)) == len(fewer) < len(more)
 
 
-@pytest.mark.parametrize(("options", "why"), some_of(REPLACEMENTS, REPLACEMENTS[1:2]))
-def test_a_finished_experiment_is_not_replaced_unasked(done, scan, tmp_path, options, why):
+def test_a_scan_with_a_damaged_file_is_evaluated_again(done, scan, tmp_path):
     out = shutil.copytree(done.folder, tmp_path / "run")
-    before = contents(out)
-    with pytest.raises(RunError, match=f"{why}.*--replace"):
-        perturbed(scan, out, **options)
-    assert contents(out) == before
-    perturbed(scan, out, replace=True, **options)
-    fresh = perturbed(scan, tmp_path / "fresh", **options)
-    assert rows(out).equals(rows(fresh.folder))
-
-
-def test_a_damaged_file_is_made_again_and_what_is_not_asked_for_is_removed(done, scan, tmp_path):
-    out = shutil.copytree(done.folder, tmp_path / "run")
-    (out / "perturb_global" / "street.noise-0.01.parquet").write_bytes(b"PAR1")
-    again = perturbed(scan, out, levels=LEVELS[:2], replace=True)
+    (out / "perturb_global" / "street.parquet").write_bytes(b"PAR1")
+    again = perturbed(scan, out)
     assert again.n_made == 1
-    names = {path.stem for path in (out / "perturb_global").iterdir()}
-    assert names == {"street.dropout-0.1", "street.noise-0.01"}
-    assert set(again.summary.column("kind").to_pylist()) == {"noise", "dropout"}
+    assert again.summary.equals(done.summary)
+
+
+def test_an_interrupted_experiment_keeps_the_scans_that_are_done(tmp_path, monkeypatch):
+    dataset = write_dataset(tmp_path / "data", 2)
+    once = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 0, "pattern": "*"}
+    seen = []
+
+    def interrupted(points, labels, settings):
+        if seen:
+            raise KeyboardInterrupt
+        seen.append(len(points))
+        return describe(points, labels, settings)
+
+    describe = experiment_module.describe
+    monkeypatch.setattr(experiment_module, "describe", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        perturbed(dataset, tmp_path / "run", **once)
+    monkeypatch.undo()
+    outcome = perturbed(dataset, tmp_path / "run", **once)
+    assert (outcome.n_made, outcome.n_reused) == (1, 1)
+    assert outcome.summary.equals(
+        perturbed(
+            dataset,
+            tmp_path / "fresh",
+            **once,
+        ).summary
+    )
 
 
 def test_labelled_objects_are_the_classes_of_the_paper(labelled, tmp_path):
     outcome = perturbed(labelled, tmp_path / "run", **ONCE)
     assert [of.name for of in outcome.objects] == ["car", "tree", "wall"]
-    objects = pd.read_parquet(tmp_path / "run" / "objects")
-    for of in outcome.objects:
-        assert objects.set_index("community_id").label[of.community_id] == of.name
+    assert all("label" in of.why for of in outcome.objects)
 
 
 def test_objects_can_be_named_by_number_and_by_label(labelled, tmp_path):
     outcome = perturbed(labelled, tmp_path / "run", objects=("1", "pole"), **ONCE)
     assert [of.name for of in outcome.objects] == ["object 1", "pole"]
     assert outcome.objects[0].community_id == 1
-    with pytest.raises(DatasetError, match="--objects 99"):
-        perturbed(labelled, tmp_path / "run", objects=("99",), **ONCE)
-    with pytest.raises(DatasetError, match="car, pole, road, tree, wall"):
-        perturbed(labelled, tmp_path / "run", objects=("bus",), **ONCE)
+    with pytest.raises(ScanError, match="--objects 99"):
+        perturbed(labelled, tmp_path / "number", objects=("99",), **ONCE)
+    with pytest.raises(ScanError, match="car, pole, road, tree, wall"):
+        perturbed(labelled, tmp_path / "label", objects=("bus",), **ONCE)
 
 
 def test_an_object_that_is_named_twice_is_altered_once_and_a_note_says_so(labelled, tmp_path):
     (car,) = perturbed(labelled, tmp_path / "run", objects=("car",), **ONCE).objects
     reporter, said = listening()
     words = ("car", str(car.community_id))
-    assert perturbed(labelled, tmp_path / "run", objects=words, reporter=reporter, **ONCE).objects == (car,)
+    assert perturbed(labelled, tmp_path / "both", objects=words, reporter=reporter, **ONCE).objects == (car,)
     assert f"object {car.community_id} of scan street" in said.getvalue()
-    assert len(rows(tmp_path / "run")) == 1
+    assert len(rows(tmp_path / "both")) == 1
 
 
 @pytest.mark.parametrize(
@@ -241,14 +260,14 @@ def test_a_dropout_that_leaves_nothing_is_null_with_a_reason(scan, tmp_path):
     options = {"levels": (Perturbation("dropout", 1.0),), "repeats": 1, "global_repeats": 1, "objects": ("0",)}
     settings = load(None, ["graph.k=12", "metrics.baselines=chamfer"])
     assert not perturbed(scan, tmp_path / "run", settings=settings, **options).failures
-    (row,) = pd.read_parquet(tmp_path / "run" / "perturb_objects").to_dict("records")
+    (row,) = pd.read_parquet(tmp_path / "run" / "perturb_objects.parquet").to_dict("records")
     assert np.isnan([row["r_lambda"], row["cdc"]]).all()
     assert (row["status"], row["n_points_altered"]) == ("too_small", 0)
     assert "points for a spectrum, got 0" in row["reason"]
-    (row,) = pd.read_parquet(tmp_path / "run" / "perturb_global").to_dict("records")
+    (row,) = pd.read_parquet(tmp_path / "run" / "perturb_global.parquet").to_dict("records")
     assert np.isnan(row["match_rate"])
     assert row["reason"] == "expected at least 8 points, got 0"
-    assert not len(pd.read_parquet(tmp_path / "run" / "perturb_baselines"))
+    assert not len(pd.read_parquet(tmp_path / "run" / "perturb_baselines.parquet"))
 
 
 @pytest.mark.parametrize(
@@ -280,10 +299,10 @@ def test_the_folder_of_another_command_is_refused(done, scan, tmp_path):
 
 
 def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
-    out = shutil.copytree(done.folder, tmp_path / "run")
+    out = tmp_path / "run"
     settings = load(None, ["graph.k=12", "metrics.baselines=chamfer,f_score"])
     outcome = perturbed(scan, out, settings=settings)
-    assert outcome.n_made == len(LEVELS) * len(outcome.objects)  # the jobs that were there stay
+    assert rows(out).equals(rows(done.folder))
     baselines, objects = rows(out, "perturb_baselines"), rows(out)
     assert set(baselines.seed) == set(objects.seed)
     row = baselines.query("kind == 'noise' and baseline == 'chamfer_mean_m'").iloc[0]

@@ -37,11 +37,11 @@ def test_seeds_ablation_and_perturbation_take_it(dataset, tmp_path):
     assert table.match_rate[0] == row["match_rate"]
     sweep = ["--sweep", "dropout=0.3", "--repeats", 1, "--global-repeats", 1]
     command("perturb", dataset, "--out", tmp_path / "perturb", *sweep, *words, code=0)
-    rows = pd.read_parquet(tmp_path / "perturb" / "perturb_global")
+    rows = pd.read_parquet(tmp_path / "perturb" / "perturb_global.parquet")
     assert (rows.match_rate == 1).all()  # nothing is missing from a copy that has lost points
     ablation = ("ablate", dataset, "--out", tmp_path / "ablate", "--pairs", "001", *words)
     command(*ablation, "--k", "60,90", "--tau", "0.2", "--t", "1", code=0)
-    assert set(pd.read_parquet(tmp_path / "ablate" / "ablate").delta_m) == {5.0}
+    assert set(pd.read_parquet(tmp_path / "ablate" / "ablate.parquet").delta_m) == {5.0}
     refused = command(*ablation, "--delta", "1,9", code=1)
     assert "are not matched by distance" in refused.stderr
 
