@@ -6,11 +6,13 @@ import shutil
 
 import numpy as np
 import pytest
+from clusters import Cluster
 
 from fidpipe.pipeline.diagnose import tell_apart
 from fidpipe.pipeline.diagnose.diagnose import diagnose_run
 from fidpipe.pipeline.diagnose.latency import follow, latency_note, latency_words, speed_m_s
 from fidpipe.pipeline.engine.engine import Machines
+from fidpipe.pipeline.jobs import gains_job
 from fidpipe.pipeline.report.page.run_data import page_data
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.finished import FinishedRun
@@ -87,6 +89,35 @@ def test_gains_are_computed_once(low, monkeypatch):
     before = diagnose_run(low, QUIET, Machines(1))
     monkeypatch.setattr("fidpipe.pipeline.jobs.gains_job.shares", lambda *_: pytest.fail("computed again"))
     assert diagnose_run(low, QUIET, Machines(1)) == before
+
+
+def test_an_interrupted_diagnosis_resumes_with_equal_gains(low, low_run, tmp_path, monkeypatch):
+    """The second of three pairs is interrupted; the first one's gains are kept."""
+    whole = diagnose_run(shutil.copytree(low_run, tmp_path / "whole"), QUIET, Machines(1))
+    measure, measured = gains_job.shares, []
+
+    def interrupted(*arguments):
+        if len(measured) == 1:
+            raise KeyboardInterrupt
+        measured.append(arguments)
+        return measure(*arguments)
+
+    monkeypatch.setattr("fidpipe.pipeline.jobs.gains_job.shares", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        diagnose_run(low, QUIET, Machines(1))
+    assert len(list((low / "gains").glob("*.parquet"))) == 1
+    assert FinishedRun(low).diagnosis is None
+
+    monkeypatch.setattr("fidpipe.pipeline.jobs.gains_job.shares", measure)
+    assert diagnose_run(low, QUIET, Machines(1)) == whole
+
+
+@pytest.mark.exhaustive
+def test_a_dask_scheduler_measures_the_same_gains(low, low_run, tmp_path):
+    whole = diagnose_run(shutil.copytree(low_run, tmp_path / "whole"), QUIET, Machines(1))
+    with Cluster(tmp_path / "cluster") as cluster:
+        cluster.add_workers(2)
+        assert diagnose_run(low, QUIET, Machines(scheduler=cluster.address)) == whole
 
 
 def test_causes_whose_correction_does_not_help_are_doubtful(low, monkeypatch):
