@@ -309,7 +309,7 @@ def remeasured(scan, rng, noise_m=BASE_NOISE_M, lost=BASE_LOSS):
 def read_scenes(folder, every, first=0):
     """Real scans, with the two bases of each; a scene without a car has no flaws of a car.
 
-    first : row of the scans of the run from which every fourth is taken, 0 as of the real scan and of the floor, or 1
+    first : row of the scans of the run from which every fourth is taken, 0 as of the real scan and of the base, or 1
     """
     scenes = []
     for path in sorted((folder / "real").glob("*.bin"))[::every][:10]:
@@ -384,13 +384,6 @@ def diagnose(pairs):
     unexplained = unexplained_share(mean_distances(gains))
     if unexplained is not None and unexplained > MOST_UNEXPLAINED:
         rows.append((UNEXPLAINED, unexplained, np.nan, np.nan))
-    if DEBUG:
-        print(
-            "  none",
-            np.round(mean_distances(gains), 4),
-            {c.name: (round(c.estimate, 4), round(mean_gains(gains).get(c.name, -1), 4)) for c in causes},
-            flush=True,
-        )
     return rows
 
 
@@ -425,22 +418,9 @@ def compare(pairs, base_pairs):
     weak = unconfirmed(gains)
     rows = [cause_row(cause) for cause in causes if cause.name not in weak]
     elsewhere = elsewhere_share([off_shares for _, *off_shares in undone])
-    if DEBUG:
-        print(
-            "  ",
-            mean_distances(gains)[:2],
-            {c.name: (round(c.estimate, 4), round(mean_gains(gains).get(c.name, -1), 4)) for c in causes},
-            weak,
-            np.mean([o for _, *o in undone], axis=0).round(3),
-            elsewhere,
-            flush=True,
-        )
     if elsewhere is not None:
         rows.insert(0, (UNEXPLAINED, elsewhere, np.nan, np.nan))
     return rows
-
-
-DEBUG = os.environ.get("DEBUG")
 
 
 def judge(task):
@@ -449,8 +429,6 @@ def judge(task):
     file = args.out / f"{zlib.crc32(repr((str(folder), base, label)).encode()):08x}.pkl"
     if file.exists():
         return pickle.loads(file.read_bytes())
-    if DEBUG:
-        print(folder.name, base, label, flush=True)
     scenes = SCENES[folder]
     pairs = [estimated(pair_of(scene, altered(scene, base, flaws))) for scene in scenes]
     found = []
@@ -597,7 +575,7 @@ if __name__ == "__main__":
     parser.add_argument("--amounts", nargs="*", type=int, default=[0, 1, 2], help="single flaws in these amounts only")
     parser.add_argument("--pairs", nargs="*", type=int, default=[5, 10], help="diagnoses of these numbers of pairs")
     parser.add_argument("--every-pair", type=int, default=1, help="take each n-th pair")
-    parser.add_argument("--other-rays", action="store_true", help="runs have other rows of the scans than their floors")
+    parser.add_argument("--other-rays", action="store_true", help="runs have other rows of the scans than their bases")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
