@@ -24,7 +24,7 @@ _FLOOR_M = 2.8
 _MAX_EDGE_M = 1.5
 _SIDES = 8  # of a round pole or trunk
 _CLUMPS = 9  # of leaves in a crown
-_LEAF_M = 0.18  # radius of a leaf
+_LEAF_M = 0.22  # radius of a leaf
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ def build_hedge(foot: FloatArray, size_m: FloatArray, rng: np.random.Generator) 
     size_m : (3,) float64, along the street, across it, and its height
     """
     core = build_box(foot, size_m - [0.3, 0.3, 0.15], 0.35)
-    n_leaves = int(120 * size_m[0] * size_m[2])
+    n_leaves = int(90 * size_m[0] * size_m[2])
     places = rng.uniform(-0.5, 0.5, (n_leaves, 3)) * size_m
     leaves = _scatter_leaves(foot + size_m[2] / 2 * UP + places, rng)
     return StreetObject("vegetation", core, leaves)

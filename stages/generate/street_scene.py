@@ -1,6 +1,6 @@
 """A random street around a sensor: its course and the objects along it.
 
-A road that may bend, kerbs and pavements, plots with houses, gardens and what grows there, parked cars, street trees,
+A road that may bend, pavements, plots with houses, gardens and what grows there, parked cars, street trees,
 lamps and signs. Objects are built along a straight street, which is then bent. All of it is drawn from one random
 generator.
 """
@@ -29,7 +29,7 @@ from .street_objects import (
 
 _REACH_M = 95.0  # length of the built-up street in both directions
 _GROUND_REACH_M = 130.0
-_KERB_M = 0.06
+_GROUND_WIDTH_M = 65.0
 _LAMP_HEAD_M = np.array([0.2, 2.4, 0.1])
 _SIGN_HEAD_M = np.array([0.1, 0.7, 0.7])
 
@@ -67,7 +67,7 @@ class Street:
 def build_scene(rng: np.random.Generator) -> tuple[StreetObject, ...]:
     """The objects of one street, the ground first, in the frame of a sensor in its right lane."""
     street = _draw_street(rng)
-    objects = [StreetObject("ground", _build_ground(street))]
+    objects = [StreetObject("ground", _build_ground())]
     for side in (1, -1):
         objects += _park_cars(street, side, rng)
         objects += _line_pavement(street, side, rng)
@@ -88,20 +88,17 @@ def _draw_street(rng: np.random.Generator) -> Street:
         sensor_height_m=rng.uniform(1.72, 1.9),
         plot_m=rng.uniform(16.0, 27.0),
         planting=rng.uniform(0.4, 1.0),
-        building=rng.uniform(0.3, 0.7),
+        building=rng.uniform(0.25, 0.6),
     )
 
 
-def _build_ground(street: Street) -> Mesh:
-    kerb_m = street.half_road_m
-    half = np.array([kerb_m / 2, kerb_m - 0.01, kerb_m + 0.01, 12.0, 18.0, 28.0, 45.0, 65.0])
-    across = np.concatenate([-half[::-1], [0.0], half])
+def _build_ground() -> Mesh:
+    """Ground that rises gently to both sides, with a swell of a centimetre."""
     along = np.arange(-_GROUND_REACH_M, _GROUND_REACH_M + 1, 2.5)
+    across = np.arange(-_GROUND_WIDTH_M, _GROUND_WIDTH_M + 1, 2.5)
     x, y = np.meshgrid(along, across, indexing="ij")
     swell = 0.01 * np.sin(x / 7.0) * np.cos(y / 5.0)
-    off_road_m = np.abs(y) - kerb_m
-    height = np.where(off_road_m > 0, _KERB_M + 0.01 * off_road_m, 0.0) + swell
-    return build_grid(np.stack([x, y, height], axis=-1), 0.22)
+    return build_grid(np.stack([x, y, 0.005 * np.abs(y) + swell], axis=-1), 0.22)
 
 
 def _park_cars(street: Street, side: int, rng: np.random.Generator) -> Iterator[StreetObject]:
@@ -125,11 +122,11 @@ def _line_pavement(street: Street, side: int, rng: np.random.Generator) -> Itera
     y = side * (street.half_road_m + 0.5)
     for x in np.arange(-_REACH_M, _REACH_M, rng.uniform(9.0, 24.0)):
         if rng.uniform() < street.planting:
-            yield build_tree(np.array([x, y, _KERB_M]), rng.uniform(5.0, 9.0), rng)
+            yield build_tree(np.array([x, y, 0.0]), rng.uniform(5.0, 9.0), rng)
     for x in np.arange(-_REACH_M + 3.0, _REACH_M, rng.uniform(24.0, 36.0)):
-        yield build_pole(np.array([x, y, _KERB_M]), rng.uniform(5.0, 7.5), _LAMP_HEAD_M)
+        yield build_pole(np.array([x, y, 0.0]), rng.uniform(5.0, 7.5), _LAMP_HEAD_M)
     for x in rng.uniform(-50.0, 50.0, rng.integers(1, 4)):
-        yield build_pole(np.array([x, y, _KERB_M]), rng.uniform(1.8, 2.3), _SIGN_HEAD_M)
+        yield build_pole(np.array([x, y, 0.0]), rng.uniform(1.8, 2.3), _SIGN_HEAD_M)
 
 
 def _build_plot(
@@ -142,10 +139,11 @@ def _build_plot(
         park = Bed(middle_m, width_m, side, boundary_m + 1.0, boundary_m + 18.0)
         yield from park.plant(rng.integers(2, 5), rng.integers(1, 4), rng)
         return
-    size_m = np.array([rng.uniform(8.0, width_m - 2.5), rng.uniform(7.0, 10.0), rng.choice([2.9, 3.3, 5.6])])
+    length_m = min(rng.uniform(8.0, 14.0), width_m - 2.5)
+    size_m = np.array([length_m, rng.uniform(7.0, 10.0), rng.choice([2.9, 3.3, 5.6])])
     front_m = boundary_m + street.setback_m * rng.uniform(0.8, 1.2)
     back_m = front_m + size_m[1]
-    foot = np.array([middle_m, side * (front_m + back_m) / 2, _KERB_M])
+    foot = np.array([middle_m, side * (front_m + back_m) / 2, 0.0])
     yield StreetObject("wall", build_house(foot, size_m, -side, rng.uniform(0.3, 0.7)))
     if rng.uniform() < 0.3:
         yield _draw_car(edge_m + 1.7, side * (boundary_m + 2.8), np.pi / 2, rng)
@@ -160,7 +158,7 @@ def _bound_garden(
     x: float, y: float, length_m: float, planting: float, rng: np.random.Generator
 ) -> Iterator[StreetObject]:
     """A hedge, a low wall or nothing along the street."""
-    foot = np.array([x, y, _KERB_M])
+    foot = np.array([x, y, 0.0])
     style = rng.uniform()
     if style < 0.3 * planting:
         yield build_hedge(foot, np.array([length_m, 0.9, rng.uniform(0.8, 1.7)]), rng)
@@ -193,4 +191,4 @@ class Bed:
 
     def _draw_place(self, rng: np.random.Generator) -> FloatArray:
         x = self.middle_m + self.width_m * rng.uniform(-0.5, 0.5)
-        return np.array([x, self.side * rng.uniform(self.near_m, self.far_m), _KERB_M])
+        return np.array([x, self.side * rng.uniform(self.near_m, self.far_m), 0.0])

@@ -86,7 +86,7 @@ def _remesh(item: StreetObject, range_m: float, rng: np.random.Generator) -> Mes
         mesh = _thicken(mesh, 0.04 + 0.002 * range_m) if is_thin else _round_off(mesh)
         mesh = _tear_holes(mesh, share, rng)
     if len(item.leaves.faces) and not is_bare:
-        mesh = join_meshes([mesh, _merge_leaves(item.leaves, 0.28 + 0.005 * range_m)])
+        mesh = join_meshes([mesh, _merge_leaves(item.leaves, 0.2 + 0.004 * range_m)])
     return mesh
 
 
