@@ -137,7 +137,7 @@ def _build_plot(
     boundary_m = street.half_road_m + street.pavement_m
     if rng.uniform() > street.building:
         park = Bed(middle_m, width_m, side, boundary_m + 1.0, boundary_m + 18.0)
-        yield from park.plant(rng.integers(2, 5), rng.integers(1, 4), rng)
+        yield from park.plant(int(rng.integers(2, 5)), int(rng.integers(1, 4)), rng)
         return
     length_m = min(rng.uniform(8.0, 14.0), width_m - 2.5)
     size_m = np.array([length_m, rng.uniform(7.0, 10.0), rng.choice([2.9, 3.3, 5.6])])
