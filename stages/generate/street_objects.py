@@ -1,7 +1,7 @@
 """Triangle meshes of the objects of a street: houses, walls, parked cars, poles, trees, bushes and hedges.
 
-All stand on a straight, level street: x along it, y to the left, z above the ground, in metres. Opaque surfaces are
-prisms, foliage is loose leaves; they are kept separate because a digital twin treats them differently.
+Coordinates are those of a straight street: x along it, y to the left, z above the ground, in metres. Opaque surfaces
+are prisms, foliage is loose leaves; they are kept separate because a digital twin treats them differently.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ..arrays import FloatArray, IndexArray
 
 #: Class names by number, as in `.label` files.
 KINDS = ("ground", "wall", "car", "tree", "vegetation", "pole")
-UP = np.array([0.0, 0.0, 1.0])
+_UP = np.array([0.0, 0.0, 1.0])
 _GLASS = 0.02
 _WOOD = 0.3
 _METAL = 0.4
@@ -192,7 +192,7 @@ def build_pole(foot: FloatArray, height_m: float, head_m: FloatArray) -> StreetO
     foot : (3,) float64
     head_m : (3,) float64, size of the box
     """
-    head = build_box(foot + height_m * UP, head_m, _METAL)
+    head = build_box(foot + height_m * _UP, head_m, _METAL)
     return StreetObject("pole", join_meshes([_build_post(foot, height_m, 0.07, _METAL), head]))
 
 
@@ -200,7 +200,7 @@ def _build_post(foot: FloatArray, height_m: float, radius_m: float, reflectivity
     """A round post, a third of a metre of it in the ground."""
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
     circle = radius_m * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(_SIDES)])
-    return build_prism(foot - 0.3 * UP + circle, (height_m + 0.3) * UP, reflectivity)
+    return build_prism(foot - 0.3 * _UP + circle, (height_m + 0.3) * _UP, reflectivity)
 
 
 def build_tree(foot: FloatArray, height_m: float, rng: np.random.Generator) -> StreetObject:
@@ -210,13 +210,13 @@ def build_tree(foot: FloatArray, height_m: float, rng: np.random.Generator) -> S
     middle = (bole_m + height_m) / 2
     radii_m = np.array([width_m, width_m * rng.uniform(0.8, 1.2), 0.55 * (height_m - bole_m)])
     trunk = _build_post(foot, middle, 0.028 * height_m * rng.uniform(0.7, 1.3), _WOOD)
-    return StreetObject("tree", trunk, build_crown(foot + middle * UP, radii_m, rng))
+    return StreetObject("tree", trunk, build_crown(foot + middle * _UP, radii_m, rng))
 
 
 def build_bush(foot: FloatArray, radius_m: float, rng: np.random.Generator) -> StreetObject:
     """A bush: a rounded clump of leaves, about twice `radius_m` high."""
     radii_m = radius_m * rng.uniform(0.8, 1.2, 3)
-    crown = build_crown(foot + 0.8 * radii_m[2] * UP, radii_m, rng)
+    crown = build_crown(foot + 0.8 * radii_m[2] * _UP, radii_m, rng)
     return StreetObject("vegetation", leaves=crown)
 
 
@@ -231,7 +231,7 @@ def build_hedge(foot: FloatArray, size_m: FloatArray, rng: np.random.Generator) 
     core = build_box(foot, size_m - [0.3, 0.3, 0.15], 0.35)
     n_leaves = int(90 * size_m[0] * size_m[2])
     places = rng.uniform(-0.5, 0.5, (n_leaves, 3)) * size_m
-    leaves = _scatter_leaves(foot + size_m[2] / 2 * UP + places, rng)
+    leaves = _scatter_leaves(foot + size_m[2] / 2 * _UP + places, rng)
     return StreetObject("vegetation", core, leaves)
 
 

@@ -1,8 +1,7 @@
 """A random street around a sensor: its course and the objects along it.
 
-A road that may bend, pavements, plots with houses, gardens and what grows there, parked cars, street trees,
-lamps and signs. Objects are built along a straight street, which is then bent. All of it is drawn from one random
-generator.
+A road that may bend, pavements, plots with houses, gardens and what grows there, parked cars, street trees, lamps
+and signs. Objects are built along a straight street, which is then bent. All of it is drawn from one random generator.
 """
 
 from __future__ import annotations
