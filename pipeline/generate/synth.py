@@ -20,7 +20,7 @@ from ..storage.files import csv_bytes, write_whole
 from .dataset_folder import Recipe, prepare_folder, writing
 
 RECIPE = "synth.toml"
-RECIPE_VERSION = 1  # increase it when the same recipe results in other scans
+RECIPE_VERSION = 2  # increase it when the same recipe results in other scans
 SECONDS_APART = 75.0
 _SUFFIXES = (".bin", ".label")
 #: Files of pairs, and temporary files of a killed process.
@@ -56,31 +56,32 @@ def make_dataset(
     """
     require_ray_caster()
     recipe = recipe_of(seed, sensor, n_points)
-    indices = {pair_name(index): index for index in range(n_pairs)}
+    names = [pair_name(index) for index in range(n_pairs)]
     with writing(out):
-        files = {path for name in indices for path in _files(out, name)}
+        files = {path for name in names for path in _files(out, name)}
         prepare_folder(out, RECIPE, recipe, _own_files, files, dict(enumerate(KINDS)), replace=replace)
-        tasks = {
-            name: (out, recipe, index)
-            for name, index in indices.items()
-            if not all(path.exists() for path in _files(out, name))
-        }
+        tasks = {}
+        for index, name in enumerate(names):
+            if not all(path.exists() for path in _files(out, name)):
+                tasks[name] = (out, recipe, index)
         if 0 < len(tasks) < n_pairs:
             reporter.say(f"{n_pairs - len(tasks)} of {n_pairs} pairs already exist")
         _, failures = map_tasks(write_pair, tasks, reporter, n_workers=workers)
         if failures:
             raise FidpipeError(f"dataset {out}: {next(iter(failures.values()))}")
-        rows = (
-            (name, f"real/{name}.bin", f"sim/{name}.bin", f"{_time_s(seed, index):.3f}")
-            for name, index in indices.items()
-        )
+        rows = []
+        for index, name in enumerate(names):
+            time_s = SECONDS_APART * (index + 1)
+            rows.append((name, f"real/{name}.bin", f"sim/{name}.bin", f"{time_s:.3f}"))
         write_whole(out / MANIFEST, csv_bytes(["pair_id", "real", "sim", "timestamp_s"], rows))
 
 
 def recipe_of(seed: int, sensor: str, n_points: int | None) -> Recipe:
     """Everything that the scans of a pair depend on, except its index."""
-    points = {} if n_points is None else {"points": n_points}
-    return {"version": RECIPE_VERSION, "seed": seed, "sensor": sensor, **points}
+    recipe = {"version": RECIPE_VERSION, "seed": seed, "sensor": sensor}
+    if n_points is not None:
+        recipe["points"] = n_points
+    return recipe
 
 
 def write_pair(task: tuple[Path, Recipe, int]) -> None:
@@ -107,9 +108,3 @@ def _own_files(out: Path, recipe: Recipe) -> set[Path] | None:
     if not {"version", "seed", "sensor"} <= recipe.keys():
         return None
     return {path for side in SIDES for path in (out / side).glob("*") if _OWN_FILE.fullmatch(path.name)}
-
-
-def _time_s(seed: int, index: int) -> float:
-    """Time of a frame: 70 to 80 s after the previous one."""
-    rng = np.random.default_rng(np.random.SeedSequence((seed, index), spawn_key=(99,)))
-    return SECONDS_APART * (index + 1) + float(rng.uniform(-2.5, 2.5))

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...schemas.sensor_models import SensorModel
 from ..arrays import Float32Array, FloatArray, IndexArray
-from .ray_casting import Beams, RayTarget, fire, measure_ranges, return_probability
+from .ray_casting import Beams, Hits, RayTarget, fire, measure_ranges, return_probability
 from .street_objects import Mesh, join_meshes
 from .street_scene import build_scene
 from .street_twin import TwinSurface, build_twin
@@ -58,16 +58,17 @@ def make_pair(seed: int, index: int, sensor: SensorModel, n_points: int | None =
     """
     from threadpoolctl import threadpool_limits
 
-    rngs = [np.random.default_rng(child) for child in np.random.SeedSequence((seed, index)).spawn(4)]
+    scene_seed, real_seed, twin_seed, sim_seed = np.random.SeedSequence((seed, index)).spawn(4)
     with threadpool_limits(1):  # or the last bits would differ between machines
-        # Individual leaves cannot be distinguished in a sparse scan.
-        leaf_scale = 1.0 if n_points is None else float(np.clip(np.sqrt(20_000 / n_points), 1.0, 3.0))
-        objects = build_scene(rngs[0], leaf_scale)
-        street = _Surface([each.mesh() for each in objects])
-        step_deg = sensor.azimuth_step_deg if n_points is None else _step_for(n_points, street, sensor)
-        real = _real_scan(street, sensor, step_deg, rngs[1])
-        sim = _simulated_scan(build_twin(objects, rngs[2]), sensor, step_deg, rngs[3])
-    return SynthPair(real, sim, tuple(each.kind for each in objects))
+        objects = build_scene(np.random.default_rng(scene_seed))
+        street = _Surface([item.mesh() for item in objects])
+        step_deg = sensor.azimuth_step_deg
+        if n_points is not None:
+            step_deg = _step_for(n_points, street, sensor)
+        twin = build_twin(objects, np.random.default_rng(twin_seed))
+        real = _scan_street(street, sensor, step_deg, np.random.default_rng(real_seed))
+        sim = _scan_twin(twin, sensor, step_deg, np.random.default_rng(sim_seed))
+    return SynthPair(real, sim, tuple(item.kind for item in objects))
 
 
 class _Surface:
@@ -79,32 +80,36 @@ class _Surface:
         self.reflectivity = whole.reflectivity
         self.mesh_of_face = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
 
+    def probability(self, sensor: SensorModel, hits: Hits) -> FloatArray:
+        """The probability that each hit is detected."""
+        reflectivity = self.reflectivity[hits.face_ids]
+        return return_probability(sensor, hits.range_m, hits.cos_incidence, reflectivity)
+
 
 def _step_for(n_points: int, street: _Surface, sensor: SensorModel) -> float:
     """The azimuth step in degrees at which this scene has about `n_points` returns."""
-    beams = fire(sensor, step_deg=_PILOT * sensor.azimuth_step_deg)
-    hits = street.target.first_hits(beams.directions())
-    probability = return_probability(sensor, hits.range_m, hits.cos_incidence, street.reflectivity[hits.face_ids])
-    share = max(float(probability.sum()) / len(beams.azimuth_rad), 0.01)
-    return sensor.n_beams * 360.0 * share / n_points
+    directions = fire(sensor, step_deg=_PILOT * sensor.azimuth_step_deg).directions()
+    hits = street.target.first_hits(directions)
+    share = float(street.probability(sensor, hits).sum()) / len(directions)
+    return sensor.n_beams * 360.0 * max(share, 0.01) / n_points
 
 
-def _real_scan(street: _Surface, sensor: SensorModel, step_deg: float, rng: np.random.Generator) -> SynthScan:
+def _scan_street(street: _Surface, sensor: SensorModel, step_deg: float, rng: np.random.Generator) -> SynthScan:
     """The real scan, with undetected hits, range noise and quantum; intensity is reflectivity, 0-255."""
     directions = fire(sensor, rng.uniform(0.0, 360.0), step_deg).directions()
     hits = street.target.first_hits(directions)
-    reflectivity = street.reflectivity[hits.face_ids]
-    probability = return_probability(sensor, hits.range_m, hits.cos_incidence, reflectivity)
-    detected = rng.uniform(size=len(probability)) < probability
-    range_m = measure_ranges(sensor, hits.range_m[detected], rng)
-    speckled = reflectivity[detected] * rng.normal(1.0, 0.15, len(range_m))
+    probability = street.probability(sensor, hits)
+    range_m = measure_ranges(sensor, hits.range_m, rng)
+    is_kept = rng.uniform(size=len(probability)) < probability
+    is_kept &= (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
+    speckled = street.reflectivity[hits.face_ids] * rng.normal(1.0, 0.15, len(range_m))
     intensity = np.clip(np.round(255.0 * speckled), 0.0, 255.0)
-    in_range = (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
-    points = directions[hits.ray_ids[detected]] * range_m[:, None]
-    return _scan(points[in_range], intensity[in_range], street.mesh_of_face[hits.face_ids[detected]][in_range])
+    points = directions[hits.ray_ids] * range_m[:, None]
+    rows = np.column_stack([points, intensity]).astype(np.float32)
+    return SynthScan(rows[is_kept], street.mesh_of_face[hits.face_ids[is_kept]])
 
 
-def _simulated_scan(
+def _scan_twin(
     twin: Sequence[TwinSurface], sensor: SensorModel, step_deg: float, rng: np.random.Generator
 ) -> SynthScan:
     """The simulated scan: every hit is detected, then each object gets its own density.
@@ -113,38 +118,38 @@ def _simulated_scan(
     cast between the sensor's own; those that miss it are dropped. Intensity is exp(-a range), as in CARLA.
     """
     surface = _Surface([part.mesh for part in twin])
-    density = np.array([part.density for part in twin])
     beams = fire(sensor, rng.uniform(0.0, 360.0), step_deg)
-    directions = beams.directions()
+    own_hits = surface.target.first_hits(beams.directions())
+    own_parts = surface.mesh_of_face[own_hits.face_ids]
+    density = np.array([part.density for part in twin])[own_parts]
+    is_kept = rng.uniform(size=len(density)) < density
+    n_further = rng.poisson(np.maximum(density - 1.0, 0.0))
+
+    own = beams.directions()[own_hits.ray_ids[is_kept]]
+    further = _between(beams, np.repeat(own_hits.ray_ids, n_further), sensor, step_deg, rng)
+    directions = np.concatenate([own, further])
+    aimed_at = np.concatenate([own_parts[is_kept], np.repeat(own_parts, n_further)])
     hits = surface.target.first_hits(directions)
     parts = surface.mesh_of_face[hits.face_ids]
-    kept = rng.uniform(size=len(parts)) < density[parts]
-    n_more = rng.poisson(np.maximum(density[parts] - 1.0, 0.0))
-    more = _between(beams, np.repeat(hits.ray_ids, n_more), sensor, step_deg, rng)
-    further = surface.target.first_hits(more)
-    on_same = surface.mesh_of_face[further.face_ids] == np.repeat(parts, n_more)[further.ray_ids]
-
-    directions = np.concatenate([directions[hits.ray_ids[kept]], more[further.ray_ids[on_same]]])
-    range_m = np.concatenate([hits.range_m[kept], further.range_m[on_same]])
-    parts = np.concatenate([parts[kept], surface.mesh_of_face[further.face_ids[on_same]]])
-    range_m = range_m + rng.normal(0.0, _SIM_NOISE_M, len(range_m))
-    in_range = (range_m >= sensor.min_range_m) & (range_m <= _SIM_RANGE_M)
-    object_ids = np.array([part.object_id for part in twin], dtype=np.intp)[parts]
+    range_m = hits.range_m + rng.normal(0.0, _SIM_NOISE_M, len(hits.range_m))
+    is_valid = parts == aimed_at[hits.ray_ids]
+    is_valid &= (range_m >= sensor.min_range_m) & (range_m <= _SIM_RANGE_M)
+    points = directions[hits.ray_ids] * range_m[:, None]
     intensity = np.exp(-_SIM_ATTENUATION_PER_M * range_m)
-    return _scan((directions * range_m[:, None])[in_range], intensity[in_range], object_ids[in_range])
+    rows = np.column_stack([points, intensity]).astype(np.float32)
+    object_ids = np.array([part.object_id for part in twin], dtype=np.intp)
+    return SynthScan(rows[is_valid], object_ids[parts[is_valid]])
 
 
 def _between(
     beams: Beams, ray_ids: IndexArray, sensor: SensorModel, step_deg: float, rng: np.random.Generator
 ) -> FloatArray:
     """(n, 3) float64, unit vectors: random beams around the given ones, up to half way to their neighbours."""
-    elevation = np.sort(np.radians(sensor.elevation_deg))
-    gap = np.gradient(elevation)[np.searchsorted(elevation, beams.elevation_rad[ray_ids] - 1e-9)]
-    shift = rng.uniform(-0.5, 0.5, (2, len(ray_ids)))
+    elevation_rad = np.sort(np.radians(sensor.elevation_deg))
+    laser = np.searchsorted(elevation_rad, beams.elevation_rad[ray_ids] - 1e-9)
+    gap_rad = np.gradient(elevation_rad)[laser]
+    azimuth_shift, elevation_shift = rng.uniform(-0.5, 0.5, (2, len(ray_ids)))
     return Beams(
-        beams.azimuth_rad[ray_ids] + np.radians(step_deg) * shift[0], beams.elevation_rad[ray_ids] + gap * shift[1]
+        beams.azimuth_rad[ray_ids] + np.radians(step_deg) * azimuth_shift,
+        beams.elevation_rad[ray_ids] + gap_rad * elevation_shift,
     ).directions()
-
-
-def _scan(points: FloatArray, intensity: FloatArray, object_ids: IndexArray) -> SynthScan:
-    return SynthScan(np.column_stack([points, intensity]).astype(np.float32), object_ids)
