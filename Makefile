@@ -1,16 +1,14 @@
-# make run    sets up, makes a small synthetic dataset, evaluates it, verifies a sample, makes its report, says where all is
+# make run    sets up, makes a small synthetic dataset, evaluates it, makes its report, says where all is
 # make test   sets up, runs every check and test but the exhaustive ones (make check is the same)
 # make test-all  the same with the exhaustive tests: every setting, column, fault and cluster, hours of them
 # make test-slice  15 minutes of the exhaustive tests, others each day; those that were not reached are listed
 # make docs   builds the documentation: build/docs/index.html
 # make faults kills, fills, damages and misleads real runs in every way known
 # make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
-# make fuzz   gives every reader 100,000 hostile inputs (hours; INPUTS=1000 for fewer), then has atheris guide as many
 # Each target sets up what it needs in .venv; PYTHON=python3.12 chooses the interpreter.
 
 PYTHON ?= python3
 DATA ?= ../shared/data
-INPUTS ?= 100000
 VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find pipeline stages schemas -type f -not -path '*/__pycache__/*' | sort)
@@ -24,12 +22,11 @@ AT_ONCE := --numprocesses auto --dist worksteal
 TESTED := -m "not exhaustive"
 SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 
-.PHONY: run test test-all test-slice check lint faults docs bench fuzz clean setup browser javascript lock release-check test-pythons
+.PHONY: run test test-all test-slice check lint faults docs bench clean setup browser javascript lock release-check test-pythons
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
 	$(BIN)/fidpipe run .cache/streets --out runs/streets
-	$(BIN)/fidpipe verify runs/streets
 	$(BIN)/fidpipe report runs/streets
 
 test: check
@@ -47,9 +44,8 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy -p fidpipe
 	$(BIN)/lint-imports
-	$(BIN)/python tools/prose.py
 	$(BIN)/codespell
-	$(BIN)/python tools/size.py
+	$(BIN)/python tools/plain.py
 
 test-slice: setup
 	$(BIN)/pytest $(AT_ONCE) --slice $$(($$(date +%s) / 86400)) --minutes 15
@@ -60,12 +56,6 @@ faults: setup
 
 docs: setup
 	$(SPHINX)
-
-# atheris is not in the lock: it has wheels for few machines.
-fuzz: setup
-	$(PIP) --only-binary :all: 'atheris>=3.0' || echo "no atheris for this Python: inputs are made, not guided"
-	$(BIN)/python tools/fuzz/campaign.py --inputs $(INPUTS)
-	if $(BIN)/python -c 'import atheris'; then $(BIN)/python tools/fuzz/guided.py --inputs $(INPUTS); fi
 
 bench: setup
 	$(BIN)/python benchmarks/floor.py $(DATA)/kitti_twin
@@ -136,7 +126,7 @@ test-pythons: setup
 		fi && $$place/bin/pytest $(AT_ONCE) $(TESTS) || exit 1; \
 	done
 
-# Archives, clean installs, extras, the Dockerfile's steps: some minutes, wants the package index.
+# Archives, clean installs, extras, licences, the Dockerfile's steps: some minutes, wants the package index.
 release-check: setup
 	$(BIN)/python tools/release.py
 

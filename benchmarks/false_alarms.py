@@ -1,6 +1,6 @@
-"""How often are verdicts wrong by chance: of `fidpipe compare`, and of the paper's claims in `fidpipe show --paper`?
+"""How often are verdicts of `fidpipe compare` wrong by chance?
 
-    python benchmarks/false_alarms.py [--repeats 400] [--of compare|claims]
+    python benchmarks/false_alarms.py [--repeats 400] [--of compare|runs]
     python benchmarks/false_alarms.py --make ../shared/data/kitti_sequence worlds
     for i in worlds/*; do fidpipe run $i --preset reference --out runs/$(basename $i); done
     python benchmarks/false_alarms.py --of runs --draws ../shared/data/kitti_twin TWINS --worlds runs/w*
@@ -13,9 +13,6 @@ how often the first family is decided if its first score changes by 0.5, 1 or 2 
 *Fixed in the world*: ten neighbouring frames by simulators that each have 12 holes and 8 ghosts at random places of the
 street; every two of their runs are compared. All simulators of a kind are equal in distribution, so that each verdict
 is a false alarm.
-
-`claims`: datasets whose numbers know nothing of each other, and how often each claim holds on them; beside it how often
-the estimate alone is on the claim's side, which was the rule before. Power: datasets as the paper describes them.
 """
 
 import os
@@ -37,10 +34,7 @@ from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.families import judge_families, overall
-from fidpipe.stages.paper.claim_rules import HOLDS
-from fidpipe.stages.paper.run_claims import check_run_claims
 from fidpipe.stages.statistics.comparison import adjusted_p_values, holm
-from fidpipe.stages.statistics.findings import Objects
 
 N_FAMILIES, N_SCORES = 8, 4
 SIZES = (3, 5, 6, 8, 10, 20, 50)
@@ -188,133 +182,10 @@ def of_runs(args):
             print_rate(words, [compare_runs(both, independent=independent)[0].decision for both in couples])
 
 
-N_OBJECTS = 24  # matched objects of a pair, on average
-CLASSES = ("tree", "vegetation", "car", "wall")
-
-
-def objects(rng, n_pairs, scores, alone, n_objects=N_OBJECTS):
-    """The arguments of `check_run_claims` for random pairs, with a scan every two minutes.
-
-    scores : of (rng, pair, range_m, label) the scores cdc, r_lambda, r_gap of matched objects
-    alone : of (rng, pair, range_m, label) the chance that an object has no partner
-    """
-    sides = []
-    for _ in range(2):  # the median range is on the upper bound of the paper's, 31.9 m
-        n = rng.poisson(2 * n_objects, n_pairs) + 4
-        pair = np.repeat(np.arange(n_pairs, dtype=np.int32), n)
-        range_m, label = rng.uniform(3, 60.8, len(pair)), rng.choice(CLASSES, len(pair))
-        sides.append((pair, range_m, label, rng.random(len(pair)) < alone(rng, pair, range_m, label)))
-    (pair, range_m, label, is_alone), (sim_pair, sim_range_m, sim_label, is_invented) = sides
-    rows = np.flatnonzero(~is_alone)
-    # As many simulated objects are matched as real ones, the others are invented.
-    of = [np.flatnonzero(~is_invented & (sim_pair == i))[: np.sum(pair[rows] == i)] for i in range(n_pairs)]
-    is_matched = np.zeros(len(sim_pair), dtype=bool)
-    is_matched[np.concatenate(of)] = True
-    rows = np.concatenate([rows[pair[rows] == i][: len(own)] for i, own in enumerate(of)])
-    has_partner = np.zeros(len(pair), dtype=bool)
-    has_partner[rows] = True
-    n_real, n_sim = (np.exp(rng.normal(5, 0.3, len(rows))).astype(np.int32) for _ in range(2))
-    found = np.full((5, len(pair)), np.nan)
-    found[:, rows] = n_real, n_sim, *scores(rng, pair[rows], range_m[rows], label[rows])
-    nothing = np.full((5, len(sim_pair)), np.nan)
-    names = [str(i) for i in range(n_pairs)]
-    return (
-        Objects(pair, range_m, label, has_partner, *found),
-        Objects(sim_pair, sim_range_m, sim_label, is_matched, *nothing),
-        names,
-        names,
-        [120.0 * i for i in range(n_pairs)],
-    )
-
-
-def noise(rng, n_pairs, own_level=0.0, skewed=False):
-    """Scores that are all alike and follow nothing; with a level of its own for each pair, or with a long tail."""
-
-    def scores(rng, pair, range_m, label):
-        level = rng.normal(0, own_level, (3, n_pairs))[:, pair]
-        draw = rng.exponential(0.2, (3, len(pair))) if skewed else rng.normal(0.2, 0.1, (3, len(pair)))
-        return np.abs(0.2 + draw + level)  # on the upper bound of the paper's mean r_lambda, 0.40
-
-    share = np.clip(rng.normal(0.4, own_level, n_pairs), 0.1, 0.8)
-    return objects(rng, n_pairs, scores, lambda rng, pair, range_m, label: share[pair])
-
-
-def as_the_paper(rng, n_pairs):
-    """Orders as the paper describes them.
-
-    CDC 0.70 +- 0.05 over objects (+ 0.1 for foliage, + 0.002 per metre), r_lambda 0.35 +- 0.15 (trees +- 0.1 beyond and
-    within 30 m, others - 0.003 per metre), r_gap 0 to 0.08; an object lacks a partner in 25 % of the cases, 20 % more
-    beyond 30 m and 20 % more for foliage.
-    """
-
-    def scores(rng, pair, range_m, label):
-        is_foliage, is_tree = np.isin(label, CLASSES[:2]), label == "tree"
-        cdc = rng.normal(0.70, 0.05, len(pair)) + 0.002 * (range_m - 30) + 0.1 * is_foliage
-        r_lambda = rng.normal(0.35, 0.15, len(pair)) + 0.1 * is_tree * np.sign(range_m - 30)
-        r_lambda -= 0.003 * (range_m - 30) * ~is_tree
-        return np.clip([cdc, r_lambda + rng.normal(0, 0.02, n_pairs)[pair], 0.08 * rng.random(len(pair))], 0.01, 2)
-
-    def alone(rng, pair, range_m, label):
-        return 0.25 + 0.2 * (range_m > 30) + 0.2 * np.isin(label, CLASSES[:2])
-
-    return objects(rng, n_pairs, scores, alone)
-
-
-def copied(rng, n_pairs, n_copies=8):
-    """Noise, and the same with further copies of its first pair: the arguments of `check_run_claims` for both."""
-    once = noise(rng, n_pairs, own_level=0.1)
-    real, sim, names, _, times_s = once
-    names = [*names, *["0"] * (n_copies - 1)]
-
-    def repeated(side):
-        own = np.flatnonzero(side.pair == 0)
-        rows = np.concatenate([np.arange(len(side.pair)), np.tile(own, n_copies - 1)])
-        values = {name: values[rows] for name, values in vars(side).items()}
-        values["pair"][len(side.pair) :] = np.repeat(np.arange(n_copies - 1, dtype=np.int32) + n_pairs, len(own))
-        return type(side)(**values)
-
-    return once, (*map(repeated, (real, sim)), names, names, [*times_s, *[None] * (n_copies - 1)])
-
-
-CLAIM_CASES = (
-    ("6 pairs", lambda rng: noise(rng, 6)),
-    ("10 pairs", lambda rng: noise(rng, 10)),
-    ("50 pairs", lambda rng: noise(rng, 50)),
-    ("10 pairs, skewed", lambda rng: noise(rng, 10, skewed=True)),
-    ("10 pairs, each with its own level", lambda rng: noise(rng, 10, own_level=0.1)),
-    ("8 copies of one pair", lambda rng: copied(rng, 1)[1]),
-    ("10 pairs as the paper", lambda rng: as_the_paper(rng, 10)),
-    ("50 pairs as the paper", lambda rng: as_the_paper(rng, 50)),
-)
-
-
-def holding(make, repeats, seed=0):
-    """By claim, how often it holds, and how often the estimate of an order alone is above 0 (NaN of the others)."""
-    rng, found = np.random.default_rng(seed), []
-    for _ in range(repeats):
-        claims = check_run_claims(*make(rng))
-        found.append([(one.verdict == HOLDS, (one.estimate or 0) > 0) for one in claims])
-    rates = np.mean(found, axis=0)
-    return {
-        one.claim: (held, alone if "above 0" in one.rule else np.nan)
-        for one, (held, alone) in zip(claims, rates, strict=True)
-    }
-
-
-def of_claims(repeats):
-    cases = [(name, holding(make, repeats)) for name, make in CLAIM_CASES]
-    print(f"{repeats} repeats; binomial error of 5 %: {np.sqrt(0.05 * 0.95 / repeats):.1%}")
-    print(f"| claim | {cases[1][0]}, estimate alone | " + " | ".join(name for name, _ in cases) + " |")
-    print("|---" * (len(cases) + 2) + "|")
-    for claim in cases[0][1]:
-        shares = [cases[1][1][claim][1], *(found[claim][0] for _, found in cases)]
-        print(f"| {claim} | " + " | ".join("" if np.isnan(s) else f"{100 * s:.1f} %" for s in shares) + " |")
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=400)
-    parser.add_argument("--of", choices=("compare", "runs", "claims"), default="compare")
+    parser.add_argument("--of", choices=("compare", "runs"), default="compare")
     parser.add_argument("--draws", type=Path, nargs="+", help="folders of pairs, for --of runs")
     parser.add_argument("--worlds", type=Path, nargs="+", help="finished runs of the datasets of --make")
     parser.add_argument("--make", type=Path, nargs=2, metavar=("SEQUENCE", "OUT"), help="write those and stop")
@@ -323,8 +194,6 @@ if __name__ == "__main__":
     chosen = parser.parse_args()
     if chosen.make:
         make_worlds(*chosen.make)
-    elif chosen.of == "claims":
-        of_claims(chosen.repeats)
     elif chosen.of == "compare":
         of_compare(chosen.repeats)
     else:

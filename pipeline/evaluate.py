@@ -3,39 +3,26 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError
 from ..schemas.settings import Settings, parse
-from ..stages.arrays import FloatArray, IntArray
-from ..stages.frame_search import check_frames
-from ..stages.method import Evaluation, evaluate, n_communities
+from ..stages.arrays import FloatArray
+from ..stages.frame_search import FrameCheck
 from .datasets.readers import read_scan
 from .datasets.readers.scan import Scan
+from .engine.memory import run_in_memory
+from .engine.plan import Planner
 from .engine.pool import one_blas_thread
-from .jobs import causes_job, stages_under
-from .jobs.communities_job import communities_result
-from .jobs.coverage_job import coverage_result
-from .jobs.graph_job import graph_result
-from .jobs.ground_job import ground_result
-from .jobs.matching_job import matching_result
-from .jobs.metrics_job import metrics_result
-from .jobs.pieces_job import pieces_result
-from .jobs.rays_job import rays_result
-from .jobs.selection_job import selection_result
-from .jobs.sensor_job import sensor_result
-from .jobs.surface_job import surface_result
+from .jobs import stages_under
 from .pair_checks import frame_warning
-from .stage import OF_PAIR, Inputs, JobResult, Metadata
+from .stage import FRAMES, OF_PAIR
 from .storage.table_files import plain_metadata
 
 if TYPE_CHECKING:
@@ -51,7 +38,8 @@ class PairResult:
 
     summary : the pair's row of `pairs`: counts, match rate, means and standard deviations
     points, sensor, edges, communities, objects : by side, "real" and "sim"
-    matching, coverage, surface, pieces, rays, ray_scores, selection, metrics : of the pair
+    matching, coverage, surface, pieces, rays, ray_scores, causes, selection, metrics : of the pair; `causes` has the
+        amount of every flaw, whether it is noticeable or not
     baselines : of the pair, where `metrics.baselines` names some
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
     """
@@ -122,77 +110,22 @@ def evaluate_pair(
     """
     settings = settings if isinstance(settings, Settings) else parse(dict(settings or {}))
     scans = {"real": _scan("real", real, settings), "sim": _scan("sim", sim, settings)}
-    check = check_frames(scans["real"].points, scans["sim"].points, settings.input)
-    if check and check.is_suspect:
-        warnings.warn(frame_warning(check), stacklevel=2)
     with one_blas_thread():
-        found = evaluate(scans["real"].points, scans["sim"].points, settings)
-        tables, metadata = _results(found, scans, settings)
-        for stage in stages_under(settings):
-            if stage.is_extra or stage is causes_job.STAGE:
-                result = stage.make(Inputs(pair_id=_PAIR, part="", settings=settings, tables=tables, outputs=metadata))
-                tables |= {(name, ""): partial(_whole, rows) for name, rows in result.tables.items()}
-                metadata |= {(name, ""): result.metadata for name in result.tables}
+        tables, outputs = run_in_memory(Planner(stages_under(settings), settings, {}).jobs(), scans, _PAIR)
+    check = outputs["sensor", "sim"][FRAMES]
+    if check is not None and check["is_suspect"]:
+        warnings.warn(frame_warning(FrameCheck(**check)), stacklevel=2)
     summary: dict[str, Any] = {"pair_id": _PAIR, "status": "scored"}
-    for own in metadata.values():
-        summary |= plain_metadata(own.get(OF_PAIR, {}))
+    for metadata in outputs.values():
+        summary |= plain_metadata(metadata.get(OF_PAIR, {}))
     frames: dict[str, Any] = {}
     for (name, side), table in tables.items():
+        frame = table.to_pandas()
         if side:
-            frames.setdefault(_FIELDS.get(name, name), {})[side] = table().to_pandas()
+            frames.setdefault(_FIELDS.get(name, name), {})[side] = frame
         else:
-            frames[name] = table().to_pandas()
+            frames[name] = frame
     return PairResult(summary=summary, **frames)
-
-
-def _results(
-    found: Evaluation, scans: Mapping[str, Scan], settings: Settings
-) -> tuple[dict[tuple[str, str], Callable[[], pa.Table]], dict[tuple[str, str], Metadata]]:
-    """Tables and metadata of an evaluation, by table and side, as the jobs of a run return them."""
-    results: list[tuple[str, JobResult]] = []
-    ids: list[IntArray] = []
-    sides = found.real, found.sim
-    for side, own in zip(SIDES, sides, strict=True):
-        ids.append(own.clean.point_ids[~own.cut.is_ground])
-        results += [
-            (side, ground_result(_PAIR, side, scans[side], own.clean, own.cut)),
-            (side, sensor_result(_PAIR, side, own.sensor)),
-            (side, graph_result(_PAIR, side, ids[-1], own.scan.edges)),
-            (side, communities_result(_PAIR, side, ids[-1], own.scan)),
-        ]
-    matching, scored = found.scores.matching, found.scores.objects
-    n_real, n_sim = (own.scan.objects.n_points for own in sides)
-    names = ("real_id", "sim_id", "centroid_distance_m")
-    values = zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), matching.distance_m.tolist(), strict=True)
-    rows = [dict(zip(names, own, strict=True)) for own in values]
-    members = [
-        [own_ids[own.scan.labels == row[f"{side}_id"]] for row in rows]
-        for side, own, own_ids in zip(SIDES, sides, ids, strict=True)
-    ]
-    sizes = [
-        (len(real), len(sim), len(own.selection.real_nodes)) for real, sim, own in zip(*members, scored, strict=True)
-    ]
-    ground = [own.tables["ground"] for _, own in results if "ground" in own.tables]
-    results += [
-        ("", matching_result(_PAIR, matching, n_real, n_sim)),
-        ("", coverage_result(_PAIR, (found.real.coverage, found.sim.coverage))),
-        ("", surface_result(_PAIR, found.surface)),
-        ("", pieces_result(_PAIR, found.pieces)),
-        ("", rays_result(_PAIR, found.rays, ground, settings.input)),
-        ("", selection_result(_PAIR, zip(rows, *members, [own.selection for own in scored], strict=True))),
-        ("", metrics_result(_PAIR, zip(rows, sizes, [own.scores for own in scored], strict=True))),
-    ]
-    tables: dict[tuple[str, str], Callable[[], pa.Table]] = {}
-    metadata: dict[tuple[str, str], Metadata] = {}
-    for side, result in results:
-        tables |= {(name, side): partial(_whole, rows) for name, rows in result.tables.items()}
-        metadata |= {(name, side): result.metadata for name in result.tables}
-    metadata["metrics", ""] = {OF_PAIR: found.scores.summary | n_communities(found.scores.summary)}
-    return tables, metadata
-
-
-def _whole(table: pa.Table) -> pa.Table:
-    return table
 
 
 def _scan(name: str, source: ArrayLike | Scan | Path, settings: Settings) -> Scan:

@@ -43,19 +43,19 @@ class Run(FinishedRun):
         pair_id : name of the pair
         name : 7 or "real:7" for the real object 7 and its partner, "sim:7" for the simulated one
         """
-        from .report.figures.run_plots import plot_object
+        from .report.figures.object_plots import plot_object
 
         return plot_object(self, pair_id, str(name))
 
     def plot_pieces(self, pair_id: str) -> Figure:
         """Plot a pair from above: missing and invented pieces in colour, with the numbers of the largest ones."""
-        from .report.figures.run_plots import plot_pieces
+        from .report.figures.pair_plots import plot_pieces
 
         return plot_pieces(self, pair_id)
 
     def plot_range_image(self, pair_id: str) -> Figure:
         """Plot range images of a pair: real ranges, simulated ranges on the same rays, and the outcome of each ray."""
-        from .report.figures.run_plots import plot_range_image
+        from .report.figures.pair_plots import plot_range_image
 
         return plot_range_image(self, pair_id)
 

@@ -351,7 +351,7 @@ class _Run:
         """Write a table of the whole run, unless it exists under its key. Returns `pairs`."""
         path = self._out / f"{table.name}.parquet"
         before = self._folder.ledger.jobs("").get((table.name, ""))
-        if before is None or before.key != key or not self._folder.is_whole(before):
+        if before is None or before.key != key or self._folder.damaged_files(before):
             stored = self._folder.write_at(path, table.name, parts, key)
             before = JobRecord(table.name, "", "", key, {path.name: stored})
             self._folder.ledger.put_job(before)

@@ -18,17 +18,6 @@ _NUMBERS = ("low", "high", "equal", "paper_mean", "paper_std")
 
 
 @dataclass(frozen=True)
-class PaperMean:
-    """A mean over the paper's pairs with its standard deviation."""
-
-    mean: float
-    std: float
-
-    def __str__(self) -> str:
-        return f"{self.mean:g} ± {self.std:g}"
-
-
-@dataclass(frozen=True)
 class Metric:
     """One score.
 
@@ -42,7 +31,7 @@ class Metric:
     equal : value for two identical objects (or scans); None if it depends on the object
     flags : "count" (values are integers), "required" (each finished job has a value), "no-mean" (`pairs` does not have
         mean and standard deviation over the objects)
-    paper : mean of the paper's 50 pairs
+    paper_mean, paper_std : mean and standard deviation over the paper's 50 pairs
     method : name in the setting metrics.baselines that selects it; "" for our own scores
     meaning : one sentence: what the column holds
     reading : one sentence: how to read a value
@@ -59,7 +48,8 @@ class Metric:
     better: str | None
     equal: float | None
     flags: list[str]
-    paper: PaperMean | None
+    paper_mean: float | None
+    paper_std: float | None
     method: str
     meaning: str
     reading: str
@@ -103,8 +93,7 @@ def _read_metrics() -> Iterator[Metric]:
     for row in read_rows("metrics"):
         values: dict[str, Any] = row | {name: float(row[name]) if row[name] else None for name in _NUMBERS}
         values |= {"unit": row["unit"] or None, "better": row["better"] or None, "flags": row["flags"].split()}
-        mean, std = values.pop("paper_mean"), values.pop("paper_std")
-        yield Metric(**values, paper=None if mean is None else PaperMean(mean, std))
+        yield Metric(**values)
 
 
 #: Largest distance to the other side at which a point counts as covered, as in names of columns: 0.1, 0.3, 1 m.

@@ -71,13 +71,11 @@ class Distribution(Quantiles):
     """Some values: their number, quantiles, mean, standard deviation (n - 1); null for too few.
 
     cv : coefficient of variation, std / mean
-    peak_density : share of the values in the fullest bin of width 0.05, over that width
     """
 
     mean: float | None
     std: float | None
     cv: float | None
-    peak_density: float | None
 
 
 class ScoreDistributions(Result):
@@ -136,13 +134,11 @@ class RangeFindings(Result):
 
     median_matched, median_unmatched : metres; unmatched objects of both sides, each by its own side
     bands : of fixed edges
-    halves : below and above the median range of all objects
     """
 
     median_matched: float | None
     median_unmatched: float | None
     bands: tuple[RangeBand, ...]
-    halves: tuple[RangeBand, ...]
 
 
 class GroupMean(Result):
@@ -160,21 +156,11 @@ class _Label(Result):
 class ClassFindings(Unmatched, _Label):  # in this order the label comes first in JSON
     """The objects of one class; a matched object has the class of its real side.
 
-    scores : of cdc, r_lambda, r_gap; cdc_excess, cdc minus r_lambda; r_lambda_near and r_lambda_far, of the matched
-        objects nearer than the median range of the class, and of the others
-    spearman : rank correlation of CDC and r_lambda within the class
+    scores : of cdc, r_lambda, r_gap
     """
 
     n_matched: int
     scores: dict[str, GroupMean]
-    spearman: float | None
-
-
-class WithinPairs(Result):
-    """In how many of `n_pairs` pairs r_lambda varies more than CDC over the objects of the pair."""
-
-    n_pairs: int
-    n_r_lambda_wider: int
 
 
 class ScanFindings(Result):
@@ -203,7 +189,6 @@ class ObjectFindings(Result):
     density_ratio: DensityRatio
     range_m: RangeFindings
     classes: tuple[ClassFindings, ...]
-    within_pairs: WithinPairs
     scans: Scans
 
 
@@ -317,10 +302,18 @@ class Caution(Result):
     words: str
 
 
+class Unknown(Result):
+    """Causes that cannot be estimated in most pairs, and the reason."""
+
+    causes: tuple[str, ...]
+    reason: str
+
+
 class Overview(Result):
     """The first answer of a run, from the objects and pieces of all scored pairs; see `pipeline.results.overview`.
 
     causes : what to fix first, most severe first
+    unknown : causes that cannot be estimated
     pieces : the largest pieces
     surface : coverage by range and by class
     n_aligned, n_badly_aligned : objects with an r_lambda, and those whose alignment is too bad for it
@@ -328,6 +321,7 @@ class Overview(Result):
     """
 
     causes: tuple[Cause, ...]
+    unknown: tuple[Unknown, ...]
     pieces: tuple[Piece, ...]
     surface: tuple[SurfaceGroup, ...]
     n_aligned: int
@@ -355,6 +349,7 @@ class Diagnosis(Result):
     unexplained : share of the distance over `floor_m` that no correction explains; null if there is hardly any
     causes : those with the largest gain first
     doubtful : seen, but fixing them would not help
+    notes : on causes that can have several reasons
     """
 
     n_pairs: int
@@ -363,3 +358,4 @@ class Diagnosis(Result):
     unexplained: float | None
     causes: tuple[Cause, ...]
     doubtful: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 
 import numpy as np
 import scipy
@@ -30,7 +29,6 @@ MIN_POINTS = 50
 MIN_COVERAGE = 0.6
 MIN_GAIN = 0.15
 MAX_UNCOVERED_RATIO = 0.6
-MIN_GAIN_BY_MOVING = 0.08  # a likely mistake is preferred to a motion found by registration
 MIN_SAME_PLACE = 0.58  # best coverage: scans of one place 0.63 to 0.96, of two places 0.29 to 0.55
 MIN_LIFT_M = 0.2
 _MIN_SHIFT_M = 0.8
@@ -86,7 +84,7 @@ class FrameCheck:
 class _Candidate:
     """Candidate transform of the simulated scan: p, in metres, becomes R p + t; R is a rotation or a reflection.
 
-    words : description of the rotation or motion; "" for none
+    words : description of the rotation or reflection; "" for none
     M : (3, 4) float64, [R | t]
     unit : unit of the file; "" for metres
     lift_m : difference of the ground heights, as part of t
@@ -126,11 +124,11 @@ def check_frames(
     both directions and over ground and the rest. Only points within 40 m of the sensor, one per voxel of 0.5 m, count.
     Candidates for the simulated scan: as given; mirrored, rotated by multiples of 90 degrees, upside down; either scan
     in any of the frames of the settings; in centimetres, millimetres and feet if it reaches far beyond the real one;
-    each of these also shifted by the difference of the ground heights; and registered by small_gicp, if that extra is
-    installed. A candidate is suspect if it covers at least `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as
-    given, and leaves uncovered at most `MAX_UNCOVERED_RATIO` of the share that the scan as given leaves. Otherwise a
-    scan is suspect if its ground is `MIN_LIFT_M` or more above or below the real one. Lifts are medians over ground
-    points and their horizontal neighbours, applied and re-measured before they are reported.
+    each of these also shifted by the difference of the ground heights. A candidate is suspect if it covers at least
+    `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as given, and leaves uncovered at most `MAX_UNCOVERED_RATIO`
+    of the share that the scan as given leaves. Otherwise a scan is suspect if its ground is `MIN_LIFT_M` or more above
+    or below the real one. Lifts are medians over ground points and their horizontal neighbours, applied and re-measured
+    before they are reported.
 
     Parameters
     ----------
@@ -209,11 +207,6 @@ def _search(
                     return as_given, as_given, candidate
             if coverage > best[0]:
                 best = coverage, candidate
-        if best[1].unit == unit and best[0] < 1 and find_spec("small_gicp"):  # an extra
-            candidate = _registered(target, source, best[1])
-            coverage = _coverage(target, source, candidate, box)
-            if coverage - best[0] >= MIN_GAIN_BY_MOVING:
-                best = coverage, candidate
     return as_given, *best
 
 
@@ -242,7 +235,7 @@ def _levelled(target: _Side, source: _Side, candidate: _Candidate) -> _Candidate
 
 
 def _candidates(target: _Side, source: _Side, motion: FloatArray, unit: str) -> Iterator[_Candidate]:
-    """All candidates except that of small_gicp; the scan as given comes first, so that it wins ties."""
+    """All candidates; the scan as given comes first, so that it wins ties."""
     for name, turn in _ROTATIONS.items():
         words = "" if name == AS_GIVEN else name
         M = np.column_stack([motion[:, :3] @ turn, motion[:, 3]])
@@ -252,26 +245,6 @@ def _candidates(target: _Side, source: _Side, motion: FloatArray, unit: str) -> 
             lifted = M.copy()
             lifted[2, 3] += lift_m
             yield _Candidate(words, lifted, unit, lift_m)
-
-
-def _registered(target: _Side, source: _Side, start: _Candidate) -> _Candidate:
-    """Candidate registered to the real scan by small_gicp (Koide, JOSS 2024), one thread."""
-    import small_gicp
-
-    result = small_gicp.align(
-        target.points,
-        _placed(source.points, start.M),
-        registration_type="GICP",
-        downsampling_resolution=VOXEL_M,
-        max_correspondence_distance=3.0,
-        num_threads=1,
-    )
-    T: FloatArray = result.T_target_source
-    M = np.column_stack([T[:3, :3] @ start.M[:, :3], T[:3, :3] @ start.M[:, 3] + T[:3, 3]])
-    turn_deg = float(np.degrees(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
-    before = replace(start, unit="").name
-    moved = f"moved by {np.linalg.norm(T[:3, 3]):.2f} m and {turn_deg:.1f} degrees"
-    return _Candidate(moved if before == AS_GIVEN else f"{before} and {moved}", M, start.unit)
 
 
 def _coverage(target: _Side, source: _Side, candidate: _Candidate, box: Box | None) -> float:

@@ -1,15 +1,12 @@
-"""The whole method on one screen: how faithful one simulated scan is to one real scan, object by object.
+"""Steps of the method that several jobs need: cutting the road, partitioning a side, comparing two sides.
 
-This is the page to read first about what is computed. `evaluate` is the paper's "Practical Pipeline" from two scans to
-the scores of the pair, made of two parts that are also used alone: `partition` finds the objects of one side,
-`compare` scores those that two sides have in common. Each step is the function of one stage, which has the equations.
+The method on one screen is the list of stages in `pipeline/jobs/__init__.py`, and it is what runs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +15,7 @@ from ..schemas.metric_catalogue import OBJECT_METRICS
 from ..schemas.results import Number
 from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray, Watch, unwatched
-from .clean import CleanResult, as_ros, clean_scan, too_few_left
+from .clean import CleanResult, clean_scan, too_few_left
 from .communities import find_communities
 from .coverage import Coverage, below_cut, cover, nearest_distances
 from .graph import build_graph
@@ -27,84 +24,12 @@ from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
 from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object
 from .objects import Objects, describe_objects
-from .pieces import CutScan, Pieces, find_pieces
-from .rays import Rays, find_rays
 from .reference import Annotation, ReferenceObjects, assign_to_reference, find_reference_objects, visiting_order
 from .selection import Selection, select_nodes
-from .sensor_description import SensorDescription, describe_sensor
 from .summary import summarise_pair
 from .surface import Offsets, compare_roughness, describe_surface, measure_offsets
 
 _COUNTS = ("n_matched", "n_missing", "n_hallucinated")
-
-
-def evaluate(
-    real: FloatArray, sim: FloatArray, settings: Settings, *, T_real_sim: FloatArray | None = None
-) -> Evaluation:
-    """Compare a simulated scan with a real one: from the points as read to the scores of the pair.
-
-    `evaluate_pair` calls it; the jobs of `fidpipe run` call its steps one by one, on the tables. Both return the
-    same numbers; to the last bit if BLAS has one thread, as it has there.
-
-    Parameters
-    ----------
-    real, sim : (n, 3), (m, 3) float64, metres, each in its own sensor's frame; NaN and infinite points are dropped
-    settings : of all stages; those of baselines and seeds are not used
-    T_real_sim : (3, 4) float64, maps the simulated sensor's frame into the real one's; by default they are the same
-
-    Raises
-    ------
-    StageError
-        A side has fewer than 8 points after cleaning or after ground removal.
-    """
-    # Measurements only, both sides in the real sensor's frame; then, "Data Collection and Graph Build-up", the PCA
-    # Z-cut takes the road away
-    with _errors_of("stage ground, real"):
-        clean_real, cut_real = remove_road(real, settings, "real")
-    with _errors_of("stage ground, sim"):
-        clean_sim, cut_sim = remove_road(
-            sim, settings, "sim", T_real_sim=T_real_sim, real_cut=cut_real, real_points=clean_real.points
-        )
-
-    # "Graphs as Metrics": each side becomes a graph, and its communities are its objects
-    with _errors_of("stage communities, real"):
-        objects_real = partition(clean_real.points[~cut_real.is_ground], settings)
-    with _errors_of("stage communities, sim"):
-        objects_sim = partition(clean_sim.points[~cut_sim.is_ground], settings, reference=objects_real.reference)
-
-    # "Graph-Based Validation Metrics": the objects that both sides have are scored
-    scores = compare(objects_real, objects_sim, settings)
-
-    # Not the paper's: how much of each surface the other side has, how far apart they are and how rough, and in which
-    # pieces it is missing or invented
-    both = objects_real, objects_sim
-    coverage = measure_coverage(
-        [scan.points for scan in both],
-        [scan.labels for scan in both],
-        [len(scan.objects.n_points) for scan in both],
-        [(cut.axis, cut.threshold_m) for cut in (cut_real, cut_sim)],
-    )
-    surface = measure_surface(objects_real.points, objects_sim.points, objects_real.labels)
-    scan_real = CutScan(clean_real.points, cut_real.is_ground, cut_real.height_m)
-    scan_sim = CutScan(clean_sim.points, cut_sim.is_ground, cut_sim.height_m)
-    pieces = find_pieces(scan_real, scan_sim, settings.pieces)
-
-    # Not the paper's: the sensor of each side, estimated in its own frame
-    sensors = (
-        describe_sensor(as_ros(real, settings.input.frame_of("real"))),
-        describe_sensor(as_ros(sim, settings.input.frame_of("sim"))),
-    )
-
-    # Not the paper's: what each ray of the real sensor returned on both sides
-    rays = find_rays(clean_real.points, clean_sim.points, (asdict(sensors[0]), asdict(sensors[1])), T_real_sim)
-    return Evaluation(
-        EvaluatedSide(sensors[0], clean_real, cut_real, objects_real, coverage[0]),
-        EvaluatedSide(sensors[1], clean_sim, cut_sim, objects_sim, coverage[1]),
-        scores,
-        surface,
-        pieces,
-        rays,
-    )
 
 
 def remove_road(
@@ -374,51 +299,6 @@ class PairScores:
     matching: Matching
     objects: tuple[ScoredObject, ...]
     summary: dict[str, Number]
-
-
-@dataclass(frozen=True)
-class EvaluatedSide:
-    """Each step's result for one side.
-
-    sensor : in the side's own frame
-    clean : points that are measurements, in the real sensor's frame
-    cut : which of these are ground
-    scan : the others, their graph and their communities
-    coverage : by the other side
-    """
-
-    sensor: SensorDescription
-    clean: CleanResult
-    cut: GroundResult
-    scan: PartitionedScan
-    coverage: tuple[Coverage, Coverage]
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Each step's result for both sides, and the scores.
-
-    scores : of the objects and of the pair
-    surface : displacement and roughness, regardless of the objects
-    pieces : missing and invented ones
-    rays : what each returned, or the reason for which there are none
-    """
-
-    real: EvaluatedSide
-    sim: EvaluatedSide
-    scores: PairScores
-    surface: SurfaceScores
-    pieces: tuple[Pieces, Pieces]
-    rays: Rays | str
-
-
-@contextmanager
-def _errors_of(where: str) -> Iterator[None]:
-    """Name the step in the errors that it raises."""
-    try:
-        yield
-    except StageError as error:
-        raise StageError(f"{where}: {error}") from error
 
 
 def _summarise(

@@ -183,55 +183,6 @@ def pair_columns(sensor: SensorDescription, side: str) -> dict[str, Any]:
     return {f"sensor_{side}_{name.removeprefix('n_')}": row[name] for name in PAIR_COLUMNS}
 
 
-def differences(real: SensorDescription, sim: SensorDescription) -> list[str]:
-    """One line for each property in which the sensors of the two sides differ; undetermined ones are skipped.
-
-    Beams differ if their number (by more than two) or limits (by more than 0.3 degrees) do, or if they are even on one
-    side only; steps by more than 5 %, quanta at all, noise by a factor of 1.5 and 5 mm, lost shares by 5 points.
-    """
-    found = _beam_differences(real, sim)
-    steps = (real.azimuth_step_deg, sim.azimuth_step_deg)
-    if steps[0] and steps[1] and not 1 / 1.05 < steps[0] / steps[1] < 1.05:
-        found.append(f"azimuth step: {steps[0]:.3f} degrees real, {steps[1]:.3f} simulated")
-    if real.range_quantum_m != sim.range_quantum_m and real.elevation_deg and sim.elevation_deg:
-        found.append(f"range quantum: {_quantum_text(real)} real, {_quantum_text(sim)} simulated")
-    if real.range_noise_m is not None and sim.range_noise_m is not None:
-        low, high = sorted((real.range_noise_m, sim.range_noise_m))
-        if high > 1.5 * low and high - low > 0.005:
-            found.append(
-                f"range noise on smooth surfaces: {1e3 * real.range_noise_m:.0f} mm real, "
-                f"{1e3 * sim.range_noise_m:.0f} mm simulated"
-            )
-    for low_m, high_m, a, b in zip(LOST_BANDS_M, LOST_BANDS_M[1:], real.lost_share, sim.lost_share, strict=False):
-        if a is not None and b is not None and abs(a - b) > 0.05:
-            found.append(f"pulses lost in surfaces {low_m:.0f} to {high_m:.0f} m away: {a:.0%} real, {b:.0%} simulated")
-    if real.has_time != sim.has_time:
-        found.append(f"a time for each point: {_yes(real.has_time)} real, {_yes(sim.has_time)} simulated")
-    return found
-
-
-def _beam_differences(real: SensorDescription, sim: SensorDescription) -> list[str]:
-    if not (real.elevation_deg and sim.elevation_deg):
-        is_one = bool(real.elevation_deg or sim.elevation_deg)
-        return [f"beams: {_count_text(real)} real, {_count_text(sim)} simulated"] if is_one else []
-    found = []
-    if has_other_beams(real, sim):
-        found.append(f"beams: {name_text(real)} real, {name_text(sim)} simulated")
-    bottom, top = np.subtract(_limits(sim), _limits(real))
-    if max(abs(bottom), abs(top)) > 0.3:
-        found.append(f"simulated beams: highest {top:+.1f} degrees, lowest {bottom:+.1f} degrees from the real ones")
-    if real.is_even != sim.is_even:
-        found.append(f"only {'real' if real.is_even else 'simulated'} beams are evenly spaced")
-    if np.abs(np.subtract(_heights(real), _heights(sim))).max() > 0.03:
-        found.append(f"beams start {_heights_text(real)} in the real scan, {_heights_text(sim)} in the simulated one")
-    if real.focal_m != sim.focal_m:
-        found.append(
-            f"beams cross {1e3 * real.focal_m:.1f} mm before the axis in the real scan, "
-            f"{1e3 * sim.focal_m:.1f} mm in the simulated one"
-        )
-    return found
-
-
 def has_other_beams(one: SensorDescription, other: SensorDescription) -> bool:
     """True if two scans are of sensors with different numbers of beams, or of known sensors that differ."""
     if one.model and other.model:
@@ -322,11 +273,6 @@ def _heights_text(sensor: SensorDescription) -> str:
     if min(heights) >= 0 or max(heights) <= 0:
         return f"{' and '.join(f'{abs(h):g}' for h in heights)} m {'above' if max(heights) > 0 else 'below'} the origin"
     return f"{' and '.join(f'{h:+g}' for h in heights)} m from the origin"
-
-
-def _quantum_text(sensor: SensorDescription) -> str:
-    quantum = sensor.range_quantum_m
-    return sensor.untold["range_quantum_m"] if quantum is None else f"{1e3 * quantum:g} mm"
 
 
 def _yes(has: bool) -> str:

@@ -32,22 +32,12 @@ def embedded(page):
     return json.loads(re.search(r'<script type="application/json" id="report">(.*?)</script>', page, re.S)[1])
 
 
-def unpacked(view):
-    """The columns of a pair in a page by name, as the browser unpacks them."""
-    columns, content = {}, zlib.decompress(base64.b64decode(view["packed"]["deflated"]))
-    for name, width, n in view["packed"]["parts"]:
-        part, content = content[: width * n], content[width * n :]
-        if width == 1:
-            columns[name] = np.frombuffer(part, np.uint8)
-        else:
-            steps = [sum(part[k * n + i] << (8 * k) for k in range(width)) for i in range(n)]
-            sums = np.cumsum(steps) % 2 ** (8 * width)
-            columns[name] = np.where(sums >= 2 ** (8 * width - 1), sums - 2 ** (8 * width), sums)
-    assert content == b""
-    return columns
+def unpacked(text, dtype=np.uint8):
+    """A packed array of a page, as the browser reads it."""
+    return np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype)
 
 
-def points_in(view, name):
-    """(n, 3) metres, points of a pair in a page: "real", "sim", "real_road", "sim_road"."""
-    columns = unpacked(view)
-    return np.column_stack([columns[f"{name}_{axis}"] for axis in "xyz"]) * view["step_m"]
+def points_in(view, side, name="points"):
+    """(n, 3) metres, object points of a side in a page, or its road points (`name="road"`)."""
+    steps = unpacked(view["sides"][side][name], "<i2")
+    return steps.reshape(3, -1).T * view["step_m"]

@@ -101,12 +101,12 @@ def grid(*axes):
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float64)
 
 
-def degenerate():
+def degenerate_scenes():
     """Degenerate pairs by description: a real and a simulated scan, some at the limits of float64."""
     some, line = cloud(), np.outer(np.arange(40.0), [1, 0.5, 0.2]) + [3, 3, 1]
     plane = np.column_stack([np.random.default_rng(1).uniform(5, 15, (80, 2)), np.ones(80)])
     lattice = grid(*[np.arange(5.0)] * 3) + [5, 5, 0]
-    crumbs = np.repeat(grid(np.arange(-45, 45, 2.0), np.arange(-45, 45, 2.0), [3.0]), 2, axis=0)
+    crumbs = np.repeat(grid(np.arange(-45, 45, 4.0), np.arange(-45, 45, 4.0), [3.0]), 2, axis=0)
     crumbs[::2] += 0.01
     giant = [6, 0, 1] + np.random.default_rng(2).normal(0, 0.02, (600, 3))
     broken = np.where(np.random.default_rng(3).random(some.shape) < 0.2, np.nan, some)
@@ -124,7 +124,7 @@ def degenerate():
         "in a plane": (plane, plane[:-9]),
         "a lattice, all distances tied": (lattice, lattice[:-7]),
         "one giant community": (giant, giant[:-50]),
-        "2025 tiny communities": (crumbs, crumbs[:-3]),
+        "couples of points, 4 m apart": (crumbs, crumbs[:-3]),
         "fewer points than graph.k": (some[:12], some[:10]),
         "nothing but road on the real side": (road(300) * [1, 1, 0] - [0, 0, 1.7], street()),
         "the simulated side out of reach": (some, some + [60, 0, 0]),

@@ -1,4 +1,4 @@
-"""Tables, settings, commands, exit codes and JSON fields are those of the list that `tools/contract.py` writes."""
+"""Tables, settings, commands and exit codes are those of the list that `tools/contract.py` writes."""
 
 import json
 
@@ -12,11 +12,11 @@ STORED = json.loads(contract.FILE.read_text())
 
 
 @pytest.fixture(scope="module")
-def present(scenario):
+def present():
     with pytest.MonkeyPatch.context() as patch:
         for toy in TOY_TABLES:
             patch.delitem(TABLES, toy.name)
-        return json.loads(json.dumps(contract.measure(scenario)))
+        return json.loads(json.dumps(contract.measure()))
 
 
 @pytest.mark.parametrize("subject", STORED)

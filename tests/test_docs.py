@@ -5,12 +5,13 @@ import shlex
 from pathlib import Path
 
 import duckdb
+import numpy as np
 import pandas as pd
 import pytest
+from pypcd4 import PointCloud
 
 import fidpipe
 from fidpipe.pipeline.datasets.pairs import read_dataset
-from fidpipe.pipeline.exchange.convert import convert
 from runs import command
 from scenes import drifted, street, write_bin, write_pair
 
@@ -50,9 +51,9 @@ def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(t
         sim = drifted(real, seed=i)
         write_bin(tmp_path / "drive" / f"{20 * i}.000.bin", real)
         for build, up_m in (("build41", 0.0), ("build42", -0.12)):
-            write_bin(tmp_path / "scan.bin", sim + [0, 0, up_m])
             (tmp_path / build).mkdir(exist_ok=True)
-            convert(tmp_path / "scan.bin", tmp_path / build / f"{20 * i}.000.pcd", "pcd")
+            moved = np.column_stack([sim + [0, 0, up_m], np.zeros(len(sim))]).astype(np.float32)
+            PointCloud.from_xyzi_points(moved).save(tmp_path / build / f"{20 * i}.000.pcd")
     monkeypatch.chdir(tmp_path)
     output, n_commands = "", 0
     for language, text in blocks("decision.md", "sh|text"):
@@ -69,3 +70,22 @@ def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(t
     assert {pair.pair_id: pair.timestamp_s for pair in times} == {f"{20 * i}.000": 20.0 * i for i in range(8)}
     assert "8 of 8 pairs can be evaluated" in command("check", "drive", "build42").stdout
     assert "0 jobs done" in command("run", "drive", "build42", "--preset", "reference").stdout
+
+
+def test_the_snippets_of_how_do_i_run(report_run, tmp_path, monkeypatch):
+    (tmp_path / "runs").mkdir()
+    for build in ("build41", "build42"):
+        (tmp_path / "runs" / build).symlink_to(report_run)
+    monkeypatch.chdir(tmp_path)
+    real = street()
+    write_bin(tmp_path / "dataset" / "real" / "0007.bin", real)
+    names = {}
+    for _, code in blocks("how-do-i.md", "python"):
+        exec(code, names)
+    for written in ("0007.ply", "0007.pcd", "0007.parquet"):
+        np.testing.assert_allclose(fidpipe.read_scan(tmp_path / written).points, real, atol=1e-5)
+    pairs = pd.DataFrame(fidpipe.open_run(report_run).scored)
+    assert names["table"].mean().to_dict() == pytest.approx(
+        dict.fromkeys(["build41", "build42"], pairs.cdc_mean.mean())
+    )
+    assert (tmp_path / "cdc.png").stat().st_size > 0

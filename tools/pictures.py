@@ -12,6 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
 
 from fidpipe.pipeline.report.figures import style
+from fidpipe.pipeline.report.figures.pair_plots import draw_distances, draw_objects, object_points
 from fidpipe.pipeline.report.look import FATE_COLOURS, QUADRANT_COLOURS, SIDE_COLOURS
 from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from fidpipe.pipeline.results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT
@@ -54,17 +55,17 @@ class PairView:
         self.results, self.run, self.pair_id = results, results.run, pair_id
         self.tables = PairFrames(results, pair_id)
         self.row = results.pairs.set_index("pair_id").loc[pair_id]
-        matched = self.tables.matched
+        matched = results.matched[results.matched.pair_id == pair_id]
         aligned = matched[matched.alignment_rms_m <= max(GOOD_ALIGNMENT_M, matched.alignment_rms_m.min())]
         typical = aligned.assign(off=(aligned.n_keep - TYPICAL_NODES).abs()).sort_values(["off", "real_id"]).iloc[0]
         self.own = MatchedObject(results, typical)
+        self.matched = matched
         self.points = {side: cloud.points for side, cloud in self.tables.clouds.items()}
         self.frame = style.frame_of(*self.points.values())
 
     def centroids(self, side):
         """By object, the mean of its points from above, (n, 2)."""
-        cloud = self.tables.clouds[side]
-        return np.array([cloud.members(i).mean(axis=0)[:2] for i in range(cloud.community.max() + 1)])
+        return object_points(self.run, self.pair_id)[side].groupby("community_id")[["x", "y"]].mean().to_numpy()
 
 
 def ground(axis, view):
@@ -168,10 +169,9 @@ def draw_graph(view, path):
 
 def communities(axis, view, side="real"):
     """The objects of a side from above, each in a colour."""
-    cloud = view.tables.clouds[side]
-    n = cloud.community.max() + 1
-    style.dots(axis, cloud.points, 1.5, style.community_colours(n)[cloud.community])
-    axis.set_title(f"{n} {WORDS[side]} objects")
+    points = object_points(view.run, view.pair_id)[side]
+    draw_objects(points, axis)
+    axis.set_title(f"{points.community_id.nunique()} {WORDS[side]} objects")
     style.from_above(axis, view.frame)
 
 
@@ -188,13 +188,15 @@ def matching(axis, view):
     for points in view.points.values():
         style.dots(axis, points, 0.6, "#dddddd")
     centroids = {side: view.centroids(side) for side in SIDES}
-    matched = view.tables.matched
+    matched = view.matched
     pairs = np.stack([centroids[side][matched[f"{side}_id"]] for side in SIDES], axis=1)
     axis.add_collection(LineCollection(pairs, colors="black", linewidths=1))
     for column, side in enumerate(SIDES):
         axis.scatter(*pairs[:, column].T, s=14, c=SIDE_COLOURS[side], zorder=3, label=f"matched, {WORDS[side]}")
     for status, side in (("missing", "real"), ("hallucinated", "sim")):
-        alone = view.tables.unmatched.query("status == @status").community_id
+        unmatched = view.results.unmatched
+        is_alone = (unmatched.pair_id == view.pair_id) & (unmatched.status == status)
+        alone = unmatched[is_alone].community_id
         look = {"marker": "X", "s": 34, "edgecolors": "white", "linewidths": 0.5, "zorder": 3}
         axis.scatter(*centroids[side][alone].T, c=FATE_COLOURS[status], label=f"{len(alone)} {status}", **look)
         for place in centroids[side][alone] if status == "missing" else ():
@@ -223,9 +225,8 @@ def draw_matching(view, path):
 def coverage(axis, view, side="real"):
     """The points of a side from above by their distance to the other side, far ones on top."""
     distance_m = view.tables.distances_m[side]
-    order = np.argsort(distance_m, kind="stable")
-    look = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
-    coloured = style.dots(axis, view.points[side][order], 1.5, distance_m[order], **look)
+    points = object_points(view.run, view.pair_id)[side]
+    coloured = draw_distances(points.assign(distance_m=distance_m), axis)
     shares = " / ".join(f"{100 * np.mean(distance_m <= reach_m):.0f}" for reach_m in COVERAGE_DISTANCES_M)
     axis.set_title(f"{WORDS[side]}: {shares} % covered\nwithin 0.1 / 0.3 / 1 m")
     style.from_above(axis, view.frame)
@@ -371,7 +372,7 @@ def draw_selection(view, path):
 
 def metrics(axis, view, score="r_lambda"):
     """The real objects from above by a score; those without a partner in grey."""
-    cloud, matched = view.tables.clouds["real"], view.tables.matched
+    cloud, matched = view.tables.clouds["real"], view.matched
     values = np.full(cloud.community.max() + 1, np.nan)
     values[matched.real_id] = matched[score].to_numpy(dtype=float)
     of_point = values[cloud.community]

@@ -1,4 +1,4 @@
-"""What a release must pass, `make release-check`: archives, clean installs, extras, the Dockerfile's steps.
+"""What a release must pass, `make release-check`: archives, clean installs, extras, licences, the Dockerfile's steps.
 
 It fetches libraries from the package index and works in a temporary folder; nothing of the project is imported here.
 """
@@ -25,12 +25,15 @@ LOOPBACK = (
     "fcntl.ioctl(socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0x8914, struct.pack('16sh14x', b'lo', 0x41)); "
     "os.execv(sys.argv[1], sys.argv[1:])"
 )
+FORBIDDEN_LICENCES = "GPL;General Public;SSPL;Commons Clause;Proprietary;Non-Commercial;UNKNOWN"
+#: pypatchworkpp is BSD-2-Clause: LICENSE of url-kaist/patchwork-plusplus.
+LICENCE_NOT_IN_WHEEL = ["pypatchworkpp"]
 GENERATED = re.compile(r"PKG-INFO|setup\.cfg|fidpipe\.egg-info/.*")
 MISSING = {  # a command on a machine with the required libraries alone, and what its only line must advise
     "synth": (["synth", "streets"], "synth"),
-    "ros": (["convert", "scan.bag", "out.ply"], "ros"),
-    "velodyne": (["convert", "scan.pcap", "out.ply"], "velodyne"),
-    "las": (["convert", "scan.las", "out.ply"], "las"),
+    "ros": (["pair", "scan.bag", "scan.bag", "--out", "paired"], "ros"),
+    "velodyne": (["pair", "scan.pcap", "scan.pcap", "--out", "paired"], "velodyne"),
+    "las": (["run", "las", "--workers", "1"], "las"),
     "patchwork": (["run", "dataset", "--set", "ground.method=patchwork", "--out", "patchwork"], "patchwork"),
 }
 
@@ -39,7 +42,7 @@ def main():
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         folder.chmod(0o755)
-        for step in (build, check_contents, try_wheel, try_extras, try_sdist, try_dockerfile):
+        for step in (build, check_contents, try_wheel, try_extras, check_licences, try_sdist, try_dockerfile):
             began = monotonic()
             print(f"{step.__name__}: {step(folder)} ({monotonic() - began:.0f} s)", flush=True)
 
@@ -91,8 +94,11 @@ def try_wheel(folder):
         run(fidpipe, *words.split(), cwd=place)
     page = (place / "runs" / "dataset" / "report.html").stat().st_size
     demand(page > 100_000, f"the report has {page} bytes")
-    for ending in ("bag", "pcap", "las"):
-        (place / f"scan.{ending}").write_bytes(b"LASF" if ending == "las" else b"\0" * 64)
+    for ending in ("bag", "pcap"):
+        (place / f"scan.{ending}").write_bytes(b"\0" * 64)
+    for side in ("real", "sim"):
+        (place / "las" / side).mkdir(parents=True)
+        (place / "las" / side / "scan.las").write_bytes(b"LASF")
     for extra, (words, advised) in MISSING.items():
         refused = subprocess.run([fidpipe, *words], cwd=place, capture_output=True, text=True, check=False)
         lines = [line for line in refused.stderr.splitlines() if re.search(rf"pip install .fidpipe\[{advised}\]", line)]
@@ -110,6 +116,16 @@ def try_extras(folder):
     run(BIN / "uv", "pip", "check", "--python", folder / "clean" / "bin" / "python")
     run(folder / "clean" / "bin" / "fidpipe", "synth", "streets", "--pairs", "1", cwd=folder / "place")
     return ", ".join(PROJECT["optional-dependencies"])
+
+
+def check_licences(folder):
+    """No library of any extra has a licence that binds the whole program, or an unknown one."""
+    python = folder / "clean" / "bin" / "python"
+    words = [BIN / "pip-licenses", "--python", python, "--from", "mixed"]
+    words += ["--partial-match", "--fail-on", FORBIDDEN_LICENCES]
+    words += ["--ignore-packages", *LICENCE_NOT_IN_WHEEL]
+    run(*words)
+    return "no forbidden licence"
 
 
 def try_sdist(folder):

@@ -44,7 +44,7 @@ def all_scores() -> str:
     for metric in (METRIC["match_rate"], *OBJECT_SCORES):
         high = "" if metric.high is None else f" to {metric.high:g}"
         values = f"{metric.low:g}{high or ' or more'}" if metric.low is not None else "any"
-        paper = "" if metric.paper is None else f"{metric.paper}"
+        paper = "" if metric.paper_mean is None else f"{metric.paper_mean:g} ± {metric.paper_std:g}"
         cells = (metric.label, f"`{metric.column}`", values, metric.better or "", paper, metric.reading)
         rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows) + "\n"

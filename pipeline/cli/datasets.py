@@ -1,4 +1,4 @@
-"""The commands that make datasets and scans: synth, twin, pair and convert."""
+"""The commands that make datasets: synth, twin and pair."""
 
 from __future__ import annotations
 
@@ -196,37 +196,3 @@ def pair(
         )
     if n_unpaired:
         print_line(f"{n_unpaired} frames have no partner: {out / 'unpaired.csv'}")
-
-
-def convert(
-    source: Path,
-    out: Path,
-    to: str = "parquet",
-    columns: str | None = None,
-    replace: bool = False,
-) -> None:
-    """Write a scan, or the frames of a bag or a capture, as Parquet, PLY or PCD.
-
-    Coordinates keep every bit; intensity, ring, time, label, instance and incidence are kept if the scan has them.
-
-    Parameters
-    ----------
-    source : A scan, a recording, or one frame of it: drive.mcap#/points@12.
-    out : The file (.parquet, .ply or .pcd); a folder for several frames.
-    to : Format of the files in a folder: parquet, ply or pcd.
-    columns : Names of the columns of a raw file (.bin), as x,y,z,intensity,ring.
-    replace : Replace existing files.
-
-    For example:
-
-    fidpipe convert sweep.bin sweep.ply                  for CloudCompare
-
-    fidpipe convert drive.mcap#/lidar/points@12 frame.pcd
-
-    fidpipe convert capture.pcap frames/ --to ply        every revolution of the sensor
-    """
-    from ..exchange.convert import convert as write
-
-    names = tuple(columns.replace(",", " ").split()) if columns else None
-    files = write(source, out, to, names, replace=replace)
-    print_line(str(files[0]) if len(files) == 1 else f"{len(files)} files in {out}")

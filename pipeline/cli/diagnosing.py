@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from . import completion
-from .options import AsCsv, AsJson, AsMarkdown, Assignments, Pairs, SettingsFile, format_of
+from .options import (
+    AsCsv,
+    AsJson,
+    AsMarkdown,
+    Assignments,
+    Floor,
+    Scheduler,
+    SettingsFile,
+    Workers,
+    check_machines,
+    format_of,
+)
 from .output import print_as
 
 
 def diagnose(
     sources: Annotated[list[Path], typer.Argument(metavar="RUN | REAL SIM", autocompletion=completion.run_folders)],
-    floor: Annotated[Path | None, typer.Option(metavar="RUN", autocompletion=completion.run_folders)] = None,
-    pairs: Pairs = None,
-    workers: Annotated[int | None, typer.Option(min=1, show_default="one per core")] = None,
-    beams: bool = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    since: Annotated[Path | None, typer.Option(metavar="RUN", autocompletion=completion.run_folders)] = None,
     tell_apart: bool = False,
+    floor: Floor = None,
     picture: Annotated[Path | None, typer.Option(metavar="PNG")] = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -27,12 +37,11 @@ def diagnose(
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
 ) -> None:
-    """Name the flaws that explain the difference between both sides, and what correcting each would gain.
+    """Measure what fixing each cause of a run would gain, and what no cause explains.
 
-    Each cause has an estimate with its 95 % interval over pairs, the setting that controls it, and its gain: the share
-    of the distance between the surfaces that disappears if the simulated points are corrected for it. What no
-    correction explains is printed as unexplained. With --floor its estimates are subtracted, and smaller causes are
-    named. The result is stored in RUN/diagnosis.json; show, report and compare then use it.
+    The gain of a cause is the share of the distance between the surfaces, beyond that of a second measurement, that
+    disappears if the simulated points are corrected for it. run, show, report and compare then list causes by gain.
+    An interrupted diagnosis resumes. With --since also what has changed from an earlier build, as compare shows it.
 
     With --tell-apart instead: a classifier learns to recognise simulated points by their neighbourhood (shape,
     roughness, spacing, rays, intensity) and is tested on other places. AUC 0.5: it cannot; 1: it always can. Position
@@ -41,68 +50,62 @@ def diagnose(
     Parameters
     ----------
     sources : Folder of a run; with --tell-apart also two folders of scans (or recordings), which need no pairs.
-    floor : Run on the same real scans that is subtracted: of fidpipe floor, or of an earlier version.
-    workers : Threads.
-    beams : Instead a table of the beams: rays that only one side returned, errors of range and elevation.
+    since : Run of an earlier build on the same real scans.
     tell_apart : Test if a classifier can distinguish real and simulated points.
+    floor : With --tell-apart: floor whose second measurements are compared.
     picture : With --tell-apart: map of the recognised points.
 
     Examples
     --------
-    fidpipe diagnose runs/dataset --floor runs/dataset-floor
+    fidpipe diagnose runs/dataset
 
-    fidpipe diagnose runs/build42 --floor runs/build41       what changed between two versions
+    fidpipe diagnose runs/build42 --since runs/build41
 
     fidpipe diagnose runs/dataset --json | jq '.causes[0]'
-
-    fidpipe diagnose runs/dataset --floor runs/dataset-floor --beams
 
     fidpipe diagnose runs/dataset --tell-apart --picture map.png
 
     fidpipe diagnose real/ sim/ --tell-apart --set input.sim_frame=carla
     """
     output = format_of(as_json, as_markdown, as_csv)
-    if len(sources) > 1 and (floor or pairs or not tell_apart or len(sources) > 2):
-        raise typer.BadParameter(
-            "expected one run, or two folders of scans with --tell-apart, without --floor and --pairs"
-        )
+    check_machines(workers, scheduler)
+    if len(sources) > 1 and (floor or not tell_apart or len(sources) > 2):
+        raise typer.BadParameter("expected one run, or two folders of scans with --tell-apart, without --floor")
     if len(sources) == 1 and (settings or assignments):
         raise typer.BadParameter("--settings and --set are for two folders; a run has its settings")
-    if beams and tell_apart:
-        raise typer.BadParameter("expected one of --beams and --tell-apart")
     if tell_apart and as_csv:
         raise typer.BadParameter("--csv is for causes; with --tell-apart give --json or --markdown")
-    if beams:
-        return _beams(sources[0], floor, pairs, output)
+    if floor and not tell_apart:
+        raise typer.BadParameter("--floor is for --tell-apart; causes need no floor")
+    if since and tell_apart:
+        raise typer.BadParameter("--since is for causes; leave out --tell-apart")
     if tell_apart:
-        return _tell_apart(sources, floor, pairs, picture, settings, assignments or [], output)
+        return _tell_apart(sources, floor, picture, settings, assignments or [], output)
     from ..diagnose.diagnose import diagnose_run
     from ..diagnose.diagnosis_view import diagnosis_records, diagnosis_view
+    from ..engine.engine import Machines
     from ..engine.progress import Reporter
 
-    found = diagnose_run(sources[0], floor, pairs, workers or os.cpu_count() or 1, Reporter())
-    print_as(output, lambda: diagnosis_view(found), lambda: diagnosis_records(found), found.as_dict)
-    return None
+    diagnosis = diagnose_run(sources[0], Reporter(), Machines(workers, scheduler))
+    if since is None:
+        print_as(output, lambda: diagnosis_view(diagnosis), lambda: diagnosis_records(diagnosis), diagnosis.as_dict)
+        return None
+    from ..report.views.compare_view import changed_since
+    from ..results.compare import compare_runs
 
-
-def _beams(run: Path, floor: Path | None, pairs: str | None, output: str) -> None:
-    from ..diagnose.beams import beam_table, beam_view
-    from ..report.view import Table
-
-    table = beam_table(run, floor, pairs).reset_index()
-    records: Any = table.astype(object).where(table.notna(), None)
+    (comparison,) = compare_runs([since, sources[0]], reporter=Reporter())
     print_as(
         output,
-        lambda: beam_view(table.set_index("beam"), floor is not None),
-        lambda: Table("", [*records], records.to_numpy().tolist()),
-        lambda: {"beams": records.to_dict("records")},
+        lambda: [*diagnosis_view(diagnosis), *changed_since(comparison)],
+        lambda: diagnosis_records(diagnosis),
+        lambda: diagnosis.as_dict() | {"since": str(since), "changes": comparison.as_dict()["causes"]},
     )
+    return None
 
 
 def _tell_apart(
     sources: list[Path],
     floor: Path | None,
-    pairs: str | None,
     picture: Path | None,
     settings: Path | None,
     assignments: list[str],
@@ -117,7 +120,7 @@ def _tell_apart(
     if len(sources) == 2:
         found = tell_apart_folders(sources[0], sources[1], load(settings, assignments))
     else:
-        found = tell_apart_run(FinishedRun(sources[0]), FinishedRun(floor) if floor else None, pairs)
+        found = tell_apart_run(FinishedRun(sources[0]), FinishedRun(floor) if floor else None)
     if picture:
         draw_map(found, picture)
     view = tell_apart_view(found)

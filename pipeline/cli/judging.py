@@ -1,4 +1,4 @@
-"""The commands that evaluate finished runs: gate, compare, verify."""
+"""The commands that evaluate finished runs: gate and compare."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from .options import (
     Floor,
     OutFile,
     RunFolder,
-    Seed,
     criterion_option,
     format_of,
     paired,
     run_folder,
 )
-from .output import print_as, print_json, print_view
+from .output import print_as, print_view
 
 
 def gate(
@@ -43,8 +42,8 @@ def gate(
     run's folder is read-only, the result is only printed.
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
-    missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total; with --floor also
-    excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
+    missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total, causes.height (its size;
+    spaces are underscores); with --floor also excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
 
     Parameters
     ----------
@@ -60,6 +59,8 @@ def gate(
     fidpipe gate runs/dataset --max r_lambda.mean=0.4 --min match_rate.mean=0.55
 
     fidpipe gate runs/dataset --max missing.within_20m=3 --max pairs.failed=1 --junit build/gate.xml
+
+    fidpipe gate runs/dataset --max causes.height=0.05 --max causes.missing_parts=0.02
 
     fidpipe gate runs/dataset --criteria acceptance.toml
 
@@ -93,8 +94,6 @@ def compare(
     fail_on: Annotated[str | None, typer.Option(metavar="VERDICT")] = None,
     junit: OutFile = None,
     json_file: OutFile = None,
-    history: bool = False,
-    by_date: bool = False,
     allow_different_settings: bool = False,
     independent: bool = False,
     all_: Annotated[bool, typer.Option("--all")] = False,
@@ -114,8 +113,6 @@ def compare(
     fail_on : Exit with 4 on worse, or also on undecided.
     junit : JUnit XML of --fail-on.
     json_file : JSON of --fail-on.
-    history : One table of all runs.
-    by_date : Order --history by date.
     allow_different_settings : Allow runs of other settings.
     independent : Treat each pair as independent.
     all_ : Show every score, class and range.
@@ -130,8 +127,9 @@ def compare(
 
     fidpipe compare runs/base runs/new --fail-on worse --junit build/compare.xml
 
-    fidpipe compare runs/build4? --history --markdown >> comment.md
+    fidpipe compare runs/build41 runs/build42 --markdown >> comment.md
     """
+    from ..engine.progress import Reporter
     from ..report.views.compare_view import compare_records, compare_view
     from ..report.views.gate_view import base_view, junit_xml
     from ..results.compare import MOST_RUNS, compare_runs
@@ -146,18 +144,14 @@ def compare(
         raise typer.BadParameter(f"--fail-on: expected {' or '.join(FAIL_ON)}, got {fail_on!r}")
     if fail_on is None and (junit or json_file):
         raise typer.BadParameter("--junit and --json-file are what --fail-on writes; give it as well")
-    if history and (fail_on or floor):
-        raise typer.BadParameter("--history has no --fail-on and no --floor; compare the runs without it")
-    if by_date and not history:
-        raise typer.BadParameter("--by-date orders the runs of --history; give it as well")
     page = html or (out and out / "compare.html")
     runs = _evaluated(runs)
-    if history:
-        options = {"by_date": by_date, "allow_different_settings": allow_different_settings, "independent": independent}
-        _history(runs, page, output, **options)
-        return
     comparisons = compare_runs(
-        runs, allow_different_settings=allow_different_settings, floor=floor, independent=independent
+        runs,
+        allow_different_settings=allow_different_settings,
+        floor=floor,
+        independent=independent,
+        reporter=Reporter(),
     )
     if page:
         from ..report.page.compare_page import compare_page
@@ -178,58 +172,6 @@ def compare(
         content = dumps({"comparisons": [one.as_dict() for one in results]})
         _write_for_ci(json_file, folder / "compare.json", content, is_asked=bool(out))
         raise typer.Exit(EXIT_GATE_FAILED if any(one.failed for one in results) else 0)
-
-
-def verify(
-    run: RunFolder,
-    objects: Annotated[int | None, typer.Option(min=1, show_default="20")] = None,
-    seed: Seed = 0,
-    all_: Annotated[bool, typer.Option("--all")] = False,
-    as_json: AsJson = False,
-) -> None:
-    """Recompute a sample of a finished run in an independent way; exits with 4 if a number does not agree.
-
-    Every file is read and must be as it was written. For objects drawn at random, the numbers of each table are
-    recomputed from the stored tables before it, by loops, all distances and dense matrices that share no code with the
-    stages. Nothing is written. If the dataset is missing, everything except the cleaning of the scans is compared.
-
-    Parameters
-    ----------
-    objects : Number of objects in the sample.
-    seed : Seed of the sample.
-    all_ : Every object, the edges of every node, and both complete sides of every pair.
-
-    Examples
-    --------
-    fidpipe verify runs/dataset
-
-    fidpipe verify runs/dataset --objects 200 --seed 7
-
-    fidpipe verify runs/dataset --all --json    every object; minutes per pair
-    """
-    if all_ and objects is not None:
-        raise typer.BadParameter("--all and --objects exclude each other; give one of them")
-    from ..engine.progress import Reporter
-    from ..engine.tasks import counting
-    from ..verify.verify import verify_run
-    from ..verify.verify_view import verify_view
-
-    with counting(Reporter()) as pair_done:
-        result = verify_run(run, None if all_ else objects or 20, seed, pair_done)
-    print_json(result.as_dict()) if as_json else print_view(verify_view(result))
-    raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
-
-
-def _history(runs: list[Path], page: Path | None, output: str, **options: bool) -> None:
-    from ..report.page.compare_page import history_page
-    from ..report.views.compare_view import history_records, history_view
-    from ..results.compare import read_history
-    from ..storage.files import write_whole
-
-    history = read_history(runs, **options)
-    if page:
-        write_whole(page, history_page(history).encode())
-    print_as(output, lambda: history_view(history), lambda: history_records(history), history.as_dict)
 
 
 def _evaluated(folders: list[Path]) -> list[Path]:

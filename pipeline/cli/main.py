@@ -21,10 +21,10 @@ import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from ...schemas.docstrings import split_docstring
-from .datasets import convert, pair, synth, twin
+from .datasets import pair, synth, twin
 from .diagnosing import diagnose
 from .experiments import ablate, perturb
-from .judging import compare, gate, verify
+from .judging import compare, gate
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from .running import check, floor, run, settings, status
 from .show_report_export import export, report, show
@@ -235,8 +235,8 @@ def _root(
 _COMMANDS = {
     "Evaluate": (check, run, show, report),
     "Compare": (compare, gate, floor),
-    "Data": (pair, convert, synth, twin),
-    "Research": (diagnose, perturb, ablate, verify),
+    "Data": (pair, synth, twin),
+    "Research": (diagnose, perturb, ablate),
     "Other": (status, export, settings),
 }
 

@@ -74,7 +74,6 @@ def check(
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
-    expect: Annotated[Path | None, typer.Option(metavar="FILE")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show what a run would read from a dataset, and what is wrong with it.
@@ -82,34 +81,27 @@ def check(
     Lengths are metres, angles degrees; scans have x forward, y left, z up unless input.real_frame or input.sim_frame
     says otherwise. Exits with 1 if there is an error; warnings alone exit with 0.
 
-    Parameters
-    ----------
-    expect : Settings of the simulated sensor (TOML, JSON), to compare with its scans.
-
     Examples
     --------
     fidpipe check dataset/ --set input.min_range_m=3
 
     fidpipe check dataset/ --set input.real_frame=nuscenes --set input.sim_frame=carla
 
-    fidpipe check dataset/ --expect sensor.toml    attributes of CARLA's LiDAR blueprint, such as noise_stddev
-
     fidpipe check dataset/ --json | jq -r '.faults[]'
     """
     from ...schemas.settings import load
     from ..inspect.check_view import check_json, check_view
     from ..inspect.scan_checks import check_dataset
-    from ..inspect.sensor_settings import read_sensor_settings
 
     options = [("--preset", preset), ("--settings", settings), *(("--set", own) for own in assignments or [])]
     if not any(own for _, own in options):
-        options = [("--preset", "reference")]
+        preset = "reference"
+        options = [("--preset", preset)]
     words = [*filter(None, (dataset, sim)), *chain.from_iterable(own for own in options if own[1])]
     run_command = shlex.join(["fidpipe", "run", *map(str, words)])
     if sim is not None:
         dataset = paired(dataset, sim, run_folder(sim))
-    loaded, sensor_settings = load(settings, assignments or [], preset=preset), expect and read_sensor_settings(expect)
-    found = check_dataset(dataset, loaded, sensor_settings or None)
+    found = check_dataset(dataset, load(settings, assignments or [], preset=preset))
     print_json(check_json(found)) if as_json else print_view(check_view(found, run_command))
     raise typer.Exit(EXIT_WRONG_INPUT if found.faults else 0)
 
@@ -268,29 +260,14 @@ def floor(
     print_outcome(outcome_view(outcome), outcome.failures)
 
 
-def status(
-    run: RunFolder,
-    timings: bool = False,
-) -> None:
-    """Show the progress of a run: the number of pairs done, stale, failed and to do, by stage.
-
-    Parameters
-    ----------
-    timings : Milliseconds by step, next to the paper's.
+def status(run: RunFolder) -> None:
+    """Show the progress of a run: pairs done, stale, failed and to do, by stage; name damaged tables.
 
     Examples
     --------
     fidpipe status runs/dataset
-
-    fidpipe status runs/dataset --timings        where the time of a pair goes
     """
     from ..report.views.status_view import status_view
     from ..results.status import run_status
 
-    found = run_status(run)
-    if timings and found.mean_seconds:
-        from ..paper.timings_view import timings_view
-
-        print_view(status_view(found, timings_view(found.mean_seconds)))
-    else:
-        print_view(status_view(found))
+    print_view(status_view(run_status(run)))

@@ -9,14 +9,13 @@ import typer
 
 from . import completion
 from .options import AsCsv, AsJson, AsMarkdown, Floor, Pairs, RunFolder, format_of
-from .output import print_as, print_json, print_line, print_view
+from .output import print_as, print_line
 
 
 def show(
     run: RunFolder,
     pair: Annotated[str | None, typer.Argument(autocompletion=completion.pairs)] = None,
     object_: Annotated[str | None, typer.Argument(metavar="[OBJECT]")] = None,
-    paper: bool = False,
     all_: Annotated[bool, typer.Option("--all")] = False,
     floor: Floor = None,
     as_json: AsJson = False,
@@ -29,14 +28,11 @@ def show(
     ----------
     pair : Name of a pair.
     object_ : Object of the pair: 7 of the real side, sim:7 of the simulated one.
-    paper : The paper's claims next to the results of this run, one line each.
     all_ : All tables of a run; all objects of a pair.
 
     Examples
     --------
     fidpipe show runs/dataset                  the summary that the run ended with; --all for every table
-
-    fidpipe show runs/dataset --paper          which of the paper's claims hold here
 
     fidpipe show runs/dataset 0007             the objects of a pair, worst first
 
@@ -51,28 +47,18 @@ def show(
     fidpipe show runs/dataset --csv > pairs.csv    one row per pair; of a pair one row per object
     """
     output = format_of(as_json, as_markdown, as_csv)
-    if paper and pair is not None:
-        raise typer.BadParameter("--paper is about the whole run; leave out the pair")
-    if all_ and (paper or object_ is not None):
-        raise typer.BadParameter("--all is about a run or a pair; leave out --paper and the object")
-    if floor is not None and (paper or object_ is not None):
-        raise typer.BadParameter("--floor is about the scores of a run or of a pair; leave out --paper and the object")
-    if (as_markdown or as_csv) and (paper or all_ or floor is not None):
-        raise typer.BadParameter(
-            "--markdown and --csv are of a run, a pair or an object; leave out --paper, --all and --floor"
-        )
+    if all_ and object_ is not None:
+        raise typer.BadParameter("--all is about a run or a pair; leave out the object")
+    if floor is not None and object_ is not None:
+        raise typer.BadParameter("--floor is about the scores of a run or of a pair; leave out the object")
+    if (as_markdown or as_csv) and (all_ or floor is not None):
+        raise typer.BadParameter("--markdown and --csv are of a run, a pair or an object; leave out --all and --floor")
 
     from ..report.views.show_view import show_json, show_records, show_view
     from ..results.finished import FinishedRun
     from ..results.floor import excess_over
 
     finished = FinishedRun(run)
-    if paper:
-        from ..paper.claims_view import claims_of, claims_view
-
-        claims = claims_of(finished)
-        print_json([dict(vars(claim)) for claim in claims]) if as_json else print_view(claims_view(finished, claims))
-        return
     excess = None if floor is None else excess_over(finished, floor, None if pair is None else [pair])
     print_as(
         output,

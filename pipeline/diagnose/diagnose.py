@@ -16,6 +16,7 @@ from ..jobs.gains_job import gains_stage
 from ..results.diagnosis import diagnosis_of
 from ..results.finished import FinishedRun
 from ..stage import Stage
+from .latency import latency_note
 
 
 def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = None) -> Diagnosis:
@@ -49,7 +50,8 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     diagnosis = diagnosis_of(run.store, run.record, [row["pair_id"] for row in run.scored])
     if diagnosis is None:
         raise RunError(f"run {folder}: the run changed while it was diagnosed; diagnose it again")
-    return diagnosis
+    note = latency_note(run, diagnosis.causes)
+    return diagnosis.model_copy(update={"notes": (note,)}) if note else diagnosis
 
 
 def _plan(run: FinishedRun, planner: Planner, stage: Stage, pair: ScanPair) -> PairPlan:
@@ -66,7 +68,7 @@ def _survey(run: FinishedRun, engine: RunEngine, planner: Planner, stage: Stage)
         survey.usable.append(pair)
         key = _plan(run, planner, stage, pair).keys[stage.name, ""]
         record = run.store.ledger.jobs(pair.pair_id).get((stage.name, ""))
-        if record is not None and record.key == key and run.store.is_whole(record):
+        if record is not None and record.key == key and not run.store.damaged_files(record):
             continue
         survey.todo.append(pair)
         survey.n_jobs += 1

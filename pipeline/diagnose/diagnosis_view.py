@@ -1,45 +1,33 @@
-"""View of a diagnosis: causes with their estimates and gains, and what remains unexplained."""
+"""View of a diagnosis: causes with their gains, and what remains unexplained."""
 
 from __future__ import annotations
 
 from ...schemas.results import Diagnosis
-from ..report.view import Note, Table, View, percent
-from ..results.diagnosis import UNEXPLAINED, gain_words, interval_words
+from ..report.view import Answers, Note, Table, View
+from ..report.views.answer_view import NO_CAUSE, cause_items
+from ..results.diagnosis import unexplained_words
 
 _COLUMNS = (*("name", "words", "estimate", "low", "high", "unit"), *("n_pairs", "gain_m", "gain", "setting"))
-_NO_GAIN = ("not in the distance", "")
 
 
-def diagnosis_records(found: Diagnosis) -> Table:
+def diagnosis_records(diagnosis: Diagnosis) -> Table:
     """One row per cause, for programs."""
-    return Table("", _COLUMNS, [[getattr(own, name) for name in _COLUMNS] for own in found.causes])
+    return Table("", _COLUMNS, [[getattr(cause, name) for name in _COLUMNS] for cause in diagnosis.causes])
 
 
-def diagnosis_view(found: Diagnosis) -> View:
-    """A row per cause, most important first, and notes on the base, the intervals and the pairs left out."""
-    gains = [gain_words(own).removeprefix("gain ") or _NO_GAIN[own.name == UNEXPLAINED] for own in found.causes]
-    rows = [
-        (i, own.words, interval_words(own), gain, own.setting)
-        for i, (own, gain) in enumerate(zip(found.causes, gains, strict=True), 1)
-    ]
-    over = f" (floor {100 * found.floor_m:.1f} cm)" if found.floor else ""
+def diagnosis_view(diagnosis: Diagnosis) -> View:
+    """The causes, those with the largest gain first, what they do not explain, and doubtful ones."""
+    pairs = "1 pair" if diagnosis.n_pairs == 1 else f"{diagnosis.n_pairs} pairs"
     title = (
-        f"{found.n_pairs} pair{'s' * (found.n_pairs > 1)}; the surfaces are {100 * found.distance_m:.1f} cm apart on "
-        f"average{over}, distances counted up to 1 m"
+        f"{pairs}: the surfaces are {100 * diagnosis.distance_m:.1f} cm apart, in a second measurement "
+        f"{100 * diagnosis.floor_m:.1f} cm"
     )
-    least = "at least " * any(own.is_upper_bound for own in found.causes)
-    places = "; no. 1 is a share of the surface" * bool(found.floor and rows and found.causes[0].name == UNEXPLAINED)
-    notes = [
-        f"unexplained: {least}{percent(found.unexplained)} of the distance{' over the floor' * bool(found.floor)} "
-        f"remains if all causes are corrected{places}"
-        if found.unexplained is not None
-        else "hardly any distance over the floor: gains are in cm, not shares; causes are in the order of their size",
-        f"intervals: 95 % over {found.over}" + ("" if found.floor else "; without --floor only clear causes are named"),
-    ]
-    if found.left_out:
-        notes.append(f"left out, too little surface in common: {', '.join(found.left_out)}")
-    if found.doubtful:
-        notes.append(f"measured, but hardly closer if corrected: {'; '.join(found.doubtful)}")
-    columns, none = ("", "cause", "95 % interval", "gain if corrected", "setting"), Note("no cause named")
-    table = Table(title, columns, rows, words=(1, 2, 3, 4), whole=(4,))
-    return [*([table] if rows else [Note(title, "bold"), none]), *map(Note, notes)]
+    first = cause_items(diagnosis.causes) or [(NO_CAUSE, "", "")]
+    first.append((unexplained_words(diagnosis), "", ""))
+    sections = [("Fix first", first)]
+    if diagnosis.notes:
+        sections.append(("Notes", [(note, "", "") for note in diagnosis.notes]))
+    if diagnosis.doubtful:
+        doubtful = f"seen, but fixing it would not help: {'; '.join(diagnosis.doubtful)}"
+        sections.append(("Doubtful", [(doubtful, "", "")]))
+    return [Note(title, "bold"), Answers(sections)]

@@ -8,29 +8,43 @@ from itertools import pairwise
 import numpy as np
 from scipy import stats
 
-from ...stages.arrays import FloatArray
-from ...stages.causes.evidence import PairScans
-from ...stages.causes.gain import surface_distance
+from ...schemas.results import Cause
+from ...stages.arrays import BoolArray, FloatArray
+from ...stages.causes.distance import surface_distance
 from ...stages.displacement import PARAMETERS, fit_displacement
+from ..jobs.points_job import column, coordinates
+from ..results.causes import read_causes
+from ..results.finished import FinishedRun
 
 AHEAD = "forward"
+#: Points, (n, 3) metres, and which are ground.
+RealScan = tuple[FloatArray, BoolArray]
+#: Most pairs whose speed is fitted, evenly over the run.
+_MOST_PAIRS = 20
 _LONGEST_S, _FASTEST_M_S, _STEP_M = 0.5, 40.0, 1.5
 _LEAST_M_S, _AT_REST_M = 1.0, 0.02
 
 
-def speed_m_s(scans: PairScans, later: PairScans, duration_s: float) -> float | None:
-    """Speed of the real sensor ahead, from its motion until a later scan; None if this is not found.
+def latency_note(run: FinishedRun, causes: Sequence[Cause]) -> str:
+    """Note on the cause `forward` as a latency; "" if it is not named, or if no speed is known."""
+    if AHEAD not in {cause.name for cause in causes}:
+        return ""
+    following = follow(run.record.times_s, run.select())
+    names = list(following)[:: len(following) // _MOST_PAIRS + 1]
+    if not names:
+        return ""
+    speeds_m_s = []
+    for name in names:
+        later, duration_s = following[name]
+        speeds_m_s.append(speed_m_s(_real_scan(run, name), _real_scan(run, later), duration_s))
+    words = latency_words(read_causes(run.store, names)[AHEAD].amount, np.array(speeds_m_s))
+    return f"{AHEAD}: {words}" if words else ""
 
-    The motion is fitted from several starting points, as the fit reaches 1.5 m; that of the least distance counts.
-    """
-    found = []
-    for start_m in np.arange(0.0, _FASTEST_M_S * duration_s, _STEP_M):
-        ahead = later.real.points + np.array([start_m, 0.0, 0.0])
-        moved = fit_displacement(scans.real.points, ahead, scans.real.is_ground)
-        if moved:
-            apart_m = surface_distance(scans.real.points, moved.undo(ahead, later.real.is_ground))
-            found.append((apart_m, start_m - float(moved.values[PARAMETERS.index(AHEAD)])))
-    return min(found)[1] / duration_s if found else None
+
+def _real_scan(run: FinishedRun, pair_id: str) -> RealScan:
+    """Clean points of the real side of a pair, and which are ground."""
+    ground = run.read_table("ground", pair_id, "real", ["x", "y", "z", "is_ground"])
+    return coordinates(ground), column(ground, "is_ground")
 
 
 def follow(times_s: Mapping[str, float], names: Sequence[str]) -> dict[str, tuple[str, float]]:
@@ -39,8 +53,25 @@ def follow(times_s: Mapping[str, float], names: Sequence[str]) -> dict[str, tupl
     return {a: (b, after - before) for (before, a), (after, b) in pairwise(timed) if 0 < after - before <= _LONGEST_S}
 
 
-def latency_words(ahead_m: FloatArray, speeds_m_s: FloatArray) -> tuple[str, str] | None:
-    """Sentence on the latency that a displacement ahead may be, and the setting to look at; None without known speeds.
+def speed_m_s(scan: RealScan, later: RealScan, duration_s: float) -> float:
+    """Speed of the real sensor ahead, from its motion until a later scan; NaN if this is not found.
+
+    The motion is fitted from several starting points, as the fit reaches 1.5 m; that of the least distance counts.
+    """
+    points, is_ground = scan
+    later_points, later_is_ground = later
+    fits = []
+    for start_m in np.arange(0.0, _FASTEST_M_S * duration_s, _STEP_M):
+        ahead = later_points + np.array([start_m, 0.0, 0.0])
+        moved = fit_displacement(points, ahead, is_ground)
+        if moved is not None:
+            apart_m = surface_distance(points, moved.undo(ahead, later_is_ground))
+            fits.append((apart_m, start_m - float(moved.values[PARAMETERS.index(AHEAD)])))
+    return min(fits)[1] / duration_s if fits else np.nan
+
+
+def latency_words(ahead_m: FloatArray, speeds_m_s: FloatArray) -> str:
+    """The latency that a displacement ahead may be; "" without known speeds.
 
     Parameters
     ----------
@@ -49,10 +80,9 @@ def latency_words(ahead_m: FloatArray, speeds_m_s: FloatArray) -> tuple[str, str
     is_known = np.isfinite(speeds_m_s)
     ahead_m, speeds_m_s = ahead_m[is_known], speeds_m_s[is_known]
     if not len(speeds_m_s) or abs(speeds_m_s.mean()) < _LEAST_M_S:
-        return None
+        return ""
     alone_s = float(ahead_m @ speeds_m_s / (speeds_m_s @ speeds_m_s))
-    at_once = f"or {1e3 * alone_s:.0f} ms of latency at {speeds_m_s.mean():.0f} m/s"
-    either = at_once, "position of the sensor, or time stamps"
+    either = f"or {1e3 * alone_s:.0f} ms of latency at {speeds_m_s.mean():.0f} m/s"
     if len(speeds_m_s) < 4 or np.ptp(speeds_m_s) < _LEAST_M_S:
         return either
     fit = stats.linregress(speeds_m_s, ahead_m)
@@ -62,8 +92,8 @@ def latency_words(ahead_m: FloatArray, speeds_m_s: FloatArray) -> tuple[str, str
         late = f"{1e3 * fit.slope:.0f} ms of latency ({1e3 * low_s:.0f} to {1e3 * high_s:.0f})"
         grows = f"in proportion to the speed: {late}"
         if abs(fit.intercept) <= reach * fit.intercept_stderr + _AT_REST_M:
-            return grows, "poses and time stamps"
-        return f"partly {grows}, and {fit.intercept:+.2f} m at rest", "poses and time stamps; position of the sensor"
+            return f"{grows}; see poses and time stamps"
+        return f"partly {grows}, and {fit.intercept:+.2f} m at rest"
     if not low_s <= alone_s <= high_s:
-        return "at any speed, so no latency", "position of the sensor, T_real_sim"
+        return "the same at any speed, so no latency"
     return either

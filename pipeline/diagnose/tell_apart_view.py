@@ -57,13 +57,12 @@ def summary(found: TellApart) -> str:
 def draw_map(found: TellApart, path: Path) -> None:
     """Write a PNG: both sides seen from above, points coloured by the probability of being simulated."""
     frame = style.frame_of(*(points for points, _ in found.maps))
-    look = {"cmap": "coolwarm", "vmin": 0, "vmax": 1}
-    panels: dict[str, list[style.Layer]] = {
-        f"{name} points": [(points, 2.0, probability, look)]
-        for (points, probability), name in zip(found.maps, ("real", "simulated"), strict=True)
-    }
-    label = "probability of being simulated"
-    with style.new_maps(frame, panels, style.shown_name(found.title, 80), label=label) as (figure, _):
+    with style.new_maps(frame, 2, style.shown_name(found.title, 80)) as (figure, axes):
+        for axis, name, (points, probability) in zip(axes, ("real", "simulated"), found.maps, strict=True):
+            coloured = style.dots(axis, points, 2.0, probability, cmap="coolwarm", vmin=0, vmax=1)
+            axis.set_title(f"{name} points")
+        style.colour_bar(axes[1], coloured, "probability of being simulated")
+    with style.in_our_style():
         content = BytesIO()
         figure.savefig(content, format="png", bbox_inches="tight", pad_inches=0.08)
     write_whole(path, content.getvalue())

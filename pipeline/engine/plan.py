@@ -173,7 +173,9 @@ class Planner:
         self.settings = settings
         self.label_names = label_names
         self.sides = tuple(sides)
-        self._parts = [Part(stage, name, stage.arguments) for stage in stages for name in stage.parts if name in ("", *self.sides)]
+        self._parts = [
+            Part(stage, name, stage.arguments) for stage in stages for name in stage.parts if name in ("", *self.sides)
+        ]
         self._method_keys: dict[tuple[str, int], tuple[Settings, str]] = {}
         self._layouts: dict[tuple[str, ...], dict[JobId, Job]] = {}
 
@@ -204,6 +206,10 @@ class Planner:
         for name, job in jobs.items():  # keys are hexadecimal digits, so that a space ends each
             keys[name] = hashlib.sha256(" ".join((job.key, *_reads(job, keys))).encode()).hexdigest()
         return PairPlan(pair, jobs, keys, {}, inputs, self.label_names)
+
+    def jobs(self) -> tuple[Job, ...]:
+        """The jobs of a pair that has files of all sides, in their order."""
+        return tuple(self._layout(self.sides, ()).values())
 
     def plan_on_results(self, pair: ScanPair, records: Mapping[JobId, JobRecord], stage: Stage) -> PairPlan:
         """The job of one stage of a pair whose other results are taken as they are, whatever they were made of.
@@ -297,7 +303,7 @@ def with_results(
             continue
         if record.key != plan.keys[name]:
             unwanted[record.name] = OUT_OF_DATE
-        elif not folder.is_whole(record):
+        elif folder.damaged_files(record):
             unwanted[record.name] = "damaged or gone"
         elif job.stage.name in redo:
             unwanted[record.name] = "requested by --from"

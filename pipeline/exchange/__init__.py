@@ -1,1 +1,1 @@
-"""Scans and finished runs as files of other formats: `fidpipe convert` and `fidpipe export`."""
+"""Finished runs as files of other formats: `fidpipe export`."""

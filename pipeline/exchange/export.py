@@ -25,7 +25,6 @@ from ...schemas.errors import FidpipeError, RunError
 from ...stages.coverage import nearest_distances
 from ..storage.files import named_errors, write_whole
 from ..storage.table_files import file_stem
-from .convert import ply_content
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,6 +68,7 @@ TOPIC = "/fidpipe"
 FRAME = "real_sensor"
 LEGEND = ", ".join(f"{status.value} {status.name.lower()}" for status in Status)
 _POINT_FIELDS = {"<i4": 5, "|u1": 2, "<f8": 8}  # PointField.INT32, UINT8, FLOAT64
+_PLY_TYPES = {"<f8": "double", "<i4": "int", "|u1": "uchar"}
 _PLY_START = b"ply\nformat binary_little_endian 1.0\ncomment fidpipe export"
 _NS = 1_000_000_000
 _LATEST_S = 2**31  # seconds of a ROS stamp are int32
@@ -216,9 +216,13 @@ def _ply(run: FinishedRun, pair_id: str, side: str, points: NDArray[np.void]) ->
         "metres in the real sensor's frame; community -1 is ground; NaN without a score",
         f"status {LEGEND}",
     ]
-    return ply_content(
-        points.view([(n if n in "xyz" else f"scalar_{n}", POINT[n]) for n in POINT.names or ()]), comments
-    )
+    names = {name: name if name in "xyz" else f"scalar_{name}" for name in POINT.names or ()}
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += [f"comment {comment}" for comment in comments]
+    header.append(f"element vertex {len(points)}")
+    header += [f"property {_PLY_TYPES[POINT[name].str]} {names[name]}" for name in names]
+    header.append("end_header\n")
+    return "\n".join(header).encode() + points.tobytes()
 
 
 def _message(types: Any, content: NDArray[np.void] | str, time_ns: int) -> Any:

@@ -109,7 +109,7 @@ def _frames_of_manifest(manifest: Path) -> list[Frame]:
         if holds_frames(pair.real):
             raise DatasetError(
                 f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real.name}; expected a file with "
-                "one scan: write the frames with fidpipe convert"
+                "one scan"
             )
         frames.append(Frame(pair.pair_id, pair.real, pair.T_world_sensor, pair.timestamp_s))
     return frames

@@ -9,12 +9,14 @@ from pydantic import JsonValue
 
 from ...schemas.columns import SIDES
 from ...schemas.results import JsonObject
-from ...stages.sensor_description import pair_columns, sensor_lines
+from ...stages.sensor_description import sensor_lines
 from ..engine.costs import CostModel
-from ..report.view import Note, Table, View
+from ..report.view import Answers, Note, Table, View
+from ..report.views.answer_view import NO_CAUSE, cause_items
+from ..results.causes import MOST_SHOWN
 from ..storage.files import free_bytes, megabytes
+from .cause_checks import CauseCheck
 from .scan_checks import DatasetCheck
-from .sensor_settings import DIFFERS
 from .side_checks import SensorCheck
 
 RUNS = Path("runs")  #: where runs lie unless --out says otherwise
@@ -34,7 +36,10 @@ def check_json(dataset: DatasetCheck) -> JsonObject:
         "warnings": [*dataset.warnings],
         "faults": [*dataset.faults],
         "sensors": asdict(dataset.sensors),
-        "settings": [asdict(setting) for setting in dataset.settings],
+        "causes": {
+            "pair_ids": [*dataset.causes.pair_ids],
+            "causes": [cause.as_dict() for cause in dataset.causes.causes],
+        },
         "disk_bytes": _disk_bytes(dataset),
     }
 
@@ -57,7 +62,7 @@ def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
     return [
         Table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
         *_sensor_lines(dataset.sensors),
-        *(Note(f"{one.verdict}: {one.text}") for one in dataset.settings if one.verdict != DIFFERS),
+        *_causes(dataset.causes),
         *map(Note, dataset.notes),
         *(Note(f"warning: {text}", "yellow") for text in dataset.warnings),
         *(Note(f"error: {text}", "red") for text in dataset.faults),
@@ -68,16 +73,24 @@ def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
 
 
 def _sensor_lines(sensors: SensorCheck) -> list[Note]:
-    """Sensors of both sides, their differences, and scans of other sensors."""
+    """Sensors of both sides, and scans of other sensors."""
     names = {"real": "real sensor", "sim": "simulated sensor"}
-    row = {name: value for side, own in sensors.sides.items() for name, value in pair_columns(own, side).items()}
     n_pairs = len(sensors.pair_ids)
     pairs = f"pair{'s' * (n_pairs > 1)} {', '.join(sensors.pair_ids)}" if n_pairs < 4 else f"{n_pairs} pairs"
     lines = [Note(f"Sensors (estimated from {pairs})", "bold")] if sensors.sides else []
     for side, facts in sensors.sides.items():
         lines += [Note(names[side]), *(Note(f"  {line}") for line in sensor_lines(facts))]
-    lines += [Note(f"differs: {text}", "yellow") for text in sensors.differences]
     return [*lines, *(Note(f"warning: {text}", "yellow") for text in sensors.unlike)]
+
+
+def _causes(check: CauseCheck) -> View:
+    """The causes that a few pairs show."""
+    n_pairs = len(check.pair_ids)
+    if not n_pairs:
+        return []
+    heading = Note(f"Seen in {n_pairs} pair{'s' if n_pairs > 1 else ''}", "bold")
+    items = cause_items(check.causes[:MOST_SHOWN]) or [(NO_CAUSE, "", "")]
+    return [heading, Answers([("Fix first", items)])]
 
 
 def _disk_bytes(dataset: DatasetCheck) -> int:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -27,7 +25,7 @@ from ..datasets.readers.scan import Scan
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..pair_checks import pair_warnings, shared_files, swapped_sides
-from .sensor_settings import DIFFERS, SettingCheck, check_sensor_settings
+from .cause_checks import CauseCheck, CauseSamples
 from .side_checks import SensorCheck, SideSamples
 
 
@@ -79,7 +77,7 @@ class DatasetCheck:
     """Result of checking a dataset.
 
     sensors : of the two sides
-    settings : of the simulated sensor, each compared with its scans; those that differ are warnings too
+    causes : of a few pairs
     notes : of each side as a whole, one line each, that is nothing wrong
     `faults`, warnings : one line each, with the name of the pair
     """
@@ -87,20 +85,16 @@ class DatasetCheck:
     folder: Path
     pairs: list[PairCheck]
     sensors: SensorCheck
+    causes: CauseCheck
     notes: list[str]
     faults: list[str]
     warnings: list[str]
-    settings: list[SettingCheck] = field(default_factory=list)
 
 
-def check_dataset(folder: Path, settings: Settings, sensor_settings: Mapping[str, Any] | None = None) -> DatasetCheck:
+def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     """Read every file of a dataset once and name every problem; computes no score.
 
     If a reader may end its process, files are read in worker processes.
-
-    Parameters
-    ----------
-    sensor_settings : of the simulated sensor, see `read_sensor_settings`
 
     Raises
     ------
@@ -112,9 +106,15 @@ def check_dataset(folder: Path, settings: Settings, sensor_settings: Mapping[str
     names, own = dataset.label_names, settings.input
     checks = _check_pairs(dataset.pairs, own, names)
     samples = SideSamples(dataset.pairs, own)
+    comparable = [check.pair.pair_id for check in checks if check.frames and not check.frames.is_suspect]
+    causes = CauseSamples([pair_id for pair_id in comparable if pair_id in samples.pair_ids], settings)
     for check in checks:
-        if check.pair.pair_id in samples.pair_ids:
-            samples.add(check.pair, {side: _read(check, side, own, names) for side in check.sides})
+        pair_id = check.pair.pair_id
+        if pair_id in samples.pair_ids:
+            scans = {side: _read(check, side, own, names) for side in check.sides}
+            samples.add(check.pair, scans)
+            if pair_id in causes.pair_ids:
+                causes.add(check.pair, scans, samples.sensors_of(pair_id), check.sides["real"].sha256)
     faults, warnings = [], [*dataset.warnings, *swapped_sides(dataset.pairs, folder)]
     warnings += shared_files(
         {check.pair.pair_id: {side: scan.sha256 for side, scan in check.sides.items()} for check in checks}
@@ -126,9 +126,7 @@ def check_dataset(folder: Path, settings: Settings, sensor_settings: Mapping[str
         warnings += pair_warnings(check.pair, found, check.frames)
     counts = {side: [check.sides[side].n_clean for check in checks if side in check.sides] for side in SIDES}
     warnings += samples.warnings(counts)
-    compared = check_sensor_settings(sensor_settings or {}, samples.evidence())
-    warnings += [f"simulated sensor: {setting.text}" for setting in compared if setting.verdict == DIFFERS]
-    return DatasetCheck(folder, checks, samples.sensors(), samples.notes(), faults, warnings, compared)
+    return DatasetCheck(folder, checks, samples.sensors(), causes.named(), samples.notes(), faults, warnings)
 
 
 def check_scan(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...schemas.columns import FARTHEST_M, SIDES
+from ...schemas.columns import SIDES
 from ...schemas.settings import InputSettings
 from ...stages.arrays import FloatArray
 from ...stages.clean import as_ros, clean_scan
@@ -27,10 +27,9 @@ from ...stages.inspect.sequence_checks import (
 )
 from ...stages.inspect.stamps import StampCheck, describe_stamps, stamp_differences
 from ...stages.intensity import intensity_law
-from ...stages.sensor_description import SensorDescription, describe_sensor, differences, has_other_beams, name_text
+from ...stages.sensor_description import SensorDescription, describe_sensor, has_other_beams, name_text
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
-from .sensor_settings import SensorEvidence
 
 _STRETCH = 5
 _WITH_STAMPS = 2  # pairs
@@ -44,13 +43,11 @@ class SensorCheck:
 
     pair_ids : pairs whose scans were described
     sides : by side, the most frequent sensor; a side none of whose files can be read is left out
-    differences : one line for each property in which the sides differ
     unlike : one line for each scan whose sensor is not that of the other scans of its side
     """
 
     pair_ids: tuple[str, ...]
     sides: dict[str, SensorDescription]
-    differences: list[str]
     unlike: list[str]
 
 
@@ -70,7 +67,6 @@ class SideSamples:
         self._places: dict[str, dict[str, SequenceScan]] = {side: {} for side in SIDES}
         self._stamps: dict[str, StampCheck] = {}
         self._sensors: dict[str, dict[str, SensorDescription]] = {side: {} for side in SIDES}
-        self._ranges_m: dict[str, list[FloatArray]] = {side: [] for side in SIDES}
         self._intensity: dict[str, tuple[FloatArray, FloatArray]] = {}  # of the first scan that has it, with its ranges
 
     def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
@@ -80,8 +76,6 @@ class SideSamples:
             own_axes = as_ros(scan.points, frame)  # neither cleaned nor moved: beams are those of its frame
             if len(scan.points):
                 self._sensors[side][pair.pair_id] = describe_sensor(own_axes, scan.rings, scan.times_s is not None)
-                range_m = np.linalg.norm(scan.points, axis=1)
-                self._ranges_m[side].append(range_m[(range_m > 0) & (range_m < FARTHEST_M)])
             if scan.intensity is not None and len(scan.points) and side not in self._intensity:
                 is_finite = np.isfinite(scan.points).all(axis=1) & np.isfinite(scan.intensity)
                 self._intensity[side] = scan.intensity[is_finite], np.linalg.norm(scan.points[is_finite], axis=1)
@@ -97,27 +91,19 @@ class SideSamples:
                 self._places[side][pair.pair_id] = SequenceScan(points)
 
     def sensors(self) -> SensorCheck:
-        """Compare the sensors of both sides, and those of each side among its pairs."""
+        """The sensors of both sides, and those that differ from the others of their side."""
         sides, unlike = {}, []
         for side, sensors in self._sensors.items():
             if sensors:
                 usual, lines = _unlike_others(sensors)
                 sides[side] = sensors[usual]
                 unlike += [f"{_NAMES[side]} scan of pair {line}" for line in lines]
-        found = differences(sides["real"], sides["sim"]) if len(sides) == len(SIDES) else []
         pair_ids = sorted({pair_id for sensors in self._sensors.values() for pair_id in sensors})
-        return SensorCheck(tuple(pair_ids), sides, found, unlike)
+        return SensorCheck(tuple(pair_ids), sides, unlike)
 
-    def evidence(self) -> SensorEvidence:
-        """Measurements of the simulated sensor, to compare its settings with."""
-        stamps = self._stamps.get("sim")
-        return SensorEvidence(
-            sensors=list(self._sensors["sim"].values()),
-            usual=self.sensors().sides.get("sim"),
-            ranges_m={side: [own for own in ranges if len(own)] for side, ranges in self._ranges_m.items()},
-            intensity=self._intensity.get("sim"),
-            revolution_s=stamps.span_s if stamps and not stamps.faults else None,
-        )
+    def sensors_of(self, pair_id: str) -> dict[str, SensorDescription]:
+        """The sensors of a pair by side; a side that could not be read is left out."""
+        return {side: sensors[pair_id] for side, sensors in self._sensors.items() if pair_id in sensors}
 
     def notes(self) -> list[str]:
         """Notes on the times of points, one line for each side that has them."""

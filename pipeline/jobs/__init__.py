@@ -27,7 +27,15 @@ from . import (
 
 STAGES = (
     *(ground_job.STAGE, sensor_job.STAGE, graph_job.STAGE, communities_job.STAGE, matching_job.STAGE),
-    *(coverage_job.STAGE, surface_job.STAGE, pieces_job.STAGE, rays_job.STAGE, causes_job.STAGE, selection_job.STAGE, metrics_job.STAGE),
+    *(
+        coverage_job.STAGE,
+        surface_job.STAGE,
+        pieces_job.STAGE,
+        rays_job.STAGE,
+        causes_job.STAGE,
+        selection_job.STAGE,
+        metrics_job.STAGE,
+    ),
 )
 
 #: Additional stages that the settings may request; no stage above depends on them.

@@ -47,7 +47,7 @@ def _row(pair_id: str, name: str, amount: Amount) -> dict[str, float | str | Non
 
 def pair_scans(inputs: Inputs) -> PairScans:
     """Both sides of the pair, from the tables ground and sensor."""
-    moved = inputs.metadata("ground", "sim")["T_real_sim"]
+    moved = inputs.metadata("ground", "sim").get("T_real_sim")
     T_real_sim = np.array(moved).reshape(3, 4) if moved else None
     real, sim = (_side(inputs, side) for side in SIDES)
     sim.T_real_sim = T_real_sim

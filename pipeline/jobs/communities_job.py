@@ -49,17 +49,15 @@ def make_communities(own: Inputs) -> JobResult:
         annotation=noted,
         watch=own.step,
     )
-    return communities_result(own.pair_id, own.part, point_ids, scan, noted)
+    return _result(own, point_ids, scan, noted)
 
 
-def communities_result(
-    pair_id: str, side: str, point_ids: IntArray, scan: PartitionedScan, noted: Annotation | None = None
-) -> JobResult:
+def _result(own: Inputs, point_ids: IntArray, scan: PartitionedScan, noted: Annotation) -> JobResult:
     """The object of each point, and a row for each object."""
     objects = scan.objects
-    names = [None] * len(point_ids) if noted is None or noted.labels is None else noted.labels.tolist()
+    names = [None] * len(point_ids) if noted.labels is None else noted.labels.tolist()
     labels = majority_labels(scan.labels, names, len(objects.n_points))
-    both = {"pair_id": pair_id, "side": side}
+    both = {"pair_id": own.pair_id, "side": own.part}
     communities = TABLES["communities"].build(both | {"point_id": point_ids, "community_id": scan.labels})
     measures = np.column_stack([objects.centroid, objects.extent, objects.shape, objects.range_m])
     columns: dict[str, Any] = {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ...schemas.columns import SIDES, Row
@@ -18,22 +16,17 @@ _MEASURES = (*(f"covered_{reach}" for reach in COVERAGE_REACHES), "median_distan
 
 
 def make_coverage(own: Inputs) -> JobResult:
-    """Measure how much of each object the other side has."""
+    """Measure how much of each object the other side has; one row for each object and one for each side."""
     points = [object_points(own, side)[1] for side in SIDES]
     labels = [column(own.table("communities", side), "community_id") for side in SIDES]
     n_objects = [own.table("objects", side).num_rows for side in SIDES]
     cuts = [(np.array(cut["axis"]), cut["threshold_m"]) for cut in (own.metadata("ground", side) for side in SIDES)]
     coverage = measure_coverage(points, labels, n_objects, cuts, watch=own.step)
-    return coverage_result(own.pair_id, coverage)
-
-
-def coverage_result(pair_id: str, coverage: Sequence[tuple[Coverage, Coverage]]) -> JobResult:
-    """One row for each object of either side and one for each side."""
     rows: list[Row] = []
     of_pair: Metadata = {}
     for side, found in zip(SIDES, coverage, strict=True):
         objects, (whole,) = map(_rows, found)
-        both = {"pair_id": pair_id, "side": side}
+        both = {"pair_id": own.pair_id, "side": side}
         rows += [both | {"community_id": i} | row for i, row in enumerate(objects)]
         rows.append(both | whole)
         of_pair |= {f"covered_{side}_{reach}": whole[f"covered_{reach}"] for reach in COVERAGE_REACHES}

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
+import pyarrow as pa
 
 from ...schemas.errors import StageError
 from ...schemas.settings import Settings
@@ -49,18 +50,18 @@ def make_ground(own: Inputs) -> JobResult:
         )
     except StageError as error:
         raise StageError("; ".join((str(error), *inspection.warnings))) from error
-    result = ground_result(own.pair_id, own.part, scan, clean, cut)
-    more = {INSPECTION: asdict(inspection), "T_real_sim": own.T_real_sim}
-    return replace(result, metadata=result.metadata | more)
+    metadata = _metadata(own.part, scan, clean, cut)
+    metadata |= {INSPECTION: asdict(inspection), "T_real_sim": own.T_real_sim}
+    return JobResult({"ground": _rows(own, scan, clean, cut)}, metadata)
 
 
-def ground_result(pair_id: str, side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> JobResult:
-    """The clean points with their ground flags; the metadata hold the number of dropped points and the cut."""
+def _rows(own: Inputs, scan: Scan, clean: CleanResult, cut: GroundResult) -> pa.Table:
+    """The clean points with their ground flags."""
     x, y, z = clean.points.T
-    rows = TABLES["ground"].build(
+    return TABLES["ground"].build(
         {
-            "pair_id": pair_id,
-            "side": side,
+            "pair_id": own.pair_id,
+            "side": own.part,
             "point_id": clean.point_ids,
             "x": x,
             "y": y,
@@ -73,14 +74,19 @@ def ground_result(pair_id: str, side: str, scan: Scan, clean: CleanResult, cut: 
         },
         len(x),
     )
+
+
+def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> Metadata:
+    """Number of dropped points, the cut, and columns of `pairs`."""
+    n_clean = len(clean.points)
     n_ground = int(np.count_nonzero(cut.is_ground))
-    counts = {N_RAW: len(scan.points), "n_clean": len(x), "n_points": len(x) - n_ground}
+    counts = {N_RAW: len(scan.points), "n_clean": n_clean, "n_points": n_clean - n_ground}
     measures = {name: getattr(cut, name) for name in _MEASURES}
-    measures["removed_share"] = n_ground / len(x)
+    measures["removed_share"] = n_ground / n_clean
     of_pair = {f"n_{side}_{name[2:]}": count for name, count in counts.items()}
     of_pair |= {f"ground_{side}_{name}": value for name, value in measures.items()}
     others = {"dropped": clean.dropped, "axis": cut.axis.tolist(), "notes": list(cut.notes)}
-    return JobResult({"ground": rows}, counts | measures | others | {OF_PAIR: of_pair})
+    return counts | measures | others | {OF_PAIR: of_pair}
 
 
 def _takes_real(settings: Settings) -> Columns:

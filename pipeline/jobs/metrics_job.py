@@ -2,50 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
-
 import numpy as np
 import pyarrow as pa
 
+from ...schemas.columns import Row
 from ...schemas.metric_catalogue import OBJECT_METRICS
 from ...schemas.results import Number
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.method import n_communities
-from ...stages.metrics import Scores, score_object
+from ...stages.metrics import score_object
 from ...stages.summary import summarise_pair
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage, Tables
 from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_objects
 
 
 def make_metrics(own: Inputs) -> JobResult:
-    """Score each object: geometry and structure."""
-    selection, scored = own.table("selection"), []
+    """Score each object: geometry and structure; one row for each."""
+    selection = own.table("selection")
+    rows = []
     for match, real, sim in matched_objects(own):
         nodes = kept_nodes(selection, match["real_id"], real, sim)
-        sizes = len(real.points), len(sim.points), len(nodes.real_nodes)
-        scored.append((match, sizes, score_object(real, sim, nodes, watch=own.step)))
-    return metrics_result(own.pair_id, scored)
-
-
-def metrics_result(
-    pair_id: str, objects: Iterable[tuple[Mapping[str, Any], tuple[int, int, int], Scores]]
-) -> JobResult:
-    """One row per matched object.
-
-    Parameters
-    ----------
-    objects : of each its row of `matching`, its points on both sides and its kept nodes, and its scores
-    """
-    names = ("real_id", "sim_id", "centroid_distance_m")
-    rows = [
-        {"pair_id": pair_id}
-        | {name: match[name] for name in names}
-        | dict(zip(("n_real", "n_sim", "n_keep"), sizes, strict=True))
-        | vars(scores)
-        for match, sizes, scores in objects
-    ]
+        row: Row = {"pair_id": own.pair_id}
+        row |= {name: match[name] for name in ("real_id", "sim_id", "centroid_distance_m")}
+        row |= {"n_real": len(real.points), "n_sim": len(sim.points), "n_keep": len(nodes.real_nodes)}
+        rows.append(row | vars(score_object(real, sim, nodes, watch=own.step)))
     return JobResult({"metrics": TABLES["metrics"].from_rows(rows)})
 
 

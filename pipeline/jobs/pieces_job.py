@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pyarrow as pa
 
@@ -19,29 +17,17 @@ _MOVED = ("moved_x_m", "moved_y_m", "moved_z_m")
 
 
 def make_pieces(own: Inputs) -> JobResult:
-    """Find the missing and the invented pieces."""
+    """Find the missing and the invented pieces, one row for each."""
     tables = [own.table("ground", side) for side in SIDES]
     real, sim = (CutScan(coordinates(table), column(table, "is_ground"), column(table, "height_m")) for table in tables)
     with own.step("pieces"):
         both = find_pieces(real, sim, own.settings.pieces)
-    return pieces_result(own.pair_id, both, [table.column("label") for table in tables])
-
-
-def pieces_result(
-    pair_id: str, both: tuple[Pieces, Pieces], names: Sequence[pa.ChunkedArray | None] = (None, None)
-) -> JobResult:
-    """One row for each missing and each invented piece.
-
-    Parameters
-    ----------
-    names : by side, the class of each point; None if the scan has no labels
-    """
     rows: list[Row] = []
-    for side, pieces, own in zip(SIDES, both, names, strict=True):
+    for side, pieces, table in zip(SIDES, both, tables, strict=True):
         inside = pieces.labels >= 0
-        known = own.filter(pa.array(inside)).to_pylist() if own is not None else [None] * int(inside.sum())
+        known = table.column("label").filter(pa.array(inside)).to_pylist()
         labels = majority_labels(pieces.labels[inside], known, len(pieces.partner)) if known else []
-        common = {"pair_id": pair_id, "side": side}
+        common = {"pair_id": own.pair_id, "side": side}
         rows += [common | row | {"label": label} for row, label in zip(_rows(pieces), labels, strict=True)]
     return JobResult({"pieces": TABLES["pieces"].from_rows(rows)}, {OF_PAIR: count_pieces(*both)})
 

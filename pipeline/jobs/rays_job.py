@@ -10,7 +10,6 @@ import pyarrow as pa
 
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import INTENSITY_SCORES, RAY_SCORES
-from ...schemas.settings import InputSettings
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.intensity import score_intensity
@@ -36,16 +35,15 @@ def make_rays(own: Inputs) -> JobResult:
     with own.step("rays"):
         rays = find_rays(real, sim, (sensors[0], sensors[1]), np.array(moved).reshape(3, 4) if moved else None)
     with own.step("intensity"):
-        return rays_result(own.pair_id, rays, tables, own.settings.input)
+        return _result(own, rays, tables)
 
 
-def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table], settings: InputSettings) -> JobResult:
+def _result(own: Inputs, rays: Rays | str, ground: Sequence[pa.Table]) -> JobResult:
     """One row per ray, and one of scores for each group of rays; empty tables if there is a reason instead of rays.
 
     Parameters
     ----------
     ground : the table of each side, whose rows the returns are
-    settings : of input, for the scale of intensities
     """
     import pyarrow.compute as pc
 
@@ -62,7 +60,7 @@ def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table], sett
     label = pc.if_else(pa.array(rays.real_row >= 0), *labels).cast(pa.string())
     table = TABLES["rays"].build(
         {
-            "pair_id": pair_id,
+            "pair_id": own.pair_id,
             "beam": rays.beam,
             "column": rays.column,
             "real_point_id": ids[0],
@@ -77,12 +75,14 @@ def rays_result(pair_id: str, rays: Rays | str, ground: Sequence[pa.Table], sett
     )
     scores = []
     for by, band, is_in in _groups(rays, label):
-        scores.append({"pair_id": pair_id, "by": by, "band": band} | score_rays(rays, is_in))
+        scores.append({"pair_id": own.pair_id, "by": by, "band": band} | score_rays(rays, is_in))
         if by not in ("all", "azimuth"):  # rays without any return have no range, incidence or class
             scores[-1]["rays_drop_f1"] = None
-    intensity = [None if own["intensity"].null_count == len(own) else column(own, "intensity") for own in ground]
+    intensity = [
+        None if table["intensity"].null_count == len(table) else column(table, "intensity") for table in ground
+    ]
     classes = np.array(label.dictionary_encode().indices.fill_null(-1))
-    one_scale = settings.intensity_scale == "same"
+    one_scale = own.settings.input.intensity_scale == "same"
     of_pair |= score_rays(rays) | score_intensity(rays, intensity, classes, has_one_scale=one_scale)
     return JobResult({"rays": table, "ray_scores": TABLES["ray_scores"].from_rows(scores)}, {OF_PAIR: of_pair})
 

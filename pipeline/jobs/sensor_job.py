@@ -5,7 +5,7 @@ The job of the simulated side also checks whether both scans are in one frame.
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 
@@ -13,33 +13,33 @@ from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.clean import as_ros
 from ...stages.frame_search import check_frames
-from ...stages.sensor_description import SensorDescription, describe_sensor, pair_columns, sensor_row
-from ..stage import FRAMES, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Stage
+from ...stages.sensor_description import describe_sensor, pair_columns, sensor_row
+from ..datasets.readers.scan import Scan
+from ..stage import FRAMES, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Metadata, Stage
 
 
 def make_sensor(own: Inputs) -> JobResult:
-    """Estimate the sensor of a side in the side's own frame."""
+    """Estimate the sensor of a side in the side's own frame; the metadata contain the whole description."""
     with own.step("read"):
         scan = own.scans[own.part]()
     points = as_ros(scan.points, own.settings.input.frame_of(own.part))
     with own.step("sensor"):
         sensor = describe_sensor(points, scan.rings, scan.times_s is not None)
-    result = sensor_result(own.pair_id, own.part, sensor)
-    if own.part == "real" or "real" not in own.scans:
-        return result
+    row = {"pair_id": own.pair_id, "side": own.part} | sensor_row(sensor)
+    metadata: Metadata = {"sensor": asdict(sensor), OF_PAIR: pair_columns(sensor, own.part)}
+    if own.part == "sim" and "real" in own.scans:
+        metadata[FRAMES] = _frame_check(own, scan)
+    return JobResult({"sensor": TABLES["sensor"].build(row, 1)}, metadata)
+
+
+def _frame_check(own: Inputs, sim: Scan) -> Metadata | None:
+    """Comparison of both scans' frames."""
     with own.step("read"):
         real = own.scans["real"]()
     with own.step("frames"):
         T_real_sim = np.array(own.T_real_sim).reshape(3, 4) if own.T_real_sim else None
-        check = check_frames(real.points, scan.points, own.settings.input, T_real_sim)
-    return replace(result, metadata=result.metadata | {FRAMES: None if check is None else asdict(check)})
-
-
-def sensor_result(pair_id: str, side: str, sensor: SensorDescription) -> JobResult:
-    """One row; the metadata contain the whole description."""
-    row = {"pair_id": pair_id, "side": side} | sensor_row(sensor)
-    metadata = {"sensor": asdict(sensor), OF_PAIR: pair_columns(sensor, side)}
-    return JobResult({"sensor": TABLES["sensor"].build(row, 1)}, metadata)
+        check = check_frames(real.points, sim.points, own.settings.input, T_real_sim)
+    return None if check is None else asdict(check)
 
 
 def _takes_real(settings: Settings) -> Columns:
@@ -53,7 +53,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.SIDE,
     make=make_sensor,
-    libraries=("small_gicp",),
     takes_real=_takes_real,
     version=3,
 )

@@ -5,26 +5,21 @@ from __future__ import annotations
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import SHIFT_COLUMNS
 from ...schemas.tables import TABLES
-from ...stages.method import SurfaceScores, measure_surface
+from ...stages.method import measure_surface
 from ...stages.surface import Offsets
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import POINT_COLUMNS, column, nulls_for_nan, object_points
 
 
 def make_surface(own: Inputs) -> JobResult:
-    """Compare the surfaces of both sides."""
+    """Compare the surfaces of both sides; one row for each real object and one for the whole."""
     real, sim = (object_points(own, side)[1] for side in SIDES)
     labels = column(own.table("communities", "real"), "community_id")
-    return surface_result(own.pair_id, measure_surface(real, sim, labels, watch=own.step))
-
-
-def surface_result(pair_id: str, surface: SurfaceScores) -> JobResult:
-    """One row for each real object and one for the whole."""
-    whole, objects, roughness = surface
+    whole, objects, roughness = measure_surface(real, sim, labels, watch=own.step)
     (pair,) = _rows(whole)
     rows = [{"real_id": i} | row for i, row in enumerate(_rows(objects))]
     of_pair: Metadata = {name: pair[name] for name in SHIFT_COLUMNS} | roughness
-    table = TABLES["surface"].from_rows({"pair_id": pair_id} | row for row in [*rows, pair])
+    table = TABLES["surface"].from_rows({"pair_id": own.pair_id} | row for row in [*rows, pair])
     return JobResult({"surface": table}, {OF_PAIR: of_pair})
 
 

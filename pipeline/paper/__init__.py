@@ -1,1 +1,1 @@
-"""Reproducing the paper: perturbation and ablation experiments, its claims and its tables."""
+"""The experiments of the paper: perturbation and ablation."""

@@ -7,7 +7,7 @@ paper states its choice (k = 90, tau = 0.2, delta = 5) but no ranges; those here
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -18,7 +18,6 @@ import pandas as pd
 import pyarrow as pa
 
 from ...schemas.columns import SIDES
-from ...schemas.data_files import read_data
 from ...schemas.errors import SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
@@ -35,9 +34,50 @@ from ..jobs.points_job import ANNOTATED_COLUMNS, annotation, object_points
 from ..stage import Grain, Inputs, JobResult, Stage
 from .experiment import ExperimentOutcome, experimenting, mean_rows, read_source
 
-#: The ablated settings by name, which is also their column of `ablate`: group of the settings, values that are tried by
-#: default, text in tables, label in figures, the value that the paper chose, and its influence on scores by the paper.
-PARAMETERS = read_data("paper")["parameters"]
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A setting that is varied.
+
+    group : group of the setting
+    values : values to try by default
+    text : meaning, in tables
+    label : label of its axis in the figure
+    """
+
+    group: str
+    values: tuple[float, ...]
+    text: str
+    label: str
+
+
+#: The ablated settings by name, which is also their column of `ablate`.
+PARAMETERS = {
+    "k": Parameter(
+        group="graph",
+        values=(30, 60, 90, 120, 150),
+        text="nearest neighbours of each point",
+        label="k, neighbours",
+    ),
+    "tau_m": Parameter(
+        group="graph",
+        values=(0.1, 0.2, 0.3, 0.5),
+        text="distance within which all points are connected, metres",
+        label="tau (m)",
+    ),
+    "delta_m": Parameter(
+        group="matching",
+        values=(1.0, 3.0, 5.0, 7.0, 10.0),
+        text="largest distance of matched centroids, metres",
+        label="delta (m)",
+    ),
+    "t": Parameter(
+        group="selection",
+        values=(0.1, 0.5, 1.0, 2.0, 5.0),
+        text="diffusion time of the heat kernel",
+        label="t, diffusion time",
+    ),
+}
 _NAMES = list(PARAMETERS)
 #: The parameters that the rule can choose.
 CHOSEN = ("k", "tau_m", "t")
@@ -151,9 +191,7 @@ def ablate_dataset(
         if {*requested.get("delta_m", ())} - {base.delta_m}:
             raise SettingsError("--delta: leave it out; objects fixed by the real side are not matched by distance")
         requested["delta_m"] = ()
-    tried = {
-        name: _values(name, requested.get(name, PARAMETERS[name]["values"]), getattr(base, name)) for name in _NAMES
-    }
+    tried = {name: _values(name, requested.get(name, PARAMETERS[name].values), getattr(base, name)) for name in _NAMES}
     settings_of = {choice: with_parameters(settings, choice) for choice in parameter_sets(base, tried, grid)}
     source = read_source(dataset, pattern, machines=machines)
     if is_scan_path(dataset):
@@ -185,19 +223,6 @@ def choose(outcome: AblateOutcome) -> list[Choice]:
     )
 
 
-def influences(outcome: AblateOutcome) -> Iterator[tuple[str, str, float, float]]:
-    """Parameter, metric, its range of means over the values, and its std over pairs at the current value.
-
-    Of match rate and r_lambda; requires two pairs and two values of the parameter.
-    """
-    for name, metric in product(PARAMETERS, _SCORES):
-        tried = outcome.along(name)
-        values = outcome.scores(metric, tried)
-        if min(values.shape) > 1:
-            spread = float(values[:, tried.index(outcome.base)].std(ddof=1))
-            yield name, metric, float(np.ptp(values.mean(axis=0))), spread
-
-
 def parameter_sets(base: ParameterSet, values: dict[str, tuple[float, ...]], grid: bool) -> list[ParameterSet]:
     """The parameter sets to try: one parameter varied at a time, or all combinations.
 
@@ -223,7 +248,7 @@ def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:
     """
     plain: dict[str, Any] = settings.model_dump(mode="json")
     for (name, parameter), value in zip(PARAMETERS.items(), parameters, strict=True):
-        plain[parameter["group"]][name] = value
+        plain[parameter.group][name] = value
     return parse(plain)
 
 

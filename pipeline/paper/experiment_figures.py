@@ -1,4 +1,4 @@
-"""The figures of the paper's experiments, `fidpipe perturb` (Fig. 3) and `fidpipe ablate` (Fig. "ablation")."""
+"""The figures of the paper's experiments, `fidpipe perturb` (Fig. 2) and `fidpipe ablate` (Fig. 5)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ..report.figures.style import (
     box_of,
     dots,
     draw_band,
+    draw_object,
     frame_of,
     from_above,
     mark_amounts,
-    metres,
     new_figure,
     shown_name,
 )
@@ -49,7 +49,9 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
     colours = {name: _OBJECT_COLOURS.get(name, _OTHER_COLOURS[i % len(_OTHER_COLOURS)]) for i, name in enumerate(names)}
     n_rows = (len(curves) + 1) // 2
     with new_figure(11, _TOP_IN + _ROW_IN * n_rows) as figure:
-        top, bottom = figure.subfigures(2, 1, height_ratios=(_TOP_IN, max(_ROW_IN * n_rows, 0.1)))
+        heights = (_TOP_IN, max(_ROW_IN * n_rows, 0.1))
+        halves: Any = figure.subfigures(2, 1, height_ratios=heights)
+        top, bottom = halves
         top.suptitle(f"scan {shown_name(scan)}, altered; bands: one standard deviation over the repeats")
         grid = top.add_gridspec(1, 1 + len(shown), width_ratios=(1.3, *[1] * len(shown)))
         chosen_colours = {chosen.community_id: colours[chosen.name] for chosen in shown}
@@ -57,9 +59,7 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
         for place, chosen in enumerate(shown, start=1):
             axis = top.add_subplot(grid[place], projection="3d", **VIEW)
             own = points[community == chosen.community_id]
-            corner, size = box_of(own)
-            dots(axis, own - corner, 1.5, colours[chosen.name])
-            metres(axis, size, zoom=0.75)
+            draw_object(axis, own, colours[chosen.name], box_of(own), zoom=0.75)
             title = f"{shown_name(chosen.name)}: {chosen.n_points:,} points,\n{chosen.range_m:.0f} m away"
             axis.set_title(title, fontsize=8.5)
         if curves:
@@ -78,12 +78,14 @@ def draw_ablation(outcome: AblateOutcome) -> Path | None:
     has_maps = outcome.grid and len(outcome.values["k"]) > 1 and len(outcome.values["tau_m"]) > 1
     title = f"mean over {n_pairs} pair{'s' * (n_pairs > 1)}, bands: one standard deviation; dashed: current"
     with new_figure(2.75 * max(len(names), 2), 2.7 + 2.8 * has_maps, title) as figure:
-        top, *below = figure.subfigures(2, 1) if has_maps else [figure]
+        top: Any = figure
+        if has_maps:
+            halves: Any = figure.subfigures(2, 1)
+            top, bottom = halves
+            _draw_maps(bottom, outcome)
         for axis, name in zip(top.subplots(1, len(names), sharey=True, squeeze=False)[0], names, strict=True):
             _draw_scores(axis, outcome, name)
         top.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2)
-        for maps in below:
-            _draw_maps(maps, outcome)
         path = outcome.folder / "ablate.png"
         figure.savefig(path, dpi=120)
     return path
@@ -141,7 +143,7 @@ def _draw_scores(axis: Any, outcome: AblateOutcome, name: str) -> None:
     if values.max() > 10 * values.min() > 0:
         axis.set_xscale("log")
     mark_amounts(axis, values)
-    axis.set(ylim=(0, 1), xlabel=PARAMETERS[name]["label"])
+    axis.set(ylim=(0, 1), xlabel=PARAMETERS[name].label)
 
 
 def _draw_maps(figure: Any, outcome: AblateOutcome) -> None:
@@ -156,5 +158,5 @@ def _draw_maps(figure: Any, outcome: AblateOutcome) -> None:
             axis.text(column, row, f"{value:.3f}", **look)
         axis.set_xticks(range(table.shape[1]), [f"{k:g}" for k in table.columns])
         axis.set_yticks(range(table.shape[0]), [f"{tau_m:g}" for tau_m in table.index])
-        axis.set(xlabel=PARAMETERS["k"]["label"], ylabel=PARAMETERS["tau_m"]["label"], title=metric_of(score).label)
+        axis.set(xlabel=PARAMETERS["k"].label, ylabel=PARAMETERS["tau_m"].label, title=metric_of(score).label)
         figure.colorbar(picture, ax=axis)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
-from ...schemas.data_files import read_data
-from ...schemas.metric_catalogue import METRIC, PaperMean, labels, metric_of, narrow_labels
+from ...schemas.metric_catalogue import METRIC, labels, narrow_labels
 from ...stages.generate.perturbations import KINDS, Perturbation
 from ...stages.paper.parameter_choice import RULE
-from ...stages.paper.sweep_claims import check_sweep_claims
 from ...stages.paper.sweep_means import OWN_METRICS, Mean, Means, react, strongest_levels
 from ..report.view import Note, Part, Table, View, mean_and_spread, number
-from .ablate import PARAMETERS, AblateOutcome, choose, influences
+from .ablate import PARAMETERS, AblateOutcome, choose
 from .experiment import ExperimentOutcome
 from .perturb import PerturbOutcome
 
@@ -28,7 +25,7 @@ _ABLATED_SCORES = ("match_rate", *(METRIC[name].mean_column for name in _OBJECT_
 
 
 def perturb_view(outcome: PerturbOutcome) -> View:
-    """The paper's Table I next to ours, the objects, the reactions of the metrics, and the claims."""
+    """Scores of the whole scan (the paper's Table I) and of objects; reactions of the metrics."""
     means, levels = outcome.means, outcome.levels
     parts: list[Part] = []
     if outcome.scans:
@@ -39,20 +36,15 @@ def perturb_view(outcome: PerturbOutcome) -> View:
         parts.append(_detail_table(outcome, means))
         if len(react(means, levels)) > len(OWN_METRICS):
             parts.append(_reaction_table(outcome))
-        claims = [(claim.claim, claim.paper, claim.here, claim.verdict) for claim in check_sweep_claims(means, levels)]
-        if claims:
-            headings = ("claim", "paper", "here", "verdict")
-            parts.append(Table("The paper's claims about perturbations", headings, claims, words=range(4)))
     results = "perturb_summary.parquet (means), perturb_global/ and perturb_objects/ (one row per repeat), perturb.png"
     return [*parts, *_last_lines(outcome, results)]
 
 
 def ablate_view(outcome: AblateOutcome) -> View:
-    """A table for each parameter, their influences, and the choice."""
+    """A table for each parameter, and the choice."""
     parts: list[Part] = []
     if outcome.rows.num_rows:
         parts += [_parameter_table(outcome, name) for name in PARAMETERS if len(outcome.values[name]) > 1]
-        parts += _influence_tables(outcome)
         parts += [Note("The choice", "bold"), Note(f"Rule: {RULE}.")]
         parts += [Note(f"  {choice.name.removesuffix('_m')}: {choice.text}") for choice in choose(outcome)]
         note = "A small r_lambda can also result from a poor alignment (a large change): compare shift and change."
@@ -82,21 +74,12 @@ def _level_table(
 
 
 def _table_i(outcome: PerturbOutcome, means: Means) -> Table:
-    table_i = {tuple(row["level"]): row for row in read_data("paper")["table_i"]}
-
     def cells(level: Perturbation) -> list[str]:
-        row = table_i.get((level.kind, level.amount, level.shift_m), {})
-        both = [
-            (_spread(means.get(None, level, metric)), _spread(PaperMean(*row[metric])) if row else "")
-            for metric in _TABLE_I_SCORES
-        ]
-        return [text for pair in both for text in pair]
+        return [_spread(means.get(None, level, metric)) for metric in _TABLE_I_SCORES]
 
     n = max((means.get(None, level, "match_rate").n for level in outcome.levels), default=0)
-    title = f"Whole scan, {', '.join(outcome.scans)}: mean ± std over {n} repeats; in grey the paper's Table I"
-    headings = labels(_TABLE_I_SCORES)
-    table = _level_table(title, [name for heading in headings for name in (heading, "paper")], outcome, cells)
-    return replace(table, faint=range(2, len(table.headings), 2))
+    title = f"Whole scan, {', '.join(outcome.scans)}: mean ± std over {n} repeats"
+    return _level_table(title, labels(_TABLE_I_SCORES), outcome, cells)
 
 
 def _chosen_table(outcome: PerturbOutcome) -> Table:
@@ -150,28 +133,14 @@ def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
             values[2:4] = [mean_and_spread(own[score, "mean"], own[score, "std"]) for score in _ABLATED_SCORES[:2]]
         cells.append((f"{'*' if point == outcome.base else ''}{getattr(point, name):g}", *values))
     parameter = PARAMETERS[name]
-    paper = f"; the paper chose {parameter['chosen']:g}" if "chosen" in parameter else ""
-    title = f"{parameter['group']}.{name}: {parameter['text']}; mean ± std over {n_pairs} pairs, * current{paper}"
+    title = f"{parameter.group}.{name}: {parameter.text}; mean ± std over {n_pairs} pairs, * current"
     columns = (name.removesuffix("_m"), "objects\nreal", "\nsim", *narrow_labels(_ABLATED_SCORES))
     fixed = (0, *range(3, len(columns)))
     base = points.index(outcome.base)
     return Table(title, columns, cells, words=(), digits={1: 0, 2: 0}, fixed=fixed, bold=(base,))
 
 
-def _influence_tables(outcome: AblateOutcome) -> list[Table]:
-    """Influence of each parameter on each score; no table if there are too few pairs."""
-    rows = []
-    for name, metric, range_of_means, std in influences(outcome):
-        result = "within the spread" if range_of_means < std else "beyond the spread"
-        result = result if range_of_means else "no change"
-        paper = PARAMETERS[name]["influence"].get(metric, "")
-        rows.append((name.removesuffix("_m"), metric_of(metric).label, range_of_means, std, result, paper))
-    title = "Change of a score over the values of a setting, compared with its spread over pairs"
-    columns = ("setting", "score", "range of means", "std over pairs", "result", "the paper")
-    return [Table(title, columns, rows, words=(0, 1, 4, 5))] if rows else []
-
-
-def _spread(score: Mean | PaperMean) -> str:
+def _spread(score: Mean) -> str:
     if score.mean is None or score.std is None:
         return _number(score.mean)
     return f"{_number(score.mean)} ± {_number(score.std if score.std > _ROUNDING else 0.0)}"

@@ -1,4 +1,4 @@
-"""`fidpipe perturb`: response of the scores to known alterations of a real scan (paper, Table I and Fig. 3).
+"""`fidpipe perturb`: response of the scores to known alterations of a real scan (paper, Table I and Fig. 2).
 
 Object points are altered after cleaning and ground removal. *Global*: all of them, with everything from the graph on
 recomputed. *Object level*: those of one community, with its graph rebuilt from them alone.

@@ -19,7 +19,6 @@ import pandas as pd
 from ...schemas.metric_catalogue import METRIC
 from ...schemas.results import Evidence
 from ...stages.statistics.findings import evenly
-from ..results.compare import FamilyHistory
 from ..results.families import ScoreChange
 from ..results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from ..terminal import shown
@@ -381,51 +380,6 @@ def change_chart(scores: Sequence[ScoreChange]) -> Chart:
         "margin": {"l": 10, "r": 85, "t": 12, "b": 12},
     }  # fmt: skip
     return _chart(data, layout)
-
-
-def history_chart(score: FamilyHistory, names: Sequence[str]) -> Chart:
-    """A line of a score's means over the runs; a bar is the interval of the change since the first run.
-
-    Parameters
-    ----------
-    names : of the runs, in their order; they may be equal
-    """
-    steps, x = score.steps, list(range(1, len(names) + 1))
-    symbols = {"better": "triangle-up", "worse": "triangle-down"}
-    verdicts = [step.since_first if step.since_first in symbols else "" for step in steps]
-    above, below = (
-        [0.0 if end is None or step.mean is None else abs(end - step.mean) for step, end in ends]
-        for ends in ([(step, step.high) for step in steps], [(step, step.low) for step in steps])
-    )
-    line = {
-        "mode": "lines+markers",
-        "x": x,
-        "y": [step.mean for step in steps],
-        "text": [
-            f"{in_chart(name)}<br>against the first: {step.since_first or '-'}"
-            for name, step in zip(names, steps, strict=True)
-        ],
-        "hovertemplate": "%{text}<br>%{y:.3f}<extra></extra>",
-        "error_y": {
-            "array": above, "arrayminus": below, "symmetric": False, "color": _SOFT, "thickness": 1.5, "width": 3,
-        },
-        "line": {"color": _SOFT, "width": 1.5},
-        "marker": {
-            "size": [13 if verdict else 7 for verdict in verdicts],
-            "color": [of_theme(verdict) if verdict else _SOFT for verdict in verdicts],
-            "symbol": [symbols.get(verdict, "circle") for verdict in verdicts],
-        },
-        "cliponaxis": False,
-    }  # fmt: skip
-    first = steps[0].mean
-    layout = {
-        "shapes": [] if first is None else [_line(y=first, color=_SOFT, width=1, dash="dot")],
-        "xaxis": {**_FIXED, "tickvals": x, "range": [0.6, len(names) + 0.4], "title": {"text": "run"}},
-        "yaxis": {"fixedrange": True},
-        "showlegend": False,
-        "margin": {"l": 50, "r": 12, "t": 10, "b": 40},
-    }
-    return _chart([line], layout)
 
 
 def _line(x: float | None = None, y: float | None = None, **look: Any) -> Chart:

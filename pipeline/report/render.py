@@ -95,7 +95,6 @@ def _table(table: Table) -> RichTable:
             no_wrap=not is_words if table.fixed is None else i in table.fixed,
             min_width=max(map(len, heading.split()), default=1) if is_words else None,
             width=longest if i in table.whole else None,
-            style="bright_black" if i in table.faint else "",
         )
     breaking = [i for i, column in zip(columns, made.columns, strict=True) if i in table.words and not column.no_wrap]
     among = {i: frozenset(word for row in cells for word in row[i].split()) for i in breaking}

@@ -169,11 +169,6 @@ class Cloud:
     community: IntArray
     road: FloatArray
 
-    def members(self, community_id: int) -> FloatArray:
-        """The points of one object, (m, 3)."""
-        members: FloatArray = self.points[self.community == community_id]
-        return members
-
 
 def read_cloud(run: FinishedRun, pair_id: str, side: str) -> Cloud:
     """The points of a side; `RunError` if a table is damaged or gone."""
@@ -194,9 +189,7 @@ class PairFrames:
     """
 
     def __init__(self, results: RunResults, pair_id: str) -> None:
-        self.objects, self.matched, self.unmatched = (
-            rows[rows.pair_id == pair_id] for rows in (results.objects, results.matched, results.unmatched)
-        )
+        self.objects = results.objects[results.objects.pair_id == pair_id]
         self._run, self._pair_id = results.run, pair_id
 
     @cached_property

@@ -31,7 +31,6 @@ class Table:
     fixed : indices of the columns that never break into lines; None for all that hold numbers
     ruled : indices of rows that a line follows
     bold : indices of bold rows
-    faint : indices of grey columns
     whole : indices of columns as wide as their longest word, which is not shortened
     """
 
@@ -44,7 +43,6 @@ class Table:
     fixed: Container[int] | None = None
     ruled: Container[int] = ()
     bold: Container[int] = ()
-    faint: Container[int] = ()
     whole: Container[int] = ()
 
     @property
@@ -113,3 +111,14 @@ def sentence(text: str) -> str:
 
 def _text(value: object, digits: int) -> str:
     return number(value, digits) if value is None or isinstance(value, float) else str(value)
+
+
+def count(n: int, noun: str) -> str:
+    """A number with its noun.
+
+    Examples
+    --------
+    >>> count(1, "pair"), count(5, "independent place")
+    ('1 pair', '5 independent places')
+    """
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES, CauseModel
-from ...schemas.results import Cause
+from ...schemas.results import Cause, Unknown
 from ...stages.arrays import BoolArray, FloatArray, IntArray
-from ...stages.causes.estimates import FLAT, LOSSES, UNEVEN
+from ...stages.causes.estimates import FLAT, LOSSES, UNEVEN, Amount
 from ...stages.displacement import PARAMETERS
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, mean_interval
 from ..storage.folder import RunFolder
@@ -75,11 +75,25 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseVal
     frame = table.to_pandas()
     frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
     values = {}
-    for name, rows in frame.groupby("cause"):
-        rows = rows.set_index("pair").reindex(range(len(pair_ids)))
+    for name, group in frame.groupby("cause"):
+        rows = group.set_index("pair").reindex(range(len(pair_ids)))
         columns = {column: rows[column].to_numpy(np.float64) for column in ("amount", "real", "sim", "share")}
         reasons = rows["reason"].dropna()
         values[str(name)] = CauseValues(**columns, reason=str(reasons.iloc[0]) if len(reasons) else "")
+    return values
+
+
+def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, CauseValues]:
+    """Estimates of some pairs, by name of the cause; those that no pair has are left out."""
+    values = {}
+    for name in CAUSES:
+        of_pairs = [pair[name] for pair in amounts if name in pair]
+        if of_pairs:
+            columns = {}
+            for column in ("amount", "real", "sim", "share"):
+                columns[column] = np.array([getattr(amount, column) for amount in of_pairs], dtype=np.float64)
+            reasons = [amount.reason for amount in of_pairs if amount.reason]
+            values[name] = CauseValues(**columns, reason=reasons[0] if reasons else "")
     return values
 
 
@@ -113,6 +127,27 @@ def least_part_of_pose(name: str) -> float:
     return LEAST_PART_OF_ANGLE if name in _ANGLES else LEAST_PART_OF_POSE
 
 
+def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:
+    """The causes that are unknown in most pairs, by reason."""
+    by_reason: dict[str, list[str]] = {}
+    for name, of_cause in values.items():
+        if not _is_known(of_cause.amount):
+            by_reason.setdefault(of_cause.reason, []).append(name)
+    return [Unknown(causes=tuple(names), reason=reason) for reason, names in by_reason.items()]
+
+
+def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | None:
+    """A cause with its mean amount over the pairs, also if it is too small to be named; None if it is unknown."""
+    if not _is_known(values.amount):
+        return None
+    return _cause(CAUSES[name], values, values.amount, independent_blocks(blocks))
+
+
+def _is_known(amounts: FloatArray) -> bool:
+    """True if a cause has an amount in at least half of the pairs."""
+    return 2 * int(np.count_nonzero(~np.isnan(amounts))) >= len(amounts)
+
+
 def changed_causes(
     before: Mapping[str, CauseValues],
     after: Mapping[str, CauseValues],
@@ -130,15 +165,12 @@ def changed_causes(
     """
     changes = {name: change_of(name, before[name], after[name], between) for name in after if name in before}
     blocks = independent_blocks(blocks)
-    causes = []
-    for name in _named(changes, blocks, is_change=True):
-        causes.append(_cause(CAUSES[name], after[name], changes[name], blocks))
+    named = _named(changes, blocks, is_change=True)
+    causes = [_cause(CAUSES[name], after[name], changes[name], blocks) for name in named]
     return sorted(causes, key=lambda cause: -abs(cause.estimate) / CAUSES[cause.name].resolution)
 
 
-def change_of(
-    name: str, before: CauseValues, after: CauseValues, between: Mapping[str, FloatArray]
-) -> FloatArray:
+def change_of(name: str, before: CauseValues, after: CauseValues, between: Mapping[str, FloatArray]) -> FloatArray:
     """(n,) change of the amount of a cause; of a lost share, relative to what the first run returned."""
     if name in between:
         return between[name]
@@ -148,14 +180,13 @@ def change_of(
 
 
 def _named(amounts: Mapping[str, FloatArray], blocks: IntArray, *, is_change: bool) -> list[str]:
-    """Names of the causes beyond the tolerance, or of the changes beyond the resolution, of which none feigns another.
-    """
+    """Names of the causes beyond the tolerance, or of the changes beyond the resolution; those feigned are left out."""
     means = {name: _mean(values) for name, values in amounts.items()}
     named = {}
     for name, values in amounts.items():
         model = CAUSES[name]
         is_known = ~np.isnan(values)
-        if name == UNEVEN or 2 * is_known.sum() < len(values) or _is_feigned(name, means):
+        if name == UNEVEN or not _is_known(values) or _is_feigned(name, means):
             continue
         limit = model.resolution if is_change else model.tolerance
         if _is_beyond(model, block_means(values[is_known], blocks[is_known]), limit, is_change=is_change):

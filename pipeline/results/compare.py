@@ -1,69 +1,41 @@
-"""Compares finished runs of the same real scans: simulator versions, each with a base, or up to eight in a row.
+"""Compares finished runs of the same real scans: simulator versions, each with a base.
 
-Pairs are the same if they have the same name and the same real scan, by content. What is decided is in `families`; the
+Pairs are the same if they have the same name and the same real scan, by content. Causes of the sensor and its pose are
+decided by their precision (`changes`), the world by families of scores over independent places (`families`); the
 objects are followed from run to run (`followed`) as a description.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
-from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import Row
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import SEEDED_SCORES
-from ...schemas.results import CauseEstimate, JsonObject
-from ...stages.arrays import FloatArray, IntArray
-from ...stages.statistics.comparison import (
-    BLOCK_S,
-    KINDS,
-    LEAST_FLIPPED,
-    LEAST_PAIRS,
-    Difference,
-    blocks_of,
-    paired_difference,
-)
+from ...schemas.results import JsonObject
+from ...stages.arrays import IntArray
+from ...stages.statistics.comparison import BLOCK_S, KINDS, LEAST_FLIPPED, LEAST_PAIRS, blocks_of
 from ...stages.statistics.neighbours import neighbours
 from ...stages.statistics.spread import spread
+from ..engine.progress import Reporter
 from ..storage.table_files import table_name
-from .causes import CAUSE_KINDS, CauseKind, Columns
-from .diagnosis import read_diagnosis
-from .displaced import MovedWorld, find_moved
-from .families import FamilyChange, ScoreChange, families, judge_families, overall
+from .changes import Changes, change_rows, find_changes
+from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
 from .floor import RunExcess, excess_over
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, follow
 from .object_frame import object_parts, plain_rows
 from .sectors import N_SECTORS, sector_rows
 
-#: Largest number of runs that fit into one table.
+#: Largest number of runs in one command.
 MOST_RUNS = 8
-#: A cause changed if its estimate moved by more than this share of the tolerance within which it is not named.
-_LEAST_OF_TOLERANCE = 0.1
-#: A cause, its estimates before and after, the least change that matters, that without an interval, and the unit of
-#: the changes by which causes are ordered.
-_Estimates = tuple[CauseKind | CauseEstimate, FloatArray, FloatArray, float, float, float]
-
-
-@dataclass(frozen=True)
-class CauseChange:
-    """The estimate of a cause in both runs, with the interval of its change.
-
-    unit, setting : see `causes.CauseKind`
-    """
-
-    name: str
-    unit: str
-    setting: str
-    difference: Difference
 
 
 @dataclass(frozen=True)
@@ -77,13 +49,12 @@ class Comparison:
     unfollowed : pairs whose real communities differ, so that their objects cannot be followed
     settings : settings that differ, as text
     notes : what else differs
-    families : what is decided, see `families`
-    causes : those whose estimate changed by more than a tenth of its tolerance: the interval excludes 0, or if there is
-        none, the change exceeds the tolerance; displacements only if `find_moved` confirms them
+    changes : causes that changed
+    families : scores of the world
     objects : the real objects and their fates, see `followed.follow`
     n_blocks : independent pairs: copies and neighbouring frames count once
     blocking : one sentence on how they were found
-    by_direction : True if few blocks are left, so that changes must be consistent over frames and over directions
+    by_direction : True if few blocks are left, so that changes of the world must be consistent over directions as well
     on_partition : what chance does to scores of the paper's partition; "" of reference objects
     excess : of the base and of the other run over the floor; None without one
     """
@@ -97,8 +68,8 @@ class Comparison:
     unfollowed: tuple[str, ...]
     settings: tuple[str, ...]
     notes: tuple[str, ...]
+    changes: Changes
     families: tuple[FamilyChange, ...]
-    causes: tuple[CauseChange, ...]
     objects: pd.DataFrame
     n_blocks: int
     blocking: str
@@ -113,9 +84,17 @@ class Comparison:
 
     @property
     def decision(self) -> str:
-        """Over all families (`overall`); worse or mixed if a pair fails that did not."""
-        found = overall(self.families)
-        return found if not self.failed else "mixed" if found in ("better", "mixed") else "worse"
+        """Over the causes of the sensor and all families; worse or mixed if a pair fails that did not."""
+        verdicts = {family.verdict for family in self.families if not family.why}
+        decided = {changed.verdict for changed in self.changes.causes}
+        verdicts |= decided & {"better", "worse"}
+        if "changed" in decided:
+            verdicts.add("undecided")
+        tends_worse = any(family.tendency == "worse" for family in self.families)
+        decision = overall(verdicts, tends_worse=tends_worse)
+        if not self.failed:
+            return decision
+        return "mixed" if decision in ("better", "mixed") else "worse"
 
     @property
     def scores(self) -> list[ScoreChange]:
@@ -130,69 +109,14 @@ class Comparison:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for programs."""
-        excess = None if self.excess is None else [each.as_dict() for each in self.excess]
-        return (
-            asdict(replace(self, excess=None))
-            | {"base": str(self.base), "other": str(self.other), "decision": self.decision}
-            | {"kinds": self.kinds, "excess": excess, "objects": plain_rows(self.objects)}
-            | {"by_class": by_class(self.objects), "by_range": by_range(self.objects)}
-        )
-
-
-@dataclass(frozen=True)
-class Step:
-    """A family in one run.
-
-    mean : of its score, over the independent pairs that all runs have scored; None if null
-    low, high : 95 % interval of the change since the first run, added to the first run's mean; None without one
-    since_first, since_last : verdict of the family against the first run, and against the one before, in brackets if it
-        does not count; "" for the first
-    """
-
-    mean: float | None
-    low: float | None = None
-    high: float | None = None
-    since_first: str = ""
-    since_last: str = ""
-
-
-@dataclass(frozen=True)
-class FamilyHistory:
-    """A family over the runs, with its representative score.
-
-    name, mark : of the score; direction of good
-    """
-
-    family: str
-    name: str
-    mark: str
-    steps: tuple[Step, ...]
-
-
-@dataclass(frozen=True)
-class History:
-    """Runs in their order, and their families of scores.
-
-    runs : each with its `folder`, when it was `written`, and how many pairs it has scored (`n_scored`) and failed
-    pairs : that all runs have scored
-    left_out : by pair that some run has scored, why it is not among them
-    failed : pairs that the first run has scored and that fail in the last
-    n_blocks : independent pairs
-    n_comparisons : how many there are, each of which is wrong by chance in under 5 % of the cases
-    """
-
-    runs: tuple[Row, ...]
-    pairs: tuple[str, ...]
-    left_out: dict[str, str]
-    failed: tuple[str, ...]
-    n_blocks: int
-    n_comparisons: int
-    families: tuple[FamilyHistory, ...]
-    notes: tuple[str, ...]
-
-    def as_dict(self) -> JsonObject:
-        """Plain values, for programs."""
-        return asdict(self)
+        plain = asdict(replace(self, excess=None, changes=Changes()))
+        plain |= {"base": str(self.base), "other": str(self.other), "decision": self.decision}
+        plain |= {"causes": change_rows(self.changes), "unexplained": self.changes.elsewhere}
+        plain["excess"] = None if self.excess is None else [excess.as_dict() for excess in self.excess]
+        plain |= {"kinds": self.kinds, "objects": plain_rows(self.objects)}
+        plain |= {"by_class": by_class(self.objects), "by_range": by_range(self.objects)}
+        del plain["changes"]
+        return plain
 
 
 def compare_runs(
@@ -201,6 +125,7 @@ def compare_runs(
     allow_different_settings: bool = False,
     floor: Path | None = None,
     independent: bool = False,
+    reporter: Reporter | None = None,
 ) -> list[Comparison]:
     """Each run but the first against the first.
 
@@ -208,6 +133,7 @@ def compare_runs(
     ----------
     independent : treat each pair as independent, also neighbouring frames
     floor : the run of fidpipe floor of the same real scans; all runs then need its settings
+    reporter : shows the progress over many pairs
 
     Raises
     ------
@@ -216,58 +142,39 @@ def compare_runs(
         common, or the floor belongs to other runs.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
-    return [compare_two(base, other, allow_different_settings, floor, independent=independent) for other in others]
+    options: dict[str, Any] = {"floor": floor, "independent": independent, "reporter": reporter}
+    return [compare_two(base, other, allow_different_settings, **options) for other in others]
 
 
 def compare_two(
     base: FinishedRun,
     other: FinishedRun,
     allow_different_settings: bool = False,
+    *,
     floor: Path | None = None,
-    only: Container[str] | None = None,
     independent: bool = False,
+    reporter: Reporter | None = None,
 ) -> Comparison:
-    """One run against another, as `compare_runs` does.
-
-    Parameters
-    ----------
-    only : names of pairs to compare; by default all that can be
-    """
+    """One run against another, as `compare_runs` does."""
     differing = settings_changes(base, other)
     if differing and not allow_different_settings:
-        presets = "" if base.preset == other.preset else f"preset {base.preset} and preset {other.preset}: "
-        raise RunError(
-            f"runs {base.folder} and {other.folder}: settings differ ({presets}{'; '.join(differing)}), so that a "
-            "difference need not be the simulator's; run both with the same settings, or give "
-            "--allow-different-settings"
-        )
+        raise RunError(_settings_differ(base, other, differing))
     left_out = pairs_left_out(base, other)
-    comparable = [row["pair_id"] for row in base.scored if row["pair_id"] not in left_out]
-    names = tuple(name for name in comparable if only is None or name in only)
+    names = tuple(row["pair_id"] for row in base.scored if row["pair_id"] not in left_out)
     lost = tuple(row["pair_id"] for row in base.scored if row["pair_id"] in left_out)
     tried = {row["pair_id"] for row in other.rows}
     failed = tuple(name for name in lost if name in tried and other.row(name)["status"] != "scored")
-    if not comparable and not failed:
+    if not names and not failed:
         why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
         raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'no pair is scored'})")
-    changes, unfollowed = _followed(base, other, names)
-    excess = None if floor is None or not names else (excess_over(base, floor, names), excess_over(other, floor, names))
+    objects, unfollowed = _followed(base, other, names)
+    excess = None
+    if floor is not None and names:
+        excess = excess_over(base, floor, names), excess_over(other, floor, names)
     blocks, blocking = _blocks(base, other, names, independent)
-    rows = {name: (base.row(name), other.row(name)) for name in names}
-    n_blocks, sectors = len(np.unique(blocks)), None
-    if n_blocks < min(LEAST_FLIPPED, len(names)):
-        of_runs = zip(sector_rows(base, names), sector_rows(other, names), strict=True)
-        parts = {f"{i}": rows_of_sector for i, rows_of_sector in enumerate(of_runs)}
-        sectors = parts, (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
-        blocks = np.arange(len(names), dtype=np.int32)
-    seeds, others = (_seed_noise(run, names) for run in (base, other))
-    noise = {
-        column: math.hypot(own, others[column]) / math.sqrt(2) for column, own in seeds.items() if column in others
-    }
-    floors = {} if excess is None else {column: own.floor_from_equal for column, own in excess[0].scores.items()}
-    preset = base.preset if base.preset == other.preset else "paper"
-    moved = find_moved(base, other, names, blocks)
-    causes = _changed(_diagnosed(base, other, names), blocks) or _changed(_estimated(base, other, names), blocks)
+    n_blocks = len(np.unique(blocks))
+    changes = find_changes(base, other, names, blocks, reporter) if names else Changes()
+    by_direction = n_blocks < min(LEAST_FLIPPED, len(names))
     return Comparison(
         base=base.folder,
         other=other.folder,
@@ -278,15 +185,61 @@ def compare_two(
         unfollowed=tuple(unfollowed),
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
-        families=judge_families(preset, rows, blocks, noise, floors, sectors, moved) if names else (),
-        causes=_confirmed(causes, moved),
-        objects=changes,
+        changes=changes,
+        families=_families(base, other, names, blocks, excess, changes) if names else (),
+        objects=objects,
         n_blocks=n_blocks,
         blocking=blocking,
-        by_direction=sectors is not None,
+        by_direction=by_direction,
         on_partition=partition_note((base, other)),
         excess=excess,
     )
+
+
+def _settings_differ(base: FinishedRun, other: FinishedRun, differing: Sequence[str]) -> str:
+    presets = "" if base.preset == other.preset else f"preset {base.preset} and preset {other.preset}: "
+    return (
+        f"runs {base.folder} and {other.folder}: settings differ ({presets}{'; '.join(differing)}), so that a "
+        "difference need not be the simulator's; run both with the same settings, or give --allow-different-settings"
+    )
+
+
+def _families(
+    base: FinishedRun,
+    other: FinishedRun,
+    names: Sequence[str],
+    blocks: IntArray,
+    excess: tuple[RunExcess, RunExcess] | None,
+    changes: Changes,
+) -> tuple[FamilyChange, ...]:
+    """The families of scores of the world."""
+    rows = {name: (base.row(name), other.row(name)) for name in names}
+    sectors = None
+    if len(np.unique(blocks)) < min(LEAST_FLIPPED, len(names)):
+        sectors = _by_sector(base, other, names, blocks)
+        blocks = np.arange(len(names), dtype=np.int32)
+    floors = {}
+    if excess is not None:
+        floors = {column: score.floor_from_equal for column, score in excess[0].scores.items()}
+    preset = base.preset if base.preset == other.preset else "paper"
+    worse = [changed.cause.name for changed in changes.causes if changed.verdict == "worse"]
+    return judge_families(preset, rows, blocks, _noise_of_seeds(base, other, names), floors, sectors, worse)
+
+
+def _by_sector(
+    base: FinishedRun, other: FinishedRun, names: Sequence[str], blocks: IntArray
+) -> tuple[dict[str, tuple[Row, Row]], IntArray]:
+    """Rows of all sectors of all pairs before and after, and the block of each: a direction from a place."""
+    both = zip(sector_rows(base, names), sector_rows(other, names), strict=True)
+    rows = {str(i): pair for i, pair in enumerate(both)}
+    of_sectors = N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)
+    return rows, of_sectors.ravel().astype(np.int32)
+
+
+def _noise_of_seeds(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> dict[str, float]:
+    """Difference of two means that Louvain seeds alone make, by column, where both runs were repeated."""
+    first, second = _seed_noise(base, names), _seed_noise(other, names)
+    return {column: math.hypot(first[column], second[column]) / math.sqrt(2) for column in first if column in second}
 
 
 def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tuple[pd.DataFrame, list[str]]:
@@ -324,56 +277,6 @@ def _blocks(base: FinishedRun, other: FinishedRun, names: Sequence[str], indepen
         return blocks, f"{n} {unit} form {n_blocks} block{'s' * (n_blocks != 1)} of neighbouring frames ({found_by})"
     why = "no time stamps, and no two scans show the same place" if untimed else f"{BLOCK_S:g} s apart or more"
     return blocks, f"{n} {unit}, taken as independent ({why})"
-
-
-def _estimated(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> Iterator[_Estimates]:
-    before, after = (Columns(run.row(name) for name in names) for run in (base, other))
-    for kind in CAUSE_KINDS.values():
-        real = np.abs(kind.sides(before)[0])
-        real = real[~np.isnan(real)]
-        tolerance = kind.tolerance + kind.relative * float(real.mean() if len(real) else 0.0)
-        least, scale = _LEAST_OF_TOLERANCE * tolerance, kind.tolerance or 1.0
-        yield kind, kind.value(before), kind.value(after), least, kind.tolerance, scale
-
-
-def _diagnosed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> Iterator[_Estimates]:
-    found = [read_diagnosis(run.folder, run.record) for run in (base, other)]
-    if not (found[0] and found[1]):
-        return
-    first = {estimate.name: estimate for estimate in found[0].estimates}
-    for own in found[1].estimates:
-        if own.name in first:
-            before, after = (
-                np.array([each.values.get(name, np.nan) for name in names]) for each in (first[own.name], own)
-            )
-            yield own, before, after, own.resolution, 0.0, own.resolution
-
-
-def _changed(estimates: Iterable[_Estimates], blocks: IntArray) -> tuple[CauseChange, ...]:
-    found = []
-    for cause, before, after, least, without_interval, scale in estimates:
-        own = paired_difference(before, after, blocks)
-        if own.size > max(least, without_interval if own.half_width is None else own.half_width):
-            found.append((own.size / scale, CauseChange(cause.name, cause.unit, cause.setting, own)))
-    return tuple(change for _, change in sorted(found, key=lambda each: -each[0]))
-
-
-def _confirmed(causes: tuple[CauseChange, ...], moved: MovedWorld | None) -> tuple[CauseChange, ...]:
-    """The causes with what moved between the simulated scans, without displacements that these exclude."""
-    if moved is None:
-        return causes
-    seen = [
-        own
-        for own in causes
-        if own.name not in moved.measured or moved.allows(own.name, own.difference.difference or 0.0)
-    ]
-    known = {own.name for own in seen}
-    first = [
-        CauseChange(name, CAUSES[name].unit, CAUSES[name].setting, own)
-        for name, own in moved.changes.items()
-        if name not in known
-    ]
-    return (*first, *seen)
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
@@ -425,86 +328,3 @@ def _seed_noise(run: FinishedRun, names: Sequence[str]) -> dict[str, float]:
         if len({len(own) for own in scores}) == 1
     }
     return {column: least for column, least in noise.items() if least is not None}
-
-
-def read_history(
-    folders: Sequence[Path],
-    *,
-    by_date: bool = False,
-    allow_different_settings: bool = False,
-    independent: bool = False,
-) -> History:
-    """The families of scores of runs in a row, each compared with the first and with the one before.
-
-    Only pairs that all runs have scored are used, so that the means of all runs are over the same scans.
-
-    Parameters
-    ----------
-    folders : two or more, in order
-    by_date : order them by when they were made instead
-    independent : see `compare_runs`
-
-    Raises
-    ------
-    RunError
-        A folder is not a finished run, settings differ and that is not allowed, or no pair is scored by all.
-    """
-    runs = [FinishedRun(folder) for folder in folders]
-    dates = [run.record.written for run in runs]
-    if by_date:
-        runs.sort(key=lambda run: run.record.written)
-    first, *others = runs
-    left_out = {name: why for other in others for name, why in pairs_left_out(first, other).items()}
-    pairs = tuple(row["pair_id"] for row in first.scored if row["pair_id"] not in left_out)
-    if not pairs:
-        why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
-        raise RunError(
-            f"{len(runs)} runs from {first.folder} on: no pair is scored by all ({why or 'no pair is scored'})"
-        )
-    compared = partial(
-        compare_two, allow_different_settings=allow_different_settings, only=pairs, independent=independent
-    )
-    since_first = [compared(first, other) for other in others]
-    since_last = [since_first[0], *(compared(a, b) for a, b in pairwise(others))]
-    notes = [since_first[0].blocking]
-    notes += dict.fromkeys(f"differs: {note}" for one in since_first for note in (*one.settings, *one.notes))
-    if not by_date and dates != sorted(dates):
-        notes.append("the runs are not in the order in which they were made; --by-date orders them so")
-    return History(
-        runs=tuple(
-            {"folder": str(run.folder), "written": run.record.written}
-            | {"n_scored": run.record.pairs.scored, "n_failed": run.record.pairs.failed}
-            for run in runs
-        ),
-        pairs=pairs,
-        left_out=left_out,
-        failed=since_first[-1].failed,
-        n_blocks=since_first[0].n_blocks,
-        n_comparisons=2 * len(others) - 1,
-        families=tuple(_over_runs(family.name, since_first, since_last) for family in since_first[0].families),
-        notes=tuple(notes),
-    )
-
-
-def _over_runs(family: str, since_first: Sequence[Comparison], since_last: Sequence[Comparison]) -> FamilyHistory:
-    """The history of a family, and of the first of its scores in the catalogue that is decided, else has values."""
-    first, last = ([_family(one, family) for one in compared] for compared in (since_first, since_last))
-    known = {score.name: score for score in first[0].scores}
-    decided = {own.name for one in first for own in one.scores if own.verdict in ("better", "worse")}
-    headings = [score.heading for preset in ("reference", "paper") for score in families(preset)[family]]
-    headings.sort(key=lambda heading: heading not in decided)
-    chosen = next(known[heading] for heading in headings if heading in known)
-    steps = [Step(chosen.difference.before)]
-    for against_first, against_last in zip(first, last, strict=True):
-        own = next((score.difference for score in against_first.scores if score.name == chosen.name), Difference())
-        low, high = (
-            None if change is None or own.before is None else own.before + change for change in (own.low, own.high)
-        )
-        steps.append(Step(own.after, low, high, against_first.called, against_last.called))
-    return FamilyHistory(family, chosen.name, chosen.mark, tuple(steps))
-
-
-def _family(comparison: Comparison, name: str) -> FamilyChange:
-    """A family of a comparison; one without scores if it has none."""
-    absent = FamilyChange(name, "undecided", None, "", "", ())
-    return next((family for family in comparison.families if family.name == name), absent)

@@ -186,6 +186,16 @@ def _evidence(kind: str, gains: Gains) -> Evidence | None:
     )
 
 
+def unexplained_words(diagnosis: Diagnosis) -> str:
+    """Part of the distance that remains if all causes are corrected."""
+    distance = f"{100 * (diagnosis.distance_m - diagnosis.floor_m):.1f} cm"
+    over = "by which the surfaces are farther apart than in a second measurement"
+    if diagnosis.unexplained is None:
+        return f"unexplained: nothing; the surfaces are as close as in a second measurement ({distance})"
+    least = "at least " if any(cause.is_upper_bound for cause in diagnosis.causes) else ""
+    return f"unexplained: {least}{100 * diagnosis.unexplained:.0f} % of the {distance} {over}"
+
+
 def gain_words(cause: Cause) -> str:
     """Gain of correcting a cause, as text; "" if it was not measured.
 

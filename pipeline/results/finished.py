@@ -13,6 +13,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,14 +24,16 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import metric_of
 from ...schemas.record import RunRecord
-from ...schemas.results import JsonObject, Overview
+from ...schemas.results import Cause, Diagnosis, JsonObject, Overview, Unknown
 from ...schemas.tables import PAIR_TABLES, TABLES
 from ...stages.arrays import FloatArray
+from ...stages.statistics.comparison import blocks_of
 from ..datasets.pairs import MANIFEST
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.run_record import RUN_JSON, command_again, finished_record
 from ..storage.urls import url_or_path
+from .causes import mean_amount, read_causes
 from .diagnosis import diagnosis_of, with_gains
 from .object_frame import ALL_COLUMNS, COLUMNS_OF, object_parts, plain_rows
 
@@ -156,10 +159,40 @@ class FinishedRun:
         return pa.concat_tables(parts).replace_schema_metadata()  # that of the first file says which job wrote it
 
     @property
+    def causes(self) -> pd.DataFrame:
+        """One row per named cause, in the order in which to fix them; `table("causes")` has the amounts of each pair.
+
+        Columns are the fields of `schemas.results.Cause`, without its curves.
+        """
+        import pandas as pd
+
+        columns = [name for name in Cause.model_fields if name not in ("evidence", "limbs")]
+        causes = self.overview.causes if self.overview else ()
+        return pd.DataFrame([[getattr(cause, name) for name in columns] for cause in causes], columns=columns)
+
+    @cached_property
+    def diagnosis(self) -> Diagnosis | None:
+        """The gains of correcting each cause; None if the run was not diagnosed since its causes changed."""
+        return diagnosis_of(self.store, self.record, [row["pair_id"] for row in self.scored])
+
+    @property
     def overview(self) -> Overview | None:
         """The first answer of the run, with the causes of its diagnosis if it has one; None if no pair is scored."""
+        return with_gains(self.record.overview, self.diagnosis)
+
+    @cached_property
+    def mean_amounts(self) -> dict[str, Cause | Unknown]:
+        """Every cause of the catalogue with its mean amount over the scored pairs, also those that are not named."""
         names = [row["pair_id"] for row in self.scored]
-        return with_gains(self.record.overview, diagnosis_of(self.store, self.record, names))
+        values = read_causes(self.store, names)
+        blocks = blocks_of(
+            [self.record.inputs[name]["real"] for name in names], [self.record.times_s.get(name) for name in names]
+        )
+        amounts: dict[str, Cause | Unknown] = {}
+        for name, of_cause in values.items():
+            amount = mean_amount(name, of_cause, blocks)
+            amounts[name] = amount or Unknown(causes=(name,), reason=of_cause.reason)
+        return amounts
 
     @property
     def preset(self) -> str:

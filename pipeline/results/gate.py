@@ -11,7 +11,7 @@ import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -20,11 +20,13 @@ from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
 from ...schemas.settings import expected_and_got
 from ...stages.statistics.comparison import LEAST_PAIRS
-from .compare import Comparison
-from .families import FamilyChange
 from .finished import FinishedRun, partition_note
 from .floor import excess_over
 from .measures import Measures
+
+if TYPE_CHECKING:
+    from .compare import Comparison
+    from .families import FamilyChange
 
 Bound = Literal["max", "min"]
 #: What a comparison may fail on.
@@ -165,7 +167,8 @@ class BaseResult:
 def judge_comparison(comparison: Comparison, fail_on: Collection[str]) -> BaseResult:
     """Evaluate a run against its base.
 
-    A family fails if it is worse or mixed. Every pair that the base has scored must have been compared: one that fails
+    A cause of the sensor fails if it is worse, a family if it is worse or mixed. Every pair that the base has scored
+    must have been compared: one that fails
     now fails the gate, for a simulator that loses its hardest pairs looks better in the means. With "undecided" the
     gate also fails if nothing is decided: too few independent pairs, or changes within the noise.
     """
@@ -178,6 +181,10 @@ def judge_comparison(comparison: Comparison, fail_on: Collection[str]) -> BaseRe
             "not compared" if why else "",
         )
     ]
+    for change in comparison.changes.causes:
+        if change.verdict:
+            fault = change.verdict if change.verdict == "worse" else ""
+            checks.append(Check(f"{change.cause.name} is not worse", change.words, fault))
     for family in comparison.families:
         fault = family.verdict if family.verdict in ("worse", "mixed") and not family.why else ""
         checks.append(Check(f"{family.name} is not worse", _found(family), fault))

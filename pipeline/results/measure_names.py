@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from ...schemas.cause_catalogue import CAUSES
+from ...schemas.data_files import read_rows
 from ...schemas.metric_catalogue import (
     COVERAGE_SCORES,
     DISTRIBUTED,
@@ -20,17 +22,29 @@ DOTTED = {
     **{metric.column.replace("_", ".").replace("p", "."): metric.column for metric in COVERAGE_SCORES},
     **{column.replace("rays_", "rays."): column for column in RAY_MEANS},
 }
+#: Estimated properties of both sensors: `sensor.sim.range_noise_m` is the column `sensor_sim_range_noise_m`.
+SENSOR_VALUES = {
+    row["column"].replace("_", ".", 2): row["column"]
+    for row in read_rows("tables")
+    if row["table"] == "pairs" and row["column"].startswith("sensor_")
+}
 #: Of the double validation metric, over objects where a score has them.
 OF_DISTRIBUTIONS = ("bias", "area")
 
 STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
 
+#: Names of causes by that of the catalogue.
+CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES}
+#: Ends of the 95 % interval of a cause.
+INTERVAL_ENDS = ("low", "high")
+
 #: The names that stand for themselves, to guess what a wrong one means, and for the shell to complete.
 PLAIN_NAMES = (
-    *(f"{score}.{stat}" for score in (*PAIR_SCORES, *DOTTED) for stat in OF_PAIRS),
+    *(f"{value}.{stat}" for value in (*PAIR_SCORES, *DOTTED, *SENSOR_VALUES) for stat in OF_PAIRS),
     *(f"objects.{score}.{stat}" for score in DISTRIBUTED for stat in OF_OBJECTS),
     *(f"{what}.{count}" for what in ("missing", "hallucinated") for count in (*COUNTS, "within_20m")),
     *(f"matched.{count}" for count in ("total", "mean", "min")),
     *(f"pairs.{state}" for state in STATES),
+    *(f"causes.{name}" for name in CAUSE_NAMES),
     *(f"excess.{score}.{stat}" for score in (*PAIR_SCORES, *DOTTED) for stat in (*OF_PAIRS, *OF_DISTRIBUTIONS)),
 )

@@ -12,6 +12,7 @@ import numpy as np
 from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, ScanError, SettingsError, nearest, suggestion
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
+from ...schemas.results import Cause, Unknown
 from ...stages.arrays import FloatArray, IndexArray
 from ...stages.statistics.findings import distribution
 from ..datasets.content import input_hashes
@@ -19,13 +20,16 @@ from ..datasets.pairs import Dataset, local_folder, read_dataset
 from .finished import FinishedRun
 from .floor import RunExcess
 from .measure_names import (
+    CAUSE_NAMES,
     COUNTS,
     DOTTED,
+    INTERVAL_ENDS,
     OF_DISTRIBUTIONS,
     OF_OBJECTS,
     OF_PAIRS,
     PAIR_SCORES,
     PLAIN_NAMES,
+    SENSOR_VALUES,
     STATES,
 )
 
@@ -114,6 +118,22 @@ class Measures:
             raise _AbsentError(f"no object has the class {label}; classes are {', '.join(labels) or 'none'}")
         return objects[objects["label"] == label]
 
+    def _cause(self, cause: str, end: str | None) -> float:
+        """Mean amount of a cause without its sign, or an end of its interval."""
+        amount = self._amounts[CAUSE_NAMES[cause]]
+        if isinstance(amount, Unknown):
+            raise _AbsentError(amount.reason)
+        if end is None:
+            return abs(amount.estimate)
+        ends = (amount.low, amount.high) if amount.estimate >= 0 else (-amount.high, -amount.low)
+        return ends[INTERVAL_ENDS.index(end)]
+
+    @property
+    def _amounts(self) -> dict[str, Cause | Unknown]:
+        if not self.run.scored:
+            raise _AbsentError("no pair is scored")
+        return self.run.mean_amounts
+
     def _both(self, count: str) -> float:
         return _counted(np.array([row["n_matched"] for row in self._scored]), count)
 
@@ -162,7 +182,9 @@ class Measures:
 
 def _column(score: str) -> str:
     """The column of `pairs` with a score of pairs."""
-    return METRIC[score].mean_column if score in OBJECT_METRICS else DOTTED.get(score, score)
+    if score in OBJECT_METRICS:
+        return METRIC[score].mean_column
+    return (DOTTED | SENSOR_VALUES).get(score, score)
 
 
 def _statistic(values: FloatArray, stat: str, what: str, score: str) -> float:
@@ -186,8 +208,10 @@ def _either(name: str, words: Iterable[str]) -> str:
 _CLASS = r"(?:class\.(?P<label>.+)\.)"
 _WITHIN = r"(?:\.within_(?P<within>[0-9]+(?:\.[0-9]+)?)m)?"
 _SCORE = _either("score", (*PAIR_SCORES, *map(re.escape, DOTTED)))
+_SENSOR_VALUE = _either("score", map(re.escape, SENSOR_VALUES))
 _MEASURES: dict[str, Callable[..., float]] = {
     rf"{_SCORE}\.{_either('stat', OF_PAIRS)}": Measures._of_pairs,
+    rf"{_SENSOR_VALUE}\.{_either('stat', OF_PAIRS)}": Measures._of_pairs,
     rf"excess\.{_SCORE}\.{_either('stat', (*OF_PAIRS, *OF_DISTRIBUTIONS))}": Measures._over_floor,
     rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', OF_OBJECTS)}": Measures._of_objects,
     rf"{_CLASS}?{_either('what', ('missing', 'hallucinated'))}{_WITHIN}(?:\.{_either('count', COUNTS)})?": (
@@ -195,4 +219,5 @@ _MEASURES: dict[str, Callable[..., float]] = {
     ),
     rf"matched\.{_either('count', ('total', 'mean', 'min'))}": Measures._both,
     rf"pairs\.{_either('state', STATES)}": Measures._pairs,
+    rf"causes\.{_either('cause', CAUSE_NAMES)}(?:\.{_either('end', INTERVAL_ENDS)})?": Measures._cause,
 }

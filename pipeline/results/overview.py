@@ -9,7 +9,6 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +24,7 @@ from ...schemas.record import (
     SurfaceStates,
     UnmatchedSurface,
 )
-from ...schemas.results import Cause, Caution, Findings, Overview, Piece, SurfaceGroup
+from ...schemas.results import Caution, Findings, Overview, Piece, SurfaceGroup
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.coverage import ROAD, surface_state
@@ -34,7 +33,7 @@ from ...stages.statistics.findings import BAND_NAMES, summarise_objects
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.urls import recorded_path
-from .causes import named_causes, read_causes
+from .causes import named_causes, read_causes, unknown_causes
 from .floor import FLOOR_RECIPE
 from .object_frame import PAIRS_AT_ONCE, STATISTICS_COLUMNS, arrays_of, object_parts, plain_rows
 from .places import moved_words, place_words
@@ -112,8 +111,14 @@ def describe_objects(
     n_independent = len(np.unique(blocks))
     found = summarise_objects(*arrays_of(objects), pair_ids, times)
     findings = Findings(n_independent=n_independent, **vars(found))
-    causes = named_causes(read_causes(store, pair_ids), blocks)
-    overview = _overview(objects, len(scored), largest_pieces(store, pair_ids), causes)
+    causes = read_causes(store, pair_ids)
+    overview = Overview(
+        causes=tuple(named_causes(causes, blocks)),
+        unknown=tuple(unknown_causes(causes)),
+        pieces=tuple(largest_pieces(store, pair_ids)),
+        surface=tuple(_surface(objects, len(scored))),
+        **_alignment(objects),
+    )
     return findings, overview, _unmatched(objects)
 
 
@@ -128,23 +133,21 @@ def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
     return MetricsSummary(unmatched=UnmatchedSurface(**counts))
 
 
-def _overview(
-    objects: pd.DataFrame, n_pairs: int, pieces: Sequence[Piece], causes: Sequence[Cause]
-) -> Overview:
+def _surface(objects: pd.DataFrame, n_pairs: int) -> list[SurfaceGroup]:
+    """Coverage by range and by class."""
     import pandas as pd
 
     points = objects.assign(alone=objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0)))
     bands = _coverage(points, "band", pd.RangeIndex(len(BAND_NAMES)), n_pairs)
     classes = _coverage(points, "label", pd.Index(sorted(set(objects["label"]))), n_pairs)
+    return [*_groups("range", bands, BAND_NAMES), *_groups("class", classes)]
+
+
+def _alignment(objects: pd.DataFrame) -> dict[str, int]:
+    """Numbers of aligned and of badly aligned objects."""
     scored = objects[(objects["side"] == "real") & objects["r_lambda"].notna()]
     is_bad = alignment_is_bad(scored["alignment_rms_m"].to_numpy(), scored["diagonal_m"].to_numpy())
-    return Overview(
-        causes=tuple(causes),
-        pieces=tuple(pieces),
-        surface=(*_groups("range", bands, BAND_NAMES), *_groups("class", classes)),
-        n_aligned=len(scored),
-        n_badly_aligned=int(np.count_nonzero(is_bad)),
-    )
+    return {"n_aligned": len(scored), "n_badly_aligned": int(np.count_nonzero(is_bad))}
 
 
 def _coverage(points: pd.DataFrame, kind: str, groups: pd.Index[Any], n_pairs: int) -> dict[str, GroupPoints]:

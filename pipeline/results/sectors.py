@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import COVERAGE_REACHES, METRIC, RAY_SCORES, SHIFT_COLUMNS
+from ...schemas.metric_catalogue import COVERAGE_REACHES, METRIC
 from ...stages.arrays import FloatArray, IndexArray
 from .finished import FinishedRun
 from .object_frame import PAIRS_AT_ONCE, object_parts
@@ -22,16 +22,13 @@ from .object_frame import PAIRS_AT_ONCE, object_parts
 N_SECTORS = 8
 _COLUMNS = ("cx", "cy", *(f"covered_{reach}" for reach in COVERAGE_REACHES), "cdc", "r_lambda", "r_gap")
 _PIECES = ["side", "n_points", "cx", "cy"]
-_SURFACE = ["real_id", "n_points", *SHIFT_COLUMNS[:3]]
-_RAYS = [metric.column for metric in RAY_SCORES]
 
 
 def sector_rows(run: FinishedRun, pair_ids: Sequence[str]) -> list[Row]:
-    """One row per pair and sector with columns of `pairs`: coverage, pieces, displacement, objects, rays.
+    """One row per pair and sector with columns of `pairs`: coverage, pieces, objects.
 
     An object or a piece belongs to the sector of its centroid. Each value is the sector's part of the pair's times the
-    number of sectors, so that the mean over the sectors is the value of the pair. A displacement is the mean over the
-    sector's points instead, and null without any; scores of rays are those of the sector's rays.
+    number of sectors, so that the mean over the sectors is the value of the pair.
 
     Parameters
     ----------
@@ -47,29 +44,9 @@ def sector_rows(run: FinishedRun, pair_ids: Sequence[str]) -> list[Row]:
     for part in object_parts(run.store, pair_ids, _COLUMNS, by_reference=run.is_by_reference):
         names = pair_ids[len(rows) // N_SECTORS :][:PAIRS_AT_ONCE]
         part["pair"] -= len(rows) // N_SECTORS
-        tables = run.store.read_pairs(
-            names, {("pieces", ""): _PIECES, ("surface", ""): _SURFACE, ("ray_scores", ""): ["by", "band", *_RAYS]}
-        )
-        pieces, surface, rays = (
-            table.to_pandas().assign(pair=np.repeat(np.arange(len(names)), n)) for table, n in tables.values()
-        )
-        surface = surface.dropna(subset="real_id").merge(
-            part.loc[part["side"] == "real", ["pair", "community_id", "cx", "cy"]],
-            left_on=["pair", "real_id"],
-            right_on=["pair", "community_id"],
-        )
-        found = {**_surface_parts(part, pieces, len(names)), **_object_parts(part, [run.row(name) for name in names])}
-        for column in SHIFT_COLUMNS[:3]:
-            known = surface.dropna(subset=column)
-            with np.errstate(invalid="ignore"):
-                found[column] = _parts(known, known["n_points"] * known[column], len(names)) / _parts(
-                    known, known["n_points"], len(names)
-                )
-        rays = rays[rays["by"] == "azimuth"]
-        sector = (rays["band"].str.split().str[0].astype(float) % 360 // (360 / N_SECTORS)).astype(int)
-        for column in _RAYS:
-            found[column] = np.full((len(names), N_SECTORS), np.nan)
-            found[column][rays["pair"], sector] = rays[column]
+        table, n_rows = run.store.read_pairs(names, {("pieces", ""): _PIECES})["pieces", ""]
+        pieces = table.to_pandas().assign(pair=np.repeat(np.arange(len(names)), n_rows))
+        found = _surface_parts(part, pieces, len(names)) | _object_parts(part, [run.row(name) for name in names])
         values = np.stack([*found.values()], axis=-1).reshape(-1, len(found))
         rows += [dict(zip(found, own, strict=True)) for own in values.tolist()]
     return rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,11 +13,12 @@ from ...schemas.errors import RunError
 from ...schemas.settings import parse
 from ..datasets.pairs import local_folder, read_dataset
 from ..engine.engine import Machines, RunEngine
-from ..engine.plan import Planner, with_results
+from ..engine.plan import PairPlan, Planner, with_results
 from ..engine.progress import Reporter
 from ..jobs import stages_under
+from ..stage import Stage
 from ..storage.folder import RunFolder
-from ..storage.run_record import StageSeconds
+from ..storage.table_files import JobName
 from .finished import record_of_run
 
 STATES = ("done", "stale", "failed", "to do")
@@ -28,7 +30,7 @@ class RunStatus:
 
     stages : by stage, how many pairs are in which state
     failures : why each failed pair failed
-    mean_seconds : by stage and step, mean over the pairs that have it
+    damaged : names of the tables that are not as they were written
     """
 
     folder: Path
@@ -36,7 +38,7 @@ class RunStatus:
     n_pairs: int
     stages: dict[str, Counter[str]]
     failures: dict[str, str]
-    mean_seconds: dict[str, dict[str, float]]
+    damaged: list[str]
 
 
 def run_status(folder: Path) -> RunStatus:
@@ -60,7 +62,8 @@ def run_status(folder: Path) -> RunStatus:
     stages, run_folder = stages_under(settings), RunFolder(folder)
     ledger, planner = run_folder.ledger, Planner(stages, settings, dataset.label_names)
     states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
-    seconds, failures = StageSeconds(), {}
+    failures: dict[str, str] = {}
+    damaged: list[str] = []
     with RunEngine(run_folder, settings, Machines(workers=1), Reporter(Console(quiet=True))) as engine:
         engine.hash_files(dataset.pairs)
         for pair in dataset.pairs:
@@ -74,13 +77,29 @@ def run_status(folder: Path) -> RunStatus:
             if past := ledger.failure(pair.pair_id, [plan.keys[job.name] for job in plan.todo]):
                 failures[pair.pair_id] = past
             for stage in stages:
-                is_stale = any((stage.name, pair.pair_id, part) in unwanted for part in stage.parts)
-                if all((stage.name, part) in plan.records for part in stage.parts):
-                    state = "done"
-                else:
-                    state = "failed" if pair.pair_id in failures else "stale" if is_stale else "to do"
+                state = _stage_state(stage, plan, unwanted, has_failed=pair.pair_id in failures)
                 states[stage.name][state] += 1
-            for own in ledger.jobs(pair.pair_id).values():
-                if own.stage in states and own.name not in unwanted:
-                    seconds.add(own)
-    return RunStatus(folder, record["dataset"], len(dataset.pairs), states, failures, seconds.mean())
+            for job in ledger.jobs(pair.pair_id).values():
+                if job.name in unwanted:
+                    damaged += run_folder.damaged_files(job)
+    for job in ledger.jobs("").values():
+        damaged += run_folder.damaged_files(job)
+    return RunStatus(
+        folder=folder,
+        dataset=record["dataset"],
+        n_pairs=len(dataset.pairs),
+        stages=states,
+        failures=failures,
+        damaged=damaged,
+    )
+
+
+def _stage_state(stage: Stage, plan: PairPlan, unwanted: Collection[JobName], *, has_failed: bool) -> str:
+    """One of `STATES`: the state of a stage of a pair."""
+    if all((stage.name, part) in plan.records for part in stage.parts):
+        return "done"
+    if has_failed:
+        return "failed"
+    if any((stage.name, plan.pair_id, part) in unwanted for part in stage.parts):
+        return "stale"
+    return "to do"

@@ -143,13 +143,16 @@ class RunFolder(TableFolder):
             f"run {self.folder}: {name} is damaged or gone{cause and f' ({cause})'}; run it again with: {again}"
         )
 
-    def is_whole(self, record: JobRecord) -> bool:
-        """True if the files of a job are as they were written, see `StoredFile.is_at`, or expected at the URL alone."""
-        files = record.files.items()
-        return all(
-            stored.is_at(f"{self.folder}/{name}") or (self.url and not (self.folder / name).exists())
-            for name, stored in files
-        )
+    def damaged_files(self, record: JobRecord) -> list[str]:
+        """Names of the files of a job that are not as they were written; files at the URL alone are not checked."""
+        damaged = []
+        for name, stored in record.files.items():
+            if stored.is_at(f"{self.folder}/{name}"):
+                continue
+            if self.url and not (self.folder / name).exists():
+                continue
+            damaged.append(name)
+        return damaged
 
     def forget(self, pair_id: str, jobs: Container[JobId] | None = None) -> list[JobRecord]:
         """Remove some jobs of a pair, by default all, and their files; returns them."""

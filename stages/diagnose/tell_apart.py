@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from ...schemas.errors import StageError
 from ..arrays import BoolArray, FloatArray, IndexArray, IntArray
-from ..statistics.comparison import mean_test
+from ..statistics.comparison import mean_interval
 
 #: Numbers of neighbours over which the shape of the surface is described.
 SCALES = (8, 24, 64)
@@ -149,11 +149,11 @@ def separate(
             loss[i, k] = aucs[-1] - _auc(truth, model.predict_proba(permuted)[:, 1])
             single = _fit(features[train][:, own], is_sim[train], TREES_ALONE)
             alone[i, k] = _auc(truth, single.predict_proba(features[test][:, own])[:, 1])
-    _, low, high = mean_test(np.array(aucs))
+    _, low, high = mean_interval(np.array(aucs))
     return Separation(
         auc=float(np.mean(aucs)),
-        low=max(0.0, float(low)),
-        high=min(1.0, float(high)),
+        low=max(0.0, low),
+        high=min(1.0, high),
         by_fold=np.array(aucs),
         by_place=int(place.max()) + 1 >= LEAST_PLACES,
         probability=probability,

@@ -1,1 +1,1 @@
-"""The statistics of the paper: its claims, sweeps and choice of parameters."""
+"""Statistics of the paper's experiments: means of a sweep, and the choice of parameters."""

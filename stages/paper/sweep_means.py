@@ -66,12 +66,6 @@ class Means:
         means = (self.get(object_name, level, metric).mean for level in levels)
         return [mean for mean in means if mean is not None]
 
-    def missing(self, object_name: str | None, levels: Sequence[Perturbation], metric: str) -> list[Perturbation]:
-        """The levels at which a metric could not be computed; none if it was requested at no level."""
-        if not any((object_name, level, metric) in self._by_key for level in levels):
-            return []
-        return [level for level in levels if self.get(object_name, level, metric).mean is None]
-
 
 def react(means: Means, levels: Sequence[Perturbation]) -> list[Reaction]:
     """The reaction of each of our metrics, then of the swept baseline metrics by name.

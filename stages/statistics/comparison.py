@@ -26,9 +26,6 @@ LEAST_FLIPPED = 9
 #: Up to this number of blocks, all flips of signs are enumerated; above it, `DRAWS` are drawn.
 MOST_ENUMERATED = 14
 DRAWS = 20_000
-#: The degrees of freedom of Student's t are this share of n - 1: a deviation that is estimated from a few values of
-#: skewed or heavy-tailed differences is worth less than one of normal ones (excess kurtosis 2 halves it).
-WORTH = 0.5
 #: Pairs within this time see the same surroundings, and count as one: a car leaves its view in that time.
 BLOCK_S = 10.0
 #: Of fewer than `LEAST_PAIRS` blocks, only a change of more than this many standard deviations is decided.
@@ -91,7 +88,7 @@ def block_means(values: FloatArray, blocks: IntArray) -> FloatArray:
 
 
 def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | None = None) -> Difference:
-    """Mean of after - before over the blocks, with the interval of `mean_test`.
+    """Mean of after - before over the blocks, with the interval of `mean_interval`.
 
     Pairs that lack a value are left out. Fewer than three blocks have no interval.
 
@@ -121,8 +118,8 @@ def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | 
     std = float(change.std(ddof=1))
     if len(change) < LEAST_FOR_INTERVAL:
         return Difference(*counts, std)
-    _, low, high = mean_test(change)
-    return Difference(*counts, std, float(low), float(high))
+    _, low, high = mean_interval(change)
+    return Difference(*counts, std, low, high)
 
 
 def mean_interval(values: FloatArray) -> tuple[float, float, float]:
@@ -140,26 +137,6 @@ def mean_interval(values: FloatArray) -> tuple[float, float, float]:
         return mean, float(values.min()), float(values.max())
     reach = float(stdtrit(n - 1, (1 + CONFIDENCE) / 2) * values.std(ddof=1) / np.sqrt(n))
     return mean, mean - reach, mean + reach
-
-
-def mean_test(change: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The p-value of a mean of 0, and the ends of its 95 % interval: Student's t on (n - 1) / 2 degrees of freedom.
-
-    Few values hide how heavy their tails are, hence the halved degrees of freedom.
-
-    Parameters
-    ----------
-    change : (..., n) float64, n at least 2
-    """
-    from scipy.stats import t as student_t
-
-    n = change.shape[-1]
-    mean, error = change.mean(axis=-1), change.std(axis=-1, ddof=1) / np.sqrt(n)
-    degrees = WORTH * (n - 1)
-    reach = student_t.isf((1 - CONFIDENCE) / 2, degrees) * error
-    with np.errstate(divide="ignore", invalid="ignore"):
-        p = 2 * student_t.sf(np.abs(mean) / error, degrees)
-    return p, mean - reach, mean + reach
 
 
 def adjusted_p_values(change: FloatArray, least: FloatArray, step: FloatArray) -> FloatArray:

@@ -1,6 +1,6 @@
 """Findings over the objects of all pairs: the numbers of the paper's section "Real experiments".
 
-Counts and distributions pool the objects of all pairs. Means over pairs are in `summary`, the claims in `claims`.
+Counts and distributions pool the objects of all pairs. Means over pairs are in `summary`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from ...schemas.results import (
     Scans,
     ScoreDistributions,
     Unmatched,
-    WithinPairs,
 )
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..summary import mean_and_std, median_of
@@ -39,8 +38,6 @@ BAND_NAMES = (
 )
 #: Scans of the paper's box plots, and how far apart in time they must be.
 N_SCANS, SCAN_GAP_S = 4, 60.0
-#: Width of the bins whose tallest one distinguishes a sharp peak from a broad one.
-PEAK_BIN = 0.05
 #: The paper: n_sim is from under a quarter to over four times n_real.
 SPARSE_RATIO, DENSE_RATIO = 0.25, 4.0
 _QUANTILES = {"min": 0.0, "q05": 0.05, "q25": 0.25, "median": 0.5, "q75": 0.75, "q95": 0.95, "max": 1.0}
@@ -86,7 +83,6 @@ def summarise_objects(
     timestamps_s : time of the scan of each pair; None if unknown
     """
     matched = real.matched
-    median_m = median_of(np.concatenate([real.range_m, sim.range_m]))
     unmatched_m = np.concatenate([real.range_m[~real.is_matched], sim.range_m[~sim.is_matched]])
     return ObjectFindings(
         n_pairs=len(pair_ids),
@@ -100,16 +96,14 @@ def summarise_objects(
             median_matched=median_of(matched.range_m),
             median_unmatched=median_of(unmatched_m),
             bands=by_range(real, sim),
-            halves=by_range(real, sim, (0.0,) if median_m is None else (0.0, median_m)),
         ),
         classes=by_class(real, sim),
-        within_pairs=within_pairs(matched, len(pair_ids)),
         scans=compare_scans(matched, pair_ids, timestamps_s),
     )
 
 
 def distribution(values: FloatArray) -> Distribution:
-    """Number, quantiles, mean, standard deviation (n - 1), coefficient of variation and tallest bin of some values.
+    """Number, quantiles, mean, standard deviation (n - 1) and coefficient of variation of some values.
 
     The coefficient of variation is standard deviation / mean: a score that varies more relative to its mean
     distinguishes objects better (the paper, "Real experiments"). NaN is left out; None if too few values remain.
@@ -127,20 +121,7 @@ def distribution(values: FloatArray) -> Distribution:
         mean=mean,
         std=std,
         cv=std / mean if mean and std is not None else None,
-        peak_density=peak_density(known) if len(known) else None,
     )
-
-
-def peak_density(values: FloatArray) -> float:
-    """Share of some values in the fullest bin of width 0.05, over that width: high for a sharp peak, low for a broad.
-
-    Examples
-    --------
-    >>> peak_density(np.array([0.01, 0.02, 0.5, 0.9]))
-    10.0
-    """
-    counts = np.unique(np.floor(values / PEAK_BIN), return_counts=True)[1]
-    return float(counts.max() / len(values) / PEAK_BIN)
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> RankCorrelation:
@@ -180,10 +161,10 @@ def density_ratio(n_real: IntArray, n_sim: IntArray) -> DensityRatio:
     )
 
 
-def by_range(real: Objects, sim: Objects, edges_m: Sequence[float] = BAND_EDGES_M) -> tuple[RangeBand, ...]:
+def by_range(real: Objects, sim: Objects) -> tuple[RangeBand, ...]:
     """Missing and hallucinated objects by distance from the sensor on their side; the last band has no end."""
     bands = []
-    for low, high in zip(edges_m, [*edges_m[1:], None], strict=True):
+    for low, high in zip(BAND_EDGES_M, [*BAND_EDGES_M[1:], None], strict=True):
         inside = [(side.range_m >= low) & (side.range_m < (np.inf if high is None else high)) for side in (real, sim)]
         bands.append(RangeBand(from_m=low, to_m=high, **vars(_unmatched(real, sim, *inside))))
     return tuple(bands)
@@ -193,8 +174,7 @@ def by_class(real: Objects, sim: Objects) -> tuple[ClassFindings, ...]:
     """Missing, hallucinated and scores by class, the class with most objects first; () without labels.
 
     A matched object has the class of its real side. Each score has its mean, standard deviation (n - 1) and number of
-    objects. `cdc_excess` is cdc minus r_lambda; `r_lambda_near` and `r_lambda_far` are means over the matched objects
-    nearer than the median range of the class, and over the others.
+    objects.
     """
     labels, counts = np.unique(np.concatenate([real.label, sim.label]), return_counts=True)
     matched, rows = real.matched, []
@@ -202,24 +182,17 @@ def by_class(real: Objects, sim: Objects) -> tuple[ClassFindings, ...]:
         if not label:
             continue
         own = matched.label == label
-        cdc, r_lambda = matched.cdc[own], matched.r_lambda[own]
-        middle = median_of(matched.range_m[own])
-        is_near = matched.range_m[own] < (np.inf if middle is None else middle)
-        values = {
-            "cdc": cdc,
-            "r_lambda": r_lambda,
-            "r_gap": matched.r_gap[own],
-            "cdc_excess": cdc - r_lambda,
-            "r_lambda_near": r_lambda[is_near],
-            "r_lambda_far": r_lambda[~is_near],
+        scores = {
+            "cdc": _group_mean(matched.cdc[own]),
+            "r_lambda": _group_mean(matched.r_lambda[own]),
+            "r_gap": _group_mean(matched.r_gap[own]),
         }
         rows.append(
             ClassFindings(
                 label=label,
                 **vars(_unmatched(real, sim, real.label == label, sim.label == label)),
                 n_matched=int(np.count_nonzero(own)),
-                scores={name: _group_mean(each) for name, each in values.items()},
-                spearman=rank_correlation(cdc, r_lambda).spearman,
+                scores=scores,
             )
         )
     return tuple(rows)
@@ -228,24 +201,6 @@ def by_class(real: Objects, sim: Objects) -> tuple[ClassFindings, ...]:
 def _group_mean(values: FloatArray) -> GroupMean:
     mean, std = mean_and_std(values)
     return GroupMean(mean=mean, std=std, n=int(np.count_nonzero(~np.isnan(values))))
-
-
-def within_pairs(matched: Objects, n_pairs: int) -> WithinPairs:
-    """Number of pairs in which r_lambda varies more than CDC over the objects of the pair (standard deviation)."""
-    spread = [std_by_pair(scores, matched.pair, n_pairs) for scores in (matched.cdc, matched.r_lambda)]
-    both = ~(np.isnan(spread[0]) | np.isnan(spread[1]))
-    wider = spread[1][both] > spread[0][both]
-    return WithinPairs(n_pairs=int(np.count_nonzero(both)), n_r_lambda_wider=int(np.count_nonzero(wider)))
-
-
-def std_by_pair(values: FloatArray, pair: IntArray, n_pairs: int) -> FloatArray:
-    """Standard deviation (n - 1) of the values of each pair, NaN for fewer than two."""
-    known = ~np.isnan(values)
-    values, pair = values[known], pair[known]
-    n = np.bincount(pair, minlength=n_pairs)
-    mean = np.bincount(pair, values, n_pairs) / np.maximum(n, 1)
-    squares = np.bincount(pair, (values - mean[pair]) ** 2, n_pairs)
-    return np.where(n > 1, np.sqrt(squares / np.maximum(n - 1, 1)), np.nan)
 
 
 def compare_scans(matched: Objects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]) -> Scans:
@@ -278,18 +233,12 @@ def scans_apart(timestamps_s: Sequence[float | None]) -> list[int]:
     >>> scans_apart([0.0, 30.0, 61.0, None, 500.0])
     [0, 2, 4]
     """
-    chain = chain_apart(timestamps_s)
-    return [chain[i] for i in evenly(len(chain), N_SCANS)]
-
-
-def chain_apart(timestamps_s: Sequence[float | None]) -> list[int]:
-    """A longest chain of scans, each more than a minute after the one before; empty without timestamps."""
-    known = sorted((time, i) for i, time in enumerate(timestamps_s) if time is not None)
+    known = sorted((time_s, i) for i, time_s in enumerate(timestamps_s) if time_s is not None)
     chain: list[tuple[float, int]] = []
-    for time, i in known:
-        if not chain or time - chain[-1][0] > SCAN_GAP_S:
-            chain.append((time, i))
-    return [i for _, i in chain]
+    for time_s, i in known:
+        if not chain or time_s - chain[-1][0] > SCAN_GAP_S:
+            chain.append((time_s, i))
+    return [chain[place][1] for place in evenly(len(chain), N_SCANS)]
 
 
 def evenly(n: int, most: int) -> list[int]:

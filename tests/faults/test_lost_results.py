@@ -16,7 +16,7 @@ from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import load
-from runs import command, contents, marks, own_process, run
+from runs import command, contents, marks, run
 
 NO_CLUSTER = "tcp://127.0.0.1:9"
 
@@ -24,30 +24,17 @@ NO_CLUSTER = "tcp://127.0.0.1:9"
 def test_a_run_without_its_cluster_removes_nothing(again, dataset, monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT_S", 1)
     before = contents(again)
-    with pytest.raises(RunError, match="no cluster with a worker could be reached"):
+    with pytest.raises(RunError, match=NO_CLUSTER):
         run(dataset, again, load(None, ["communities.seed=3"]), workers=None, scheduler=NO_CLUSTER)
     assert contents(again) == before
     assert run(dataset, again).n_made == 0
-
-
-@pytest.mark.exhaustive
-def test_an_experiment_without_its_cluster_removes_nothing(dataset, tmp_path):
-    words = ["ablate", dataset, "--out", tmp_path / "ablate"]
-    values = ["--k", "30", "--tau", "0.2", "--t", "1", "--delta", "3,5"]
-    assert own_process(*words, *values, "--workers", 1).returncode == 0
-    before = contents(tmp_path / "ablate")
-    failed = own_process(*words, *values, "--set", "communities.seed=3", "--replace", "--scheduler", NO_CLUSTER, code=1)
-    assert "no cluster with a worker could be reached" in failed.stderr
-    assert contents(tmp_path / "ablate") == before
 
 
 @pytest.mark.parametrize("word", ["matching.delta_m=3", "communities.seed=3", "input.max_range_m=50"])
 def test_a_finished_run_is_not_replaced_by_another_setting_unasked(again, dataset, word):
     before = contents(again)
     name, _, value = word.partition("=")
-    with pytest.raises(
-        RunError, match=rf"is finished, .* of 2 pairs would be replaced \({name} was .*, is {value}.*\); add --replace"
-    ):
+    with pytest.raises(RunError, match=rf"{name} was .*, is {value}.*--replace"):
         run(dataset, again, load(None, [word]), replace=False)
     assert contents(again) == before
     assert run(dataset, again, load(None, [word]), replace=True).n_made > 0
@@ -59,13 +46,12 @@ def test_results_of_an_older_version_are_not_replaced_unasked(again, dataset):
     (again / "run.json").write_text(json.dumps(record))
     before = contents(again)
     stages = tuple(replace(stage, version=stage.version + (stage.name == "metrics")) for stage in STAGES)
-    why = r"fidpipe 0\.0\.9 on 2025-01-02 had other code of metrics"
-    with pytest.raises(RunError, match=rf"metrics of 2 pairs would be replaced \({why}\); add --replace"):
+    with pytest.raises(RunError, match=r"0\.0\.9 on 2025-01-02 .* metrics.*--replace"):
         run(dataset, again, stages=stages, replace=False)
     assert contents(again) == before
     del record["pairs"]  # a record that cannot be read
     (again / "run.json").write_text(json.dumps(record))
-    with pytest.raises(RunError, match="the run has not ended; finish it with: fidpipe run"):
+    with pytest.raises(RunError, match=re.escape(str(again))):
         FinishedRun(again)
     run(dataset, again, replace=False)
     assert FinishedRun(again).scored

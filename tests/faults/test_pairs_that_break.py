@@ -105,8 +105,8 @@ def trap(dataset, what):
         path.with_suffix(".begun").unlink(missing_ok=True)
 
 
-DIED = "stage ground, real: the worker process died, and again when the pair ran alone \\(.*out of memory"
-OUT_OF_TIME = f"not finished after {LIMIT_S} s of work in stage ground, real; a larger --pair-timeout"
+DIED = "stage ground, real: the worker process died"
+OUT_OF_TIME = f"{LIMIT_S} s of work in stage ground, real"
 OUT_OF_MEMORY = r"cannot be read \(Unable to allocate|the worker process died"  # the limit of the worker, or dask's
 IN_LITTLE_MEMORY = ("--set", "machine.memory_gib=1.5")
 WITH_LIMIT = ("--pair-timeout", LIMIT_S)
@@ -145,7 +145,7 @@ def test_check_names_a_pair_whose_reader_crashes_and_reads_the_others(dataset):
         done = own_process("check", dataset, "--json")
     found = json.loads(done.stdout)
     assert (done.returncode, len(found["faults"])) == (1, 1)
-    assert re.match(f"pair {POISON}: the worker process died, and again when the pair ran alone", found["faults"][0])
+    assert re.match(f"pair {POISON}: the worker process died", found["faults"][0])
     assert [pair["real"] is None for pair in found["pairs"]] == [pair["pair_id"] == POISON for pair in found["pairs"]]
 
 

@@ -94,36 +94,3 @@ def test_a_file_system_that_becomes_read_only_ends_a_run_with_a_line(dataset, fi
         assert own_process(*words).returncode == 0
     assert remount(file_system, "rw")
     assert_resumes(dataset, out, finished)
-
-
-def fill(disk, free):
-    """Fill a disk except for `free` bytes."""
-    left = shutil.disk_usage(disk).free - free
-    (disk / "ballast").write_bytes(bytes(max(0, left)))
-
-
-STAGES = ["ground", "sensor", "graph", "communities", "matching", "selection", "metrics", "coverage", "surface"]
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("stage", STAGES)
-def test_a_disk_that_is_full_in_a_stage_is_named_and_the_run_goes_on_where_there_is_room(
-    dataset, finished, file_system, stage
-):
-    out = file_system / "run"
-    assert own_process("run", dataset, "--out", out, "--workers", 1).returncode == 0
-    first = (out / stage / "000.parquet", out / stage / "000.real.parquet")
-    size = max(path.stat().st_size for path in first if path.exists())
-    for path in (out / stage).iterdir():
-        path.unlink()
-    fill(file_system, max(0, size // 4096 - 1) * 4096)
-    stopped = own_process("run", dataset, "--out", out, "--workers", 1)
-    assert (stopped.returncode, len([of for of in lines_of(stopped.stderr) if "error:" in of])) == (1, 1), (
-        stopped.stderr
-    )
-    told = next(of for of in lines_of(stopped.stderr) if "error:" in of)
-    assert "No space left on device" in told or "database or disk is full" in told
-    assert "make room, then run the same command again" in told
-    assert "Traceback" not in stopped.stderr
-    (file_system / "ballast").unlink()
-    assert_resumes(dataset, out, finished)

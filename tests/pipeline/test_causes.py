@@ -1,158 +1,37 @@
-"""Causes from rows of `pairs` written by hand: what is named, in which order, and what is not."""
+"""One list of causes: a simulator with known flaws, read from every command; and the rules that name causes."""
+
+import json
+import re
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from fidpipe import evaluate_pair
-from fidpipe.pipeline.results.causes import CAUSE_KINDS, Columns, find_causes, surface_causes, with_tolerance
+from fidpipe import evaluate_pair, open_run
+from fidpipe.pipeline.inspect.check_view import check_view
+from fidpipe.pipeline.inspect.scan_checks import check_dataset
+from fidpipe.pipeline.report.page.run_page import write_report
+from fidpipe.pipeline.report.views.answer_view import amount_words
+from fidpipe.pipeline.results.causes import (
+    cause_interval,
+    cause_values,
+    changed_causes,
+    interval_words,
+    named_causes,
+    unknown_causes,
+)
+from fidpipe.schemas.cause_catalogue import CAUSES
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import load
-from fidpipe.schemas.tables import TABLES
+from fidpipe.stages.causes.estimates import FLAT, UNEVEN, Amount
+from fidpipe.stages.displacement import PARAMETERS
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.statistics.findings import BAND_EDGES_M
+from reports import text_of
+from runs import command
+from scenes import write_bin
 
-#: A healthy pair: the second measurement has a little more noise and loss.
-HEALTHY = {
-    "ground_real_peak_m": -1.77,
-    "ground_sim_peak_m": -1.77,
-    "shift_x_m": 0.004,
-    "shift_y_m": -0.003,
-    "shift_z_m": 0.001,
-    "sensor_real_beams": 32,
-    "sensor_sim_beams": 32,
-    "sensor_real_range_noise_m": 0.009,
-    "sensor_sim_range_noise_m": 0.0175,
-    "sensor_real_lost_share": 0.05,
-    "sensor_sim_lost_share": 0.08,
-    "sensor_real_azimuth_step_deg": 0.199,
-    "sensor_sim_azimuth_step_deg": 0.201,
-    "sensor_real_range_quantum_m": 0.004,
-    "sensor_sim_range_quantum_m": None,
-    "missing_pieces_share": 0.0005,
-    "invented_pieces_share": 0.0,
-    "n_missing_pieces": 0,
-    "n_invented_pieces": 0,
-}
-
-
-def rows_of(n=5, **changes):
-    """Pairs with small differences between them; a change is added to the healthy value."""
-    wobble = np.linspace(-0.003, 0.003, n)
-    return [
-        {"pair_id": str(i)}
-        | {
-            name: value if value is None or isinstance(value, int) else value * (1 + wobble[i])
-            for name, value in HEALTHY.items()
-        }
-        | {name: (HEALTHY[name] or 0) + change * (1 + wobble[i]) for name, change in changes.items()}
-        for i in range(n)
-    ]
-
-
-def of_real_side(names, n_points, alone):
-    """Points of four pairs by group, and those of them without a counterpart."""
-    return tuple(pd.DataFrame(np.broadcast_to(own, (4, len(names))), columns=names) for own in (n_points, alone))
-
-
-NO_CLASSES = of_real_side([""], 1.0, 1.0)
-
-
-def names(causes):
-    return [cause.name for cause in causes]
-
-
-def test_a_healthy_re_measurement_has_no_cause():
-    assert HEALTHY.keys() <= set(TABLES["pairs"].schema.names)
-    assert find_causes(Columns(rows_of())) == []
-
-
-def test_a_low_and_noisy_simulator_is_named_with_direction_interval_and_setting():
-    rows = rows_of(ground_sim_peak_m=-0.12, shift_z_m=-0.12, sensor_sim_range_noise_m=0.041 - 0.0175)
-    low, noise = find_causes(Columns(rows))
-    assert low.words == "simulated world 12 cm too low"
-    assert low.detail == "shift z -0.12 ± 0.00 m, road -1.89 against -1.77 m"
-    assert low.setting == "mount height, T_real_sim"
-    assert low.low < low.estimate < low.high < 0
-    assert low.estimate == pytest.approx(-0.12, abs=1e-3)
-    assert (noise.words, noise.setting) == ("range noise 41 mm, real 9 mm", "noise_stddev")
-    assert low.severity > noise.severity
-
-
-def test_a_road_that_moves_alone_is_not_called_the_world():
-    (road,) = find_causes(Columns(rows_of(ground_sim_peak_m=0.1)))
-    assert road.words == "simulated road 10 cm too high"
-    assert road.setting == "road height of the map"
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"shift_x_m": 0.2}, "simulated world 20 cm too far ahead"),
-        ({"shift_y_m": -0.2}, "simulated world 20 cm too far right"),
-        ({"sensor_sim_lost_share": 0.22}, "30 % of the pulses lost, real 5 %"),
-        ({"sensor_sim_beams": 32}, "64 beams, real 32"),
-        ({"sensor_sim_azimuth_step_deg": 0.199}, "azimuth step 0.4 deg, real 0.199 deg"),
-        ({"sensor_sim_range_quantum_m": 0.1}, "range steps 10 cm, real 4 mm"),
-        ({"missing_pieces_share": 0.03, "n_missing_pieces": 8}, "8.0 missing pieces per pair, 3 % of the points"),
-        (
-            {"sensor_real_range_noise_m": 0.021, "sensor_sim_range_noise_m": -0.0175},
-            "range noise 0 mm, real 30 mm",
-        ),
-        ({"invented_pieces_share": 0.05, "n_invented_pieces": 4}, "4.0 invented pieces per pair, 5 % of the points"),
-    ],
-)
-def test_each_flaw_is_named(changes, words):
-    assert [cause.words for cause in find_causes(Columns(rows_of(**changes)))] == [words]
-
-
-def test_pairs_that_disagree_name_nothing_and_two_pairs_have_no_interval():
-    rows = rows_of(4)
-    for row, shift in zip(rows, (0.5, -0.2, 0.6, 0.1), strict=True):
-        row["shift_x_m"] = shift
-    assert find_causes(Columns(rows)) == []
-    (two,) = find_causes(Columns(rows_of(2, shift_x_m=0.2)))
-    assert (two.low, two.high, two.n_pairs) == (None, None, 2)
-    split = rows_of(2)
-    split[1]["shift_x_m"] = 0.9
-    assert find_causes(Columns(split)) == []
-
-
-def test_a_floor_is_subtracted():
-    rows = rows_of(sensor_sim_lost_share=0.07)
-    floor = {row["pair_id"]: row for row in rows_of(sensor_sim_lost_share=0.06)}
-    assert names(find_causes(Columns(rows))) == ["lost pulses"]
-    assert find_causes(Columns(rows), Columns(floor[row["pair_id"]] for row in rows)) == []
-
-
-def test_unknown_values_name_nothing():
-    rows = [{"pair_id": "a"} | dict.fromkeys(HEALTHY)] * 3
-    assert find_causes(Columns(rows)) == []
-    assert all(np.isnan(kind.value(Columns(rows))).all() for kind in CAUSE_KINDS.values())
-
-
-def test_far_surface_is_named_at_the_distance_where_it_stands_out():
-    bands, missing = range(len(BAND_EDGES_M)), np.array([100.0, 120.0, 100.0, 140.0, 780.0])
-    (far,) = surface_causes(of_real_side(bands, 1000.0, missing), NO_CLASSES)
-    assert far.words == "beyond 50 m 78 % of the surface missing"
-    assert far.setting == "range, dropoff"
-    assert far.severity == pytest.approx((0.78 - 0.115) / 5)
-    assert surface_causes(of_real_side(bands, 1000.0, 400.0), NO_CLASSES) == []
-
-
-def test_a_class_is_named_where_much_more_of_it_is_missing():
-    classes = of_real_side(["car", "pole", "tree"], 500.0, [50.0, 450.0, 100.0])
-    (pole,) = surface_causes(of_real_side(range(5), 500.0, 100.0), classes)
-    assert pole.words == "pole: 90 % of the surface missing"
-
-
-def test_differences_of_sensors_that_fix_first_does_not_name_are_marked():
-    row = HEALTHY | {"sensor_sim_azimuth_step_deg": 0.4, "sensor_sim_beams": None}
-    texts = ["range noise on smooth surfaces: 9 mm real, 18 mm simulated", "beams: 32 real, none detected simulated"]
-    texts += ["azimuth step: 0.199 degrees real, 0.400 simulated", "beams start 0.11 m above the origin"]
-    small, *others = with_tolerance(texts, row)
-    assert small == f"{texts[0]} (too little for Fix first)"
-    assert others == texts[1:]
+N_PAIRS = 3
+TOO_LOW_M, NOISE_M, LOST = 0.12, 0.08, 0.25
+FLAWS = ["height", "lost returns", "missing parts", "range noise"]
 
 
 def re_measured(scan, rng, noise_m, lost_share, shift_z_m=0.0):
@@ -162,22 +41,236 @@ def re_measured(scan, rng, noise_m, lost_share, shift_z_m=0.0):
     return kept * (1 + rng.normal(0, noise_m, (len(kept), 1)) / range_m) + [0, 0, shift_z_m]
 
 
-@pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        ({"noise_m": 0.02, "lost_share": 0.03}, []),
-        ({"noise_m": 0.08, "lost_share": 0.03, "shift_z_m": -0.12}, ["height", "range noise"]),
-    ],
-)
-def test_scans_that_were_moved_and_made_noisy_name_both_and_healthy_ones_nothing(change, expected):
-    settings, rng, rows = load(None, [], preset="reference"), np.random.default_rng(1), []
-    for seed in range(3):
-        scan = make_pair(seed, 0, SENSORS["vlp16"], 12_000).real.rows[:, :3]
-        rows.append(evaluate_pair(scan, re_measured(scan, rng, **change), settings).summary | {"pair_id": str(seed)})
-    causes = find_causes(Columns(rows))
-    assert sorted(names(causes)) == expected
-    if causes:
-        height, noise = sorted(causes, key=lambda cause: cause.name)
-        assert height.estimate == pytest.approx(-0.12, abs=0.02)
-        assert (height.words, height.setting) == ("simulated world 12 cm too low", "mount height, T_real_sim")
-        assert noise.sim == pytest.approx(np.hypot(0.03, 0.08), rel=0.15)
+def with_a_hole(scan):
+    """The scan without the surface above the road, counterclockwise from ahead, until 6 % of its points are gone."""
+    azimuth_deg = np.degrees(np.arctan2(scan[:, 1], scan[:, 0])) % 360
+    rows = np.flatnonzero(scan[:, 2] > -1.4)
+    rows = rows[np.argsort(azimuth_deg[rows])]
+    return np.delete(scan, rows[: len(scan) * 6 // 100], axis=0)
+
+
+def flawed(scan, rng):
+    return re_measured(with_a_hole(scan), rng, NOISE_M, LOST, -TOO_LOW_M)
+
+
+def healthy(scan, rng):
+    return re_measured(scan, rng, 0.01, 0.03)
+
+
+def write_streets(folder, simulate):
+    rng = np.random.default_rng(1)
+    for seed in range(N_PAIRS):
+        scan = make_pair(seed, 0, SENSORS["hdl64"], 30_000).real.rows[:, :3]
+        write_bin(folder / "real" / f"{seed}.bin", scan)
+        write_bin(folder / "sim" / f"{seed}.bin", simulate(scan, rng))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def streets(tmp_path_factory):
+    return write_streets(tmp_path_factory.mktemp("causes") / "streets", flawed)
+
+
+@pytest.fixture(scope="module")
+def folder(streets):
+    """The run of the flawed simulator, diagnosed."""
+    out = streets.with_name("run")
+    command("run", streets, "--out", out, "--preset", "reference", "--workers", 1, code=0)
+    return out
+
+
+@pytest.fixture(scope="module")
+def named(folder):
+    """The causes of the run before it is diagnosed, by name."""
+    return {cause.name: cause for cause in open_run(folder).record.overview.causes}
+
+
+def numbers(cause):
+    """What every command has to agree on."""
+    return [cause[name] for name in ("name", "words", "estimate", "low", "high", "setting")]
+
+
+def test_the_flaws_are_named_with_their_amounts(named):
+    assert sorted(named) == FLAWS
+    assert named["height"].estimate == pytest.approx(-TOO_LOW_M, abs=0.01)
+    assert named["range noise"].sim == pytest.approx(np.hypot(named["range noise"].real, NOISE_M), rel=0.1)
+    assert named["lost returns"].estimate == pytest.approx(LOST, abs=0.03)
+    assert named["missing parts"].kind == "world"
+    for cause in named.values():
+        assert cause.low < cause.estimate < cause.high
+        assert cause.setting == CAUSES[cause.name].setting
+
+
+def test_every_command_shows_the_same_causes(streets, folder, named, tmp_path):
+    expected = sorted(numbers(cause.as_dict()) for cause in named.values())
+    diagnosis = json.loads(command("diagnose", folder, "--workers", 1, "--json", code=0).stdout)
+    run_ = open_run(folder)
+    assert sorted(numbers(cause) for cause in diagnosis["causes"]) == expected
+    assert diagnosis["doubtful"] == []
+    assert diagnosis["unexplained"] < 0.3
+    gains = [cause["gain_m"] for cause in diagnosis["causes"]]
+    assert gains == sorted(gains, reverse=True)
+    assert [cause.name for cause in run_.overview.causes] == [cause["name"] for cause in diagnosis["causes"]]
+    assert sorted(run_.causes[["name", "words", "estimate", "low", "high", "setting"]].to_numpy().tolist()) == expected
+
+    check = check_dataset(streets, load(None, [], preset="reference"))
+    assert sorted(numbers(cause.as_dict()) for cause in check.causes.causes) == expected
+    assert check.causes.pair_ids == ("0", "1", "2")
+
+    command("run", streets, "--out", folder, "--preset", "reference", "--workers", 1, code=0)
+    write_report(folder, html=tmp_path / "report.html")
+    page = re.sub(r"\s+", " ", (tmp_path / "report.html").read_text())
+    shown = {
+        "run": command("run", streets, "--out", folder, "--preset", "reference", "--workers", 1).stdout,
+        "show": command("show", folder).stdout,
+        "diagnose": command("diagnose", folder, "--workers", 1).stdout,
+        "check": text_of(check_view(check)),
+    }
+    for cause in run_.overview.causes:
+        for text in shown.values():
+            assert cause.words in " ".join(text.split())
+            assert interval_words(cause) in " ".join(text.split())
+        assert f'<strong>{cause.words}</strong><br><span class="detail">{amount_words(cause)}</span>' in page
+    for text in (shown["run"], shown["show"], shown["diagnose"], page):
+        assert "unexplained: " in text.lower()
+    assert "gain " in shown["run"]
+
+
+def blind(scan, rng):
+    azimuth_deg = np.degrees(np.arctan2(scan[:, 1], scan[:, 0]))
+    return healthy(scan[(azimuth_deg < 100) | (azimuth_deg > 157)], rng)
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory):
+    """The run of a simulator without flaws on the same real scans."""
+    place = tmp_path_factory.mktemp("base")
+    write_streets(place / "streets", healthy)
+    command("run", place / "streets", "--out", place / "run", "--preset", "reference", "--workers", 1, code=0)
+    return place / "run"
+
+
+def test_compare_decides_by_the_causes_of_the_sensor(base, folder, named):
+    (comparison,) = json.loads(command("compare", base, folder, "--json", code=0).stdout)
+    causes = {cause["cause"]: cause for cause in comparison["causes"]}
+    assert comparison["decision"] == "worse"
+    for name in ("height", "range noise", "lost returns"):
+        assert causes[name]["verdict"] == "worse"
+        assert causes[name]["after"] == pytest.approx(named[name].estimate, abs=CAUSES[name].resolution)
+    assert causes["height"]["change"] == pytest.approx(-TOO_LOW_M, abs=0.005)
+    assert causes["height"]["low"] < -TOO_LOW_M < causes["height"]["high"]
+    text = " ".join(command("compare", base, folder).stdout.split())
+    assert text.startswith("worse: ")
+    assert f"world 12 cm too low ({CAUSES['height'].setting})" in text
+    (back,) = json.loads(command("compare", folder, base, "--json", code=0).stdout)
+    assert back["decision"] == "better"
+    since = json.loads(command("diagnose", folder, "--since", base, "--workers", 1, "--json", code=0).stdout)
+    assert since["changes"] == comparison["causes"]
+    assert {cause["name"] for cause in since["causes"]} == {*named}
+
+
+def test_a_blind_sector_is_worse_and_explains_its_missing_parts(base, tmp_path):
+    write_streets(tmp_path / "streets", blind)
+    command("run", tmp_path / "streets", "--out", tmp_path / "run", "--preset", "reference", "--workers", 1, code=0)
+    assert [cause.name for cause in open_run(tmp_path / "run").record.overview.causes] == ["blind sector"]
+    (comparison,) = json.loads(command("compare", base, tmp_path / "run", "--json", code=0).stdout)
+    assert comparison["decision"] == "worse"
+    assert [cause["cause"] for cause in comparison["causes"]] == ["blind sector"]
+
+
+def test_a_gate_tests_the_size_of_a_cause(folder, named, tmp_path):
+    limits = [f"--max=causes.{name}=0.03" for name in ("height", "roll", "intensity_scale", "height.high")]
+    done = command("gate", folder, *limits, "--out", tmp_path, code=4)
+    judged = {row["measure"]: row for row in json.loads((tmp_path / "gate.json").read_text())["criteria"]}
+    assert judged["causes.height"]["value"] == abs(named["height"].estimate)
+    assert judged["causes.height.high"]["value"] == -named["height"].low
+    assert judged["causes.roll"]["passed"]
+    assert judged["causes.intensity_scale"]["value"] is None
+    assert "no intensit" in done.stdout or "constant" in done.stdout
+    wrong = command("gate", folder, "--max", "causes.heigth=1")
+    assert "did you mean causes.height?" in wrong.stderr
+
+
+def test_a_healthy_re_measurement_has_no_cause_and_what_is_unknown_is_shown_with_its_reason(tmp_path):
+    settings = load(None, [], preset="reference")
+    rng = np.random.default_rng(2)
+    frames = []
+    for seed in range(N_PAIRS):
+        scan = make_pair(seed, 0, SENSORS["hdl64"], 20_000).real.rows[:, :3]
+        frames.append(evaluate_pair(scan, healthy(scan, rng), settings).causes)
+    amounts = []
+    for frame in frames:
+        rows = frame.astype(object).where(frame.notna(), None).to_dict("records")
+        fields = ("amount", "real", "sim", "share", "reason")
+        amounts.append({row["cause"]: Amount(*(row[name] for name in fields)) for row in rows})
+    values = cause_values(amounts)
+    assert named_causes(values, np.arange(N_PAIRS)) == []
+    unknown = {name: group.reason for group in unknown_causes(values) for name in group.causes}
+    assert "intensity scale" in unknown
+    assert all(unknown.values())
+
+
+def values_of(**amounts):
+    """Amounts of some causes in as many pairs as the longest has; 0 of all others."""
+    n_pairs = max(len(np.atleast_1d(values)) for values in amounts.values())
+    pairs = []
+    for i in range(n_pairs):
+        pair = {name: Amount(0.0, share=0.0) for name in CAUSES}
+        for name, values in amounts.items():
+            pair[name.replace("_", " ")] = Amount(float(np.broadcast_to(values, n_pairs)[i]), share=0.5)
+        pairs.append(pair)
+    return cause_values(pairs), np.arange(n_pairs)
+
+
+def names_of(**amounts):
+    return sorted(cause.name for cause in named_causes(*values_of(**amounts)))
+
+
+def test_pairs_that_disagree_name_nothing():
+    assert names_of(sideways=[0.5, -0.2, 0.6, 0.1]) == []
+    assert names_of(sideways=[0.5, 0.4, 0.6, 0.5]) == ["sideways"]
+
+
+def test_neighbouring_pairs_count_once():
+    values, _ = values_of(sideways=[0.5, 0.5, 0.5, 0.5, -0.4, -0.4])
+    assert named_causes(values, np.array([0, 0, 0, 0, 1, 2])) == []
+
+
+def test_causes_that_feign_each_other_are_named_once():
+    assert names_of(elevation_noise=[0.05] * 3, azimuth_noise=[0.05] * 3) == ["azimuth noise", "elevation noise"]
+    assert names_of(elevation_noise=[0.05] * 3, pitch=[1.0] * 3) == ["pitch"]
+    assert names_of(flat_shapes=[0.12] * 3, solid_foliage=[0.6] * 3) == ["solid foliage"]
+    assert names_of(flat_shapes=[0.2] * 3, solid_foliage=[0.3] * 3) == ["flat shapes"]
+    assert names_of(**{FLAT.replace(" ", "_"): [0.8] * 3}) == [], "more than shapes is wrong"
+    bent = {"missing_parts": [0.01] * 3, "invented_parts": [0.01] * 3}
+    assert names_of(moved_parts=[0.05] * 3) == ["moved parts"]
+    assert names_of(moved_parts=[0.05] * 3, **bent) == ["invented parts", "missing parts"]
+    assert names_of(lost_returns=[0.1] * 3, **{UNEVEN.replace(" ", "_"): [0.1] * 3}) == []
+
+
+def test_changes_are_named_beyond_the_resolution_and_losses_are_relative():
+    before, blocks = values_of(lost_returns=[0.4] * 4, intensity_scale=[0.5] * 4, roll=[0.0] * 4)
+    after, _ = values_of(lost_returns=[0.55] * 4, intensity_scale=[0.25] * 4, roll=[0.15] * 4)
+    changes = {cause.name: cause for cause in changed_causes(before, after, {}, blocks)}
+    assert sorted(changes) == ["intensity scale", "lost returns", "roll"]
+    assert changes["lost returns"].estimate == pytest.approx(0.25)
+    assert changes["intensity scale"].words == "intensities 50 % too high"
+    between = {"roll": np.zeros(4)}
+    assert "roll" not in {cause.name for cause in changed_causes(before, after, between, blocks)}
+
+
+def test_an_interval_covers_places_accuracy_and_proportional_errors():
+    model = CAUSES["mixed pixels"]
+    for amount in (0.006, 0.06, 0.6):
+        mean, low, high = cause_interval(model, np.full(4, amount), np.arange(4))
+        assert (mean - low, high - mean) == pytest.approx(
+            [np.hypot(0.7 * model.resolution, model.relative * amount)] * 2
+        )
+
+
+def test_every_cause_has_words_and_a_tolerance():
+    assert list(CAUSES)[: len(PARAMETERS)] == [*PARAMETERS]
+    for model in CAUSES.values():
+        assert 0 < model.resolution <= model.tolerance
+        assert model.kind in ("sensor", "world")
+        assert all("{size}" in words for words in model.words)

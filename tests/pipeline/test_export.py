@@ -209,7 +209,7 @@ def test_only_pairs_that_match_are_exported(run, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["001.real.ply", "001.sim.ply"]
     assert (made.n_pairs, made.mcap) == (1, None)
     assert made.n_bytes == sum(path.stat().st_size for path in tmp_path.iterdir())
-    with pytest.raises(RunError, match=r"--pairs 'x\*' matches none of the 3 scored pairs"):
+    with pytest.raises(RunError, match=r"'x\*'"):
         export_run(run, tmp_path, "x*", ply=True)
 
 
@@ -217,7 +217,7 @@ def test_only_pairs_that_match_are_exported(run, tmp_path):
 def test_a_file_of_another_origin_stays_unless_it_is_to_be_replaced(run, folder, tmp_path, name, options):
     other = b"ply\nformat ascii 1.0\nend_header\n"
     (tmp_path / name).write_bytes(other)
-    with pytest.raises(RunError, match=f"{name}: already exists and is not from fidpipe export; add --replace"):
+    with pytest.raises(RunError, match=f"{name}: .*--replace"):
         export_run(run, tmp_path, **options)
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [other]
     export_run(run, tmp_path, **options, replace=True)
@@ -230,7 +230,7 @@ def test_an_export_that_stops_midway_leaves_the_file_of_before(run, tmp_path):
     export_run(fidpipe.open_run(whole), tmp_path / "out", mcap=True)
     before = (tmp_path / "out" / "streets.mcap").read_bytes()
     (whole / "objects" / "002.sim.parquet").unlink()
-    with pytest.raises(RunError, match=r"objects/002\.sim\.parquet is damaged or gone"):
+    with pytest.raises(RunError, match=r"objects/002\.sim\.parquet"):
         export_run(fidpipe.open_run(whole), tmp_path / "out", mcap=True)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["streets.mcap"]
     assert (tmp_path / "out" / "streets.mcap").read_bytes() == before
@@ -239,7 +239,7 @@ def test_an_export_that_stops_midway_leaves_the_file_of_before(run, tmp_path):
 def test_a_folder_that_cannot_be_written_is_named(run, tmp_path):
     (tmp_path / "file").write_text("")
     for options in ({"mcap": True}, {"ply": True}):
-        with pytest.raises(RunError, match=r"file/.*: cannot be written \(.*\); give another --out"):
+        with pytest.raises(RunError, match="file/.*--out"):
             export_run(run, tmp_path / "file", **options)
 
 

@@ -70,7 +70,7 @@ def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_n
     assert (used.noise_m["cast"], used.lost_share["cast"]) == (own.range_noise_m, own.lost_in_all)
     assert (used.noise_m["street"], used.lost_share["street"]) == (0.03, 0.03)
     text = said.getvalue()
-    assert "1 of 2 real scans: noise or losses cannot be measured" in text and "--noise-m" in text
+    assert "1 of 2 real scans" in text and "--noise-m" in text
     again = read_scan(tmp_path / "floor" / "dataset" / "sim" / "cast.parquet").points
     second = describe_sensor(again)
     assert own.lost_in_all > 0.1 and second.lost_in_all == pytest.approx(own.lost_in_all, abs=0.02)
@@ -123,13 +123,13 @@ def test_t_real_sim_does_not_move_it_and_labels_stay(tmp_path):
 def test_a_finished_floor_is_not_replaced_by_another_recipe_or_dataset(folder, tmp_path):
     data, out = write_dataset(tmp_path / "streets", 1), tmp_path / "floor"
     n_made = floor(data, out).n_made
-    with pytest.raises(RunError, match=r"range noise as measured, .*; requested: range noise 0.1 m, .*; add --replace"):
+    with pytest.raises(RunError, match="range noise 0.1 m.*--replace"):
         floor(data, out, noise_m=0.1)
-    with pytest.raises(RunError, match="is finished, and .* would be replaced"):
+    with pytest.raises(RunError, match="graph.k was 90, is 20"):
         floor(data, out, settings=load(assignments=["graph.k=20"]))
-    with pytest.raises(RunError, match=r"holds the floor of .*streets, not of .*streets"):
+    with pytest.raises(RunError, match="floor of .*streets"):
         floor(folder / "streets", out)
-    with pytest.raises(RunError, match=r"run .*run: holds a run of .*streets, not a floor; give another --out"):
+    with pytest.raises(RunError, match="not a floor.*--out"):
         floor(folder / "streets", folder / "run")
     assert floor(data, out, noise_m=0.1, replace=True).n_made == n_made - 4  # all but those of the real side
 
@@ -155,7 +155,7 @@ def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
     turned = {name: np.degrees(np.arctan2(T[1, 0], T[0, 0])) for name, T in places.items()}
     assert turned == pytest.approx({"2": -4, "1": -4, "0": 4})  # 2 is the first in time, 0 the last
     manifest.write_text("pair_id,real,sim\n0,0.bin,\n1,1.bin,\n")
-    with pytest.raises(DatasetError, match="pair 0 has no pose; --neighbours needs the column T_world_sensor"):
+    with pytest.raises(DatasetError, match="pair 0 .*T_world_sensor"):
         floor(tmp_path / "drive", tmp_path / "other", neighbours=True)
 
 
@@ -197,13 +197,13 @@ def test_a_floor_is_titled_as_one_and_names_the_commands_that_take_it(folder, tm
 
 def test_a_wrong_floor_is_refused_and_both_are_named(folder, tmp_path):
     finished = FinishedRun(folder / "run")
-    with pytest.raises(RunError, match=r"floor .*run: is not a floor .* fidpipe floor "):
+    with pytest.raises(RunError, match=r"floor .*run: "):
         excess_over(finished, folder / "run")
     floor(folder / "streets", tmp_path / "settings", settings=load(assignments=["graph.k=20"]))
-    with pytest.raises(RunError, match=r"run .*run and floor .*settings: settings differ \(graph.k is 90 and 20\)"):
+    with pytest.raises(RunError, match="graph.k is 90 and 20"):
         excess_over(finished, tmp_path / "settings")
     floor(write_dataset(tmp_path / "streets", 3, n=160), tmp_path / "scans")
-    with pytest.raises(RunError, match=r"run .*run and floor .*scans: the real scans of 3 pairs differ \(000 ...\)"):
+    with pytest.raises(RunError, match="scans of 3 pairs differ"):
         excess_over(finished, tmp_path / "scans")
 
 

@@ -6,10 +6,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+import literal_method
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.schemas.settings import GraphSettings, MatchingSettings, load
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.literal import literal_method
 from fidpipe.stages.matching import match_communities
 from fidpipe.stages.method import compare, partition
 from runs import assert_same_tables, run
@@ -60,23 +60,18 @@ def test_with_ties_by_coordinates_the_order_of_rows_changes_no_edge(points, k, t
     ties=st.sampled_from(["point_id", "coordinates"]),
     seed=seeds,
 )
-def test_on_a_lattice_of_ties_the_graph_is_that_of_the_literal_twin(points, k, tau_m, rule, ties, seed):
+def test_on_a_lattice_of_ties_the_graph_is_that_of_the_literal_oracle(points, k, tau_m, rule, ties, seed):
     points = shuffled(points, seed)
     edges = build_graph(points, GraphSettings(k=k, tau_m=tau_m, edges=rule, ties=ties))
     found = dict(zip(zip(edges.src.tolist(), edges.dst.tolist(), strict=True), edges.length_m.tolist(), strict=True))
-    knn, near = set(), set()
-    for i in range(len(points)):
-        knn |= {(min(i, j), max(i, j)) for j in literal_method.nearest(points, i, k, ties)}
-        within = np.flatnonzero(literal_method.distances(points, points[i]) <= tau_m)
-        near |= {(min(i, j), max(i, j)) for j in within.tolist() if j != i}
-    expected = knn | near if rule == "union" else knn & near
+    expected = literal_method.edges(points, k, tau_m, rule, ties)
     lengths = {(i, j): np.float32(literal_method.distances(points[j : j + 1], points[i])[0]) for i, j in expected}
     assert found == lengths
 
 
 @tried(100)
 @given(real=lattices, sim=lattices, delta_m=st.sampled_from([1.0, 2.5, 10.0]))
-def test_on_a_lattice_of_ties_the_matching_is_that_of_the_literal_twin(real, sim, delta_m):
+def test_on_a_lattice_of_ties_the_matching_is_that_of_the_literal_oracle(real, sim, delta_m):
     real, sim = (
         np.round(real * 10),
         np.round(sim * 10),

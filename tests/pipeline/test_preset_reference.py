@@ -9,10 +9,10 @@ import pytest
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import judge_run, parse_word
-from fidpipe.pipeline.verify.verify import verify_run
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import load, overrides, parse, preset_of
 from fidpipe.schemas.settings_text import to_toml
+from recompute import recompute
 from runs import command, run, tables
 from scenes import box, drifted, street, write_bin, write_pair
 
@@ -68,8 +68,7 @@ def test_points_of_classes_that_are_left_out_belong_to_no_object(tmp_path, word,
     assert objects.n_points.tolist() == own["real"].query("community_id >= 0").community_id.value_counts().tolist()
     coverage = pd.read_parquet(tmp_path / "run" / "coverage" / "a.parquet")
     assert coverage.n_points[coverage.community_id.isna()].tolist() == [len(own["real"]), len(own["sim"])]
-    verified = verify_run(tmp_path / "run", None)
-    assert verified.passed, verified.mismatches
+    assert [difference for difference in recompute(tmp_path / "run") if difference.is_too_large] == []
 
 
 @pytest.mark.parametrize("kind", ["labels", "instances"])
@@ -102,7 +101,7 @@ def test_a_run_is_named_by_its_preset_and_what_departs_from_it(preset, words, na
 
 
 def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
-    with pytest.raises(SettingsError, match="preset 'papr': no such preset; did you mean paper"):
+    with pytest.raises(SettingsError, match="'papr'.*did you mean paper"):
         load(None, preset="papr")
     named = tmp_path / "named.toml"
     named.write_text('preset = "reference"\n[graph]\nk = 60\n')
@@ -110,7 +109,7 @@ def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
     assert load(named) == parse({"preset": "reference", "graph": {"k": 60}})
     full = tmp_path / "settings.toml"
     full.write_text(to_toml(load(None)))
-    with pytest.raises(SettingsError, match="communities.objects = 'independent', unlike the preset reference"):
+    with pytest.raises(SettingsError, match="communities.objects = 'independent'"):
         load(full, preset="reference")
     with pytest.raises(SettingsError, match='expected objects = "reference" with reference'):
         load(None, ["communities.reference=labels"])

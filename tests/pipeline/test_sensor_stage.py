@@ -6,10 +6,12 @@ import pytest
 
 from fidpipe import evaluate_pair
 from fidpipe.pipeline.report.run_frames import PairFrames, read_results
+from fidpipe.pipeline.results.finished import FinishedRun
+from fidpipe.pipeline.results.measures import Measures
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.generate.street_scans import make_pair
-from runs import run
+from runs import command, run
 
 N_POINTS = 12_000
 
@@ -46,6 +48,18 @@ def test_the_table_has_the_sensor_of_each_side_in_the_frame_of_its_own_file(fini
 def test_the_report_has_the_description_of_both_sensors(finished):
     sensors = PairFrames(read_results(finished), "a").sensors
     assert (sensors["real"].model, len(sensors["sim"].elevation_deg)) == ("Velodyne VLP-16", 32)
+
+
+def test_a_gate_tests_every_property_of_both_sensors(finished):
+    pairs = pd.read_parquet(finished / "pairs.parquet")
+    measures = Measures(FinishedRun(finished))
+    for side in ("real", "sim"):
+        for name in ("beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share"):
+            expected = pairs[f"sensor_{side}_{name}"].mean()
+            assert measures.named(f"sensor.{side}.{name}.mean") == (expected, "")
+    command("gate", finished, "--min", "sensor.sim.beams.min=32", "--max", "sensor.sim.range_noise_m.mean=0.05", code=0)
+    failed = command("gate", finished, "--max", "sensor.sim.beams.max=16", code=4)
+    assert "sensor.sim.beams.max" in failed.stdout
 
 
 def test_arrays_are_described_as_files_are(streets):

@@ -86,7 +86,7 @@ def test_a_manifest_may_hold_the_poses_and_need_not_name_simulated_scans(tmp_pat
     recording = read_recording(tmp_path)
     assert [frame.name for frame in recording.frames] == ["f0", "f1", "f2", "f3"]
     np.testing.assert_allclose(motion_of(recording.frames[2]), motions()[2])
-    with pytest.raises(DatasetError, match="missing columns sim"):
+    with pytest.raises(DatasetError, match="sim"):
         read_dataset(tmp_path)
 
 
@@ -100,7 +100,7 @@ def test_a_manifest_with_poses_is_a_dataset_like_any_other(tmp_path):
     assert dataset.warnings == ()
     assert dataset.pairs[0].T_world_sensor == (1, 0, 0, 5, 0, 1, 0, 6, 0, 0, 1, 7)
     assert dataset.pairs[1].T_world_sensor is None
-    with pytest.raises(DatasetError, match="pair b has no T_world_sensor; expected 12 numbers"):
+    with pytest.raises(DatasetError, match="pair b .*T_world_sensor"):
         read_recording(tmp_path)
 
 
@@ -111,20 +111,19 @@ def test_poses_may_lie_elsewhere(tmp_path):
 
 
 LEVEL = "0 0 0 0 0 0 0 1\n"
-OF_CAMERA = "calib.txt: no such file; poses.tum holds 12 numbers per line, KITTI's poses of the camera"
 
 
 @pytest.mark.parametrize(
     ("poses", "words"),
     [
-        (None, "no poses found; expected poses.tum, poses.txt, a pairs.csv with"),
-        (3 * LEVEL, "got 3 poses for 4 scans .000.bin to 003.bin."),
-        ("1 2 3\n", "expected lines of 8 or 12 numbers, got lines of 3"),
-        ("a b\n", "expected lines of 8 or 12 numbers .could not"),
+        (None, "no poses found"),
+        (3 * LEVEL, "3 poses for 4 scans"),
+        ("1 2 3\n", "8 or 12 numbers, got lines of 3"),
+        ("a b\n", "8 or 12 numbers"),
         ("", "got lines of no"),
-        (3 * LEVEL + "0 0 0 0 0 0 0 2\n", "pose 4: not a rigid motion .expected a quaternion of length 1, got 2"),
-        (4 * "2 0 0 0 0 1 0 0 0 0 1 0\n", "poses.tum, pose 1: the pose is not a rigid motion"),
-        (4 * "1 0 0 0 0 1 0 0 0 0 1 0\n", OF_CAMERA),
+        (3 * LEVEL + "0 0 0 0 0 0 0 2\n", "pose 4: .*quaternion of length 1, got 2"),
+        (4 * "2 0 0 0 0 1 0 0 0 0 1 0\n", "poses.tum, pose 1: "),
+        (4 * "1 0 0 0 0 1 0 0 0 0 1 0\n", "calib.txt"),
     ],
 )
 def test_poses_that_cannot_be_used_are_refused(poses, words, tmp_path):
@@ -137,19 +136,19 @@ def test_poses_that_cannot_be_used_are_refused(poses, words, tmp_path):
 
 def test_fewer_than_three_frames_are_refused(tmp_path):
     (tmp_path / "poses.tum").write_text(LEVEL)
-    with pytest.raises(DatasetError, match="no scans found"):
+    with pytest.raises(DatasetError, match="no scans"):
         read_recording(tmp_path)
     tum(scans(tmp_path, 2) / "poses.tum", motions(2))
-    with pytest.raises(DatasetError, match="expected at least 3 frames, got 2"):
+    with pytest.raises(DatasetError, match="3 frames, got 2"):
         read_recording(tmp_path)
-    with pytest.raises(DatasetError, match="nowhere: no such folder"):
+    with pytest.raises(DatasetError, match="nowhere"):
         read_recording(tmp_path / "nowhere")
 
 
 def test_a_mirror_image_is_no_pose(tmp_path):
     scans(tmp_path)
     (tmp_path / "poses.txt").write_text("1 0 0 0 0 -1 0 0 0 0 1 0\n" * N)
-    with pytest.raises(DatasetError, match="the pose is a mirror image; expected det R = 1"):
+    with pytest.raises(DatasetError, match="mirror image"):
         read_recording(tmp_path)
 
 
@@ -160,7 +159,7 @@ def test_two_scans_of_one_name_are_refused(tmp_path):
     (tmp_path / "pairs.csv").write_text(
         "pair_id,real,T_world_sensor\n" + "".join(f"{name},{name}/scan.bin,{T}\n" for name in "abc")
     )
-    with pytest.raises(DatasetError, match="expected unique names; 3 scans are called scan"):
+    with pytest.raises(DatasetError, match="3 scans are called scan"):
         read_recording(tmp_path)
 
 
@@ -169,9 +168,9 @@ def test_sensors_are_known_by_name():
     assert read_sensor("os1-64").n_beams == read_sensor("hdl64").n_beams == 64
     carla = read_sensor("carla").elevation_deg
     np.testing.assert_allclose(np.diff(carla), np.diff(carla)[0])
-    with pytest.raises(FidpipeError, match="'hdl46': no such sensor; did you mean hdl64"):
+    with pytest.raises(FidpipeError, match="'hdl46'.*did you mean hdl64"):
         read_sensor("hdl46")
-    with pytest.raises(FidpipeError, match="known are recorded, vlp32c, hdl64, os1-64, carla, .*xt32, xt16, a table"):
+    with pytest.raises(FidpipeError, match="recorded, vlp32c, hdl64, .*a table"):
         read_sensor("xyz")
 
 
@@ -190,23 +189,20 @@ def test_a_table_of_elevations_is_a_sensor(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("elevation_deg = [1, 2", "not valid TOML"),
-        ("elevation = [1, 2]", "unknown entry elevation; did you mean elevation_deg"),
-        ("channels = 32", "expected elevation_deg, or channels, upper_deg, lower_deg"),
-        ("elevation_deg = [1, 200]", "elevation_deg: expected a number of at most 90, got 200"),
-        (
-            "elevation_deg = [1, 2]\nazimuth_offset_deg = [0]",
-            "expected 2 azimuth offsets, one for each elevation; got 1",
-        ),
-        ("elevation_deg = 3", "elevation_deg: expected a list, got 3"),
-        ("elevation_deg = [3]\nlost_share = 1.5", "lost_share: expected a number of at most 1, got 1.5"),
-        ("elevation_deg = [3]\nmin_range_m = 500", "min_range_m: expected less than max_range_m, got 500"),
-        ("channels = 2.5\nupper_deg = 1\nlower_deg = 0", "channels: expected a whole number, got 2.5"),
+        ("elevation_deg = [1, 2", "mine.toml"),
+        ("elevation = [1, 2]", "did you mean elevation_deg"),
+        ("channels = 32", "elevation_deg, or channels, upper_deg, lower_deg"),
+        ("elevation_deg = [1, 200]", "elevation_deg: .*90, got 200"),
+        ("elevation_deg = [1, 2]\nazimuth_offset_deg = [0]", "2 azimuth offsets.*got 1"),
+        ("elevation_deg = 3", "elevation_deg: .*got 3"),
+        ("elevation_deg = [3]\nlost_share = 1.5", "lost_share: .*got 1.5"),
+        ("elevation_deg = [3]\nmin_range_m = 500", "min_range_m: .*got 500"),
+        ("channels = 2.5\nupper_deg = 1\nlower_deg = 0", "channels: .*got 2.5"),
     ],
 )
 def test_a_table_that_makes_no_sense_is_refused(text, words, tmp_path):
     (tmp_path / "mine.toml").write_text(text)
     with pytest.raises(FidpipeError, match=words):
         read_sensor(str(tmp_path / "mine.toml"))
-    with pytest.raises(FidpipeError, match="cannot be read"):
+    with pytest.raises(FidpipeError, match=r"none\.csv"):
         read_sensor(str(tmp_path / "none.csv"))

@@ -35,14 +35,14 @@ def test_what_earlier_batches_took_is_not_left(limit, timer):
 
 def test_a_pair_whose_time_is_used_up_is_not_begun(limit, timer):
     (limit.folder / "a.seconds").write_text("100.5")
-    with pytest.raises(OutOfTimeError, match=r"^not finished after 100 s of work; a larger --pair-timeout gives it"):
+    with pytest.raises(OutOfTimeError, match="100 s .*--pair-timeout"):
         limited(limit).__enter__()
     assert timer == []
 
 
 def test_a_pair_that_ended_a_worker_is_not_begun_again_and_its_stage_is_named(limit, timer):
     (limit.folder / "a").write_text(OVER)
-    with pytest.raises(OutOfTimeError, match="not finished after 100 s of work in stage graph, real; a larger"):
+    with pytest.raises(OutOfTimeError, match="100 s of work in stage graph, real"):
         limited(limit).__enter__()
     assert timer == []
 

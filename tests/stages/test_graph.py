@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from sknetwork.clustering import Louvain
 
+import literal_method
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import CommunitySettings, GraphSettings, MatchingSettings
 from fidpipe.stages.communities import find_communities
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.subgraph import Edges, adjacency
-from fidpipe.stages.literal import literal_method
 from fidpipe.stages.matching import match_communities
 from fidpipe.stages.objects import majority_labels
 from scenes import box
@@ -35,7 +35,7 @@ def test_one_point_has_no_edges():
 @pytest.mark.parametrize("scale", [1e-3, 1e-200])
 def test_a_crowd_is_refused_before_its_edges_fill_the_memory(rng, scale):
     crowd = rng.uniform(0, 1, (15_000, 3)) * scale  # 112 million pairs
-    with pytest.raises(StageError, match=r"within 0.2 m of each other, got 112492500; lower graph.tau_m \(now 0.2\)"):
+    with pytest.raises(StageError, match="112492500.*graph.tau_m"):
         build_graph(crowd, GraphSettings())
     far = np.vstack([crowd, [[9.0, 0, 0]]])  # next to a crowd, which alone lies within tau
     with pytest.raises(StageError, match="got 112492500"):
@@ -45,7 +45,7 @@ def test_a_crowd_is_refused_before_its_edges_fill_the_memory(rng, scale):
 def test_a_crowd_is_only_one_where_its_pairs_are_joined(rng):
     crowd = rng.uniform(0, 0.01, (15_000, 3))
     assert len(build_graph(crowd, GraphSettings(k=1, edges="intersection")).src) < 15_000
-    with pytest.raises(StageError, match="pairs of points within 0 m"):
+    with pytest.raises(StageError, match="within 0 m"):
         build_graph(crowd * 1e-200, GraphSettings(k=1, edges="intersection"))
 
 

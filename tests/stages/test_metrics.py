@@ -7,6 +7,7 @@ import pytest
 from scipy import sparse
 from scipy.linalg import eigvals_banded, eigvalsh, qr
 
+import literal_method
 from fidpipe.schemas.settings import GraphSettings, SelectionSettings
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg import spectrum
@@ -14,7 +15,6 @@ from fidpipe.stages.linalg.band_reduction import kernels_from, reduce_to_band, s
 from fidpipe.stages.linalg.laplacian import induced_laplacian, normalised_laplacian
 from fidpipe.stages.linalg.spectrum import BANDED_FROM_NODES, eigenvalues, spectral_norm
 from fidpipe.stages.linalg.subgraph import Subgraph, adjacency, split_by_community
-from fidpipe.stages.literal import literal_method
 from fidpipe.stages.metrics import chamfer_density_aware, score_object
 from fidpipe.stages.selection import Selection, select_nodes
 from scenes import box, moved, rigid, subgraph

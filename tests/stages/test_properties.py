@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from degenerate import OPEN, evaluated, faults_of
+from bounds import KEEP_ALL, evaluated, faults_of
 from fidpipe.schemas.columns import FARTHEST_M
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import MetricsSettings, load
@@ -17,18 +17,18 @@ from fidpipe.stages.selection import select_nodes
 from runs import some_of
 
 SCALES = tuple(10.0**e for e in (-310, -200, -162, -155, -60, -45, -40, -20, -8, -3, 0, 0, 0, 0, 1, 3, 6, 8))
-EVERYTHING = OPEN | {"metrics": {"baselines": "all"}, "stability": {"seeds": 2}}
+EVERYTHING = KEEP_ALL | {"metrics": {"baselines": "all"}, "stability": {"seeds": 2}}
 REFERENCE = {"preset": "reference"}
 SETTINGS = (
     EVERYTHING,
     REFERENCE | EVERYTHING,
-    {"input": OPEN["input"]},
-    {"input": OPEN["input"], "ground": {"loss": "total", "shared": True}},
-    OPEN | {"graph": {"edges": "intersection", "k": 2, "tau_m": 0.5}},
-    OPEN | {"graph": {"k": 1, "tau_m": 0}},
-    OPEN | {"communities": {"backend": "python-louvain"}},
-    OPEN | {"matching": {"method": "optimal", "delta_m": 1e-3}},
-    OPEN | {"selection": {"t": 100}},
+    {"input": KEEP_ALL["input"]},
+    {"input": KEEP_ALL["input"], "ground": {"loss": "total", "shared": True}},
+    KEEP_ALL | {"graph": {"edges": "intersection", "k": 2, "tau_m": 0.5}},
+    KEEP_ALL | {"graph": {"k": 1, "tau_m": 0}},
+    KEEP_ALL | {"communities": {"backend": "python-louvain"}},
+    KEEP_ALL | {"matching": {"method": "optimal", "delta_m": 1e-3}},
+    KEEP_ALL | {"selection": {"t": 100}},
 )
 #: The same examples in every run: a failure is one of the code, and does not come and go.
 PROFILE = settings(max_examples=40, deadline=None, database=None, derandomize=True)
@@ -78,7 +78,7 @@ def test_every_pair_is_scored_within_bounds_or_refused_in_one_line(n_examples):
 
 
 @PROFILE
-@given(clouds(fewest=8), st.sampled_from((OPEN, REFERENCE | OPEN)))
+@given(clouds(fewest=8), st.sampled_from((KEEP_ALL, REFERENCE | KEEP_ALL)))
 def test_a_scan_is_identical_with_itself(points, chosen):
     points = distinct(points)
     assume(points.any(axis=1).all() and np.abs(points).max() < FARTHEST_M / 2)

@@ -239,16 +239,6 @@ def test_the_sides_differ_in_a_sentence():
     assert differences(real, replace(real, has_time=True)) == ["a time for each point: no real, yes simulated"]
 
 
-def test_every_fact_has_a_line():
-    lines = sensor_lines(describe_sensor(room(SENSORS["vlp32c"]), has_time=True))
-    assert lines[0] == "beams: 32, -25 to +15 degrees, uneven: Velodyne VLP-32C"
-    assert "azimuth step: 0.400 degrees" in lines
-    assert "range quantum: 4 mm" in lines
-    assert "for each point: ring: no, time: yes" in lines
-    unknown = sensor_lines(describe_sensor(np.random.default_rng(0).uniform(-20, 20, (20_000, 3))))
-    assert unknown[0].startswith("beams: none detected (returns do not lie")
-
-
 @pytest.mark.parametrize("with_rings", [False, True])
 @pytest.mark.parametrize("name", ["vlp32c", "vlp16"])
 def test_beams_that_cross_before_the_axis_are_those_of_a_sensor_whose_beams_do_so_there(name, with_rings):

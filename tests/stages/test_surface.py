@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+import literal_pieces as literal
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.settings import PieceSettings, Settings
 from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.ground import remove_ground
 from fidpipe.stages.linalg.subgraph import connected_points
-from fidpipe.stages.literal import literal_pieces as literal
 from fidpipe.stages.pieces import CutScan, count_pieces, find_pieces
 from fidpipe.stages.statistics.validation import double_validation_metric
 from fidpipe.stages.surface import describe_surface, measure_offsets

@@ -60,5 +60,5 @@ def test_places_and_sectors_are_tested_once_and_their_surroundings_are_not_train
 def test_points_of_one_side_only_are_an_error():
     rng = np.random.default_rng(0)
     azimuth = np.concatenate([rng.uniform(0, 20, 500), rng.uniform(180, 200, 500)])
-    with pytest.raises(StageError, match="points of both sides in 0 of the places or sectors"):
+    with pytest.raises(StageError, match="in 0 of"):
         separate(rng.normal(size=(1000, 2)), ("a", "b"), azimuth > 90, np.zeros(1000, dtype=np.int32), azimuth)

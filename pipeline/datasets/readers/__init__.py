@@ -169,7 +169,7 @@ def read_scan(
     if address.file != path and not known.holds_frames:
         raise ScanError(f"{path}: a {suffix_of(path)} file holds one scan; it is named without #")
     if known.holds_frames and is_stub(address.file):
-        raise ScanError(f"{path}: recordings are not read by URL; copy it, or use fidpipe convert")
+        raise ScanError(f"{path}: recordings are not read by URL; copy it to a local folder")
     with _local(address.file, stem_of(path)) as file, _reader(path, known) as reader:
         if file.stat().st_size == 0:
             raise ScanError(f"{path}: the file is empty")

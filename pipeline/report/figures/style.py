@@ -5,11 +5,11 @@ matplotlib is imported by its first use here, with a backend that needs no displ
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,35 +17,56 @@ from ....stages.arrays import FloatArray
 from ...storage.files import write_whole
 from ..look import GREY, RAMPS, clipped
 
+if TYPE_CHECKING:
+    from .shown_figure import ShownFigure
+
 #: Where points in space are seen from.
 VIEW = {"elev": 20, "azim": -60}
 
 #: Formats in which each figure is written, each with the metadata of its file.
-KINDS: dict[str, dict[str, None]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+KINDS: dict[str, dict[str, None]] = {
+    "png": {},
+    "svg": {"Date": None},
+    "pdf": {"CreationDate": None},
+}
+
+
+def in_our_style() -> Any:
+    """A context in which matplotlib draws and saves in our style."""
+    from matplotlib import style
+
+    return style.context(f"{__package__}.look")
 
 
 @contextmanager
-def new_figure(width_in: float, height_in: float, title: str = "", kind: Any = None) -> Iterator[Any]:
-    """A figure in our style that needs no display; `kind` is its class, by default that of matplotlib."""
-    from matplotlib import style
-    from matplotlib.figure import Figure
+def new_figure(width_in: float, height_in: float, title: str = "") -> Iterator[ShownFigure]:
+    """A figure in our style that needs no display, and that notebooks show."""
+    from .shown_figure import ShownFigure
 
-    with style.context(f"{__package__}.look"):
-        figure = (kind or Figure)(figsize=(width_in, height_in))
+    with in_our_style():
+        figure = ShownFigure(figsize=(width_in, height_in))
         if title:
             figure.suptitle(title)
         yield figure
 
 
 def save(figure: Any, folder: Path, name: str) -> list[Path]:
-    """Writes a figure as PNG, SVG and PDF; in the last two clouds of points are pictures; `RunError` if it cannot."""
+    """Write a figure as PNG, SVG and PDF; in the last two, clouds of points are pictures.
+
+    Raises
+    ------
+    RunError
+        A file cannot be written.
+    """
     paths = []
     for kind, metadata in KINDS.items():
         content = BytesIO()
-        figure.savefig(content, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.08)
+        with in_our_style():
+            figure.savefig(content, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.08)
         figure.set_layout_engine("none")  # all is in its place now; finding it took half of the time
-        paths.append(folder / f"{name}.{kind}")
-        write_whole(paths[-1], content.getvalue())
+        path = folder / f"{name}.{kind}"
+        write_whole(path, content.getvalue())
+        paths.append(path)
     return paths
 
 
@@ -79,33 +100,29 @@ def frame_of(*clouds: FloatArray) -> FloatArray:
     return np.stack([low - margin, high + margin])
 
 
-#: Points in one look: (n, 3) metres, size, colour or one value each, and more for `dots`.
-Layer = tuple[FloatArray, float, Any, dict[str, Any]]
-
-
 @contextmanager
-def new_maps(
-    frame: FloatArray, panels: Mapping[str, Sequence[Layer]], title: str, kind: Any = None, **bar: str
-) -> Iterator[tuple[Any, Any]]:
-    """A figure of maps side by side, and their axes: each panel has a title, and layers seen from above.
+def new_maps(frame: FloatArray, n_maps: int, title: str) -> Iterator[tuple[ShownFigure, Any]]:
+    """A figure of maps side by side, and their axes; what is drawn on them is seen from above.
 
     Parameters
     ----------
-    bar : of the colour bar of the last layer, such as its label
+    frame : (2, 2) corners of the area, see `frame_of`
+    n_maps : 2 or 3
     """
     width, height = frame[1] - frame[0]
-    panel_in = {2: 4.0, 3: 3.2}[len(panels)]
-    figure_in = (panel_in * len(panels) + 1.4, float(np.clip(panel_in * height / width, 1.5, 6)) + 1.25)
-    with new_figure(*figure_in, title, kind) as figure:
-        axes = figure.subplots(1, len(panels), sharex=True, sharey=True)
-        for axis, (words, layers) in zip(axes, panels.items(), strict=True):
-            for points, size, colour, look in layers:
-                drawn = dots(axis, points, size, colour, **look)
-            axis.set_title(words)
-            from_above(axis, frame)
-        if bar:
-            figure.colorbar(drawn, cax=axis.inset_axes((1.03, 0, 0.04, 1)), **bar)
+    map_in = {2: 4.0, 3: 3.2}[n_maps]
+    width_in = map_in * n_maps + 1.4
+    height_in = float(np.clip(map_in * height / width, 1.5, 6)) + 1.25
+    with new_figure(width_in, height_in, title) as figure:
+        axes = figure.subplots(1, n_maps, sharex=True, sharey=True)
         yield figure, axes
+        for axis in axes:
+            from_above(axis, frame)
+
+
+def colour_bar(axis: Any, dots: Any, label: str, extend: str = "neither") -> None:
+    """Draw the colours of some dots to the right of a map."""
+    axis.figure.colorbar(dots, cax=axis.inset_axes((1.03, 0, 0.04, 1)), label=label, extend=extend)
 
 
 def from_above(axis: Any, frame: FloatArray) -> None:
@@ -117,7 +134,13 @@ def from_above(axis: Any, frame: FloatArray) -> None:
     if axis.get_subplotspec().is_first_col():
         axis.set_ylabel("y, left (m)")
     if axis.get_legend_handles_labels()[0]:  # a fixed way under the axis, clear of its label
-        legend = axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0), borderaxespad=4.3, ncols=3, handletextpad=0.1)
+        legend = axis.legend(
+            loc="upper center",
+            bbox_to_anchor=(0.5, 0),
+            borderaxespad=4.3,
+            ncols=3,
+            handletextpad=0.1,
+        )
         for handle in legend.legend_handles:
             handle.set(sizes=[22], alpha=1)
 
@@ -129,17 +152,31 @@ def box_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return (low + high - size) / 2, size
 
 
-def metres(axis: Any, size: FloatArray, zoom: float) -> None:
-    """Sets an axis in space to a box that begins at 0, true to scale."""
+def draw_object(
+    axis: Any,
+    points: FloatArray,
+    colour: str,
+    box: tuple[FloatArray, FloatArray],
+    zoom: float = 0.87,
+) -> None:
+    """Draw points in space, in metres from the corner of their box (see `box_of`)."""
+    corner, size = box
+    dots(axis, points - corner, 2, colour)
+    _metres(axis, size, zoom)
+
+
+def _metres(axis: Any, size: FloatArray, zoom: float) -> None:
+    """Set an axis in space to a box that begins at 0, true to scale."""
     from matplotlib.ticker import MaxNLocator
 
     axis.set(xlim=(0, size[0]), ylim=(0, size[1]), zlim=(0, size[2]))
     axis.set_box_aspect(tuple(size), zoom=zoom)  # an array would be changed
-    for name, pad, own, length in zip("xyz", (-4, -6, -4), (axis.xaxis, axis.yaxis, axis.zaxis), size, strict=True):
-        own.set_major_locator(MaxNLocator(4 if length > 0.6 * size.max() else 2))
-        own.set_tick_params(labelsize=6, pad=-2)
+    for name, pad, length in zip("xyz", (-4, -6, -4), size, strict=True):
+        ticks = getattr(axis, f"{name}axis")
+        ticks.set_major_locator(MaxNLocator(4 if length > 0.6 * size.max() else 2))
+        ticks.set_tick_params(labelsize=6, pad=-2)
+        ticks.pane.set(facecolor="none", edgecolor=GREY)
         getattr(axis, f"set_{name}label")(f"{name} (m)", fontsize=7, labelpad=pad)
-        own.pane.set(facecolor="none", edgecolor=GREY)
 
 
 def draw_band(axis: Any, x: FloatArray, mean: FloatArray, std: FloatArray, **look: Any) -> None:

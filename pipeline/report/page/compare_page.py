@@ -1,4 +1,4 @@
-"""A comparison of runs, or their history, as one page with its tables; nothing is fetched from the network."""
+"""A comparison of runs as one page with its tables; nothing is fetched from the network."""
 
 from __future__ import annotations
 
@@ -10,25 +10,23 @@ from typing import Any
 from urllib.parse import quote
 
 from ....schemas.columns import Row
-from ...results.compare import Comparison, History
+from ...results.compare import Comparison
 from ...results.families import MARKS_NOTE
 from ...results.finished import FinishedRun
 from ...results.followed import worst_changes
 from ...storage.table_files import file_stem
 from ...terminal import STEERING
-from ..charts import change_chart, history_chart
+from ..charts import change_chart
 from ..look import PAGE_COLOURS
 from ..pictures import draw_change, object_address
-from ..view import Table, shortened, signed
+from ..view import Table, signed
 from ..views.compare_view import (
     OBJECTS_NOTE,
-    arrowed,
     cause_table,
     chance,
     changed,
     decision,
     family_table,
-    history_view,
     object_table,
     object_view,
     remarks,
@@ -81,20 +79,6 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
     )
 
 
-def history_page(history: History) -> str:
-    """The page of runs in a row: the decision, the runs, their scores, and a line for each score."""
-    names = shortened(folders := [run["folder"] for run in history.runs], 24)
-    charts = [history_chart(score, [names[folder] for folder in folders]) for score in history.families]
-    title, *parts = history_view(history)
-    return render(
-        "history.html",
-        {"charts": {f"history_{i}": chart for i, chart in enumerate(charts)}},
-        title=title,
-        parts=parts,
-        names=[arrowed(score) for score in history.families],
-    )
-
-
 def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
     """One run against the base: `comparison` itself, its tables, its worst changes, and links."""
     objects = changed(comparison)
@@ -124,7 +108,7 @@ def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
         ],
         "undecided": [family_table(comparison, families[False]), score_table(comparison, by_effect[n_decided:])],
         "n_decided": (len(families[True]), len(families[False])),
-        "causes": [cause_table(comparison)] if comparison.causes else [],
+        "causes": [cause_table(comparison)] if comparison.changes.causes else [],
         "remarks": remarks(comparison),
         "runs": runs,
         "worst": worst_changes(comparison.objects),

@@ -1,7 +1,8 @@
 """Content of a page about one pair: its objects, the points of both sides, road, aligned nodes.
 
-Points are integers in units of a small step. Large arrays are packed: sorted so that neighbours follow one another,
-as differences of successive numbers, low bytes before high ones, deflated, in base64. The browser reverses that.
+Points are 16-bit integers in units of a small step. Each array is packed as base64 of its deflated
+bytes, which the browser reads as a typed array. Points are sorted so that neighbours follow one
+another, which compresses well.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from ....schemas.columns import SIDES, Row
-from ....stages.arrays import FloatArray, IndexArray
+from ....stages.arrays import FloatArray, IndexArray, IntArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.surface import signed_distances
 from ...results.object_frame import plain_rows
@@ -24,7 +26,16 @@ from ..views.show_view import alone_judgement, judgement
 
 #: Properties shown of a chosen object, the first ones at first sight; an object shows those that it has.
 FACTS = (
-    *("range_m", "cdc", "r_lambda", *OBJECT_COVERAGE, "centroid_distance_m", "n_real", "n_sim", "bearing_deg"),
+    *(
+        "range_m",
+        "cdc",
+        "r_lambda",
+        *OBJECT_COVERAGE,
+        "centroid_distance_m",
+        "n_real",
+        "n_sim",
+        "bearing_deg",
+    ),
     *("r_gap", "quadrant", *OBJECT_ROAD, "alignment_rms_m", "n_keep", "group", "status", "reason"),
     *("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim"),
 )
@@ -57,22 +68,32 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
         One of the pair's tables is damaged.
     """
     tables = frames_of(results, pair_id)
-    clouds = [points for cloud in tables.clouds.values() for points in (cloud.points, cloud.road)]
-    step_m = max(float(np.abs(points).max(initial=0.0)) for points in clouds) / _STEPS
-    shown, sides = {}, {}
+    step_m = _step_m(tables)
+    shown = {}
     for side, cloud in tables.clouds.items():
         chosen = thinned(cloud.community, most_points // 2)
         shown[side] = chosen[_ring_by_ring(cloud.points[chosen], cloud.community[chosen])]
-        ids, counts = np.unique(cloud.community[chosen], return_counts=True)
-        sides[side] = {"n": len(cloud.points), "ids": ids.tolist(), "counts": counts.tolist()}
+    lines = _lines(tables, shown)
+    objects = _with_sentences(tables.objects)
     return {
         "step_m": step_m,
-        "sides": sides,
         "n_beams": len(tables.ray_image),
-        "packed": _packed(_points(tables, shown, step_m) | {"rays": tables.ray_image.ravel()}),
+        "rays": _packed(tables.ray_image),
+        "sides": {
+            side: _side_data(tables, side, shown[side], step_m) | {"line": _packed(lines[side])} for side in SIDES
+        },
         "moves": {str(real_id): np.round(move, 4).tolist() for real_id, move in tables.alignment_moves.items()},
-        "objects": [[row[column] for column in OBJECT_COLUMNS] for row in _with_sentences(tables.objects)],
+        "objects": [[row[column] for column in OBJECT_COLUMNS] for row in objects],
     }
+
+
+def _step_m(tables: PairFrames) -> float:
+    """The step with which the farthest coordinate of a pair fits into 16 bits."""
+    farthest_m = 0.0
+    for cloud in tables.clouds.values():
+        for points in (cloud.points, cloud.road):
+            farthest_m = max(farthest_m, float(np.abs(points).max(initial=0.0)))
+    return farthest_m / _STEPS
 
 
 def _with_sentences(objects: pd.DataFrame) -> list[Row]:
@@ -109,30 +130,43 @@ def _ring_by_ring(points: FloatArray, first: Any) -> IndexArray:
     return order
 
 
-def _points(tables: PairFrames, shown: dict[str, IndexArray], step_m: float) -> dict[str, Any]:
-    """Packed columns of a pair by name; `lines` are the places of aligned nodes among the points of either side."""
-    columns: dict[str, Any] = {}
-    lines = np.ones(len(tables.selection), dtype=bool)
+def _side_data(tables: PairFrames, side: str, shown: IndexArray, step_m: float) -> dict[str, Any]:
+    """The points of a side: how many of each object, and the packed arrays of objects and road."""
+    cloud = tables.clouds[side]
+    points = cloud.points[shown]
+    road = _some_road(cloud.road)
+    ids, counts = np.unique(cloud.community[shown], return_counts=True)
+    is_kept = np.isin(cloud.point_ids[shown], tables.selection[f"{side}_point_id"])
+    data = {
+        "n": len(cloud.points),
+        "ids": ids.tolist(),
+        "counts": counts.tolist(),
+        "points": _packed_points(points, step_m),
+        "distance": _packed(_in_bytes(tables.distances_m[side][shown] / FAR_M, _FAR)),
+        "kept": _packed(is_kept),
+        "piece": _packed(tables.is_piece[side][shown]),
+        "road": _packed_points(road, step_m),
+    }
+    if side == "sim":
+        real = tables.clouds["real"]
+        surface = np.concatenate([real.points, real.road])
+        signed = signed_distances(np.concatenate([points, road]), surface, SIGNED_M)
+        steps = _in_bytes((signed / SIGNED_M + 1) / 2, _NO_SIGN - 1)
+        data["signed"] = _packed(steps[: len(points)])
+        data["road_signed"] = _packed(steps[len(points) :])
+    return data
+
+
+def _lines(tables: PairFrames, shown: dict[str, IndexArray]) -> dict[str, IntArray]:
+    """By side the places, among the shown points, of the aligned nodes that both sides show."""
     places = {}
-    real = np.concatenate([tables.clouds["real"].points, tables.clouds["real"].road])
-    for side, own in shown.items():
-        cloud, road = tables.clouds[side], _some_road(tables.clouds[side].road)
-        place = np.full(len(cloud.points), -1)
-        place[own] = np.arange(len(own))
+    for side, cloud in tables.clouds.items():
+        place = np.full(len(cloud.points), -1, dtype=np.int32)
+        place[shown[side]] = np.arange(len(shown[side]))
         nodes = np.searchsorted(cloud.point_ids, tables.selection[f"{side}_point_id"])
         places[side] = place[nodes]
-        lines &= places[side] >= 0
-        columns |= _in_steps(side, cloud.points[own], step_m)
-        columns[f"{side}_distance"] = _in_bytes(tables.distances_m[side][own] / FAR_M, _FAR)
-        columns[f"{side}_kept"] = np.isin(own, nodes).astype(np.uint8)
-        columns[f"{side}_piece"] = tables.is_piece[side][own].astype(np.uint8)
-        columns |= _in_steps(f"{side}_road", road, step_m)
-        if side == "sim":
-            signed = signed_distances(np.concatenate([cloud.points[own], road]), real, SIGNED_M)
-            signs = _in_bytes((signed / SIGNED_M + 1) / 2, _NO_SIGN - 1)
-            columns["sim_signed"], columns["sim_road_signed"] = np.split(signs, [len(own)])
-    order = np.argsort(places["real"][lines], kind="stable")
-    return columns | {f"{side}_line": places[side][lines][order].astype(np.int32) for side in SIDES}
+    is_shown = (places["real"] >= 0) & (places["sim"] >= 0)
+    return {side: places[side][is_shown] for side in SIDES}
 
 
 def _some_road(road: FloatArray) -> FloatArray:
@@ -143,22 +177,16 @@ def _some_road(road: FloatArray) -> FloatArray:
     return road[first][_ring_by_ring(road[first], np.zeros(len(first)))]
 
 
-def _in_steps(name: str, points: FloatArray, step_m: float) -> dict[str, Any]:
-    steps = np.rint(points / step_m).astype(np.int16)
-    return {f"{name}_{axis}": values for axis, values in zip("xyz", steps.T, strict=True)}
-
-
 def _in_bytes(share: FloatArray, whole: int) -> Any:
     """Shares of `whole`, cut off at 0 and 1; NaN is `_NO_SIGN`."""
     return np.nan_to_num(np.rint(whole * np.clip(share, 0, 1)), nan=_NO_SIGN).astype(np.uint8)
 
 
-def _packed(columns: dict[str, Any]) -> dict[str, Any]:
-    """Columns of bytes as they are, of wider integers as differences (modulo their width), low bytes first."""
-    content, parts = b"", []
-    for name, values in columns.items():
-        width = values.dtype.itemsize
-        steps = values if width == 1 else np.diff(values, prepend=values.dtype.type(0)).astype(f"<i{width}")
-        content += np.ascontiguousarray(steps).view(np.uint8).reshape(-1, width).T.tobytes()
-        parts.append([name, width, len(values)])
-    return {"parts": parts, "deflated": base64.b64encode(zlib.compress(content, 6)).decode("ascii")}
+def _packed_points(points: FloatArray, step_m: float) -> str:
+    """Points in steps: all x, all y, all z."""
+    return _packed(np.rint(points / step_m).astype("<i2").T)
+
+
+def _packed(values: NDArray[Any]) -> str:
+    """Base64 of the deflated bytes of an array."""
+    return base64.b64encode(zlib.compress(values.tobytes(), 9)).decode("ascii")

@@ -15,9 +15,10 @@ from pydantic import TypeAdapter
 from ....schemas.columns import SIDES
 from ....schemas.errors import RunError
 from ....schemas.metric_catalogue import METRIC, metric_of
-from ....stages.sensor_description import differences, pair_columns, sensor_lines
-from ...results.causes import with_tolerance
-from ...results.diagnosis import gain_words, interval_words, read_diagnosis
+from ....schemas.results import Evidence
+from ....stages.sensor_description import sensor_lines
+from ...results.causes import MOST_SHOWN
+from ...results.diagnosis import unexplained_words
 from ...results.floor import RunExcess
 from ...results.gate import Criterion, judge_run
 from ...results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, plain_rows
@@ -27,7 +28,7 @@ from ..look import PAGE_COLOURS, SIGNED_RAMP_M
 from ..pictures import FRAME, draw_pieces
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, SCORES, RunResults, frames_of, quadrants
 from ..view import Note, Table, number, percent, sentence
-from ..views.answer_view import change_words, pieces_words, surface_words
+from ..views.answer_view import NO_CAUSE, amount_words, change_words, pieces_words, surface_words, unknown_words
 from ..views.floor_view import excess_view
 from ..views.run_view import (
     coverage_table,
@@ -43,8 +44,6 @@ from .pair_data import FACTS, FAR_M, OBJECT_COLUMNS, SIGNED_M
 #: More rows would make the page slow; the table then says what part it shows.
 _MOST_ROWS = 5000
 _MOST_FAILURES = 5
-#: Causes on the first screen.
-_MOST_CAUSES = 6
 _DIGITS = 6
 #: Quantiles of a score at the ends of its colours.
 _COLOURED = (0.02, 0.98)
@@ -80,14 +79,9 @@ _HEADINGS = {
 
 def page_data(results: RunResults) -> dict[str, Any]:
     """Data of the whole run for the page's JavaScript: charts, colours, tables; no points."""
-    found = read_diagnosis(results.run.folder, results.run.record)
-    # Causes with the same curves show them once.
-    evidence = {
-        cause.evidence.model_dump_json(): (cause.name, cause.evidence)
-        for cause in reversed(found.causes if found else ())
-        if cause.evidence
-    }
-    charts = run_charts(results) | {f"cause_{name}": evidence_chart(curves) for name, curves in evidence.values()}
+    charts = run_charts(results)
+    for name, evidence in _curves(results).items():
+        charts[f"cause_{name}"] = evidence_chart(evidence)
     order = "matched objects by the mean of their ranks in CDC and r_lambda, then unmatched ones, largest first"
     part = f" The page holds {_MOST_ROWS:,} of {len(results.objects):,}; the rest is in the run's tables."
     objects_note = f"Worst first: {order}.{part if len(results.objects) > _MOST_ROWS else ''}"
@@ -112,6 +106,16 @@ def page_data(results: RunResults) -> dict[str, Any]:
         "facts": FACTS,
         "object_columns": OBJECT_COLUMNS,
     }
+
+
+def _curves(results: RunResults) -> dict[str, Evidence]:
+    """Curves of the diagnosis by name of the cause; those of several causes belong to the first one."""
+    diagnosis = results.run.diagnosis
+    curves: dict[str, Evidence] = {}
+    for cause in diagnosis.causes if diagnosis else ():
+        if cause.evidence and cause.evidence not in curves.values():
+            curves[cause.name] = cause.evidence
+    return curves
 
 
 def _described(class_is: str) -> dict[str, dict[str, Any]]:
@@ -165,8 +169,7 @@ def stage_times(results: RunResults) -> pd.DataFrame:
 def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
     """Values of the whole run for the page's template: versions by group, and scores over a floor if any."""
     record, times = results.run.record, ("stage", "step", "seconds")
-    found = read_diagnosis(results.run.folder, record)
-    causes = found.causes if found else ()
+    diagnosis = results.run.diagnosis
     sensor_pair = results.pairs.pair_id.min()
     sensors = frames_of(results, sensor_pair).sensors
     return {
@@ -181,17 +184,14 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "n_matched": len(results.matched),
         "n_unmatched": len(results.unmatched),
         "has_times": along_the_sequence(results, results.run.record.times_s)[0],
-        "diagnosis": found,
-        "amounts": {cause.name: f"{interval_words(cause)}; {gain_words(cause)}".removesuffix("; ") for cause in causes},
+        "diagnosis": diagnosis,
+        "diagnosed": [(cause, amount_words(cause)) for cause in diagnosis.causes] if diagnosis else [],
+        "unexplained": sentence(unexplained_words(diagnosis)) if diagnosis else "",
         "failures": {row["pair_id"]: row["reason"] for row in results.run.rows if row["status"] == "failed"},
         "most_failures": _MOST_FAILURES,
         "floor": excess_view(excess) if excess else [],
         "sensor_pair": sensor_pair,
         "sensors": {side: sensor_lines(sensors[side]) for side in SIDES},
-        "sensor_differences": with_tolerance(
-            differences(sensors["real"], sensors["sim"]),
-            pair_columns(sensors["real"], "real") | pair_columns(sensors["sim"], "sim"),
-        ),
         "ranges": [range_table(record.findings)] if record.findings else [],
         "times": Table("", times, _plain(stage_times(results), times), words=(0, 1)),
         "settings": record.settings,
@@ -215,17 +215,21 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
     if overview is None:
         raise RunError(f"run {results.run.folder}: no pair is scored, so there is nothing to report")
     is_met, good_enough = _good_enough(results, excess)
+    trust = [caution.words for caution in overview.trust if caution.kind not in ("frames", "failed")]
+    if overview.unknown:
+        trust.append(unknown_words(overview))
     return {
         "sentence": sentence(surface_words(record, excess)),
         "pieces": sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
         "bars": _bars(results, excess),
-        "causes": overview.causes[:_MOST_CAUSES],
+        "causes": [(cause, amount_words(cause)) for cause in overview.causes[:MOST_SHOWN]],
+        "no_cause": sentence(NO_CAUSE),
         "worst": draw_pieces(results, overview.pieces),
         "is_met": is_met,
         "good_enough": good_enough,
         "warning": " ".join(f"Warning: {one.words}" for one in overview.trust if one.kind == "frames"),
         "change": sentence(change_words(record)) if record.previous else "",
-        "trust": [sentence(one.words) for one in overview.trust if one.kind not in ("frames", "failed")],
+        "trust": [sentence(words) for words in trust],
         "details": [
             dataset_table(record, _DATASET),
             Note("Unmatched as worst: each missing and each invented object counted with the worst value."),

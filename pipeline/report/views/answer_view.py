@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 from ....schemas.metric_catalogue import metric_of
 from ....schemas.record import RunRecord
-from ....schemas.results import Overview
+from ....schemas.results import Cause, Diagnosis, Overview
 from ...results.causes import MOST_SHOWN, interval_words
+from ...results.diagnosis import gain_words, unexplained_words, with_gains
 from ...results.floor import FloorRecipe, RunExcess, read_recipe, run_of_floor
 from ...storage.urls import url_or_path
 from ..view import Answers, Note, View, number, percent, shortened
@@ -18,10 +20,9 @@ _FEW = MOST_SHOWN, 3, 2
 _PAIR = 16
 _SCORES = ("cdc_mean", "r_lambda_mean", "r_gap_mean")
 _COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
-_NO_CAUSE = (
-    "no cause is beyond the differences between two measurements in all pairs",
-    "no cause can be named before the warning above is dealt with",
-)
+#: Sentence if no cause is named.
+NO_CAUSE = "nothing: no cause is larger than the differences between two measurements of one scene"
+_NOT_YET = "the frame of the simulated scans: see the warning above"
 #: Cautions that are shown above the answer.
 _SHOWN_ABOVE = ("failed", "frames")
 
@@ -29,7 +30,7 @@ _SHOWN_ABOVE = ("failed", "frames")
 def answer_view(
     folder: Path,
     record: RunRecord,
-    overview: Overview | None,
+    diagnosis: Diagnosis | None = None,
     excess: RunExcess | None = None,
     *,
     with_all: bool = False,
@@ -39,34 +40,38 @@ def answer_view(
 
     Parameters
     ----------
-    overview : of the record
+    diagnosis : of the run, if it has one
     excess : the run over a floor, whose coverage is shown
     with_all : all causes, places and cautions
     took : time and reused jobs of a run that just ended
     """
     run, recipe = url_or_path(folder), read_recipe(folder)
     line = Note(run_line(record, took, recipe), "bold")
+    overview = with_gains(record.overview, diagnosis)
     if overview is None:
         return [line]
     n_causes, n_places, n_cautions = (None, None, None) if with_all else _FEW
-    causes = [
-        (f"{i}  {cause.words}", f"95 %: {interval_words(cause)}", cause.setting)
-        for i, cause in enumerate(overview.causes[:n_causes], 1)
-    ]
+    first = cause_items(overview.causes[:n_causes])
+    if not first:
+        first = [(_NOT_YET if record.frames else NO_CAUSE, "", "")]
+    if diagnosis is not None:
+        first.append((unexplained_words(diagnosis), "", ""))
     pieces = overview.pieces[:n_places]
     names = shortened({own.pair_id for own in pieces}, _PAIR)
     trust = [own.words for own in overview.trust if own.kind not in _SHOWN_ABOVE][:n_cautions]
+    if overview.unknown:
+        trust.append(unknown_words(overview))
     if not with_all:
         trust.append(f"more: {shlex.join(['fidpipe', 'show', run, '--all'])}")
     following = [["check", record.dataset]] if record.frames else [["report", run, "--open"]]
     if recipe is not None:
         following = [[verb, run_of_floor(folder, recipe), "--floor", run] for verb in ("show", "diagnose")]
-    elif overview is record.overview and not record.frames:  # not yet diagnosed
+    elif diagnosis is None and not record.frames:
         following.insert(0, ["diagnose", run])
     sections = {
         "  surface": [(surface_words(record, excess), "", "")],
         "  pieces": [(pieces_words(record), "", "")],
-        "Fix first": causes or [(_NO_CAUSE[bool(record.frames)], "", "")],
+        "Fix first": first,
         "Worst places": [(f"{names[own.pair_id]}  {own.words}", "", own.fate_words) for own in pieces],
         "Objects": [(scores_words(record), "", "")],
         "Last run": [(change_words(record), "", "")] if record.previous else [],
@@ -74,6 +79,22 @@ def answer_view(
         "Next": [(shlex.join(["fidpipe", *words]), "", "") for words in following],
     }
     return [line, Answers([(heading, items) for heading, items in sections.items() if items])]
+
+
+def cause_items(causes: Sequence[Cause]) -> list[tuple[str, str, str]]:
+    """Causes as items of an answer: words, interval and gain, and the setting."""
+    return [(f"{i}  {cause.words}", f"95 %: {amount_words(cause)}", cause.setting) for i, cause in enumerate(causes, 1)]
+
+
+def amount_words(cause: Cause) -> str:
+    """The 95 % interval of a cause, and its gain if it was measured."""
+    gain = gain_words(cause)
+    return f"{interval_words(cause)}; {gain}" if gain else interval_words(cause)
+
+
+def unknown_words(overview: Overview) -> str:
+    """The causes that cannot be estimated, by reason."""
+    return "unknown: " + "; ".join(f"{', '.join(group.causes)} ({group.reason})" for group in overview.unknown)
 
 
 def run_line(record: RunRecord, took: str = "", recipe: FloorRecipe | None = None) -> str:
@@ -112,9 +133,11 @@ def scores_words(record: RunRecord) -> str:
     """The object scores; those of the paper next to them under its preset."""
     words = []
     for column in headline_scores(record):
-        paper = metric_of(column).paper if record.preset == "paper" else None
-        value = number(record.summary[column].mean, 2)
-        words.append(f"{metric_of(column).label} {value}{f' (paper {paper.mean:.2f})' if paper else ''}")
+        metric = metric_of(column)
+        word = f"{metric.label} {number(record.summary[column].mean, 2)}"
+        if record.preset == "paper" and metric.paper_mean is not None:
+            word += f" (paper {metric.paper_mean:.2f})"
+        words.append(word)
     return "   ".join(words)
 
 

@@ -1,23 +1,24 @@
-"""Comparisons of two runs, and of runs in a row: the decision, families, causes, scores, objects and remarks."""
+"""Comparisons of two runs: the decision, causes that changed, families, scores, objects and remarks."""
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 
 from ....schemas.columns import Row
 from ....schemas.metric_catalogue import METRIC
-from ....stages.statistics.comparison import CONFIDENCE, LEAST_CHANGE, LEAST_FOR_INTERVAL, LEAST_PAIRS, Difference
-from ...results.compare import Comparison, FamilyHistory, History
-from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, overall
+from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS, Difference
+from ...results.causes import interval_words
+from ...results.compare import Comparison
+from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange
 from ...results.followed import SHARED_SCORES, by_change, by_class, by_range
 from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
-from ...storage.urls import url_or_path
-from ..view import Note, Part, Table, View, number, percent, signed
+from ..view import Note, Part, Table, View, count, number, percent, signed
 from .floor_view import both_excesses_table, excess_notes
 
 _MOST_OBJECTS = 5
+_MOST_CAUSES = 3
 _MOST_LEFT_OUT = 5
 _COLOURS = {"worse": "red", "mixed": "red", "better": "green", "undecided": "yellow"}
 #: Fates of an object that are listed; unchanged ones are not.
@@ -31,42 +32,49 @@ GROUPS_NOTE = (
     "some always move. Mean changes are over the objects that both runs have matched; below 0 is better."
 )
 
-_MARKS = {"better": "+", "worse": "-", "mixed": "±", "same": "=", "undecided": "."}
-_HISTORY_NOTE = (
-    "Under each mean, the verdict of its family against the first run and against the one before: "
-    "+ better, - worse, ± mixed, = same, . undecided; in brackets: does not count (compare says why)."
-)
-
 
 def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
-    """The decision, its families and causes, and their limits.
+    """The decision, the causes that changed, the families, and their limits.
 
     Parameters
     ----------
     with_all : also every score, and the real objects by class, by range and one by one
     """
-    kinds = ", ".join(f"{n} {kind}" for kind, n in comparison.kinds.items() if n)
-    first: list[Part] = [
+    parts: list[Part] = [
         Note(decision(comparison), f"bold {_COLOURS.get(comparison.decision, '')}"),
         Note(f"{comparison.other} against {comparison.base}: {chance(comparison)}"),
-        *[family_table(comparison)] * bool(comparison.families),
-        *[cause_table(comparison)] * bool(comparison.causes),
     ]
+    if comparison.changes.causes:
+        parts.append(cause_table(comparison))
+    if comparison.families:
+        parts.append(family_table(comparison))
     if with_all:
-        objects = changed(comparison)
-        few = [one for kind in _CHANGED for one in [own for own in objects if own["kind"] == kind][:_MOST_OBJECTS]]
+        parts += _details(comparison)
+    else:
+        kinds = ", ".join(f"{n} {kind}" for kind, n in comparison.kinds.items() if n)
+        if kinds:
+            parts.append(Note(f"{len(comparison.objects)} real objects: {kinds}"))
+    parts += remarks(comparison)
+    if not with_all:
+        parts.append(Note("all scores and objects: --all; as a page: --html FILE"))
+    return [*parts, Note("")]
+
+
+def _details(comparison: Comparison) -> list[Part]:
+    """Every score, and the real objects by class, by range and one by one."""
+    parts: list[Part] = [score_table(comparison), Note(MARKS_NOTE)]
+    if comparison.excess:
+        parts.append(both_excesses_table(*comparison.excess))
+    parts += object_view(comparison)
+    objects = changed(comparison)
+    few: list[Row] = []
+    for kind in _CHANGED:
+        of_kind = [row for row in objects if row["kind"] == kind]
+        few += of_kind[:_MOST_OBJECTS]
+    if few:
         more = f" (of each kind the first {_MOST_OBJECTS})" if len(few) < len(objects) else ""
-        excess = [both_excesses_table(*comparison.excess)] if comparison.excess else []
-        first += [score_table(comparison), Note(MARKS_NOTE), *excess, *object_view(comparison)]
-        if few:
-            first += [object_table(f"Objects that have changed{more}", few), Note(OBJECTS_NOTE)]
-    elif kinds:
-        first.append(Note(f"{len(comparison.objects)} real objects: {kinds}"))
-    hint = [Note("all scores and objects: --all; as a page: --html FILE")] * (not with_all)
-    if comparison.pairs and comparison.decision != "same" and not comparison.settings:
-        words = ["fidpipe", "diagnose", url_or_path(comparison.other), "--floor", url_or_path(comparison.base)]
-        hint.append(Note(f"next: {shlex.join(words)}"))
-    return [*first, *remarks(comparison), *hint, Note("")]
+        parts += [object_table(f"Objects that have changed{more}", few), Note(OBJECTS_NOTE)]
+    return parts
 
 
 def object_view(comparison: Comparison) -> View:
@@ -85,35 +93,45 @@ def object_view(comparison: Comparison) -> View:
 
 
 def decision(comparison: Comparison) -> str:
-    """The answer in one line: the decision, the families behind it, and the error rate."""
-    n_base = len(comparison.pairs) + len(comparison.lost)
+    """The answer in one line: the decision, and the causes and families behind it."""
     parts = []
     if comparison.failed:
+        n_base = len(comparison.pairs) + len(comparison.lost)
         count = f"all {n_base}" if len(comparison.failed) == n_base else f"{len(comparison.failed)} of {n_base}"
         parts.append(f"{count} pairs that were scored before fail now")
-    by_verdict = {
-        word: [family for family in comparison.families if family.verdict == word and not family.why]
-        for word in ("worse", "mixed", "better")
-    }
-    for word, families in by_verdict.items():
-        if families:
-            names = [_both_ways(own) if word == "mixed" else own.name for own in families]
-            parts.append(f"{'both ways' if word == 'mixed' else word}: {', '.join(names)}")
-    if comparison.pairs and not any(by_verdict.values()):
-        others = " of the others" * bool(comparison.failed)
-        is_same = overall(comparison.families) == "same"
-        few = f"{comparison.n_blocks} independent pair{'s' * (comparison.n_blocks != 1)} cannot decide"
-        is_few = comparison.n_blocks < LEAST_FOR_INTERVAL and not comparison.by_direction
-        unsure = few if is_few else f"no change{others} stands out from chance"
-        parts.append(f"no score{others} changed" if is_same else unsure)
-    words = [parts[0].removeprefix(f"{comparison.decision}: "), *parts[1:]] if parts else []
-    return f"{comparison.decision}: {'; '.join(words)}"
+    for verdict in ("worse", "mixed", "better"):
+        reasons = _reasons(comparison, verdict)
+        if reasons:
+            heading = "" if verdict == comparison.decision else f"{verdict}: "
+            parts.append(f"{heading}{', '.join(reasons)}")
+    if comparison.pairs and len(parts) == bool(comparison.failed):
+        parts.append(_nothing_decided(comparison))
+    return f"{comparison.decision}: {'; '.join(parts)}"
 
 
-def _both_ways(family: FamilyChange) -> str:
-    """A family some scores of which are better and some worse."""
-    counted = [own for own in family.scores if not own.why and own.verdict in ("worse", "better")]
-    return f"{family.name} ({', '.join(f'{own.name} {own.verdict}' for own in counted)})"
+def _reasons(comparison: Comparison, verdict: str) -> list[str]:
+    """Causes of the sensor and families with a verdict, the clearest first."""
+    causes = [change for change in comparison.changes.causes if change.verdict == verdict]
+    reasons = [f"{change.words} ({change.cause.setting})" for change in causes[:_MOST_CAUSES]]
+    if len(causes) > _MOST_CAUSES:
+        reasons.append(f"{len(causes) - _MOST_CAUSES} more causes")
+    families = [family for family in comparison.families if family.verdict == verdict and not family.why]
+    return reasons + [_both_ways(family) if verdict == "mixed" else family.name for family in families]
+
+
+def _nothing_decided(comparison: Comparison) -> str:
+    """What is known if nothing is worse or better."""
+    if comparison.decision == "same":
+        return "no score changed"
+    uncertain = [change.words for change in comparison.changes.causes if change.verdict == "changed"]
+    if uncertain:
+        return f"changed, neither better nor worse: {', '.join(uncertain[:_MOST_CAUSES])}"
+    places = count(comparison.n_blocks, "independent place")
+    tending = [family.name for family in comparison.families if family.scores[0].towards == "worse"]
+    if comparison.is_small or comparison.by_direction:
+        few = f"{places}, {LEAST_PAIRS} are needed to decide about the world"
+        return f"{few}; on these frames worse: {', '.join(tending)}" if tending else few
+    return f"no change stands out from chance over {places}"
 
 
 def chance(comparison: Comparison) -> str:
@@ -138,6 +156,11 @@ def remarks(comparison: Comparison) -> list[Note]:
     if tending:
         lines.append(f"not decided, but with a tendency to the worse (p below 5 % alone): {', '.join(tending)}")
     lines += [f"{own.name}: ({own.verdict}) does not count, {own.why}" for own in comparison.families if own.why]
+    if comparison.changes.elsewhere is not None:
+        share = percent(comparison.changes.elsewhere)
+        lines.append(f"unexplained: {share} of the flat surface is elsewhere than before, which no cause explains")
+    if comparison.changes.doubtful:
+        lines.append(f"seen, but undoing it brings nothing closer: {'; '.join(comparison.changes.doubtful)}")
     lines += _on_chance(comparison)
     n_unfollowed = len(comparison.unfollowed)
     if n_unfollowed:
@@ -188,14 +211,21 @@ def family_table(comparison: Comparison, families: Sequence[FamilyChange] | None
 
 
 def cause_table(comparison: Comparison) -> Table:
-    """One row per cause that changed: before, after, change, and the setting that controls it."""
+    """One row per cause that changed: what, the interval of the change, its verdict, and the setting."""
     rows = []
-    for cause in comparison.causes:
-        own, unit = cause.difference, f" ({cause.unit})" if cause.unit else ""
-        numbers = (signed(own.before), signed(own.after), _interval(own))
-        rows.append((f"{cause.name}{unit}", *numbers, cause.setting))
-    headings = ("cause", "before", "after", "change, 95 %", "setting")
-    return Table("Causes that changed: simulated minus real", headings, rows, words=(0, 4))
+    for change in comparison.changes.causes:
+        verdict = change.verdict or "see families"
+        rows.append((change.words, interval_words(change.cause), verdict, change.cause.setting))
+    headings = ("cause", "change, 95 %", "verdict", "setting")
+    return Table("Causes that changed", headings, rows, words=(0, 1, 2, 3))
+
+
+def changed_since(comparison: Comparison) -> View:
+    """The causes that changed since an earlier build; never to be read as against the real scans."""
+    title = Note(f"Changed since {comparison.base}", "bold")
+    if not comparison.changes.causes:
+        return [title, Note("no cause changed by more than the accuracy of its estimate")]
+    return [title, replace(cause_table(comparison), title="")]
 
 
 def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = None) -> Table:
@@ -278,83 +308,3 @@ def _p(p: float | None) -> str:
 def _interval(own: Difference) -> str:
     """A change with half the width of its interval."""
     return signed(own.difference) + ("" if own.half_width is None else f" ±{number(own.half_width)}")
-
-
-def history_view(history: History) -> View:
-    """The decision, the runs, and the means of their scores, each with a mark for both verdicts below."""
-    runs = [
-        (str(i), run["written"][:16].replace("T", " "), run["n_scored"], run["n_failed"], run["folder"])
-        for i, run in enumerate(history.runs, start=1)
-    ]
-    rows: list[tuple[str, ...]] = []
-    for score in history.families:
-        # three digits, or one if the mean is large
-        means = (number(step.mean, 3 if abs(step.mean or 0.0) < 10 else 1) for step in score.steps)
-        rows.append((arrowed(score), *means))
-        rows.append(("", *(f"{_mark(step.since_first)} {_mark(step.since_last)}" for step in score.steps)))
-    title = f"Means over {len(history.pairs)} pairs that all runs have scored"
-    return [
-        Note(history_decision(history), "bold"),
-        Table("Runs", ("", "made (UTC)", "scored", "failed", "folder"), runs, words=(1, 4)),
-        Table(title, ("score", *map(str, range(1, len(history.runs) + 1))), rows),
-        Note(f"{MARKS_NOTE}. {_HISTORY_NOTE}"),
-        *history_remarks(history),
-    ]
-
-
-def history_decision(history: History) -> str:
-    """The last run against the first in one line, with the number of independent pairs."""
-    last = [score.steps[-1].since_first for score in history.families]
-    n, pairs = len(last), f"{history.n_blocks} independent pair{'s' * (history.n_blocks != 1)}"
-    counts = [f"{last.count(word)} of {n} families {word}" for word in ("worse", "mixed", "better") if word in last]
-    what = ", ".join(counts) or (
-        "no score changed" if set(last) == {"same"} else "no difference stands out from chance"
-    )
-    n_failed = f"{len(history.failed)} pair{'s' * (len(history.failed) != 1)}"
-    failed = f"{n_failed} that run 1 has scored fail now; of the others " if history.failed else ""
-    return f"run {len(history.runs)} against run 1: {failed}{what}, with {pairs}"
-
-
-def history_remarks(history: History) -> list[Note]:
-    """Notes that a reader needs next to the numbers."""
-    share, n = 1 - CONFIDENCE, history.n_comparisons
-    lines = [
-        f"each of the {n} comparisons calls a family better or worse by chance in {100 * share:.0f} % of the cases or "
-        f"fewer: up to {share * n:.2g} of them"
-        if n > 1
-        else f"the comparison calls a family better or worse by chance in {100 * share:.0f} % of the cases or fewer"
-    ]
-    if history.n_blocks < LEAST_PAIRS:
-        lines.append(
-            f"too few independent pairs for intervals and verdicts: {history.n_blocks}, {LEAST_PAIRS} are needed; "
-            "only moves to the worse far beyond the noise are named"
-        )
-    if history.left_out:
-        name, why = next(iter(history.left_out.items()))
-        lines.append(f"{len(history.left_out)} pairs are left out of all runs; the first: {name}: {why}")
-    return [Note(f"note: {line}", "yellow") for line in [*lines, *history.notes]]
-
-
-def arrowed(score: FamilyHistory) -> str:
-    """The name of a score with its direction of good."""
-    return f"{score.family}: {score.name} {score.mark}"
-
-
-def history_records(history: History) -> Table:
-    """One row per score and run, numbers in full."""
-    columns = ("family", "score", "better is", "run", "written", "mean", "from", "to", "since first", "since last")
-    rows = [
-        (
-            *(score.family, score.name, score.mark, run["folder"], run["written"]),
-            *(step.mean, step.low, step.high, step.since_first, step.since_last),
-        )
-        for score in history.families
-        for run, step in zip(history.runs, score.steps, strict=True)
-    ]
-    return Table("", columns, rows)
-
-
-def _mark(verdict: str) -> str:
-    """The mark of a verdict, in brackets if the verdict is."""
-    word = verdict.strip("()")
-    return verdict.replace(word, _MARKS[word]) if word else ""

@@ -29,9 +29,11 @@ from ....schemas.record import (
     SeedSummary,
     SurfaceStates,
 )
-from ....schemas.results import ClassFindings, Findings, Overview, Unmatched
+from ....schemas.results import ClassFindings, Diagnosis, Findings, Overview, Unmatched
 from ....stages.coverage import ABSENT, THERE
+from ...results.diagnosis import diagnosis_of
 from ...results.floor import RunExcess
+from ...storage.folder import RunFolder
 from ...storage.run_record import unmatched_worst
 from ...storage.urls import url_or_path
 from ..view import Note, Table, View, mean_and_spread, number, percent
@@ -52,18 +54,19 @@ _SEED_SCORES = HEADLINE_SCORES[:4]
 def outcome_view(outcome: RunOutcome) -> View:
     """The end of a run: failures, baselines and spread over seeds if computed, and the first answer."""
     record, rows = outcome.record, outcome.pairs.select(["pair_id", "status", "reason"]).to_pylist()
-    overview = record.overview
+    scored = [row["pair_id"] for row in rows if row["status"] == "scored"]
+    diagnosis = diagnosis_of(RunFolder(outcome.folder), record, scored)
     seconds = record.wall_s["total"]
     took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     jobs = f", {outcome.n_made} jobs done, {outcome.n_reused} reused" * bool(outcome.n_reused)
-    return summary_view(outcome.folder, rows, record, overview, outcome.reported_failures, took=f"{took}{jobs}")
+    return summary_view(outcome.folder, rows, record, diagnosis, outcome.reported_failures, took=f"{took}{jobs}")
 
 
 def summary_view(
     folder: Path,
     rows: Sequence[Row],
     record: RunRecord,
-    overview: Overview | None,
+    diagnosis: Diagnosis | None = None,
     reported: Container[str] = frozenset(),
     excess: RunExcess | None = None,
     *,
@@ -74,12 +77,13 @@ def summary_view(
 
     Parameters
     ----------
-    overview : of the record, or over a floor
+    diagnosis : of the run, if it has one
     reported : pairs whose failure was reported before
     excess : the run over a floor
     took : time and reused jobs of a run that just ended
     """
-    frames = [one.words for one in overview.trust if one.kind == "frames"] if overview else []
+    trust = record.overview.trust if record.overview else ()
+    frames = [caution.words for caution in trust if caution.kind == "frames"]
     return [
         *(_all_tables(rows, record) if with_all else ()),
         *(baselines_view(record.baselines) if record.baselines else ()),
@@ -87,7 +91,7 @@ def summary_view(
         *([*excess_view(excess, HEADLINES), Note("")] if excess else ()),
         *_failures_parts(folder, rows, reported),
         *(Note(f"warning: {words}", "yellow") for words in frames),
-        *answer_view(folder, record, overview, excess, with_all=with_all, took=took),
+        *answer_view(folder, record, diagnosis, excess, with_all=with_all, took=took),
     ]
 
 
@@ -192,7 +196,7 @@ def dataset_table(record: RunRecord, columns: Sequence[str]) -> Table:
         worst = record.summary.get(unmatched_worst(metric.column))
         pairs = f"{score.n_pairs} of {record.pairs.scored}"
         values = (metric.label, score.mean, score.std, pairs, worst.mean if worst else "")
-        paper = [metric.paper.mean if metric.paper else ""] * with_paper
+        paper = ["" if metric.paper_mean is None else metric.paper_mean] * with_paper
         rows.append((*values, metric.reading or metric.meaning, *paper))
     title = "Dataset (mean and standard deviation over pairs; pairs without a match have no object scores)"
     headings = ("score", "mean", "std", "pairs", "unmatched\nas worst", "how to read it", *["paper"] * with_paper)

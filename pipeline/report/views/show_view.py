@@ -69,8 +69,7 @@ def show_view(
             *notes,
             *([pair_excess_table(excess, pair)] if excess else ()),
         ]
-    overview = run.overview
-    return summary_view(run.folder, run.rows, run.record, overview, excess=excess, with_all=with_all)
+    return summary_view(run.folder, run.rows, run.record, run.diagnosis, excess=excess, with_all=with_all)
 
 
 def show_json(run: FinishedRun, pair: str | None, name: str | None, excess: RunExcess | None = None) -> JsonValue:

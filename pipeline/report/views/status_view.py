@@ -7,16 +7,11 @@ from ...storage.run_record import command_again
 from ...storage.urls import url_or_path
 from ..view import Note, View
 
-_MOST_FAILURES = 3
+_MOST_LINES = 3
 
 
-def status_view(status: RunStatus, more: View = ()) -> View:
-    """Progress of a run in about ten lines: stages that all pairs have in one, the others one by one; failed pairs.
-
-    Parameters
-    ----------
-    more : what is shown of the run as well
-    """
+def status_view(status: RunStatus) -> View:
+    """Progress of a run in about ten lines: finished stages in one, then the others; failures."""
     is_open = any(counts["stale"] or counts["to do"] for counts in status.stages.values())
     finished = [stage for stage, counts in status.stages.items() if counts["done"] == status.n_pairs]
     lines = [f"done of all pairs: {', '.join(finished)}"] if finished else []
@@ -24,12 +19,18 @@ def status_view(status: RunStatus, more: View = ()) -> View:
         if stage not in finished:
             lines.append(f"{stage}: " + ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state]))
     failed = [f"failed: {pair_id}: {reason}" for pair_id, reason in status.failures.items()]
-    if len(failed) > _MOST_FAILURES:
-        failed[_MOST_FAILURES:] = [f"failed: {len(failed) - _MOST_FAILURES} more pairs, see pairs.parquet"]
+    if len(failed) > _MOST_LINES:
+        failed[_MOST_LINES:] = [f"failed: {len(failed) - _MOST_LINES} more pairs, see pairs.parquet"]
+    damaged = [f"damaged or gone: {name}" for name in status.damaged]
+    if len(damaged) > _MOST_LINES:
+        damaged[_MOST_LINES:] = [f"damaged or gone: {len(damaged) - _MOST_LINES} more tables"]
     return [
         Note(f"{url_or_path(status.folder)}: {status.n_pairs} pairs of {status.dataset}", "bold"),
         *map(Note, lines),
-        *(Note(line, "red") for line in failed),
-        *more,
-        *([Note(f"finish it with: {command_again(status.folder, status.dataset)}")] if is_open else ()),
+        *(Note(line, "red") for line in [*failed, *damaged]),
+        *(
+            [Note(f"finish it with: {command_again(status.folder, status.dataset)}")]
+            if is_open or status.damaged
+            else ()
+        ),
     ]

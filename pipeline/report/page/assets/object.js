@@ -2,7 +2,7 @@
 
 import { byId, report } from "./draw.js";
 import { objectTitle, SIDE_WORDS, say } from "./points.js";
-import { counted, element, NULL_SIGN, number, shorten } from "./tables.js";
+import { cellText, counted, element, shorten } from "./tables.js";
 
 const MOST_FIRST = 8;
 
@@ -19,11 +19,11 @@ export function describe(pair, object, link) {
 }
 
 function factOf(object, key) {
-  const { title, digits } = report.columns[key];
+  const column = report.columns[key];
   const value = object[key];
-  const text = typeof value === "number" ? number(value, digits) : (value ?? NULL_SIGN);
+  const text = cellText(value, column);
   const shownValue = element("span", text, { class: "value", "data-key": key, title: value ?? "no value" });
-  return element("div", null, {}, element("span", title, { class: "name" }), shownValue);
+  return element("div", null, {}, element("span", column.title, { class: "name" }), shownValue);
 }
 
 // places: of the drawn points by side; isAligned: simulated ones are moved onto the real ones.

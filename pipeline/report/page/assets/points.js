@@ -15,30 +15,18 @@ export const say = (id, text) => {
 };
 export const xyz = (make) => ({ x: make("x"), y: make("y"), z: make("z") });
 
-const decode = (text) => Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0));
-
-// The columns of a pair by name; see page/pair_data.py for how they are packed.
-async function inflate({ parts, deflated }) {
-  const stream = new Blob([decode(deflated)]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
-  const columns = {};
-  let at = 0;
-  for (const [name, width, n] of parts) {
-    columns[name] = width === 1 ? bytes.subarray(at, at + n) : summed(bytes.subarray(at, at + width * n), width, n);
-    at += width * n;
-  }
-  return columns;
+// A packed array of the page, as numbers; see page/pair_data.py.
+async function unpack(text, NumberArray) {
+  const deflated = Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0));
+  const stream = new Blob([deflated]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new NumberArray(await new Response(stream).arrayBuffer());
 }
 
-// Integers from their differences; sums beyond the width begin again, as they do in the type of the result.
-function summed(bytes, width, n) {
-  const values = width === 2 ? new Int16Array(n) : new Int32Array(n);
-  for (let i = 0; i < n; i += 1) {
-    let step = 0;
-    for (let k = 0; k < width; k += 1) step |= bytes[k * n + i] << (8 * k);
-    values[i] = (i ? values[i - 1] : 0) + step;
-  }
-  return values;
+// Packed points in metres.
+async function unpackPoints(text, step_m) {
+  const metres = Float32Array.from(await unpack(text, Int16Array), (step) => step * step_m);
+  const n = metres.length / 3;
+  return { x: metres.subarray(0, n), y: metres.subarray(n, 2 * n), z: metres.subarray(2 * n) };
 }
 
 // Rows of the page as objects, with their fate, which communities they own on which side, and the side if only one.
@@ -52,35 +40,53 @@ export function objectsOf(view) {
 }
 
 // By side the points, each with the place of its object among the objects (`object`), whether it is a kept node, its
-// distance to the other side (`distance`), whether a piece that only one side has holds it (`piece`), if simulated its signed distance to the planes of the real side (`signed`), and by place where the
-// points of an object are (`ranges`); the road points; and between which points lines of alignment are. Where the real
-// side fixes the objects, the few simulated points of a missing one bear its number and belong to it.
+// distance to the other side (`distance`), whether a piece that only one side has holds it (`piece`), if simulated its
+// signed distance to the planes of the real side (`signed`), and by place where the points of an object are (`ranges`);
+// the road points; and between which points lines of alignment are.
 export async function pointsOf(view, objects) {
-  const columns = await inflate(view.packed);
-  const inSpace = (name) => xyz((axis) => Float32Array.from(columns[`${name}_${axis}`], (step) => step * view.step_m));
-  const points = { road: {}, rays: columns.rays, lines: { real: columns.real_line, sim: columns.sim_line } };
+  const points = { road: {}, lines: {}, rays: await unpack(view.rays, Uint8Array) };
   for (const side of SIDES) {
-    const { ids, counts } = view.sides[side];
-    const owner = new Map();
-    objects.forEach(({ fate, owns }, i) => {
-      if (fate === "missing") owner.set(owns.real, i);
-    });
-    objects.forEach(({ owns }, i) => {
-      if (side in owns) owner.set(owns[side], i);
-    });
-    const object = new Int32Array(counts.reduce((sum, n) => sum + n, 0));
-    const ranges = new Map();
-    let from = 0;
-    ids.forEach((id, k) => {
-      ranges.set(owner.get(id), [from, from + counts[k]]);
-      object.fill(owner.get(id), from, from + counts[k]);
-      from += counts[k];
-    });
-    const own = ["kept", "distance", "piece", "signed"].map((name) => [name, columns[`${side}_${name}`]]);
-    points[side] = { ...inSpace(side), object, ranges, ...Object.fromEntries(own) };
-    points.road[side] = { ...inSpace(`${side}_road`), signed: columns[`${side}_road_signed`] };
+    const packed = view.sides[side];
+    points[side] = {
+      ...(await unpackPoints(packed.points, view.step_m)),
+      ...placesOf(packed, ownersOf(objects, side)),
+      distance: await unpack(packed.distance, Uint8Array),
+      kept: await unpack(packed.kept, Uint8Array),
+      piece: await unpack(packed.piece, Uint8Array),
+    };
+    points.road[side] = await unpackPoints(packed.road, view.step_m);
+    points.lines[side] = await unpack(packed.line, Int32Array);
   }
+  points.sim.signed = await unpack(view.sides.sim.signed, Uint8Array);
+  points.road.sim.signed = await unpack(view.sides.sim.road_signed, Uint8Array);
   return points;
+}
+
+// The place of the object that each community of a side belongs to. Where the real side fixes the objects, the few
+// simulated points of a missing one bear its number and belong to it.
+function ownersOf(objects, side) {
+  const owners = new Map();
+  objects.forEach(({ fate, owns }, place) => {
+    if (fate === "missing") owners.set(owns.real, place);
+  });
+  objects.forEach(({ owns }, place) => {
+    if (side in owns) owners.set(owns[side], place);
+  });
+  return owners;
+}
+
+// The object of each point of a side, whose points are ordered by community, and the range of points of each object.
+function placesOf({ ids, counts }, owners) {
+  const object = new Int32Array(counts.reduce((sum, n) => sum + n, 0));
+  const ranges = new Map();
+  let from = 0;
+  ids.forEach((id, k) => {
+    const to = from + counts[k];
+    ranges.set(owners.get(id), [from, to]);
+    object.fill(owners.get(id), from, to);
+    from = to;
+  });
+  return { object, ranges };
 }
 
 // Places among the points of a side that an object has.

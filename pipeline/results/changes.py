@@ -1,0 +1,282 @@
+"""Causes that changed from one run to another on the same real scans, with the verdict on each.
+
+Amounts of the pose and the beams are measured between the two simulated scans, of which most surface is the same; all
+others are differences of the amounts of both runs. What something outside the catalogue has changed also changes
+estimates; so a change of the pose or of the world counts only if undoing it brings the two simulated scans closer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...schemas.cause_catalogue import CAUSES
+from ...schemas.columns import Row
+from ...schemas.results import Cause
+from ...stages.arrays import FloatArray, IntArray
+from ...stages.causes.estimates import estimate_between, fit_pose
+from ...stages.causes.gain import Shares, changes
+from ...stages.causes.sides import Side
+from ...stages.displacement import PARAMETERS
+from ...stages.sensor_description import SensorDescription
+from ..engine.progress import Reporter
+from ..engine.tasks import map_tasks
+from ..jobs.causes_job import POINT_COLUMNS, side_of
+from ..storage.folder import RunFolder
+from .causes import (
+    LEAST_PART_OF_POSE,
+    CauseValues,
+    cause_words,
+    changed_causes,
+    independent_blocks,
+    read_causes,
+    size_words,
+)
+from .diagnosis import LEAST_PART
+from .finished import FinishedRun
+
+#: Pairs that are compared between the simulated scans, and of which corrections are tried, evenly over all.
+MOST_BETWEEN, MOST_CORRECTED = 40, 10
+#: Flat surface that is elsewhere than before is reported from this share on, if corrections bring back less than half.
+LEAST_ELSEWHERE = 0.03
+#: From this number of pairs on, processes are started.
+_FEW = 8
+_SEED = 20240917
+#: Changes that must bring the simulated scans closer if they are undone: all that moves surface.
+_CONFIRMED = frozenset((*PARAMETERS, "elevation scale", "missing parts", "invented parts", "moved parts"))
+
+
+@dataclass(frozen=True)
+class ChangedCause:
+    """A cause that changed.
+
+    cause : the change, with its interval
+    before, after : mean amounts of both runs, simulated minus real; `before` is null if it is unknown
+    verdict : "worse" or "better" for a cause of the sensor or its pose, "changed" if that cannot be told; "" for one
+        of the world, about which the families decide
+    words : what changed, as a sentence
+    """
+
+    cause: Cause
+    before: float | None
+    after: float | None
+    verdict: str
+    words: str
+
+
+@dataclass(frozen=True)
+class Changes:
+    """All causes that changed, those that moved most first.
+
+    doubtful : seen, but undoing them does not bring the two simulated scans closer
+    elsewhere : share of the flat surface that is elsewhere than before and that no cause explains; None if little is
+    """
+
+    causes: tuple[ChangedCause, ...] = ()
+    doubtful: tuple[str, ...] = ()
+    elsewhere: float | None = None
+
+
+@dataclass(frozen=True)
+class _PairTask:
+    """Two simulated scans of one pair.
+
+    base, other : folders of the runs
+    excess : by cause, the amount of the change to be corrected
+    """
+
+    base: Path
+    other: Path
+    pair_id: str
+    excess: tuple[tuple[str, float], ...] = ()
+
+
+def find_changes(
+    base: FinishedRun, other: FinishedRun, names: Sequence[str], blocks: IntArray, reporter: Reporter | None = None
+) -> Changes:
+    """The causes that changed by more than the resolution of their estimates.
+
+    Parameters
+    ----------
+    names : pairs that both runs have scored
+    blocks : (n,) independent place of each pair
+    reporter : shows the progress over many pairs
+
+    Raises
+    ------
+    RunError
+        A table is damaged or gone.
+    """
+    before, after = read_causes(base.store, names), read_causes(other.store, names)
+    between = _measure_between(base, other, names, reporter)
+    found = changed_causes(before, after, between, blocks)
+    doubtful, elsewhere = _unconfirmed(base, other, names, found, reporter)
+    changed = [_changed(cause, before, after, blocks) for cause in found if cause.name not in doubtful]
+    words = tuple(cause.words for cause in found if cause.name in doubtful)
+    return Changes(tuple(changed), words, elsewhere)
+
+
+def _evenly(names: Sequence[str], most: int) -> list[str]:
+    rows = np.linspace(0, len(names) - 1, min(len(names), most)).astype(np.intp)
+    return [names[row] for row in rows]
+
+
+def _is_same_scan(base: FinishedRun, other: FinishedRun, name: str) -> bool:
+    return bool(base.record.inputs[name]["sim"] == other.record.inputs[name]["sim"])
+
+
+def _measure_between(
+    base: FinishedRun, other: FinishedRun, names: Sequence[str], reporter: Reporter | None
+) -> dict[str, FloatArray]:
+    """By cause, the amounts between the two simulated scans, (n,), NaN for pairs that were not measured."""
+    chosen = _evenly(names, MOST_BETWEEN)
+    tasks = {name: _PairTask(base.folder, other.folder, name) for name in chosen}
+    tasks = {name: task for name, task in tasks.items() if not _is_same_scan(base, other, name)}
+    measured, _ = map_tasks(measure_between, tasks, reporter or Reporter(), n_workers=None if len(tasks) > _FEW else 1)
+    known = {name: amounts for name, amounts in measured.items() if amounts}
+    if 2 * (len(tasks) - len(known)) >= max(len(chosen), 1):
+        return {}
+    causes = {cause for amounts in known.values() for cause in amounts}
+    values = {cause: np.full(len(names), np.nan) for cause in (*PARAMETERS, *sorted(causes - {*PARAMETERS}))}
+    rows = {name: row for row, name in enumerate(names)}
+    for name in chosen:
+        amounts = known.get(name, {}) if name in tasks else dict.fromkeys(values, 0.0)
+        for cause, amount in amounts.items():
+            values[cause][rows[name]] = amount
+    return values
+
+
+def measure_between(task: _PairTask) -> dict[str, float]:
+    """Amounts between the simulated scans of a pair; empty without enough surface in common."""
+    found = estimate_between(_sim_side(task.base, task.pair_id), _sim_side(task.other, task.pair_id))
+    return {} if found is None else found[1]
+
+
+def _sim_side(folder: Path, pair_id: str) -> Side:
+    """The simulated side of a pair of a run."""
+    store = RunFolder(folder)
+    ground = store.read_table("ground", pair_id, "sim", list(POINT_COLUMNS))
+    jobs = store.ledger.jobs(pair_id)
+    sensor = SensorDescription(**jobs["sensor", "sim"].metadata["sensor"])
+    moved = jobs["ground", "sim"].metadata["T_real_sim"]
+    return side_of(ground, sensor, np.array(moved).reshape(3, 4) if moved else None)
+
+
+def _unconfirmed(
+    base: FinishedRun, other: FinishedRun, names: Sequence[str], found: Sequence[Cause], reporter: Reporter | None
+) -> tuple[set[str], float | None]:
+    """Names of changes that bring nothing closer if they are undone, and the share of surface that stays elsewhere."""
+    excess = tuple((cause.name, cause.estimate) for cause in found)
+    tasks = {
+        name: _PairTask(base.folder, other.folder, name, excess)
+        for name in _evenly(names, MOST_CORRECTED)
+        if not _is_same_scan(base, other, name)
+    }
+    corrected, _ = map_tasks(undo_changes, tasks, reporter or Reporter(), n_workers=None if len(tasks) > _FEW else 1)
+    known = [result for result in corrected.values() if result is not None]
+    if not known:
+        return set(), None
+    return unconfirmed([gains for gains, _, _ in known]), elsewhere_share([shares for _, *shares in known])
+
+
+def unconfirmed(gains: Sequence[Shares]) -> set[str]:
+    """Names of the changes that explain too little of the distance that the others leave."""
+    after_m = float(np.mean([pair.after_m for pair in gains]))
+    weak = set()
+    for name in gains[0].by_cause.keys() & _CONFIRMED:
+        gain_m = float(np.mean([pair.by_cause[name] for pair in gains]))
+        least = LEAST_PART_OF_POSE if name in PARAMETERS else LEAST_PART
+        if gain_m <= least * (gain_m + after_m):
+            weak.add(name)
+    return weak
+
+
+def elsewhere_share(shares: Sequence[Sequence[float]]) -> float | None:
+    """Share of flat surface that remains elsewhere after all corrections; None if little, or less than half, does.
+
+    Parameters
+    ----------
+    shares : of each pair, before and after all corrections
+    """
+    before, after = np.mean(shares, axis=0).tolist()
+    return after if after >= LEAST_ELSEWHERE and after > before / 2 else None
+
+
+def undo_changes(task: _PairTask) -> tuple[Shares, float, float] | None:
+    """Gains of undoing the changes of a pair, and the flat surface elsewhere before and after."""
+    base, sim = _sim_side(task.base, task.pair_id), _sim_side(task.other, task.pair_id)
+    pose = fit_pose(base, sim)
+    if pose is None:
+        return None
+    return changes(base, sim, pose, dict(task.excess), np.random.default_rng(_SEED))
+
+
+def _changed(
+    cause: Cause, before: Mapping[str, CauseValues], after: Mapping[str, CauseValues], blocks: IntArray
+) -> ChangedCause:
+    model = CAUSES[cause.name]
+    first = _mean(before[cause.name].amount, blocks)
+    last = None if first is None else first + cause.estimate
+    if cause.name not in PARAMETERS:
+        last = _mean(after[cause.name].amount, blocks)
+    verdict = ""
+    if model.kind == "sensor":
+        verdict = _verdict(first, last, model.resolution)
+    return ChangedCause(cause, first, last, verdict, _words(cause, first, last))
+
+
+def _mean(amounts: FloatArray, blocks: IntArray) -> float | None:
+    """Mean over places of the amounts that are known; None if none is."""
+    if np.isnan(amounts).all():
+        return None
+    blocks = independent_blocks(blocks)
+    means = [np.nanmean(amounts[blocks == block]) for block in np.unique(blocks[~np.isnan(amounts)])]
+    return float(np.mean(means))
+
+
+def _verdict(before: float | None, after: float | None, resolution: float) -> str:
+    """Worse or better by the distance from no flaw."""
+    if before is None or after is None:
+        return "worse" if before is None and after is not None and abs(after) > resolution else "changed"
+    nearer = abs(before) - abs(after)
+    if abs(nearer) <= resolution / 2:
+        return "changed"
+    return "better" if nearer > 0 else "worse"
+
+
+def _words(cause: Cause, before: float | None, after: float | None) -> str:
+    """The change as a sentence; with both amounts if there was one before."""
+    model = CAUSES[cause.name]
+    if before is None or after is None or abs(before) <= model.resolution:
+        return cause_words(model, cause.estimate)
+    if abs(after) <= model.resolution:
+        return f"{cause.name}: none, before {_signed(before, cause.unit)}"
+    return f"{cause.name}: {_signed(after, cause.unit)}, before {_signed(before, cause.unit)}"
+
+
+def _signed(value: float, unit: str) -> str:
+    sign = "-" if value < 0 else "+"
+    return f"{sign}{size_words(value, unit)}"
+
+
+def change_rows(changes_found: Changes) -> list[Row]:
+    """One row per changed cause, for programs."""
+    return [
+        {
+            "cause": changed.cause.name,
+            "kind": changed.cause.kind,
+            "verdict": changed.verdict,
+            "words": changed.words,
+            "before": changed.before,
+            "after": changed.after,
+            "change": changed.cause.estimate,
+            "low": changed.cause.low,
+            "high": changed.cause.high,
+            "unit": changed.cause.unit,
+            "setting": changed.cause.setting,
+        }
+        for changed in changes_found.causes
+    ]

@@ -1,0 +1,130 @@
+"""Literal baseline metrics: all distances, dense matrices, other libraries."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+from scipy.stats import wasserstein_distance
+
+from literal_method import distances, nearest_distances
+from literal_surfaces import visiting_order
+
+
+def of_points(
+    real: NDArray[np.float64], sim: NDArray[np.float64], settings: dict[str, float]
+) -> dict[str, float | None]:
+    """Baseline metrics of two point sets by name; without ICP, whose result depends on the implementation.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    settings : settings of the group metrics
+    """
+    to_sim, to_real = nearest_distances(real, sim), nearest_distances(sim, real)
+    recall = sum(d < settings["f_score_distance_m"] for d in to_sim.tolist()) / len(real)
+    precision = sum(d < settings["f_score_distance_m"] for d in to_real.tolist()) / len(sim)
+    return {
+        "chamfer_mean_m": math.fsum(to_sim) / len(to_sim) + math.fsum(to_real) / len(to_real),
+        "chamfer_squared_m2": math.fsum(to_sim**2) / len(to_sim) + math.fsum(to_real**2) / len(to_real),
+        "chamfer_one_way_sum_m": math.fsum(to_sim),
+        "hausdorff_m": max(*to_sim.tolist(), *to_real.tolist()),
+        "f_score": 2 * precision * recall / (precision + recall) if precision + recall else 0.0,
+        "dcd": dcd(real, sim, settings["dcd_alpha"]),
+        "histogram": histogram(real, sim, settings),
+        "sliced_wasserstein_m": sliced_wasserstein(real, sim, int(settings["projections"])),
+    }
+
+
+def dcd(real: NDArray[np.float64], sim: NDArray[np.float64], alpha: float) -> float | None:
+    """The published density-aware Chamfer distance, on the scale of the real object; None if it has no extent.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    """
+    size_m = math.hypot(*(real.max(axis=0) - real.min(axis=0)))
+    if size_m == 0:
+        return None
+
+    def one_way(xs: NDArray[np.float64], ys: NDArray[np.float64]) -> float:
+        ys = np.array(sorted(ys.tolist()))  # for equal distances the first by x, y, z
+        nearest = [int(distances(ys, x).argmin()) for x in xs]
+        count, terms = Counter(nearest), []
+        for x, j in zip(xs, nearest, strict=True):
+            weight = min(1.0, len(xs) / len(ys) / count[j])
+            terms.append(1 - weight * math.exp(-alpha * (math.dist(x, ys[j]) / size_m) ** 2))
+        return math.fsum(terms) / len(terms)
+
+    return (one_way(real, sim) + one_way(sim, real)) / 2
+
+
+def histogram(real: NDArray[np.float64], sim: NDArray[np.float64], settings: dict[str, float]) -> float | None:
+    """Minkowski distance of two histograms of pairwise distances; None if all points of a side coincide.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    """
+    shares = []
+    for points in (real, sim):
+        some = points[visiting_order(points)[: int(settings["histogram_points"])]]
+        apart = cdist(some, some)[np.triu_indices(len(some), 1)]
+        if not len(apart) or apart.max() == 0:
+            return None
+        bins = np.histogram(apart / apart.max(), int(settings["histogram_bins"]), (0, 1))[0]
+        shares.append(bins / len(apart))
+    order = settings["histogram_order"]
+    return float((abs(shares[0] - shares[1]) ** order).sum() ** (1 / order))
+
+
+def sliced_wasserstein(real: NDArray[np.float64], sim: NDArray[np.float64], n_projections: int) -> float:
+    """Mean over random directions of the earth mover's distance along each.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres
+    """
+    directions = np.random.default_rng(0).standard_normal((n_projections, 3))
+    along = [(real @ u / math.hypot(*u), sim @ u / math.hypot(*u)) for u in directions]
+    return math.fsum(wasserstein_distance(a, b) for a, b in along) / n_projections
+
+
+def assignment_mean(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Mean distance of the best one-to-one assignment, metres: the earth mover's distance of sets of equal size.
+
+    Parameters
+    ----------
+    a, b : (n, 3) float64, metres
+    """
+    cost = cdist(a, b)
+    return float(cost[linear_sum_assignment(cost)].mean())
+
+
+def netlsd(L_real: NDArray[np.float64], L_sim: NDArray[np.float64], settings: dict[str, float]) -> float:
+    """Distance of the mean heat traces of two whole objects.
+
+    Parameters
+    ----------
+    L_real, L_sim : (n, n), (m, m) float64, normalised Laplacians
+    """
+    a, b = np.linalg.eigvalsh(L_real), np.linalg.eigvalsh(L_sim)
+    times = np.geomspace(settings["heat_time_min"], settings["heat_time_max"], int(settings["heat_times"])).tolist()
+    return math.sqrt(sum(float(np.exp(-t * a).mean() - np.exp(-t * b).mean()) ** 2 for t in times))
+
+
+def r_h(L_real: NDArray[np.float64], L_sim: NDArray[np.float64], t: float) -> float:
+    """|exp(-t L_sim) - exp(-t L_real)| / (t |dL|), largest absolute eigenvalues; 0 if |dL| is that of equal objects.
+
+    Parameters
+    ----------
+    L_real, L_sim : (n, n) float64, nodes aligned
+    """
+    heat = scipy.linalg.expm(-t * L_sim) - scipy.linalg.expm(-t * L_real)
+    change, of_heat = (float(abs(np.linalg.eigvalsh(own)).max()) for own in (L_sim - L_real, (heat + heat.T) / 2))
+    return min(1.0, of_heat / (t * change)) if change > 1e-5 else 0.0
