@@ -31,7 +31,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from fidpipe.pipeline.results.causes import cause_values, changed_causes, named_causes
-from fidpipe.pipeline.results.changes import elsewhere_share, unconfirmed
+from fidpipe.pipeline.results.changes import confirm_changes, elsewhere_share
 from fidpipe.pipeline.results.diagnosis import UNEXPLAINED, confirm, unexplained_share
 from fidpipe.stages.causes.estimates import PairEstimates, estimate, estimate_between
 from fidpipe.stages.causes.gain import changes, corrections, shares
@@ -402,9 +402,8 @@ def compare(pairs, base_pairs):
     undone = []
     for i, (pair, base, pose) in enumerate(zip(pairs, base_pairs, poses, strict=True)):
         undone.append(changes(base.scans.sim, pair.scans.sim, pose, excess, np.random.default_rng(i)))
-    gains = [gain for gain, _, _ in undone]
-    weak = unconfirmed(gains)
-    rows = [cause_row(cause) for cause in causes if cause.name not in weak]
+    confirmed, _ = confirm_changes(causes, [gain for gain, _, _ in undone])
+    rows = [cause_row(cause) for cause in confirmed]
     elsewhere = elsewhere_share([off_shares for _, *off_shares in undone])
     if elsewhere is not None:
         rows.insert(0, (UNEXPLAINED, elsewhere, np.nan, np.nan))
