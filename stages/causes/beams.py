@@ -177,4 +177,5 @@ def second_returns(side: Side) -> BoolArray:
     chord, rows = side.near_rays
     is_same = chord < _SAME_RAY
     is_behind = side.range_m[:, None] > side.range_m[rows] + _BEHIND_M
-    return (is_same & is_behind).any(axis=1)
+    is_second: BoolArray = (is_same & is_behind).any(axis=1)
+    return is_second
