@@ -116,10 +116,12 @@ def confirm(
     """
     _, after_m, floor_m = distances_m
     excess_m = _excess(distances_m)
+    # within the accuracy of the second measurement the whole distance counts, else small gains would be large parts
+    left_m = after_m if excess_m is None else after_m - floor_m
     confirmed, doubtful = [], []
     for cause in causes:
         diagnosed = _with_gain(cause, gains_m.get(cause.name), excess_m)
-        if _is_weak(diagnosed, after_m - floor_m):
+        if _is_weak(diagnosed, left_m):
             doubtful.append(diagnosed)
         else:
             confirmed.append(diagnosed)
@@ -162,8 +164,8 @@ def _with_gain(cause: Cause, gain_m: float | None, excess_m: float | None) -> Ca
 
 
 def _is_weak(cause: Cause, left_m: float) -> bool:
-    """True if correcting a cause brings the sides hardly closer, although they are apart."""
-    if cause.gain_m is None or cause.gain is None:
+    """True if correcting a cause brings the sides hardly closer, next to the distance that the others leave."""
+    if cause.gain_m is None:
         return False
     least = least_part_of_pose(cause.name) if cause.name in PARAMETERS else LEAST_PART
     return cause.gain_m <= least * (cause.gain_m + left_m)
