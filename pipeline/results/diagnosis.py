@@ -16,6 +16,7 @@ from ...schemas.record import RunRecord
 from ...schemas.results import Cause, Diagnosis, Evidence, Overview
 from ...stages.arrays import FloatArray
 from ...stages.causes.axes import AXES
+from ...stages.causes.distance import FLOOR_ACCURACY
 from ...stages.displacement import PARAMETERS
 from ..storage.folder import RunFolder
 from .causes import least_part_of_pose
@@ -25,8 +26,8 @@ UNEXPLAINED = "unexplained"  #: row of table `gains`: distance that no correctio
 DISTANCES = "distances_m"  #: metadata: distance before and after all corrections, and that of a second measurement
 CURVES = "curves"  #: metadata: curves of both sides, by kind
 AMOUNTS = "amounts"  #: metadata: mean amount of each cause that was corrected
-#: Below this distance over that of a second measurement, metres and relative to it, gains are not shares.
-LEAST_EXCESS_M, LEAST_EXCESS = 0.005, 0.2
+#: Below this distance over that of a second measurement, metres, or within its accuracy, gains are not shares.
+LEAST_EXCESS_M = 0.005
 #: Part of what the other causes leave that a cause must explain, else fixing it would not help.
 LEAST_PART = 0.03
 
@@ -146,7 +147,7 @@ def _excess(distances_m: tuple[float, float, float]) -> float | None:
     """Distance over that of a second measurement, metres; None if it is within the accuracy of the latter."""
     before_m, _, floor_m = distances_m
     excess_m = before_m - floor_m
-    return excess_m if excess_m >= max(LEAST_EXCESS_M, LEAST_EXCESS * floor_m) else None
+    return excess_m if excess_m >= max(LEAST_EXCESS_M, FLOOR_ACCURACY * floor_m) else None
 
 
 def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overview | None:
