@@ -30,11 +30,10 @@ from flawed_scans import Scan, along_ray, ranges, ray_noise
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from fidpipe.pipeline.results.causes import CauseValues, changed_causes, named_causes
-from fidpipe.pipeline.results.changes import elsewhere_share, unconfirmed
+from fidpipe.pipeline.results.causes import cause_values, changed_causes, named_causes
+from fidpipe.pipeline.results.changes import confirm_changes, elsewhere_share
 from fidpipe.pipeline.results.diagnosis import confirm, unexplained_share
 from fidpipe.pipeline.stage import UNEXPLAINED
-from fidpipe.schemas.cause_catalogue import CAUSES
 from fidpipe.stages.causes.estimates import PairEstimates, estimate, estimate_between
 from fidpipe.stages.causes.gain import changes, corrections, shares
 from fidpipe.stages.causes.sides import PairScans, Side
@@ -353,24 +352,14 @@ def estimated(scans):
     return Estimated(scans, estimate(scans))
 
 
-def cause_values(pairs):
-    """What `read_causes` returns for a run of these pairs."""
-    values = {}
-    for name in CAUSES:
-        amounts = [pair.estimates.amounts.get(name) for pair in pairs]
-        if None in amounts:
-            continue
-        columns = {}
-        for column in ("amount", "real", "sim", "share"):
-            columns[column] = np.array([getattr(amount, column) for amount in amounts], dtype=float)
-        values[name] = CauseValues(**columns, reason="")
-    return values
+def values_of(pairs):
+    return cause_values([pair.estimates.amounts for pair in pairs])
 
 
 def diagnose(pairs):
     """Rows of the causes that `run` names, by the gain that `diagnose` measures."""
     blocks = np.arange(len(pairs), dtype=np.int32)
-    causes = named_causes(cause_values(pairs), blocks)
+    causes = named_causes(values_of(pairs), blocks)
     excess = {cause.name: cause.estimate for cause in causes}
     gains = []
     for i, pair in enumerate(pairs):
@@ -409,14 +398,13 @@ def compare(pairs, base_pairs):
         amounts.append(between)
     names = {name for between in amounts for name in between}
     between = {name: np.array([pair.get(name, np.nan) for pair in amounts]) for name in names}
-    causes = changed_causes(cause_values(base_pairs), cause_values(pairs), between, blocks)
+    causes = changed_causes(values_of(base_pairs), values_of(pairs), between, blocks)
     excess = {cause.name: cause.estimate for cause in causes}
     undone = []
     for i, (pair, base, pose) in enumerate(zip(pairs, base_pairs, poses, strict=True)):
         undone.append(changes(base.scans.sim, pair.scans.sim, pose, excess, np.random.default_rng(i)))
-    gains = [gain for gain, _, _ in undone]
-    weak = unconfirmed(gains)
-    rows = [cause_row(cause) for cause in causes if cause.name not in weak]
+    confirmed, _ = confirm_changes(causes, [gain for gain, _, _ in undone])
+    rows = [cause_row(cause) for cause in confirmed]
     elsewhere = elsewhere_share([off_shares for _, *off_shares in undone])
     if elsewhere is not None:
         rows.insert(0, (UNEXPLAINED, elsewhere, np.nan, np.nan))

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.cause_catalogue import CAUSES, PARAMETERS
+from ...schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS
 from ...schemas.columns import Row
 from ...schemas.results import Cause
 from ...stages.arrays import FloatArray, IntArray
@@ -45,7 +45,11 @@ LEAST_ELSEWHERE = 0.03
 _FEW = 8
 _SEED = 20240917
 #: Changes that must bring the simulated scans closer if they are undone: all that moves surface.
-_CONFIRMED = frozenset((*PARAMETERS, "elevation scale", "missing parts", "invented parts", "moved parts"))
+_CONFIRMED = frozenset(
+    (*PARAMETERS, "elevation scale", "missing parts", "invented parts", "moved parts", "solid foliage", FLAT)
+)
+#: Part of the distance between the simulated scans from which a gain counts more than what no correction undoes.
+_LEAST_GAIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -112,10 +116,10 @@ def find_changes(
     before, after = read_causes(base.store, names), read_causes(other.store, names)
     between = _measure_between(base, other, names, reporter)
     found = changed_causes(before, after, between, blocks)
-    doubtful, elsewhere = _unconfirmed(base, other, names, found, reporter)
-    changed = [_changed(cause, before, after, blocks) for cause in found if cause.name not in doubtful]
-    words = tuple(cause.words for cause in found if cause.name in doubtful)
-    return Changes(tuple(changed), words, elsewhere)
+    gains, elsewhere = _undo(base, other, names, found, reporter)
+    confirmed, doubtful = confirm_changes(found, gains) if gains else (found, [])
+    changed = [_changed(cause, before, after, blocks) for cause in confirmed]
+    return Changes(tuple(changed), tuple(cause.words for cause in doubtful), elsewhere)
 
 
 def _evenly(names: Sequence[str], most: int) -> list[str]:
@@ -164,10 +168,10 @@ def _sim_side(folder: Path, pair_id: str) -> Side:
     return side_of(ground, sensor, np.array(moved).reshape(3, 4) if moved else None)
 
 
-def _unconfirmed(
+def _undo(
     base: FinishedRun, other: FinishedRun, names: Sequence[str], found: Sequence[Cause], reporter: Reporter | None
-) -> tuple[set[str], float | None]:
-    """Names of changes that bring nothing closer if they are undone, and the share of surface that stays elsewhere."""
+) -> tuple[list[Shares], float | None]:
+    """Gains of undoing the changes in some pairs, and the share of surface that stays elsewhere."""
     excess = tuple((cause.name, cause.estimate) for cause in found)
     tasks = {
         name: _PairTask(base.folder, other.folder, name, excess)
@@ -177,20 +181,36 @@ def _unconfirmed(
     corrected, _ = map_tasks(undo_changes, tasks, reporter or Reporter(), n_workers=None if len(tasks) > _FEW else 1)
     known = [result for result in corrected.values() if result is not None]
     if not known:
-        return set(), None
-    return unconfirmed([gains for gains, _, _ in known]), elsewhere_share([shares for _, *shares in known])
+        return [], None
+    return [gains for gains, _, _ in known], elsewhere_share([shares for _, *shares in known])
 
 
-def unconfirmed(gains: Sequence[Shares]) -> set[str]:
-    """Names of the changes that explain too little of the distance that the others leave."""
+def confirm_changes(found: Sequence[Cause], gains: Sequence[Shares]) -> tuple[list[Cause], list[Cause]]:
+    """The changes that are not feigned by another one, and the others.
+
+    First are those whose undoing removes a tenth of the distance between the simulated scans or more, by this gain;
+    then those that no correction undoes; last the others. What moves surface is feigned if undoing it explains too
+    little of the distance that the others leave.
+
+    Parameters
+    ----------
+    found : from `changed_causes`
+    gains : of undoing the changes, of each pair
+    """
+    before_m = float(np.mean([pair.before_m for pair in gains]))
     after_m = float(np.mean([pair.after_m for pair in gains]))
-    weak = set()
-    for name in gains[0].by_cause.keys() & _CONFIRMED:
-        gain_m = float(np.mean([pair.by_cause[name] for pair in gains]))
-        least = LEAST_PART_OF_POSE if name in PARAMETERS else LEAST_PART
-        if gain_m <= least * (gain_m + after_m):
-            weak.add(name)
-    return weak
+    rank, doubtful = {}, []
+    for cause in found:
+        if cause.name not in gains[0].by_cause:
+            rank[cause.name] = _LEAST_GAIN
+            continue
+        gain_m = float(np.mean([pair.by_cause[cause.name] for pair in gains]))
+        rank[cause.name] = gain_m / max(before_m, 1e-9)
+        least = LEAST_PART_OF_POSE if cause.name in PARAMETERS else LEAST_PART
+        if cause.name in _CONFIRMED and gain_m <= least * (gain_m + after_m):
+            doubtful.append(cause)
+    confirmed = [cause for cause in found if cause not in doubtful]
+    return sorted(confirmed, key=lambda cause: -rank[cause.name]), doubtful
 
 
 def elsewhere_share(shares: Sequence[Sequence[float]]) -> float | None:

@@ -16,13 +16,14 @@ from ...schemas.record import RunRecord
 from ...schemas.results import Cause, Diagnosis, Evidence, Overview
 from ...stages.arrays import FloatArray
 from ...stages.causes.axes import AXES
+from ...stages.causes.distance import FLOOR_ACCURACY
 from ..stage import AMOUNTS, CURVES, DISTANCES
 from ..storage.folder import RunFolder
 from .causes import least_part_of_pose
 
 GAINS = "gains"
-#: Below this distance over that of a second measurement, metres and relative to it, gains are not shares.
-LEAST_EXCESS_M, LEAST_EXCESS = 0.005, 0.2
+#: Below this distance over that of a second measurement, metres, or within its accuracy, gains are not shares.
+LEAST_EXCESS_M = 0.005
 #: Part of what the other causes leave that a cause must explain, else fixing it would not help.
 LEAST_PART = 0.03
 
@@ -112,10 +113,12 @@ def confirm(
     """
     _, after_m, floor_m = distances_m
     excess_m = _excess(distances_m)
+    # within the accuracy of the second measurement the whole distance counts, else small gains would be large parts
+    left_m = after_m if excess_m is None else after_m - floor_m
     confirmed, doubtful = [], []
     for cause in causes:
         diagnosed = _with_gain(cause, gains_m.get(cause.name), excess_m)
-        if _is_weak(diagnosed, after_m - floor_m):
+        if _is_weak(diagnosed, left_m):
             doubtful.append(diagnosed)
         else:
             confirmed.append(diagnosed)
@@ -140,7 +143,7 @@ def _excess(distances_m: tuple[float, float, float]) -> float | None:
     """Distance over that of a second measurement, metres; None if it is within the accuracy of the latter."""
     before_m, _, floor_m = distances_m
     excess_m = before_m - floor_m
-    return excess_m if excess_m >= max(LEAST_EXCESS_M, LEAST_EXCESS * floor_m) else None
+    return excess_m if excess_m >= max(LEAST_EXCESS_M, FLOOR_ACCURACY * floor_m) else None
 
 
 def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overview | None:
@@ -158,8 +161,8 @@ def _with_gain(cause: Cause, gain_m: float | None, excess_m: float | None) -> Ca
 
 
 def _is_weak(cause: Cause, left_m: float) -> bool:
-    """True if correcting a cause brings the sides hardly closer, although they are apart."""
-    if cause.gain_m is None or cause.gain is None:
+    """True if correcting a cause brings the sides hardly closer, next to the distance that the others leave."""
+    if cause.gain_m is None:
         return False
     least = least_part_of_pose(cause.name) if cause.name in PARAMETERS else LEAST_PART
     return cause.gain_m <= least * (cause.gain_m + left_m)

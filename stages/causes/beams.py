@@ -63,24 +63,23 @@ def _beams_hit(grid: RayGrid, side: Side) -> IndexArray:
     return beam[np.abs(elevation - grid.elevation_deg[beam]) < 0.4 * spacing[beam]]
 
 
-def exchanged_beams(grid: RayGrid, side: Side) -> list[tuple[int, int]]:
+def exchanged_beams(grid: RayGrid, reference: Side, side: Side) -> list[tuple[int, int]]:
     """Pairs of beams of a grid whose ranges are exchanged on a side.
 
-    The ranges of a beam over azimuth are a profile of the scene, and between those of its two neighbours. Two beams are
-    exchanged if the profile of each is nearest to the mean of the neighbours of the other, by the median ratio of
-    ranges, and at most half as far from it as from that of its own.
+    The ranges of a beam over azimuth are a profile of the scene. Two beams are exchanged if the profile of each is
+    nearest to that of the other on the reference side, by the median ratio of ranges, and at most half as far from it
+    as from its own.
     """
     profiles = _range_profiles(grid, side)
-    around = np.full_like(profiles, np.nan)
-    around[1:-1] = (profiles[:-2] + profiles[2:]) / 2
-    distances = np.array([_profile_distance(a, b) for a, b in zip(profiles, around, strict=True)])
+    expected = _range_profiles(grid, reference)
+    distances = np.array([_profile_distance(a, b) for a, b in zip(profiles, expected, strict=True)])
     known = np.isfinite(distances)
     if not known.any():
         return []
     limit = max(_SUSPECT_LOG, _SUSPECT * float(np.median(distances[known])))
     nearest = {}
     for beam in np.flatnonzero(known & (distances > limit)).tolist():
-        to_others = np.array([_profile_distance(profiles[beam], other) for other in around])
+        to_others = np.array([_profile_distance(profiles[beam], other) for other in expected])
         best = int(np.nanargmin(to_others))
         if to_others[best] < _BETTER * distances[beam]:
             nearest[beam] = best

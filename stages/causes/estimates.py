@@ -142,6 +142,7 @@ def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | N
         for name, amount in (
             ("beams", _beam_amount(base, aligned, explained)),
             ("elevation noise", _elevation_noise(base, aligned, sim)),
+            ("exchanged beams", _exchanged_amount(base, aligned, explained)),
         ):
             if amount.amount is not None:
                 amounts[name] = amount.amount
@@ -278,13 +279,12 @@ def explain_directions(real: Side, sim: Side) -> Explained:
     grid = grid_of(real.sensor)
     if grid is not None:
         for beams_grid in (grid_of(sim.sensor) or grid, grid):
-            exchanged = exchanged_beams(beams_grid, sim)
+            exchanged = exchanged_beams(beams_grid, real, sim)
             if exchanged:
                 break
         if exchanged:
-            elevations = beams_grid.elevation_deg[sorted({beam for pair in exchanged for beam in pair})]
-            is_exchanged_real = _near_elevations(real, elevations)
-            is_exchanged_sim = _near_elevations(sim, elevations)
+            is_exchanged_real = np.isin(beams_grid.beam_of(real.own_points), exchanged)
+            is_exchanged_sim = np.isin(beams_grid.beam_of(sim.own_points), exchanged)
         dead = dead_beams(grid, real.chosen(~is_blind), sim) if not exchanged else dead
         is_dead = np.isin(grid.beam_of(real.own_points), dead)
     return Explained(
@@ -296,12 +296,6 @@ def explain_directions(real: Side, sim: Side) -> Explained:
         real=is_blind | is_dead | is_exchanged_real,
         sim=is_exchanged_sim,
     )
-
-
-def _near_elevations(side: Side, elevations_deg: FloatArray) -> BoolArray:
-    """(n,) True within half a degree of one of some elevations."""
-    apart = np.abs(side.elevation_deg[:, None] - elevations_deg)
-    return np.logical_or.reduce(apart < 0.5, axis=1)
 
 
 def _blind_sectors(real: Side, sim: Side) -> tuple[IndexArray, BoolArray]:

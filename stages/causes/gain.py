@@ -15,7 +15,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import Displacement
 from ..surfels import fit_planes
 from .beams import second_returns
-from .distance import REACH_M, off_share, surface_distance
+from .distance import FLOOR_ACCURACY, REACH_M, off_share, surface_distance
 from .estimates import (
     SHAPE_M,
     Explained,
@@ -185,7 +185,8 @@ def shares(
 ) -> Shares:
     """Distance of both sides before and after all corrections, and the metres that each correction contributes.
 
-    Distances count down to `floor_m`: restored real returns are better than those of a second measurement.
+    Distances count down to `floor_m`: restored real returns are better than those of a second measurement. Where the
+    sides are as close as that, they count in full.
 
     The contribution is averaged over the orders in which the corrections can be applied (Shapley, 1953): over all
     orders up to four corrections, else over six at random.
@@ -204,13 +205,15 @@ def shares(
     else:
         drawn = [tuple(rng.permutation(names).tolist()) for _ in range(_ORDERS // 2)]
         orders = drawn + [order[::-1] for order in drawn]
+    before_all_m = distance(frozenset())
+    least_m = floor_m if before_all_m > (1.0 + FLOOR_ACCURACY) * floor_m else 0.0
     gains = dict.fromkeys(names, 0.0)
     for order in orders:
         for i, name in enumerate(order):
             before_m = distance(frozenset(order[:i]))
             after_m = distance(frozenset(order[: i + 1]))
-            gains[name] += (max(before_m, floor_m) - max(after_m, floor_m)) / len(orders)
-    return Shares(distance(frozenset()), max(distance(frozenset(names)), floor_m), floor_m, gains)
+            gains[name] += (max(before_m, least_m) - max(after_m, least_m)) / len(orders)
+    return Shares(before_all_m, max(distance(frozenset(names)), least_m), floor_m, gains)
 
 
 def changes(

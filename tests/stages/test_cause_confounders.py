@@ -67,3 +67,9 @@ def test_a_cause_whose_correction_brings_nothing_closer_is_doubtful():
     assert [item.name for item in doubtful] == ["height"]
     assert confirmed[0].gain == pytest.approx(0.03 / 0.08)
     assert unexplained_share((0.10, 0.06, 0.02)) == pytest.approx(0.5)
+
+
+def test_within_the_accuracy_of_a_second_measurement_a_gain_is_a_part_of_the_whole_distance():
+    confirmed, doubtful = confirm([cause("lost returns")], {"lost returns": 0.002}, (0.10, 0.098, 0.098))
+    assert not confirmed
+    assert doubtful[0].gain is None
