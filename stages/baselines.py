@@ -538,8 +538,6 @@ def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
     )
 
 
-#: Name in the settings of the scores of whole scans, ground included; objects do not have them.
-OF_SCANS = "nvs"
 #: Baseline metrics of two point sets by their names in the settings.
 OF_POINTS: dict[str, Callable[[FloatArray, FloatArray, MetricsSettings], Baselines]] = {
     "chamfer": chamfer,
@@ -550,6 +548,8 @@ OF_POINTS: dict[str, Callable[[FloatArray, FloatArray, MetricsSettings], Baselin
     "histogram": histogram,
     "icp": icp,
 }
+#: Name in the settings of the scores of whole scans, ground included; objects do not have them.
+OF_SCANS = "nvs"
 #: Those that need the graphs or the aligned nodes of a matched object.
 OF_OBJECTS: dict[str, Callable[[Subgraph, Subgraph, Selection, float, MetricsSettings], Baselines]] = {
     "emd": _emd,

@@ -45,7 +45,7 @@ def inspect_points(points: FloatArray, side: str, settings: InputSettings) -> Sc
     is_finite = np.isfinite(points).all(axis=1)
     own = as_ros(points[is_finite & points.any(axis=1)], settings.frame_of(side))
     warnings = implausible(own, side, settings.min_range_m)
-    if (share := 1.0 - float(is_finite.mean())) > _MAX_NOT_FINITE:
+    if len(points) and (share := 1.0 - float(is_finite.mean())) > _MAX_NOT_FINITE:
         dropped = f"{share:.0%} of the points are not finite (NaN or infinite) and are dropped"
         warnings.append(f"{dropped}; is the export complete?")
     return ScanInspection(widest_azimuth_gap_deg(own), tuple(warnings))

@@ -60,14 +60,14 @@ def test_a_second_run_makes_nothing(again, dataset):
     [
         (
             "matching.delta_m=3",
-            ["ground", "sensor", "graph", "communities", "objects", "surface", "pieces", "coverage", *RAYS],
+            ["ground", "sensor", "graph", "communities", "objects", "surface", "pieces", "coverage", "causes", *RAYS],
         ),
         ("selection.t=2", [name for name in FOLDERS if name not in ("selection", "metrics")]),
         pytest.param(
-            "communities.seed=1", ["ground", "sensor", "graph", "pieces", *RAYS], marks=pytest.mark.exhaustive
+            "communities.seed=1", ["ground", "sensor", "graph", "pieces", "causes", *RAYS], marks=pytest.mark.exhaustive
         ),
-        ("graph.k=30", ["ground", "sensor", "pieces", *RAYS]),
-        ("pieces.reach_m=2", ["ground", "sensor", "graph", *RAYS]),
+        ("graph.k=30", ["ground", "sensor", "pieces", "causes", *RAYS]),
+        ("pieces.reach_m=2", ["ground", "sensor", "graph", "causes", *RAYS]),
         pytest.param("ground.prior_m=0.2", ["sensor"], marks=pytest.mark.exhaustive),
         ("input.max_range_m=50", []),
     ],
