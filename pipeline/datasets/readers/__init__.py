@@ -44,7 +44,14 @@ class Format(NamedTuple):
 
 
 #: What `pip install 'fidpipe[...]'` brings the libraries that are not everywhere.
-_EXTRAS = {"rosbags": "ros", "mcap": "ros", "mcap_protobuf": "ros", "velodyne_decoder": "velodyne", "dpkt": "velodyne", "laspy": "las"}
+_EXTRAS = {
+    "rosbags": "ros",
+    "mcap": "ros",
+    "mcap_protobuf": "ros",
+    "velodyne_decoder": "velodyne",
+    "dpkt": "velodyne",
+    "laspy": "las",
+}
 
 #: A longer suffix is tried before a shorter one that it ends with. One that begins with / is a file in a folder.
 FORMATS = {

@@ -16,7 +16,8 @@ _SAMPLE_BYTES = 8 * 3 * 4 * 5 * 7 * 100
 _WIDTHS = range(3, 11)
 _FEWEST_ROWS = 100
 _SETTINGS = "input.columns, or of one side alone in input.real_columns or input.sim_columns"
-_MIN_GAIN = 0.15  # powers of ten; between two right widths, 4 and 8, there is none, and a wrong one has 0.3 and more
+_MIN_GAIN = 0.15  # powers of ten; a wrong width has 0.3 and more
+_MAX_TIE = 0.05  # between a width and its multiples
 
 
 def read(path: Path, columns: tuple[str, ...]) -> Scan:
@@ -71,23 +72,28 @@ def _float64_columns(path: Path, columns: tuple[str, ...]) -> int | None:
     content = content[: len(content) // 8 * 8]
     if not len(content) or _plausible_share(content.view("<f4")) > 0.9 or _plausible_share(content.view("<f8")) < 0.99:
         return None
-    values, n_bytes = content.view("<f8"), path.stat().st_size
-    widths = [n for n in (len(columns), *_WIDTHS) if n_bytes % (8 * n) == 0]
-    return min(widths, key=lambda n: _spread(values, n), default=None)
+    return _fitting_width(content.view("<f8"), path.stat().st_size // 8)
 
 
 def _better_width(path: Path, columns: tuple[str, ...]) -> int | None:
-    """Number of float32 columns that divides the file and fits its values clearly better than these columns; or None.
-
-    Columns of the right width hold one quantity each, and spread less than columns of a wrong one, which mix them.
-    """
-    values, n_bytes = np.fromfile(path, dtype="<f4", count=_SAMPLE_BYTES // 4), path.stat().st_size
-    if len(values) < _FEWEST_ROWS * max(_WIDTHS) or _plausible_share(values) < 0.9:
+    """Number of float32 columns that fits the values clearly better than these columns, or None."""
+    values = np.fromfile(path, dtype="<f4", count=_SAMPLE_BYTES // 16)
+    if len(values) < _FEWEST_ROWS * max(_WIDTHS) or _plausible_share(values) < 0.5:
         return None
     values = np.where(np.isfinite(values), values, 0).astype(np.float64)
-    spreads = {n: _spread(values, n) for n in _WIDTHS if n_bytes % (4 * n) == 0}
-    highest = min(_spread(values, len(columns)) - _MIN_GAIN, min(spreads.values(), default=np.inf) + _MIN_GAIN)
-    return next((n for n, spread in spreads.items() if spread < highest), None)
+    width = _fitting_width(values, path.stat().st_size // 4)
+    is_better = width is not None and _spread(values, width) < _spread(values, len(columns)) - _MIN_GAIN
+    return width if is_better else None
+
+
+def _fitting_width(values: FloatArray, n_values: int) -> int | None:
+    """Number of columns that divides the file and fits a sample of its values best; of its multiples the smallest.
+
+    Columns of the right width hold one quantity each, and spread less than those of a wrong one, which mix them.
+    """
+    spreads = {n: _spread(values, n) for n in _WIDTHS if n_values % n == 0}
+    least = min(spreads.values(), default=0.0)
+    return next((n for n, spread in spreads.items() if spread < least + _MAX_TIE), None)
 
 
 def _spread(values: FloatArray, n_columns: int) -> float:

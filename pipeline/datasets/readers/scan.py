@@ -19,7 +19,11 @@ from ....stages.arrays import FloatArray, IntArray
 # Names of others: CARLA's I, CosAngle, ObjTag, ObjIdx; Ouster's t; Hesai's timestamp; Livox' offset_time, line and
 # Reflectivity; openpylivox' Inten-sity; Autoware's channel and time_stamp; Argoverse's laser_number and offset_ns;
 # VeloView's Points_m_XYZ:0 and laser_id.
-_COORDINATES = (("x", "points_m_xyz:0", "points:0"), ("y", "points_m_xyz:1", "points:1"), ("z", "points_m_xyz:2", "points:2"))
+_COORDINATES = (
+    ("x", "points_m_xyz:0", "points:0"),
+    ("y", "points_m_xyz:1", "points:1"),
+    ("z", "points_m_xyz:2", "points:2"),
+)
 _INTENSITY = ("intensity", "scalar_intensity", "i", "inten-sity", "reflectivity")
 _LABEL = ("label", "scalar_label", "objtag")
 _INSTANCE = ("instance", "scalar_instance", "objidx")
@@ -30,9 +34,7 @@ _ARGOVERSE_BEAMS = 32  # of each of its two sensors
 _MAX_RING_SPREAD_DEG = 1.0
 _NO_NUMBERS = "bcV"  # kinds of NumPy's types: truth values, complex numbers, records
 #: Names of columns that are read, in lower case.
-KNOWN_COLUMNS = frozenset(
-    chain(*_COORDINATES, _INTENSITY, _LABEL, _INSTANCE, _INCIDENCE, _RING, _TIME)
-)
+KNOWN_COLUMNS = frozenset(chain(*_COORDINATES, _INTENSITY, _LABEL, _INSTANCE, _INCIDENCE, _RING, _TIME))
 LONGEST_LABEL = 200  #: characters
 _LONGEST_CAUSE = 300
 
@@ -125,7 +127,9 @@ def scan_from_columns(
         instances=None if instances is None else _instance_numbers(path, instances),
         incidence=None if incidence is None else _numbers(path, "incidence", incidence),
         rings=None if rings is None else _ring_numbers(path, rings),
-        times_s=None if times is None else _numbers(path, "time", times) * (integer_unit_s if times.dtype.kind in "iu" else 1.0),
+        times_s=None
+        if times is None
+        else _numbers(path, "time", times) * (integer_unit_s if times.dtype.kind in "iu" else 1.0),
         label_names=label_names or (CLASSES["carla"] if labels is not None and labels is by_name.get("objtag") else {}),
         notes=_notes(columns, by_name, intensity),
     )
@@ -262,10 +266,10 @@ def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
                 float(value)
             except (TypeError, ValueError, OverflowError):
                 found = cause_of(repr(value))
-                hint = "; is it a decimal comma? write decimal points" if re.fullmatch(r"[-\d ]+,\d+", str(value)) else ""
-                raise ScanError(
-                    f"{path}: row {row + 1}, column {name}: expected a number, got {found}{hint}"
-                ) from None
+                hint = (
+                    "; is it a decimal comma? write decimal points" if re.fullmatch(r"[-\d ]+,\d+", str(value)) else ""
+                )
+                raise ScanError(f"{path}: row {row + 1}, column {name}: expected a number, got {found}{hint}") from None
         raise ScanError(f"{path}: column {name}: expected numbers, got type {column.dtype}") from None
 
 
