@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,41 +31,42 @@ class Connection(NamedTuple):
     schema: Any
 
 
-class McapReader:
-    """A recording with the interface of the readers of rosbags."""
+class Recording:
+    """An open recording with the interface of the readers of rosbags.
 
-    def __init__(self, file: Path) -> None:
-        self._file = file
+    connections : of all topics
+    """
 
-    def __enter__(self) -> Self:
-        from mcap.reader import make_reader
-
-        self._stream = self._file.open("rb")
-        self._reader = make_reader(self._stream)
-        summary = self._reader.get_summary()
+    def __init__(self, file: Path, reader: Any) -> None:
+        self._reader = reader
+        summary = reader.get_summary()
         if summary is None or summary.statistics is None:
-            raise ScanError(
-                f"{self._file}: expected a summary at its end; the file is truncated (mcap recover repairs it)"
-            )
+            raise ScanError(f"{file}: expected a summary at its end, got none; the file is truncated: mcap recover it")
         self.connections = []
         for channel_id, channel in summary.channels.items():
             schema = summary.schemas.get(channel.schema_id)
-            name = schema.name if schema else "no schema"
-            encoding = channel.message_encoding
-            msgtype = name if encoding in _ENCODINGS else f"{name}, {encoding}"
+            msgtype = schema.name if schema else "no schema"
+            if channel.message_encoding not in _ENCODINGS:
+                msgtype = f"{msgtype}, {channel.message_encoding}"
             count = summary.statistics.channel_message_counts.get(channel_id, 0)
             self.connections.append(Connection(channel.topic, msgtype, count, schema))
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stream.close()
 
     def messages(
         self, connections: Sequence[Connection], start: int | None = None, stop: int | None = None
     ) -> Iterator[tuple[Connection, int, bytes]]:
         """Messages of one topic in order of time, from `start` to before `stop`, nanoseconds."""
-        for _, _, message in self._reader.iter_messages(connections[0].topic, start, stop):
+        topic = connections[0].topic
+        for _, _, message in self._reader.iter_messages(topic, starting_at=start, ending_before=stop):
             yield connections[0], message.log_time, message.data
+
+
+@contextmanager
+def opened(file: Path) -> Iterator[Recording]:
+    """The recording in a file; it is closed at the end of the context."""
+    from mcap.reader import make_reader
+
+    with file.open("rb") as stream:
+        yield Recording(file, make_reader(stream))
 
 
 def cloud_of(file: Path, connection: Connection, content: bytes) -> tuple[dict[str, NDArray[Any]], float]:

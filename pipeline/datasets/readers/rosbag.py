@@ -107,7 +107,7 @@ def _opened(file: Path) -> Any:
     files = [str(each.absolute()) for each in (file.iterdir() if file.is_dir() else [file])]
     if wrong := [name for name in files if name.endswith(".db3") and any(sign in name for sign in "%?#")]:
         raise ScanError(f"{wrong[0]}: expected a path without %, ? and #, which SQLite reads as parts of an address")
-    return foxglove.McapReader(file) if _is_other_mcap(file) else reader(file)
+    return foxglove.opened(file) if _is_other_mcap(file) else reader(file)
 
 
 def _is_ros1(file: Path) -> bool:

@@ -117,8 +117,9 @@ def scan_from_columns(
     points = np.column_stack(
         [_numbers(path, names[0], column) for names in _COORDINATES if (column := first(names)) is not None]
     )
-    if rings is not None and rings is by_name.get("line") and not _are_rings(points, rings):
-        rings = None
+    ring_numbers = None if rings is None else _ring_numbers(path, rings)
+    if ring_numbers is not None and rings is by_name.get("line") and not _are_rings(points, ring_numbers):
+        ring_numbers = None
     integer_unit_s = 1e-6 if "laser_id" in by_name else 1e-9
     return Scan(
         points=points,
@@ -126,12 +127,12 @@ def scan_from_columns(
         labels=None if labels is None else _label_text(path, labels),
         instances=None if instances is None else _instance_numbers(path, instances),
         incidence=None if incidence is None else _numbers(path, "incidence", incidence),
-        rings=None if rings is None else _ring_numbers(path, rings),
+        rings=ring_numbers,
         times_s=None
         if times is None
         else _numbers(path, "time", times) * (integer_unit_s if times.dtype.kind in "iu" else 1.0),
         label_names=label_names or (CLASSES["carla"] if labels is not None and labels is by_name.get("objtag") else {}),
-        notes=_notes(columns, by_name, intensity),
+        notes=_notes(columns, intensity is not None, ring_numbers),
     )
 
 
@@ -223,7 +224,7 @@ def label_path_of(path: Path, stem: str) -> Path:
     return path.with_name(f"{stem}.label{'.url' * (path.suffix == '.url')}")
 
 
-def _are_rings(points: FloatArray, numbers: NDArray[Any]) -> bool:
+def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
     """True if the points of a number have one elevation; those of Livox' patterns that do not repeat have all."""
     elevation_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
     is_return = np.isfinite(elevation_deg) & points.any(axis=1)
@@ -234,21 +235,19 @@ def _are_rings(points: FloatArray, numbers: NDArray[Any]) -> bool:
     return bool(spreads_deg) and float(np.median(spreads_deg)) <= _MAX_RING_SPREAD_DEG
 
 
-def _notes(
-    columns: Mapping[str, NDArray[Any]], by_name: Mapping[str, NDArray[Any]], intensity: NDArray[Any] | None
-) -> tuple[str, ...]:
+def _notes(columns: Mapping[str, NDArray[Any]], has_intensity: bool, rings: IntArray | None) -> tuple[str, ...]:
     """Notes of a scan, see `Scan`."""
     notes = []
-    lasers = by_name.get("laser_number")
-    if lasers is not None and len(lasers) and lasers.max() >= _ARGOVERSE_BEAMS:
+    names = {name.lower() for name in columns}
+    if "laser_number" in names and rings is not None and rings.max(initial=-1) >= _ARGOVERSE_BEAMS:
         notes.append(
-            f"laser numbers 0 to {lasers.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams (Argoverse: two VLP-32C), "
-            f"in the vehicle's frame; for beams and rays, write those below {_ARGOVERSE_BEAMS} alone, in their frame"
+            f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams (Argoverse, VLP-32C), "
+            f"in the vehicle's frame; for beams and rays, write numbers below {_ARGOVERSE_BEAMS} alone, in their frame"
         )
-    colours = {name.lower() for name in columns} & {"rgb", "rgba"}
-    if intensity is None and colours:
+    colours = sorted({"rgb", "rgba", "red"}.intersection(names))
+    if colours and not has_intensity:
         notes.append(
-            f"no intensity, but {min(colours)}: if the red of it is the intensity (OpenCOOD), "
+            f"no intensity, but colours ({colours[0]}): if their red is the intensity (OpenCOOD), "
             "write it as a column intensity"
         )
     return tuple(notes)
