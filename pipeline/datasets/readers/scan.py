@@ -114,9 +114,8 @@ def scan_from_columns(
 
     intensity, labels, instances, incidence = map(first, (_INTENSITY, _LABEL, _INSTANCE, _INCIDENCE))
     rings, times = map(first, (_RING, _TIME))
-    points = np.column_stack(
-        [_numbers(path, names[0], column) for names in _COORDINATES if (column := first(names)) is not None]
-    )
+    axes = [next(name for name in names if name in by_name) for names in _COORDINATES]
+    points = np.column_stack([_numbers(path, name, by_name[name]) for name in axes])
     ring_numbers = None if rings is None else _ring_numbers(path, rings)
     if ring_numbers is not None and rings is by_name.get("line") and not _are_rings(points, ring_numbers):
         ring_numbers = None
