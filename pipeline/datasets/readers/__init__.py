@@ -29,7 +29,8 @@ class Format(NamedTuple):
     module : whose `read(path) -> Scan` reads them: a file of this folder, with a dot before its name, or a module of
         another package; it is imported when first used
     columns : for raw rows, whose files do not name their columns, the usual ones; `read(path, columns)` then takes
-        these, or those of the setting `input.columns`; () if the shape or a header determines them
+        these, or those of the setting `input.columns`, and `check_width(path, columns)` rejects a file that the usual
+        ones do not fit; () if the shape or a header determines them
     holds_frames : whether a file is a recording; `read` then takes an `Address`, and `frames` lists those of all frames
     content : what a file should be, for the error of one that is damaged
     may_crash : whether a damaged file may end the process that reads it, or fill the memory: formats whose libraries
