@@ -91,7 +91,7 @@ _Box = Annotated[Box | None, BeforeValidator(_split_box, json_schema_input_type=
 class InputSettings(_Group):
     """Reading and cleaning of scans.
 
-    columns : names of the float32 columns of a .bin file; by default x y z intensity (and ring in .pcd.bin)
+    columns : names of the columns of a .bin file (default x y z intensity, and ring in .pcd.bin), or of a .csv or .npy
     real_columns : the same for the real side only
     sim_columns : the same for the simulated side only
     min_range_m : nearer points are dropped (3-D range, own frame)

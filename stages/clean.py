@@ -117,9 +117,12 @@ def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], setting
     """
     counts = {reason: n for reason, n in dropped.items() if n}
     why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in counts.items()) or "no more in the file"
+    too_far = "give the points in metres, in the sensor's frame"
+    if settings.max_range_m < InputSettings().max_range_m:
+        too_far = f"raise input.max_range_m (now {settings.max_range_m:g}), or {too_far}"
     remedies = {
         "too_near": f"lower input.min_range_m (now {settings.min_range_m:g})",
-        "too_far": f"raise input.max_range_m (now {settings.max_range_m:g}), or give the points in the sensor's frame",
+        "too_far": too_far,
         "in_exclude_box": "shrink input.exclude_box",
         "outside_include_box": "widen input.include_box",
     }

@@ -55,6 +55,7 @@ WRITERS = {
     "ply": ("a.ply", lambda path, rows: write_ply(path, rows, "binary_little_endian")),
     "csv": ("a.csv", lambda path, rows: np.savetxt(path, rows, "%.9g", ",", header=",".join(COLUMNS), comments="")),
     "parquet": ("a.parquet", lambda path, rows: pd.DataFrame(rows, columns=COLUMNS).to_parquet(path)),
+    "feather": ("a.feather", lambda path, rows: pd.DataFrame(rows, columns=COLUMNS).to_feather(path)),
     "las": ("a.las", write_las_rows),
     "laz": ("a.laz", write_las_rows),
     "bag": ("a.bag", write_frame),

@@ -67,6 +67,7 @@ class SideSamples:
         self._places: dict[str, dict[str, SequenceScan]] = {side: {} for side in SIDES}
         self._stamps: dict[str, StampCheck] = {}
         self._sensors: dict[str, dict[str, SensorDescription]] = {side: {} for side in SIDES}
+        self._notes: dict[str, tuple[str, ...]] = {}
         self._intensity: dict[str, tuple[FloatArray, FloatArray]] = {}  # of the first scan that has it, with its ranges
 
     def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
@@ -76,6 +77,8 @@ class SideSamples:
             own_axes = as_ros(scan.points, frame)  # neither cleaned nor moved: beams are those of its frame
             if len(scan.points):
                 self._sensors[side][pair.pair_id] = describe_sensor(own_axes, scan.rings, scan.times_s is not None)
+            if scan.notes:
+                self._notes[side] = scan.notes
             if scan.intensity is not None and len(scan.points) and side not in self._intensity:
                 is_finite = np.isfinite(scan.points).all(axis=1) & np.isfinite(scan.intensity)
                 self._intensity[side] = scan.intensity[is_finite], np.linalg.norm(scan.points[is_finite], axis=1)
@@ -106,8 +109,8 @@ class SideSamples:
         return {side: sensors[pair_id] for side, sensors in self._sensors.items() if pair_id in sensors}
 
     def notes(self) -> list[str]:
-        """Notes on the times of points, one line for each side that has them."""
-        lines = []
+        """Notes on the columns of a side's files and on the times of its points, one line each."""
+        lines = [f"{_NAMES[side]} scans: {note}" for side, notes in self._notes.items() for note in notes]
         for side, stamps in self._stamps.items():
             if stamps.span_s and not stamps.faults:
                 own = f"; a scan's own time is that of its {stamps.place} point" if stamps.place else ""

@@ -313,7 +313,12 @@ def test_what_unpacks_to_too_much_can_be_written_unpacked(tmp_path):
 
 def test_each_real_scan_is_read(real_data):
     files = [
-        path for path in sorted(real_data.rglob("*")) if suffix_of(path) and not path.parent.name.startswith("rosbag2")
+        path
+        for path in sorted(real_data.rglob("*"))
+        if suffix_of(path)
+        and not path.parent.name.startswith("rosbag2")
+        and path.name != "pairs.csv"
+        and path.parent.name != "05_six_columns"
     ]
     assert len(files) > 20
     for path in files:

@@ -142,7 +142,7 @@ def test_status_show_and_a_run_with_nothing_to_do_import_no_numerics(scenario, t
         command("run", streets, "--out", folder, "--workers", 1).returncode == 0
     )  # the first repetition rewrites the table timings
     heavy = ("scipy.sparse", "scipy.spatial", "sklearn", "pandas", "dask", "matplotlib", "plotly", "pyarrow.compute")
-    heavy += ("rosbags", "velodyne_decoder", "dpkt", "laspy", "lazrs")  # until their file is met
+    heavy += ("rosbags", "mcap", "velodyne_decoder", "dpkt", "laspy", "lazrs")  # until their file is met
     words = [["status", str(folder)], ["show", str(folder)], ["run", str(streets), "--out", str(folder)]]
     code = (
         "import sys; from fidpipe.pipeline.cli.main import app\n"

@@ -29,7 +29,8 @@ class Format(NamedTuple):
     module : whose `read(path) -> Scan` reads them: a file of this folder, with a dot before its name, or a module of
         another package; it is imported when first used
     columns : for raw rows, whose files do not name their columns, the usual ones; `read(path, columns)` then takes
-        these, or those of the setting `input.columns`; () if the shape determines them
+        these, or those of the setting `input.columns`, and `check_width(path, columns)` rejects a file that the usual
+        ones do not fit; () if the shape or a header determines them
     holds_frames : whether a file is a recording; `read` then takes an `Address`, and `frames` lists those of all frames
     content : what a file should be, for the error of one that is damaged
     may_crash : whether a damaged file may end the process that reads it, or fill the memory: formats whose libraries
@@ -44,7 +45,14 @@ class Format(NamedTuple):
 
 
 #: What `pip install 'fidpipe[...]'` brings the libraries that are not everywhere.
-_EXTRAS = {"rosbags": "ros", "velodyne_decoder": "velodyne", "dpkt": "velodyne", "laspy": "las"}
+_EXTRAS = {
+    "rosbags": "ros",
+    "mcap": "ros",
+    "mcap_protobuf": "ros",
+    "velodyne_decoder": "velodyne",
+    "dpkt": "velodyne",
+    "laspy": "las",
+}
 
 #: A longer suffix is tried before a shorter one that it ends with. One that begins with / is a file in a folder.
 FORMATS = {
@@ -53,12 +61,13 @@ FORMATS = {
     ".npy": Format(".npy", (), "a whole .npy array"),
     ".pcd": Format(".pcd", content="a whole PCD file"),
     ".ply": Format(".ply", content="a whole PLY file with vertices"),
-    ".csv": Format(".csv", content="a CSV table"),
+    ".csv": Format(".csv", (), "a CSV table"),
+    ".feather": Format(".feather", content="a whole Feather file", may_crash=True),
     ".parquet": Format(".parquet", content="a whole Parquet file", may_crash=True),
     ".las": Format(".las", content="a whole LAS file"),
     ".laz": Format(".las", content="a whole LAS file", may_crash=True),
     **dict.fromkeys(
-        (".bag", ".db3", ".mcap", "/metadata.yaml"), Format(".rosbag", None, "a whole ROS bag", True, True)
+        (".bag", ".db3", ".mcap", "/metadata.yaml"), Format(".rosbag", None, "a whole recording", True, True)
     ),
     **dict.fromkeys((".pcap", ".pcapng"), Format(".velodyne", None, "a whole capture of Velodyne packets", True)),
 }
@@ -152,7 +161,8 @@ def read_scan(
     Parameters
     ----------
     path : the file; its suffix determines the format; of a recording with the frame, `drive.mcap#/points@12`
-    columns : names of the columns of a raw file (.bin, .pcd.bin), if not the usual ones; ignored for other formats
+    columns : names of the columns of a raw file (.bin, .pcd.bin), if not the usual ones, or of a table (.npy, .csv)
+        with as many columns; ignored for other formats
     label_names : class names for labels that are numbers, of a .label file or of a file that names its columns
 
     Raises
@@ -175,8 +185,12 @@ def read_scan(
             raise ScanError(f"{path}: the file is empty")
         if known.holds_frames:
             scan: Scan = reader.read(address)
+        elif known.columns is None:
+            scan = reader.read(file)
         else:
-            scan = reader.read(file) if known.columns is None else reader.read(file, columns or known.columns)
+            scan = reader.read(file, columns or known.columns)
+        if known.columns and not columns:
+            reader.check_width(file, known.columns)
         if not len(scan.points):
             raise ScanError(f"{path}: the file has no points")
         labelled = with_label_file(scan, file, stem_of(path))

@@ -9,9 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
+from ....stages.arrays import FloatArray
 from .scan import Scan, scan_from_columns
 
 _SAMPLE_BYTES = 8 * 3 * 4 * 5 * 7 * 100
+_WIDTHS = range(3, 11)
+_FEWEST_ROWS = 100
+_SETTINGS = "input.columns, or of one side alone in input.real_columns or input.sim_columns"
+_MIN_GAIN = 0.15  # powers of ten; a wrong width has 0.3 and more
+_MAX_TIE = 0.05  # between a width and its multiples
 
 
 def read(path: Path, columns: tuple[str, ...]) -> Scan:
@@ -29,35 +35,72 @@ def read(path: Path, columns: tuple[str, ...]) -> Scan:
             f"np.fromfile(file, '<f8').astype('<f4').tofile(file)"
         )
     if n_bytes % (4 * len(columns)):
+        n_columns = _better_width(path, columns)
+        hint = _naming(n_columns) if n_columns else f"name them in {_SETTINGS}"
         raise ScanError(
             f"{path}: expected a multiple of {4 * len(columns)} bytes ({len(columns)} float32 columns: "
-            f"{' '.join(columns)}), got {n_bytes}; the file is truncated, or has other columns: name them "
-            "in input.columns, or of one side alone in input.real_columns or input.sim_columns"
+            f"{' '.join(columns)}), got {n_bytes}; the file is truncated, or has other columns: "
+            f"{hint}"
         )
     rows = np.fromfile(path, dtype="<f4").reshape(-1, len(columns))
     return scan_from_columns(path, {name: rows[:, i] for i, name in enumerate(columns)})
 
 
+def check_width(path: Path, columns: tuple[str, ...]) -> None:
+    """Raise `ScanError` if the values of a file belong to rows of another width than that of the usual columns."""
+    n_columns = _better_width(path, columns)
+    if n_columns is not None:
+        raise ScanError(
+            f"{path}: the values do not fit {len(columns)} float32 columns ({' '.join(columns)}), but "
+            f"{n_columns}: {_naming(n_columns)}"
+        )
+
+
+def _naming(n_columns: int) -> str:
+    """How to name the columns of a file of this width."""
+    names = " ".join(["x y z intensity", *(f"column{i}" for i in range(5, n_columns + 1))])
+    names = names if n_columns > 3 else "x y z"
+    return f'name its {n_columns} columns in {_SETTINGS}, such as "{names}"'
+
+
 def _float64_columns(path: Path, columns: tuple[str, ...]) -> int | None:
     """Number of float64 columns if the values are plausible only as float64; else None.
 
-    The lower half of a float64 is noise when it is read as float32: of all magnitudes, NaN among them. Of the widths
-    that divide the file that is taken under which x, y and z change least from row to row; the usual one in a tie.
+    The lower half of a float64 is noise when it is read as float32: of all magnitudes, NaN among them.
     """
     content = np.fromfile(path, dtype=np.uint8, count=_SAMPLE_BYTES)
     content = content[: len(content) // 8 * 8]
     if not len(content) or _plausible_share(content.view("<f4")) > 0.9 or _plausible_share(content.view("<f8")) < 0.99:
         return None
-    values, n_bytes = content.view("<f8"), path.stat().st_size
-    widths = [n for n in (len(columns), 3, 4, 5, 6, 7) if n_bytes % (8 * n) == 0]
-    if not widths:
+    return _fitting_width(content.view("<f8"), path.stat().st_size // 8)
+
+
+def _better_width(path: Path, columns: tuple[str, ...]) -> int | None:
+    """Number of float32 columns that fits the values clearly better than these columns, or None."""
+    values = np.fromfile(path, dtype="<f4", count=_SAMPLE_BYTES // 16)
+    if len(values) < _FEWEST_ROWS * max(_WIDTHS) or _plausible_share(values) < 0.5:
         return None
+    values = np.where(np.isfinite(values), values, 0).astype(np.float64)
+    width = _fitting_width(values, path.stat().st_size // 4)
+    is_better = width is not None and _spread(values, width) < _spread(values, len(columns)) - _MIN_GAIN
+    return width if is_better else None
 
-    def roughness(n: int) -> float:
-        rows = values[: len(values) // n * n].reshape(-1, n)[:, :3]
-        return float(np.abs(np.diff(rows, axis=0)).mean()) if len(rows) > 1 else 0.0
 
-    return min(widths, key=roughness)
+def _fitting_width(values: FloatArray, n_values: int) -> int | None:
+    """Number of columns that divides the file and fits a sample of its values best; of its multiples the smallest.
+
+    Columns of the right width hold one quantity each, and spread less than those of a wrong one, which mix them.
+    """
+    spreads = {n: _spread(values, n) for n in _WIDTHS if n_values % n == 0}
+    least = min(spreads.values(), default=0.0)
+    return next((n for n, spread in spreads.items() if spread < least + _MAX_TIE), None)
+
+
+def _spread(values: FloatArray, n_columns: int) -> float:
+    """Mean over the columns of the decimal logarithm of the range of their middle 90 %, at least 0.01."""
+    rows = values[: len(values) // n_columns * n_columns].reshape(-1, n_columns)
+    low, high = np.percentile(rows, [5, 95], axis=0)
+    return float(np.log10(np.maximum(high - low, 0.01)).mean())
 
 
 def _plausible_share(values: NDArray[np.floating[Any]]) -> float:

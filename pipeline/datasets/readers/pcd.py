@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -10,6 +12,7 @@ from ....schemas.errors import ScanError
 from .scan import Scan, check_promise, check_unpacked, scan_from_columns
 
 _HEADER_LINES, _MOST_COLUMNS = 10, 1000
+_FIELD_LINES = ("FIELDS", "SIZE", "TYPE", "COUNT")
 
 
 def read(path: Path) -> Scan:
@@ -22,9 +25,13 @@ def read(path: Path) -> Scan:
     """
     from pypcd4 import PointCloud
 
-    _check_head(path)
     with path.open("rb") as file:
-        cloud = PointCloud.from_fileobj(file)
+        lines = _without_empty_fields(_header_lines(file))
+        start = file.tell()
+        _check_head(path, lines, file.read(8))
+        file.seek(start)
+        header = "".join(f"{line}\n" for line in lines)
+        cloud = PointCloud.from_fileobj(BytesIO(header.encode() + file.read()))
     rows = np.atleast_1d(cloud.pc_data)
     if len(rows) != cloud.metadata.points:
         raise ScanError(
@@ -33,18 +40,43 @@ def read(path: Path) -> Scan:
     return scan_from_columns(path, {name: rows[name] for name in cloud.fields})
 
 
-def _check_head(path: Path) -> None:
-    """Reject a header that declares more than the file can hold or unpack to: pypcd4 trusts it."""
+def _header_lines(file: BinaryIO) -> list[str]:
+    """The lines of the header without comments, as pypcd4 reads them; the data follow in the file."""
+    lines: list[str] = []
+    for line in iter(file.readline, b""):
+        text = line.decode().strip()
+        if text and not text.startswith("#"):
+            lines.append(text)
+        if text.startswith("DATA") or len(lines) == _HEADER_LINES:
+            break
+    return lines
+
+
+def _without_empty_fields(lines: list[str]) -> list[str]:
+    """The header without fields of COUNT 0, which take no bytes and which pypcd4 rejects; Ouster's driver pads so."""
+    words = {line.split()[0]: line.split()[1:] for line in lines}
+    counts = words.get("COUNT", [])
+    if "0" not in counts or any(len(words.get(name, [])) != len(counts) for name in _FIELD_LINES):
+        return lines
+    kept = []
+    for line in lines:
+        name, *values = line.split()
+        if name in _FIELD_LINES:
+            values = [value for value, count in zip(values, counts, strict=True) if count != "0"]
+        kept.append(" ".join([name, *values]))
+    return kept
+
+
+def _check_head(path: Path, lines: list[str], sizes: bytes) -> None:
+    """Reject a header that declares more than the file can hold or unpack to: pypcd4 trusts it.
+
+    Parameters
+    ----------
+    sizes : first bytes of the data; of compressed data the sizes packed and unpacked
+    """
     from pypcd4.pypcd4 import MetaData
 
-    lines: list[str] = []
-    with path.open("rb") as file:
-        for line in file:  # as pypcd4 reads them
-            text = line.decode().strip()
-            lines += [text] * bool(text and not text.startswith("#"))
-            if text.startswith("DATA") or len(lines) == _HEADER_LINES:
-                break
-        n_packed, n_unpacked = np.frombuffer(file.read(8).ljust(8, b"\0"), "<u4").tolist()
+    n_packed, n_unpacked = np.frombuffer(sizes.ljust(8, b"\0"), "<u4").tolist()
     head = MetaData.parse_header(lines)
     if sum(head.count) > _MOST_COLUMNS:
         raise ScanError(f"{path}: {sum(head.count)} numbers a point found, at most {_MOST_COLUMNS} are read")

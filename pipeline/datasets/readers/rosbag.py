@@ -1,6 +1,7 @@
 """ROS bags: ROS 1 `.bag`; ROS 2 folders with a `metadata.yaml`, `.db3` and `.mcap`; read by rosbags.
 
-A frame is a message of sensor_msgs/PointCloud2, or of velodyne_msgs/VelodyneScan. Its time is that of its recording.
+A frame is a message of sensor_msgs/PointCloud2, foxglove.PointCloud, or velodyne_msgs/VelodyneScan. Its time is that of
+its recording.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
+from . import foxglove
 from .frame_address import Address, frame_number
 from .scan import Scan, scan_from_columns
 
@@ -53,6 +55,9 @@ def read(address: Address) -> Scan:
             messages = list(bag.messages(connections, time_ns, time_ns + 1))
             messages = messages[number - times_ns.index(time_ns) :]
         connection, _, content = messages[0]
+        if connection.msgtype == foxglove.CLOUD:
+            columns, stamp_s = foxglove.cloud_of(address.file, connection, content)
+            return replace(scan_from_columns(address.file, columns), stamp_s=stamp_s)
         types = _types(is_ros1 := _is_ros1(address.file))
         deserialize = types.deserialize_ros1 if is_ros1 else types.deserialize_cdr
         message = deserialize(content, connection.msgtype)
@@ -102,30 +107,40 @@ def _opened(file: Path) -> Any:
     files = [str(each.absolute()) for each in (file.iterdir() if file.is_dir() else [file])]
     if wrong := [name for name in files if name.endswith(".db3") and any(sign in name for sign in "%?#")]:
         raise ScanError(f"{wrong[0]}: expected a path without %, ? and #, which SQLite reads as parts of an address")
-    return reader(file)
+    return foxglove.opened(file) if _is_other_mcap(file) else reader(file)
 
 
 def _is_ros1(file: Path) -> bool:
     return file.suffix.lower() == ".bag" and not file.is_dir()
 
 
+def _is_other_mcap(file: Path) -> bool:
+    """True for an MCAP file whose header, its first record, has another profile than ROS 2."""
+    if file.suffix.lower() != ".mcap" or file.is_dir():
+        return False
+    with file.open("rb") as stream:
+        head = stream.read(25)
+    return head.startswith(b"\x89MCAP") and not head.endswith(b"\4\0\0\0ros2")
+
+
 def _topic(bag: Any, address: Address) -> str:
     """The topic that is named, or the only one of point clouds, or else of packets."""
-    n_frames: dict[str, dict[str, int]] = {_CLOUD: {}, _PACKETS: {}}
+    n_frames: dict[str, dict[str, int]] = {_CLOUD: {}, foxglove.CLOUD: {}, _PACKETS: {}}
     for connection in bag.connections:
         if connection.msgtype in n_frames:
             of_type = n_frames[connection.msgtype]
             of_type[connection.topic] = of_type.get(connection.topic, 0) + connection.msgcount
-    known = n_frames[_CLOUD] | n_frames[_PACKETS]
+    clouds = n_frames[_CLOUD] | n_frames[foxglove.CLOUD]
+    known = clouds | n_frames[_PACKETS]
     listed = ", ".join(f"{topic} ({n} frames)" for topic, n in sorted(known.items()))
     if not known:
         others = ", ".join(sorted({f"{one.topic} ({one.msgtype})" for one in bag.connections})) or "no topics"
-        raise ScanError(f"{address.file}: expected a topic of {_CLOUD} or {_PACKETS}, got {others}")
+        raise ScanError(f"{address.file}: expected a topic of {', '.join(n_frames)}, got {others}")
     if address.topic is not None:
         if address.topic not in known:
             raise ScanError(f"{address.file}: no point clouds on topic {address.topic}; they are on {listed}")
         return address.topic
-    candidates = n_frames[_CLOUD] or n_frames[_PACKETS]
+    candidates = clouds or n_frames[_PACKETS]
     if len(candidates) > 1:
         example = f"{address.file.name}#{min(candidates)}@{address.frame or 0}"
         raise ScanError(f"{address.file}: point clouds on {listed}; name one topic, such as {example}")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +16,25 @@ from ....schemas.data_files import read_data
 from ....schemas.errors import ScanError
 from ....stages.arrays import FloatArray, IntArray
 
-# Names of others: CARLA's I, CosAngle, ObjTag, ObjIdx; Ouster's t; Hesai's timestamp; Livox' offset_time; Autoware's
-# channel and time_stamp.
-_INTENSITY = ("intensity", "scalar_intensity", "i")
+# Names of others: CARLA's I, CosAngle, ObjTag, ObjIdx; Ouster's t; Hesai's timestamp; Livox' offset_time, line and
+# Reflectivity; openpylivox' Inten-sity; Autoware's channel and time_stamp; Argoverse's laser_number and offset_ns;
+# VeloView's Points_m_XYZ:0 and laser_id.
+_COORDINATES = (
+    ("x", "points_m_xyz:0", "points:0"),
+    ("y", "points_m_xyz:1", "points:1"),
+    ("z", "points_m_xyz:2", "points:2"),
+)
+_INTENSITY = ("intensity", "scalar_intensity", "i", "inten-sity", "reflectivity")
 _LABEL = ("label", "scalar_label", "objtag")
 _INSTANCE = ("instance", "scalar_instance", "objidx")
 _INCIDENCE = ("incidence", "scalar_incidence", "cosangle")
-_RING = ("ring", "scalar_ring", "channel")
-_TIME = ("time", "scalar_time", "t", "timestamp", "time_stamp", "offset_time", "gps_time")
+_RING = ("ring", "scalar_ring", "channel", "laser_number", "laser_id", "line")
+_TIME = ("time", "scalar_time", "t", "timestamp", "time_stamp", "offset_time", "offset_ns", "gps_time")
+_ARGOVERSE_BEAMS = 32  # of each of its two sensors
+_MAX_RING_SPREAD_DEG = 1.0
 _NO_NUMBERS = "bcV"  # kinds of NumPy's types: truth values, complex numbers, records
 #: Names of columns that are read, in lower case.
-KNOWN_COLUMNS = frozenset(("x", "y", "z", *_INTENSITY, *_LABEL, *_INSTANCE, *_INCIDENCE, *_RING, *_TIME))
+KNOWN_COLUMNS = frozenset(chain(*_COORDINATES, _INTENSITY, _LABEL, _INSTANCE, _INCIDENCE, _RING, _TIME))
 LONGEST_LABEL = 200  #: characters
 _LONGEST_CAUSE = 300
 
@@ -51,6 +61,7 @@ class Scan:
     times_s : (n,) float64, seconds, from where the file counts them; or None
     label_names : what the format calls the labels that are numbers; {} where it names none
     stamp_s : the time of the scan as a whole, seconds, where its message has one
+    notes : properties of the sensor or the export that the columns show, one line each
     """
 
     points: FloatArray
@@ -62,6 +73,7 @@ class Scan:
     times_s: FloatArray | None = None
     label_names: Mapping[int, str] = field(default_factory=dict)
     stamp_s: float | None = None
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         optional = ("intensity", "labels", "instances", "incidence", "rings", "times_s")
@@ -79,6 +91,7 @@ def scan_from_columns(
     path : the file, for errors
     columns : by name, upper or lower case: (n,) numbers for x, y, z in metres and intensity; label as text or numbers;
         instance and ring as whole numbers; time in seconds, or in nanoseconds where it is of an integer type
+        (VeloView: microseconds)
     label_names : what the format calls numbers of classes; of a column ObjTag, CARLA's tags
 
     Raises
@@ -101,25 +114,35 @@ def scan_from_columns(
 
     intensity, labels, instances, incidence = map(first, (_INTENSITY, _LABEL, _INSTANCE, _INCIDENCE))
     rings, times = map(first, (_RING, _TIME))
+    axes = [next(name for name in names if name in by_name) for names in _COORDINATES]
+    points = np.column_stack([_numbers(path, name, by_name[name]) for name in axes])
+    ring_numbers = None if rings is None else _ring_numbers(path, rings)
+    if ring_numbers is not None and rings is by_name.get("line") and not _are_rings(points, ring_numbers):
+        ring_numbers = None
+    integer_unit_s = 1e-6 if "laser_id" in by_name else 1e-9
     return Scan(
-        points=np.column_stack([_numbers(path, name, by_name[name]) for name in ("x", "y", "z")]),
+        points=points,
         intensity=None if intensity is None else _numbers(path, "intensity", intensity),
         labels=None if labels is None else _label_text(path, labels),
         instances=None if instances is None else _instance_numbers(path, instances),
         incidence=None if incidence is None else _numbers(path, "incidence", incidence),
-        rings=None if rings is None else _ring_numbers(path, rings),
-        times_s=None if times is None else _numbers(path, "time", times) * (1e-9 if times.dtype.kind in "iu" else 1.0),
+        rings=ring_numbers,
+        times_s=None
+        if times is None
+        else _numbers(path, "time", times) * (integer_unit_s if times.dtype.kind in "iu" else 1.0),
         label_names=label_names or (CLASSES["carla"] if labels is not None and labels is by_name.get("objtag") else {}),
+        notes=_notes(columns, intensity is not None, ring_numbers),
     )
 
 
-def check_names(path: Path, names: Iterable[str]) -> None:
-    """Raises `ScanError` where x, y or z, in upper or lower case, is not among the names of a file's columns."""
+def check_names(path: Path, names: Iterable[str], remedy: str = "") -> None:
+    """Raise `ScanError` if x, y or z, in upper or lower case, is not among the names of a file's columns."""
     known = list(names)
-    missing = [name for name in ("x", "y", "z") if name not in map(str.lower, known)]
+    in_lower_case = {name.lower() for name in known}
+    missing = [of_axis[0] for of_axis in _COORDINATES if in_lower_case.isdisjoint(of_axis)]
     if missing:
         found = cause_of(", ".join(known)) if known else "none"
-        raise ScanError(f"{path}: missing columns {', '.join(missing)}; got {found}")
+        raise ScanError(f"{path}: missing columns {', '.join(missing)}; got {found}{remedy}")
 
 
 def check_promise(path: Path, n_points: int, point_bytes: float) -> None:
@@ -200,6 +223,35 @@ def label_path_of(path: Path, stem: str) -> Path:
     return path.with_name(f"{stem}.label{'.url' * (path.suffix == '.url')}")
 
 
+def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
+    """True if the points of a number have one elevation; those of Livox' patterns that do not repeat have all."""
+    elevation_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    is_return = np.isfinite(elevation_deg) & points.any(axis=1)
+    spreads_deg = []
+    for number in np.unique(numbers[is_return]):
+        low, high = np.percentile(elevation_deg[is_return & (numbers == number)], [16, 84])
+        spreads_deg.append((high - low) / 2)
+    return bool(spreads_deg) and float(np.median(spreads_deg)) <= _MAX_RING_SPREAD_DEG
+
+
+def _notes(columns: Mapping[str, NDArray[Any]], has_intensity: bool, rings: IntArray | None) -> tuple[str, ...]:
+    """Notes of a scan, see `Scan`."""
+    notes = []
+    names = {name.lower() for name in columns}
+    if "laser_number" in names and rings is not None and rings.max(initial=-1) >= _ARGOVERSE_BEAMS:
+        notes.append(
+            f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams (Argoverse, VLP-32C), "
+            f"in the vehicle's frame; for beams and rays, write numbers below {_ARGOVERSE_BEAMS} alone, in their frame"
+        )
+    colours = sorted({"rgb", "rgba", "red"}.intersection(names))
+    if colours and not has_intensity:
+        notes.append(
+            f"no intensity, but colours ({colours[0]}): if their red is the intensity (OpenCOOD), "
+            "write it as a column intensity"
+        )
+    return tuple(notes)
+
+
 def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
     if column.dtype.kind in _NO_NUMBERS:
         raise ScanError(f"{path}: column {name}: expected one real number per row, got {column.dtype} values")
@@ -212,7 +264,10 @@ def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
                 float(value)
             except (TypeError, ValueError, OverflowError):
                 found = cause_of(repr(value))
-                raise ScanError(f"{path}: row {row + 1}, column {name}: expected a number, got {found}") from None
+                hint = (
+                    "; is it a decimal comma? write decimal points" if re.fullmatch(r"[-\d ]+,\d+", str(value)) else ""
+                )
+                raise ScanError(f"{path}: row {row + 1}, column {name}: expected a number, got {found}{hint}") from None
         raise ScanError(f"{path}: column {name}: expected numbers, got type {column.dtype}") from None
 
 

@@ -1,0 +1,96 @@
+"""MCAP recordings of other writers than ROS 2, such as Foxglove's: point clouds in protobuf; read by mcap."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....schemas.errors import ScanError
+
+#: The message type of a point cloud.
+CLOUD = "foxglove.PointCloud"
+_ENCODINGS = ("protobuf", "cdr")
+_NUMBERS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}  # foxglove.PackedElementField
+
+
+class Connection(NamedTuple):
+    """A topic of a recording.
+
+    msgtype : name of the schema, with the encoding if it is neither protobuf nor that of ROS 2
+    schema : record of the schema, which has its definition
+    """
+
+    topic: str
+    msgtype: str
+    msgcount: int
+    schema: Any
+
+
+class Recording:
+    """An open recording with the interface of the readers of rosbags.
+
+    connections : of all topics
+    """
+
+    def __init__(self, file: Path, reader: Any) -> None:
+        self._reader = reader
+        summary = reader.get_summary()
+        if summary is None or summary.statistics is None:
+            raise ScanError(f"{file}: expected a summary at its end, got none; the file is truncated: mcap recover it")
+        self.connections = []
+        for channel_id, channel in summary.channels.items():
+            schema = summary.schemas.get(channel.schema_id)
+            msgtype = schema.name if schema else "no schema"
+            if channel.message_encoding not in _ENCODINGS:
+                msgtype = f"{msgtype}, {channel.message_encoding}"
+            count = summary.statistics.channel_message_counts.get(channel_id, 0)
+            self.connections.append(Connection(channel.topic, msgtype, count, schema))
+
+    def messages(
+        self, connections: Sequence[Connection], start: int | None = None, stop: int | None = None
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """Messages of one topic in order of time, from `start` to before `stop`, nanoseconds."""
+        topic = connections[0].topic
+        for _, _, message in self._reader.iter_messages(topic, starting_at=start, ending_before=stop):
+            yield connections[0], message.log_time, message.data
+
+
+@contextmanager
+def opened(file: Path) -> Iterator[Recording]:
+    """The recording in a file; it is closed at the end of the context."""
+    from mcap.reader import make_reader
+
+    with file.open("rb") as stream:
+        yield Recording(file, make_reader(stream))
+
+
+def cloud_of(file: Path, connection: Connection, content: bytes) -> tuple[dict[str, NDArray[Any]], float]:
+    """The fields of a point cloud by name, and its time in seconds; its pose is not applied."""
+    from mcap_protobuf.decoder import DecoderFactory
+
+    decode = DecoderFactory().decoder_for("protobuf", connection.schema)
+    if decode is None:
+        raise ScanError(
+            f"{file}: topic {connection.topic}: expected a protobuf schema, got {connection.schema.encoding}"
+        )
+    cloud = decode(content)
+    fields = [field for field in cloud.fields if field.name and field.type in _NUMBERS]
+    layout = np.dtype(
+        {
+            "names": [field.name for field in fields],
+            "formats": [f"<{_NUMBERS[field.type]}" for field in fields],
+            "offsets": [field.offset for field in fields],
+            "itemsize": cloud.point_stride,
+        }
+    )
+    if len(cloud.data) % cloud.point_stride:
+        raise ScanError(
+            f"{file}: expected points of {cloud.point_stride} bytes in a cloud, got {len(cloud.data)} bytes"
+        )
+    points = np.frombuffer(cloud.data, layout)
+    return {name: points[name] for name in layout.names or ()}, cloud.timestamp.seconds + cloud.timestamp.nanos * 1e-9
