@@ -30,6 +30,8 @@ SCALE = "intensity scale"
 _UNEVEN = 0.01
 #: More of the points in other places, with both of these, are a bent world.
 _BENT, _ALONE = 0.03, ("missing parts", "invented parts")
+#: If the road stays where it is while all else is raised, the world is not displaced: part of the height that remains.
+_OF_ROAD, _ROAD_STAYS = ("height", "road height"), 0.3
 #: If more of the curved surface is too flat, more than the shape of some objects is wrong.
 _MELTED = 0.3
 #: Solid foliage makes surface flat, by less than this part of it; boxes stop rays in foliage: one of both is named.
@@ -212,6 +214,9 @@ def _is_beyond(model: CauseModel, means: FloatArray, limit: float, *, is_change:
 def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
     """True if a larger flaw of the world, or losses that are not random, feign a cause."""
     mean = means[name]
+    if name in _OF_ROAD and all(other in means for other in _OF_ROAD):
+        height, road = (means[other] for other in _OF_ROAD)
+        return abs(height + road) < _ROAD_STAYS * abs(height)
     if name == "moved parts":
         return mean > _BENT and min(means.get(other, 0.0) for other in _ALONE) > mean / 10
     if name == FLAT:

@@ -376,8 +376,11 @@ def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
     """
     explained = explain_directions(real, sim)
     missing, invented = find_unmatched(real, sim, explained)
-    is_used_real = ~(missing.is_part | missing.is_moved | missing.is_beyond | explained.real)
-    is_used_sim = ~(invented.is_part | invented.is_moved | explained.sim)
+    parts = np.vstack(
+        [real.points[missing.is_part | missing.is_moved], sim.points[invented.is_part | invented.is_moved]]
+    )
+    is_used_real = ~(_is_near(real, parts) | missing.is_beyond | explained.real)
+    is_used_sim = ~(_is_near(sim, parts) | explained.sim)
     return {
         "maximum range": _maximum_range(real, sim, missing, invented),
         "minimum range": _difference(float(np.quantile(real.range_m, 0.001)), float(np.quantile(sim.range_m, 0.001))),
@@ -393,6 +396,15 @@ def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
         FLAT: _flat_amount(real, sim),
         **_sensor_amounts(real, sim, recorded, explained),
     }
+
+
+def _is_near(side: Side, parts: FloatArray) -> BoolArray:
+    """(n,) True for points of missing, invented or moved parts, and at their rims, which have counterparts around."""
+    if not len(parts):
+        return np.zeros(len(side.points), dtype=np.bool_)
+    apart_m, _ = cKDTree(parts).query(side.points)
+    is_near: BoolArray = apart_m <= _APART_M + _APART_PER_M * side.range_m
+    return is_near
 
 
 def _share_of(is_concerned: BoolArray) -> Amount:
