@@ -26,6 +26,8 @@ from .sides import FAR_M, PLANE_NEIGHBOURS, SCATTERED, PairScans, Side, noise_wi
 
 #: Simulated returns nearer than this, without a real counterpart, are clutter.
 CLUTTER_M = 6.0
+#: A side with fewer points has no surface to compare.
+LEAST_POINTS = 50
 #: Neighbourhood of a shape.
 SHAPE_M = 0.6
 _LEAST_MOVED_M = 0.005  # mean displacement whose part in the distance is measured
@@ -110,6 +112,8 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     Specific flaws come first, and take what they explain: second returns, blind directions, dead and exchanged beams
     do not count as missing, invented or lost.
     """
+    if min(len(scans.real.points), len(scans.sim.points)) < LEAST_POINTS:
+        return None
     real, real_second_share = _without_second_returns(scans.real)
     sim, second_share = _without_second_returns(scans.sim)
     pose = fit_pose(real, sim)
@@ -130,6 +134,8 @@ def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | N
     Most of the surface is the same on both, so that these amounts are far more accurate than differences of two amounts
     against the real scan. None if the scans have too little surface in common.
     """
+    if min(len(base.points), len(sim.points)) < LEAST_POINTS:
+        return None
     pose = fit_pose(base, sim)
     if pose is None:
         return None

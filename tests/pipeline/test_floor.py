@@ -185,7 +185,7 @@ def test_a_floor_is_a_run_as_any_other_and_has_no_excess_over_itself(folder, tmp
 def test_a_floor_is_titled_as_one_and_names_the_commands_that_take_it(folder, tmp_path):
     text = " ".join(shown("show", folder / "floor").split())
     assert text.startswith("floor of streets: 3 pairs, preset paper ")
-    assert f"Next fidpipe show RUN --floor {folder}/floor " in text
+    assert text.endswith(f"Next fidpipe show RUN --floor {folder}/floor")
     shutil.copytree(folder / "run", tmp_path / "streets")
     own = shutil.copytree(folder / "floor", tmp_path / "streets-floor")
     words = f"{tmp_path}/streets --floor {own}"

@@ -58,7 +58,8 @@ def answer_view(
         first.append((unexplained_words(diagnosis), "", ""))
     pieces = overview.pieces[:n_places]
     names = shortened({own.pair_id for own in pieces}, _PAIR)
-    trust = [own.words for own in overview.trust if own.kind not in _SHOWN_ABOVE][:n_cautions]
+    hidden = {*_SHOWN_ABOVE, *(["floor"] if excess or recipe else [])}
+    trust = [own.words for own in overview.trust if own.kind not in hidden][:n_cautions]
     if overview.unknown:
         trust.append(unknown_words(overview))
     if not with_all:
