@@ -36,7 +36,6 @@ RECORDINGS = {
     "OS1-64 off-road": "rellis/000104.bin",
     "VLP-32C parked": "velodyne_vlp32c/sweeps.pcap",
     "HDL-32E": "registration/*.ply",
-    "VLP-16 simulated": "unity_vlp16/*_Frame.csv",
 }
 
 

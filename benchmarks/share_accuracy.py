@@ -1,4 +1,4 @@
-"""By how much are the shares that `fidpipe diagnose` estimates wrong, relative to their size?
+"""By how much are the shares that stage `causes` estimates wrong, relative to their size?
 
     python benchmarks/share_accuracy.py ../shared/data/kitti_twin
 
@@ -18,11 +18,24 @@ from pathlib import Path
 import flawed_scans as fs
 import numpy as np
 import pandas as pd
-from diagnosis import altered, car_moved, far_drop, ghosts, grazing_drop, holes, mixed, pair_of, rain, read_scenes
+from diagnosis import (
+    altered,
+    car_moved,
+    estimated,
+    far_drop,
+    ghosts,
+    grazing_drop,
+    holes,
+    mixed,
+    pair_of,
+    rain,
+    read_scenes,
+    values_of,
+)
 from flawed_scans import along_ray, ranges
 
-from fidpipe.pipeline.diagnose.causes import name_causes
-from fidpipe.stages.diagnose.evidence import SCATTERED, amounts_of_floor, estimate
+from fidpipe.pipeline.results.causes import change_of, changed_causes
+from fidpipe.stages.causes.sides import SCATTERED
 from fidpipe.stages.surfels import fit_planes
 
 
@@ -71,24 +84,24 @@ FLAWS = {
 
 def rows(folder):
     scenes = read_scenes(folder, 1)
+    blocks = np.arange(len(scenes), dtype=np.int32)
     for base in ("good", "poor"):
-        floors = [pair_of(scene, scene[2][base]) for scene in scenes]
-        of_floor = [estimate(own).amounts for own in floors]
+        before = values_of([estimated(pair_of(scene, scene[2][base])) for scene in scenes])
         for name, (make, amounts, true_share) in FLAWS.items():
             for amount in amounts:
-                pairs = [pair_of(own, altered(own, base, [(f"{name} {amount}", make(amount))])) for own in scenes]
-                truth = np.mean(
-                    [
-                        true_share(own, own[2][base], pair.sim.points, amount)
-                        for own, pair in zip(scenes, pairs, strict=True)
-                    ]
-                )
-                found = [estimate(own) for own in pairs]
-                over = [amounts_of_floor(*own) for own in zip(found, pairs, floors, of_floor, strict=True)]
-                mean = np.mean([a.amounts[name] - b[name] for a, b in zip(found, over, strict=True)])
-                named = name_causes([own.amounts for own in found], over, np.arange(len(pairs)))
-                holds = [own.low <= truth <= own.high for own in named if own.model.name == name]
-                yield name, base, amount, truth, mean, truth / mean - 1, holds[0] if holds else "not named"
+                flaw = [(f"{name} {amount}", make(amount))]
+                pairs = [estimated(pair_of(scene, altered(scene, base, flaw))) for scene in scenes]
+                truths = []
+                for scene, pair in zip(scenes, pairs, strict=True):
+                    truths.append(true_share(scene, scene[2][base], pair.scans.sim.points, amount))
+                truth = np.mean(truths)
+                after = values_of(pairs)
+                mean = change_of(name, before[name], after[name], {}).mean()
+                holds = "not named"
+                for cause in changed_causes(before, after, {}, blocks):
+                    if cause.name == name:
+                        holds = cause.low <= truth <= cause.high
+                yield name, base, amount, truth, mean, truth / mean - 1, holds
 
 
 if __name__ == "__main__":
