@@ -49,6 +49,7 @@ def measure():
         "surface": frames["surface"].drop(columns=["pair_id"]).astype(float).fillna(-1.0),
         "pieces": frames["pieces"].drop(columns=["pair_id", "side", "label", "fate"]).astype(float).fillna(-1.0),
         "rays": [[*score_rays(rays).values()]],
+        "causes": frames["causes"][["amount"]].round(4).fillna(-1.0),
         "selection": frames["selection"].groupby(["pair_id", "real_id"])[["real_influence", "sim_influence"]].sum(),
         "metrics": frames["metrics"].drop(columns=["pair_id", "status", "reason"]).astype(float),
     }

@@ -186,7 +186,7 @@ def test_a_gate_tests_the_size_of_a_cause(folder, named, tmp_path):
     assert judged["causes.roll"]["passed"]
     assert judged["causes.intensity_scale"]["value"] is None
     assert "no intensit" in done.stdout or "constant" in done.stdout
-    wrong = command("gate", folder, "--max", "causes.heigth=1")
+    wrong = command("gate", folder, "--max", "causes.heights=1")
     assert "did you mean causes.height?" in wrong.stderr
 
 
