@@ -12,7 +12,7 @@ from ...schemas.results import Cause
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray
 from ...stages.causes.estimates import Amount, estimate
-from ...stages.causes.sides import PairScans, Side
+from ...stages.causes.sides import PairScans, Side, in_order
 from ...stages.method import remove_road
 from ...stages.sensor_description import SensorDescription
 from ...stages.statistics.comparison import blocks_of
@@ -84,8 +84,8 @@ class CauseSamples:
             real_points=real.points,
         )
         return PairScans(
-            Side(real.points, real_cut.is_ground, sensors["real"]),
-            Side(sim.points, sim_cut.is_ground, sensors["sim"], T_real_sim),
+            in_order(Side(real.points, real_cut.is_ground, sensors["real"])),
+            in_order(Side(sim.points, sim_cut.is_ground, sensors["sim"], T_real_sim)),
         )
 
     def named(self) -> CauseCheck:

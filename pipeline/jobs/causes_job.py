@@ -83,9 +83,9 @@ def _side(inputs: Inputs, side: str) -> Side:
 
 def side_of(ground: pa.Table, sensor: SensorDescription, T_real_sim: FloatArray | None = None) -> Side:
     """A side from its table `ground`."""
-    from ...stages.causes.sides import Side
+    from ...stages.causes.sides import Side, in_order
 
-    return Side(coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim)
+    return in_order(Side(coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim))
 
 
 def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:

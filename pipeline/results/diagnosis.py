@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...schemas.cause_catalogue import CAUSES, PARAMETERS
+from ...schemas.cause_catalogue import CAUSES, FLOOR_ACCURACY, PARAMETERS
 from ...schemas.record import RunRecord
 from ...schemas.results import Cause, Diagnosis, Evidence, Overview
 from ...stages.arrays import FloatArray
 from ...stages.causes.axes import AXES
-from ...stages.causes.distance import FLOOR_ACCURACY
 from ..stage import AMOUNTS, CURVES, DISTANCES
 from ..storage.folder import RunFolder
 from .causes import least_part_of_pose

@@ -13,8 +13,6 @@ from .sides import SCATTERED, Side, noise_without_steps
 
 #: Distances to the other side count up to this.
 REACH_M = 1.0
-#: Relative accuracy of the surface distance of a second measurement.
-FLOOR_ACCURACY = 0.2
 _SAMPLE = 4000
 _NEIGHBOURS = 16
 _AROUND = 2  # nearest rays that another ray may lie next to

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
 
-from ...schemas.cause_catalogue import FLAT, LOSSES, PARAMETERS
+from ...schemas.cause_catalogue import FLAT, FLOOR_ACCURACY, LOSSES, PARAMETERS
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import Displacement
 from ..surfels import fit_planes
 from .beams import second_returns
-from .distance import FLOOR_ACCURACY, REACH_M, off_share, surface_distance
+from .distance import REACH_M, off_share, surface_distance
 from .estimates import (
     SHAPE_M,
     Explained,

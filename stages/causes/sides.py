@@ -114,9 +114,14 @@ class Side:
             return self.incidence_deg > GRAZING_DEG
         return np.ones(len(self.points), dtype=np.bool_)
 
-    def chosen(self, is_kept: BoolArray) -> Side:
-        """The side with some of its points."""
+    def chosen(self, is_kept: BoolArray | IndexArray) -> Side:
+        """The side with some of its points, or all of them in another order."""
         return Side(self.points[is_kept], self.is_ground[is_kept], self.sensor, self.T_real_sim)
+
+
+def in_order(side: Side) -> Side:
+    """The side with its points in the order of their coordinates, so that nothing depends on the order of rows."""
+    return side.chosen(np.lexsort(side.points.T))
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ def test_a_setting_that_replaces_nothing_needs_no_leave(again, dataset):
 
 def test_a_stage_asked_for_by_from_needs_no_leave(again, dataset):
     settings = load(None, ["matching.delta_m=3"])
-    assert run(dataset, again, settings, replace=False, from_stage="matching").n_made == 14
+    assert run(dataset, again, settings, replace=False, from_stage="matching").n_made == 16
 
 
 def test_an_unfinished_run_takes_other_settings_as_before(again, dataset):
