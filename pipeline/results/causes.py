@@ -224,9 +224,11 @@ def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
 
 def _weaker(named: Mapping[str, float]) -> set[str]:
     """Of causes that exclude each other, those that are not named."""
-    weaker = set()
+    weaker: set[str] = set()
     if not named.keys().isdisjoint(PARAMETERS):
         weaker.update(_BLURRED)
+    if "lost far returns" in named:
+        weaker.add("far surface")
     if FLAT in named:
         is_solid = named[FLAT] < _FLAT_OF_SOLID * abs(named.get("solid foliage", 0.0))
         weaker.add(FLAT if is_solid else "solid foliage")
