@@ -229,6 +229,8 @@ def _weaker(named: Mapping[str, float]) -> set[str]:
     weaker = set[str]()
     if not named.keys().isdisjoint(PARAMETERS):
         weaker.update(_BLURRED)
+    if "lost far returns" in named:
+        weaker.add("far surface")
     if FLAT in named:
         is_solid = named[FLAT] < _FLAT_OF_SOLID * abs(named.get("solid foliage", 0.0))
         weaker.add(FLAT if is_solid else "solid foliage")
