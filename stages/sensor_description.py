@@ -12,9 +12,25 @@ import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..schemas.columns import FARTHEST_M
-from .arrays import FloatArray, IndexArray, IntArray
+from .arrays import BoolArray, FloatArray, IndexArray, IntArray
 from .beam_patterns import BeamPattern, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
+from .trust import (
+    MISSES,
+    ONE_SWEEP,
+    POSITION,
+    RETURNS,
+    is_miss,
+    is_one_of_sweeps,
+    later_returns,
+    miss_range,
+    misses_text,
+    position_text,
+    returns_text,
+    steadiness,
+    sweep_parts,
+    sweeps_text,
+)
 
 #: Limits of the range bands, metres, for the share of lost pulses.
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
@@ -55,6 +71,8 @@ class SensorDescription:
     model : title of the known sensor with these beams, or of two sensors
     model_beams : number of beams in the table of the model
     untold : reason by undetermined field
+    doubts : reason by what cannot be trusted, see `trust`
+    miss_range_m : range at which rays without a return are written
     """
 
     n_points: int
@@ -77,6 +95,8 @@ class SensorDescription:
     model: str | None = None
     model_beams: int | None = None
     untold: dict[str, str] = field(default_factory=dict)
+    doubts: dict[str, str] = field(default_factory=dict)
+    miss_range_m: float | None = None
 
 
 #: Gaps of lost pulses within visible surfaces, between two returns of one beam: (g, 2) intp, points before and after
@@ -118,15 +138,31 @@ def describe_with_gaps(
     sensor = SensorDescription(len(points), has_ring=ring is not None, has_time=has_time)
     if len(points) < _MIN_POINTS:
         return _undetected(sensor, f"{len(points)} points, at least {_MIN_POINTS} are needed"), NO_GAPS
+    range_m = np.linalg.norm(points, axis=1)
+    doubts = {}
+    if misses := miss_range(range_m):
+        sensor = replace(sensor, miss_range_m=misses[0])
+        doubts[MISSES] = misses_text(misses[1], misses[0])
+        is_kept = ~is_miss(range_m, misses[0])
+        returns, points, ring = returns[is_kept], points[is_kept], None if ring is None else ring[is_kept]
     slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
     around_deg = 360.0 - widest_azimuth_gap_deg(points)
     view = (round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1))
     sensor = replace(sensor, field_of_view_deg=view)
-    pattern = find_beams(points, ring)
+    pattern, n_sweeps, rows = _pattern_of_sweep(points, ring)
+    if n_sweeps > 1:
+        doubts[ONE_SWEEP] = sweeps_text(n_sweeps)
+        returns, points = returns[rows], points[rows]
     if isinstance(pattern, str):
-        return _undetected(sensor, pattern), NO_GAPS
+        if text := position_text(points):
+            doubts[POSITION] = text
+        return replace(_undetected(sensor, pattern), doubts=doubts), NO_GAPS
     untold = {}
     sweep = _by_beam(points, pattern)
+    is_later = later_returns(sweep.beam, sweep.azimuth_deg, sweep.range_m)
+    if text := returns_text(is_later):
+        doubts[RETURNS] = text
+        sweep = sweep.first_returns(is_later)
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
@@ -154,6 +190,7 @@ def describe_with_gaps(
         model=known.title,
         model_beams=known.n_beams,
         untold={name: why for name, why in untold.items() if why},
+        doubts=doubts,
     )
     return sensor, (rows, n_firings[before] - 1)
 
@@ -300,6 +337,13 @@ class _Sweep:
         """Azimuth from each return to the next, (m - 1,) float64; NaN if the next is of another beam."""
         return np.where(np.diff(self.beam) == 0, np.diff(self.azimuth_deg), np.nan)
 
+    def first_returns(self, is_later: BoolArray) -> _Sweep:
+        """The nearest return of each group that follow each other in one direction."""
+        ray = np.cumsum(~is_later)
+        order = np.lexsort((self.range_m, ray))
+        first = np.sort(order[np.flatnonzero(np.diff(ray[order], prepend=0))])
+        return _Sweep(*(values[first] for values in vars(self).values()))
+
 
 def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
     beam, off_deg = pattern.beam_of(points)
@@ -310,6 +354,22 @@ def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
     range_m = np.sqrt(level**2 + points[:, 2] ** 2)
     order = np.lexsort((range_m, azimuth_deg, beam))
     return _Sweep(beam[order], off_deg[order], azimuth_deg[order], range_m[order], row[order])
+
+
+def _pattern_of_sweep(points: FloatArray, ring: IntArray | None) -> tuple[BeamPattern | str, int, IndexArray]:
+    """Beams of the first sweep of a scan (or the reason why there are none), the number of sweeps, and its rows."""
+    pattern = find_beams(points, ring)
+    parts = sweep_parts(points)
+    steady_in_all = 0.0
+    if parts and not isinstance(pattern, str):
+        steady_in_all = steadiness(_by_beam(points, pattern).gap_deg)
+    for n_sweeps, rows in parts:
+        first = find_beams(points[rows], None if ring is None else ring[rows])
+        if not isinstance(first, str):
+            steady = steadiness(_by_beam(points[rows], first).gap_deg)
+            if is_one_of_sweeps(steady, steady_in_all):
+                return first, n_sweeps, rows
+    return pattern, 1, np.arange(len(points))
 
 
 def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:
