@@ -107,6 +107,14 @@ def as_ros(points: FloatArray, frame: FrameName) -> FloatArray:
     return points[:, columns] * np.array(signs)
 
 
+def at_sensor(points: FloatArray, side: str, settings: InputSettings) -> FloatArray:
+    """Points in the axes of `as_ros`, with the sensor of the side ("real" or "sim") at the origin."""
+    points = as_ros(points, settings.frame_of(side))
+    if settings.sensor_position is None:
+        return points
+    return points - settings.sensor_position
+
+
 def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], settings: InputSettings) -> str:
     """Message for a scan with too few points after cleaning: counts by reason, and how to keep more.
 

@@ -75,6 +75,11 @@ class FrameCheck:
     setting: str
 
     @property
+    def is_other_frame(self) -> bool:
+        """True if other axes, units or motions fit much better, and not only the ground is at another height."""
+        return self.is_suspect and self.coverage - self.as_it_lies >= MIN_GAIN
+
+    @property
     def is_elsewhere(self) -> bool:
         """True if no candidate reaches the coverage of two scans of one place."""
         return self.coverage < MIN_SAME_PLACE

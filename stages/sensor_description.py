@@ -20,14 +20,13 @@ from .trust import (
     ONE_SWEEP,
     POSITION,
     RETURNS,
+    SWEEPS_IN_A_ROW,
     is_miss,
-    is_one_of_sweeps,
     later_returns,
     miss_range,
     misses_text,
     position_text,
     returns_text,
-    steadiness,
     sweep_parts,
     sweeps_text,
 )
@@ -149,12 +148,11 @@ def describe_with_gaps(
     around_deg = 360.0 - widest_azimuth_gap_deg(points)
     view = (round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1))
     sensor = replace(sensor, field_of_view_deg=view)
-    pattern, n_sweeps, rows = _pattern_of_sweep(points, ring)
-    if n_sweeps > 1:
-        doubts[ONE_SWEEP] = sweeps_text(n_sweeps)
-        returns, points = returns[rows], points[rows]
+    pattern = find_beams(points, ring)
     if isinstance(pattern, str):
-        if text := position_text(points):
+        if _is_several_sweeps(points):
+            doubts[ONE_SWEEP] = SWEEPS_IN_A_ROW
+        elif text := position_text(points):
             doubts[POSITION] = text
         return replace(_undetected(sensor, pattern), doubts=doubts), NO_GAPS
     untold = {}
@@ -163,6 +161,8 @@ def describe_with_gaps(
     if text := returns_text(is_later):
         doubts[RETURNS] = text
         sweep = sweep.first_returns(is_later)
+    if text := sweeps_text(sweep.gap_deg, sweep.range_m):
+        doubts[ONE_SWEEP] = text
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
@@ -356,20 +356,12 @@ def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
     return _Sweep(beam[order], off_deg[order], azimuth_deg[order], range_m[order], row[order])
 
 
-def _pattern_of_sweep(points: FloatArray, ring: IntArray | None) -> tuple[BeamPattern | str, int, IndexArray]:
-    """Beams of the first sweep of a scan (or the reason why there are none), the number of sweeps, and its rows."""
-    pattern = find_beams(points, ring)
-    parts = sweep_parts(points)
-    steady_in_all = 0.0
-    if parts and not isinstance(pattern, str):
-        steady_in_all = steadiness(_by_beam(points, pattern).gap_deg)
-    for n_sweeps, rows in parts:
-        first = find_beams(points[rows], None if ring is None else ring[rows])
-        if not isinstance(first, str):
-            steady = steadiness(_by_beam(points[rows], first).gap_deg)
-            if is_one_of_sweeps(steady, steady_in_all):
-                return first, n_sweeps, rows
-    return pattern, 1, np.arange(len(points))
+def _is_several_sweeps(points: FloatArray) -> bool:
+    """True if the parts of a scan without recognisable beams have beams, each in the same directions."""
+    for parts in sweep_parts(points):
+        if not any(isinstance(find_beams(part), str) for part in parts):
+            return True
+    return False
 
 
 def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:

@@ -6,23 +6,26 @@ other two, `MISSES` and `RETURNS`, are left out of the estimates, so that these 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from .arrays import BoolArray, FloatArray, IndexArray
 
-MISSES, RETURNS, ONE_SWEEP, POSITION, BEAMS = "misses", "single_returns", "one_sweep", "sensor_position", "beams"
+MISSES, RETURNS = "misses", "single_returns"
+ONE_SWEEP, POSITION, BEAMS = "one_sweep", "sensor_position", "beams"
+#: Needed by every cause: both sides in one frame.
+FRAME = "frame"
 #: Doubts that make `fidpipe check` fail.
 SERIOUS = (MISSES, ONE_SWEEP, POSITION)
 _SHELL_M, _SHELL_SHARE = 0.1, 0.03
 _SAME_DEG, _SAME_SHARE, _NEAREST_M = 0.005, 0.1, 1.0
 _BIN_DEG, _MOST_DEG = 0.01, 4.0
-_N_SWEEPS = (2, 3, 5, 10)
-_FEWEST_ROWS, _SAME_CELLS = 1000, 0.6
-_STEADY, _STEADIER = 0.3, 1.4
+_STEADY, _SHORT, _SHORT_SHARE, _APART = 0.35, 0.15, 0.05, 0.01
 _FEWEST_GAPS = 500
+_CELL_DEG, _SAME_CELLS = 2.0, 0.6
+SWEEPS_IN_A_ROW = "two or more sweeps or sensors in one scan? Parts of it have beams, and all of it has not"
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
 _SAMPLE, _OTHER_RANGE, _CROSSING_SHARE = 3000, 1.1, 0.3
 
@@ -85,62 +88,54 @@ def returns_text(is_later: BoolArray) -> str | None:
     )
 
 
-def sweep_parts(points: FloatArray) -> list[tuple[int, IndexArray]]:
-    """Numbers of sweeps that a scan may hold one after the other, each with the rows of the first.
+def sweeps_text(gap_deg: FloatArray, range_m: FloatArray) -> str | None:
+    """The doubt that a scan holds several sweeps or scans of several sensors; None if it does not.
 
-    The first and the last rows have the same directions, which they do not have in a single sweep in the order of
-    azimuths or beams.
+    No gap between neighbouring returns of a beam is usual, and the ranges of returns in almost the same direction
+    differ, because the sensor or the scene has moved. After one sweep with noisy azimuths or many losses they agree.
+
+    Parameters
+    ----------
+    gap_deg : (n - 1,) azimuth from each return to the next of its beam, NaN without one
+    range_m : (n,)
+    """
+    two_deg = gap_deg[:-1] + gap_deg[1:]
+    two_deg = two_deg[(two_deg > _SAME_DEG) & (two_deg < _MOST_DEG)]
+    is_gap = (gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)
+    if len(two_deg) < _FEWEST_GAPS or is_gap.sum() < _FEWEST_GAPS:
+        return None
+    n_by_gap = np.bincount((gap_deg[is_gap] / _BIN_DEG).astype(np.intp), minlength=3)
+    steadiness = np.convolve(n_by_gap, np.ones(3)).max() / is_gap.sum()
+    two_steps_deg = (np.bincount((two_deg / _BIN_DEG).astype(np.intp)).argmax() + 0.5) * _BIN_DEG
+    is_short = is_gap & (gap_deg < _SHORT * two_steps_deg)
+    if steadiness > _STEADY or is_short.sum() < _SHORT_SHARE * is_gap.sum():
+        return None
+    apart = np.median(np.abs(np.diff(range_m))[is_short] / range_m[:-1][is_short])
+    if apart < _APART:
+        return None
+    return (
+        f"two sweeps or two sensors in one scan? Beams fire at irregular steps, and neighbouring ranges differ by "
+        f"{apart:.1%}; expected one sweep"
+    )
+
+
+def sweep_parts(points: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """First and last of 2, 3, 5 and 10 equal parts of a scan in the order of the file, if they have the same directions.
+
+    In a single sweep in the order of azimuths or beams they have different ones.
 
     Parameters
     ----------
     points : (n, 3) float64, in the order of the file
     """
-    cell = _direction_cells(points)
-    parts = []
-    for n_sweeps in _N_SWEEPS:
-        n_rows = len(points) // n_sweeps
-        if n_rows < _FEWEST_ROWS:
-            break
-        first = np.unique(cell[:n_rows])
-        last = np.unique(cell[-n_rows:])
-        n_both = len(np.intersect1d(first, last, assume_unique=True))
-        if n_both > _SAME_CELLS * max(len(first), len(last)):
-            parts.append((n_sweeps, np.arange(n_rows)))
-    return parts
-
-
-def _direction_cells(points: FloatArray) -> IndexArray:
-    """(n,) number of the direction of each point, in cells of 2 degrees."""
     azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
     slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
-    return ((slope_deg + 90.0) // 2.0 * 181 + (azimuth_deg + 180.0) // 2.0).astype(np.intp)
-
-
-def steadiness(gap_deg: FloatArray) -> float:
-    """Share of the gaps from a return to the next of its beam that have the usual length.
-
-    Parameters
-    ----------
-    gap_deg : (n,) float64, NaN without a next return
-    """
-    gap_deg = gap_deg[(gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)]
-    if len(gap_deg) < _FEWEST_GAPS:
-        return 0.0
-    n_by_gap = np.bincount((gap_deg / _BIN_DEG).astype(np.intp), minlength=3)
-    return float(np.convolve(n_by_gap, np.ones(3)).max() / len(gap_deg))
-
-
-def is_one_of_sweeps(steady: float, steady_in_all: float) -> bool:
-    """True if beams fire at steady steps in the first part of a scan, and not in all of it."""
-    return steady > _STEADY and steady > _STEADIER * steady_in_all
-
-
-def sweeps_text(n_sweeps: int) -> str:
-    """The doubt that a scan holds several sweeps."""
-    return (
-        f"the scan holds {n_sweeps} sweeps, or scans of {n_sweeps} sensors, one after the other: {n_sweeps} times the "
-        "firings per beam and direction; expected one"
-    )
+    cell = (slope_deg + 90.0) // _CELL_DEG * 361 + (azimuth_deg + 180.0) // _CELL_DEG
+    for n_sweeps in (2, 3, 5, 10):
+        n_rows = len(points) // n_sweeps
+        first, last = np.unique(cell[:n_rows]), np.unique(cell[-n_rows:])
+        if len(np.intersect1d(first, last)) > _SAME_CELLS * max(len(first), len(last)):
+            yield points[:n_rows], points[-n_rows:]
 
 
 def position_text(points: FloatArray) -> str | None:
@@ -165,8 +160,3 @@ def position_text(points: FloatArray) -> str | None:
             return None
         why = "surfaces are behind each other, seen from the origin"
     return f"the points are not in the sensor's frame: {why}, beams not recognised; set input.sensor_position"
-
-
-def doubt_lines(doubts: Mapping[str, str], *, serious: bool) -> list[str]:
-    """The doubts that make the check fail, or the others."""
-    return [text for need, text in doubts.items() if (need in SERIOUS) == serious]

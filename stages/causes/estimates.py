@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ...schemas.cause_catalogue import CAUSES
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import PARAMETERS, Displacement, fit_displacement
 from ..sensor_description import SensorDescription, describe_sensor
 from ..surfels import fit_planes, voxel_means
+from ..trust import BEAMS, FRAME, RETURNS
 from .beams import (
     blurred_elevation_deg,
     dead_beams,
@@ -114,6 +117,7 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     Specific flaws come first, and take what they explain: second returns, blind directions, dead and exchanged beams
     do not count as missing, invented or lost.
     """
+    doubts = doubts_of(scans.real.sensor, scans.sim.sensor)
     real, real_second_share = _without_second_returns(scans.real)
     sim, second_share = _without_second_returns(scans.sim)
     pose = fit_pose(real, sim)
@@ -125,7 +129,36 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     amounts = _pose_amounts(pose, real, sim, floor_m)
     amounts["second returns"] = _difference(real_second_share, second_share, share=second_share - real_second_share)
     amounts |= _amounts(real, aligned, sim)
-    return PairEstimates(pose, amounts, distance_m, floor_m)
+    if text := _unlike_patterns(real, aligned, sim):
+        doubts.setdefault(BEAMS, text)
+    return PairEstimates(pose, only_known(amounts, doubts), distance_m, floor_m)
+
+
+def _unlike_patterns(real: Side, sim: Side, recorded: Side) -> str | None:
+    """Reason why the returns of both sides cannot be counted per direction: beams on one side are not rings."""
+    for name, rings, other, as_recorded in (("simulated", real, sim, recorded), ("real", sim, real, real)):
+        grid = grid_of(rings.sensor)
+        if grid and not other.sensor.elevation_deg and blurred_elevation_deg(grid, as_recorded) is None:
+            return f"{name} scan: its beams are not rings, those of the other side are"
+    return None
+
+
+def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]:
+    """Reasons why something is unknown of either side, see `trust`."""
+    doubts = {}
+    for side, sensor in (("real", real), ("simulated", sim)):
+        for need, text in sensor.doubts.items():
+            doubts.setdefault(need, f"{side} scan: {text}")
+    return doubts
+
+
+def only_known(amounts: Mapping[str, Amount], doubts: Mapping[str, str]) -> dict[str, Amount]:
+    """The amounts of the causes of which all that they need is known; the others with the reason."""
+    known = {}
+    for name, amount in amounts.items():
+        reasons = [doubts[need] for need in (FRAME, *CAUSES[name].needs) if need in doubts]
+        known[name] = Amount(None, reason=reasons[0]) if reasons else amount
+    return known
 
 
 def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | None:
@@ -160,6 +193,8 @@ def _without_second_returns(side: Side) -> tuple[Side, float]:
     """The side without second returns if it has more than a few, and their share."""
     is_second = second_returns(side)
     share = float(is_second.mean())
+    if RETURNS in side.sensor.doubts:
+        is_second |= second_returns(side, behind_m=0.0)
     return (side.chosen(~is_second) if share > _MANY_SECOND else side), share
 
 

@@ -12,6 +12,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..rays import Rays
 from ..sensor_description import SensorDescription
 from ..surfels import LocalPlanes, fit_planes
+from ..trust import is_miss
 
 #: Returns beyond this range are far.
 FAR_M = 25.0
@@ -117,6 +118,31 @@ class Side:
     def chosen(self, is_kept: BoolArray) -> Side:
         """The side with some of its points."""
         return Side(self.points[is_kept], self.is_ground[is_kept], self.sensor, self.T_real_sim)
+
+
+def recorded_side(
+    points: FloatArray,
+    is_ground: BoolArray,
+    sensor: SensorDescription,
+    T_real_sim: FloatArray | None = None,
+    position: tuple[float, float, float] | None = None,
+) -> Side:
+    """A side of clean points, with the sensor at the origin, without rays that returned nothing.
+
+    Parameters
+    ----------
+    points, is_ground, sensor, T_real_sim : see `Side`
+    position : of the sensor in the frame of the points of both sides; the origin by default
+    """
+    if position is not None:
+        points = points - position
+        if T_real_sim is not None:
+            R, t = T_real_sim[:, :3], T_real_sim[:, 3]
+            T_real_sim = np.column_stack([R, t - position + R @ position])
+    side = Side(points, is_ground, sensor, T_real_sim)
+    if sensor.miss_range_m is None:
+        return side
+    return side.chosen(~is_miss(np.linalg.norm(side.own_points, axis=1), sensor.miss_range_m))
 
 
 @dataclass(frozen=True)
