@@ -358,8 +358,9 @@ def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
 
 def _is_several_sweeps(points: FloatArray) -> bool:
     """True if the parts of a scan without recognisable beams have beams, each in the same directions."""
-    for parts in sweep_parts(points):
-        if not any(isinstance(find_beams(part), str) for part in parts):
+    for first, last in sweep_parts(points):
+        has_beams = [not isinstance(find_beams(part), str) for part in (first, last)]
+        if all(has_beams):
             return True
     return False
 

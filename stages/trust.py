@@ -19,7 +19,7 @@ ONE_SWEEP, POSITION, BEAMS = "one_sweep", "sensor_position", "beams"
 FRAME = "frame"
 #: Doubts that make `fidpipe check` fail.
 SERIOUS = (MISSES, ONE_SWEEP, POSITION)
-_SHELL_M, _SHELL_SHARE = 0.1, 0.03
+_SHELL_M, _SHELL_SHARE, _MOST_SHELL_SHARE = 0.1, 0.03, 0.95
 _SAME_DEG, _SAME_SHARE, _NEAREST_M = 0.005, 0.1, 1.0
 _BIN_DEG, _MOST_DEG = 0.01, 4.0
 _STEADY, _SHORT, _SHORT_SHARE, _APART = 0.35, 0.15, 0.05, 0.01
@@ -45,7 +45,7 @@ def miss_range(range_m: FloatArray) -> tuple[float, float] | None:
     farthest_m = float(range_m.max())
     is_miss = range_m > farthest_m - _SHELL_M
     share = float(is_miss.mean())
-    if share < _SHELL_SHARE:
+    if not _SHELL_SHARE <= share <= _MOST_SHELL_SHARE:
         return None
     return float(np.median(range_m[is_miss])), share
 
@@ -120,7 +120,7 @@ def sweeps_text(gap_deg: FloatArray, range_m: FloatArray) -> str | None:
 
 
 def sweep_parts(points: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """First and last of 2, 3, 5 and 10 equal parts of a scan in the order of the file, if they have the same directions.
+    """First and last of 2, 3, 5 and 10 parts of a scan in the file's order, if they have the same directions.
 
     In a single sweep in the order of azimuths or beams they have different ones.
 
@@ -138,6 +138,12 @@ def sweep_parts(points: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
             yield points[:n_rows], points[-n_rows:]
 
 
+def is_far_from_origin(points: FloatArray) -> bool:
+    """True if hardly any point lies within 5 m of the origin, where the sensor should be."""
+    range_m = np.linalg.norm(points[points.any(axis=1)], axis=1)
+    return len(range_m) > 0 and float((range_m < _NEAR_M).mean()) < _NEAR_SHARE
+
+
 def position_text(points: FloatArray) -> str | None:
     """The doubt that points without recognisable beams are not in the frame of their sensor.
 
@@ -148,7 +154,7 @@ def position_text(points: FloatArray) -> str | None:
     points : (n, 3) float64, metres
     """
     range_m = np.linalg.norm(points, axis=1)
-    if float((range_m < _NEAR_M).mean()) < _NEAR_SHARE:
+    if is_far_from_origin(points):
         why = f"nothing within {_NEAR_M:g} m of the origin"
     else:
         rays = points / range_m[:, None]
