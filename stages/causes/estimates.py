@@ -56,7 +56,8 @@ _SHAPE_POINTS, _SHAPE_VOXEL_M = 10, 0.1
 _CURVED_M, _CURVED, _FLATTER = 0.03, 0.15, 0.5  # thickness and scattering of curved surface; of which flat is less
 _SMOOTH = 0.01  # relative residual of inverse ranges on smooth surface
 _STRAY_M, _STRAY_STDS = 0.15, 6.0
-_SECTOR_DEG, _SECTOR_POINTS = 5, 10
+_SECTOR_DEG, _FINE_SECTOR_DEG, _SECTOR_POINTS = 5.0, 1.0, 10
+_DENSE_DEG = 0.35  # azimuth step up to which sectors are fine
 _FAR_SURFACE_M, _FEWEST_FAR = 20.0, 50
 
 
@@ -327,7 +328,7 @@ def explain_directions(real: Side, sim: Side) -> Explained:
         dead = dead_beams(grid, real.chosen(~is_blind), sim) if not exchanged else dead
         is_dead = np.isin(grid.beam_of(real.own_points), dead)
     return Explained(
-        blind_deg=float(_SECTOR_DEG * is_blind_sector.sum()),
+        blind_deg=float(360.0 / len(is_blind_sector) * is_blind_sector.sum()),
         dead=dead,
         exchanged=exchanged,
         is_blind=is_blind,
@@ -345,12 +346,22 @@ def _near_elevations(side: Side, elevations_deg: FloatArray) -> BoolArray:
 
 def _blind_sectors(real: Side, sim: Side) -> tuple[IndexArray, BoolArray]:
     """Sector of azimuth of each real point, and which sectors only the real side has returns in."""
-    n_sectors = 360 // _SECTOR_DEG
-    sector_of_real = ((real.azimuth_deg + 180.0) // _SECTOR_DEG).astype(np.intp) % n_sectors
-    sector_of_sim = ((sim.azimuth_deg + 180.0) // _SECTOR_DEG).astype(np.intp) % n_sectors
+    n_sectors = round(360 / _sector_deg(real, sim))
+    sector_of_real = _sector(real, n_sectors)
     n_real = np.bincount(sector_of_real, minlength=n_sectors)
-    n_sim = np.bincount(sector_of_sim, minlength=n_sectors)
+    n_sim = np.bincount(_sector(sim, n_sectors), minlength=n_sectors)
     return sector_of_real, (n_real >= _SECTOR_POINTS) & (n_sim == 0)
+
+
+def _sector(side: Side, n_sectors: int) -> IndexArray:
+    return ((side.azimuth_deg + 180.0) * n_sectors // 360.0).astype(np.intp) % n_sectors
+
+
+def _sector_deg(real: Side, sim: Side) -> float:
+    """Width of a sector: fine if beams fire several times in it on both sides."""
+    steps_deg = [side.sensor.azimuth_step_deg for side in (real, sim)]
+    is_dense = all(step is not None and step <= _DENSE_DEG for step in steps_deg)
+    return _FINE_SECTOR_DEG if is_dense else _SECTOR_DEG
 
 
 @dataclass(frozen=True)
