@@ -149,13 +149,13 @@ def check_frames(
 
     The coverage is the share of the points of one scan that have a point of the other within 1 m, as the mean over
     both directions and over ground and the rest. Only points within 40 m of the sensor, one per voxel of 0.5 m, count.
-    Candidates for the simulated scan: its axes in all 48 orders and signs, as either scan in any of the frames of the
-    settings; in centimetres, millimetres and feet if it reaches far beyond the real one; each of these also shifted by
-    the difference of the ground heights; and if none of them fits, 0.2 to 5 times as large. A candidate is suspect if
-    it covers at least `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as given, and leaves uncovered at most
-    `MAX_UNCOVERED_RATIO` of the share that the scan as given leaves. Otherwise a scan is suspect if its ground is `MIN_LIFT_M` or more above
-    or below the real one. Lifts are medians over ground points and their horizontal neighbours, applied and re-measured
-    before they are reported.
+    Candidates for the simulated scan: its axes in all 48 orders and signs, as either scan in any of the frames of
+    the settings; in centimetres, millimetres and feet if it reaches far beyond the real one; each of these also
+    shifted by the difference of the ground heights; and if none of them fits, 0.2 to 5 times as large. A candidate
+    is suspect if it covers at least `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as given, and leaves
+    uncovered at most `MAX_UNCOVERED_RATIO` of the share that the scan as given leaves. Otherwise a scan is suspect
+    if its ground is `MIN_LIFT_M` or more above or below the real one. Lifts are medians over ground points and
+    their horizontal neighbours, applied and re-measured before they are reported.
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ def _scaled(
         for factor in ratio * _FINE_SCALES:
             if not _LEAST_SCALE <= factor <= _MOST_SCALE or abs(factor - 1) < _ALIKE:
                 continue
-            unit = f"units of {factor:.2f} m"
+            unit = f"units of {factor:.3g} m"
             points = _thinned(sim * factor, settings, "sim")
             if unit in sources or len(points) < MIN_POINTS:
                 continue

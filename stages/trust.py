@@ -22,7 +22,7 @@ SERIOUS = (MISSES, ONE_SWEEP, POSITION)
 _SHELL_M, _SHELL_SHARE, _MOST_SHELL_SHARE = 0.1, 0.03, 0.95
 _SAME_DEG, _SAME_SHARE, _NEAREST_M = 0.005, 0.1, 1.0
 _BIN_DEG, _MOST_DEG = 0.01, 4.0
-_STEADY, _SHORT, _SHORT_SHARE, _APART = 0.35, 0.15, 0.05, 0.01
+_SHORT, _SHORT_SHARE, _APART = 0.15, 0.05, 0.01
 _FEWEST_GAPS = 500
 _CELL_DEG, _SAME_CELLS = 2.0, 0.6
 SWEEPS_IN_A_ROW = "two or more sweeps or sensors in one scan? Parts of it have beams, and all of it has not"
@@ -91,8 +91,7 @@ def returns_text(is_later: BoolArray) -> str | None:
 def sweeps_text(gap_deg: FloatArray, range_m: FloatArray) -> str | None:
     """The doubt that a scan holds several sweeps or scans of several sensors; None if it does not.
 
-    No gap between neighbouring returns of a beam is usual, and the ranges of returns in almost the same direction
-    differ, because the sensor or the scene has moved. After one sweep with noisy azimuths or many losses they agree.
+    Many returns of a beam follow each other in much less than a step, and their ranges differ, because the sensor or the scene has moved. After one sweep with noisy azimuths or many losses they agree.
 
     Parameters
     ----------
@@ -104,11 +103,9 @@ def sweeps_text(gap_deg: FloatArray, range_m: FloatArray) -> str | None:
     is_gap = (gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)
     if len(two_deg) < _FEWEST_GAPS or is_gap.sum() < _FEWEST_GAPS:
         return None
-    n_by_gap = np.bincount((gap_deg[is_gap] / _BIN_DEG).astype(np.intp), minlength=3)
-    steadiness = np.convolve(n_by_gap, np.ones(3)).max() / is_gap.sum()
     two_steps_deg = (np.bincount((two_deg / _BIN_DEG).astype(np.intp)).argmax() + 0.5) * _BIN_DEG
     is_short = is_gap & (gap_deg < _SHORT * two_steps_deg)
-    if steadiness > _STEADY or is_short.sum() < _SHORT_SHARE * is_gap.sum():
+    if is_short.sum() < _SHORT_SHARE * is_gap.sum():
         return None
     apart = np.median(np.abs(np.diff(range_m))[is_short] / range_m[:-1][is_short])
     if apart < _APART:
