@@ -91,7 +91,8 @@ def returns_text(is_later: BoolArray) -> str | None:
 def sweeps_text(gap_deg: FloatArray, range_m: FloatArray) -> str | None:
     """The doubt that a scan holds several sweeps or scans of several sensors; None if it does not.
 
-    Many returns of a beam follow each other in much less than a step, and their ranges differ, because the sensor or the scene has moved. After one sweep with noisy azimuths or many losses they agree.
+    Many returns of a beam follow each other in much less than a step, and their ranges differ, because the sensor
+    or the scene has moved. After one sweep with noisy azimuths or many losses they agree.
 
     Parameters
     ----------
