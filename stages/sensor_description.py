@@ -43,6 +43,7 @@ _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
 _RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
 _FEWEST_RUNS = 200
+_CLEAR = 0.7  # of the upper bound of the noise, from which the lower is not shown
 _MAD = 1.4826  # standard deviation over median absolute value
 _RUN_QUARTILE = 0.759  # sqrt(quartile of chi squared / degrees of freedom), six degrees
 
@@ -61,7 +62,8 @@ class SensorDescription:
     field_of_view_deg : lowest and highest elevation of a return, and the sector of azimuth that has returns
     azimuth_step_deg : angle between two firings of a beam
     range_quantum_m : ranges are multiples of it
-    range_noise_m : standard deviation along the ray on smooth surfaces
+    range_noise_m : standard deviation along the ray on smooth surfaces, at most: roughness of the surface counts
+    range_noise_low_m : the same without what grows with the distance of the returns, at least
     elevation_noise_deg : standard deviation of the elevation of returns around that of their beam
     azimuth_noise_deg : standard deviation of the azimuth of returns around multiples of the step
     lost_share : by range band, see `LOST_BANDS_M`: share of the pulses without a return within visible surfaces
@@ -85,6 +87,7 @@ class SensorDescription:
     azimuth_step_deg: float | None = None
     range_quantum_m: float | None = None
     range_noise_m: float | None = None
+    range_noise_low_m: float | None = None
     elevation_noise_deg: float | None = None
     azimuth_noise_deg: float | None = None
     lost_share: tuple[float | None, ...] = ()
@@ -166,6 +169,7 @@ def describe_with_gaps(
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
+    noise_low = _least_range_noise(sweep, step, noise)
     n_firings = _surface_firings(sweep, step)
     lost, lost_in_all, untold["lost_share"] = _lost_share(sweep, n_firings, step)
     known = recognise(pattern, step, quantum)
@@ -183,6 +187,7 @@ def describe_with_gaps(
         azimuth_step_deg=step,
         range_quantum_m=quantum,
         range_noise_m=noise,
+        range_noise_low_m=noise_low,
         elevation_noise_deg=_spread(sweep.off_deg),
         azimuth_noise_deg=None if step is None else _azimuth_noise(sweep, step),
         lost_share=lost,
@@ -262,7 +267,7 @@ def sensor_lines(sensor: SensorDescription) -> list[str]:
         else ("", ""),
         _property(sensor, "azimuth step", "azimuth_step_deg", lambda step: f"{step:.3f} degrees"),
         _property(sensor, "range quantum", "range_quantum_m", lambda quantum: f"{1e3 * quantum:g} mm"),
-        _property(sensor, "range noise", "range_noise_m", lambda noise: f"{1e3 * noise:.0f} mm on smooth surfaces"),
+        _property(sensor, "range noise", "range_noise_m", lambda noise: _noise_text(noise, sensor.range_noise_low_m)),
         ("angular noise", _angular_text(sensor)) if sensor.elevation_deg else ("", ""),
         _property(sensor, "pulses lost in surfaces", "lost_share", _lost_text),
         ("for each point", f"ring: {_yes(sensor.has_ring)}, time: {_yes(sensor.has_time)}"),
@@ -275,6 +280,13 @@ def _property(sensor: SensorDescription, name: str, attribute: str, text: Callab
         return name, f"none detected ({sensor.untold[attribute]})"
     value = getattr(sensor, attribute)
     return (name, text(value)) if value not in (None, ()) else ("", "")
+
+
+def _noise_text(noise_m: float, low_m: float | None) -> str:
+    """Range noise, with its lower bound if roughness of the surfaces may be most of it."""
+    if low_m is None or low_m > _CLEAR * noise_m:
+        return f"{1e3 * noise_m:.0f} mm on smooth surfaces"
+    return f"{1e3 * low_m:.0f} to {1e3 * noise_m:.0f} mm on smooth surfaces"
 
 
 def _angular_text(sensor: SensorDescription) -> str:
@@ -357,10 +369,10 @@ def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
 
 
 def _is_several_sweeps(points: FloatArray) -> bool:
-    """True if the parts of a scan without recognisable beams have beams, each in the same directions."""
-    for first, last in sweep_parts(points):
-        has_beams = [not isinstance(find_beams(part), str) for part in (first, last)]
-        if all(has_beams):
+    """True if the first or last part of a scan without recognisable beams has beams, in the directions of the other."""
+    for parts in sweep_parts(points):
+        reasons = [part for part in map(find_beams, parts) if isinstance(part, str)]
+        if len(reasons) < len(parts):
             return True
     return False
 
@@ -430,6 +442,21 @@ def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, s
     fit = (runs[:, None] @ basis @ np.swapaxes(basis, -1, -2))[:, 0]
     rms = np.sqrt(((runs - fit) ** 2).sum(axis=1) / (_RUN - 3))
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4), ""
+
+
+def _least_range_noise(sweep: _Sweep, step_deg: float | None, noise_m: float | None) -> float | None:
+    """Range noise without the roughness of the surface, whose variance is about proportional to the step.
+
+    It is extrapolated from the noise of all returns and of every second one. Together with the former, which is too
+    high, it bounds the noise: the extrapolation is too low where roughness grows faster.
+    """
+    if step_deg is None or noise_m is None:
+        return None
+    halved = _Sweep(*(values[::2] for values in vars(sweep).values()))
+    coarse_m, _ = _range_noise(halved, 2 * step_deg)
+    if coarse_m is None:
+        return None
+    return round(float(np.sqrt(np.clip(2 * noise_m**2 - coarse_m**2, 0.0, noise_m**2))), 4)
 
 
 def _runs_on_surface(sweep: _Sweep, most_deg: float) -> tuple[FloatArray, FloatArray]:

@@ -113,7 +113,7 @@ class SideSamples:
         lines = []
         for side, sensors in self._sensors.items():
             pair_ids: dict[str, list[str]] = {}
-            texts = {}
+            texts: dict[str, str] = {}
             for pair_id, sensor in sensors.items():
                 for need, text in sensor.doubts.items():
                     if (need in SERIOUS) == serious:

@@ -24,7 +24,7 @@ from .beams import (
     second_returns,
 )
 from .distance import mean_apart, sample_rows, surface_distance, surface_floor
-from .sides import FAR_M, PLANE_NEIGHBOURS, SCATTERED, PairScans, Side, noise_without_steps
+from .sides import FAR_M, PLANE_NEIGHBOURS, SCATTERED, PairScans, Side, noise_bounds
 
 #: Amount that is not a cause: variance of the share of returns between directions, beyond that of counting and of the
 #: fit of the losses; at most 0 if they are lost at random.
@@ -146,7 +146,7 @@ def _unlike_patterns(real: Side, sim: Side, recorded: Side) -> str | None:
 
 def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]:
     """Reasons why something is unknown of either side, see `trust`."""
-    doubts = {}
+    doubts: dict[str, str] = {}
     for side, sensor in (("real", real), ("simulated", sim)):
         for need, text in sensor.doubts.items():
             doubts.setdefault(need, f"{side} scan: {text}")
@@ -500,11 +500,10 @@ def _flat_amount(real: Side, sim: Side) -> Amount:
 def _sensor_amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dict[str, Amount]:
     """Amounts that follow from the descriptions of both sensors."""
     a, b = real.sensor, sim.sensor
-    noise = _known_difference(noise_without_steps(a), noise_without_steps(b), _why_unknown(a, b, "range_noise_m"))
     step = _known_difference(a.azimuth_step_deg, b.azimuth_step_deg, _why_unknown(a, b, "azimuth_step_deg"))
     jitter = _known_difference(a.azimuth_noise_deg, b.azimuth_noise_deg, _why_unknown(a, b, "azimuth_step_deg"))
     amounts = {
-        "range noise": _with_share(noise, _NOISY_M),
+        "range noise": _with_share(_noise_amount(a, b), _NOISY_M),
         "azimuth step": _with_share(step, a.azimuth_step_deg or 1.0),
         "azimuth noise": _with_share(jitter, 0.3),
         "elevation noise": _with_share(_elevation_noise(real, sim, recorded), 0.3),
@@ -517,6 +516,15 @@ def _sensor_amounts(real: Side, sim: Side, recorded: Side, explained: Explained)
     else:
         amounts["range steps"] = Amount(None, reason=_why_unknown(a, b, "elevation_deg"))
     return amounts
+
+
+def _noise_amount(real: SensorDescription, sim: SensorDescription) -> Amount:
+    """Difference of the range noise that roughness of the surfaces cannot explain; 0 if the bounds overlap."""
+    real_m, sim_m = noise_bounds(real), noise_bounds(sim)
+    if real_m is None or sim_m is None:
+        return Amount(None, reason=_why_unknown(real, sim, "range_noise_m"))
+    amount = max(sim_m[0] - real_m[1], 0.0) + min(sim_m[1] - real_m[0], 0.0)
+    return Amount(amount, real_m[1], sim_m[1])
 
 
 def _known_difference(real: float | None, sim: float | None, reason: str) -> Amount:

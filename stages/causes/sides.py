@@ -154,8 +154,18 @@ class PairScans:
     rays: Rays | str = field(default="rays were not compared")
 
 
-def noise_without_steps(sensor: SensorDescription) -> float | None:
-    """Range noise of a sensor without that of rounding to its range steps, q / sqrt(12)."""
-    noise_m = sensor.range_noise_m
+def noise_bounds(sensor: SensorDescription) -> tuple[float, float] | None:
+    """Least and greatest range noise of a sensor without that of rounding to its range steps, q / sqrt(12)."""
+    most_m = sensor.range_noise_m
+    if most_m is None:
+        return None
+    least_m = most_m if sensor.range_noise_low_m is None else sensor.range_noise_low_m
     step_m = sensor.range_quantum_m or 0.0
-    return None if noise_m is None else float(np.sqrt(max(noise_m**2 - step_m**2 / 12, 0.0)))
+    low_m, high_m = (float(np.sqrt(max(noise_m**2 - step_m**2 / 12, 0.0))) for noise_m in (least_m, most_m))
+    return low_m, high_m
+
+
+def most_noise_m(sensor: SensorDescription) -> float:
+    """Greatest range noise of a sensor without that of its range steps; 0 if it is unknown."""
+    bounds = noise_bounds(sensor)
+    return 0.0 if bounds is None else bounds[1]
