@@ -37,8 +37,8 @@ def main(data):
         scans[f"synth, {sensor}"] = make_pair(0, 3, SENSORS[sensor]).sim.rows[:, :3].astype(float)
     rng = np.random.default_rng(0)
     print("| scan | added (mm) | full | half | third |\n|---|---|---|---|---|")
-    for name, points in scans.items():
-        points = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
+    for name, read in scans.items():
+        points = read[np.isfinite(read).all(axis=1) & read.any(axis=1)]
         for added_m in ADDED_M:
             cells = []
             for n in (1, 2, 3):

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .arrays import BoolArray, FloatArray, IndexArray
 
@@ -25,9 +24,12 @@ _BIN_DEG, _MOST_DEG = 0.01, 4.0
 _SHORT, _SHORT_SHARE, _APART = 0.15, 0.05, 0.01
 _FEWEST_GAPS = 500
 _CELL_DEG, _SAME_CELLS = 2.0, 0.6
+FAR_FROM_ORIGIN = (
+    "the points are not in the sensor's frame: nothing within 5 m of the origin, beams not recognised; "
+    "set input.sensor_position"
+)
 SWEEPS_IN_A_ROW = "two or more sweeps or sensors in one scan? Parts of it have beams, and all of it has not"
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
-_SAMPLE, _OTHER_RANGE, _CROSSING_SHARE = 3000, 1.1, 0.3
 
 
 def miss_range(range_m: FloatArray) -> tuple[float, float] | None:
@@ -140,27 +142,3 @@ def is_far_from_origin(points: FloatArray) -> bool:
     """True if hardly any point lies within 5 m of the origin, where the sensor should be."""
     range_m = np.linalg.norm(points[points.any(axis=1)], axis=1)
     return len(range_m) > 0 and float((range_m < _NEAR_M).mean()) < _NEAR_SHARE
-
-
-def position_text(points: FloatArray) -> str | None:
-    """The doubt that points without recognisable beams are not in the frame of their sensor.
-
-    From elsewhere than the sensor surfaces are seen behind each other: neighbouring directions have different ranges.
-
-    Parameters
-    ----------
-    points : (n, 3) float64, metres
-    """
-    range_m = np.linalg.norm(points, axis=1)
-    if is_far_from_origin(points):
-        why = f"nothing within {_NEAR_M:g} m of the origin"
-    else:
-        rays = points / range_m[:, None]
-        rows = np.random.default_rng(0).permutation(len(points))[:_SAMPLE]
-        _, near = cKDTree(rays).query(rays[rows], k=2)
-        ratio = range_m[near[:, 1]] / range_m[rows]
-        crossing = float(((ratio > _OTHER_RANGE) | (ratio < 1 / _OTHER_RANGE)).mean())
-        if crossing < _CROSSING_SHARE:
-            return None
-        why = "surfaces are behind each other, seen from the origin"
-    return f"the points are not in the sensor's frame: {why}, beams not recognised; set input.sensor_position"
