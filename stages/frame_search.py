@@ -46,6 +46,7 @@ _FEW_POINTS, _MOST_PROMISING = 300, 8  # of a sample, by which candidates are ch
 _LEAST_SCALE, _MOST_SCALE, _ALIKE = 0.2, 5.0, 0.05
 _FINE_SCALES = np.linspace(0.9, 1.1, 11)
 _LEAST_HEIGHT_M = 0.3
+_MIN_SCALED_COVERAGE = 0.75  # smaller scans cover each other more easily
 
 _FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name in FRAME_AXES}  # p_ros = F p
 
@@ -275,7 +276,7 @@ def _scaled(
             sources[unit] = _Side(points)
             candidate = _Candidate("", motion, unit)
             coverage = _coverage(target, sources[unit], candidate, settings.include_box)
-            if coverage > best[0]:
+            if coverage > max(best[0], _MIN_SCALED_COVERAGE):
                 best = coverage, candidate
     return best
 

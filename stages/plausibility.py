@@ -10,7 +10,6 @@ from ..schemas.columns import FARTHEST_M
 from ..schemas.settings import InputSettings
 from .arrays import FloatArray
 from .clean import as_ros
-from .frame_search import ground_height
 
 FAR_COORDINATE_M = 1000.0
 SMALLEST_EXTENT_M = 1.0
@@ -116,7 +115,7 @@ def _axes_question(points: FloatArray, spread: FloatArray, side: str) -> str:
     """What may be wrong with a scan that is as high as it is wide."""
     if spread[1] >= STEEP_SPREAD * spread[[0, 2]].min():
         return "are the columns right (input.columns)?"
-    if ground_height(as_ros(points, "kitti-cam")) < 0:
+    if np.median(as_ros(points, "kitti-cam")[:, 2]) < 0:  # most points are lower than the sensor
         return f"is it in camera axes? set input.{side}_frame=kitti-cam"
     return "is y up? expected x forward, y left, z up; set T_real_sim in the manifest"
 
