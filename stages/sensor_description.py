@@ -16,17 +16,16 @@ from .arrays import BoolArray, FloatArray, IndexArray, IntArray
 from .beam_patterns import BeamPattern, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
 from .trust import (
-    FAR_FROM_ORIGIN,
     MISSES,
     ONE_SWEEP,
     POSITION,
     RETURNS,
     SWEEPS_IN_A_ROW,
-    is_far_from_origin,
     is_miss,
     later_returns,
     miss_range,
     misses_text,
+    position_text,
     returns_text,
     sweep_parts,
     sweeps_text,
@@ -154,8 +153,8 @@ def describe_with_gaps(
     sensor = replace(sensor, field_of_view_deg=view)
     pattern = find_beams(points, ring)
     if isinstance(pattern, str):
-        if is_far_from_origin(points):
-            doubts[POSITION] = FAR_FROM_ORIGIN
+        if text := position_text(points):
+            doubts[POSITION] = text
         elif _is_several_sweeps(points):
             doubts[ONE_SWEEP] = SWEEPS_IN_A_ROW
         return replace(_undetected(sensor, pattern), doubts=doubts), NO_GAPS

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from .arrays import BoolArray, FloatArray, IndexArray
 
@@ -19,15 +20,12 @@ FRAME = "frame"
 #: Doubts that make `fidpipe check` fail.
 SERIOUS = (MISSES, ONE_SWEEP, POSITION)
 _SHELL_M, _SHELL_SHARE, _MOST_SHELL_SHARE = 0.1, 0.03, 0.95
-_SAME_DEG, _SAME_SHARE, _NEAREST_M = 0.005, 0.1, 1.0
+_SAME_DEG, _SAME_SHARE, _NEAREST_M, _MOST_RETURNS = 0.005, 0.1, 1.0, 5
 _BIN_DEG, _MOST_DEG = 0.01, 4.0
 _SHORT, _SHORT_SHARE, _APART = 0.15, 0.05, 0.01
 _FEWEST_GAPS = 500
 _CELL_DEG, _SAME_CELLS = 2.0, 0.6
-FAR_FROM_ORIGIN = (
-    "the points are not in the sensor's frame: nothing within 5 m of the origin, beams not recognised; "
-    "set input.sensor_position"
-)
+_SAMPLE, _NEIGHBOURS, _DENSE_PART, _DENSE_M = 5000, 10, 5, 10.0
 SWEEPS_IN_A_ROW = "two or more sweeps or sensors in one scan? Parts of it have beams, and all of it has not"
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
 
@@ -82,7 +80,9 @@ def later_returns(beam: IndexArray, azimuth_deg: FloatArray, range_m: FloatArray
 
 def returns_text(is_later: BoolArray) -> str | None:
     """The doubt that rays have several returns; None if few have."""
-    share = float(is_later.mean())
+    ray = np.cumsum(~is_later)
+    n_returns = np.bincount(ray)[ray]
+    share = float((is_later & (n_returns <= _MOST_RETURNS)).mean())
     if share < _SAME_SHARE:
         return None
     return (
@@ -142,3 +142,25 @@ def is_far_from_origin(points: FloatArray) -> bool:
     """True if hardly any point lies within 5 m of the origin, where the sensor should be."""
     range_m = np.linalg.norm(points[points.any(axis=1)], axis=1)
     return len(range_m) > 0 and float((range_m < _NEAR_M).mean()) < _NEAR_SHARE
+
+
+def position_text(points: FloatArray) -> str | None:
+    """The doubt that a scan without recognisable beams is not in the frame of its sensor.
+
+    Around a sensor points are densest: the median place of the fifth with the nearest neighbours is not far from it.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    """
+    if is_far_from_origin(points):
+        why = f"nothing within {_NEAR_M:g} m of the origin"
+    else:
+        sample = points[np.random.default_rng(0).permutation(len(points))[:_SAMPLE]]
+        apart_m, _ = cKDTree(sample).query(sample, k=_NEIGHBOURS)
+        dense = sample[np.argsort(apart_m[:, -1])[: len(sample) // _DENSE_PART]]
+        place_m = float(np.hypot(*np.median(dense[:, :2], axis=0)))
+        if place_m < _DENSE_M:
+            return None
+        why = f"they are densest {place_m:.0f} m from the origin"
+    return f"the points are not in the sensor's frame: {why}, beams not recognised; set input.sensor_position"

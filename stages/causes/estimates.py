@@ -57,6 +57,7 @@ _CURVED_M, _CURVED, _FLATTER = 0.03, 0.15, 0.5  # thickness and scattering of cu
 _SMOOTH = 0.01  # relative residual of inverse ranges on smooth surface
 _STRAY_M, _STRAY_STDS = 0.15, 6.0
 _SECTOR_DEG, _FINE_SECTOR_DEG, _SECTOR_POINTS = 5.0, 1.0, 10
+_BLIND = 0.1  # of the usual number of returns
 _DENSE_DEG = 0.35  # azimuth step up to which sectors are fine
 _FAR_SURFACE_M, _FEWEST_FAR = 20.0, 50
 
@@ -345,12 +346,16 @@ def _near_elevations(side: Side, elevations_deg: FloatArray) -> BoolArray:
 
 
 def _blind_sectors(real: Side, sim: Side) -> tuple[IndexArray, BoolArray]:
-    """Sector of azimuth of each real point, and which sectors only the real side has returns in."""
+    """Sector of azimuth of each real point, and in which sectors the simulated side has hardly any returns."""
     n_sectors = round(360 / _sector_deg(real, sim))
     sector_of_real = _sector(real, n_sectors)
     n_real = np.bincount(sector_of_real, minlength=n_sectors)
     n_sim = np.bincount(_sector(sim, n_sectors), minlength=n_sectors)
-    return sector_of_real, (n_real >= _SECTOR_POINTS) & (n_sim == 0)
+    is_compared = n_real >= _SECTOR_POINTS
+    if not is_compared.any():
+        return sector_of_real, is_compared
+    usual = float(np.median(n_sim[is_compared] / n_real[is_compared]))
+    return sector_of_real, is_compared & (n_sim <= _BLIND * usual * n_real)
 
 
 def _sector(side: Side, n_sectors: int) -> IndexArray:
