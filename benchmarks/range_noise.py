@@ -1,4 +1,4 @@
-"""Bounds of the range noise of scans with added noise, at full, half and third density in azimuth.
+"""Lower and upper estimate of the range noise of scans with added noise, at full, half and third density in azimuth.
 
 python benchmarks/range_noise.py ../shared/data
 """

@@ -62,8 +62,8 @@ class SensorDescription:
     field_of_view_deg : lowest and highest elevation of a return, and the sector of azimuth that has returns
     azimuth_step_deg : angle between two firings of a beam
     range_quantum_m : ranges are multiples of it
-    range_noise_m : standard deviation along the ray on smooth surfaces, at most: roughness of the surface counts
-    range_noise_low_m : the same without what grows with the distance of the returns, at least
+    range_noise_m : standard deviation along the ray on smooth surfaces; rather too high, as their roughness counts
+    range_noise_low_m : the same without the part that grows with the azimuth step; rather too low in dense scans
     elevation_noise_deg : standard deviation of the elevation of returns around that of their beam
     azimuth_noise_deg : standard deviation of the azimuth of returns around multiples of the step
     lost_share : by range band, see `LOST_BANDS_M`: share of the pulses without a return within visible surfaces
@@ -447,8 +447,8 @@ def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, s
 def _least_range_noise(sweep: _Sweep, step_deg: float | None, noise_m: float | None) -> float | None:
     """Range noise without the roughness of the surface, whose variance is about proportional to the step.
 
-    It is extrapolated from the noise of all returns and of every second one. Together with the former, which is too
-    high, it bounds the noise: the extrapolation is too low where roughness grows faster.
+    It is extrapolated from the noise of all returns and of every second one. The noise itself need not lie between both:
+    roughness that grows less, as between distant returns, stays in it (see `benchmarks/range_noise.py`).
     """
     if step_deg is None or noise_m is None:
         return None

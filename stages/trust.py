@@ -25,7 +25,7 @@ _BIN_DEG, _MOST_DEG = 0.01, 4.0
 _SHORT, _SHORT_SHARE, _APART = 0.15, 0.05, 0.01
 _FEWEST_GAPS = 500
 _CELL_DEG, _SAME_CELLS = 2.0, 0.6
-_SAMPLE, _NEIGHBOURS, _DENSE_PART, _DENSE_M = 5000, 10, 5, 10.0
+_SAMPLE, _NEIGHBOURS, _DENSE_PART, _DENSE_M = 5000, 10, 5, 15.0
 SWEEPS_IN_A_ROW = "two or more sweeps or sensors in one scan? Parts of it have beams, and all of it has not"
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
 

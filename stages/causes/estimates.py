@@ -57,7 +57,7 @@ _CURVED_M, _CURVED, _FLATTER = 0.03, 0.15, 0.5  # thickness and scattering of cu
 _SMOOTH = 0.01  # relative residual of inverse ranges on smooth surface
 _STRAY_M, _STRAY_STDS = 0.15, 6.0
 _SECTOR_DEG, _FINE_SECTOR_DEG, _SECTOR_POINTS = 5.0, 1.0, 10
-_BLIND = 0.1  # of the usual number of returns
+_BLIND = 0.1  # of the usual number of returns, in fine sectors
 _DENSE_DEG = 0.35  # azimuth step up to which sectors are fine
 _FAR_SURFACE_M, _FEWEST_FAR = 20.0, 50
 
@@ -347,7 +347,8 @@ def _near_elevations(side: Side, elevations_deg: FloatArray) -> BoolArray:
 
 def _blind_sectors(real: Side, sim: Side) -> tuple[IndexArray, BoolArray]:
     """Sector of azimuth of each real point, and in which sectors the simulated side has hardly any returns."""
-    n_sectors = round(360 / _sector_deg(real, sim))
+    width_deg = _sector_deg(real, sim)
+    n_sectors = round(360 / width_deg)
     sector_of_real = _sector(real, n_sectors)
     n_real = np.bincount(sector_of_real, minlength=n_sectors)
     n_sim = np.bincount(_sector(sim, n_sectors), minlength=n_sectors)
@@ -355,7 +356,8 @@ def _blind_sectors(real: Side, sim: Side) -> tuple[IndexArray, BoolArray]:
     if not is_compared.any():
         return sector_of_real, is_compared
     usual = float(np.median(n_sim[is_compared] / n_real[is_compared]))
-    return sector_of_real, is_compared & (n_sim <= _BLIND * usual * n_real)
+    most_left = _BLIND * usual if width_deg == _FINE_SECTOR_DEG else 0.0
+    return sector_of_real, is_compared & (n_sim <= most_left * n_real)
 
 
 def _sector(side: Side, n_sectors: int) -> IndexArray:
@@ -524,7 +526,7 @@ def _sensor_amounts(real: Side, sim: Side, recorded: Side, explained: Explained)
 
 
 def _noise_amount(real: SensorDescription, sim: SensorDescription) -> Amount:
-    """Difference of the range noise that roughness of the surfaces cannot explain; 0 if the bounds overlap."""
+    """Difference between the lower estimate of one side and the upper one of the other; 0 if they overlap."""
     real_m, sim_m = noise_bounds(real), noise_bounds(sim)
     if real_m is None or sim_m is None:
         return Amount(None, reason=_why_unknown(real, sim, "range_noise_m"))

@@ -155,7 +155,7 @@ class PairScans:
 
 
 def noise_bounds(sensor: SensorDescription) -> tuple[float, float] | None:
-    """Least and greatest range noise of a sensor without that of rounding to its range steps, q / sqrt(12)."""
+    """Lower and upper estimate of the range noise of a sensor without that of rounding to its range steps, q / sqrt(12)."""
     most_m = sensor.range_noise_m
     if most_m is None:
         return None
@@ -166,6 +166,6 @@ def noise_bounds(sensor: SensorDescription) -> tuple[float, float] | None:
 
 
 def most_noise_m(sensor: SensorDescription) -> float:
-    """Greatest range noise of a sensor without that of its range steps; 0 if it is unknown."""
+    """Upper estimate of the range noise of a sensor without that of its range steps; 0 if it is unknown."""
     bounds = noise_bounds(sensor)
     return 0.0 if bounds is None else bounds[1]
