@@ -155,7 +155,7 @@ class PairScans:
 
 
 def noise_bounds(sensor: SensorDescription) -> tuple[float, float] | None:
-    """Lower and upper estimate of the range noise of a sensor without that of rounding to its range steps, q / sqrt(12)."""
+    """Lower and upper estimate of the range noise of a sensor without that of its range steps, q / sqrt(12)."""
     most_m = sensor.range_noise_m
     if most_m is None:
         return None
