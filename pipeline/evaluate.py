@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError
 from ..schemas.settings import Settings, parse
 from ..stages.arrays import FloatArray
@@ -85,6 +86,7 @@ def evaluate_pair(
     -----
     UserWarning
         The simulated scan seems to be in another frame: mirrored, rotated, shifted (`stages.frame_search`).
+        Or a side holds rays without a return, second returns, two sweeps, or is not in its sensor's frame.
         If the warning names 12 numbers of `T_real_sim` = [R | t], pass `sim @ R.T + t`.
 
     Raises
@@ -115,6 +117,9 @@ def evaluate_pair(
     check = outputs["sensor", "sim"][FRAMES]
     if check is not None and check["is_suspect"]:
         warnings.warn(frame_warning(FrameCheck(**check)), stacklevel=2)
+    for side in SIDES:
+        for text in outputs["sensor", side]["sensor"]["doubts"].values():
+            warnings.warn(f"{side} side: {text}", stacklevel=2)
     summary: dict[str, Any] = {"pair_id": _PAIR, "status": "scored"}
     for metadata in outputs.values():
         summary |= plain_metadata(metadata.get(OF_PAIR, {}))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -22,11 +23,16 @@ _WORDS = {"real": {"real"}, "sim": {"sim", "simulated", "simulation"}}
 def inspection_of(jobs: Iterable[JobRecord]) -> tuple[dict[str, ScanInspection], FrameCheck | None]:
     """Inspection results in the finished jobs of a pair: by side, and of both scans together."""
     sides, frames = {}, None
+    doubts = {}
     for job in jobs:
+        if sensor := job.metadata.get("sensor"):
+            doubts[job.part] = tuple(sensor["doubts"].values())
         if found := job.metadata.get(INSPECTION):
             sides[job.part] = ScanInspection(**found)
         if found := job.metadata.get(FRAMES):
             frames = FrameCheck(**found)
+    for side in sides.keys() & doubts.keys():
+        sides[side] = replace(sides[side], warnings=(*doubts[side], *sides[side].warnings))
     return sides, frames
 
 

@@ -86,6 +86,10 @@ _Columns = Annotated[
     AfterValidator(_check_columns),
 ]
 _Box = Annotated[Box | None, BeforeValidator(_split_box, json_schema_input_type=Box | str), AfterValidator(_check_box)]
+_Position = Annotated[
+    tuple[float, float, float] | None,
+    BeforeValidator(_split_words, json_schema_input_type=tuple[float, float, float] | str),
+]
 
 
 class InputSettings(_Group):
@@ -100,6 +104,8 @@ class InputSettings(_Group):
     include_box : xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped
     sim_flip_y : negate y of the simulated side: the same as sim_frame = "carla"; only with sim_frame "ros"
     sim_frame : axes of the simulated scans, metres; see real_frame
+    sensor_position : x y z of the sensor, metres, in the frame of the points, where that is not the sensor's own; of
+        both sides
     intensity_scale : same: intensities of both sides have one scale, so that their RMSE is computed
     """
 
@@ -118,6 +124,7 @@ class InputSettings(_Group):
         + ". Converted to ros before T_real_sim is applied",
     )
     sim_frame: FrameName = "ros"
+    sensor_position: _Position = Field(None, examples=[[1.2, 0.0, 1.8]])
     intensity_scale: Literal["unknown", "same"] = "unknown"
 
     @field_validator("real_frame", "sim_frame", mode="before")

@@ -107,6 +107,28 @@ def as_ros(points: FloatArray, frame: FrameName) -> FloatArray:
     return points[:, columns] * np.array(signs)
 
 
+def at_sensor(points: FloatArray, side: str, settings: InputSettings) -> FloatArray:
+    """Points in the axes of `as_ros`, with the sensor of the side ("real" or "sim") at the origin."""
+    points = as_ros(points, settings.frame_of(side))
+    if settings.sensor_position is None:
+        return points
+    return points - settings.sensor_position
+
+
+def seen_from(position: tuple[float, float, float], T_real_sim: FloatArray | None) -> FloatArray | None:
+    """T_real_sim of points whose origin has moved to a position of both sides.
+
+    Parameters
+    ----------
+    position : x y z, metres
+    T_real_sim : (3, 4) float64 of the points as they were; None for the identity
+    """
+    if T_real_sim is None:
+        return None
+    R, t = T_real_sim[:, :3], T_real_sim[:, 3]
+    return np.column_stack([R, t - position + R @ position])
+
+
 def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], settings: InputSettings) -> str:
     """Message for a scan with too few points after cleaning: counts by reason, and how to keep more.
 

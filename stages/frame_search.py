@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import permutations, product
 
 import numpy as np
 import scipy
@@ -17,6 +18,7 @@ from ..schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
 from .arrays import BoolArray, FloatArray, IndexArray
 from .clean import as_ros, clean_scan, inside
 from .surfels import voxel_ids
+from .trust import is_far_from_origin
 
 AS_GIVEN = "as given"
 VOXEL_M = 0.5
@@ -39,6 +41,13 @@ _SCALES = {"centimetres": 0.01, "millimetres": 0.001, "feet": 0.3048}
 _SIMILAR_REACH = {"feet": 1.6}  # ratio of the reach of both sides in a unit; 10 in units that are farther apart
 _GROUND_STEP_M = 0.1
 
+_DIRECTIONS = (("forward", "back"), ("left", "right"), ("up", "down"))
+_FEW_POINTS, _MOST_PROMISING = 300, 8  # of a sample, by which candidates are chosen that the whole sample compares
+_LEAST_SCALE, _MOST_SCALE, _ALIKE = 0.2, 5.0, 0.05
+_FINE_SCALES = np.linspace(0.9, 1.1, 11)
+_LEAST_HEIGHT_M = 0.3
+_MIN_SCALED_COVERAGE = 0.75  # smaller scans cover each other more easily
+
 _FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name in FRAME_AXES}  # p_ros = F p
 
 
@@ -51,7 +60,21 @@ def _rotations() -> dict[str, FloatArray]:
             if not any(np.array_equal(turn, known) for known in turns.values()):
                 words = [f"read as {sim}"] * (sim != "ros") + [f"with the real one read as {real}"] * (real != "ros")
                 turns[" and ".join(words)] = turn
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            turn = np.eye(3)[list(order)].T * signs
+            if not any(np.array_equal(turn, known) for known in turns.values()):
+                turns[f"read as {_axes_words(turn)}"] = turn
     return turns
+
+
+def _axes_words(turn: FloatArray) -> str:
+    """Where each axis of the file points: "x right, y up, z forward"."""
+    words = []
+    for axis, direction in zip("xyz", turn.T, strict=True):
+        row = int(np.abs(direction).argmax())
+        words.append(f"{axis} {_DIRECTIONS[row][int(direction[row] < 0)]}")
+    return ", ".join(words)
 
 
 _ROTATIONS = _rotations()
@@ -73,6 +96,11 @@ class FrameCheck:
     coverage: float
     is_suspect: bool
     setting: str
+
+    @property
+    def is_other_frame(self) -> bool:
+        """True if other axes, units or motions fit much better, and not only the ground is at another height."""
+        return self.is_suspect and self.coverage - self.as_it_lies >= MIN_GAIN
 
     @property
     def is_elsewhere(self) -> bool:
@@ -122,13 +150,13 @@ def check_frames(
 
     The coverage is the share of the points of one scan that have a point of the other within 1 m, as the mean over
     both directions and over ground and the rest. Only points within 40 m of the sensor, one per voxel of 0.5 m, count.
-    Candidates for the simulated scan: as given; mirrored, rotated by multiples of 90 degrees, upside down; either scan
-    in any of the frames of the settings; in centimetres, millimetres and feet if it reaches far beyond the real one;
-    each of these also shifted by the difference of the ground heights. A candidate is suspect if it covers at least
-    `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as given, and leaves uncovered at most `MAX_UNCOVERED_RATIO`
-    of the share that the scan as given leaves. Otherwise a scan is suspect if its ground is `MIN_LIFT_M` or more above
-    or below the real one. Lifts are medians over ground points and their horizontal neighbours, applied and re-measured
-    before they are reported.
+    Candidates for the simulated scan: its axes in all 48 orders and signs, as either scan in any of the frames of
+    the settings; in centimetres, millimetres and feet if it reaches far beyond the real one; each of these also
+    shifted by the difference of the ground heights; and if none of them fits, 0.2 to 5 times as large. A candidate
+    is suspect if it covers at least `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as given, and leaves
+    uncovered at most `MAX_UNCOVERED_RATIO` of the share that the scan as given leaves. Otherwise a scan is suspect
+    if its ground is `MIN_LIFT_M` or more above or below the real one. Lifts are medians over ground points and
+    their horizontal neighbours, applied and re-measured before they are reported.
 
     Parameters
     ----------
@@ -157,6 +185,8 @@ def check_frames(
     if not sources:
         return None
     as_given, coverage, best = _search(target, sources, settings, motion)
+    if coverage < MIN_COVERAGE and "" in sources:
+        coverage, best = _scaled(target, sources, (real, sim), settings, motion, (coverage, best))
     is_suspect = (
         coverage >= MIN_COVERAGE
         and coverage - as_given >= MIN_GAIN
@@ -164,9 +194,12 @@ def check_frames(
     )
     start, before = (best, coverage) if is_suspect else (_Candidate("", motion), as_given)
     source = sources.get(start.unit)
-    if source is not None and coverage >= MIN_SAME_PLACE and (levelled := _levelled(target, source, start)):
+    is_around_sensor = not (is_far_from_origin(real) or is_far_from_origin(sim))
+    if source is None or coverage < MIN_SAME_PLACE or not is_around_sensor:
+        return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
+    if levelled := _levelled(target, source, start):
         after = _coverage(target, source, levelled, settings.include_box)
-        if after >= before - _MAX_COVERAGE_LOST:
+        if after >= max(before - _MAX_COVERAGE_LOST, MIN_SAME_PLACE):
             best, coverage, is_suspect = levelled, after, True
     return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
 
@@ -196,18 +229,61 @@ def _search(
 
     The search stops early if the scan as given covers so much that no other can be suspect.
     """
-    as_given, box = 0.0, settings.include_box
-    best: tuple[float, _Candidate] = -1.0, _Candidate("", motion)
+    box = settings.include_box
+    as_given = 0.0
+    rough: list[tuple[float, _Candidate]] = []
     for unit, source in sources.items():
         for candidate in _candidates(target, source, motion, unit):
-            coverage = _coverage(target, source, candidate, box)
             if candidate.name == AS_GIVEN:
-                as_given = coverage
+                as_given = _coverage(target, source, candidate, box)
                 if 1 - as_given < MIN_GAIN:
                     return as_given, as_given, candidate
-            if coverage > best[0]:
-                best = coverage, candidate
+            rough.append((_coverage(target, source, candidate, box, _FEW_POINTS), candidate))
+    rough.sort(key=lambda scored: -scored[0])
+    best: tuple[float, _Candidate] = as_given, _Candidate("", motion)
+    for _, candidate in rough[:_MOST_PROMISING]:
+        coverage = _coverage(target, sources[candidate.unit], candidate, box)
+        if coverage > best[0]:
+            best = coverage, candidate
     return as_given, *best
+
+
+def _scaled(
+    target: _Side,
+    sources: dict[str, _Side],
+    scans: tuple[FloatArray, FloatArray],
+    settings: InputSettings,
+    motion: FloatArray,
+    best: tuple[float, _Candidate],
+) -> tuple[float, _Candidate]:
+    """The best of a candidate and of the simulated scan in another size, which is added to the sources.
+
+    Sizes are tried around those in which the sensor is at the height of the real one, or reaches as far.
+    """
+    source = sources[""]
+    real, sim = scans
+    ratios = [_reach_m(real) / max(_reach_m(sim), 1e-9)]
+    if min(abs(target.ground_m), abs(source.ground_m)) > _LEAST_HEIGHT_M:
+        ratios.append(target.ground_m / source.ground_m)
+    for ratio in ratios:
+        for factor in ratio * _FINE_SCALES:
+            if not _LEAST_SCALE <= factor <= _MOST_SCALE or abs(factor - 1) < _ALIKE:
+                continue
+            unit = f"units of {factor:.3g} m"
+            points = _thinned(sim * factor, settings, "sim")
+            if unit in sources or len(points) < MIN_POINTS:
+                continue
+            sources[unit] = _Side(points)
+            candidate = _Candidate("", motion, unit)
+            coverage = _coverage(target, sources[unit], candidate, settings.include_box)
+            if coverage > max(best[0], _MIN_SCALED_COVERAGE):
+                best = coverage, candidate
+    return best
+
+
+def _reach_m(points: FloatArray) -> float:
+    """Median distance of the points, but for missing returns."""
+    return float(np.median(np.linalg.norm(points[points.any(axis=1)], axis=1)))
 
 
 def _levelled(target: _Side, source: _Side, candidate: _Candidate) -> _Candidate | None:
@@ -247,14 +323,18 @@ def _candidates(target: _Side, source: _Side, motion: FloatArray, unit: str) -> 
             yield _Candidate(words, lifted, unit, lift_m)
 
 
-def _coverage(target: _Side, source: _Side, candidate: _Candidate, box: Box | None) -> float:
+def _coverage(
+    target: _Side, source: _Side, candidate: _Candidate, box: Box | None, n_points: int = MAX_POINTS
+) -> float:
     """Mean over both directions, and over ground and the rest, of the share of points with another within reach."""
     R, t = candidate.M[:, :3], candidate.M[:, 3]
-    placed = _placed(source.points[source.sample], candidate.M)
+    source_rows = source.sample[:: -(-len(source.sample) // n_points)]
+    target_rows = target.sample[:: -(-len(target.sample) // n_points)]
+    placed = _placed(source.points[source_rows], candidate.M)
     is_inside = inside(placed, box)
-    shares = [*_shares(target.tree, placed[is_inside], source.is_ground[source.sample][is_inside])]
-    back = (target.points[target.sample] - t) @ R  # distances do not change, so the tree is reused
-    shares += _shares(source.tree, back, target.is_ground[target.sample])
+    shares = [*_shares(target.tree, placed[is_inside], source.is_ground[source_rows][is_inside])]
+    back = (target.points[target_rows] - t) @ R  # distances do not change, so the tree is reused
+    shares += _shares(source.tree, back, target.is_ground[target_rows])
     return float(np.mean(shares)) if shares else 0.0
 
 

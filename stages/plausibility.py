@@ -20,6 +20,8 @@ EGO_RANGE_M = 3.0
 MAX_RANGE_M = 150.0
 _UNITS = (("centimetres", 100), ("millimetres", 1000))
 _MAX_NOT_FINITE = 0.25
+_REPEATED_SHARE = 0.02
+_EVEN = 0.08
 
 
 @dataclass(frozen=True)
@@ -80,12 +82,19 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     elif spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
         odd.append(
             f"z spans {spread[2]:.0f} m and x and y {spread[0]:.0f} and {spread[1]:.0f} m; "
-            + (
-                f"is it in camera axes? set input.{side}_frame=kitti-cam"
-                if spread[1] < STEEP_SPREAD * spread[[0, 2]].min()
-                else "are the columns right (input.columns)?"
-            )
+            + _axes_question(points, spread, side)
         )
+    if _are_angles(points):
+        odd.append("one column is spread evenly over a turn, and one is never negative: are they angles and ranges?")
+    place, n_there = _most_repeated(points)
+    if n_there > _REPEATED_SHARE * len(points):
+        words = ", ".join(f"{value:.4g}" for value in place)
+        odd.append(
+            f"{n_there / len(points):.0%} of the points are one repeated point ({words}): rays without a return?"
+        )
+        points = points[(points != place).any(axis=1)]
+        if not len(points):
+            return odd
     range_m = np.linalg.norm(points, axis=1)
     near = float(np.mean(range_m < EGO_RANGE_M))
     if near > 0.5:
@@ -100,6 +109,39 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
             )
         )
     return odd
+
+
+def _axes_question(points: FloatArray, spread: FloatArray, side: str) -> str:
+    """What may be wrong with a scan that is as high as it is wide."""
+    if spread[1] >= STEEP_SPREAD * spread[[0, 2]].min():
+        return "are the columns right (input.columns)?"
+    if np.median(as_ros(points, "kitti-cam")[:, 2]) < 0:  # most points are lower than the sensor
+        return f"is it in camera axes? set input.{side}_frame=kitti-cam"
+    return "is y up? expected x forward, y left, z up; set T_real_sim in the manifest"
+
+
+def _are_angles(points: FloatArray) -> bool:
+    """True if the columns are azimuth, elevation and range in any order, in degrees or radians."""
+    quantiles = np.quantile(points, np.linspace(0.0, 1.0, 5), axis=0)
+    spans = np.ptp(quantiles, axis=0)
+    for turn, right_angle in ((360.0, 90.0), (2 * np.pi, np.pi / 2)):
+        uneven = np.abs(np.diff(quantiles, axis=0) / np.maximum(spans, 1e-9) - 0.25).max(axis=0)
+        is_azimuth = (spans > 0.9 * turn) & (spans < 1.001 * turn) & (uneven < _EVEN)
+        is_elevation = (np.abs(quantiles) <= right_angle).all(axis=0) & (quantiles[0] < 0) & ~is_azimuth
+        is_range = (quantiles[0] >= 0) & ~is_azimuth & ~is_elevation
+        if is_azimuth.any() and is_elevation.any() and is_range.any():
+            return True
+    return False
+
+
+def _most_repeated(points: FloatArray) -> tuple[FloatArray, int]:
+    """The point that most rows have, and how many."""
+    order = np.lexsort(points.T)
+    is_new = np.concatenate([[True], (np.diff(points[order], axis=0) != 0).any(axis=1)])
+    first = np.flatnonzero(is_new)
+    counts = np.diff(first, append=len(points))
+    most = int(counts.argmax())
+    return points[order[first[most]]], int(counts[most])
 
 
 def _unit(low: FloatArray, high: FloatArray) -> str:

@@ -12,9 +12,24 @@ import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..schemas.columns import FARTHEST_M
-from .arrays import FloatArray, IndexArray, IntArray
+from .arrays import BoolArray, FloatArray, IndexArray, IntArray
 from .beam_patterns import BeamPattern, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
+from .trust import (
+    MISSES,
+    ONE_SWEEP,
+    POSITION,
+    RETURNS,
+    SWEEPS_IN_A_ROW,
+    is_miss,
+    later_returns,
+    miss_range,
+    misses_text,
+    position_text,
+    returns_text,
+    sweep_parts,
+    sweeps_text,
+)
 
 #: Limits of the range bands, metres, for the share of lost pulses.
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
@@ -28,6 +43,7 @@ _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
 _RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
 _FEWEST_RUNS = 200
+_CLEAR = 0.7  # of the upper bound of the noise, from which the lower is not shown
 _MAD = 1.4826  # standard deviation over median absolute value
 _RUN_QUARTILE = 0.759  # sqrt(quartile of chi squared / degrees of freedom), six degrees
 
@@ -46,7 +62,8 @@ class SensorDescription:
     field_of_view_deg : lowest and highest elevation of a return, and the sector of azimuth that has returns
     azimuth_step_deg : angle between two firings of a beam
     range_quantum_m : ranges are multiples of it
-    range_noise_m : standard deviation along the ray on smooth surfaces
+    range_noise_m : standard deviation along the ray on smooth surfaces; rather too high, as their roughness counts
+    range_noise_low_m : the same without the part that grows with the azimuth step; rather too low in dense scans
     elevation_noise_deg : standard deviation of the elevation of returns around that of their beam
     azimuth_noise_deg : standard deviation of the azimuth of returns around multiples of the step
     lost_share : by range band, see `LOST_BANDS_M`: share of the pulses without a return within visible surfaces
@@ -55,6 +72,8 @@ class SensorDescription:
     model : title of the known sensor with these beams, or of two sensors
     model_beams : number of beams in the table of the model
     untold : reason by undetermined field
+    doubts : reason by what cannot be trusted, see `trust`
+    miss_range_m : range at which rays without a return are written
     """
 
     n_points: int
@@ -68,6 +87,7 @@ class SensorDescription:
     azimuth_step_deg: float | None = None
     range_quantum_m: float | None = None
     range_noise_m: float | None = None
+    range_noise_low_m: float | None = None
     elevation_noise_deg: float | None = None
     azimuth_noise_deg: float | None = None
     lost_share: tuple[float | None, ...] = ()
@@ -77,6 +97,8 @@ class SensorDescription:
     model: str | None = None
     model_beams: int | None = None
     untold: dict[str, str] = field(default_factory=dict)
+    doubts: dict[str, str] = field(default_factory=dict)
+    miss_range_m: float | None = None
 
 
 #: Gaps of lost pulses within visible surfaces, between two returns of one beam: (g, 2) intp, points before and after
@@ -118,18 +140,36 @@ def describe_with_gaps(
     sensor = SensorDescription(len(points), has_ring=ring is not None, has_time=has_time)
     if len(points) < _MIN_POINTS:
         return _undetected(sensor, f"{len(points)} points, at least {_MIN_POINTS} are needed"), NO_GAPS
+    range_m = np.linalg.norm(points, axis=1)
+    doubts = {}
+    if misses := miss_range(range_m):
+        sensor = replace(sensor, miss_range_m=misses[0])
+        doubts[MISSES] = misses_text(misses[1], misses[0])
+        is_kept = ~is_miss(range_m, misses[0])
+        returns, points, ring = returns[is_kept], points[is_kept], None if ring is None else ring[is_kept]
     slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
     around_deg = 360.0 - widest_azimuth_gap_deg(points)
     view = (round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1))
     sensor = replace(sensor, field_of_view_deg=view)
     pattern = find_beams(points, ring)
     if isinstance(pattern, str):
-        return _undetected(sensor, pattern), NO_GAPS
+        if text := position_text(points):
+            doubts[POSITION] = text
+        elif _is_several_sweeps(points):
+            doubts[ONE_SWEEP] = SWEEPS_IN_A_ROW
+        return replace(_undetected(sensor, pattern), doubts=doubts), NO_GAPS
     untold = {}
     sweep = _by_beam(points, pattern)
+    is_later = later_returns(sweep.beam, sweep.azimuth_deg, sweep.range_m)
+    if text := returns_text(is_later):
+        doubts[RETURNS] = text
+        sweep = sweep.first_returns(is_later)
+    if text := sweeps_text(sweep.gap_deg, sweep.range_m):
+        doubts[ONE_SWEEP] = text
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
+    noise_low = _least_range_noise(sweep, step, noise)
     n_firings = _surface_firings(sweep, step)
     lost, lost_in_all, untold["lost_share"] = _lost_share(sweep, n_firings, step)
     known = recognise(pattern, step, quantum)
@@ -147,6 +187,7 @@ def describe_with_gaps(
         azimuth_step_deg=step,
         range_quantum_m=quantum,
         range_noise_m=noise,
+        range_noise_low_m=noise_low,
         elevation_noise_deg=_spread(sweep.off_deg),
         azimuth_noise_deg=None if step is None else _azimuth_noise(sweep, step),
         lost_share=lost,
@@ -154,6 +195,7 @@ def describe_with_gaps(
         model=known.title,
         model_beams=known.n_beams,
         untold={name: why for name, why in untold.items() if why},
+        doubts=doubts,
     )
     return sensor, (rows, n_firings[before] - 1)
 
@@ -225,7 +267,7 @@ def sensor_lines(sensor: SensorDescription) -> list[str]:
         else ("", ""),
         _property(sensor, "azimuth step", "azimuth_step_deg", lambda step: f"{step:.3f} degrees"),
         _property(sensor, "range quantum", "range_quantum_m", lambda quantum: f"{1e3 * quantum:g} mm"),
-        _property(sensor, "range noise", "range_noise_m", lambda noise: f"{1e3 * noise:.0f} mm on smooth surfaces"),
+        _property(sensor, "range noise", "range_noise_m", lambda noise: _noise_text(noise, sensor.range_noise_low_m)),
         ("angular noise", _angular_text(sensor)) if sensor.elevation_deg else ("", ""),
         _property(sensor, "pulses lost in surfaces", "lost_share", _lost_text),
         ("for each point", f"ring: {_yes(sensor.has_ring)}, time: {_yes(sensor.has_time)}"),
@@ -238,6 +280,13 @@ def _property(sensor: SensorDescription, name: str, attribute: str, text: Callab
         return name, f"none detected ({sensor.untold[attribute]})"
     value = getattr(sensor, attribute)
     return (name, text(value)) if value not in (None, ()) else ("", "")
+
+
+def _noise_text(noise_m: float, low_m: float | None) -> str:
+    """Range noise, with its lower bound if roughness of the surfaces may be most of it."""
+    if low_m is None or low_m > _CLEAR * noise_m:
+        return f"{1e3 * noise_m:.0f} mm on smooth surfaces"
+    return f"{1e3 * low_m:.0f} to {1e3 * noise_m:.0f} mm on smooth surfaces"
 
 
 def _angular_text(sensor: SensorDescription) -> str:
@@ -300,6 +349,13 @@ class _Sweep:
         """Azimuth from each return to the next, (m - 1,) float64; NaN if the next is of another beam."""
         return np.where(np.diff(self.beam) == 0, np.diff(self.azimuth_deg), np.nan)
 
+    def first_returns(self, is_later: BoolArray) -> _Sweep:
+        """The nearest return of each group that follow each other in one direction."""
+        ray = np.cumsum(~is_later)
+        order = np.lexsort((self.range_m, ray))
+        first = np.sort(order[np.flatnonzero(np.diff(ray[order], prepend=0))])
+        return _Sweep(*(values[first] for values in vars(self).values()))
+
 
 def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
     beam, off_deg = pattern.beam_of(points)
@@ -310,6 +366,15 @@ def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
     range_m = np.sqrt(level**2 + points[:, 2] ** 2)
     order = np.lexsort((range_m, azimuth_deg, beam))
     return _Sweep(beam[order], off_deg[order], azimuth_deg[order], range_m[order], row[order])
+
+
+def _is_several_sweeps(points: FloatArray) -> bool:
+    """True if the first or last part of a scan without recognisable beams has beams, in the directions of the other."""
+    for parts in sweep_parts(points):
+        reasons = [part for part in map(find_beams, parts) if isinstance(part, str)]
+        if len(reasons) < len(parts):
+            return True
+    return False
 
 
 def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:
@@ -377,6 +442,21 @@ def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, s
     fit = (runs[:, None] @ basis @ np.swapaxes(basis, -1, -2))[:, 0]
     rms = np.sqrt(((runs - fit) ** 2).sum(axis=1) / (_RUN - 3))
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4), ""
+
+
+def _least_range_noise(sweep: _Sweep, step_deg: float | None, noise_m: float | None) -> float | None:
+    """Range noise without the roughness of the surface, whose variance is about proportional to the step.
+
+    It is extrapolated from the noise of all returns and of every second one. The noise need not lie between both:
+    roughness that grows less, as between distant returns, stays in it (see `benchmarks/range_noise.py`).
+    """
+    if step_deg is None or noise_m is None:
+        return None
+    halved = _Sweep(*(values[::2] for values in vars(sweep).values()))
+    coarse_m, _ = _range_noise(halved, 2 * step_deg)
+    if coarse_m is None:
+        return None
+    return round(float(np.sqrt(np.clip(2 * noise_m**2 - coarse_m**2, 0.0, noise_m**2))), 4)
 
 
 def _runs_on_surface(sweep: _Sweep, most_deg: float) -> tuple[FloatArray, FloatArray]:

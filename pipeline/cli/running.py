@@ -103,7 +103,7 @@ def check(
         dataset = paired(dataset, sim, run_folder(sim))
     found = check_dataset(dataset, load(settings, assignments or [], preset=preset))
     print_json(check_json(found)) if as_json else print_view(check_view(found, run_command))
-    raise typer.Exit(EXIT_WRONG_INPUT if found.faults else 0)
+    raise typer.Exit(EXIT_WRONG_INPUT if found.faults or found.doubts else 0)
 
 
 def run(

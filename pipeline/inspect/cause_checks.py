@@ -12,7 +12,7 @@ from ...schemas.results import Cause
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray
 from ...stages.causes.estimates import Amount, estimate
-from ...stages.causes.sides import PairScans, Side, in_order
+from ...stages.causes.sides import PairScans, recorded_side
 from ...stages.method import remove_road
 from ...stages.sensor_description import SensorDescription
 from ...stages.statistics.comparison import blocks_of
@@ -83,9 +83,10 @@ class CauseSamples:
             real_cut=real_cut,
             real_points=real.points,
         )
+        position = self._settings.input.sensor_position
         return PairScans(
-            in_order(Side(real.points, real_cut.is_ground, sensors["real"])),
-            in_order(Side(sim.points, sim_cut.is_ground, sensors["sim"], T_real_sim)),
+            recorded_side(real.points, real_cut.is_ground, sensors["real"], None, position),
+            recorded_side(sim.points, sim_cut.is_ground, sensors["sim"], T_real_sim, position),
         )
 
     def named(self) -> CauseCheck:

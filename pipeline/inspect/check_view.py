@@ -33,6 +33,7 @@ def check_json(dataset: DatasetCheck) -> JsonObject:
         "dataset": str(dataset.folder),
         "pairs": pairs,
         "notes": [*dataset.notes],
+        "doubts": [*dataset.doubts],
         "warnings": [*dataset.warnings],
         "faults": [*dataset.faults],
         "sensors": asdict(dataset.sensors),
@@ -61,6 +62,7 @@ def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
     verdict = f"{n_usable} of {len(dataset.pairs)} pairs can be evaluated"
     return [
         Table(f"{dataset.folder}: {len(dataset.pairs)} pairs", columns, rows, words=(0, 1, 4, 5)),
+        *(Note(f"error: {text}", "red") for text in dataset.doubts),
         *_sensor_lines(dataset.sensors),
         *_causes(dataset.causes),
         *map(Note, dataset.notes),

@@ -79,6 +79,7 @@ class DatasetCheck:
     sensors : of the two sides
     causes : of a few pairs
     notes : of each side as a whole, one line each, that is nothing wrong
+    doubts : one line each: points that would make what a run prescribes wrong
     `faults`, warnings : one line each, with the name of the pair
     """
 
@@ -87,6 +88,7 @@ class DatasetCheck:
     sensors: SensorCheck
     causes: CauseCheck
     notes: list[str]
+    doubts: list[str]
     faults: list[str]
     warnings: list[str]
 
@@ -125,8 +127,9 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         found = {side: scan.inspection for side, scan in check.sides.items() if scan.inspection}
         warnings += pair_warnings(check.pair, found, check.frames)
     counts = {side: [check.sides[side].n_clean for check in checks if side in check.sides] for side in SIDES}
-    warnings += samples.warnings(counts)
-    return DatasetCheck(folder, checks, samples.sensors(), causes.named(), samples.notes(), faults, warnings)
+    warnings += [*samples.doubts(serious=False), *samples.warnings(counts)]
+    doubts = samples.doubts(serious=True)
+    return DatasetCheck(folder, checks, samples.sensors(), causes.named(), samples.notes(), doubts, faults, warnings)
 
 
 def check_scan(

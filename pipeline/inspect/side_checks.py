@@ -13,7 +13,7 @@ import numpy as np
 from ...schemas.columns import SIDES
 from ...schemas.settings import InputSettings
 from ...stages.arrays import FloatArray
-from ...stages.clean import as_ros, clean_scan
+from ...stages.clean import as_ros, at_sensor, clean_scan
 from ...stages.inspect.sequence_checks import (
     MAX_FRAMES_LATE,
     EgoHits,
@@ -28,6 +28,7 @@ from ...stages.inspect.sequence_checks import (
 from ...stages.inspect.stamps import StampCheck, describe_stamps, stamp_differences
 from ...stages.intensity import intensity_law
 from ...stages.sensor_description import SensorDescription, describe_sensor, has_other_beams, name_text
+from ...stages.trust import SERIOUS
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
 
@@ -74,7 +75,9 @@ class SideSamples:
         """Add the samples of one of `pair_ids`; scans that could not be read have no points."""
         for side, scan in scans.items():
             frame = self._settings.frame_of(side)
-            own_axes = as_ros(scan.points, frame)  # neither cleaned nor moved: beams are those of its frame
+            own_axes = at_sensor(
+                scan.points, side, self._settings
+            )  # neither cleaned nor moved: beams are those of its frame
             if len(scan.points):
                 self._sensors[side][pair.pair_id] = describe_sensor(own_axes, scan.rings, scan.times_s is not None)
             if scan.notes:
@@ -107,6 +110,21 @@ class SideSamples:
     def sensors_of(self, pair_id: str) -> dict[str, SensorDescription]:
         """The sensors of a pair by side; a side that could not be read is left out."""
         return {side: sensors[pair_id] for side, sensors in self._sensors.items() if pair_id in sensors}
+
+    def doubts(self, *, serious: bool) -> list[str]:
+        """Doubts about the scans that make the check fail, or the others: one line for each side and kind."""
+        lines = []
+        for side, sensors in self._sensors.items():
+            pair_ids: dict[str, list[str]] = {}
+            texts: dict[str, str] = {}
+            for pair_id, sensor in sensors.items():
+                for need, text in sensor.doubts.items():
+                    if (need in SERIOUS) == serious:
+                        pair_ids.setdefault(need, []).append(pair_id)
+                        texts.setdefault(need, text)
+            for need, text in texts.items():
+                lines.append(f"{_NAMES[side]} scans ({len(pair_ids[need])} of {len(sensors)}): {text}")
+        return lines
 
     def notes(self) -> list[str]:
         """Notes on the columns of a side's files and on the times of its points, one line each."""

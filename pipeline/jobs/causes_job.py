@@ -12,8 +12,10 @@ from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import SIDES
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
+from ...stages.frame_search import FrameCheck
 from ...stages.sensor_description import SensorDescription
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
+from ...stages.trust import FRAME
+from ..stage import FRAMES, OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ _TOO_LITTLE = "the scans have too little surface in common"
 
 def make_causes(inputs: Inputs) -> JobResult:
     """One row per cause of the catalogue."""
-    from ...stages.causes.estimates import Amount, estimate
+    from ...stages.causes.estimates import Amount, estimate, only_known
 
     with inputs.step("causes"):
         estimates = estimate(pair_scans(inputs))
@@ -36,12 +38,23 @@ def make_causes(inputs: Inputs) -> JobResult:
         distances: Metadata = {"surface_distance_m": None, "surface_floor_m": None}
         pose = None
     else:
-        amounts = estimates.amounts | intensity_amounts(inputs)
+        amounts = only_known(estimates.amounts | intensity_amounts(inputs), _doubts(inputs))
         distances = {"surface_distance_m": estimates.distance_m, "surface_floor_m": estimates.floor_m}
         pose = asdict(estimates.pose)
         pose["displacement"]["values"] = estimates.pose.displacement.values.tolist()
     rows = [_row(inputs.pair_id, name, amounts.get(name, Amount(None, reason="not estimated"))) for name in CAUSES]
     return JobResult({"causes": TABLES["causes"].from_rows(rows)}, {OF_PAIR: distances, POSE: pose})
+
+
+def _doubts(inputs: Inputs) -> dict[str, str]:
+    """Doubts about the two sensors and their frames."""
+    from ...stages.causes.estimates import doubts_of
+
+    doubts = doubts_of(*(SensorDescription(**inputs.metadata("sensor", side)["sensor"]) for side in SIDES))
+    frames = inputs.metadata("sensor", "sim").get(FRAMES)
+    if frames and FrameCheck(**frames).is_other_frame:
+        doubts[FRAME] = f"the simulated scan is in another frame: {frames['reading']}"
+    return doubts
 
 
 def _row(pair_id: str, name: str, amount: Amount) -> dict[str, float | str | None]:
@@ -54,8 +67,8 @@ def pair_scans(inputs: Inputs) -> PairScans:
 
     moved = inputs.metadata("ground", "sim").get("T_real_sim")
     T_real_sim = np.array(moved).reshape(3, 4) if moved else None
-    real, sim = (_side(inputs, side) for side in SIDES)
-    sim.T_real_sim = T_real_sim
+    position = inputs.settings.input.sensor_position
+    real, sim = (_side(inputs, side, T_real_sim if side == "sim" else None, position) for side in SIDES)
     return PairScans(real, sim)
 
 
@@ -75,17 +88,24 @@ def pose_of(metadata: dict[str, Any]) -> Pose | None:
     )
 
 
-def _side(inputs: Inputs, side: str) -> Side:
+def _side(
+    inputs: Inputs, side: str, T_real_sim: FloatArray | None, position: tuple[float, float, float] | None
+) -> Side:
     ground = inputs.table("ground", side)
     sensor = SensorDescription(**inputs.metadata("sensor", side)["sensor"])
-    return side_of(ground, sensor)
+    return side_of(ground, sensor, T_real_sim, position)
 
 
-def side_of(ground: pa.Table, sensor: SensorDescription, T_real_sim: FloatArray | None = None) -> Side:
-    """A side from its table `ground`."""
-    from ...stages.causes.sides import Side, in_order
+def side_of(
+    ground: pa.Table,
+    sensor: SensorDescription,
+    T_real_sim: FloatArray | None = None,
+    position: tuple[float, float, float] | None = None,
+) -> Side:
+    """A side from its table `ground`, see `recorded_side`."""
+    from ...stages.causes.sides import recorded_side
 
-    return in_order(Side(coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim))
+    return recorded_side(coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim, position)
 
 
 def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
@@ -110,6 +130,7 @@ STAGE = Stage(
     name="causes",
     takes={"ground": POINT_COLUMNS, "sensor": (), "rays": ()},
     gives=("causes",),
+    settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
     libraries=("scikit-learn",),

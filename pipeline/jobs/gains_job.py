@@ -69,6 +69,7 @@ STAGE = Stage(
     name="gains",
     takes={"ground": POINT_COLUMNS, "sensor": (), "causes": ("cause", "amount")},
     gives=("gains",),
+    settings=("input",),
     grain=Grain.PAIR,
     make=make_gains,
     is_wanted=_is_wanted,

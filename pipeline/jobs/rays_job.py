@@ -12,6 +12,7 @@ from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import INTENSITY_SCORES, RAY_SCORES
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
+from ...stages.clean import seen_from
 from ...stages.intensity import score_intensity
 from ...stages.rays import (
     AZIMUTH_EDGES_DEG,
@@ -32,8 +33,12 @@ def make_rays(own: Inputs) -> JobResult:
     real, sim = map(coordinates, tables)
     sensors = [own.metadata("sensor", side)["sensor"] for side in SIDES]
     moved = own.metadata("ground", "sim")["T_real_sim"]
+    T_real_sim = np.array(moved).reshape(3, 4) if moved else None
+    position = own.settings.input.sensor_position
+    if position is not None:
+        real, sim, T_real_sim = real - position, sim - position, seen_from(position, T_real_sim)
     with own.step("rays"):
-        rays = find_rays(real, sim, (sensors[0], sensors[1]), np.array(moved).reshape(3, 4) if moved else None)
+        rays = find_rays(real, sim, (sensors[0], sensors[1]), T_real_sim)
     with own.step("intensity"):
         return _result(own, rays, tables)
 

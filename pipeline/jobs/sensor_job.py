@@ -11,7 +11,7 @@ import numpy as np
 
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
-from ...stages.clean import as_ros
+from ...stages.clean import at_sensor
 from ...stages.frame_search import check_frames
 from ...stages.sensor_description import describe_sensor, pair_columns, sensor_row
 from ..datasets.readers.scan import Scan
@@ -22,7 +22,7 @@ def make_sensor(own: Inputs) -> JobResult:
     """Estimate the sensor of a side in the side's own frame; the metadata contain the whole description."""
     with own.step("read"):
         scan = own.scans[own.part]()
-    points = as_ros(scan.points, own.settings.input.frame_of(own.part))
+    points = at_sensor(scan.points, own.part, own.settings.input)
     with own.step("sensor"):
         sensor = describe_sensor(points, scan.rings, scan.times_s is not None)
     row = {"pair_id": own.pair_id, "side": own.part} | sensor_row(sensor)
@@ -54,5 +54,5 @@ STAGE = Stage(
     grain=Grain.SIDE,
     make=make_sensor,
     takes_real=_takes_real,
-    version=3,
+    version=4,
 )

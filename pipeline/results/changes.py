@@ -25,6 +25,7 @@ from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..jobs.causes_job import POINT_COLUMNS, side_of
 from ..storage.folder import RunFolder
+from ..storage.run_record import read_run
 from .causes import (
     LEAST_PART_OF_POSE,
     CauseValues,
@@ -165,7 +166,8 @@ def _sim_side(folder: Path, pair_id: str) -> Side:
     jobs = store.ledger.jobs(pair_id)
     sensor = SensorDescription(**jobs["sensor", "sim"].metadata["sensor"])
     moved = jobs["ground", "sim"].metadata["T_real_sim"]
-    return side_of(ground, sensor, np.array(moved).reshape(3, 4) if moved else None)
+    position = read_run(folder)["settings"]["input"].get("sensor_position")
+    return side_of(ground, sensor, np.array(moved).reshape(3, 4) if moved else None, position)
 
 
 def _undo(

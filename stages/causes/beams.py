@@ -172,9 +172,9 @@ def road_blur_deg2(side: Side) -> float | None:
     return float((variance_far - variance_near) / step * np.degrees(1.0) ** 2)
 
 
-def second_returns(side: Side) -> BoolArray:
-    """(n,) True for returns behind another one of the same ray: the directions are equal, the range is larger."""
+def second_returns(side: Side, behind_m: float = _BEHIND_M) -> BoolArray:
+    """(n,) True for returns this far behind another one of the same ray: equal direction, larger range."""
     chord, rows = side.near_rays
     is_same = chord < _SAME_RAY
-    is_behind = side.range_m[:, None] > side.range_m[rows] + _BEHIND_M
+    is_behind = side.range_m[:, None] > side.range_m[rows] + behind_m
     return np.logical_or.reduce(is_same & is_behind, axis=1)

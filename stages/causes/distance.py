@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from ...schemas.cause_catalogue import CAUSES
 from ..arrays import FloatArray, IndexArray
 from ..surfels import fit_planes
-from .sides import SCATTERED, Side, noise_without_steps
+from .sides import SCATTERED, Side, most_noise_m
 
 #: Distances to the other side count up to this.
 REACH_M = 1.0
@@ -62,7 +62,7 @@ def surface_floor(real: Side, sim: Side, aligned: Side, rng: Generator) -> float
     step = min(*steps, float(np.median(chord[:, 0])) / 2)
     moved = _by_other_rays(real, step, rng)
     real_noise_m = real.sensor.range_noise_m or 0.0
-    sim_noise_m = noise_without_steps(aligned.sensor) or 0.0
+    sim_noise_m = most_noise_m(aligned.sensor)
     noise_m = min(max(sim_noise_m, real_noise_m), real_noise_m + CAUSES["range noise"].tolerance)
     moved += real.rays * rng.normal(0.0, noise_m, len(moved))[:, None]
     is_kept = rng.random(len(moved)) >= (real.sensor.lost_in_all or 0.0)

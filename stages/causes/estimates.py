@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...schemas.cause_catalogue import FLAT, LOSSES, PARAMETERS, UNEVEN
+from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import Displacement, fit_displacement
 from ..sensor_description import SensorDescription, describe_sensor
 from ..surfels import fit_planes, voxel_means
+from ..trust import BEAMS, FRAME, RETURNS
 from .beams import (
     blurred_elevation_deg,
     dead_beams,
@@ -22,7 +24,7 @@ from .beams import (
     second_returns,
 )
 from .distance import mean_apart, sample_rows, surface_distance, surface_floor
-from .sides import FAR_M, PLANE_NEIGHBOURS, SCATTERED, PairScans, Side, noise_without_steps
+from .sides import FAR_M, PLANE_NEIGHBOURS, SCATTERED, PairScans, Side, noise_bounds
 
 #: Simulated returns nearer than this, without a real counterpart, are clutter.
 CLUTTER_M = 6.0
@@ -51,7 +53,9 @@ _SHAPE_POINTS, _SHAPE_VOXEL_M = 10, 0.1
 _CURVED_M, _CURVED, _FLATTER = 0.03, 0.15, 0.5  # thickness and scattering of curved surface; of which flat is less
 _SMOOTH = 0.01  # relative residual of inverse ranges on smooth surface
 _STRAY_M, _STRAY_STDS = 0.15, 6.0
-_SECTOR_DEG, _SECTOR_POINTS = 5, 10
+_SECTOR_DEG, _FINE_SECTOR_DEG, _SECTOR_POINTS = 5.0, 1.0, 10
+_BLIND = 0.1  # of the usual number of returns, in fine sectors
+_DENSE_DEG = 0.35  # azimuth step up to which sectors are fine
 _FAR_SURFACE_M, _FEWEST_FAR = 20.0, 50
 
 
@@ -114,6 +118,7 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     """
     if min(len(scans.real.points), len(scans.sim.points)) < LEAST_POINTS:
         return None
+    doubts = doubts_of(scans.real.sensor, scans.sim.sensor)
     real, real_second_share = _without_second_returns(scans.real)
     sim, second_share = _without_second_returns(scans.sim)
     pose = fit_pose(real, sim)
@@ -125,7 +130,36 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     amounts = _pose_amounts(pose, real, sim, floor_m)
     amounts["second returns"] = _difference(real_second_share, second_share, share=second_share - real_second_share)
     amounts |= _amounts(real, aligned, sim)
-    return PairEstimates(pose, amounts, distance_m, floor_m)
+    if text := _unlike_patterns(real, aligned, sim):
+        doubts.setdefault(BEAMS, text)
+    return PairEstimates(pose, only_known(amounts, doubts), distance_m, floor_m)
+
+
+def _unlike_patterns(real: Side, sim: Side, recorded: Side) -> str | None:
+    """Reason why the returns of both sides cannot be counted per direction: beams on one side are not rings."""
+    for name, rings, other, as_recorded in (("simulated", real, sim, recorded), ("real", sim, real, real)):
+        grid = grid_of(rings.sensor)
+        if grid and not other.sensor.elevation_deg and blurred_elevation_deg(grid, as_recorded) is None:
+            return f"{name} scan: its beams are not rings, those of the other side are"
+    return None
+
+
+def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]:
+    """Reasons why something is unknown of either side, see `trust`."""
+    doubts: dict[str, str] = {}
+    for side, sensor in (("real", real), ("simulated", sim)):
+        for need, text in sensor.doubts.items():
+            doubts.setdefault(need, f"{side} scan: {text}")
+    return doubts
+
+
+def only_known(amounts: Mapping[str, Amount], doubts: Mapping[str, str]) -> dict[str, Amount]:
+    """The amounts of the causes of which all that they need is known; the others with the reason."""
+    known = {}
+    for name, amount in amounts.items():
+        reasons = [doubts[need] for need in (FRAME, *CAUSES[name].needs) if need in doubts]
+        known[name] = Amount(None, reason=reasons[0]) if reasons else amount
+    return known
 
 
 def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | None:
@@ -163,6 +197,8 @@ def _without_second_returns(side: Side) -> tuple[Side, float]:
     """The side without second returns if it has more than a few, and their share."""
     is_second = second_returns(side)
     share = float(is_second.mean())
+    if RETURNS in side.sensor.doubts:
+        is_second |= second_returns(side, behind_m=0.0)
     return (side.chosen(~is_second) if share > _MANY_SECOND else side), share
 
 
@@ -294,7 +330,7 @@ def explain_directions(real: Side, sim: Side) -> Explained:
         dead = dead_beams(grid, real.chosen(~is_blind), sim) if not exchanged else dead
         is_dead = np.isin(grid.beam_of(real.own_points), dead)
     return Explained(
-        blind_deg=float(_SECTOR_DEG * is_blind_sector.sum()),
+        blind_deg=float(360.0 / len(is_blind_sector) * is_blind_sector.sum()),
         dead=dead,
         exchanged=exchanged,
         is_blind=is_blind,
@@ -305,13 +341,29 @@ def explain_directions(real: Side, sim: Side) -> Explained:
 
 
 def _blind_sectors(real: Side, sim: Side) -> tuple[IndexArray, BoolArray]:
-    """Sector of azimuth of each real point, and which sectors only the real side has returns in."""
-    n_sectors = 360 // _SECTOR_DEG
-    sector_of_real = ((real.azimuth_deg + 180.0) // _SECTOR_DEG).astype(np.intp) % n_sectors
-    sector_of_sim = ((sim.azimuth_deg + 180.0) // _SECTOR_DEG).astype(np.intp) % n_sectors
+    """Sector of azimuth of each real point, and in which sectors the simulated side has hardly any returns."""
+    width_deg = _sector_deg(real, sim)
+    n_sectors = round(360 / width_deg)
+    sector_of_real = _sector(real, n_sectors)
     n_real = np.bincount(sector_of_real, minlength=n_sectors)
-    n_sim = np.bincount(sector_of_sim, minlength=n_sectors)
-    return sector_of_real, (n_real >= _SECTOR_POINTS) & (n_sim == 0)
+    n_sim = np.bincount(_sector(sim, n_sectors), minlength=n_sectors)
+    is_compared = n_real >= _SECTOR_POINTS
+    if not is_compared.any():
+        return sector_of_real, is_compared
+    usual = float(np.median(n_sim[is_compared] / n_real[is_compared]))
+    most_left = _BLIND * usual if width_deg == _FINE_SECTOR_DEG else 0.0
+    return sector_of_real, is_compared & (n_sim <= most_left * n_real)
+
+
+def _sector(side: Side, n_sectors: int) -> IndexArray:
+    return ((side.azimuth_deg + 180.0) * n_sectors // 360.0).astype(np.intp) % n_sectors
+
+
+def _sector_deg(real: Side, sim: Side) -> float:
+    """Width of a sector: fine if beams fire several times in it on both sides."""
+    steps_deg = [side.sensor.azimuth_step_deg for side in (real, sim)]
+    is_dense = all(step is not None and step <= _DENSE_DEG for step in steps_deg)
+    return _FINE_SECTOR_DEG if is_dense else _SECTOR_DEG
 
 
 @dataclass(frozen=True)
@@ -462,11 +514,10 @@ def _flat_amount(real: Side, sim: Side) -> Amount:
 def _sensor_amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dict[str, Amount]:
     """Amounts that follow from the descriptions of both sensors."""
     a, b = real.sensor, sim.sensor
-    noise = _known_difference(noise_without_steps(a), noise_without_steps(b), _why_unknown(a, b, "range_noise_m"))
     step = _known_difference(a.azimuth_step_deg, b.azimuth_step_deg, _why_unknown(a, b, "azimuth_step_deg"))
     jitter = _known_difference(a.azimuth_noise_deg, b.azimuth_noise_deg, _why_unknown(a, b, "azimuth_step_deg"))
     amounts = {
-        "range noise": _with_share(noise, _NOISY_M),
+        "range noise": _with_share(_noise_amount(a, b), _NOISY_M),
         "azimuth step": _with_share(step, a.azimuth_step_deg or 1.0),
         "azimuth noise": _with_share(jitter, 0.3),
         "elevation noise": _with_share(_elevation_noise(real, sim, recorded), 0.3),
@@ -479,6 +530,15 @@ def _sensor_amounts(real: Side, sim: Side, recorded: Side, explained: Explained)
     else:
         amounts["range steps"] = Amount(None, reason=_why_unknown(a, b, "elevation_deg"))
     return amounts
+
+
+def _noise_amount(real: SensorDescription, sim: SensorDescription) -> Amount:
+    """Difference between the lower estimate of one side and the upper one of the other; 0 if they overlap."""
+    real_m, sim_m = noise_bounds(real), noise_bounds(sim)
+    if real_m is None or sim_m is None:
+        return Amount(None, reason=_why_unknown(real, sim, "range_noise_m"))
+    amount = max(sim_m[0] - real_m[1], 0.0) + min(sim_m[1] - real_m[0], 0.0)
+    return Amount(amount, real_m[1], sim_m[1])
 
 
 def _known_difference(real: float | None, sim: float | None, reason: str) -> Amount:

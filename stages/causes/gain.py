@@ -28,7 +28,7 @@ from .estimates import (
     foliage_steps,
     scale_elevations,
 )
-from .sides import PairScans, Side, noise_without_steps
+from .sides import PairScans, Side, most_noise_m
 
 _NEIGHBOURS = 16
 _MOST_MOVED = 0.1  # of a range, from a return's own to that of the plane through it
@@ -258,7 +258,7 @@ def _noise(real: Side, sim: Side, name: str, amount: float, rng: Generator) -> C
     """Missing noise, added along the rays; or less of the distance to the real surface along the rays."""
     noise_m = max(sim.sensor.range_noise_m or 0.0, 1e-4)
     if name == "range noise":
-        noise_m = max(noise_without_steps(sim.sensor) or 0.0, 1e-4)
+        noise_m = max(most_noise_m(sim.sensor), 1e-4)
     elif amount > 0:
         noise_m = max(noise_m, amount / np.sqrt(12))
     if amount < 0:

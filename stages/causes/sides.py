@@ -9,9 +9,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..clean import seen_from
 from ..rays import Rays
 from ..sensor_description import SensorDescription
 from ..surfels import LocalPlanes, fit_planes
+from ..trust import is_miss
 
 #: Returns beyond this range are far.
 FAR_M = 25.0
@@ -119,9 +121,29 @@ class Side:
         return Side(self.points[is_kept], self.is_ground[is_kept], self.sensor, self.T_real_sim)
 
 
-def in_order(side: Side) -> Side:
-    """The side with its points in the order of their coordinates, so that nothing depends on the order of rows."""
-    return side.chosen(np.lexsort(side.points.T))
+def recorded_side(
+    points: FloatArray,
+    is_ground: BoolArray,
+    sensor: SensorDescription,
+    T_real_sim: FloatArray | None = None,
+    position: tuple[float, float, float] | None = None,
+) -> Side:
+    """A side of clean points, with the sensor at the origin, without rays that returned nothing.
+
+    The points are in the order of their coordinates, so that nothing depends on the order of rows.
+
+    Parameters
+    ----------
+    points, is_ground, sensor, T_real_sim : see `Side`
+    position : of the sensor in the frame of the points of both sides; the origin by default
+    """
+    if position is not None:
+        points, T_real_sim = points - position, seen_from(position, T_real_sim)
+    side = Side(points, is_ground, sensor, T_real_sim)
+    side = side.chosen(np.lexsort(side.points.T))
+    if sensor.miss_range_m is None:
+        return side
+    return side.chosen(~is_miss(np.linalg.norm(side.own_points, axis=1), sensor.miss_range_m))
 
 
 @dataclass(frozen=True)
@@ -133,8 +155,18 @@ class PairScans:
     rays: Rays | str = field(default="rays were not compared")
 
 
-def noise_without_steps(sensor: SensorDescription) -> float | None:
-    """Range noise of a sensor without that of rounding to its range steps, q / sqrt(12)."""
-    noise_m = sensor.range_noise_m
+def noise_bounds(sensor: SensorDescription) -> tuple[float, float] | None:
+    """Lower and upper estimate of the range noise of a sensor without that of its range steps, q / sqrt(12)."""
+    most_m = sensor.range_noise_m
+    if most_m is None:
+        return None
+    least_m = most_m if sensor.range_noise_low_m is None else sensor.range_noise_low_m
     step_m = sensor.range_quantum_m or 0.0
-    return None if noise_m is None else float(np.sqrt(max(noise_m**2 - step_m**2 / 12, 0.0)))
+    low_m, high_m = (float(np.sqrt(max(noise_m**2 - step_m**2 / 12, 0.0))) for noise_m in (least_m, most_m))
+    return low_m, high_m
+
+
+def most_noise_m(sensor: SensorDescription) -> float:
+    """Upper estimate of the range noise of a sensor without that of its range steps; 0 if it is unknown."""
+    bounds = noise_bounds(sensor)
+    return 0.0 if bounds is None else bounds[1]

@@ -1,0 +1,166 @@
+"""Doubts about the points of a scan, each with what estimates of it cannot be trusted.
+
+Doubts are texts by what a cause may need, see `CauseModel.needs`: `ONE_SWEEP`, `POSITION`, `BEAMS`. Points of the
+other two, `MISSES` and `RETURNS`, are left out of the estimates, so that these hold all the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from .arrays import BoolArray, FloatArray, IndexArray
+
+MISSES, RETURNS = "misses", "single_returns"
+ONE_SWEEP, POSITION, BEAMS = "one_sweep", "sensor_position", "beams"
+#: Needed by every cause: both sides in one frame.
+FRAME = "frame"
+#: Doubts that make `fidpipe check` fail.
+SERIOUS = (MISSES, ONE_SWEEP, POSITION)
+_SHELL_M, _SHELL_SHARE, _MOST_SHELL_SHARE = 0.1, 0.03, 0.95
+_SAME_DEG, _SAME_SHARE, _NEAREST_M, _MOST_RETURNS = 0.005, 0.1, 1.0, 5
+_BIN_DEG, _MOST_DEG = 0.01, 4.0
+_SHORT, _SHORT_SHARE, _APART = 0.15, 0.05, 0.01
+_FEWEST_GAPS = 500
+_CELL_DEG, _SAME_CELLS = 2.0, 0.6
+_SAMPLE, _NEIGHBOURS, _DENSE_PART, _DENSE_M = 5000, 10, 5, 15.0
+SWEEPS_IN_A_ROW = "two or more sweeps or sensors in one scan? Parts of it have beams, and all of it has not"
+_NEAR_M, _NEAR_SHARE = 5.0, 0.001
+
+
+def miss_range(range_m: FloatArray) -> tuple[float, float] | None:
+    """Range at which rays without a return are written, and their share; None if there are none.
+
+    It is the farthest one, and more than 3 % of the points lie within 0.1 m of it.
+
+    Examples
+    --------
+    >>> miss_range(np.concatenate([np.linspace(3, 60, 700), np.full(300, 80.0)]))
+    (80.0, 0.3)
+    >>> miss_range(np.linspace(3, 60, 700)) is None
+    True
+    """
+    farthest_m = float(range_m.max())
+    is_miss = range_m > farthest_m - _SHELL_M
+    share = float(is_miss.mean())
+    if not _SHELL_SHARE <= share <= _MOST_SHELL_SHARE:
+        return None
+    return float(np.median(range_m[is_miss])), share
+
+
+def is_miss(range_m: FloatArray, miss_range_m: float | None) -> BoolArray:
+    """(n,) True for rays without a return, which are written at a range."""
+    if miss_range_m is None:
+        return np.zeros(len(range_m), dtype=np.bool_)
+    return np.abs(range_m - miss_range_m) <= _SHELL_M
+
+
+def misses_text(share: float, miss_range_m: float) -> str:
+    """The doubt, with the setting that drops the points."""
+    limit_m = np.floor(10 * (miss_range_m - _SHELL_M)) / 10
+    return (
+        f"{share:.0%} of the points lie at {miss_range_m:.1f} m: rays without a return? "
+        f"input.max_range_m={limit_m:g} drops them"
+    )
+
+
+def later_returns(beam: IndexArray, azimuth_deg: FloatArray, range_m: FloatArray) -> BoolArray:
+    """(n,) True for returns that follow another one of the same beam and direction, beyond 1 m.
+
+    Parameters
+    ----------
+    beam, azimuth_deg, range_m : (n,) of returns sorted by beam, azimuth
+    """
+    is_far = np.minimum(range_m[1:], range_m[:-1]) > _NEAREST_M
+    is_same = is_far & (np.diff(beam) == 0) & (np.diff(azimuth_deg) < _SAME_DEG)
+    return np.concatenate([[False], is_same])
+
+
+def returns_text(is_later: BoolArray) -> str | None:
+    """The doubt that rays have several returns; None if few have."""
+    ray = np.cumsum(~is_later)
+    n_returns = np.bincount(ray)[ray]
+    share = float((is_later & (n_returns <= _MOST_RETURNS)).mean())
+    if share < _SAME_SHARE:
+        return None
+    return (
+        f"{share:.0%} of the points are second returns of a ray (dual return, or written twice): only first ones count"
+    )
+
+
+def sweeps_text(gap_deg: FloatArray, range_m: FloatArray) -> str | None:
+    """The doubt that a scan holds several sweeps or scans of several sensors; None if it does not.
+
+    Many returns of a beam follow each other in much less than a step, and their ranges differ, because the sensor
+    or the scene has moved. After one sweep with noisy azimuths or many losses they agree.
+
+    Parameters
+    ----------
+    gap_deg : (n - 1,) azimuth from each return to the next of its beam, NaN without one
+    range_m : (n,)
+    """
+    two_deg = gap_deg[:-1] + gap_deg[1:]
+    two_deg = two_deg[(two_deg > _SAME_DEG) & (two_deg < _MOST_DEG)]
+    is_gap = (gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)
+    if len(two_deg) < _FEWEST_GAPS or is_gap.sum() < _FEWEST_GAPS:
+        return None
+    two_steps_deg = (np.bincount((two_deg / _BIN_DEG).astype(np.intp)).argmax() + 0.5) * _BIN_DEG
+    is_short = is_gap & (gap_deg < _SHORT * two_steps_deg)
+    if is_short.sum() < _SHORT_SHARE * is_gap.sum():
+        return None
+    apart = np.median(np.abs(np.diff(range_m))[is_short] / range_m[:-1][is_short])
+    if apart < _APART:
+        return None
+    return (
+        f"two sweeps or two sensors in one scan? Beams fire at irregular steps, and neighbouring ranges differ by "
+        f"{apart:.1%}; expected one sweep"
+    )
+
+
+def sweep_parts(points: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """First and last of 2, 3, 5 and 10 parts of a scan in the file's order, if they have the same directions.
+
+    In a single sweep in the order of azimuths or beams they have different ones.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, in the order of the file
+    """
+    azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    cell = (slope_deg + 90.0) // _CELL_DEG * 361 + (azimuth_deg + 180.0) // _CELL_DEG
+    for n_sweeps in (2, 3, 5, 10):
+        n_rows = len(points) // n_sweeps
+        first, last = np.unique(cell[:n_rows]), np.unique(cell[-n_rows:])
+        if len(np.intersect1d(first, last)) > _SAME_CELLS * max(len(first), len(last)):
+            yield points[:n_rows], points[-n_rows:]
+
+
+def is_far_from_origin(points: FloatArray) -> bool:
+    """True if hardly any point lies within 5 m of the origin, where the sensor should be."""
+    range_m = np.linalg.norm(points[points.any(axis=1)], axis=1)
+    return len(range_m) > 0 and float((range_m < _NEAR_M).mean()) < _NEAR_SHARE
+
+
+def position_text(points: FloatArray) -> str | None:
+    """The doubt that a scan without recognisable beams is not in the frame of its sensor.
+
+    Around a sensor points are densest: the median place of the fifth with the nearest neighbours is not far from it.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    """
+    if is_far_from_origin(points):
+        why = f"nothing within {_NEAR_M:g} m of the origin"
+    else:
+        sample = points[np.random.default_rng(0).permutation(len(points))[:_SAMPLE]]
+        apart_m, _ = cKDTree(sample).query(sample, k=_NEIGHBOURS)
+        dense = sample[np.argsort(apart_m[:, -1])[: len(sample) // _DENSE_PART]]
+        place_m = float(np.hypot(*np.median(dense[:, :2], axis=0)))
+        if place_m < _DENSE_M:
+            return None
+        why = f"they are densest {place_m:.0f} m from the origin"
+    return f"the points are not in the sensor's frame: {why}, beams not recognised; set input.sensor_position"

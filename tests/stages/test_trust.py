@@ -1,0 +1,106 @@
+"""Points that would make a prescription wrong are named, and no cause that they feign is."""
+
+import numpy as np
+import pytest
+
+from fidpipe.schemas.cause_catalogue import CAUSES
+from fidpipe.schemas.sensor_models import SENSORS
+from fidpipe.schemas.settings import InputSettings
+from fidpipe.stages.causes.estimates import Amount, doubts_of, only_known
+from fidpipe.stages.frame_search import check_frames
+from fidpipe.stages.generate.street_scans import make_pair
+from fidpipe.stages.plausibility import implausible
+from fidpipe.stages.sensor_description import describe_sensor
+from fidpipe.stages.trust import BEAMS, FRAME, MISSES, ONE_SWEEP, POSITION, RETURNS
+
+
+@pytest.fixture(scope="module")
+def scan():
+    return make_pair(0, 3, SENSORS["hdl32"] if "hdl32" in SENSORS else SENSORS["vlp32c"]).real.rows[:, :3].astype(float)
+
+
+def with_misses(scan, share, range_m):
+    rng = np.random.default_rng(0)
+    rays = scan[rng.choice(len(scan), int(share * len(scan) / (1 - share)), replace=False)]
+    rays *= range_m / np.linalg.norm(rays, axis=1, keepdims=True)
+    return np.vstack([scan, rays])
+
+
+def with_second_returns(scan, share):
+    rng = np.random.default_rng(0)
+    behind = scan[rng.random(len(scan)) < share]
+    return np.vstack([scan, behind * rng.choice([1.0, 1.2], (len(behind), 1))])
+
+
+@pytest.mark.parametrize(
+    ("change", "need"),
+    [
+        (lambda scan: with_misses(scan, 0.05, 120.0), MISSES),
+        (lambda scan: with_misses(scan, 0.29, 200.0), MISSES),
+        (lambda scan: np.vstack([scan, scan]), RETURNS),
+        (lambda scan: with_second_returns(scan, 0.4), RETURNS),
+        (lambda scan: scan + [300.0, 120.0, 4.0], POSITION),
+        (lambda scan: np.vstack([scan, scan + [1.1, 0.05, 0]]), ONE_SWEEP),
+    ],
+)
+def test_what_cannot_be_trusted_is_named(scan, change, need):
+    assert [*describe_sensor(change(scan)).doubts] == [need]
+
+
+def test_a_healthy_scan_its_thinning_and_its_jitter_raise_no_doubt(scan):
+    rng = np.random.default_rng(0)
+    azimuth = np.arctan2(scan[:, 1], scan[:, 0]) + np.radians(rng.normal(0, 0.08, len(scan)))
+    level = np.hypot(scan[:, 0], scan[:, 1])
+    blurred = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), scan[:, 2]])
+    for points in (scan, scan[rng.random(len(scan)) < 0.4], rng.permutation(scan), blurred):
+        assert describe_sensor(points).doubts == {}
+
+
+def test_misses_and_second_returns_do_not_change_the_sensor(scan):
+    alone = describe_sensor(scan)
+    for points in (with_misses(scan, 0.29, 200.0), with_second_returns(scan, 0.4), np.vstack([scan, scan])):
+        sensor = describe_sensor(points)
+        assert len(sensor.elevation_deg) == pytest.approx(len(alone.elevation_deg), abs=1)
+        assert sensor.azimuth_step_deg == pytest.approx(alone.azimuth_step_deg, abs=0.01)
+        assert sensor.range_noise_m == pytest.approx(alone.range_noise_m, abs=0.003)
+
+
+def test_a_cause_whose_need_is_in_doubt_is_unknown_with_the_reason(scan):
+    doubts = doubts_of(describe_sensor(scan), describe_sensor(scan + [300.0, 120.0, 4.0]))
+    known = only_known(dict.fromkeys(CAUSES, Amount(1.0)), doubts)
+    assert known["missing parts"].amount == 1.0
+    for name in ("height", "maximum range", "lost returns", "range noise", "blind sector"):
+        assert known[name].amount is None and "not in the sensor's frame" in known[name].reason
+    assert all(amount.amount is None for amount in only_known(known, {FRAME: "mirrored"}).values())
+
+
+def test_every_need_of_the_catalogue_can_be_in_doubt():
+    assert {need for cause in CAUSES.values() for need in cause.needs} == {ONE_SWEEP, POSITION, BEAMS}
+
+
+@pytest.mark.parametrize("factor", [0.3, 0.7, 1.6, 4.0])
+def test_a_scan_of_another_size_is_named_with_it(scan, factor):
+    found = check_frames(scan, scan * factor, InputSettings())
+    assert found.is_other_frame and found.reading.startswith("in units of")
+    assert float(found.reading.split()[3]) == pytest.approx(1 / factor, rel=0.04)
+
+
+def test_the_axes_of_unity_are_named_with_a_motion_that_fits(scan):
+    unity = np.column_stack([-scan[:, 1], scan[:, 2], scan[:, 0]])
+    found = check_frames(scan, unity, InputSettings())
+    assert (found.reading, found.is_other_frame) == ("read as x right, y up, z forward", True)
+    T = np.array(found.setting.split('"')[1].split(), dtype=float).reshape(3, 4)
+    assert check_frames(scan, unity, InputSettings(sim_frame="carla"), T).as_it_lies > 0.95
+    assert not any("kitti-cam" in text for text in implausible(unity, "sim", 2.5))
+
+
+def test_angles_and_a_repeated_point_are_named(scan):
+    level = np.hypot(scan[:, 0], scan[:, 1])
+    angles = [np.arctan2(scan[:, 1], scan[:, 0]), np.arctan2(scan[:, 2], level), np.linalg.norm(scan, axis=1)]
+    for turn in (1.0, 180 / np.pi):
+        columns = np.column_stack([angles[0] * turn, angles[1] * turn, angles[2]])
+        assert any("angles and ranges" in text for text in implausible(columns, "sim", 2.5))
+    repeated = np.vstack([scan, np.tile([1.2, 0.0, 1.8], (2 * len(scan), 1))])
+    (text,) = implausible(repeated, "sim", 2.5)
+    assert "67% of the points are one repeated point" in text
+    assert implausible(scan, "sim", 2.5) == []
