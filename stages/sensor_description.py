@@ -147,6 +147,8 @@ def describe_with_gaps(
         doubts[MISSES] = misses_text(misses[1], misses[0])
         is_kept = ~is_miss(range_m, misses[0])
         returns, points, ring = returns[is_kept], points[is_kept], None if ring is None else ring[is_kept]
+        if len(points) < _MIN_POINTS:
+            return replace(_undetected(sensor, f"{len(points)} points have a return"), doubts=doubts), NO_GAPS
     slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
     around_deg = 360.0 - widest_azimuth_gap_deg(points)
     view = (round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1))

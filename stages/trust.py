@@ -138,6 +138,7 @@ def sweep_parts(points: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
             yield points[:n_rows], points[-n_rows:]
 
 
+@np.errstate(over="ignore")  # distances may be infinite
 def is_far_from_origin(points: FloatArray) -> bool:
     """True if hardly any point lies within 5 m of the origin, where the sensor should be."""
     range_m = np.linalg.norm(points[points.any(axis=1)], axis=1)

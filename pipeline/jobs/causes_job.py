@@ -12,9 +12,7 @@ from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import SIDES
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
-from ...stages.frame_search import FrameCheck
 from ...stages.sensor_description import SensorDescription
-from ...stages.trust import FRAME
 from ..stage import FRAMES, OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
 
@@ -49,6 +47,8 @@ def make_causes(inputs: Inputs) -> JobResult:
 def _doubts(inputs: Inputs) -> dict[str, str]:
     """Doubts about the two sensors and their frames."""
     from ...stages.causes.estimates import doubts_of
+    from ...stages.frame_search import FrameCheck
+    from ...stages.trust import FRAME
 
     doubts = doubts_of(*(SensorDescription(**inputs.metadata("sensor", side)["sensor"]) for side in SIDES))
     frames = inputs.metadata("sensor", "sim").get(FRAMES)
