@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .arrays import BoolArray, FloatArray, IndexArray
 
@@ -157,6 +156,8 @@ def position_text(points: FloatArray) -> str | None:
     if is_far_from_origin(points):
         why = f"nothing within {_NEAR_M:g} m of the origin"
     else:
+        from scipy.spatial import cKDTree
+
         sample = points[np.random.default_rng(0).permutation(len(points))[:_SAMPLE]]
         apart_m, _ = cKDTree(sample).query(sample, k=_NEIGHBOURS)
         dense = sample[np.argsort(apart_m[:, -1])[: len(sample) // _DENSE_PART]]
