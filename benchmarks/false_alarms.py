@@ -174,7 +174,8 @@ def of_runs(args):
         names = sorted({pair for pair, _ in rows})
         for _ in range(args.repeats):
             chosen = {name: tuple(rows[name, i] for i in rng.choice(DRAWS, 2, replace=False)) for name in names}
-            decisions.append(overall(judge_families("reference", chosen, np.arange(len(names), dtype=np.int32))))
+            families = judge_families("reference", chosen, np.arange(len(names), dtype=np.int32))
+            decisions.append(overall({family.verdict for family in families if not family.why}))
         print_rate(f"independent draws of {len(names)} pairs", decisions)
     couples = list(combinations(args.worlds or [], 2))
     for words, independent in (("defects fixed in the world, as neighbouring frames", False), ("--independent", True)):
