@@ -21,13 +21,12 @@ import argparse
 import json
 import subprocess
 import sys
-import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from flawed_scans import ALL, CONTROL, FLAWS, Scan, find_car, find_poles, ranges, ray_noise
+from flawed_scans import ALL, CONTROL, FLAWS, Scan, find_car, find_poles, random, ray_noise, read, write
 from measure import FIDPIPE
 
 from fidpipe.pipeline.results.compare import compare_runs
@@ -36,20 +35,6 @@ EVERY = 4
 NONE = "none"
 BASES = ("poor", "good")
 CAMPAIGNS = ("poor-reference", "good-reference", "poor-paper")
-
-
-def read(path):
-    points = np.fromfile(path, np.float32).reshape(-1, 4)[:, :3].astype(float)
-    return points[ranges(points) > 0.5]
-
-
-def write(path, points):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    np.column_stack([points, np.zeros(len(points))]).astype(np.float32).tofile(path)
-
-
-def random(*names):
-    return np.random.default_rng(zlib.crc32(" ".join(names).encode()))
 
 
 def make_datasets(args):

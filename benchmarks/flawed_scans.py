@@ -3,6 +3,7 @@
 Each flaw takes a `Scan` and a source of random numbers and returns the flawed points. Used by `decisions.py`.
 """
 
+import zlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,22 @@ class Scan:
 
 def ranges(points):
     return np.linalg.norm(points, axis=1)
+
+
+def read(path):
+    """The points of a KITTI file beyond 0.5 m."""
+    points = np.fromfile(path, np.float32).reshape(-1, 4)[:, :3].astype(float)
+    return points[ranges(points) > 0.5]
+
+
+def write(path, points):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.column_stack([points, np.zeros(len(points))]).astype(np.float32).tofile(path)
+
+
+def random(*names):
+    """A generator that depends on the names alone."""
+    return np.random.default_rng(zlib.crc32(" ".join(names).encode()))
 
 
 def along_ray(points, new_range_m):

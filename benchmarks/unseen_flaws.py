@@ -16,11 +16,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import argparse
 import json
 import subprocess
-import zlib
 from pathlib import Path
 
 import numpy as np
-from flawed_scans import ranges
+from flawed_scans import random, ranges, read, write
 from measure import FIDPIPE
 
 from fidpipe.pipeline.diagnose.diagnose import diagnose_run
@@ -33,20 +32,6 @@ BASES = ("good", "poor")
 NONE = "none"
 SPEED_M_S = 8.0
 SWEEP_S = 0.1
-
-
-def read(path):
-    points = np.fromfile(path, np.float32).reshape(-1, 4)[:, :3].astype(float)
-    return points[ranges(points) > 0.5]
-
-
-def write(path, points):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    np.column_stack([points, np.zeros(len(points))]).astype(np.float32).tofile(path)
-
-
-def random(*names):
-    return np.random.default_rng(zlib.crc32(" ".join(names).encode()))
 
 
 def spherical(points):

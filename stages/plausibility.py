@@ -112,7 +112,7 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
 
 
 def _axes_question(points: FloatArray, spread: FloatArray, side: str) -> str:
-    """What may be wrong with a scan that is as high as it is wide."""
+    """Likely error of a scan that is as high as it is wide."""
     if spread[1] >= STEEP_SPREAD * spread[[0, 2]].min():
         return "are the columns right (input.columns)?"
     if np.median(as_ros(points, "kitti-cam")[:, 2]) < 0:  # most points are lower than the sensor

@@ -221,7 +221,7 @@ def _sources(
     settings: Settings,
     makers: Mapping[tuple[str, str], JobId | None],
 ) -> tuple[Source, ...]:
-    """What one job of a stage takes: the tables and files that exist of its side or of the pair.
+    """Inputs of one job of a stage: the tables and files that exist of its side or of the pair.
 
     Parameters
     ----------

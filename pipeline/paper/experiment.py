@@ -1,4 +1,4 @@
-"""What the experiments perturb and ablate have in common: their scans, one task per pair, their folder and record.
+"""Common parts of the experiments perturb and ablate: scans, one task per pair, folder and record.
 
 The tables of a pair are one result with one key: it is reused as long as the key is the same.
 """

@@ -289,7 +289,7 @@ def _read(compared: Sequence[ComparedScore], rows: PairRows) -> tuple[FloatArray
 
 @dataclass(frozen=True)
 class _Reasons:
-    """What else became worse, from which an improvement may follow.
+    """Other deteriorations from which an improvement may follow.
 
     worse : families
     is_more_right : the number of right simulated points grew by more than half of that of the invented ones, or fell by

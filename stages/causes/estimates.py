@@ -78,7 +78,7 @@ class Amount:
 
 @dataclass(frozen=True)
 class Pose:
-    """How a simulated side lies against the real one.
+    """Pose of a simulated side relative to the real one.
 
     displacement : of the simulated side
     elevation_scale : by which its elevations are too large

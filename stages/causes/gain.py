@@ -104,7 +104,7 @@ def corrections(
 
 @dataclass(frozen=True)
 class _Pair:
-    """What corrections of a pair are made of.
+    """Inputs of the corrections of a pair.
 
     recorded : the simulated side as recorded
     real, sim : both sides, the simulated one without its displacement

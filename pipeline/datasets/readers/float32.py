@@ -57,7 +57,7 @@ def check_width(path: Path, columns: tuple[str, ...]) -> None:
 
 
 def _naming(n_columns: int) -> str:
-    """How to name the columns of a file of this width."""
+    """Instruction to name the columns of a file of this width."""
     names = " ".join(["x y z intensity", *(f"column{i}" for i in range(5, n_columns + 1))])
     names = names if n_columns > 3 else "x y z"
     return f'name its {n_columns} columns in {_SETTINGS}, such as "{names}"'

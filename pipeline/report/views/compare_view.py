@@ -126,7 +126,7 @@ def _both_ways(family: FamilyChange) -> str:
 
 
 def _nothing_decided(comparison: Comparison) -> str:
-    """What is known if nothing is worse or better."""
+    """Sentence for a comparison in which nothing is worse or better."""
     if comparison.decision == "same":
         return "no score changed"
     uncertain = [change.words for change in comparison.changes.causes if change.verdict == "changed"]
