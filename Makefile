@@ -4,7 +4,7 @@
 # make test-slice  15 minutes of the exhaustive tests, others each day; those that were not reached are listed
 # make docs   builds the documentation: build/docs/index.html
 # make faults kills, fills, damages and misleads real runs in every way known
-# make bench  runs every benchmark (an hour or so; DATA names the folder of the real scans)
+# make bench  runs the benchmarks of speed, memory and power (an hour or so; DATA names the folder of the real scans)
 # Each target sets up what it needs in .venv; PYTHON=python3.12 chooses the interpreter.
 
 PYTHON ?= python3

@@ -26,7 +26,7 @@ from pathlib import Path
 import flawed_scans as fs
 import numpy as np
 import pandas as pd
-from flawed_scans import Scan, along_ray, ranges, ray_noise
+from flawed_scans import Scan, along_ray, random, ranges, ray_noise, read
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -289,15 +289,6 @@ UNKNOWN = {
     **{"leaning world": sheared, "melted surface": melted, "two poses": double},
     **{"stretched": stretched, "jumping sectors": jumping, "wavy ranges": wavy},
 }
-
-
-def random(*names):
-    return np.random.default_rng(zlib.crc32(" ".join(map(str, names)).encode()))
-
-
-def read(path):
-    points = np.fromfile(path, np.float32).reshape(-1, 4)[:, :3].astype(float)
-    return points[ranges(points) > 0.5]
 
 
 def remeasured(scan, rng, noise_m=BASE_NOISE_M, lost=BASE_LOSS):

@@ -27,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from flawed_scans import write
 from scipy import stats
 
 import fidpipe
@@ -124,11 +125,6 @@ def poses_of(folder):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = Rotation.from_quat(row[4:8]).as_matrix(), row[1:4]
         yield pose
-
-
-def write(path, points):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    np.column_stack([points, np.zeros(len(points))]).astype(np.float32).tofile(path)
 
 
 def make_worlds(sequence, out):

@@ -1,6 +1,7 @@
 """Flaws of a simulated scan, built from scratch: numpy and scipy on points, nothing of fidpipe.
 
-Each flaw takes a `Scan` and a source of random numbers and returns the flawed points. Used by `decisions.py`.
+Each flaw takes a `Scan` and a source of random numbers and returns the flawed points. Used by the benchmarks of
+decisions and causes.
 """
 
 import zlib
@@ -51,7 +52,7 @@ def write(path, points):
 
 def random(*names):
     """A generator that depends on the names alone."""
-    return np.random.default_rng(zlib.crc32(" ".join(names).encode()))
+    return np.random.default_rng(zlib.crc32(" ".join(map(str, names)).encode()))
 
 
 def along_ray(points, new_range_m):

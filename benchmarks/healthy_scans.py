@@ -20,7 +20,8 @@ from pathlib import Path
 
 import flawed_scans as fs
 import numpy as np
-from diagnosis import diagnose, estimated, random, remeasured, side_of
+from diagnosis import diagnose, estimated, remeasured, side_of
+from flawed_scans import random
 
 from fidpipe.pipeline.datasets.readers import frames_of, holds_frames, read_scan
 from fidpipe.stages.causes.beams import grid_of

@@ -28,16 +28,9 @@ N_RAW = "n_raw"  #: metadata: number of points in a side's input file
 INSPECTION = "inspection"  #: metadata: plausibility of a side's scan, see `stages.plausibility`
 FRAMES = "frames"  #: metadata: comparison of both scans' frames, see `stages.frame_search`
 UNEXPLAINED = "unexplained"  #: row of table `gains`: distance that no correction removes
-DISTANCES = (
-    "distances_m"  #: metadata of gains: distance before and after all corrections, and that of a second measurement
-)
+DISTANCES = "distances_m"  #: metadata of gains: distance before and after corrections, and of a second measurement
 CURVES = "curves"  #: metadata of gains: curves of both sides, by kind
 AMOUNTS = "amounts"  #: metadata of gains: mean amount of each cause that was corrected
-
-DISTANCES = "distances_m"  #: metadata: surface distance before and after corrections, and of a second measurement
-CURVES = "curves"  #: metadata: curves of both sides, by kind
-AMOUNTS = "amounts"  #: metadata: mean amount of each cause that was corrected
-UNEXPLAINED = "unexplained"  #: row of table `gains`: distance that no correction removes
 
 Metadata = dict[str, Any]
 Tables = dict[str, pa.Table]

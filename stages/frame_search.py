@@ -150,12 +150,12 @@ def check_frames(
 
     The coverage is the share of the points of one scan that have a point of the other within 1 m, as the mean over
     both directions and over ground and the rest. Only points within 40 m of the sensor, one per voxel of 0.5 m, count.
-    Candidates for the simulated scan: its axes in all 48 orders and signs, as either scan in any of the frames of
-    the settings; in centimetres, millimetres and feet if it reaches far beyond the real one; each of these also
-    shifted by the difference of the ground heights; and if none of them fits, 0.2 to 5 times as large. A candidate
-    is suspect if it covers at least `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as given, and leaves
-    uncovered at most `MAX_UNCOVERED_RATIO` of the share that the scan as given leaves. Otherwise a scan is suspect
-    if its ground is `MIN_LIFT_M` or more above or below the real one. Lifts are medians over ground points and
+    Candidates for the simulated scan: its axes in all 48 orders and signs, which include either scan read in any of
+    the frames of the settings; in centimetres, millimetres and feet if it reaches far beyond the real one; each of
+    these also shifted by the difference of the ground heights; and if none of them fits, 0.2 to 5 times as large. A
+    candidate is suspect if it covers at least `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as given, and
+    leaves uncovered at most `MAX_UNCOVERED_RATIO` of the share that the scan as given leaves. Otherwise a scan is
+    suspect if its ground is `MIN_LIFT_M` or more above or below the real one. Lifts are medians over ground points and
     their horizontal neighbours, applied and re-measured before they are reported.
 
     Parameters
@@ -194,8 +194,9 @@ def check_frames(
     )
     start, before = (best, coverage) if is_suspect else (_Candidate("", motion), as_given)
     source = sources.get(start.unit)
-    is_around_sensor = not (is_far_from_origin(real) or is_far_from_origin(sim))
-    if source is None or coverage < MIN_SAME_PLACE or not is_around_sensor:
+    if source is None or coverage < MIN_SAME_PLACE:
+        return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
+    if is_far_from_origin(real) or is_far_from_origin(source.points if start.unit else sim):  # in metres
         return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
     if levelled := _levelled(target, source, start):
         after = _coverage(target, source, levelled, settings.include_box)

@@ -352,7 +352,7 @@ class _Sweep:
         return np.where(np.diff(self.beam) == 0, np.diff(self.azimuth_deg), np.nan)
 
     def first_returns(self, is_later: BoolArray) -> _Sweep:
-        """The nearest return of each group that follow each other in one direction."""
+        """The nearest of each group of returns that follow each other in one direction."""
         ray = np.cumsum(~is_later)
         order = np.lexsort((self.range_m, ray))
         first = np.sort(order[np.flatnonzero(np.diff(ray[order], prepend=0))])

@@ -1,7 +1,7 @@
 """Doubts about the points of a scan, each with what estimates of it cannot be trusted.
 
 Doubts are texts by what a cause may need, see `CauseModel.needs`: `ONE_SWEEP`, `POSITION`, `BEAMS`. Points of the
-other two, `MISSES` and `RETURNS`, are left out of the estimates, so that these hold all the same.
+other two, `MISSES` and `RETURNS`, are left out of the estimates, which therefore stay right.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _NEAR_M, _NEAR_SHARE = 5.0, 0.001
 def miss_range(range_m: FloatArray) -> tuple[float, float] | None:
     """Range at which rays without a return are written, and their share; None if there are none.
 
-    It is the farthest one, and more than 3 % of the points lie within 0.1 m of it.
+    It is the farthest one, and 3 % to 95 % of the points lie within 0.1 m of it.
 
     Examples
     --------
@@ -42,17 +42,15 @@ def miss_range(range_m: FloatArray) -> tuple[float, float] | None:
     True
     """
     farthest_m = float(range_m.max())
-    is_miss = range_m > farthest_m - _SHELL_M
-    share = float(is_miss.mean())
+    is_farthest = range_m > farthest_m - _SHELL_M
+    share = float(is_farthest.mean())
     if not _SHELL_SHARE <= share <= _MOST_SHELL_SHARE:
         return None
-    return float(np.median(range_m[is_miss])), share
+    return float(np.median(range_m[is_farthest])), share
 
 
-def is_miss(range_m: FloatArray, miss_range_m: float | None) -> BoolArray:
+def is_miss(range_m: FloatArray, miss_range_m: float) -> BoolArray:
     """(n,) True for rays without a return, which are written at a range."""
-    if miss_range_m is None:
-        return np.zeros(len(range_m), dtype=np.bool_)
     return np.abs(range_m - miss_range_m) <= _SHELL_M
 
 

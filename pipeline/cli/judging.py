@@ -100,10 +100,11 @@ def compare(
 ) -> None:
     """Compare simulator versions on the same real scans: better, worse or mixed, and in what.
 
-    Scores are decided in families, at most 5 % false alarms over all; see docs/compare.md. Datasets and scans are
-    evaluated first (preset reference). --fail-on worse exits with 4 if a family is worse or mixed, or a pair that the
-    base has scored failed or is not compared; --fail-on undecided also if nothing is decided. It writes compare.xml
-    and compare.json into the last run unless --junit, --json-file or --out say otherwise.
+    Causes and families of scores are decided, the families with at most 5 % false alarms over all; see
+    docs/compare.md. Datasets and scans are evaluated first (preset reference). --fail-on worse exits with 4 if a cause
+    or a family is worse or mixed, or a pair that the base has scored failed or is not compared; --fail-on undecided
+    also if nothing is decided. It writes compare.xml and compare.json into the last run unless --junit, --json-file or
+    --out say otherwise.
 
     Parameters
     ----------

@@ -76,9 +76,9 @@ def latency_words(ahead_m: FloatArray, speeds_m_s: FloatArray) -> str:
 
     Parameters
     ----------
-    ahead_m, speeds_m_s : (n,) by pair; speeds that are unknown are NaN
+    ahead_m, speeds_m_s : (n,) by pair; NaN if unknown
     """
-    is_known = np.isfinite(speeds_m_s)
+    is_known = np.isfinite(speeds_m_s) & np.isfinite(ahead_m)
     ahead_m, speeds_m_s = ahead_m[is_known], speeds_m_s[is_known]
     if not len(speeds_m_s) or abs(speeds_m_s.mean()) < _LEAST_M_S:
         return ""

@@ -75,9 +75,8 @@ class SideSamples:
         """Add the samples of one of `pair_ids`; scans that could not be read have no points."""
         for side, scan in scans.items():
             frame = self._settings.frame_of(side)
-            own_axes = at_sensor(
-                scan.points, side, self._settings
-            )  # neither cleaned nor moved: beams are those of its frame
+            # neither cleaned nor moved: beams are those of its frame
+            own_axes = at_sensor(scan.points, side, self._settings)
             if len(scan.points):
                 self._sensors[side][pair.pair_id] = describe_sensor(own_axes, scan.rings, scan.times_s is not None)
             if scan.notes:

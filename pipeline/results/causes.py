@@ -7,7 +7,7 @@ between two runs, if it lies beyond the resolution of the estimate. Causes are o
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -34,7 +34,8 @@ _BENT, _ALONE = 0.03, ("missing parts", "invented parts")
 _OF_ROAD, _ROAD_STAYS = ("height", "road height"), 0.3
 #: If more of the curved surface is too flat, more than the shape of some objects is wrong.
 _MELTED = 0.3
-#: Solid foliage makes surface flat, by less than this part of it; boxes stop rays in foliage: one of both is named.
+#: Solid foliage also flattens surface, by less than this part of its amount; boxes also stop rays in foliage. So only
+#: one of the two is named.
 _FLAT_OF_SOLID = 0.25
 #: Not named with a displacement, which blurs beams too.
 _BLURRED = ("elevation noise", "azimuth noise")
@@ -164,12 +165,12 @@ def changed_causes(
     ----------
     before, after : of the same pairs in both runs
     between : by name, amounts that were measured between the simulated scans of both runs, which are more accurate
-        than differences of two amounts against the real scan
+        than differences of two amounts against the real scan; NaN for pairs that were not chosen
     blocks : (n,) independent place of each pair
     """
     changes = {name: change_of(name, before[name], after[name], between) for name in after if name in before}
     blocks = independent_blocks(blocks)
-    named = _named(changes, blocks, is_change=True)
+    named = _named(changes, blocks, is_change=True, measured=between)
     causes = [_cause(CAUSES[name], after[name], changes[name], blocks) for name in named]
     return sorted(causes, key=lambda cause: -abs(cause.estimate) / CAUSES[cause.name].resolution)
 
@@ -183,14 +184,22 @@ def change_of(name: str, before: CauseValues, after: CauseValues, between: Mappi
     return after.amount - before.amount
 
 
-def _named(amounts: Mapping[str, FloatArray], blocks: IntArray, *, is_change: bool) -> list[str]:
-    """Names of the causes beyond the tolerance, or of the changes beyond the resolution; those feigned are left out."""
+def _named(
+    amounts: Mapping[str, FloatArray], blocks: IntArray, *, is_change: bool, measured: Collection[str] = ()
+) -> list[str]:
+    """Names of the causes beyond the tolerance, or of the changes beyond the resolution; those feigned are left out.
+
+    Parameters
+    ----------
+    measured : causes that count although they are known in less than half of the pairs, as a few were chosen
+    """
     means = {name: _mean(values) for name, values in amounts.items()}
     named = {}
     for name, values in amounts.items():
         model = CAUSES[name]
         is_known = ~np.isnan(values)
-        if name == UNEVEN or not _is_known(values) or _is_feigned(name, means):
+        is_enough = is_known.any() if name in measured else _is_known(values)
+        if name == UNEVEN or not is_enough or _is_feigned(name, means):
             continue
         limit = model.resolution if is_change else model.tolerance
         if _is_beyond(model, block_means(values[is_known], blocks[is_known]), limit, is_change=is_change):
@@ -225,7 +234,7 @@ def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
 
 
 def _weaker(named: Mapping[str, float]) -> set[str]:
-    """Of causes that exclude each other, those that are not named."""
+    """Of causes that exclude each other, the ones to leave out."""
     weaker = set[str]()
     if not named.keys().isdisjoint(PARAMETERS):
         weaker.update(_BLURRED)

@@ -186,7 +186,7 @@ def compare_two(
         settings=tuple(differing),
         notes=tuple(_notes(base, other)),
         changes=changes,
-        families=_families(base, other, names, blocks, excess, changes) if names else (),
+        families=_families(base, other, names, blocks, by_direction, excess, changes) if names else (),
         objects=objects,
         n_blocks=n_blocks,
         blocking=blocking,
@@ -209,13 +209,14 @@ def _families(
     other: FinishedRun,
     names: Sequence[str],
     blocks: IntArray,
+    by_direction: bool,
     excess: tuple[RunExcess, RunExcess] | None,
     changes: Changes,
 ) -> tuple[FamilyChange, ...]:
     """The families of scores of the world."""
     rows = {name: (base.row(name), other.row(name)) for name in names}
     sectors = None
-    if len(np.unique(blocks)) < min(LEAST_FLIPPED, len(names)):
+    if by_direction:
         sectors = _by_sector(base, other, names, blocks)
         blocks = np.arange(len(names), dtype=np.int32)
     floors = {}

@@ -186,7 +186,7 @@ def _evidence(kind: str, gains: Gains) -> Evidence | None:
 
 def unexplained_words(diagnosis: Diagnosis) -> str:
     """Part of the distance that remains if all causes are corrected."""
-    distance = f"{100 * (diagnosis.distance_m - diagnosis.floor_m):.1f} cm"
+    distance = f"{100 * max(diagnosis.distance_m - diagnosis.floor_m, 0.0):.1f} cm"
     over = "by which the surfaces are farther apart than in a second measurement"
     if diagnosis.unexplained is None:
         return f"unexplained: nothing; the surfaces are as close as in a second measurement ({distance})"

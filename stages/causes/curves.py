@@ -20,7 +20,7 @@ _REACH_M = 0.5
 def curves(scans: PairScans, pose: Pose, kind: str) -> Mapping[str, FloatArray]:
     """The curve of each side over the bins of an axis, per cent.
 
-    Of pieces: the points that only one side has. Of foliage: the steps of the simulated side. Of a displacement: the
+    Of parts: the points that only one side has. Of foliage: the steps of the simulated side. Of a displacement: the
     simulated points as they are ("sim") and without it ("corrected"), signed distances to the real planes next to
     them. Of all others: both sides ("real", "sim").
     """

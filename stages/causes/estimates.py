@@ -197,9 +197,10 @@ def _without_second_returns(side: Side) -> tuple[Side, float]:
     """The side without second returns if it has more than a few, and their share."""
     is_second = second_returns(side)
     share = float(is_second.mean())
-    if RETURNS in side.sensor.doubts:
-        is_second |= second_returns(side, behind_m=0.0)
-    return (side.chosen(~is_second) if share > _MANY_SECOND else side), share
+    is_doubtful = RETURNS in side.sensor.doubts
+    if is_doubtful:
+        is_second = second_returns(side, behind_m=0.0)
+    return (side.chosen(~is_second) if is_doubtful or share > _MANY_SECOND else side), share
 
 
 def fit_pose(real: Side, sim: Side) -> Pose | None:
@@ -264,11 +265,12 @@ def _pose_amounts(pose: Pose, real: Side, sim: Side, floor_m: float) -> dict[str
     rescaled = scale_elevations(sim.points[rows], 1.0 / (1.0 + scale))
     is_ground = sim.is_ground[rows]
     after_m = mean_apart(real.tree, displacement.undo(rescaled, is_ground))
+    whole = displacement.of(rescaled, is_ground)
     amounts = {}
     for i, name in enumerate(PARAMETERS):
         value = float(displacement.values[i])
         without = displacement.without(i)
-        moved_m = np.linalg.norm(displacement.of(rescaled, is_ground) - without.of(rescaled, is_ground), axis=1)
+        moved_m = np.linalg.norm(whole - without.of(rescaled, is_ground), axis=1)
         share = 0.0
         if moved_m.mean() > _LEAST_MOVED_M:
             with_it_m = mean_apart(real.tree, without.undo(rescaled, is_ground))
@@ -283,7 +285,7 @@ def _pose_amounts(pose: Pose, real: Side, sim: Side, floor_m: float) -> dict[str
 
 
 def _part_of(gain_m: float, left_m: float) -> float:
-    """Part of a gain in the distance that was there before it; 0 if there is no gain."""
+    """Part of the distance before a gain that the gain removes; 0 if there is no gain."""
     if gain_m <= 0.0:
         return 0.0
     return gain_m / (gain_m + max(left_m, 0.0))
@@ -320,7 +322,8 @@ def explain_directions(real: Side, sim: Side) -> Explained:
     exchanged: list[tuple[int, int]] = []
     grid = grid_of(real.sensor)
     if grid is not None:
-        for beams_grid in (grid_of(sim.sensor) or grid, grid):
+        own_grid = grid_of(sim.sensor)
+        for beams_grid in (grid,) if own_grid is None else (own_grid, grid):
             exchanged = exchanged_beams(beams_grid, real, sim)
             if exchanged:
                 break
@@ -616,6 +619,8 @@ def _losses(
     firings = real_step / sim_step if real_step and sim_step else 1.0  # simulated ones per real one
     firings *= _beam_ratio(real.sensor, sim.sensor, explained)
     edge_deg = _edge_between_beams(real.sensor)
+    if not (is_used_real.any() and is_used_sim.any()):
+        return _unknown_losses()
     n_real, range_m, n_kinds = _by_cell(real, is_used_real, LOSSES[1:], edge_deg)
     n_sim, sim_range_m, _ = _by_cell(sim, is_used_sim, (), edge_deg)
     is_alike = (n_real >= _FEWEST) & (n_sim > 0) & (np.abs(sim_range_m - range_m) <= _ALIKE * range_m)
@@ -627,8 +632,7 @@ def _losses(
         if min(n_in, n_real.sum() - n_in) >= _FEWEST_OF_KIND:
             kinds[name] = share
     if not len(n_real):
-        reason = "no surface that both sides see"
-        return {UNEVEN: Amount(0.0), **{name: Amount(None, reason=reason) for name in LOSSES}}
+        return _unknown_losses()
     columns = np.column_stack([*kinds.values()]) if kinds else np.zeros((len(n_real), 1))
     model = PoissonRegressor(alpha=0.0, tol=1e-8, max_iter=1000)
     fit = model.fit(columns, n_sim / n_real / firings, n_real)
@@ -643,6 +647,11 @@ def _losses(
         lost = 1.0 - float(np.exp(coefficient))
         amounts[name] = Amount(lost, share=abs(lost) * float(real.concerned(name).mean()))
     return amounts
+
+
+def _unknown_losses() -> dict[str, Amount]:
+    reason = "no surface that both sides see"
+    return {UNEVEN: Amount(0.0), **{name: Amount(None, reason=reason) for name in LOSSES}}
 
 
 def _beam_ratio(real: SensorDescription, sim: SensorDescription, explained: Explained) -> float:

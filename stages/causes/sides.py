@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import seen_from
-from ..rays import Rays
 from ..sensor_description import SensorDescription
 from ..surfels import LocalPlanes, fit_planes
 from ..trust import is_miss
@@ -93,7 +92,9 @@ class Side:
     def near_rays(self) -> tuple[FloatArray, IndexArray]:
         """Chord to the eight nearest other rays of each ray and their rows, (n, 8) each."""
         chord, rows = self.ray_tree.query(self.rays, k=RAYS_AROUND + 1)
-        return chord[:, 1:], rows[:, 1:]
+        is_self = rows == np.arange(len(rows))[:, None]
+        is_self[~is_self.any(axis=1), -1] = True  # more than eight other rays have the same direction
+        return chord[~is_self].reshape(-1, RAYS_AROUND), rows[~is_self].reshape(-1, RAYS_AROUND)
 
     @cached_property
     def planes(self) -> LocalPlanes:
@@ -148,11 +149,10 @@ def recorded_side(
 
 @dataclass(frozen=True)
 class PairScans:
-    """Both sides of a pair, and their rays (or the reason why there are none)."""
+    """Both sides of a pair."""
 
     real: Side
     sim: Side
-    rays: Rays | str = field(default="rays were not compared")
 
 
 def noise_bounds(sensor: SensorDescription) -> tuple[float, float] | None:

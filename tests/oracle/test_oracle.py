@@ -206,7 +206,9 @@ def test_recompute_names_the_stage_of_a_changed_value(tmp_path, capsys):
     assert "1.0e-06  TOO LARGE  pair 000, metrics.cdc" in line
 
 
-def test_the_literal_implementation_imports_nothing_from_fidpipe():
+def test_the_literal_implementation_imports_no_code_of_the_stages():
+    for path in [*FOLDER.glob("literal_*.py"), FOLDER / "stored_pair.py", FOLDER / "recompute.py"]:
+        assert not re.search(r"fidpipe\.(stages|pipeline\.jobs)", path.read_text()), path
     for path in FOLDER.glob("literal_*.py"):
         if path.name != "literal_tables.py":  # reads the stored tables
             assert not re.search(r"^\s*(import|from) fidpipe", path.read_text(), re.MULTILINE), path

@@ -110,7 +110,7 @@ def test_simulated_points_are_moved_into_the_real_frame(done, dataset, tmp_path)
     (moved / "pairs.csv").write_text(manifest)
     expected = done.rows.to_pandas().query("pair_id == '001'")
     rows = ablated(moved, tmp_path / "run").rows.to_pandas()
-    assert rows.match_rate.to_numpy() == pytest.approx(expected.match_rate.to_numpy(), abs=0.1)
+    assert rows.match_rate.to_numpy() == pytest.approx(expected.match_rate.to_numpy())
 
 
 def test_a_broken_pair_is_listed_and_the_others_are_there(data, tmp_path):

@@ -221,7 +221,8 @@ def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
 
 @pytest.mark.parametrize("address", ["tls://host:1", "foo", "tcp://host", "foo://host:1", "tcp://host:99999", ""])
 def test_what_is_no_address_of_a_scheduler_is_said_at_once(dataset, tmp_path, address):
-    with pytest.raises(RunError, match=f"^scheduler {address!r}: "):
+    advice = "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" if address.startswith("tls") else "tcp://HOST:PORT"
+    with pytest.raises(RunError, match=f"^{re.escape(f'scheduler {address!r}: ')}.*{advice}"):
         run(dataset, tmp_path / "run", scheduler=address)
 
 
@@ -309,6 +310,7 @@ def test_a_fault_of_a_file_that_is_both_sides_is_said_once(data, tmp_path):
     (data / "pairs.csv").write_text("pair_id,real,sim\n7,scan.npy,scan.npy\n")
     ended = command("run", data, "--out", tmp_path / "run", "--workers", 1)
     assert (ended.returncode, ended.stderr.count("pair 7: ")) == (3, 1)
+    assert ended.stderr.count("save array.T") == 1
 
 
 def manifest(tmp_path, rows, header="pair_id,real,sim,timestamp_s,T_real_sim"):

@@ -18,7 +18,7 @@ ROAD_M = 0.3  # above the lowest points
 @pytest.fixture(scope="module")
 def street():
     """A street scanned by an HDL-32E, whose beams are 4/3 degrees apart: every third lies at an even elevation."""
-    sensor = next(sensor for sensor in SENSORS.values() if sensor.name == "hdl32")
+    sensor = SENSORS["hdl32"]
     points = make_pair(7, 0, sensor).real.rows[:, :3].astype(float)
     return points[np.linalg.norm(points, axis=1) > 1.0]
 

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from fidpipe.schemas.cause_catalogue import CAUSES
+from fidpipe.schemas.cause_catalogue import CAUSES, LOSSES
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import InputSettings
-from fidpipe.stages.causes.estimates import Amount, doubts_of, only_known
+from fidpipe.stages.causes.beams import second_returns
+from fidpipe.stages.causes.estimates import Amount, _losses, doubts_of, explain_directions, only_known
+from fidpipe.stages.causes.sides import Side
 from fidpipe.stages.frame_search import check_frames
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.plausibility import implausible
@@ -16,7 +18,7 @@ from fidpipe.stages.trust import BEAMS, FRAME, MISSES, ONE_SWEEP, POSITION, RETU
 
 @pytest.fixture(scope="module")
 def scan():
-    return make_pair(0, 3, SENSORS["hdl32"] if "hdl32" in SENSORS else SENSORS["vlp32c"]).real.rows[:, :3].astype(float)
+    return make_pair(0, 3, SENSORS["hdl32"]).real.rows[:, :3].astype(float)
 
 
 def with_misses(scan, share, range_m):
@@ -104,3 +106,28 @@ def test_angles_and_a_repeated_point_are_named(scan):
     (text,) = implausible(repeated, "sim", 2.5)
     assert "67% of the points are one repeated point" in text
     assert implausible(scan, "sim", 2.5) == []
+
+
+def test_second_returns_of_exactly_one_direction_are_all_found():
+    rng = np.random.default_rng(0)
+    first = rng.normal(size=(500, 3)) * [10, 10, 1]
+    points = np.vstack([first, 1.5 * first])
+    side = Side(points, np.zeros(len(points), dtype=bool), describe_sensor(points))
+    _, rows = side.near_rays
+    assert not (rows == np.arange(len(points))[:, None]).any()
+    assert second_returns(side).tolist() == [False] * 500 + [True] * 500
+
+
+def test_losses_are_unknown_if_the_other_causes_take_all_points():
+    points = np.random.default_rng(0).normal(size=(400, 3)) * [10, 10, 1]
+    side = Side(points, np.zeros(400, dtype=bool), describe_sensor(points))
+    nothing = np.zeros(400, dtype=bool)
+    amounts = _losses(side, side, ~nothing, nothing, explain_directions(side, side))
+    assert {amounts[name].reason for name in LOSSES} == {"no surface that both sides see"}
+
+
+@pytest.mark.parametrize("scale", [1.0, 100.0, 1000.0])
+def test_a_lifted_scan_is_named_in_any_unit(scan, scale):
+    check = check_frames(scan, scale * (scan + [0, 0, 0.5]), InputSettings())
+    assert check.is_suspect
+    assert "-0.50 m in z" in check.reading
