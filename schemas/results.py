@@ -294,7 +294,7 @@ class SurfaceGroup(Result):
 class Caution(Result):
     """A limit to the trust in the numbers.
 
-    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or floor (unknown)
+    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or best_case (unknown)
     words : one sentence
     """
 
@@ -344,9 +344,9 @@ class Diagnosis(Result):
     """Causes of the difference between both sides, with the gain of correcting each.
 
     n_pairs : diagnosed pairs
-    distance_m, floor_m : mean distance of both sides' surfaces, counted up to 1 m, and that of a perfect second
+    distance_m, best_case_m : mean distance of both sides' surfaces, counted up to 1 m, and that of a perfect second
         measurement of the real scans
-    unexplained : share of the distance over `floor_m` that no correction explains; null if there is hardly any
+    unexplained : share of the distance over `best_case_m` that no correction explains; null if there is hardly any
     causes : those with the largest gain first
     doubtful : seen, but fixing them would not help
     notes : on causes that can have several reasons
@@ -354,7 +354,7 @@ class Diagnosis(Result):
 
     n_pairs: int
     distance_m: float
-    floor_m: float
+    best_case_m: float
     unexplained: float | None
     causes: tuple[Cause, ...]
     doubtful: tuple[str, ...] = ()

@@ -14,7 +14,7 @@ from .options import (
     AsCsv,
     AsJson,
     AsMarkdown,
-    Floor,
+    BestCase,
     OutFile,
     RunFolder,
     criterion_option,
@@ -30,7 +30,7 @@ def gate(
     at_most: Annotated[list[str] | None, criterion_option("--max")] = None,
     at_least: Annotated[list[str] | None, criterion_option("--min")] = None,
     criteria: Path | None = None,
-    floor: Floor = None,
+    best_case: BestCase = None,
     junit: Annotated[Path | None, typer.Option(show_default="RUN/gate.xml")] = None,
     json_: Annotated[Path | None, typer.Option("--json-file", "--json", show_default="RUN/gate.json")] = None,
     out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
@@ -43,7 +43,7 @@ def gate(
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
     missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total, causes.height (its size;
-    spaces are underscores); with --floor also excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
+    spaces are underscores); with --best-case also excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def gate(
 
     fidpipe gate runs/dataset --criteria acceptance.toml
 
-    fidpipe gate runs/dataset --floor runs/dataset-floor --max excess.cdc.mean=0.1
+    fidpipe gate runs/dataset --best-case runs/dataset-best-case --max excess.cdc.mean=0.1
     """
     from ..report.views.gate_view import gate_checks, gate_view, junit_xml
     from ..results.gate import judge_run, parse_word, read_criteria
@@ -75,7 +75,7 @@ def gate(
     wanted += [parse_word(word, "min") for word in at_least or []]
     if not wanted:
         raise typer.BadParameter("no criterion given; expected --max, --min or --criteria")
-    result = judge_run(run, wanted, floor)
+    result = judge_run(run, wanted, best_case)
     folder = out or run
     _write_for_ci(junit, folder / "gate.xml", junit_xml("gate", {str(run): gate_checks(result)}), is_asked=bool(out))
     _write_for_ci(json_, folder / "gate.json", dumps(result.as_dict()), is_asked=bool(out))
@@ -87,7 +87,7 @@ def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN_A RUN_B", autocompletion=completion.run_folders)],
     html: OutFile = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
-    floor: Floor = None,
+    best_case: BestCase = None,
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
@@ -124,7 +124,7 @@ def compare(
 
     fidpipe compare drive/ build41/lidar/ build42/lidar/    real, two simulators
 
-    fidpipe compare runs/base runs/new --floor runs/base-floor --html new.html
+    fidpipe compare runs/base runs/new --best-case runs/base-best-case --html new.html
 
     fidpipe compare runs/base runs/new --fail-on worse --junit build/compare.xml
 
@@ -150,7 +150,7 @@ def compare(
     comparisons = compare_runs(
         runs,
         allow_different_settings=allow_different_settings,
-        floor=floor,
+        best_case=best_case,
         independent=independent,
         reporter=Reporter(),
     )

@@ -53,11 +53,11 @@ Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="
 PairTimeout = Annotated[
     float | None, typer.Option(metavar="SECONDS", min=0.001, help="A pair that takes longer fails.")
 ]
-Floor = Annotated[
+BestCase = Annotated[
     Path | None,
     typer.Option(
         metavar="RUN",
-        help="Show scores minus those of this run of fidpipe floor.",
+        help="Show scores minus those of this run of fidpipe best-case.",
         autocompletion=completion.run_folders,
     ),
 ]

@@ -1,4 +1,4 @@
-"""The commands around a run: settings, check, run, floor and status."""
+"""The commands around a run: settings, check, run, best-case and status."""
 
 from __future__ import annotations
 
@@ -190,9 +190,9 @@ def run(
     print_outcome(outcome.as_dict() if as_json else outcome_view(outcome), outcome.failures)
 
 
-def floor(
+def best_case(
     dataset: DatasetFolder,
-    out: Annotated[Path | None, typer.Option(show_default="runs/NAME-floor")] = None,
+    out: Annotated[Path | None, typer.Option(show_default="runs/NAME-best-case")] = None,
     preset: Preset = "paper",
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -208,9 +208,10 @@ def floor(
 ) -> None:
     """Evaluate a perfect simulator: each real scan of a dataset against a simulated second measurement of itself.
 
-    The result is a run, which show, report, gate and compare take as --floor; give it the settings of the run that it
-    is for. The second measurement is the scan with range noise and losses, by default those that it shows (else 3 cm
-    and 3 %), or with --neighbours the next scan, by T_world_sensor in pairs.csv. How to read it: docs/fidelity.md.
+    The result is a run, which show, report, gate and compare take as --best-case; give it the settings of the run
+    that it is for. The second measurement is the scan with range noise and losses, by default those that it shows
+    (else 3 cm and 3 %), or with --neighbours the next scan, by T_world_sensor in pairs.csv. How to read it:
+    docs/fidelity.md.
 
     Parameters
     ----------
@@ -222,13 +223,13 @@ def floor(
 
     Examples
     --------
-    fidpipe floor dataset/                       results go to runs/dataset-floor
+    fidpipe best-case dataset/                       results go to runs/dataset-best-case
 
-    fidpipe show runs/dataset --floor runs/dataset-floor
+    fidpipe show runs/dataset --best-case runs/dataset-best-case
 
-    fidpipe floor dataset/ --preset reference --noise-m 0.02 --dropout 0.005
+    fidpipe best-case dataset/ --preset reference --noise-m 0.02 --dropout 0.005
 
-    fidpipe floor twins/ --neighbours            real against real
+    fidpipe best-case twins/ --neighbours            real against real
     """
     from ...schemas.settings import load
 
@@ -241,12 +242,12 @@ def floor(
 
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..generate.floor_run import run_floor
+    from ..generate.best_case_run import run_best_case
     from ..report.views.run_view import outcome_view
 
-    outcome = run_floor(
+    outcome = run_best_case(
         dataset,
-        out or Path("runs") / f"{Path(os.path.realpath(dataset)).name or 'dataset'}-floor",
+        out or Path("runs") / f"{Path(os.path.realpath(dataset)).name or 'dataset'}-best-case",
         in_force,
         Reporter(),
         noise_m=noise_m,

@@ -26,10 +26,10 @@ from ...stages.statistics.neighbours import neighbours
 from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
 from ..storage.table_files import table_name
+from .best_case import RunExcess, excess_over
 from .changes import Changes, change_rows, find_changes
 from .families import FamilyChange, ScoreChange, judge_families, overall
 from .finished import FinishedRun, differences, partition_note, settings_changes
-from .floor import RunExcess, excess_over
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, follow
 from .object_frame import object_parts, plain_rows
 from .sectors import N_SECTORS, sector_rows
@@ -56,7 +56,7 @@ class Comparison:
     blocking : one sentence on how they were found
     by_direction : True if few blocks are left, so that changes of the world must be consistent over directions as well
     on_partition : what chance does to scores of the paper's partition; "" of reference objects
-    excess : of the base and of the other run over the floor; None without one
+    excess : of the base and of the other run over the best case; None without one
     """
 
     base: Path
@@ -123,7 +123,7 @@ def compare_runs(
     folders: Sequence[Path],
     *,
     allow_different_settings: bool = False,
-    floor: Path | None = None,
+    best_case: Path | None = None,
     independent: bool = False,
     reporter: Reporter | None = None,
 ) -> list[Comparison]:
@@ -132,17 +132,17 @@ def compare_runs(
     Parameters
     ----------
     independent : treat each pair as independent, also neighbouring frames
-    floor : the run of fidpipe floor of the same real scans; all runs then need its settings
+    best_case : the run of fidpipe best-case of the same real scans; all runs then need its settings
     reporter : shows the progress over many pairs
 
     Raises
     ------
     RunError
         A folder is not a finished run, settings that change scores differ and that is not allowed, no pair is
-        common, or the floor belongs to other runs.
+        common, or the best case belongs to other runs.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
-    options: dict[str, Any] = {"floor": floor, "independent": independent, "reporter": reporter}
+    options: dict[str, Any] = {"best_case": best_case, "independent": independent, "reporter": reporter}
     return [compare_two(base, other, allow_different_settings, **options) for other in others]
 
 
@@ -151,7 +151,7 @@ def compare_two(
     other: FinishedRun,
     allow_different_settings: bool = False,
     *,
-    floor: Path | None = None,
+    best_case: Path | None = None,
     independent: bool = False,
     reporter: Reporter | None = None,
 ) -> Comparison:
@@ -169,8 +169,8 @@ def compare_two(
         raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'no pair is scored'})")
     objects, unfollowed = _followed(base, other, names)
     excess = None
-    if floor is not None and names:
-        excess = excess_over(base, floor, names), excess_over(other, floor, names)
+    if best_case is not None and names:
+        excess = excess_over(base, best_case, names), excess_over(other, best_case, names)
     blocks, blocking = _blocks(base, other, names, independent)
     n_blocks = len(np.unique(blocks))
     changes = find_changes(base, other, names, blocks, reporter) if names else Changes()
@@ -219,12 +219,12 @@ def _families(
     if by_direction:
         sectors = _by_sector(base, other, names, blocks)
         blocks = np.arange(len(names), dtype=np.int32)
-    floors = {}
+    best_cases = {}
     if excess is not None:
-        floors = {column: score.floor_from_equal for column, score in excess[0].scores.items()}
+        best_cases = {column: score.best_case_from_equal for column, score in excess[0].scores.items()}
     preset = base.preset if base.preset == other.preset else "paper"
     worse = [changed.cause.name for changed in changes.causes if changed.verdict == "worse"]
-    return judge_families(preset, rows, blocks, _noise_of_seeds(base, other, names), floors, sectors, worse)
+    return judge_families(preset, rows, blocks, _noise_of_seeds(base, other, names), best_cases, sectors, worse)
 
 
 def _by_sector(

@@ -113,7 +113,7 @@ class ScoreChange:
     why : reason for which its verdict does not count; "" if it counts
     of_pairs : by pair, after minus before; None if a value is null
     seed_noise : largest difference of the two means that Louvain seeds alone make in 95 % of the cases; None if unknown
-    floor : distance of the floor's mean from equal scans; None if unknown
+    best_case : distance of the best case's mean from equal scans; None if unknown
     """
 
     name: str
@@ -124,7 +124,7 @@ class ScoreChange:
     towards: str
     of_pairs: dict[str, float | None]
     seed_noise: float | None = None
-    floor: float | None = None
+    best_case: float | None = None
     why: str = ""
 
     @property
@@ -133,7 +133,7 @@ class ScoreChange:
         return self.difference.size / (self.difference.std or math.inf)
 
     def exceeds(self, least: float | None) -> bool | None:
-        """True if the difference is larger than `seed_noise` or `floor`; None if one of them is unknown."""
+        """True if the difference is larger than `seed_noise` or `best_case`; None if one of them is unknown."""
         change = self.difference.difference
         return None if least is None or change is None else abs(change) > least
 
@@ -167,7 +167,7 @@ def judge_families(
     rows: PairRows,
     blocks: IntArray,
     seed_noise: Mapping[str, float | None] | None = None,
-    floors: Mapping[str, float | None] | None = None,
+    best_cases: Mapping[str, float | None] | None = None,
     sectors: tuple[PairRows, IntArray] | None = None,
     worse_causes: Sequence[str] = (),
 ) -> tuple[FamilyChange, ...]:
@@ -181,14 +181,14 @@ def judge_families(
     preset : of both runs
     rows : by pair, its rows of `pairs` before and after
     blocks : (n,) block of each pair
-    seed_noise, floors : by column of `pairs`, see `ScoreChange`
+    seed_noise, best_cases : by column of `pairs`, see `ScoreChange`
     sectors : rows of the sectors of all pairs (`sectors.sector_rows`) and the block of each, where neighbouring frames
         leave few blocks. A change must then be consistent over the sectors of the places, and over the frames, too
     worse_causes : causes of the sensor that became worse, from which improvements of a family may follow
     """
     found = [
         FamilyChange(
-            name, "undecided", None, "", "", _changes(scores, rows, blocks, seed_noise or {}, floors or {}, sectors)
+            name, "undecided", None, "", "", _changes(scores, rows, blocks, seed_noise or {}, best_cases or {}, sectors)
         )
         for name, scores in families(preset).items()
     ]
@@ -221,7 +221,7 @@ def _changes(
     rows: PairRows,
     blocks: IntArray,
     seed_noise: Mapping[str, float | None],
-    floors: Mapping[str, float | None],
+    best_cases: Mapping[str, float | None],
     sectors: tuple[PairRows, IntArray] | None,
 ) -> tuple[ScoreChange, ...]:
     """The scores of a family that have values, without verdicts, the most clearly changed first."""
@@ -237,7 +237,7 @@ def _changes(
         if difference.n_pairs:
             change = dict(zip(rows, (after[i] - before[i]).tolist(), strict=True))
             p = None if np.isnan(p_values[i]) else float(p_values[i])
-            scores.append(_score_change(score, difference, p, change, seed_noise, floors))
+            scores.append(_score_change(score, difference, p, change, seed_noise, best_cases))
     return tuple(sorted(scores, key=lambda score: (2.0 if score.p is None else score.p, -score.clarity)))
 
 
@@ -260,7 +260,7 @@ def _score_change(
     p: float | None,
     change: Mapping[str, float],
     seed_noise: Mapping[str, float | None],
-    floors: Mapping[str, float | None],
+    best_cases: Mapping[str, float | None],
 ) -> ScoreChange:
     is_same = difference.low == difference.high == 0 or (difference.n_blocks > 1 and p is None)
     towards = ""
@@ -275,7 +275,7 @@ def _score_change(
         towards=towards,
         of_pairs={name: None if math.isnan(value) else value for name, value in change.items()},
         seed_noise=seed_noise.get(score.column),
-        floor=floors.get(score.column),
+        best_case=best_cases.get(score.column),
     )
 
 

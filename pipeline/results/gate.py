@@ -20,8 +20,8 @@ from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
 from ...schemas.settings import expected_and_got
 from ...stages.statistics.comparison import LEAST_PAIRS
+from .best_case import excess_over
 from .finished import FinishedRun, partition_note
-from .floor import excess_over
 from .measures import Measures
 
 if TYPE_CHECKING:
@@ -77,22 +77,22 @@ class GateResult:
         return found | {"notes": [*self.notes], "criteria": [dict(vars(verdict)) for verdict in self.judged]}
 
 
-def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = None) -> GateResult:
+def judge_run(folder: Path, criteria: Iterable[Criterion], best_case: Path | None = None) -> GateResult:
     """Check a finished run against criteria.
 
     Parameters
     ----------
-    floor : the run of fidpipe floor that measures such as `excess.r_lambda.mean` are over
+    best_case : the run of fidpipe best-case that measures such as `excess.r_lambda.mean` are over
 
     Raises
     ------
     RunError
-        The folder is not a finished run, a table is damaged, or the floor is another's.
+        The folder is not a finished run, a table is damaged, or the best case is another's.
     SettingsError
-        A criterion names an unknown measure, or one that needs a floor without one.
+        A criterion names an unknown measure, or one that needs a best case without one.
     """
     run = FinishedRun(folder)
-    excess = None if floor is None else excess_over(run, floor)
+    excess = None if best_case is None else excess_over(run, best_case)
     measures = Measures(run, excess)
     wanted = list(criteria)
     given = {(criterion.measure, criterion.bound) for criterion in wanted}
@@ -104,7 +104,7 @@ def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = 
     notes = [note] if (note := partition_note([run])) else []
     if excess is not None:
         n_both = f"{len(excess.pairs)} of {len(run.scored)} pairs"
-        notes.append(f"excess is over the floor {floor} ({excess.recipe.words}), {n_both}")
+        notes.append(f"excess is over the best case {best_case} ({excess.recipe.words}), {n_both}")
     if measures.dataset_is_gone:
         notes.append(f"the dataset {run.record.dataset} is not here: not checked whether it has changed since the run")
     else:

@@ -33,8 +33,8 @@ from ...stages.statistics.findings import BAND_NAMES, summarise_objects
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.urls import recorded_path
+from .best_case import BEST_CASE_RECIPE
 from .causes import named_causes, read_causes, unknown_causes
-from .floor import FLOOR_RECIPE
 from .object_frame import PAIRS_AT_ONCE, STATISTICS_COLUMNS, arrays_of, object_parts, plain_rows
 from .places import moved_words, place_words
 
@@ -253,10 +253,10 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
     if record.preset != "reference":
         words = "each scan is segmented separately, so scores vary with the segmentation; to compare simulators: "
         yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
-    if path_exists(recorded_path(record.dataset) / FLOOR_RECIPE):
-        return  # it is a floor itself
-    floor = shlex.join(["fidpipe", "floor", record.dataset, "--preset", record.preset])
-    yield Caution(kind="floor", words=f"no floor yet; the scores of a perfect simulator: {floor}")
+    if path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
+        return  # it is a best case itself
+    best_case = shlex.join(["fidpipe", "best-case", record.dataset, "--preset", record.preset])
+    yield Caution(kind="best_case", words=f"no best case yet; the scores of a perfect simulator: {best_case}")
 
 
 def _frames_summary(suspects: Mapping[str, FrameSuspect], n_pairs: int) -> str:

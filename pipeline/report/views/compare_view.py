@@ -15,7 +15,7 @@ from ...results.followed import SHARED_SCORES, by_change, by_class, by_range
 from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
 from ..view import Note, Part, Table, View, count, number, percent, signed
-from .floor_view import both_excesses_table, excess_notes
+from .best_case_view import both_excesses_table, excess_notes
 
 _MOST_OBJECTS = 5
 _MOST_CAUSES = 3
@@ -179,17 +179,18 @@ def remarks(comparison: Comparison) -> list[Note]:
 
 
 def _on_chance(comparison: Comparison) -> list[str]:
-    """Seeds and floor: which changes are not more than these make."""
+    """Seeds and best case: which changes are not more than these make."""
     lines = [comparison.on_partition] if comparison.on_partition else []
     by_seeds = [score.name for score in comparison.scores if score.exceeds(score.seed_noise) is False]
     if by_seeds:
         lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
-    below = [score for score in comparison.scores if score.exceeds(score.floor) is False and score.towards]
+    below = [score for score in comparison.scores if score.exceeds(score.best_case) is False and score.towards]
     if below:
         lines.append(
-            "no more than the floor, by which a second measurement of the real scan differs: "
+            "no more than the best case, by which a second measurement of the real scan differs: "
             + ", ".join(
-                f"{score.name} ({signed(score.difference.difference)}, floor {number(score.floor)})" for score in below
+                f"{score.name} ({signed(score.difference.difference)}, best case {number(score.best_case)})"
+                for score in below
             )
         )
     if comparison.excess:
@@ -238,18 +239,18 @@ def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = N
     """One row per score, or per score chosen, with its numbers, and an arrow to where it is better.
 
     Not in a terminal: the pairs if all have each score; if both runs were repeated under other seeds, whether the
-    change is more than they alone make; with a floor, whether it is more than a second measurement makes.
+    change is more than they alone make; with a best case, whether it is more than a second measurement makes.
     """
     beyond = {None: "-", True: "yes ({})", False: "no ({})"}
     with_seeds = any(score.seed_noise is not None for score in comparison.scores)
-    with_floor = any(score.floor is not None for score in comparison.scores)
+    with_best_case = any(score.best_case is not None for score in comparison.scores)
     rows = [
         (
             *(family.name, f"{score.name} {score.mark}", score.difference.n_pairs, score.difference.before),
             *(score.difference.after, _interval(score.difference), _p(score.p)),
             f"({score.verdict})" if score.why else score.verdict,
             *[beyond[score.exceeds(score.seed_noise)].format(number(score.seed_noise))] * with_seeds,
-            *[beyond[score.exceeds(score.floor)].format(number(score.floor))] * with_floor,
+            *[beyond[score.exceeds(score.best_case)].format(number(score.best_case))] * with_best_case,
         )
         for score in (comparison.scores if chosen is None else chosen)
         for family in comparison.families
@@ -257,7 +258,7 @@ def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = N
     ]
     have_all = all(score.difference.n_pairs == len(comparison.pairs) for score in comparison.scores)
     headings = ("family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict")
-    beyonds = ["more than seeds make"] * with_seeds + ["more than the floor"] * with_floor
+    beyonds = ["more than seeds make"] * with_seeds + ["more than the best case"] * with_best_case
     title = f"Means over {len(comparison.pairs)} pairs; in brackets: does not count"
     wide = (0, 8, 9, 2) if have_all else (0, 8, 9)
     return Table(title, (*headings, *beyonds), rows, words=(0, 1, 7), wide=wide)
