@@ -195,10 +195,12 @@ class ObjectFindings(Result):
 class Findings(ObjectFindings):
     """The findings as they are recorded.
 
-    n_independent : pairs that count as independent: copies, and scans within 10 s, count once
+    n_places : independent places: copies and neighbouring frames count once
+    places : by scored pair, the number of its place
     """
 
-    n_independent: int
+    n_places: int
+    places: dict[str, int]
 
 
 class Evidence(Result):

@@ -96,15 +96,16 @@ def compare(
     json_file: OutFile = None,
     allow_different_settings: bool = False,
     independent: bool = False,
+    undecided_ok: bool = False,
     all_: Annotated[bool, typer.Option("--all")] = False,
 ) -> None:
     """Compare simulator versions on the same real scans: better, worse or mixed, and in what.
 
     Causes and families of scores are decided, the families with at most 5 % false alarms over all; see
     docs/compare.md. Datasets and scans are evaluated first (preset reference). --fail-on worse exits with 4 if a cause
-    or a family is worse or mixed, or a pair that the base has scored failed or is not compared; --fail-on undecided
-    also if nothing is decided. It writes compare.xml and compare.json into the last run unless --junit, --json-file or
-    --out say otherwise.
+    or a family is worse or mixed, if a pair that the base has scored failed or is not compared, and if the comparison
+    is undecided for lack of places (unless --undecided-ok); --fail-on undecided also if nothing is decided. It writes
+    compare.xml and compare.json into the last run unless --junit, --json-file or --out say otherwise.
 
     Parameters
     ----------
@@ -116,6 +117,7 @@ def compare(
     json_file : JSON of --fail-on.
     allow_different_settings : Allow runs of other settings.
     independent : Treat each pair as independent.
+    undecided_ok : Accept a comparison that too few places leave undecided.
     all_ : Show every score, class and range.
 
     Examples
@@ -145,6 +147,8 @@ def compare(
         raise typer.BadParameter(f"--fail-on: expected {' or '.join(FAIL_ON)}, got {fail_on!r}")
     if fail_on is None and (junit or json_file):
         raise typer.BadParameter("--junit and --json-file are what --fail-on writes; give it as well")
+    if undecided_ok and fail_on != "worse":
+        raise typer.BadParameter("--undecided-ok is for --fail-on worse")
     page = html or (out and out / "compare.html")
     runs = _evaluated(runs)
     comparisons = compare_runs(
@@ -158,7 +162,9 @@ def compare(
         from ..report.page.compare_page import compare_page
 
         write_whole(page, compare_page(comparisons, page.parent).encode())
-    results = [judge_comparison(each, fail_on) for each in comparisons] if fail_on else []
+    results = []
+    if fail_on:
+        results = [judge_comparison(each, [fail_on], undecided_ok=undecided_ok) for each in comparisons]
     views = (compare_view(each, with_all=all_ or output == "markdown") for each in comparisons)
     print_as(
         output,

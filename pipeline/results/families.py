@@ -21,6 +21,7 @@ from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import (
     ALIKE,
     CONFIDENCE,
+    LEAST_PAIRS,
     Difference,
     adjusted_p_values,
     block_means,
@@ -132,6 +133,12 @@ class ScoreChange:
         """Change in standard deviations of the blocks' changes."""
         return self.difference.size / (self.difference.std or math.inf)
 
+    @property
+    def is_clear(self) -> bool:
+        """True if it moved, and its interval, if there is one, does not hold 0."""
+        low, high = self.difference.low, self.difference.high
+        return bool(self.towards) and (low is None or high is None or low > 0 or high < 0)
+
     def exceeds(self, least: float | None) -> bool | None:
         """True if the difference is larger than `seed_noise` or `best_case`; None if one of them is unknown."""
         change = self.difference.difference
@@ -196,6 +203,8 @@ def judge_families(
     lowest = [min((score.p for score in family.scores if score.p is not None), default=None) for family in found]
     adjusted = holm(lowest)
     found = [_with_p(family, p, before) for family, p, before in zip(found, adjusted, lowest, strict=True)]
+    if len(np.unique(blocks)) < LEAST_PAIRS:
+        found = [_without_idle_p(family) for family in found]
     worse = {family.name for family in found if any(score.verdict == "worse" for score in family.scores)}
     right, invented = _points_change(rows)
     reasons = _Reasons(worse, right > invented / 2, tuple(worse_causes))
@@ -209,6 +218,12 @@ def _with_p(family: FamilyChange, p: float | None, before_holm: float | None) ->
         scores = tuple(_with_verdict(score) for score in scores)
     tends = before_holm is not None and before_holm < ERROR_RATE
     return replace(family, p=p, tendency=scores[0].towards if tends else "", scores=scores)
+
+
+def _without_idle_p(family: FamilyChange) -> FamilyChange:
+    """The family without p-values of 1: those that few pairs cannot lower."""
+    scores = tuple(replace(score, p=None) if score.p == 1.0 else score for score in family.scores)
+    return replace(family, p=None if family.p == 1.0 else family.p, scores=scores)
 
 
 def _with_verdict(score: ScoreChange) -> ScoreChange:

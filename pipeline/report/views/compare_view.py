@@ -12,9 +12,10 @@ from ...results.causes import interval_words
 from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange
 from ...results.followed import SHARED_SCORES, by_change, by_class, by_range
+from ...results.independence import NEEDED, pairs_and_places
 from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
-from ..view import Note, Part, Table, View, count, number, percent, signed
+from ..view import Note, Part, Table, View, number, percent, signed
 from .best_case_view import both_excesses_table, excess_notes
 
 _MOST_OBJECTS = 5
@@ -132,26 +133,34 @@ def _nothing_decided(comparison: Comparison) -> str:
     uncertain = [change.words for change in comparison.changes.causes if change.verdict == "changed"]
     if uncertain:
         return f"changed, neither better nor worse: {', '.join(uncertain[:_MOST_CAUSES])}"
-    places = count(comparison.n_blocks, "independent place")
-    tending = [family.name for family in comparison.families if family.scores[0].towards == "worse"]
-    if comparison.is_small or comparison.by_direction:
-        few = f"{places}, {LEAST_PAIRS} are needed to decide about the world"
-        return f"{few}; on these frames worse: {', '.join(tending)}" if tending else few
-    return f"no change stands out from chance over {places}"
+    counted = pairs_and_places(len(comparison.pairs), comparison.n_places)
+    if not comparison.lacks_places:
+        return f"no change stands out from chance over {counted}"
+    parts = [counted]
+    these = "frames" if comparison.n_places < len(comparison.pairs) else "pairs"
+    for towards in ("worse", "better"):
+        moved = [family.name for family in comparison.families if _clearly(family) == towards]
+        if moved:
+            parts.append(f"on these {these} {towards}: {', '.join(moved)}")
+    return f"{'; '.join(parts)}. {NEEDED.capitalize()}"
+
+
+def _clearly(family: FamilyChange) -> str:
+    """Direction in which the clearest score of a family moved, worse or better; "" if it is not clear."""
+    return next((score.towards for score in family.scores if score.is_clear), "")
 
 
 def chance(comparison: Comparison) -> str:
     """The second line: how pairs were counted, and the rate at which equal simulators are called better or worse."""
-    counted = comparison.blocking
+    counted = comparison.counted
     if comparison.by_direction:
         counted += (
-            f"; a change counts if it is consistent over the frames and over {N_SECTORS} directions from each place "
-            "(--independent: over the frames alone, for a decision about these places only)"
+            f"; changes of the world count if the frames and {N_SECTORS} directions agree (--independent: the frames "
+            "alone)"
         )
     if comparison.is_small:
-        return f"{counted}; fewer than {LEAST_PAIRS} pairs decide only changes far beyond the noise"
-    rate = f"{100 * ERROR_RATE:.0f} %"
-    return f"{counted}; error rate over all families at most {rate} for equal simulators"
+        return f"{counted}; fewer than {LEAST_PAIRS} pairs: only very large changes of the world count"
+    return f"{counted}; false-alarm rate at most {100 * ERROR_RATE:.0f} %"
 
 
 def remarks(comparison: Comparison) -> list[Note]:
@@ -295,7 +304,7 @@ def _group_table(what: str, groups: Sequence[Row]) -> Table:
 
 def compare_records(comparisons: Sequence[Comparison]) -> Table:
     """One row per run and score, numbers in full."""
-    headings = ("base", "run", "family", "score", "better is", "verdict", "pairs", "independent pairs")
+    headings = ("base", "run", "family", "score", "better is", "verdict", "pairs", "places")
     numbers = ("before", "after", "change", "from", "to", "p")
     rows = []
     for one in comparisons:
@@ -303,7 +312,7 @@ def compare_records(comparisons: Sequence[Comparison]) -> Table:
             for score in family.scores:
                 own = score.difference
                 words = (str(one.base), str(one.other), family.name, score.name, score.mark, score.verdict)
-                counts = (own.n_pairs, own.n_blocks)
+                counts = (own.n_pairs, one.n_places)
                 rows.append((*words, *counts, own.before, own.after, own.difference, own.low, own.high, score.p))
     return Table("", (*headings, *numbers), rows)
 
