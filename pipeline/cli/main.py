@@ -228,7 +228,8 @@ def _root(
 
     Begin with check, run, show and compare.
 
-    Example: fidpipe run dataset/, where dataset/real and dataset/sim hold files of the same names
+    Example: fidpipe run dataset/ --preset reference, where dataset/real and dataset/sim hold files of the same
+    names
     """
 
 

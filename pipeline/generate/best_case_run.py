@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 
 from ...schemas.columns import FARTHEST_M
 from ...schemas.errors import DatasetError, RunError, ScanError
-from ...schemas.settings import FrameName, InputSettings, Settings
+from ...schemas.settings import FrameName, InputSettings, Settings, load
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.perturbations import fill_gaps, remeasure
 from ...stages.sensor_description import NO_GAPS, SurfaceGaps, describe_with_gaps
@@ -38,11 +38,12 @@ from ..results.best_case import (
     BestCaseRecipe,
     read_recipe,
 )
+from ..results.finished import FinishedRun
 from ..run import RunOutcome, run_dataset, select_pairs
 from ..storage.files import csv_bytes, key_of, path_exists, refuse_link, write_whole
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.ledger import Ledger
-from ..storage.run_record import has_ended, read_run
+from ..storage.run_record import SETTINGS_TOML, has_ended, read_run
 from ..storage.table_files import file_stem
 from ..storage.urls import name_in_records, recorded_path
 from .recordings import square
@@ -114,6 +115,18 @@ def run_best_case(
         machines=machines,
         replace=replace,
     )
+
+
+def source_of_run(folder: Path) -> tuple[Path, Settings]:
+    """The dataset of a run, and the settings of the run.
+
+    Raises
+    ------
+    FidpipeError
+        The folder is not a run that has ended, or its settings cannot be read.
+    """
+    run = FinishedRun(folder)
+    return recorded_path(run.record.dataset), load(folder / SETTINGS_TOML)
 
 
 def _neighbours(dataset: Dataset) -> dict[str, ScanPair]:

@@ -22,9 +22,9 @@ from ...schemas.results import JsonObject
 from ...stages.arrays import FloatArray
 from ...stages.statistics.validation import double_validation_metric
 from ...stages.summary import mean_and_std
-from ..storage.run_record import SETTINGS_TOML, read_run
+from ..storage.run_record import read_run
 from ..storage.urls import url_or_path
-from .finished import FinishedRun, differences, settings_changes
+from .finished import OF_SIM_FILES, FinishedRun, differences, settings_changes
 
 BEST_CASE_DATASET = "dataset"
 BEST_CASE_RECIPE = "best_case.toml"
@@ -32,8 +32,6 @@ BEST_CASE_AMOUNTS = "best_case.csv"
 AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real scan shows itself
 #: What has a best case: columns of `pairs`.
 SCORES = ("match_rate", "n_missing", "n_hallucinated", *(name for name in RUN_SCORES if name != "match_rate"))
-#: Of the simulated side alone, which in a best case is the real one.
-_OF_SIM_ALONE = ("input.sim_columns", "input.sim_flip_y", "input.sim_frame")
 
 
 @dataclass(frozen=True)
@@ -197,7 +195,7 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
 
 def _refuse_other_best_case(run: FinishedRun, best_case: FinishedRun) -> None:
     runs = f"run {run.folder} and best case {best_case.folder}"
-    differing = settings_changes(run, best_case, but=_OF_SIM_ALONE)
+    differing = settings_changes(run, best_case, but=OF_SIM_FILES)
     if differing:
         raise RunError(f"{runs}: settings differ ({'; '.join(differing)}); make one for it: {_command(run)}")
     theirs = best_case.record.inputs
@@ -214,10 +212,7 @@ def _refuse_other_best_case(run: FinishedRun, best_case: FinishedRun) -> None:
 
 
 def _command(run: FinishedRun) -> str:
-    out = run.folder.with_name(f"{run.folder.resolve().name}-best-case")
-    return shlex.join(
-        ["fidpipe", "best-case", run.record.dataset, "--settings", str(run.folder / SETTINGS_TOML), "--out", str(out)]
-    )
+    return shlex.join(["fidpipe", "best-case", url_or_path(run.folder)])
 
 
 def _of_objects(run: FinishedRun, names: Sequence[str]) -> dict[str, FloatArray]:

@@ -28,7 +28,7 @@ from ..storage.table_files import table_name
 from .best_case import RunExcess, excess_over
 from .changes import Changes, change_rows, find_changes
 from .families import FamilyChange, ScoreChange, judge_families, overall
-from .finished import FinishedRun, differences, partition_note, settings_changes
+from .finished import OF_SIM_FILES, FinishedRun, differences, partition_note, settings_changes
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, follow
 from .independence import how_found, pairs_and_places
 from .object_frame import object_parts, plain_rows
@@ -161,7 +161,7 @@ def compare_two(
     reporter: Reporter | None = None,
 ) -> Comparison:
     """One run against another, as `compare_runs` does."""
-    differing = settings_changes(base, other)
+    differing = settings_changes(base, other, but=OF_SIM_FILES)
     if differing and not allow_different_settings:
         raise RunError(_settings_differ(base, other, differing))
     left_out = pairs_left_out(base, other)

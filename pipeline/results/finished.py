@@ -56,6 +56,8 @@ def record_of_run(folder: Path) -> dict[str, Any]:
         hint = f"it holds a dataset, evaluate it: fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
     elif runs:
         hint = f"it holds runs: {', '.join(runs[:3])}{', ...' * (len(runs) > 3)}"
+    elif names:
+        hint = f"if it holds scans, evaluate them: fidpipe run {shlex.quote(shown)} SIM"
     else:
         hint = f"make a run: fidpipe run DATASET --out {shlex.quote(shown)}"
     problem = f"no {RUN_JSON} found" if folder.is_dir() else "no such folder"
@@ -275,6 +277,10 @@ class FinishedRun:
 def _frame(table: pa.Table) -> pd.DataFrame:
     frame: pd.DataFrame = table.to_pandas(ignore_metadata=True)
     return frame
+
+
+#: How the files of the simulated side are read: runs that differ in these alone can be compared.
+OF_SIM_FILES = ("input.sim_columns", "input.sim_flip_y", "input.sim_frame")
 
 
 def settings_changes(base: FinishedRun, other: FinishedRun, but: Sequence[str] = ()) -> list[str]:

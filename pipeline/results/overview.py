@@ -241,11 +241,19 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
         yield Caution(kind="alignment", words=words)
     if record.preset != "reference":
         words = "each scan is segmented separately, so scores vary with the segmentation; to compare simulators: "
-        yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
+        yield Caution(kind="partition", words=words + _by_reference(record))
     if path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
         return  # it is a best case itself
-    best_case = shlex.join(["fidpipe", "best-case", record.dataset, "--preset", record.preset])
-    yield Caution(kind="best_case", words=f"no best case yet; the scores of a perfect simulator: {best_case}")
+    yield Caution(kind="best_case", words="no best case yet; the scores of a perfect simulator: fidpipe best-case RUN")
+
+
+def _by_reference(record: RunRecord) -> str:
+    """Command that evaluates the dataset of a run with reference objects and its other settings."""
+    command = ["fidpipe", "run", record.dataset, "--preset", "reference"]
+    for setting in record.departures:
+        command += ["--set", setting]
+    out = f"runs/{recorded_path(record.dataset).name}-reference"
+    return shlex.join([*command, "--out", out])
 
 
 def _frames_summary(suspects: Mapping[str, FrameSuspect], n_pairs: int) -> str:

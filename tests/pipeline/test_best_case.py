@@ -287,7 +287,7 @@ def test_the_command_takes_amounts_and_names_their_defaults(folder, tmp_path):
 
 
 def test_what_limits_trust_names_the_best_case_only_where_none_is_at_hand(folder):
-    wanted = f"fidpipe best-case {folder / 'streets'}"
+    wanted = f"fidpipe best-case {folder / 'run'}"
     assert wanted in " ".join(shown("show", folder / "run", "--all").split())
     assert "fidpipe best-case" not in shown("show", folder / "run", "--all", "--best-case", folder / "best_case")
     assert "fidpipe best-case" not in shown("show", folder / "best_case", "--all")
@@ -304,3 +304,24 @@ def test_a_best_case_of_scans_in_another_frame_is_that_of_the_turned_ones(tmp_pa
     assert turned.rows[0]["match_rate"] == 1
     assert turned.record.frames == {}
     assert turned.rows[0]["n_matched"] == usual.rows[0]["n_matched"]
+
+
+def test_the_best_case_of_a_run_has_its_settings_and_lies_next_to_it(tmp_path):
+    data = write_dataset(tmp_path / "streets", 1)
+    settings = ("--set", "graph.k=20")
+    shown("run", data, "--preset", "reference", *settings, "--workers", 1, "--out", tmp_path / "run")
+    shown("best-case", tmp_path / "run", *settings, code=2)
+    shown("best-case", tmp_path / "run", "--workers", 1)
+    assert "Over the best case" not in shown("show", tmp_path / "run")
+    assert "best case" in shown("show", tmp_path / "run", "--best-case", tmp_path / "run-best-case")
+    found = FinishedRun(tmp_path / "run-best-case").record
+    assert (found.preset, found.departures) == ("reference", ("graph.k=20",))
+
+
+def test_every_next_step_has_the_preset_and_the_settings(tmp_path):
+    data = write_dataset(tmp_path / "streets", 1)
+    text = " ".join(shown("check", data, "--set", "graph.k=20", code=None).split())
+    assert f"fidpipe run {data} --preset reference --set graph.k=20" in text
+    shown("run", data, "--set", "graph.k=20", "--workers", 1, "--out", tmp_path / "run")
+    text = " ".join(shown("show", tmp_path / "run", "--all").split())
+    assert f"fidpipe run {data} --preset reference --set graph.k=20 --out runs/streets-reference" in text

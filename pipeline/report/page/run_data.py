@@ -28,7 +28,15 @@ from ..look import PAGE_COLOURS, SIGNED_RAMP_M
 from ..pictures import FRAME, draw_pieces
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, SCORES, RunResults, frames_of, quadrants
 from ..view import Note, Table, number, percent, sentence
-from ..views.answer_view import NO_CAUSE, amount_words, change_words, pieces_words, surface_words, unknown_words
+from ..views.answer_view import (
+    NO_CAUSE,
+    amount_words,
+    change_words,
+    pieces_words,
+    surface_words,
+    trust_words,
+    unknown_words,
+)
 from ..views.best_case_view import excess_view
 from ..views.run_view import (
     coverage_table,
@@ -215,7 +223,8 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
     if overview is None:
         raise RunError(f"run {results.run.folder}: no pair is scored, so there is nothing to report")
     is_met, good_enough = _good_enough(results, excess)
-    trust = [caution.words for caution in overview.trust if caution.kind not in ("frames", "failed")]
+    cautions = [caution for caution in overview.trust if caution.kind not in ("frames", "failed")]
+    trust = trust_words(results.run.folder, cautions)
     if overview.unknown:
         trust.append(unknown_words(overview))
     return {

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ....schemas.metric_catalogue import metric_of
-from ....schemas.record import RunRecord
-from ....schemas.results import Cause, Diagnosis, Overview
+from ....schemas.record import RunHeader, RunRecord
+from ....schemas.results import Cause, Caution, Diagnosis, Overview
 from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
 from ...results.causes import MOST_SHOWN, interval_words
 from ...results.diagnosis import gain_words, unexplained_words, with_gains
@@ -59,12 +59,12 @@ def answer_view(
     pieces = overview.pieces[:n_places]
     names = shortened({own.pair_id for own in pieces}, _PAIR)
     hidden = {*_SHOWN_ABOVE, *(["best_case"] if excess or recipe else [])}
-    trust = [own.words for own in overview.trust if own.kind not in hidden][:n_cautions]
+    trust = trust_words(folder, [caution for caution in overview.trust if caution.kind not in hidden])[:n_cautions]
     if overview.unknown:
         trust.append(unknown_words(overview))
     if not with_all:
         trust.append(f"more: {shlex.join(['fidpipe', 'show', run, '--all'])}")
-    following = [["check", record.dataset]] if record.frames else [["report", run, "--open"]]
+    following = [["check", record.dataset, *run_options(record)]] if record.frames else [["report", run, "--open"]]
     if recipe is not None:
         following = [["show", run_of_best_case(folder, recipe), "--best-case", run]]
     elif diagnosis is None and not record.frames:
@@ -80,6 +80,20 @@ def answer_view(
         "Next": [(shlex.join(["fidpipe", *words]), "", "") for words in following],
     }
     return [line, Answers([(heading, items) for heading, items in sections.items() if items])]
+
+
+def trust_words(folder: Path, cautions: Sequence[Caution]) -> list[str]:
+    """The limits to the trust in a run, with its folder in the commands."""
+    command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
+    return [caution.words.replace("fidpipe best-case RUN", command) for caution in cautions]
+
+
+def run_options(record: RunHeader) -> list[str]:
+    """Preset and settings of a run, as options of a command."""
+    options = ["--preset", record.preset]
+    for setting in record.departures:
+        options += ["--set", setting]
+    return options
 
 
 def cause_items(causes: Sequence[Cause]) -> list[tuple[str, str, str]]:
