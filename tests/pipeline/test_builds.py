@@ -1,6 +1,8 @@
 """The path of a user with two builds of a simulator: from folders of scans to a decision and its cause."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from scenes import street, write_bin
 
 #: The second build is this much higher.
 HIGHER_M = 0.12
-SAME = ("--preset", "reference", "--workers", 1)
+DECISION = Path(__file__).parents[2] / "docs" / "decision.md"
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +40,11 @@ def builds(real_data, tmp_path_factory):
 
 
 def test_three_commands_lead_from_two_builds_to_a_decision_and_its_first_cause(builds):
-    command("run", "drive", "build41", *SAME, cwd=builds, code=0)
-    command("run", "drive", "build42", *SAME, "--set", "input.sim_frame=carla", cwd=builds, code=0)
-    text = command("compare", "runs/build41", "runs/build42", cwd=builds, code=0).stdout
+    section = DECISION.read_text("utf-8").partition("## Builds in different frames")[2]
+    first, second, third = re.findall(r"^fidpipe (.*)", section.partition("\n## ")[0], re.MULTILINE)
+    for words in (first, second):
+        command(*words.split(), "--workers", 1, cwd=builds, code=0)
+    text = command(*third.split(), cwd=builds, code=0).stdout
     assert text.startswith("worse: height: +20 cm, before +8 cm (mount height)"), text
     assert "2 neighbouring frames of one place" in text
 
