@@ -55,7 +55,9 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
         _reject_crowd(points, near_m, settings)
     tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE)
     k = min(settings.k, n - 1)
-    precedence = np.arange(n) if settings.ties == "point_id" else np.argsort(np.lexsort(points.T[::-1]))
+    precedence = np.arange(n)
+    if settings.ties == "coordinates":
+        precedence = np.argsort(np.lexsort(points.T[::-1]))
     distance, nearest = tree.query(points, k=min(k + 2, n))
     # If the k-th neighbour is farther than tau, all points within tau are neighbours already.
     crowded = np.flatnonzero(distance[:, k] <= near_m * (1 + _SLACK))
@@ -67,10 +69,11 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
         arcs.append((crowded[near], crowded[other]))
     src, dst = _unique_pairs(arcs, n)
     length_m = _distance(points, src, dst)
-    if settings.edges == "intersection":
-        inside = length_m <= settings.tau_m
-        src, dst, length_m = src[inside], dst[inside], length_m[inside]
-    return Edges(src.astype(np.int32), dst.astype(np.int32), length_m.astype(np.float32))
+    edges = Edges(src.astype(np.int32), dst.astype(np.int32), length_m.astype(np.float32))
+    if settings.edges == "union":
+        return edges
+    is_near = length_m <= settings.tau_m
+    return Edges(edges.src[is_near], edges.dst[is_near], edges.length_m[is_near])
 
 
 def _reject_crowd(points: FloatArray, near_m: float, settings: GraphSettings) -> None:

@@ -175,15 +175,17 @@ def _follow_road(cut: GroundResult, real: FloatArray, sim: FloatArray) -> Ground
     """
     from scipy import ndimage
 
-    near = [side[np.linalg.norm(side, axis=1) <= NEAR_M] for side in (real, sim)]
-    cells = np.floor(np.vstack(near)[:, :2] / CELL_M).astype(np.int64)
+    near_real = real[np.linalg.norm(real, axis=1) <= NEAR_M]
+    near_sim = sim[np.linalg.norm(sim, axis=1) <= NEAR_M]
+    cells = np.floor(np.vstack([near_real, near_sim])[:, :2] / CELL_M).astype(np.int64)
     cells = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-    of_real, of_sim = cells[: len(near[0])], cells[len(near[0]) :]
+    of_real, of_sim = np.split(cells, [len(near_real)])
     common = np.intersect1d(of_real, of_sim)
     if len(common) < MIN_COMMON_CELLS:
         return None
-    above = ndimage.median(near[1] @ cut.axis, of_sim, common) - ndimage.median(near[0] @ cut.axis, of_real, common)
-    offset_m = _fullest_window_median(above)
+    height_real = ndimage.median(near_real @ cut.axis, of_real, common)
+    height_sim = ndimage.median(near_sim @ cut.axis, of_sim, common)
+    offset_m = _fullest_window_median(height_sim - height_real)
     threshold_m = None if cut.threshold_m is None else cut.threshold_m + offset_m
     return replace(cut, peak_m=cut.peak_m + offset_m, threshold_m=threshold_m)
 

@@ -100,9 +100,11 @@ def match_reference(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: 
 def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Real and simulated ids of Algorithm 1 and their distances, by real id; one row of distances at a time."""
     is_taken = np.zeros(len(sim), dtype=np.bool_)
-    pairs, distance_m = [], []
+    pairs = []
+    distance_m = []
     for real_id in range(len(real)):
-        distance = np.where(is_taken, np.inf, scipy.spatial.distance.cdist(real[real_id : real_id + 1], sim)[0])
+        distance = scipy.spatial.distance.cdist(real[real_id : real_id + 1], sim)[0]
+        distance[is_taken] = np.inf
         sim_id = int(np.argmin(distance))
         if distance[sim_id] < delta_m:
             pairs.append((real_id, sim_id))
@@ -117,7 +119,8 @@ def _optimal(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexAr
     distance = scipy.spatial.distance.cdist(real, sim)
     # A forbidden pair costs more than all allowed ones together, so the solution has as few of them as possible.
     forbidden = delta_m * (min(distance.shape) + 1)
-    real_ids, sim_ids = scipy.optimize.linear_sum_assignment(np.where(distance < delta_m, distance, forbidden))
+    cost = np.where(distance < delta_m, distance, forbidden)
+    real_ids, sim_ids = scipy.optimize.linear_sum_assignment(cost)
     distance_m = distance[real_ids, sim_ids]
     allowed = distance_m < delta_m
     return real_ids[allowed], sim_ids[allowed], distance_m[allowed]

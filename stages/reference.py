@@ -89,16 +89,18 @@ def find_reference_objects(
             f'the real scan has no {settings.reference}, which communities.reference = "{settings.reference}" needs: '
             f"{_SOURCES[settings.reference]}; or set communities.reference=louvain"
         )
-    own = () if annotation.labels is None else annotation.labels
-    names = ["unlabelled" if label is None else str(label) for label in own]
-    classes = np.unique(names, return_inverse=True)[1].ravel() if names else np.zeros(len(points), dtype=np.intp)
-    instances = annotation.instances if settings.reference == "instances" else None
-    instances = np.zeros(len(points), dtype=np.int32) if instances is None else instances
+    names = ["" for _ in points]
+    if annotation.labels is not None:
+        names = ["unlabelled" if label is None else str(label) for label in annotation.labels]
+    classes = np.unique(names, return_inverse=True)[1].ravel()
+    instances = np.zeros(len(points), dtype=np.int32)
+    if settings.reference == "instances" and annotation.instances is not None:
+        instances = annotation.instances
     codes = np.unique(np.column_stack([classes, instances]), axis=0, return_inverse=True)[1].ravel()
     components = _components(len(points), edges, codes, settings.reach_m)
     components = _merge_small(points, components, codes, settings.min_points)
     objects = canonical_ids(np.where(instances > 0, len(points) + codes, components), order)
-    kept = np.array([name.lower() not in settings.leave_out for name in names] or [True] * len(points))
+    kept = np.array([name.lower() not in settings.leave_out for name in names])
     if not kept.any():
         raise StageError(
             "communities.leave_out excludes the classes of all object points of the real side "
@@ -165,12 +167,18 @@ def _components(n_nodes: int, edges: Edges, codes: IndexArray, reach_m: float) -
     return connected_pieces(n_nodes, Edges(edges.src[kept], edges.dst[kept], edges.length_m[kept]))
 
 
-def _merge_small(points: FloatArray, components: IndexArray, codes: IndexArray, min_points: int) -> IndexArray:
+def _merge_small(
+    points: FloatArray,
+    components: IndexArray,
+    codes: IndexArray,
+    min_points: int,
+) -> IndexArray:
     """Merge small components, (n,), into the nearest larger component of the same code, if any."""
     merged = components.copy()
     is_large = np.bincount(components)[components] >= min_points
     for code in np.unique(codes[~is_large]):
-        large, small = (np.flatnonzero((codes == code) & chosen) for chosen in (is_large, ~is_large))
+        large = np.flatnonzero((codes == code) & is_large)
+        small = np.flatnonzero((codes == code) & ~is_large)
         if len(large):
             ids, of_small = np.unique(components[small], return_inverse=True)
             nearest, distance_m = nearest_points(points[large], points[small])

@@ -62,21 +62,35 @@ def fit_planes(points: FloatArray, places: FloatArray, n_most: int, reach_m: flo
     n_most = min(n_most, len(points))
     if not len(places) or not n_most:
         normal = np.broadcast_to([0.0, 0.0, 1.0], places.shape).copy()
-        return LocalPlanes(places.copy(), normal, np.zeros_like(places), np.zeros(len(places), dtype=np.intp))
+        n_neighbours = np.zeros(len(places), dtype=np.intp)
+        return LocalPlanes(places.copy(), normal, np.zeros_like(places), n_neighbours)
     tree = scipy.spatial.cKDTree(points)
     parts = []
     for start in range(0, len(places), _ROWS_AT_ONCE):
-        asked = places[start : start + _ROWS_AT_ONCE]
-        apart, ids = tree.query(asked, k=np.arange(1, n_most + 1), distance_upper_bound=reach_m)
-        is_near = np.isfinite(apart)
-        weight = is_near * (np.exp(-((2 * np.where(is_near, apart, 0.0) / reach_m) ** 2)))
-        total = np.maximum(weight.sum(axis=1), 1e-300)[:, None]
-        off = (points[np.where(is_near, ids, 0)] - asked[:, None]) * is_near[..., None]
-        mean = np.einsum("nk,nkd->nd", weight, off) / total
-        centred = (off - mean[:, None]) * np.sqrt(weight / total)[..., None]
-        variance, axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)
-        parts.append((asked + mean, axes[:, :, 0], np.maximum(variance, 0.0), is_near.sum(axis=1)))
-    return LocalPlanes(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        some = places[start : start + _ROWS_AT_ONCE]
+        distance_m, ids = tree.query(some, k=np.arange(1, n_most + 1), distance_upper_bound=reach_m)
+        parts.append(_planes_of(points, some, distance_m, ids, reach_m))
+    return LocalPlanes(
+        mean=np.concatenate([part.mean for part in parts]),
+        normal=np.concatenate([part.normal for part in parts]),
+        variance=np.concatenate([part.variance for part in parts]),
+        n_neighbours=np.concatenate([part.n_neighbours for part in parts]),
+    )
+
+
+def _planes_of(
+    points: FloatArray, places: FloatArray, distance_m: FloatArray, ids: IndexArray, reach_m: float
+) -> LocalPlanes:
+    """The planes of places whose neighbours are known, at an infinite distance if there are fewer."""
+    is_near = np.isfinite(distance_m)
+    share = 2 * np.where(is_near, distance_m, 0.0) / reach_m
+    weight = is_near * np.exp(-(share**2))
+    total = np.maximum(weight.sum(axis=1), 1e-300)[:, None]
+    offset = (points[np.where(is_near, ids, 0)] - places[:, None]) * is_near[..., None]
+    mean = np.einsum("nk,nkd->nd", weight, offset) / total
+    centred = (offset - mean[:, None]) * np.sqrt(weight / total)[..., None]
+    variance, axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)
+    return LocalPlanes(places + mean, axes[:, :, 0], np.maximum(variance, 0.0), is_near.sum(axis=1))
 
 
 def voxel_means(points: FloatArray, edge_m: float) -> FloatArray:

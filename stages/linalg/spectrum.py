@@ -26,11 +26,11 @@ def eigenvalues(symmetric: scipy.sparse.csr_matrix) -> FloatArray:
     """
     kernels = scipy_kernels() if symmetric.shape[0] >= BANDED_FROM_NODES else None
     if kernels is None:
-        values: FloatArray = scipy.linalg.eigvalsh(symmetric.toarray(order="F"), overwrite_a=True, check_finite=False)
-    else:
-        band = reduce_to_band(symmetric, BAND_WIDTH, kernels)
-        values = scipy.linalg.eigvals_banded(band, lower=True, overwrite_a_band=True, check_finite=False)
-    return values
+        dense = symmetric.toarray(order="F")
+        values: FloatArray = scipy.linalg.eigvalsh(dense, overwrite_a=True, check_finite=False)
+        return values
+    band = reduce_to_band(symmetric, BAND_WIDTH, kernels)
+    return scipy.linalg.eigvals_banded(band, lower=True, overwrite_a_band=True, check_finite=False)
 
 
 def spectral_norm(symmetric: scipy.sparse.csr_matrix) -> float:
@@ -52,8 +52,8 @@ def spectral_norm(symmetric: scipy.sparse.csr_matrix) -> float:
         scaled = symmetric.copy()
         scaled.data = np.ldexp(scaled.data, -exponent)
         try:
-            largest = scipy.sparse.linalg.eigsh(scaled, k=1, which="LM", v0=start, return_eigenvectors=False)[0]
-            return float(np.ldexp(abs(largest), exponent))
+            largest = scipy.sparse.linalg.eigsh(scaled, k=1, which="LM", v0=start, return_eigenvectors=False)
+            return float(np.ldexp(abs(largest[0]), exponent))
         except scipy.sparse.linalg.ArpackNoConvergence:
             pass  # a crowded edge of the spectrum; the dense solver always converges
     return float(np.max(np.abs(scipy.linalg.eigvalsh(symmetric.toarray(), check_finite=False))))
