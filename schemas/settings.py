@@ -232,7 +232,10 @@ class CommunitySettings(_Group):
     @classmethod
     def _split_classes(cls, value: Any) -> Any:
         """`0,road` is read as a list, and numbers are read as text."""
-        value = value.split(",") if isinstance(value, str) else [value] if isinstance(value, int) else value
+        if isinstance(value, str):
+            value = value.split(",")
+        elif isinstance(value, int):
+            value = [value]
         if not isinstance(value, list | tuple):
             return value
         return [str(name).strip().lower() for name in value if str(name).strip()]
@@ -540,10 +543,14 @@ def expected_and_got(problem: ErrorDetails) -> str:
     ...     print(expected_and_got(error.errors()[0]))
     expected a number of at least 1, got 0
     """
-    kind, text = problem["type"], problem["msg"].removeprefix("Value error, ")
-    if kind in ("missing", "extra_forbidden"):
-        return "the field is missing" if kind == "missing" else "unknown field"
-    if expected := _EXPECTED.get(kind) or _EXPECTED.get(kind.partition("_")[0]):
+    kind = problem["type"]
+    if kind == "missing":
+        return "the field is missing"
+    if kind == "extra_forbidden":
+        return "unknown field"
+    text = problem["msg"].removeprefix("Value error, ")
+    expected = _EXPECTED.get(kind) or _EXPECTED.get(kind.partition("_")[0])
+    if expected:
         text = f"expected {expected.format(**problem.get('ctx', {}))}"
     return text if " got " in text else f"{text}, got {problem['input']!r}"
 

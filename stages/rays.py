@@ -219,8 +219,9 @@ def find_rays(
             f"the simulated sensor is {apart_m:.2f} m from the real one: at the median range of {median_m:.1f} m its "
             f"rays are {apart_m / cell_m:.1f} cells off"
         )
-    noises_m = [sensor["range_noise_m"] or 0.0 for sensor in sensors]
-    return compare_rays(real, sim, *grids, noise_m=float(np.hypot(*noises_m)))
+    noise_real_m, noise_sim_m = [sensor["range_noise_m"] or 0.0 for sensor in sensors]
+    noise_m = float(np.hypot(noise_real_m, noise_sim_m))
+    return compare_rays(real, sim, grids[0], grids[1], noise_m)
 
 
 def _grid_of(sensor: Mapping[str, Any]) -> RayGrid:
