@@ -86,7 +86,13 @@ def _is_column(value: Any) -> bool:
     return hasattr(value, "__len__") and not isinstance(value, str)
 
 
-def column(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional: bool = False) -> pa.Field:
+def column(
+    name: str,
+    kind: pa.DataType,
+    meaning: str,
+    unit: str = "",
+    optional: bool = False,
+) -> pa.Field:
     """Column with its meaning, and its unit if it has one."""
     metadata = {"meaning": meaning}
     if unit:

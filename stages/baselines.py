@@ -62,10 +62,16 @@ class Baseline:
 
 
 Baselines = tuple[Baseline, ...]
+_OfPoints = Callable[[FloatArray, FloatArray, MetricsSettings], Baselines]
+_OfObject = Callable[[Subgraph, Subgraph, Selection, float, MetricsSettings], Baselines]
 
 
 def compare_points(
-    real: FloatArray, sim: FloatArray, settings: MetricsSettings, *, watch: Watch = unwatched
+    real: FloatArray,
+    sim: FloatArray,
+    settings: MetricsSettings,
+    *,
+    watch: Watch = unwatched,
 ) -> Baselines:
     """Compute the requested baseline metrics of two point sets, in the order of the settings.
 
@@ -259,7 +265,8 @@ def sliced_wasserstein(real: FloatArray, sim: FloatArray, settings: MetricsSetti
     total = 0.0
     for start in range(0, len(directions), _DIRECTIONS_PER_STEP):
         some = directions[start : start + _DIRECTIONS_PER_STEP].T
-        total += len(some.T) * float(ot.sliced_wasserstein_distance(real, sim, projections=some, p=1))
+        distance_m = ot.sliced_wasserstein_distance(real, sim, projections=some, p=1)
+        total += len(some.T) * float(distance_m)
     return (Baseline("sliced_wasserstein_m", total / len(directions)),)
 
 
@@ -287,7 +294,8 @@ def histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> B
             return (Baseline("histogram", None, "a side has no two points apart from each other"),)
         counts, _ = np.histogram(distance / largest, bins=settings.histogram_bins, range=(0.0, 1.0))
         shares.append(counts / len(distance))
-    return (Baseline("histogram", float(np.linalg.norm(shares[0] - shares[1], settings.histogram_order))),)
+    distance = np.linalg.norm(shares[0] - shares[1], settings.histogram_order)
+    return (Baseline("histogram", float(distance)),)
 
 
 def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
@@ -309,10 +317,12 @@ def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
     if find_spec("small_gicp") is None:
         return _without_icp('small_gicp is not installed; pip install "fidpipe[icp]"')
     if n_fewest < _ICP_POINTS:
-        return _without_icp(f"{n_fewest} points on a side, at least {_ICP_POINTS} are needed for ICP")
+        needed = f"at least {_ICP_POINTS} are needed for ICP"
+        return _without_icp(f"{n_fewest} points on a side, {needed}")
     import small_gicp
 
-    centre = real.mean(axis=0)  # rounding of the normal equations grows with the distance from the origin
+    # Rounding of the normal equations grows with the distance from the origin.
+    centre = real.mean(axis=0)
     target = real - centre
     source = sim - centre
     result = small_gicp.align(
@@ -339,7 +349,13 @@ def _without_icp(reason: str) -> Baselines:
     return Baseline("icp_fitness", None, reason), Baseline("icp_rmse_m", None, reason)
 
 
-def _emd(real: Subgraph, sim: Subgraph, selection: Selection, t: float, settings: MetricsSettings) -> Baselines:
+def _emd(
+    real: Subgraph,
+    sim: Subgraph,
+    selection: Selection,
+    t: float,
+    settings: MetricsSettings,
+) -> Baselines:
     """Earth mover's distance of all points, of the aligned nodes as given, and of these with both sides centred."""
     n_most = max(len(real.points), len(sim.points))
     if n_most > settings.emd_max_points:
@@ -411,7 +427,13 @@ def aligned_distance(a: FloatArray, b: FloatArray) -> float:
     return float(np.linalg.norm(a - b, axis=1).mean())
 
 
-def _netlsd(real: Subgraph, sim: Subgraph, selection: Selection, t: float, settings: MetricsSettings) -> Baselines:
+def _netlsd(
+    real: Subgraph,
+    sim: Subgraph,
+    selection: Selection,
+    t: float,
+    settings: MetricsSettings,
+) -> Baselines:
     """NetLSD of the whole object; None if a side has more than `heat_max_nodes`."""
     n_most = max(len(real.points), len(sim.points))
     if n_most > settings.heat_max_nodes:
@@ -423,7 +445,11 @@ def _netlsd(real: Subgraph, sim: Subgraph, selection: Selection, t: float, setti
     return (Baseline("netlsd", heat_trace_distance(laplacian_real, laplacian_sim, times)),)
 
 
-def heat_trace_distance(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, times: FloatArray) -> float:
+def heat_trace_distance(
+    real: scipy.sparse.csr_matrix,
+    sim: scipy.sparse.csr_matrix,
+    times: FloatArray,
+) -> float:
     """|h(real) - h(sim)|_2, h(t) = tr exp(-tL) / n at the given times; 0 for isospectral graphs.
 
     Tsitsulin, Mottin, Karras, Bronstein and Mueller, NetLSD: hearing the shape of a graph, KDD 2018, section 4, heat
@@ -445,7 +471,13 @@ def heat_trace_distance(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_mat
     return float(np.linalg.norm(heat_trace(real, times) - heat_trace(sim, times)))
 
 
-def _r_h(real: Subgraph, sim: Subgraph, selection: Selection, t: float, settings: MetricsSettings) -> Baselines:
+def _r_h(
+    real: Subgraph,
+    sim: Subgraph,
+    selection: Selection,
+    t: float,
+    settings: MetricsSettings,
+) -> Baselines:
     """Bounded diffusion change of the aligned nodes; None for fewer than 3 nodes."""
     n_keep = len(selection.real_nodes)
     if n_keep < MIN_NODES:
@@ -455,7 +487,11 @@ def _r_h(real: Subgraph, sim: Subgraph, selection: Selection, t: float, settings
     return (Baseline("r_h", diffusion_change(laplacian_real, laplacian_sim, t)),)
 
 
-def diffusion_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: float) -> float:
+def diffusion_change(
+    real: scipy.sparse.csr_matrix,
+    sim: scipy.sparse.csr_matrix,
+    t: float,
+) -> float:
     """r_H = |dH_t|_2 / (t |dL|_2), dH_t = exp(-t L_sim) - exp(-t L_real), 0 to 1.
 
     "Bounded diffusion change" in the source of the paper (equation "rH", commented out there). The bound holds because
@@ -523,7 +559,8 @@ def _range_image(points: FloatArray) -> FloatArray:
     x, y, z = points.T
     elevation = np.arctan2(z, np.hypot(x, y)) + (_IMAGE_DEG - _IMAGE_UP_DEG) / 180 * np.pi
     column = np.rint((np.pi - np.arctan2(y, x)) / (2 * np.pi / _IMAGE_COLUMNS)).astype(np.intp)
-    row = np.rint(_IMAGE_ROWS - elevation / (_IMAGE_DEG / 180 * np.pi / _IMAGE_ROWS)).astype(np.intp)
+    row_height = _IMAGE_DEG / 180 * np.pi / _IMAGE_ROWS
+    row = np.rint(_IMAGE_ROWS - elevation / row_height).astype(np.intp)
     is_inside = (range_m < _IMAGE_RANGE_M) & (row >= 0) & (row < _IMAGE_ROWS)
     is_inside &= (column >= 0) & (column < _IMAGE_COLUMNS)
     pixel = row[is_inside] * _IMAGE_COLUMNS + column[is_inside]
@@ -539,7 +576,9 @@ def _points_of_image(image: FloatArray) -> FloatArray:
     azimuth = -(column - _IMAGE_COLUMNS / 2) / _IMAGE_COLUMNS * 2 * np.pi
     elevation = (_IMAGE_UP_DEG - row / _IMAGE_ROWS * _IMAGE_DEG) / 180 * np.pi
     level = np.cos(elevation)
-    directions = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    directions = np.column_stack(
+        [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)],
+    )
     return directions * image[row, column, None]
 
 
@@ -547,7 +586,11 @@ def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
     """Chamfer distance and F-score of the points of two range images."""
     if not min(len(real), len(sim)):
         reason = "a side has no point in the range image"
-        return Baseline("nvs_chamfer_m2", None, reason), Baseline("nvs_f_score_0p05m2", None, reason)
+        return Baseline("nvs_chamfer_m2", None, reason), Baseline(
+            "nvs_f_score_0p05m2",
+            None,
+            reason,
+        )
     to_sim, to_real = nearest_distances(real, sim)
     recall = float(np.mean(to_sim**2 < _NEAR_M2))
     precision = float(np.mean(to_real**2 < _NEAR_M2))
@@ -558,7 +601,7 @@ def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
 
 
 #: Baseline metrics of two point sets by their names in the settings.
-OF_POINTS: dict[str, Callable[[FloatArray, FloatArray, MetricsSettings], Baselines]] = {
+OF_POINTS: dict[str, _OfPoints] = {
     "chamfer": chamfer,
     "hausdorff": hausdorff,
     "f_score": f_score,
@@ -570,7 +613,7 @@ OF_POINTS: dict[str, Callable[[FloatArray, FloatArray, MetricsSettings], Baselin
 #: Name in the settings of the scores of whole scans, ground included; objects do not have them.
 OF_SCANS = "nvs"
 #: Those that need the graphs or the aligned nodes of a matched object.
-OF_OBJECTS: dict[str, Callable[[Subgraph, Subgraph, Selection, float, MetricsSettings], Baselines]] = {
+OF_OBJECTS: dict[str, _OfObject] = {
     "emd": _emd,
     "netlsd": _netlsd,
     "r_h": _r_h,

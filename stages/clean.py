@@ -116,7 +116,10 @@ def at_sensor(points: FloatArray, side: str, settings: InputSettings) -> FloatAr
     return points - settings.sensor_position
 
 
-def seen_from(position: tuple[float, float, float], T_real_sim: FloatArray | None) -> FloatArray | None:
+def seen_from(
+    position: tuple[float, float, float],
+    T_real_sim: FloatArray | None,
+) -> FloatArray | None:
     """T_real_sim of points whose origin has moved to a position of both sides.
 
     Parameters
@@ -131,7 +134,12 @@ def seen_from(position: tuple[float, float, float], T_real_sim: FloatArray | Non
     return np.column_stack([R, t - position + R @ position])
 
 
-def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], settings: InputSettings) -> str:
+def too_few_left(
+    n_left: int,
+    n_fewest: int,
+    dropped: Mapping[str, int],
+    settings: InputSettings,
+) -> str:
     """Message for a scan with too few points after cleaning: counts by reason, and how to keep more.
 
     Examples

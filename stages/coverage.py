@@ -83,7 +83,12 @@ def below_cut(points: FloatArray, axis: FloatArray, threshold_m: float | None) -
     return None if threshold_m is None else points @ axis < threshold_m
 
 
-def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0, is_road: BoolArray | None = None) -> Coverage:
+def cover(
+    distance_m: FloatArray,
+    labels: IntArray,
+    n_ids: int = 0,
+    is_road: BoolArray | None = None,
+) -> Coverage:
     """Coverage of each object of a side, by id.
 
     covered_r = |{p : min_q |p - q| <= r}| / n, p of the object, q any object point of the other side (defined by
@@ -110,9 +115,8 @@ def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0, is_road: Boo
     with np.errstate(invalid="ignore"):
         if is_road is not None:
             road = np.bincount(labels, is_road[inside], len(n_points)) / n_points
-        shares = [
-            np.bincount(labels, distance_m <= reach_m, len(n_points)) / n_points for reach_m in COVERAGE_DISTANCES_M
-        ]
+        within = [distance_m <= reach_m for reach_m in COVERAGE_DISTANCES_M]
+        shares = [np.bincount(labels, is_near, len(n_points)) / n_points for is_near in within]
     in_order = distance_m[np.argsort(labels, kind="stable")]
     by_object = np.split(in_order, np.cumsum(n_points)[:-1])
     median_m = [np.median(values) if len(values) else np.nan for values in by_object]

@@ -129,9 +129,20 @@ def remove_ground(
     if n_left < MIN_OBJECT_POINTS:
         raise StageError(
             f"expected at least {MIN_OBJECT_POINTS} object points after ground removal, got {n_left}; "
-            f"lower ground.prior_m (now {settings.prior_m:g}) or choose another ground.method (now {settings.method})"
+            f"lower ground.prior_m (now {settings.prior_m:g}) "
+            f"or choose another ground.method (now {settings.method})"
         )
-    return GroundResult(is_ground, height - peak_m, axis, tilt_deg, peak_m, threshold_m, loss, iterations, tuple(notes))
+    return GroundResult(
+        is_ground,
+        height - peak_m,
+        axis,
+        tilt_deg,
+        peak_m,
+        threshold_m,
+        loss,
+        iterations,
+        tuple(notes),
+    )
 
 
 def peaks_note(real_peak_m: float, sim_peak_m: float, settings: GroundSettings) -> str:
@@ -150,7 +161,8 @@ def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:
     """Principal axis nearest +Z, pointing up, and its angle to +Z in degrees."""
     from sklearn.decomposition import PCA
 
-    with np.errstate(divide="ignore", invalid="ignore"):  # the shares of a variance that underflows; not used
+    # The shares of a variance that underflows are invalid, and not used.
+    with np.errstate(divide="ignore", invalid="ignore"):
         axes: FloatArray = PCA(n_components=3, svd_solver="full").fit(points).components_
     axis = axes[np.argmax(np.abs(axes[:, 2]))]
     if axis[2] < 0:
@@ -191,7 +203,10 @@ def _follow_road(cut: GroundResult, real: FloatArray, sim: FloatArray) -> Ground
 
 
 def _lower_threshold(
-    points: FloatArray, height: FloatArray, peak_m: float, settings: GroundSettings
+    points: FloatArray,
+    height: FloatArray,
+    peak_m: float,
+    settings: GroundSettings,
 ) -> tuple[float, float, int]:
     """Threshold, its loss, and the number of times it was lowered."""
     iterations = 0
@@ -205,7 +220,11 @@ def _lower_threshold(
 
 
 def _variance_loss(
-    points: FloatArray, height: FloatArray, removed: BoolArray, peak_m: float, settings: GroundSettings
+    points: FloatArray,
+    height: FloatArray,
+    removed: BoolArray,
+    peak_m: float,
+    settings: GroundSettings,
 ) -> float:
     """Share of the scan's variance that is lost with the removed points, by the definition that `loss` selects."""
     if settings.loss == "total":

@@ -20,7 +20,11 @@ _GROUPS = 20
 
 
 def score_intensity(
-    rays: Rays, intensity: Sequence[FloatArray | None], labels: IndexArray, *, has_one_scale: bool = False
+    rays: Rays,
+    intensity: Sequence[FloatArray | None],
+    labels: IndexArray,
+    *,
+    has_one_scale: bool = False,
 ) -> dict[str, Number | str]:
     """Scores of the intensities of a pair, by column of `pairs`; None if a side has none, or too few rays.
 
@@ -74,7 +78,12 @@ def _bins_of(rays: Rays) -> IndexArray:
     return range_bin * (len(INCIDENCE_EDGES_DEG) + 1) + incidence_bin
 
 
-def _compare(real: FloatArray, sim: FloatArray, bins: IndexArray, has_one_scale: bool) -> dict[str, Number | str]:
+def _compare(
+    real: FloatArray,
+    sim: FloatArray,
+    bins: IndexArray,
+    has_one_scale: bool,
+) -> dict[str, Number | str]:
     """Scores of the intensities that both sides have, by column of `pairs`."""
     real_ranks = mean_ranks(real)
     sim_ranks = mean_ranks(sim)

@@ -64,7 +64,13 @@ def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSetti
     )
 
 
-def match_reference(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: IntArray, min_points: int) -> Matching:
+def match_reference(
+    real: FloatArray,
+    sim: FloatArray,
+    n_real: IntArray,
+    n_sim: IntArray,
+    min_points: int,
+) -> Matching:
     """Match reference objects, whose ids are the same on both sides, if enough of them is simulated.
 
     A real object is matched with the simulated one of its id, regardless of the distance, if that has at least
@@ -97,7 +103,11 @@ def match_reference(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: 
     )
 
 
-def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArray, IndexArray, FloatArray]:
+def _greedy(
+    real: FloatArray,
+    sim: FloatArray,
+    delta_m: float,
+) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Real and simulated ids of Algorithm 1 and their distances, by real id; one row of distances at a time."""
     is_taken = np.zeros(len(sim), dtype=np.bool_)
     pairs = []
@@ -114,7 +124,11 @@ def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArr
     return matched[:, 0], matched[:, 1], np.array(distance_m, dtype=np.float64)
 
 
-def _optimal(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArray, IndexArray, FloatArray]:
+def _optimal(
+    real: FloatArray,
+    sim: FloatArray,
+    delta_m: float,
+) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Ids of the largest number of pairs at the smallest total distance, and their distances, by real id."""
     distance = scipy.spatial.distance.cdist(real, sim)
     # A forbidden pair costs more than all allowed ones together, so the solution has as few of them as possible.

@@ -24,7 +24,13 @@ from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
 from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object
 from .objects import Objects, describe_objects
-from .reference import Annotation, ReferenceObjects, assign_to_reference, find_reference_objects, visiting_order
+from .reference import (
+    Annotation,
+    ReferenceObjects,
+    assign_to_reference,
+    find_reference_objects,
+    visiting_order,
+)
 from .selection import Selection, select_nodes
 from .summary import summarise_pair
 from .surface import Offsets, compare_roughness, describe_surface, measure_offsets
@@ -105,7 +111,12 @@ def partition(
         else:
             labels = assign_to_reference(points, reference, communities, settings.pieces.link_m)
     with watch("describe"):
-        objects = describe(points, labels, settings, 0 if reference is None else reference.n_objects)
+        objects = describe(
+            points,
+            labels,
+            settings,
+            0 if reference is None else reference.n_objects,
+        )
     return PartitionedScan(points, edges, labels, objects)
 
 
@@ -125,7 +136,13 @@ def describe(points: FloatArray, labels: IntArray, settings: Settings, n_ids: in
     return describe_objects(points[order], labels[order], n_ids)
 
 
-def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, memo: Memo | None = None) -> PairScores:
+def compare(
+    real: PartitionedScan,
+    sim: PartitionedScan,
+    settings: Settings,
+    *,
+    memo: Memo | None = None,
+) -> PairScores:
     """Match the objects of both sides and score them; returns matching, scores and summary.
 
     Parameters
@@ -137,7 +154,11 @@ def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, 
     """
     # "Community Matching", Algorithm 1
     matching = match_objects(
-        real.objects.centroid, sim.objects.centroid, real.objects.n_points, sim.objects.n_points, settings
+        real.objects.centroid,
+        sim.objects.centroid,
+        real.objects.n_points,
+        sim.objects.n_points,
+        settings,
     )
 
     # "Heat-Kernel Node Selection", Algorithm 2, then CDC, r_gap and r_lambda of each object
@@ -206,7 +227,10 @@ SurfaceScores = tuple[Offsets, Offsets, dict[str, Number]]
 
 
 def measure_surface(
-    real: FloatArray, sim: FloatArray, real_labels: IntArray, watch: Watch = unwatched
+    real: FloatArray,
+    sim: FloatArray,
+    real_labels: IntArray,
+    watch: Watch = unwatched,
 ) -> SurfaceScores:
     """Displacement of the whole simulated surface (one row) and of each real object; roughness by column of `pairs`.
 
@@ -313,7 +337,10 @@ class PairScores:
 
 
 def _summarise(
-    real: PartitionedScan, sim: PartitionedScan, matching: Matching, objects: tuple[ScoredObject, ...]
+    real: PartitionedScan,
+    sim: PartitionedScan,
+    matching: Matching,
+    objects: tuple[ScoredObject, ...],
 ) -> dict[str, Number]:
     """The summary of a pair, from the scores of its objects."""
     scores: dict[str, FloatArray] = {}

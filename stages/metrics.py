@@ -35,7 +35,13 @@ class Scores:
     gap_sim: float | None = None
 
 
-def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: Watch = unwatched) -> Scores:
+def score_object(
+    real: Subgraph,
+    sim: Subgraph,
+    selection: Selection,
+    *,
+    watch: Watch = unwatched,
+) -> Scores:
     """Compute geometry (CDC) and structure (r_lambda, r_gap) scores of one matched object.
 
     With L_real, L_sim the normalised Laplacians of the reduced subgraphs, rows and columns of L_sim in the aligned
@@ -67,7 +73,8 @@ def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: 
         laplacian_real = induced_laplacian(real, selection.real_nodes)
         laplacian_sim = induced_laplacian(sim, selection.sim_nodes)
     with watch("norm"):
-        change = min(MAX_CHANGE, spectral_norm(laplacian_sim - laplacian_real))  # an excess is rounding
+        change = spectral_norm(laplacian_sim - laplacian_real)
+    change = min(MAX_CHANGE, change)  # an excess is rounding
     with watch("spectra"):
         spectrum_real = eigenvalues(laplacian_real)
         spectrum_sim = spectrum_real  # of equal matrices, exactly equal

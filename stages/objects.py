@@ -74,13 +74,20 @@ def majority_labels(labels: IntArray, names: list[str | None], n_ids: int = 0) -
     for community, name in zip(labels.tolist(), names, strict=True):
         if name is not None and community >= 0:
             counts[community][name] = counts[community].get(name, 0) + 1
-    return [min(count, key=lambda name: (-count[name], name)) if count else None for count in counts]
+    return [_most_frequent(count) if count else None for count in counts]
+
+
+def _most_frequent(count: dict[str, int]) -> str:
+    """The name that occurs most, for equal counts the first in the alphabet."""
+    return min(count, key=lambda name: (-count[name], name))
 
 
 def _shape(points: FloatArray) -> tuple[float, float, float]:
     """Linearity, planarity and scattering of the points of one community."""
     centred = points - points.mean(axis=0)
-    centred = np.ldexp(centred, -np.frexp(np.abs(centred).max())[1])  # about 1: squares of 1e-200 m would be 0
+    # Scaled to about 1: squares of 1e-200 m would be 0.
+    exponent = np.frexp(np.abs(centred).max())[1]
+    centred = np.ldexp(centred, -exponent)
     l3, l2, l1 = np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(points)), 0.0)
     if l1 <= 0:
         return 0.0, 0.0, 0.0

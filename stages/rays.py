@@ -43,7 +43,8 @@ _CANDIDATES = 6
 _NEIGHBOURS = 8
 _PHASE_CELLS = 32  # columns over which the columns of the two sides keep their phase
 _STEADY = 0.5  # resultant length of phases that agree
-_ADJACENT = 1.3  # steps between two firings, none of them lost; columns of HDL-64E jitter by half a step
+#: Steps between two firings, none of them lost; columns of HDL-64E jitter by half a step.
+_ADJACENT = 1.3
 _FINER = 1.2  # ratio of steps
 _SQUEEZE = 4.0
 _LEAST_ROWS = 0.6
@@ -74,7 +75,11 @@ class RayGrid:
         height: float | FloatArray = 0.0
         if self.origin_height_m:
             seen = np.degrees(np.arctan2(points[:, 2] - np.mean(self.origin_height_m), level))
-            height = np.where(seen < self.block_deg, self.origin_height_m[0], self.origin_height_m[-1])
+            height = np.where(
+                seen < self.block_deg,
+                self.origin_height_m[0],
+                self.origin_height_m[-1],
+            )
         return np.degrees(np.arctan2(points[:, 2] - height, level))
 
     def beam_of(self, points: FloatArray) -> IndexArray:
@@ -118,7 +123,11 @@ class Rays:
 
 
 def compare_rays(
-    real: FloatArray, sim: FloatArray, real_grid: RayGrid, sim_grid: RayGrid, noise_m: float = 0.0
+    real: FloatArray,
+    sim: FloatArray,
+    real_grid: RayGrid,
+    sim_grid: RayGrid,
+    noise_m: float = 0.0,
 ) -> Rays:
     """Pair the returns of both sides by direction and compare their ranges.
 
@@ -173,7 +182,9 @@ def compare_rays(
         real_row=np.concatenate([real_row, np.full(len(only_sim), -1)]),
         sim_row=np.concatenate([both_sim, np.full(len(only_real), -1), only_sim]),
         real_range_m=np.concatenate([real_side.range_m[real_row], np.full(len(only_sim), np.nan)]),
-        sim_range_m=np.concatenate([along_m, np.full(len(only_real), np.nan), sim_side.range_m[only_sim]]),
+        sim_range_m=np.concatenate(
+            [along_m, np.full(len(only_real), np.nan), sim_side.range_m[only_sim]],
+        ),
         outcome=np.concatenate(outcomes),
         incidence_deg=np.concatenate(incidences_deg),
     )
@@ -304,7 +315,12 @@ class _Side:
     """
 
     def __init__(
-        self, points: FloatArray, grid: RayGrid, step_deg: float, elevation_deg: FloatArray, rows: FloatArray
+        self,
+        points: FloatArray,
+        grid: RayGrid,
+        step_deg: float,
+        elevation_deg: FloatArray,
+        rows: FloatArray,
     ) -> None:
         self.points = points
         self.range_m: FloatArray = np.linalg.norm(points, axis=1)
@@ -315,7 +331,11 @@ class _Side:
         azimuth = (azimuth_deg + 180.0) / step_deg % self.width
         elevation = np.degrees(np.arcsin(points[:, 2] / self.range_m))
         self.place = np.column_stack([azimuth, np.interp(elevation, elevation_deg, rows)])
-        self.tree = scipy.spatial.cKDTree(self.place, boxsize=[self.width, 0.0], balanced_tree=False)
+        self.tree = scipy.spatial.cKDTree(
+            self.place,
+            boxsize=[self.width, 0.0],
+            balanced_tree=False,
+        )
 
     def incidence_deg(self, at: IndexArray | IntArray, normal: FloatArray) -> FloatArray:
         """(k,) angle between the rays of some returns and the normals of the surface that they met."""
@@ -347,7 +367,12 @@ class _Side:
             unit: FloatArray = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         return unit
 
-    def _edges(self, at: IndexArray | IntArray, near: IndexArray, distance: FloatArray) -> FloatArray:
+    def _edges(
+        self,
+        at: IndexArray | IntArray,
+        near: IndexArray,
+        distance: FloatArray,
+    ) -> FloatArray:
         """(k, 3) metres from some returns to that of their neighbours with the least distance; NaN without one."""
         best = distance.argmin(axis=1)[:, None]
         nearest = np.take_along_axis(near, best, 1)[:, 0]
@@ -450,7 +475,13 @@ def _range_along(directions: FloatArray, points: FloatArray, normal: FloatArray)
     return np.where(is_met, meeting, range_m)
 
 
-def _in_grid(beam: IndexArray, azimuth: FloatArray, n_beams: int, n_columns: int, **values: IntArray) -> Rays:
+def _in_grid(
+    beam: IndexArray,
+    azimuth: FloatArray,
+    n_beams: int,
+    n_columns: int,
+    **values: IntArray,
+) -> Rays:
     """Give each ray a column, no two of a beam the same, and add the rays that returned on neither side."""
     order = np.lexsort((azimuth, beam))
     beam = beam[order]

@@ -56,7 +56,10 @@ class ReferenceObjects:
 
 
 def find_reference_objects(
-    points: FloatArray, edges: Edges, settings: CommunitySettings, annotation: Annotation | None = None
+    points: FloatArray,
+    edges: Edges,
+    settings: CommunitySettings,
+    annotation: Annotation | None = None,
 ) -> IntArray:
     """Object of each point of the real side, (n,) int32, -1 for none; independent of row order.
 
@@ -112,7 +115,10 @@ def find_reference_objects(
 
 
 def assign_to_reference(
-    points: FloatArray, reference: ReferenceObjects, settings: CommunitySettings, link_m: float
+    points: FloatArray,
+    reference: ReferenceObjects,
+    settings: CommunitySettings,
+    link_m: float,
 ) -> IntArray:
     """Object of each point of the simulated side: the ids of real objects, then those of hallucinated ones.
 
@@ -134,7 +140,8 @@ def assign_to_reference(
     if len(outside):
         order = visiting_order(points[outside], settings.seed)
         groups = canonical_ids(connected_points(points[outside], link_m), order)
-        is_object = (np.bincount(groups) >= settings.min_points)[groups]  # the largest groups have the first ids
+        # The largest groups have the first ids.
+        is_object = (np.bincount(groups) >= settings.min_points)[groups]
         labels[outside[is_object]] = reference.n_objects + groups[is_object]
     return labels
 

@@ -30,7 +30,13 @@ class Selection:
     sim_influence: FloatArray
 
 
-def select_nodes(real: Subgraph, sim: Subgraph, settings: SelectionSettings, *, watch: Watch = unwatched) -> Selection:
+def select_nodes(
+    real: Subgraph,
+    sim: Subgraph,
+    settings: SelectionSettings,
+    *,
+    watch: Watch = unwatched,
+) -> Selection:
     """Select the n_keep = min(n_real, n_sim) nodes of largest influence on each side, and align them one to one.
 
     Influence is the row sum of the heat kernel, s = exp(-tL) 1 (paper, equations "heat" and "influence"), rounded to

@@ -28,7 +28,8 @@ MIN_POINTS = 10
 MIN_SHARE = 0.05
 _PLANE_POINTS = 10
 _PLANE_CELL_M = 0.2
-_MAX_LEANING = 0.01  # squared cosine between an axis and a direction that is not observable: 6 degrees
+#: Squared cosine between an axis and a direction that is not observable: 6 degrees.
+_MAX_LEANING = 0.01
 _MIN_STEP_M = 1e-3
 _MAX_STEPS = 20
 _PLANE_PARAMETERS = 3
@@ -204,7 +205,12 @@ def measure_offsets(real: Surface, sim: Surface, labels: IntArray | None = None)
         covered[active] = is_near
         gap[active[is_near]] = sim.points[nearest[is_near]] - points[active[is_near]]
         before = shift
-        shift, is_observable, axes, n_points = _shifts(normal[covered], gap[covered], ids[covered], n_ids)
+        shift, is_observable, axes, n_points = _shifts(
+            normal[covered],
+            gap[covered],
+            ids[covered],
+            n_ids,
+        )
         is_moving = np.abs(shift - before).max(axis=1, initial=0.0) > _MIN_STEP_M
         if not is_moving.any():
             break
@@ -223,7 +229,9 @@ def compare_roughness(real: Surface, sim: Surface) -> dict[str, Number]:
     real, sim : both sides; all values are None if a side has too few points
     """
     if not len(real.roughness_m) or not len(sim.roughness_m):
-        return dict.fromkeys(("roughness_real_m", "roughness_sim_m", "roughness_bias_m", "roughness_area_m"))
+        return dict.fromkeys(
+            ("roughness_real_m", "roughness_sim_m", "roughness_bias_m", "roughness_area_m"),
+        )
     apart = double_validation_metric(real.roughness_m, sim.roughness_m)
     return {
         "roughness_real_m": float(np.median(real.roughness_m)),
@@ -234,7 +242,10 @@ def compare_roughness(real: Surface, sim: Surface) -> dict[str, Number]:
 
 
 def _shifts(
-    normal: FloatArray, gap: FloatArray, ids: IntArray, n_ids: int
+    normal: FloatArray,
+    gap: FloatArray,
+    ids: IntArray,
+    n_ids: int,
 ) -> tuple[FloatArray, BoolArray, FloatArray, IntArray]:
     """Least squares shift of each object, (c, 3), observable axes of its normals, (c, 3), all axes, and its points."""
     n_points = np.bincount(ids, minlength=n_ids).astype(np.int32)

@@ -39,7 +39,12 @@ class LocalPlanes:
         return self.variance[:, 1] < _BROAD * self.variance[:, 2]
 
 
-def fit_planes(points: FloatArray, places: FloatArray, n_most: int, reach_m: float = np.inf) -> LocalPlanes:
+def fit_planes(
+    points: FloatArray,
+    places: FloatArray,
+    n_most: int,
+    reach_m: float = np.inf,
+) -> LocalPlanes:
     """Fit a plane to the neighbours of each place, by weighted principal component analysis.
 
     The neighbours are the `n_most` nearest points within `reach_m`. With a finite reach h their weights are
@@ -79,7 +84,11 @@ def fit_planes(points: FloatArray, places: FloatArray, n_most: int, reach_m: flo
 
 
 def _planes_of(
-    points: FloatArray, places: FloatArray, distance_m: FloatArray, ids: IndexArray, reach_m: float
+    points: FloatArray,
+    places: FloatArray,
+    distance_m: FloatArray,
+    ids: IndexArray,
+    reach_m: float,
 ) -> LocalPlanes:
     """The planes of places whose neighbours are known, at an infinite distance if there are fewer."""
     is_near = np.isfinite(distance_m)

@@ -32,7 +32,12 @@ GUARD_DEG = 10.0
 _LEAST_POINTS = 20  # of each side in a fold
 _DENSITY_M = 0.5
 _ROW_WEIGHT = 4.0  # of elevation against azimuth, so that the nearest ray is one of the same beam
-_SURFACE = (*("shape", "roughness", "spacing") * len(SCALES), "inclination", "density", "height above the road")
+_SURFACE = (
+    *("shape", "roughness", "spacing") * len(SCALES),
+    "inclination",
+    "density",
+    "height above the road",
+)
 _RAYS = ("azimuth step", "elevation step", "range step between rays", "range step between rays")
 _INTENSITY = ("intensity", "intensity", "intensity contrast")
 #: Features by family. Each is also tested alone: a single regular ray pattern is enough to recognise every point.

@@ -65,7 +65,8 @@ def assign_nodes(a: FloatArray, b: FloatArray) -> IndexArray:
         The network simplex ends without an assignment, or with one that its prices do not prove to be optimal.
     """
     offset = np.round(b.mean(axis=0) / _OFFSET_STEP_M) * _OFFSET_STEP_M
-    if offset.any():  # far from the origin (UTM) single precision would not distinguish the candidates
+    # Far from the origin (UTM) single precision would not distinguish the candidates.
+    if offset.any():
         a = a - offset
         b = b - offset
     if len(a) <= _DENSE_NODES:
@@ -110,7 +111,11 @@ def _candidate_arcs(a: FloatArray, b: FloatArray, price_b: FloatArray) -> IndexA
     return np.repeat(np.arange(n) * n, np.diff(arcs.indptr)) + arcs.indices
 
 
-def _cheapest(nodes: FloatArray, others: FloatArray, price: FloatArray) -> tuple[scipy.sparse.csr_array, FloatArray]:
+def _cheapest(
+    nodes: FloatArray,
+    others: FloatArray,
+    price: FloatArray,
+) -> tuple[scipy.sparse.csr_array, FloatArray]:
     """Cheapest arcs to the others for each node, (n, n), and the smallest cost, (n,); in single precision."""
     x = nodes.astype(np.float32)
     y = others.astype(np.float32)
@@ -173,7 +178,13 @@ def _lengths(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.sqrt(((a - b) ** 2).sum(axis=1))
 
 
-def _tight_arcs(a: FloatArray, b: FloatArray, arcs: IndexArray, sim_of_real: IndexArray, prices: Prices) -> IndexArray:
+def _tight_arcs(
+    a: FloatArray,
+    b: FloatArray,
+    arcs: IndexArray,
+    sim_of_real: IndexArray,
+    prices: Prices,
+) -> IndexArray:
     """Arcs with the smallest cost above the prices of their ends, and those of the assignment."""
     n = len(a)
     i, j = np.divmod(arcs, n)
@@ -196,7 +207,11 @@ def _promising_arcs(a: FloatArray, b: FloatArray, prices: Prices) -> IndexArray:
 
 
 def _check_certificate(
-    a: FloatArray, b: FloatArray, sim_of_real: IndexArray, prices: Prices, promising: IndexArray
+    a: FloatArray,
+    b: FloatArray,
+    sim_of_real: IndexArray,
+    prices: Prices,
+    promising: IndexArray,
 ) -> None:
     """Raise `StageError` unless the prices prove that no assignment is shorter.
 
@@ -215,7 +230,8 @@ def _check_certificate(
     least_m = float(prices[0].sum() + prices[1].sum()) - n * float(excess_m.max(initial=_SLACK_M))
     if not cost_m - least_m <= n * _MOST_GAP_M + _ROUNDING * cost_m:
         raise StageError(
-            f"alignment of {n} nodes: costs {cost_m:.9g} m, its dual prices prove {least_m:.9g} m only; "
+            f"alignment of {n} nodes: costs {cost_m:.9g} m, "
+            f"its dual prices prove {least_m:.9g} m only; "
             "the network simplex of POT ended too early, another version may do better"
         )
 

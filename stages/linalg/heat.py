@@ -81,13 +81,24 @@ def heat_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: 
     start = np.random.default_rng(0).standard_normal(n)
     operator = scipy.sparse.linalg.LinearOperator((n, n), matvec=apply, dtype=np.float64)
     try:
-        largest = scipy.sparse.linalg.eigsh(operator, k=1, which="LM", v0=start, return_eigenvectors=False)
+        largest = scipy.sparse.linalg.eigsh(
+            operator,
+            k=1,
+            which="LM",
+            v0=start,
+            return_eigenvectors=False,
+        )
     except scipy.sparse.linalg.ArpackNoConvergence:
         return _dense_change(real, sim, t)  # a crowded edge of the spectrum
     return float(abs(largest[0]))
 
 
-def _heat(similarity: scipy.sparse.csr_matrix, vector: FloatArray, t: float, n_terms: int) -> FloatArray:
+def _heat(
+    similarity: scipy.sparse.csr_matrix,
+    vector: FloatArray,
+    t: float,
+    n_terms: int,
+) -> FloatArray:
     """exp(-tL) v with S = I - L, from the first terms of the series."""
     term = vector * np.exp(-t)
     total = term.copy()

@@ -52,7 +52,13 @@ def spectral_norm(symmetric: scipy.sparse.csr_matrix) -> float:
         scaled = symmetric.copy()
         scaled.data = np.ldexp(scaled.data, -exponent)
         try:
-            largest = scipy.sparse.linalg.eigsh(scaled, k=1, which="LM", v0=start, return_eigenvectors=False)
+            largest = scipy.sparse.linalg.eigsh(
+                scaled,
+                k=1,
+                which="LM",
+                v0=start,
+                return_eigenvectors=False,
+            )
             return float(np.ldexp(abs(largest[0]), exponent))
         except scipy.sparse.linalg.ArpackNoConvergence:
             pass  # a crowded edge of the spectrum; the dense solver always converges

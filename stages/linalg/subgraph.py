@@ -120,7 +120,11 @@ def _components(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]
 
 
 def split_by_community(
-    point_ids: IntArray, points: FloatArray, edges: Edges, labels: IntArray, wanted: Iterable[int]
+    point_ids: IntArray,
+    points: FloatArray,
+    edges: Edges,
+    labels: IntArray,
+    wanted: Iterable[int],
 ) -> dict[int, Subgraph]:
     """The induced subgraph of each requested community, by community id; edges between communities are in none.
 

@@ -88,7 +88,11 @@ def block_means(values: FloatArray, blocks: IntArray) -> FloatArray:
     return means
 
 
-def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | None = None) -> Difference:
+def paired_difference(
+    before: FloatArray,
+    after: FloatArray,
+    blocks: IntArray | None = None,
+) -> Difference:
     """Mean of after - before over the blocks, with the interval of `mean_interval`.
 
     Pairs that lack a value are left out. Fewer than three blocks have no interval.

@@ -41,7 +41,15 @@ SCAN_GAP_S = 60.0
 #: The paper: n_sim is from under a quarter to over four times n_real.
 SPARSE_RATIO = 0.25
 DENSE_RATIO = 4.0
-_QUANTILES = {"min": 0.0, "q05": 0.05, "q25": 0.25, "median": 0.5, "q75": 0.75, "q95": 0.95, "max": 1.0}
+_QUANTILES = {
+    "min": 0.0,
+    "q05": 0.05,
+    "q25": 0.25,
+    "median": 0.5,
+    "q75": 0.75,
+    "q95": 0.95,
+    "max": 1.0,
+}
 
 
 @dataclass(frozen=True)
@@ -73,7 +81,10 @@ class Objects:
 
 
 def summarise_objects(
-    real: Objects, sim: Objects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]
+    real: Objects,
+    sim: Objects,
+    pair_ids: Sequence[str],
+    timestamps_s: Sequence[float | None],
 ) -> ObjectFindings:
     """Compute distributions, ranges, classes, density ratios, correlation, and the four scans; None for missing values.
 
@@ -89,7 +100,9 @@ def summarise_objects(
         n_pairs=len(pair_ids),
         n_matched=len(matched.pair),
         distributions=ScoreDistributions(
-            cdc=distribution(matched.cdc), r_lambda=distribution(matched.r_lambda), r_gap=distribution(matched.r_gap)
+            cdc=distribution(matched.cdc),
+            r_lambda=distribution(matched.r_lambda),
+            r_gap=distribution(matched.r_gap),
         ),
         rank_correlation=rank_correlation(matched.cdc, matched.r_lambda),
         density_ratio=density_ratio(matched.n_real, matched.n_sim),
@@ -214,7 +227,11 @@ def _group_mean(values: FloatArray) -> GroupMean:
     return GroupMean(mean=mean, std=std, n=int(np.count_nonzero(~np.isnan(values))))
 
 
-def compare_scans(matched: Objects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]) -> Scans:
+def compare_scans(
+    matched: Objects,
+    pair_ids: Sequence[str],
+    timestamps_s: Sequence[float | None],
+) -> Scans:
     """CDC and r_lambda in four scans that were taken more than a minute apart (the paper's box plots).
 
     If fewer than two scans are known to be a minute apart, four pairs evenly spaced by name are used instead, and

@@ -38,7 +38,13 @@ def spread(values: FloatArray) -> Spread:
     repeats = [row for row in rows if len(row) > 1]
     degrees = sum(len(row) - 1 for row in repeats)
     if not degrees:
-        return Spread(mean=mean, std_pairs=std_pairs, std_seeds=None, least_pair=None, least_dataset=None)
+        return Spread(
+            mean=mean,
+            std_pairs=std_pairs,
+            std_seeds=None,
+            least_pair=None,
+            least_dataset=None,
+        )
     squares = sum(np.var(row, ddof=1) * (len(row) - 1) for row in repeats)
     std_seeds = float(np.sqrt(squares / degrees))
     least = float(student_t.isf((1 - _CONFIDENCE) / 2, degrees)) * 2**0.5 * std_seeds

@@ -71,7 +71,8 @@ def typical_of_class(scan: ScanObjects, label: str, least: int) -> ChosenObject 
     is_typical = is_of_class & (scan.label_share >= PURE_SHARE) & (scan.n_points >= least)
     typical = np.flatnonzero(is_typical)
     if len(typical):
-        why = f"median size of {len(typical)} with {least} points and {PURE_SHARE:.0%} of the label or more"
+        pure = f"{PURE_SHARE:.0%} of the label or more"
+        why = f"median size of {len(typical)} with {least} points and {pure}"
         return scan.chosen(scan.median_sized(typical), label, why)
     largest = int(np.argmax(np.where(is_of_class, scan.n_points, -1)))
     why = f"the largest; none has {least} points and {PURE_SHARE:.0%} of the label"
