@@ -64,42 +64,35 @@ def fit_planes(
     >>> np.abs(planes.normal).tolist(), planes.n_neighbours.tolist()
     ([[0.0, 0.0, 1.0]], [9])
     """
+    n = len(places)
     n_most = min(n_most, len(points))
-    if not len(places) or not n_most:
-        normal = np.broadcast_to([0.0, 0.0, 1.0], places.shape).copy()
-        n_neighbours = np.zeros(len(places), dtype=np.intp)
-        return LocalPlanes(places.copy(), normal, np.zeros_like(places), n_neighbours)
-    tree = scipy.spatial.cKDTree(points)
-    parts = []
-    for start in range(0, len(places), _ROWS_AT_ONCE):
-        some = places[start : start + _ROWS_AT_ONCE]
-        distance_m, ids = tree.query(some, k=np.arange(1, n_most + 1), distance_upper_bound=reach_m)
-        parts.append(_planes_of(points, some, distance_m, ids, reach_m))
-    return LocalPlanes(
-        mean=np.concatenate([part.mean for part in parts]),
-        normal=np.concatenate([part.normal for part in parts]),
-        variance=np.concatenate([part.variance for part in parts]),
-        n_neighbours=np.concatenate([part.n_neighbours for part in parts]),
+    planes = LocalPlanes(
+        mean=places.copy(),
+        normal=np.tile([0.0, 0.0, 1.0], (n, 1)),
+        variance=np.zeros((n, 3)),
+        n_neighbours=np.zeros(n, dtype=np.intp),
     )
-
-
-def _planes_of(
-    points: FloatArray,
-    places: FloatArray,
-    distance_m: FloatArray,
-    ids: IndexArray,
-    reach_m: float,
-) -> LocalPlanes:
-    """The planes of places whose neighbours are known, at an infinite distance if there are fewer."""
-    is_near = np.isfinite(distance_m)
-    share = 2 * np.where(is_near, distance_m, 0.0) / reach_m
-    weight = is_near * np.exp(-(share**2))
-    total = np.maximum(weight.sum(axis=1), 1e-300)[:, None]
-    offset = (points[np.where(is_near, ids, 0)] - places[:, None]) * is_near[..., None]
-    mean = np.einsum("nk,nkd->nd", weight, offset) / total
-    centred = (offset - mean[:, None]) * np.sqrt(weight / total)[..., None]
-    variance, axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)
-    return LocalPlanes(places + mean, axes[:, :, 0], np.maximum(variance, 0.0), is_near.sum(axis=1))
+    if not n_most:
+        return planes
+    tree = scipy.spatial.cKDTree(points)
+    ranks = np.arange(1, n_most + 1)
+    for start in range(0, n, _ROWS_AT_ONCE):
+        rows = slice(start, start + _ROWS_AT_ONCE)
+        place = places[rows]
+        distance_m, ids = tree.query(place, k=ranks, distance_upper_bound=reach_m)
+        is_near = np.isfinite(distance_m)
+        share = 2 * np.where(is_near, distance_m, 0.0) / reach_m
+        weight = is_near * np.exp(-(share**2))
+        total = np.maximum(weight.sum(axis=1), 1e-300)[:, None]
+        offset = (points[np.where(is_near, ids, 0)] - place[:, None]) * is_near[..., None]
+        mean = np.einsum("nk,nkd->nd", weight, offset) / total
+        centred = (offset - mean[:, None]) * np.sqrt(weight / total)[..., None]
+        variance, axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)
+        planes.mean[rows] += mean
+        planes.normal[rows] = axes[:, :, 0]
+        planes.variance[rows] = np.maximum(variance, 0.0)
+        planes.n_neighbours[rows] = is_near.sum(axis=1)
+    return planes
 
 
 def voxel_means(points: FloatArray, edge_m: float) -> FloatArray:

@@ -24,19 +24,13 @@ Kernels = Mapping[str, Kernel]  #: names in BLAS and LAPACK
 _SEARCHES = 4  # each breadth-first, from the last node of the one before
 _BYTES = 8  # of a float64
 
-#: Characters of BLAS options and scalar factors of BLAS calls, in memory, as BLAS takes addresses.
+#: Characters of BLAS options and scalar factors of BLAS calls, and the addresses of each.
 _OPTIONS = np.frombuffer(b"LRUTN", dtype=np.uint8)
-_LEFT = _OPTIONS[0:].ctypes.data
+_LEFT, _RIGHT, _UPPER, _T, _N = range(_OPTIONS.ctypes.data, _OPTIONS.ctypes.data + 5)
 _LOWER = _LEFT
-_RIGHT = _OPTIONS[1:].ctypes.data
-_UPPER = _OPTIONS[2:].ctypes.data
-_T = _OPTIONS[3:].ctypes.data  # transposed
-_N = _OPTIONS[4:].ctypes.data  # not transposed
 _FACTORS = np.array([0.0, 1.0, -1.0, -0.5])
-_ZERO = _FACTORS[0:].ctypes.data
-_ONE = _FACTORS[1:].ctypes.data
-_MINUS = _FACTORS[2:].ctypes.data
-_MINUS_HALF = _FACTORS[3:].ctypes.data
+_END = _FACTORS.ctypes.data + _FACTORS.nbytes
+_ZERO, _ONE, _MINUS, _MINUS_HALF = range(_FACTORS.ctypes.data, _END, _BYTES)
 
 
 def reduce_to_band(symmetric: scipy.sparse.csr_matrix, width: int, kernels: Kernels) -> FloatArray:
@@ -154,8 +148,12 @@ class _Reduction:
     """Band matrix whose parts are passed to BLAS, and workspace.
 
     In band storage element (i, j) lies i + (ld - 1) j after element (0, 0): a part of the matrix is an ordinary
-    column-major matrix of leading dimension ld - 1. BLAS takes a part by the address of its first element, no copy,
-    and each number by an address, too: what is called many times must not be wrapped again each time.
+    column-major matrix of leading dimension ld - 1. BLAS takes a part by the addresses of its first element and of its
+    leading dimension, no copy, and each number by an address, too: what is called many times must not be wrapped again
+    each time.
+
+    v, t : Householder vectors V and the factor T of a block, addresses as BLAS takes them
+    x, y, m : products
     """
 
     def __init__(self, band: FloatArray, width: int, most_rows: int, kernels: Kernels) -> None:
@@ -163,29 +161,24 @@ class _Reduction:
         self.call = kernels
         self.stride: int = band.shape[0] - 1
         self.flat = band.ravel(order="K")
-        self.vectors = np.empty((n_most, width), order="F")
+        self.first: int = self.flat.ctypes.data
+        self.numbers = np.arange(max(self.stride, n_most) + 1, dtype=np.intc)
+        self.first_number: int = self.numbers.ctypes.data
+        self.info = np.zeros(1, dtype=np.intc)
         self.is_below = np.tril(np.ones((width, width)), -1)
         self.unit = np.eye(width)
-        self.info = np.zeros(1, dtype=np.intc)
-        self.numbers = np.arange(max(self.stride, n_most) + 1, dtype=np.intc)
+        self.vectors = np.empty((n_most, width), order="F")
         self.products = np.empty((2, n_most, width))
         self.small = np.empty((2, width, width))
-        self.first: int = self.flat.ctypes.data
-        self.first_number: int = self.numbers.ctypes.data
+        self.v = (self.vectors.ctypes.data, self.number(n_most))
+        self.x = (self.products[0].ctypes.data, self.number(n_most))
+        self.y = (self.products[1].ctypes.data, self.number(width))
+        self.t = (self.small[0].ctypes.data, self.number(width))
+        self.m = (self.small[1].ctypes.data, self.number(width))
 
-        # Addresses of Householder vectors V, of the factor T, of products, and of leading dimensions
-        self.v: int = self.vectors.ctypes.data
-        self.x: int = self.products[0].ctypes.data
-        self.y: int = self.products[1].ctypes.data
-        self.t: int = self.small[0].ctypes.data
-        self.m: int = self.small[1].ctypes.data
-        self.ld = self.number(self.stride)
-        self.tall = self.number(n_most)
-        self.wide = self.number(width)
-
-    def at(self, row: int, column: int) -> int:
-        """Address of an element."""
-        return self.first + _BYTES * (row + self.stride * column)
+    def at(self, row: int, column: int) -> tuple[int, int]:
+        """Addresses of an element, and of the leading dimension of parts of the band."""
+        return self.first + _BYTES * (row + self.stride * column), self.number(self.stride)
 
     def number(self, value: int) -> int:
         """Address of a number from 0 to the largest dimension."""
@@ -214,8 +207,7 @@ class _Reduction:
         """QR factorisation of the block: R in its place, vectors and T in the workspace."""
         row, column, n_rows, n_columns, _ = block
         rows, k = map(self.number, (n_rows, n_columns))
-        place = self.at(row, column)
-        self.call["dgeqrt3"](rows, k, place, self.ld, self.t, self.wide, self.info.ctypes.data)
+        self.call["dgeqrt3"](rows, k, *self.at(row, column), *self.t, self.info.ctypes.data)
         panel = self.part(row, column, n_rows, n_columns)
         vectors = self.vectors[:n_rows, :n_columns]
         is_below = self.is_below[:n_columns, :n_columns]
@@ -228,37 +220,34 @@ class _Reduction:
     def apply_beside(self, block: _Block, n_beside: int) -> None:
         """From the left, on the columns C between block and diagonal: C - V T^T (V^T C)."""
         rows, k, columns = map(self.number, (block.n_rows, block.n_columns, n_beside))
-        v, t, y, tall, wide, ld = self.v, self.t, self.y, self.tall, self.wide, self.ld
         beside = self.at(block.row, block.column + block.n_columns)
         dgemm = self.call["dgemm"]
-        dgemm(_T, _N, k, columns, rows, _ONE, v, tall, beside, ld, _ZERO, y, wide)
-        self.call["dtrmm"](_LEFT, _UPPER, _T, _N, k, columns, _ONE, t, wide, y, wide)
-        dgemm(_N, _N, rows, columns, k, _MINUS, v, tall, y, wide, _ONE, beside, ld)
+        dgemm(_T, _N, k, columns, rows, _ONE, *self.v, *beside, _ZERO, *self.y)
+        self.call["dtrmm"](_LEFT, _UPPER, _T, _N, k, columns, _ONE, *self.t, *self.y)
+        dgemm(_N, _N, rows, columns, k, _MINUS, *self.v, *self.y, _ONE, *beside)
 
     def apply_to_diagonal(self, block: _Block) -> None:
         """From both sides, on the diagonal block A: A - V X^T - X V^T, W = A V T, X = W - V T^T V^T W / 2."""
         rows, k = map(self.number, (block.n_rows, block.n_columns))
         v, t, x, m = self.v, self.t, self.x, self.m
-        tall, wide, ld = self.tall, self.wide, self.ld
         diagonal = self.at(block.row, block.row)
         dgemm = self.call["dgemm"]
         dtrmm = self.call["dtrmm"]
-        self.call["dsymm"](_LEFT, _LOWER, rows, k, _ONE, diagonal, ld, v, tall, _ZERO, x, tall)
-        dtrmm(_RIGHT, _UPPER, _N, _N, rows, k, _ONE, t, wide, x, tall)
-        dgemm(_T, _N, k, k, rows, _ONE, v, tall, x, tall, _ZERO, m, wide)
-        dtrmm(_LEFT, _UPPER, _T, _N, k, k, _ONE, t, wide, m, wide)
-        dgemm(_N, _N, rows, k, k, _MINUS_HALF, v, tall, m, wide, _ONE, x, tall)
-        self.call["dsyr2k"](_LOWER, _N, rows, k, _MINUS, v, tall, x, tall, _ONE, diagonal, ld)
+        self.call["dsymm"](_LEFT, _LOWER, rows, k, _ONE, *diagonal, *v, _ZERO, *x)
+        dtrmm(_RIGHT, _UPPER, _N, _N, rows, k, _ONE, *t, *x)
+        dgemm(_T, _N, k, k, rows, _ONE, *v, *x, _ZERO, *m)
+        dtrmm(_LEFT, _UPPER, _T, _N, k, k, _ONE, *t, *m)
+        dgemm(_N, _N, rows, k, k, _MINUS_HALF, *v, *m, _ONE, *x)
+        self.call["dsyr2k"](_LOWER, _N, rows, k, _MINUS, *v, *x, _ONE, *diagonal)
 
     def apply_below(self, block: _Block) -> None:
         """From the right, on the rows C below: C - (C V) T V^T; this makes the bulge."""
         rows, k, others = map(self.number, (block.n_rows, block.n_columns, block.n_below))
-        v, t, x, tall, wide, ld = self.v, self.t, self.x, self.tall, self.wide, self.ld
         below = self.at(block.row + block.n_rows, block.row)
         dgemm = self.call["dgemm"]
-        dgemm(_N, _N, others, k, rows, _ONE, below, ld, v, tall, _ZERO, x, tall)
-        self.call["dtrmm"](_RIGHT, _UPPER, _N, _N, others, k, _ONE, t, wide, x, tall)
-        dgemm(_N, _T, others, rows, k, _MINUS, x, tall, v, tall, _ONE, below, ld)
+        dgemm(_N, _N, others, k, rows, _ONE, *below, *self.v, _ZERO, *self.x)
+        self.call["dtrmm"](_RIGHT, _UPPER, _N, _N, others, k, _ONE, *self.t, *self.x)
+        dgemm(_N, _T, others, rows, k, _MINUS, *self.x, *self.v, _ONE, *below)
 
 
 def _numbered(symmetric: scipy.sparse.csr_matrix) -> tuple[scipy.sparse.coo_matrix, IndexArray]:

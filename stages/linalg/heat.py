@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from ..arrays import FloatArray
-from .spectrum import eigenvalues
+from .spectrum import eigenvalues, lanczos_norm
 
 _DENSE_NODES = 64  # up to here the dense kernel is the faster one
 
@@ -78,19 +78,9 @@ def heat_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: 
         heat_sim = _heat(similarity_sim, vector.ravel(), t, n_terms)
         return heat_sim - heat_real
 
-    start = np.random.default_rng(0).standard_normal(n)
-    operator = scipy.sparse.linalg.LinearOperator((n, n), matvec=apply, dtype=np.float64)
-    try:
-        largest = scipy.sparse.linalg.eigsh(
-            operator,
-            k=1,
-            which="LM",
-            v0=start,
-            return_eigenvectors=False,
-        )
-    except scipy.sparse.linalg.ArpackNoConvergence:
-        return _dense_change(real, sim, t)  # a crowded edge of the spectrum
-    return float(abs(largest[0]))
+    change = scipy.sparse.linalg.LinearOperator((n, n), matvec=apply, dtype=np.float64)
+    norm = lanczos_norm(change)
+    return _dense_change(real, sim, t) if norm is None else norm
 
 
 def _heat(
