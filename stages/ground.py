@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from ..schemas.errors import StageError
 from ..schemas.settings import GroundSettings
@@ -159,11 +160,8 @@ def peaks_note(real_peak_m: float, sim_peak_m: float, settings: GroundSettings) 
 
 def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:
     """Principal axis nearest +Z, pointing up, and its angle to +Z in degrees."""
-    from sklearn.decomposition import PCA
-
-    # The shares of a variance that underflows are invalid, and not used.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        axes: FloatArray = PCA(n_components=3, svd_solver="full").fit(points).components_
+    centred = points - points.mean(axis=0)
+    axes: FloatArray = scipy.linalg.svd(centred, full_matrices=False)[2]
     axis = axes[np.argmax(np.abs(axes[:, 2]))]
     if axis[2] < 0:
         axis = -axis
