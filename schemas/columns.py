@@ -10,6 +10,8 @@ from typing import Any
 import pyarrow as pa
 
 SIDES = ("real", "sim")
+#: The sides as people call them.
+SIDE_NAMES = {"real": "real", "sim": "simulated"}
 #: The farthest that a range or a motion may reach: squares, sums and single precision hold it with room to spare.
 FARTHEST_M = 1e9
 #: A row of a table by column; the schema of the table has names and types.
