@@ -179,9 +179,8 @@ def _evaluated(folders: list[Path]) -> list[Path]:
     """Folders of runs; datasets, or several simulated sides after a real one, are evaluated first (`reference`)."""
     from ...schemas.errors import RunError
     from ...schemas.settings import load
-    from ..datasets.pairing import scans_in
-    from ..datasets.readers import holds_frames
-    from ..datasets.readers.frame_address import address_of
+    from ..datasets.pairs import scans_in
+    from ..datasets.readers.scan_ref import scan_ref
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..run import run_dataset
@@ -192,11 +191,11 @@ def _evaluated(folders: list[Path]) -> list[Path]:
         return any(path_exists(folder / name) for name in names)
 
     for folder in folders:
-        if not (url_of_cache(folder) or path_exists(address_of(folder).file)):
+        if not (url_of_cache(folder) or path_exists(scan_ref(folder).file)):
             raise RunError(f"{folder}: no such file or folder; nothing was evaluated")
     real, reporter, found = folders[0], Reporter(), []
     is_known = has(real, "run.json", "pairs.parquet", "real", "pairs.csv")
-    is_side = holds_frames(real) or (real.is_dir() and not is_known and bool(scans_in(real)))
+    is_side = scan_ref(real).format.holds_frames or (real.is_dir() and not is_known and bool(scans_in(real)))
     if is_side and len(folders) < 3:
         raise typer.BadParameter(f"{real} holds real scans; expected two or more simulated folders after it")
     names = [run_folder(folder) for folder in folders]

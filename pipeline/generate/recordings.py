@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray
-from ..datasets.pairing import read_numbers, scans_in
-from ..datasets.pairs import LABEL_NAMES, MANIFEST, check_rigid, read_label_names, read_manifest
-from ..datasets.readers import holds_frames, stem_of
+from ..datasets.pairing import read_numbers
+from ..datasets.pairs import MANIFEST, check_rigid, read_label_names, read_manifest, scans_in
+from ..datasets.readers.scan_ref import ScanRef
 
 FEWEST_FRAMES = 3
 _SCAN_FOLDERS = ("velodyne", "real", ".")
@@ -38,7 +38,7 @@ class Frame:
     """
 
     name: str
-    path: Path
+    scan: ScanRef
     T_world_sensor: tuple[float, ...]
     timestamp_s: float | None = None
 
@@ -79,7 +79,8 @@ def read_recording(folder: Path, poses: Path | None = None, calibration: Path | 
         raise DatasetError(f"recording {folder}: no such folder; expected one with scans and poses")
     manifest = folder / MANIFEST
     if poses is None and manifest.exists():
-        poses, frames = manifest, _frames_of_manifest(manifest)
+        poses = manifest
+        frames = _frames_of_manifest(manifest)
     else:
         poses = poses or _find_poses(folder)
         frames = _frames_of_poses(folder, poses, calibration)
@@ -88,11 +89,11 @@ def read_recording(folder: Path, poses: Path | None = None, calibration: Path | 
             f"recording {folder}: expected at least {FEWEST_FRAMES} frames, got {len(frames)}: each is re-scanned "
             "in a model of the others"
         )
-    stem, n_alike = Counter(stem_of(frame.path) for frame in frames).most_common(1)[0]
+    stem, n_alike = Counter(frame.scan.stem for frame in frames).most_common(1)[0]
     if n_alike > 1:
         raise DatasetError(f"recording {folder}: expected unique names; {n_alike} scans are called {stem}")
-    labelled = next((place for place in (folder, frames[0].path.parent) if (place / LABEL_NAMES).exists()), folder)
-    return Recording(folder, poses, tuple(frames), read_label_names(labelled))
+    label_names = read_label_names(folder) or read_label_names(frames[0].scan.file.parent)
+    return Recording(folder, poses, tuple(frames), label_names)
 
 
 def _frames_of_manifest(manifest: Path) -> list[Frame]:
@@ -106,10 +107,9 @@ def _frames_of_manifest(manifest: Path) -> list[Frame]:
             )
         if pair.real is None:
             raise DatasetError(f"{manifest}: pair {pair.pair_id} has no real scan ({pair.fault})")
-        if holds_frames(pair.real):
+        if pair.real.format.holds_frames:
             raise DatasetError(
-                f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real.name}; expected a file with "
-                "one scan"
+                f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real}; expected a file with one scan"
             )
         frames.append(Frame(pair.pair_id, pair.real, pair.T_world_sensor, pair.timestamp_s))
     return frames
@@ -128,23 +128,26 @@ def _find_poses(folder: Path) -> Path:
 
 def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> list[Frame]:
     places = [folder / name for name in _SCAN_FOLDERS if (folder / name).is_dir()]
-    scans = next(filter(None, map(scans_in, places)), [])
+    scans: list[ScanRef] = []
+    for place in places:
+        scans = scans or scans_in(place)
     if not scans:
         raise DatasetError(f"recording {folder}: no scans found; expected files in velodyne/, real/ or the folder")
     rows = read_numbers(poses, (_TUM_NUMBERS, _KITTI_NUMBERS))
     if len(rows) != len(scans):
         raise DatasetError(
             f"{poses}: expected one pose per scan in the order of their names, got {len(rows)} poses for "
-            f"{len(scans)} scans ({scans[0].name} to {scans[-1].name})"
+            f"{len(scans)} scans ({scans[0].file.name} to {scans[-1].file.name})"
         )
     if rows.shape[1] == _TUM_NUMBERS:
-        motions, times = _tum_motions(poses, rows[:, 1:]), rows[:, 0].tolist()
+        motions = _tum_motions(poses, rows[:, 1:])
+        times = rows[:, 0].tolist()
     else:
         motions = _kitti_motions(folder, poses, rows, calibration)
         times = _kitti_times(folder / _TIMES, len(scans))
     return [
-        Frame(stem_of(path), path, tuple(motion.ravel().tolist()), time_s)
-        for path, motion, time_s in zip(scans, motions, times, strict=True)
+        Frame(scan.stem, scan, tuple(motion.ravel().tolist()), time_s)
+        for scan, motion, time_s in zip(scans, motions, times, strict=True)
     ]
 
 

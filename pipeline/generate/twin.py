@@ -24,8 +24,7 @@ from ...stages.generate.flaws import FLAWS, ChosenFlaw, carried, lose_foliage
 from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, extend_map, recorded_directions, rescan
 from ..datasets.pairs import LABEL_NAMES, MANIFEST
-from ..datasets.readers import read_scan, stem_of
-from ..datasets.readers.scan import label_path_of
+from ..datasets.readers import read_scan
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..storage.files import csv_bytes, hash_file, key_of, path_exists, write_whole
@@ -148,7 +147,7 @@ def _inputs(recording: Recording) -> Recipe:
     """The entries of a recipe about the recording and fidpipe."""
     from ... import __version__
 
-    inputs = [[frame.path.name, hash_file(frame.path), frame.T_world_sensor] for frame in recording.frames]
+    inputs = [[frame.scan.file.name, hash_file(frame.scan.file), frame.T_world_sensor] for frame in recording.frames]
     return {
         "version": RECIPE_VERSION,
         "fidpipe": __version__,
@@ -176,8 +175,9 @@ def _nearest(frames: Sequence[Frame], frame: Frame, n: int) -> tuple[Frame, ...]
 
 def _files(out: Path, frame: Frame) -> tuple[Path, Path, Path]:
     """The files of a pair: real scan, simulated scan, labels of the real scan."""
-    real, stem = out / "real" / frame.path.name, stem_of(frame.path)
-    return real, out / "sim" / f"{stem}.bin", label_path_of(real, stem)
+    real = out / "real"
+    scan = frame.scan
+    return real / scan.file.name, out / "sim" / f"{scan.stem}.bin", real / scan.labels.name
 
 
 def _is_done(task: _Task) -> bool:
@@ -197,10 +197,10 @@ def _write_twin(task: _Task) -> None:
     real, sim, labels = _files(task.out, task.frame)
     points, intensity = _rescan(task)
     gc.collect()  # trimesh surfaces are cyclic: otherwise 80 MB per frame wait for the collector
-    recorded = task.frame.path.with_name(labels.name)
-    if recorded.exists():
-        write_whole(labels, recorded.read_bytes())
-    write_whole(real, task.frame.path.read_bytes())
+    scan = task.frame.scan
+    if scan.labels.exists():
+        write_whole(labels, scan.labels.read_bytes())
+    write_whole(real, scan.file.read_bytes())
     write_whole(sim, np.column_stack([points, np.nan_to_num(intensity)]).astype("<f4").tobytes())
 
 
@@ -256,13 +256,13 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
 
 def _read(task: _Task, frame: Frame) -> tuple[FloatArray, BoolArray | None, FloatArray | None]:
     """The cleaned points of a frame, a mask of those labelled as foliage if the recipe names such labels, intensity."""
-    scan = read_scan(frame.path, task.settings.columns_of("real"), dict(task.label_names))
+    scan = read_scan(frame.scan, task.settings.columns_of("real"), dict(task.label_names))
     clean = clean_scan(scan.points, task.settings)
     intensity = None if scan.intensity is None else scan.intensity[clean.point_ids]
     if not task.foliage:
         return clean.points, None, intensity
     if scan.labels is None:
-        raise ScanError(f"{frame.path}: has no labels; expected labels for the foliage ({', '.join(task.foliage)})")
+        raise ScanError(f"{frame.scan}: has no labels; expected labels for the foliage ({', '.join(task.foliage)})")
     return clean.points, np.isin(scan.labels[clean.point_ids], task.foliage), intensity
 
 

@@ -10,6 +10,7 @@ import pyarrow as pa
 from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
+from ...stages.arrays import transform_of
 from ...stages.clean import CleanResult
 from ...stages.ground import GroundResult
 from ...stages.method import remove_road
@@ -43,7 +44,7 @@ def make_ground(own: Inputs) -> JobResult:
             scan.points,
             own.settings,
             own.part,
-            T_real_sim=np.array(own.T_real_sim).reshape(3, 4) if own.T_real_sim else None,
+            T_real_sim=transform_of(own.T_real_sim),
             real_cut=real_cut,
             real_points=real_points,
             watch=own.step,

@@ -26,8 +26,8 @@ from ...stages.method import Memo, compare, n_communities, partition
 from ...stages.paper.parameter_choice import Choice, ParameterSet, Trial, choose_parameters
 from ...stages.plausibility import ScanInspection
 from ..datasets.pairs import ScanPair
-from ..datasets.readers import is_scan_path
 from ..datasets.readers.scan import Scan
+from ..datasets.readers.scan_ref import scan_ref
 from ..engine.memory import run_in_memory
 from ..engine.plan import Planner
 from ..engine.progress import Reporter
@@ -235,7 +235,7 @@ def ablate_dataset(
     for parameters in parameter_sets(base, tried, grid):
         with_parameters(settings, parameters)  # raises before any work
     source = read_source(dataset, pattern)
-    if is_scan_path(dataset):
+    if scan_ref(dataset).exists:
         raise SettingsError(f"{dataset}: is a scan; expected a dataset with real and simulated scans")
     request = {
         "base": list(base),

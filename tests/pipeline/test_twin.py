@@ -117,7 +117,7 @@ def test_the_dataset_names_times_poses_labels_and_the_recipe(twins, drive):
     assert [pair.timestamp_s for pair in dataset.pairs] == pytest.approx([0.0, 0.1, 0.2, 0.3])
     for pair, frame in zip(dataset.pairs, read_recording(drive).frames, strict=True):
         assert pair.T_world_sensor == frame.T_world_sensor
-        assert pair.real.read_bytes() == frame.path.read_bytes()
+        assert pair.real.file.read_bytes() == frame.scan.file.read_bytes()
         assert set(read_scan(pair.real, label_names=dataset.label_names).labels) == {"built", "hedge"}
     recipe = tomllib.loads((twins / "twin.toml").read_text())
     assert (recipe["seed"], recipe["flaw"], recipe["sensor"]["name"]) == (0, [], "small")
