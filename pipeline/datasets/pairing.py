@@ -20,7 +20,7 @@ from ...stages.arrays import FloatArray, IntArray
 from ..storage.files import csv_bytes, write_whole
 from .pairs import LIST_NAMES, MANIFEST, NO_PARTNER, UNPAIRED, Dataset, read_manifest, scans_in
 from .readers import frames_of
-from .readers.formats import formats
+from .readers.formats import known_formats
 from .readers.scan_ref import ScanRef, scan_ref
 
 _TIMES = ("times.txt", "poses.tum")
@@ -153,7 +153,7 @@ def _no_partner(real: Path, sim: Path) -> str:
         if not frames[side]:
             return (
                 f"no scans found in {side}; expected one of the same name for each of the {len(frames[other])} in "
-                f"{other}; known formats are {', '.join(formats())}"
+                f"{other}; known formats are {', '.join(known_formats())}"
             )
     first = f"{frames[real][0]} and {frames[sim][0]}"
     counts = f"none of {len(frames[real])} real and {len(frames[sim])} simulated scans has a partner of the same name"

@@ -23,7 +23,7 @@ from ...stages.arrays import FloatArray
 from ..storage.files import path_exists
 from ..storage.urls import STUB, is_stub, is_url, remote, url_of_cache
 from .readers import frames_of
-from .readers.formats import formats
+from .readers.formats import known_formats
 from .readers.scan import LONGEST_LABEL
 from .readers.scan_ref import ScanRef, scan_ref
 
@@ -163,7 +163,7 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
             fault = f"{real or sim}: {NO_PARTNER}; expected a scan named {stem} in {folder / absent}"
             path = unread[absent].get(stem)
             if path is not None:
-                fault = f"{path}: not readable; known formats are {', '.join(formats())}"
+                fault = f"{path}: not readable; known formats are {', '.join(known_formats())}"
                 warnings.remove(f"{path}: {_IGNORED}")  # the error reports it
         pairs.append(ScanPair(stem, real, sim, fault=fault))
     if sum(n_lonely.values()) > 1:

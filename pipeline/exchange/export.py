@@ -230,12 +230,16 @@ def _message(types: Any, content: NDArray[np.void] | str, time_ns: int) -> Any:
     if isinstance(content, str):
         return types["std_msgs/msg/String"](content)
     columns: Any = content.dtype.fields
-    field, stamp = types["sensor_msgs/msg/PointField"], types["builtin_interfaces/msg/Time"](*divmod(time_ns, _NS))
+    field = types["sensor_msgs/msg/PointField"]
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(time_ns, _NS))
+    fields = []
+    for name, (dtype, offset) in columns.items():
+        fields.append(field(name, offset, _POINT_FIELDS[dtype.str], 1))
     return types["sensor_msgs/msg/PointCloud2"](
         header=types["std_msgs/msg/Header"](stamp, FRAME),
         height=1,
         width=len(content),
-        fields=[field(name, offset, _POINT_FIELDS[own.str], 1) for name, (own, offset) in columns.items()],
+        fields=fields,
         is_bigendian=False,
         point_step=content.dtype.itemsize,
         row_step=content.nbytes,

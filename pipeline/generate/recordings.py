@@ -7,7 +7,7 @@ with its calibration. Opens poses, calibration and manifest, no scan.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,15 @@ from numpy.typing import ArrayLike
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray
 from ..datasets.pairing import read_numbers
-from ..datasets.pairs import MANIFEST, check_rigid, read_label_names, read_manifest, scans_in
+from ..datasets.pairs import (
+    MANIFEST,
+    Dataset,
+    ScanPair,
+    check_rigid,
+    read_label_names,
+    read_manifest,
+    scans_in,
+)
 from ..datasets.readers.scan_ref import ScanRef
 
 FEWEST_FRAMES = 3
@@ -24,37 +32,19 @@ _SCAN_FOLDERS = ("velodyne", "real", ".")
 _POSE_FILES = ("poses.tum", "poses.txt")
 _CALIBRATION = "calib.txt"
 _TIMES = "times.txt"
+_TRANSFORMS = ("Tr", "Tr_velo_to_cam")
 _QUATERNION_TOLERANCE = 1e-2
 _TUM_NUMBERS, _KITTI_NUMBERS = 8, 12
 
 
-@dataclass(frozen=True)
-class Frame:
-    """One scan of a recording.
+@dataclass(frozen=True, kw_only=True)
+class Recording(Dataset):
+    """Posed real scans in the order in which they were taken, as pairs without a simulated side.
 
-    name : of the frame, and of its pair
-    T_world_sensor : 12 numbers, [R | t] row by row: maps the scan's points into the frame of the recording
-    timestamp_s : when it was taken, if that is known
+    poses : the file of the poses
     """
 
-    name: str
-    scan: ScanRef
-    T_world_sensor: tuple[float, ...]
-    timestamp_s: float | None = None
-
-
-@dataclass(frozen=True)
-class Recording:
-    """Posed scans in the order in which they were taken.
-
-    poses : the file that they are posed by
-    label_names : class names by number, {} without a `labels.toml`
-    """
-
-    folder: Path
     poses: Path
-    frames: tuple[Frame, ...]
-    label_names: dict[int, str]
 
 
 def read_recording(folder: Path, poses: Path | None = None, calibration: Path | None = None) -> Recording:
@@ -89,17 +79,17 @@ def read_recording(folder: Path, poses: Path | None = None, calibration: Path | 
             f"recording {folder}: expected at least {FEWEST_FRAMES} frames, got {len(frames)}: each is re-scanned "
             "in a model of the others"
         )
-    stem, n_alike = Counter(frame.scan.stem for frame in frames).most_common(1)[0]
+    scans = [frame.scans["real"] for frame in frames]
+    stem, n_alike = Counter(scan.stem for scan in scans).most_common(1)[0]
     if n_alike > 1:
         raise DatasetError(f"recording {folder}: expected unique names; {n_alike} scans are called {stem}")
-    label_names = read_label_names(folder) or read_label_names(frames[0].scan.file.parent)
-    return Recording(folder, poses, tuple(frames), label_names)
+    label_names = read_label_names(folder) or read_label_names(scans[0].file.parent)
+    return Recording(folder, tuple(frames), label_names, poses=poses)
 
 
-def _frames_of_manifest(manifest: Path) -> list[Frame]:
-    pairs = read_manifest(manifest, [], needs_sim=False)
+def _frames_of_manifest(manifest: Path) -> list[ScanPair]:
     frames = []
-    for pair in pairs:
+    for pair in read_manifest(manifest, [], needs_sim=False):
         if pair.T_world_sensor is None:
             raise DatasetError(
                 f"{manifest}: pair {pair.pair_id} has no T_world_sensor; expected 12 numbers ([R | t] row by row), "
@@ -111,22 +101,21 @@ def _frames_of_manifest(manifest: Path) -> list[Frame]:
             raise DatasetError(
                 f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real}; expected a file with one scan"
             )
-        frames.append(Frame(pair.pair_id, pair.real, pair.T_world_sensor, pair.timestamp_s))
+        frames.append(replace(pair, sim=None))
     return frames
 
 
 def _find_poses(folder: Path) -> Path:
-    places = [*(folder / name for name in _POSE_FILES), folder.parent.parent / "poses" / f"{folder.name}.txt"]
-    found = next((place for place in places if place.is_file()), None)
-    if found is None:
-        raise DatasetError(
-            f"recording {folder}: no poses found; expected {', '.join(_POSE_FILES)}, a {MANIFEST} with "
-            "T_world_sensor, or a file named by --poses"
-        )
-    return found
+    for path in (*(folder / name for name in _POSE_FILES), folder.parent.parent / "poses" / f"{folder.name}.txt"):
+        if path.is_file():
+            return path
+    raise DatasetError(
+        f"recording {folder}: no poses found; expected {', '.join(_POSE_FILES)}, a {MANIFEST} with "
+        "T_world_sensor, or a file named by --poses"
+    )
 
 
-def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> list[Frame]:
+def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> list[ScanPair]:
     places = [folder / name for name in _SCAN_FOLDERS if (folder / name).is_dir()]
     scans: list[ScanRef] = []
     for place in places:
@@ -145,10 +134,10 @@ def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> lis
     else:
         motions = _kitti_motions(folder, poses, rows, calibration)
         times = _kitti_times(folder / _TIMES, len(scans))
-    return [
-        Frame(scan.stem, scan, tuple(motion.ravel().tolist()), time_s)
-        for scan, motion, time_s in zip(scans, motions, times, strict=True)
-    ]
+    frames = []
+    for scan, motion, time_s in zip(scans, motions, times, strict=True):
+        frames.append(ScanPair(scan.stem, scan, None, time_s, T_world_sensor=tuple(motion.ravel().tolist())))
+    return frames
 
 
 def _tum_motions(poses: Path, rows: FloatArray) -> FloatArray:
@@ -187,7 +176,7 @@ def _read_calibration(path: Path, poses: Path) -> FloatArray:
         raise DatasetError(f"{path}: cannot be read ({error})") from error
     for line in lines:
         name, _, text = line.partition(":")
-        if name.strip() in ("Tr", "Tr_velo_to_cam"):
+        if name.strip() in _TRANSFORMS:
             try:
                 numbers = np.array(text.split(), dtype=np.float64)
             except ValueError as error:

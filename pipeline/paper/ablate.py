@@ -91,7 +91,6 @@ PARAMETERS = {
 _NAMES = list(PARAMETERS)
 #: The parameters that the rule can choose.
 CHOSEN = ("k", "tau_m", "t")
-_SCORES = ("match_rate", "r_lambda_mean")
 _SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
@@ -262,12 +261,12 @@ def choose(outcome: AblateOutcome) -> list[Choice]:
         rows = outcome.rows.to_pandas()[_NAMES].drop_duplicates()
         rows = rows[rows["delta_m"] == outcome.base.delta_m]
         tried["grid"] = [ParameterSet(*row) for row in rows.itertuples(index=False)]
-    return choose_parameters(
-        [
-            Trial(name, own, own.index(outcome.base), *(outcome.scores(score, own) for score in _SCORES))
-            for name, own in tried.items()
-        ]
-    )
+    trials = []
+    for name, sets in tried.items():
+        match_rate = outcome.scores("match_rate", sets)
+        r_lambda = outcome.scores("r_lambda_mean", sets)
+        trials.append(Trial(name, sets, sets.index(outcome.base), match_rate, r_lambda))
+    return choose_parameters(trials)
 
 
 def parameter_sets(base: ParameterSet, values: dict[str, tuple[float, ...]], grid: bool) -> list[ParameterSet]:
@@ -304,5 +303,6 @@ def _values(name: str, requested: Sequence[float], current: float) -> tuple[floa
     if name != "k":
         return tuple(sorted({*map(float, requested), current}))
     if any(value != int(value) for value in requested):
-        raise SettingsError(f"--k: expected whole numbers, got {', '.join(f'{value:g}' for value in requested)}")
+        got = ", ".join(f"{value:g}" for value in requested)
+        raise SettingsError(f"--k: expected whole numbers, got {got}")
     return tuple(sorted({*map(int, requested), int(current)}))

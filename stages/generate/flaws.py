@@ -71,8 +71,9 @@ class Flaw:
         self.check(amount, at_m)
         if not len(points):
             return points.copy()
-        second = () if self.at_m is None else (self.at_m if at_m is None else at_m,)
-        return self.alter(points, amount, rng, *second)
+        if self.at_m is None:
+            return self.alter(points, amount, rng)
+        return self.alter(points, amount, rng, self.at_m if at_m is None else at_m)
 
     def check(self, amount: float, at_m: float | None = None) -> None:
         """Raise `FidpipeError` if an amount or a second parameter is out of bounds."""

@@ -76,8 +76,10 @@ def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> F
     >>> len(perturb(line, Perturbation("dropout", 0.4), np.random.default_rng(0)))
     7
     """
-    second = (perturbation.shift_m,) if perturbation.kind == "rigid" else ()
-    return KINDS[perturbation.kind].alter(points, perturbation.amount, rng, *second)
+    alter = KINDS[perturbation.kind].alter
+    if perturbation.kind == "rigid":
+        return alter(points, perturbation.amount, rng, perturbation.shift_m)
+    return alter(points, perturbation.amount, rng)
 
 
 def reorder(points: FloatArray, n_lost: float, rng: Generator) -> FloatArray:
@@ -152,16 +154,20 @@ def fill_gaps(points: FloatArray, rows: IndexArray, n_lost: IndexArray) -> tuple
     number = np.arange(len(gap)) - np.repeat(np.cumsum(n_lost) - n_lost, n_lost)
     share = ((number + 1) / (n_lost[gap] + 1))[:, None]
     range_m = np.sqrt((points[rows] ** 2).sum(axis=2, keepdims=True))
-    direction, range_m = (points[rows] / range_m)[gap], range_m[gap]
-    middle, middle_m = ((1 - share) * each[:, 0] + share * each[:, 1] for each in (direction, range_m))
+    direction = (points[rows] / range_m)[gap]
+    range_m = range_m[gap]
+    middle = (1 - share) * direction[:, 0] + share * direction[:, 1]
+    middle_m = (1 - share) * range_m[:, 0] + share * range_m[:, 1]
     filled: FloatArray = middle / np.sqrt((middle**2).sum(axis=1))[:, None] * middle_m
     return filled, rows[gap, (share[:, 0] >= 0.5).astype(np.intp)]
 
 
 def move_rigidly(points: FloatArray, angle_deg: float, rng: Generator, shift_m: float = 0.0) -> FloatArray:
     """Points rotated about +Z through the sensor, then moved in a random horizontal direction."""
-    angle, heading = np.radians(angle_deg), rng.uniform(0.0, 2 * np.pi)
-    cos, sin = np.cos(angle), np.sin(angle)
+    angle = np.radians(angle_deg)
+    heading = rng.uniform(0.0, 2 * np.pi)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
     R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return points @ R.T + shift_m * np.array([np.cos(heading), np.sin(heading), 0.0])
 
@@ -223,18 +229,51 @@ def grow_regions(points: FloatArray, n_chosen: int, rng: Generator) -> BoolArray
 #: Kinds of perturbations by name.
 KINDS = {
     "noise": PerturbationKind(
-        add_noise, 0, 10, "noise {0.amount:g} m", "noise\n{:g} m", "noise, standard deviation (m)", base=10
+        alter=add_noise,
+        low=0,
+        high=10,
+        text="noise {0.amount:g} m",
+        heading="noise\n{:g} m",
+        axis="noise, standard deviation (m)",
+        base=10,
     ),
     "dropout": PerturbationKind(
-        drop_points, 0, 0.99, "dropout {0.amount:.0%}", "drop\n{:.0%}", "dropout, share of points lost"
+        alter=drop_points,
+        low=0,
+        high=0.99,
+        text="dropout {0.amount:.0%}",
+        heading="drop\n{:.0%}",
+        axis="dropout, share of points lost",
     ),
-    "rigid": PerturbationKind(move_rigidly, -180, 180, "rigid {0.shift_m:g} m, {0.amount:g}°", "rigid\n{:g}°"),
+    "rigid": PerturbationKind(
+        alter=move_rigidly,
+        low=-180,
+        high=180,
+        text="rigid {0.shift_m:g} m, {0.amount:g}°",
+        heading="rigid\n{:g}°",
+    ),
     "hallucination": PerturbationKind(
-        *(add_clusters, 0, 10, "hallucination +{0.amount:.0%}", "added\n{:.0%}"),
-        "hallucination, share of points added",
+        alter=add_clusters,
+        low=0,
+        high=10,
+        text="hallucination +{0.amount:.0%}",
+        heading="added\n{:.0%}",
+        axis="hallucination, share of points added",
     ),
     "density": PerturbationKind(
-        change_density, 0, 20, "density x {0.amount:g}", "dens.\nx {:g}", "local density, factor", base=2
+        alter=change_density,
+        low=0,
+        high=20,
+        text="density x {0.amount:g}",
+        heading="dens.\nx {:g}",
+        axis="local density, factor",
+        base=2,
     ),
-    "null": PerturbationKind(reorder, 0, 100, "null, {0.amount:g} point less", "null\n-{:g}"),
+    "null": PerturbationKind(
+        alter=reorder,
+        low=0,
+        high=100,
+        text="null, {0.amount:g} point less",
+        heading="null\n-{:g}",
+    ),
 }

@@ -129,7 +129,8 @@ def rescan(
     off_m = ((planes.mean - points) * planes.normal).sum(axis=1)[:, None]
     target = RayTarget(*_discs(points + off_m * planes.normal, planes.normal, radius_m))
     hits = target.first_hits(directions)
-    rays, surfels = directions[hits.ray_ids], hits.face_ids // 2
+    rays = directions[hits.ray_ids]
+    surfels = hits.face_ids // 2
     range_m = _onto_planes(points, rays, hits.range_m, widest_m[surfels])
     is_detected = rng.random(len(range_m)) >= sensor.lost_share
     range_m = measure_ranges(sensor, range_m, rng)

@@ -261,5 +261,5 @@ def test_two_readers_of_one_suffix_are_refused_and_both_named(monkeypatch):
     monkeypatch.setattr(formats, "entry_points", lambda group: entries)
     formats._other_formats.cache_clear()
     with pytest.raises(DatasetError, match=r"ply and other_package\.ply"):
-        formats.formats()
+        formats.known_formats()
     formats._other_formats.cache_clear()

@@ -11,7 +11,7 @@ from typing import Any
 
 from ....schemas.errors import FidpipeError, ScanError
 from ...storage.urls import remote
-from .formats import formats
+from .formats import known_formats
 from .scan import Scan, cause_of, with_label_file, with_label_names
 from .scan_ref import ScanRef, scan_ref
 
@@ -68,7 +68,7 @@ def read_scan(
     if not known.module:
         if not ref.file.exists():
             raise ScanError(f"{ref}: no such file")
-        raise ScanError(f"{ref}: unknown format; known are {', '.join(formats())}")
+        raise ScanError(f"{ref}: unknown format; known are {', '.join(known_formats())}")
     if (ref.topic or ref.frame) and not known.holds_frames:
         raise ScanError(f"{ref}: a {ref.suffix} file holds one scan; it is named without #")
     if known.holds_frames and ref.is_remote:

@@ -61,7 +61,7 @@ FORMATS = {
 }
 
 
-def formats() -> dict[str, Format]:
+def known_formats() -> dict[str, Format]:
     """The table of readers: ours, and those of other packages that are installed.
 
     Raises

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
+from .scan import columns_of, packed_layout
 
 #: The message type of a point cloud.
 CLOUD = "foxglove.PointCloud"
@@ -79,18 +80,12 @@ def cloud_of(file: Path, connection: Connection, content: bytes) -> tuple[dict[s
             f"{file}: topic {connection.topic}: expected a protobuf schema, got {connection.schema.encoding}"
         )
     cloud = decode(content)
-    fields = [field for field in cloud.fields if field.name and field.type in _NUMBERS]
-    layout = np.dtype(
-        {
-            "names": [field.name for field in fields],
-            "formats": [f"<{_NUMBERS[field.type]}" for field in fields],
-            "offsets": [field.offset for field in fields],
-            "itemsize": cloud.point_stride,
-        }
-    )
     if len(cloud.data) % cloud.point_stride:
         raise ScanError(
             f"{file}: expected points of {cloud.point_stride} bytes in a cloud, got {len(cloud.data)} bytes"
         )
-    points = np.frombuffer(cloud.data, layout)
-    return {name: points[name] for name in layout.names or ()}, cloud.timestamp.seconds + cloud.timestamp.nanos * 1e-9
+    fields = [
+        (field.name, f"<{_NUMBERS[field.type]}", field.offset) for field in cloud.fields if field.type in _NUMBERS
+    ]
+    points = np.frombuffer(cloud.data, packed_layout(fields, cloud.point_stride))
+    return columns_of(points), cloud.timestamp.seconds + cloud.timestamp.nanos * 1e-9

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
 from . import foxglove
-from .scan import Scan, scan_from_columns
+from .scan import Scan, columns_of, packed_layout, scan_from_columns
 from .scan_ref import ScanRef, frame_number
 
 _CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -188,21 +188,16 @@ def _types(is_ros1: bool) -> Any:
 def _cloud_columns(file: Path, cloud: Any) -> dict[str, NDArray[Any]]:
     """The fields of a PointCloud2 by name, row by row where it is organised; fields of several numbers are left out."""
     order = ">" if cloud.is_bigendian else "<"
-    fields = [field for field in cloud.fields if field.count <= 1 and field.name and 1 <= field.datatype <= 8]
-    layout = np.dtype(
-        {
-            "names": [field.name for field in fields],
-            "formats": [order + _NUMBERS[field.datatype - 1] for field in fields],
-            "offsets": [field.offset for field in fields],
-            "itemsize": cloud.point_step,
-        }
-    )
-    row_step = cloud.row_step if cloud.height > 1 else cloud.width * cloud.point_step
-    n_bytes = max(cloud.height - 1, 0) * row_step + cloud.width * cloud.point_step
-    if len(cloud.data) < n_bytes or row_step < cloud.width * cloud.point_step:
+    known = [field for field in cloud.fields if field.count <= 1 and 1 <= field.datatype <= len(_NUMBERS)]
+    fields = [(field.name, order + _NUMBERS[field.datatype - 1], field.offset) for field in known]
+    row_bytes = cloud.width * cloud.point_step
+    row_step = cloud.row_step if cloud.height > 1 else row_bytes
+    n_bytes = max(cloud.height - 1, 0) * row_step + row_bytes
+    if len(cloud.data) < n_bytes or row_step < row_bytes:
         raise ScanError(
             f"{file}: expected {n_bytes} bytes in a cloud, got {len(cloud.data)} in rows of {row_step} "
             f"({cloud.height} x {cloud.width} points of {cloud.point_step})"
         )
-    points = np.ndarray((cloud.height, cloud.width), layout, cloud.data, strides=(row_step, cloud.point_step))
-    return {name: points[name].ravel() for name in layout.names or ()}
+    layout = packed_layout(fields, cloud.point_step)
+    strides = (row_step, cloud.point_step)
+    return columns_of(np.ndarray((cloud.height, cloud.width), layout, cloud.data, strides=strides))

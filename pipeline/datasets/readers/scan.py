@@ -150,6 +150,23 @@ def scan_from_columns(
     )
 
 
+def packed_layout(fields: Iterable[tuple[str, str, int]], point_bytes: int) -> np.dtype[Any]:
+    """The layout of points in memory.
+
+    Parameters
+    ----------
+    fields : name, NumPy's type and offset of each number; those without a name are left out
+    """
+    named = [field for field in fields if field[0]]
+    names, types, offsets = zip(*named, strict=True) if named else ((), (), ())
+    return np.dtype({"names": names, "formats": types, "offsets": offsets, "itemsize": point_bytes})
+
+
+def columns_of(points: NDArray[np.void]) -> dict[str, NDArray[Any]]:
+    """The fields of a structured array by name, row by row."""
+    return {name: points[name].ravel() for name in points.dtype.names or ()}
+
+
 def check_names(path: Path, names: Iterable[str], remedy: str = "") -> None:
     """Raise `ScanError` if x, y or z, in upper or lower case, is not among the names of a file's columns."""
     known = list(names)

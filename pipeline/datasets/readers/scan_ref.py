@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ....schemas.errors import ScanError
 from ...storage.urls import STUB, is_stub, read_stub
-from .formats import Format, formats
+from .formats import Format, known_formats
 
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 _NANOSECONDS = 10**9
@@ -117,7 +117,7 @@ def scan_ref(source: ScanRef | Path | str) -> ScanRef:
 
 
 def _file_ref(file: Path) -> ScanRef:
-    known = formats()
+    known = known_formats()
     is_remote = is_stub(file)
     name = file.stem if is_remote else file.name
     suffix = _suffix_of(file, name.lower(), known)
