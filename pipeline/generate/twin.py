@@ -28,9 +28,9 @@ from ..datasets.readers import read_scan
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..run import select_pairs
-from ..storage.files import csv_bytes, hash_file, key_of, path_exists, write_whole
+from ..storage.files import csv_bytes, hash_file, key_of, named_errors, path_exists, write_whole
 from ..storage.run_record import library_versions
-from .dataset_folder import Recipe, prepare_folder, writing
+from .dataset_folder import Recipe, prepare_folder
 from .recordings import Recording, square
 
 RECIPE = "twin.toml"
@@ -121,7 +121,7 @@ def make_twins(
         "frames": [frame.pair_id for frame in frames],
         "files": sorted({path.name for frame in frames for path in _files(out, frame)}),
     }
-    with writing(out):
+    with named_errors(out):
         files = {out / side / name for side in SIDES for name in recipe["files"]}
         prepare_folder(out, RECIPE, recipe, _own_files, files, recording.label_names, replace=replace)
         tasks = {}

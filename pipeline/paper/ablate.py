@@ -300,9 +300,10 @@ def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:
 
 def _values(name: str, requested: Sequence[float], current: float) -> tuple[float, ...]:
     """The values of a parameter to try including the current one, ascending."""
+    values = sorted({*requested, current})
     if name != "k":
-        return tuple(sorted({*map(float, requested), current}))
-    if any(value != int(value) for value in requested):
+        return tuple(float(value) for value in values)
+    if any(value != int(value) for value in values):
         got = ", ".join(f"{value:g}" for value in requested)
         raise SettingsError(f"--k: expected whole numbers, got {got}")
-    return tuple(sorted({*map(int, requested), int(current)}))
+    return tuple(int(value) for value in values)

@@ -145,7 +145,7 @@ def lose_foliage(points: FloatArray, share: float, rng: Generator, where: BoolAr
 
 def _lose_far(points: FloatArray, share: float, rng: Generator, beyond_m: float) -> FloatArray:
     """Remove a share of the points with a range above `beyond_m`, each independently."""
-    is_far = np.sqrt((points**2).sum(axis=1)) > beyond_m
+    is_far = np.linalg.norm(points, axis=1) > beyond_m
     return points[~(is_far & (rng.random(len(points)) < share))]
 
 
@@ -179,7 +179,7 @@ def _misalign_beams(points: FloatArray, std_deg: float, rng: Generator) -> Float
     local plane n . x = n . p into the direction u' of its beam: x = u' (n . p) / (n . u'). If that changes its range by
     more than a tenth (grazing rays, edges), or if the neighbours are on a line, the range does not change.
     """
-    range_m = np.maximum(np.sqrt((points**2).sum(axis=1)), 1e-9)
+    range_m = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
     level_m = np.hypot(points[:, 0], points[:, 1])
     elevation = np.arctan2(points[:, 2], level_m)
     bands = np.floor((np.degrees(elevation) + 90.0) / _BEAM_DEG).astype(np.intp)

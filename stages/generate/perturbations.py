@@ -123,7 +123,7 @@ def remeasure(points: FloatArray, noise_m: float, lost_share: float, rng: Genera
     >>> bool(np.isclose(again[0, 1] / again[0, 0], 4 / 3)), rows.tolist()
     (True, [0])
     """
-    range_m = np.sqrt((points**2).sum(axis=1))
+    range_m = np.linalg.norm(points, axis=1)
     again = points * (1.0 + noise_m * rng.standard_normal(len(points)) / range_m)[:, None]
     rows = np.flatnonzero(rng.random(len(points)) >= lost_share)
     return again[rows], rows
@@ -153,12 +153,12 @@ def fill_gaps(points: FloatArray, rows: IndexArray, n_lost: IndexArray) -> tuple
     gap = np.repeat(np.arange(len(rows)), n_lost)
     number = np.arange(len(gap)) - np.repeat(np.cumsum(n_lost) - n_lost, n_lost)
     share = ((number + 1) / (n_lost[gap] + 1))[:, None]
-    range_m = np.sqrt((points[rows] ** 2).sum(axis=2, keepdims=True))
+    range_m = np.linalg.norm(points[rows], axis=2, keepdims=True)
     direction = (points[rows] / range_m)[gap]
     range_m = range_m[gap]
     middle = (1 - share) * direction[:, 0] + share * direction[:, 1]
     middle_m = (1 - share) * range_m[:, 0] + share * range_m[:, 1]
-    filled: FloatArray = middle / np.sqrt((middle**2).sum(axis=1))[:, None] * middle_m
+    filled: FloatArray = middle / np.linalg.norm(middle, axis=1)[:, None] * middle_m
     return filled, rows[gap, (share[:, 0] >= 0.5).astype(np.intp)]
 
 

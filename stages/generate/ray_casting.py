@@ -127,7 +127,7 @@ class RayTarget:
         places, ray_ids, face_ids = self._mesh.ray.intersects_location(
             np.zeros_like(directions), directions, multiple_hits=False
         )
-        range_m = np.sqrt((places**2).sum(axis=1))
+        range_m = np.linalg.norm(places, axis=1)
         cos_incidence = np.abs((self._mesh.face_normals[face_ids] * directions[ray_ids]).sum(axis=1))
         return Hits(ray_ids.astype(np.intp), face_ids.astype(np.intp), range_m, cos_incidence)
 

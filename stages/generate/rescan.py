@@ -172,7 +172,7 @@ def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
     _, first = np.unique(columns * _DIRECTION_CELLS[1] + rows, return_index=True)
     added = np.sort(first[~is_near[columns[first], rows[first]]])
     returns = np.concatenate([own, others[added]])
-    return returns / np.sqrt((returns**2).sum(axis=1))[:, None]
+    return returns / np.linalg.norm(returns, axis=1)[:, None]
 
 
 def _direction_cells(points: FloatArray) -> tuple[IndexArray, IndexArray]:
@@ -185,7 +185,7 @@ def _direction_cells(points: FloatArray) -> tuple[IndexArray, IndexArray]:
 
 def _bands(points: FloatArray) -> IndexArray:
     """The band of range of each point, (n,) intp: 0 within 15 m, 1 to 30 m, 2 to 60 m, 3 beyond."""
-    range_m = np.sqrt((points**2).sum(axis=1))
+    range_m = np.linalg.norm(points, axis=1)
     limits = _FULL_DETAIL_M * 2.0 ** np.arange(_BANDS - 1)
     return np.searchsorted(limits, range_m, side="left")
 
@@ -194,7 +194,7 @@ def _discs(centre: FloatArray, normal: FloatArray, radius_m: FloatArray) -> tupl
     """Vertices and faces of squares, two triangles each, of the area of a disc."""
     upright = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     u = np.cross(normal, upright)
-    u /= np.sqrt((u**2).sum(axis=1))[:, None]
+    u /= np.linalg.norm(u, axis=1)[:, None]
     v = np.cross(normal, u)
     half_m = (np.sqrt(np.pi) / 2 * radius_m)[:, None]
     corners = [centre + half_m * (a * u + b * v) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]

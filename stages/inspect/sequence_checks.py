@@ -214,7 +214,7 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
         return None
     low = np.floor(10 * every.min(axis=0)) / 10
     high = np.ceil(10 * every.max(axis=0)) / 10
-    farthest_m = float(np.ceil(10 * np.sqrt((every**2).sum(axis=1)).max()) / 10)
+    farthest_m = float(np.ceil(10 * np.linalg.norm(every, axis=1).max()) / 10)
 
     def others(is_in: Callable[[FloatArray], BoolArray]) -> float:
         n_in = np.array([int(is_in(points).sum()) for points in scans])
