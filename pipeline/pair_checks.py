@@ -56,7 +56,11 @@ def frame_suspect(check: FrameCheck | None) -> FrameSuspect | None:
     )
 
 
-def pair_warnings(pair: ScanPair, sides: Mapping[str, ScanInspection], frames: FrameCheck | None) -> list[str]:
+def pair_warnings(
+    pair: ScanPair,
+    sides: Mapping[str, ScanInspection],
+    frames: FrameCheck | None,
+) -> list[str]:
     """Warnings about a pair that can be evaluated all the same, one line each.
 
     Parameters
@@ -74,16 +78,18 @@ def pair_warnings(pair: ScanPair, sides: Mapping[str, ScanInspection], frames: F
         (narrow_deg, narrow), (wide_deg, wide) = gaps
         if wide_deg > HALF_SWEEP_GAP_DEG >= narrow_deg:
             warnings.append(
-                f"{name}: {pair.scans[wide]}: no point in a sector of {wide_deg:.0f} degrees, {narrow_deg:.0f} on the "
-                f"{narrow} side; is it a half sweep (rotation frequency and tick rate of the simulator differ)?"
+                f"{name}: {pair.scans[wide]}: no point in a sector of {wide_deg:.0f} degrees, "
+                f"{narrow_deg:.0f} on the {narrow} side; is it a half sweep (rotation frequency "
+                "and tick rate of the simulator differ)?"
             )
     if frames and frames.is_suspect:
         warnings.append(f"{name}: {frame_warning(frames)}")
     if frames and frames.is_elsewhere:
         warnings.append(
-            f"{name}: the two scans do not show the same place: the simulated scan covers {frames.coverage:.2f} of the "
-            f"real one in the best of all frames, units and shifts ({frames.as_it_lies:.2f} as given); expected at "
-            f"least {MIN_SAME_PLACE:g}; pair scans of one place, or set T_real_sim"
+            f"{name}: the two scans do not show the same place: the simulated scan covers "
+            f"{frames.coverage:.2f} of the real one in the best of all frames, units and shifts "
+            f"({frames.as_it_lies:.2f} as given); expected at least {MIN_SAME_PLACE:g}; pair "
+            "scans of one place, or set T_real_sim"
         )
     return warnings
 
@@ -92,12 +98,12 @@ def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:
     """One line with both figures and the setting that fixes it."""
     if suspect.coverage - suspect.as_it_lies < MIN_GAIN:
         return (
-            f"the ground of the two scans is at the same height if the simulated scan is {suspect.reading}; is the "
-            f"mount height wrong? set {suspect.setting}"
+            "the ground of the two scans is at the same height if the simulated scan is "
+            f"{suspect.reading}; is the mount height wrong? set {suspect.setting}"
         )
     return (
-        f"the simulated scan covers {suspect.as_it_lies:.2f} of the real one as given and {suspect.coverage:.2f} "
-        f"{suspect.reading}; is it in another frame? set {suspect.setting}"
+        f"the simulated scan covers {suspect.as_it_lies:.2f} of the real one as given and "
+        f"{suspect.coverage:.2f} {suspect.reading}; is it in another frame? set {suspect.setting}"
     )
 
 
@@ -119,13 +125,15 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
         for pair_id, n_sides in counts.items():
             if n_sides == len(SIDES):
                 lines.append(
-                    f"pair {pair_id}: real and simulated file hold the same points; expected two different scans"
+                    f"pair {pair_id}: real and simulated file hold the same points; expected two different scans",
                 )
         if len(counts) > 1:
             named = ", ".join(f"{pair_id} ({side})" for pair_id, side in shared[:5])
             if len(shared) > 5:
                 named += f" and {len(shared) - 5} more"
-            lines.append(f"pairs {named}: the files hold the same points; expected each scan in one pair")
+            lines.append(
+                f"pairs {named}: the files hold the same points; expected each scan in one pair",
+            )
     return lines
 
 
@@ -162,8 +170,8 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
         for side, other in (("real", "sim"), ("sim", "real")):
             if named[side] & _WORDS[other] and not named[side] & _WORDS[side]:
                 lines.append(
-                    f"pair {pair.pair_id}: the {NAMES[side]} scan is {pair.scans[side]}, "
-                    f"which is named {NAMES[other]}; are the sides swapped?"
+                    f"pair {pair.pair_id}: the {NAMES[side]} scan is {pair.scans[side]}, which is "
+                    f"named {NAMES[other]}; are the sides swapped?"
                 )
                 break
     return lines

@@ -84,7 +84,11 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
             raise DatasetError(f"{side}: expected a folder of scans or a recording (bag, capture)")
     if _are_a_dataset(real, sim):
         return real.parent, ""
-    real_line, sim_line, pairing = _paired(real, sim, any(side.format.holds_frames for side in sides))
+    real_line, sim_line, pairing = _paired(
+        real,
+        sim,
+        any(side.format.holds_frames for side in sides),
+    )
     _require_same_sides(sides, out)
     n_pairs = len(pairing.real_ids)
     kept = np.arange(n_pairs, dtype=np.int32)
@@ -126,13 +130,17 @@ def _require_same_sides(sides: Sequence[ScanRef], out: Path) -> None:
     for source, scan in zip(sides, (before[0].real, before[0].sim), strict=True):
         file = scan.file.resolve() if scan else out
         if source.file.resolve() not in (file, file.parent):
-            raise DatasetError(f"{out}: has the pairs of other scans ({file.parent}); give another --out")
+            raise DatasetError(
+                f"{out}: has the pairs of other scans ({file.parent}); give another --out",
+            )
 
 
 def require_partners(dataset: Dataset) -> None:
     """Raise `DatasetError` if no scan of a dataset has a partner."""
     if all(NO_PARTNER in (pair.fault or "") for pair in dataset.pairs):
-        raise DatasetError(f"dataset {dataset.folder}: {_no_partner(*(dataset.folder / side for side in SIDES))}")
+        raise DatasetError(
+            f"dataset {dataset.folder}: {_no_partner(*(dataset.folder / side for side in SIDES))}",
+        )
 
 
 def _are_a_dataset(real: Path, sim: Path) -> bool:
@@ -152,8 +160,8 @@ def _no_partner(real: Path, sim: Path) -> str:
     for side, other in ((real, sim), (sim, real)):
         if not frames[side]:
             return (
-                f"no scans found in {side}; expected one of the same name for each of the {len(frames[other])} in "
-                f"{other}; known formats are {', '.join(known_formats())}"
+                f"no scans found in {side}; expected one of the same name for each of the "
+                f"{len(frames[other])} in {other}; known formats are {', '.join(known_formats())}"
             )
     first = f"{frames[real][0]} and {frames[sim][0]}"
     counts = f"none of {len(frames[real])} real and {len(frames[sim])} simulated scans has a partner of the same name"
@@ -187,13 +195,15 @@ def read_timeline(source: Path) -> Timeline:
         if path.is_file():
             times_s = read_numbers(path, (1, 8))[:, 0]
             if len(times_s) != len(frames):
-                raise DatasetError(f"{path}: expected one time per scan, got {len(times_s)} for {len(frames)} scans")
+                raise DatasetError(
+                    f"{path}: expected one time per scan, got {len(times_s)} for {len(frames)} scans",
+                )
             return _in_order(source, frames, times_s)
     names = [frame.stem for frame in frames]
     if not all(_SECONDS.fullmatch(name) for name in names):
         raise DatasetError(
-            f"{source}: no times found; expected {' or '.join(_TIMES)} with a line for each scan, or names such as "
-            "12.100.ply"
+            f"{source}: no times found; expected {' or '.join(_TIMES)} with a line for each scan, "
+            "or names such as 12.100.ply"
         )
     return _in_order(source, frames, np.array(names, dtype=np.float64))
 
@@ -250,7 +260,12 @@ def _only_number(frame: ScanRef) -> str:
     return str(int(numbers[0])) if len(numbers) == 1 else ""
 
 
-def pair_times(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float, offset_s: float | None = None) -> Pairing:
+def pair_times(
+    real_s: FloatArray,
+    sim_s: FloatArray,
+    tolerance_s: float,
+    offset_s: float | None = None,
+) -> Pairing:
     """Frames that are each other's nearest in time, at most the tolerance apart.
 
     Without an offset that is taken by which most frames pair; of several such 0, or else the one of the smallest gaps;
@@ -287,7 +302,11 @@ def pair_times(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float, offset
     return Pairing(*matches[best], float(offsets_s[best]), tuple(others_s))
 
 
-def _nearest(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float) -> tuple[IntArray, IntArray, FloatArray]:
+def _nearest(
+    real_s: FloatArray,
+    sim_s: FloatArray,
+    tolerance_s: float,
+) -> tuple[IntArray, IntArray, FloatArray]:
     """Positions of frames that are each other's nearest, and their gaps."""
     to_sim = _nearest_ids(real_s, sim_s)
     to_real = _nearest_ids(sim_s, real_s)
@@ -323,7 +342,13 @@ def read_numbers(path: Path, widths: tuple[int, ...]) -> FloatArray:
 
 
 def write_dataset(
-    out: Path, real: Timeline, sim: Timeline, pairing: Pairing, kept: IntArray, *, replace: bool = False
+    out: Path,
+    real: Timeline,
+    sim: Timeline,
+    pairing: Pairing,
+    kept: IntArray,
+    *,
+    replace: bool = False,
 ) -> int:
     """Write `pairs.csv`, and `unpaired.csv` with the frames without a partner; return the number of these.
 
@@ -342,8 +367,9 @@ def write_dataset(
         raise DatasetError(f"{manifest}: already exists; use --replace to overwrite it")
     if not len(kept):
         raise DatasetError(
-            f"{real.source} and {sim.source}: no two frames at one time; real are {_span(real)}, simulated "
-            f"{_span(sim)} s (offset {pairing.offset_s:+.3f}); give another --offset or --tolerance"
+            f"{real.source} and {sim.source}: no two frames at one time; real are {_span(real)}, "
+            f"simulated {_span(sim)} s (offset {pairing.offset_s:+.3f}); give another --offset or "
+            "--tolerance"
         )
     rows = []
     for number, i in enumerate(kept.tolist()):
@@ -351,11 +377,25 @@ def write_dataset(
         frame = real.frames[real_id]
         name = frame.stem if pairing.by_name else f"{number:06}"
         sim_frame = sim.frames[pairing.sim_ids[i]]
-        rows.append((name, _relative(frame, out), _relative(sim_frame, out), _seconds(real.times_s[real_id])))
+        rows.append(
+            (
+                name,
+                _relative(frame, out),
+                _relative(sim_frame, out),
+                _seconds(real.times_s[real_id]),
+            ),
+        )
     unpaired = []
     for side, line, ids in (("real", real, pairing.real_ids), ("sim", sim, pairing.sim_ids)):
         lonely = np.setdiff1d(np.arange(len(line.frames)), ids).tolist()
-        unpaired += [(side, _relative(line.frames[i], out), _seconds(line.times_s[i])) for i in lonely]
+        unpaired += [
+            (
+                side,
+                _relative(line.frames[i], out),
+                _seconds(line.times_s[i]),
+            )
+            for i in lonely
+        ]
     write_whole(out / UNPAIRED, csv_bytes(("side", "frame", "timestamp_s"), unpaired), advice="")
     write_whole(manifest, csv_bytes(("pair_id", *SIDES, "timestamp_s"), rows), advice="")
     return len(unpaired)

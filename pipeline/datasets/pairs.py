@@ -137,7 +137,9 @@ def read_label_names(folder: Path) -> dict[int, str]:
         raise DatasetError(f'{path}: expected lines such as 4 = "tree" ({error})') from error
     longest = max((len(name) for name in names.values()), default=0)
     if longest > LONGEST_LABEL:  # each point takes room for the longest
-        raise DatasetError(f"{path}: expected names of at most {LONGEST_LABEL} characters, got one of {longest}")
+        raise DatasetError(
+            f"{path}: expected names of at most {LONGEST_LABEL} characters, got one of {longest}",
+        )
     return names
 
 
@@ -170,8 +172,8 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
         side = "real" if n_lonely["real"] else "sim"
         example = min(pair.pair_id for pair in pairs if pair.fault and side in pair.scans)
         warnings.append(
-            f"{folder}: {n_lonely['real']} real and {n_lonely['sim']} simulated scans have no partner of the same "
-            f"name, such as {example}; rename them, or {LIST_NAMES}"
+            f"{folder}: {n_lonely['real']} real and {n_lonely['sim']} simulated scans have no "
+            f"partner of the same name, such as {example}; rename them, or {LIST_NAMES}"
         )
     return pairs
 
@@ -203,7 +205,10 @@ def _one_side_hint(folder: Path, paths: list[Path]) -> str:
         command = shlex.join(["fidpipe", "pair", *sources, "-o", f"{folder.resolve().name}-pairs"])
         listed = ", ".join(path.name for path in recordings[:4])
         return f"; it holds recordings ({listed}); to pair them, the real one first: {command}"
-    for other, sides in (("real", [str(folder / "real"), "SIM"]), ("sim", ["REAL", str(folder / "sim")])):
+    for other, sides in (
+        ("real", [str(folder / "real"), "SIM"]),
+        ("sim", ["REAL", str(folder / "sim")]),
+    ):
         if (folder / other).is_dir():
             command = shlex.join(["fidpipe", "run", *sides])
             return f"; expected it next to {other}/; if its scans are elsewhere: {command}"
@@ -253,7 +258,7 @@ def _scans_by_stem(folder: Path) -> tuple[dict[str, ScanRef], list[Path]]:
             raise DatasetError(f"{path}: the name is not UTF-8; rename the file")
         if stem in scans:
             raise DatasetError(
-                f"{folder}: {scans[stem].file.name} and {path.name} have the same stem {stem}; keep one of them"
+                f"{folder}: {scans[stem].file.name} and {path.name} have the same stem {stem}; keep one of them",
             )
         scans[stem] = scan
     return scans, unread
@@ -276,10 +281,14 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     required = ("pair_id", *SIDES) if needs_sim else ("pair_id", "real")
     missing = [name for name in required if name not in columns]
     if missing:
-        raise DatasetError(f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}")
+        raise DatasetError(
+            f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}",
+        )
     for name in columns:
         if columns.count(name) > 1:
-            raise DatasetError(f"{manifest}: column {name} occurs {columns.count(name)} times; expected it once")
+            raise DatasetError(
+                f"{manifest}: column {name} occurs {columns.count(name)} times; expected it once",
+            )
         if name not in _MANIFEST_COLUMNS:
             meant = nearest(name, _MANIFEST_COLUMNS)
             if meant is not None and meant not in columns:
@@ -292,12 +301,16 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     for line, row in enumerate(rows, start=2):
         where = f"{manifest}, line {line}"
         if None in row:
-            raise DatasetError(f"{where}: expected {len(columns)} values, got {len(columns) + len(row[None])}")
+            raise DatasetError(
+                f"{where}: expected {len(columns)} values, got {len(columns) + len(row[None])}",
+            )
         pair_id = row["pair_id"]
         if not pair_id:
             raise DatasetError(f"{where}: pair_id is empty; expected a name")
         if pair_id in lines:
-            raise DatasetError(f"{where}: pair_id {pair_id} is already in line {lines[pair_id]}; expected unique names")
+            raise DatasetError(
+                f"{where}: pair_id {pair_id} is already in line {lines[pair_id]}; expected unique names",
+            )
         lines[pair_id] = line
         scans: dict[str, ScanRef | None] = dict.fromkeys(SIDES)
         faults = []
@@ -407,19 +420,23 @@ def check_rigid(where: str, name: str, numbers: FloatArray) -> FloatArray:
         The numbers are not 12, R is not a rotation, or t is beyond a million kilometres.
     """
     if len(numbers) != 12:
-        raise DatasetError(f"{where}: {name}: expected 12 numbers ([R | t] row by row), got {len(numbers)}")
+        raise DatasetError(
+            f"{where}: {name}: expected 12 numbers ([R | t] row by row), got {len(numbers)}",
+        )
     motion = numbers.reshape(3, 4)
     rotation = motion[:, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # infinite values are not a rotation
         off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if not (off <= _ROTATION_TOLERANCE and np.isfinite(motion).all()):
         raise DatasetError(
-            f"{where}: {name} is not a rigid motion (R R^T is off the identity by {off:.2g}, "
-            f"at most {_ROTATION_TOLERANCE:g} is taken for rounding)"
+            f"{where}: {name} is not a rigid motion (R R^T is off the identity by {off:.2g}, at "
+            f"most {_ROTATION_TOLERANCE:g} is taken for rounding)"
         )
     shift_m = float(np.abs(motion[:, 3]).max())
     if shift_m > FARTHEST_M:
-        raise DatasetError(f"{where}: {name}: expected a translation of at most {FARTHEST_M:g} m, got {shift_m:g} m")
+        raise DatasetError(
+            f"{where}: {name}: expected a translation of at most {FARTHEST_M:g} m, got {shift_m:g} m",
+        )
     if np.linalg.det(rotation) < 0:
         hint = "expected det R = 1"
         if name == "T_real_sim":

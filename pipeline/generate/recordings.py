@@ -47,7 +47,11 @@ class Recording(Dataset):
     poses: Path
 
 
-def read_recording(folder: Path, poses: Path | None = None, calibration: Path | None = None) -> Recording:
+def read_recording(
+    folder: Path,
+    poses: Path | None = None,
+    calibration: Path | None = None,
+) -> Recording:
     """The frames of a folder, with their poses.
 
     Scans lie in `velodyne/`, `real/` or the folder itself and are taken in the order of their names, one pose each.
@@ -76,13 +80,15 @@ def read_recording(folder: Path, poses: Path | None = None, calibration: Path | 
         frames = _frames_of_poses(folder, poses, calibration)
     if len(frames) < FEWEST_FRAMES:
         raise DatasetError(
-            f"recording {folder}: expected at least {FEWEST_FRAMES} frames, got {len(frames)}: each is re-scanned "
-            "in a model of the others"
+            f"recording {folder}: expected at least {FEWEST_FRAMES} frames, got {len(frames)}: "
+            "each is re-scanned in a model of the others"
         )
     scans = [frame.scans["real"] for frame in frames]
     stem, n_alike = Counter(scan.stem for scan in scans).most_common(1)[0]
     if n_alike > 1:
-        raise DatasetError(f"recording {folder}: expected unique names; {n_alike} scans are called {stem}")
+        raise DatasetError(
+            f"recording {folder}: expected unique names; {n_alike} scans are called {stem}",
+        )
     label_names = read_label_names(folder) or read_label_names(scans[0].file.parent)
     return Recording(folder, tuple(frames), label_names, poses=poses)
 
@@ -92,26 +98,30 @@ def _frames_of_manifest(manifest: Path) -> list[ScanPair]:
     for pair in read_manifest(manifest, [], needs_sim=False):
         if pair.T_world_sensor is None:
             raise DatasetError(
-                f"{manifest}: pair {pair.pair_id} has no T_world_sensor; expected 12 numbers ([R | t] row by row), "
-                "or a file of poses (--poses)"
+                f"{manifest}: pair {pair.pair_id} has no T_world_sensor; expected 12 numbers ([R "
+                "| t] row by row), or a file of poses (--poses)"
             )
         if pair.real is None:
             raise DatasetError(f"{manifest}: pair {pair.pair_id} has no real scan ({pair.fault})")
         if pair.real.format.holds_frames:
             raise DatasetError(
-                f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real}; expected a file with one scan"
+                f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real}; "
+                "expected a file with one scan",
             )
         frames.append(replace(pair, sim=None))
     return frames
 
 
 def _find_poses(folder: Path) -> Path:
-    for path in (*(folder / name for name in _POSE_FILES), folder.parent.parent / "poses" / f"{folder.name}.txt"):
+    for path in (
+        *(folder / name for name in _POSE_FILES),
+        folder.parent.parent / "poses" / f"{folder.name}.txt",
+    ):
         if path.is_file():
             return path
     raise DatasetError(
-        f"recording {folder}: no poses found; expected {', '.join(_POSE_FILES)}, a {MANIFEST} with "
-        "T_world_sensor, or a file named by --poses"
+        f"recording {folder}: no poses found; expected {', '.join(_POSE_FILES)}, a {MANIFEST} "
+        "with T_world_sensor, or a file named by --poses"
     )
 
 
@@ -121,12 +131,14 @@ def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> lis
     for place in places:
         scans = scans or scans_in(place)
     if not scans:
-        raise DatasetError(f"recording {folder}: no scans found; expected files in velodyne/, real/ or the folder")
+        raise DatasetError(
+            f"recording {folder}: no scans found; expected files in velodyne/, real/ or the folder",
+        )
     rows = read_numbers(poses, (_TUM_NUMBERS, _KITTI_NUMBERS))
     if len(rows) != len(scans):
         raise DatasetError(
-            f"{poses}: expected one pose per scan in the order of their names, got {len(rows)} poses for "
-            f"{len(scans)} scans ({scans[0].file.name} to {scans[-1].file.name})"
+            f"{poses}: expected one pose per scan in the order of their names, got {len(rows)} "
+            f"poses for {len(scans)} scans ({scans[0].file.name} to {scans[-1].file.name})"
         )
     if rows.shape[1] == _TUM_NUMBERS:
         motions = _tum_motions(poses, rows[:, 1:])
@@ -136,7 +148,9 @@ def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> lis
         times = _kitti_times(folder / _TIMES, len(scans))
     frames = []
     for scan, motion, time_s in zip(scans, motions, times, strict=True):
-        frames.append(ScanPair(scan.stem, scan, None, time_s, T_world_sensor=tuple(motion.ravel().tolist())))
+        frames.append(
+            ScanPair(scan.stem, scan, None, time_s, T_world_sensor=tuple(motion.ravel().tolist())),
+        )
     return frames
 
 
@@ -145,30 +159,47 @@ def _tum_motions(poses: Path, rows: FloatArray) -> FloatArray:
     from scipy.spatial.transform import Rotation
 
     length = np.sqrt((rows[:, 3:] ** 2).sum(axis=1))
-    wrong = np.flatnonzero(~(np.abs(length - 1) <= _QUATERNION_TOLERANCE) | ~np.isfinite(rows).all(axis=1))
+    wrong = np.flatnonzero(
+        ~(np.abs(length - 1) <= _QUATERNION_TOLERANCE) | ~np.isfinite(rows).all(axis=1),
+    )
     if len(wrong):
         raise DatasetError(
-            f"{poses}, pose {wrong[0] + 1}: not a rigid motion (expected a quaternion of length 1, got "
-            f"{length[wrong[0]]:.3g}); lines are time tx ty tz qx qy qz qw"
+            f"{poses}, pose {wrong[0] + 1}: not a rigid motion (expected a quaternion of length "
+            f"1, got {length[wrong[0]]:.3g}); lines are time tx ty tz qx qy qz qw"
         )
     R = Rotation.from_quat(rows[:, 3:]).as_matrix()
     return np.concatenate([R, rows[:, :3, None]], axis=2)
 
 
-def _kitti_motions(folder: Path, poses: Path, rows: FloatArray, calibration: Path | None) -> FloatArray:
+def _kitti_motions(
+    folder: Path,
+    poses: Path,
+    rows: FloatArray,
+    calibration: Path | None,
+) -> FloatArray:
     """(n, 3, 4) float64, T_world_sensor = Tr^-1 T_world_camera Tr; the world is then the sensor's first frame."""
-    T_world_camera = [check_rigid(f"{poses}, pose {line}", "the pose", row) for line, row in enumerate(rows, start=1)]
+    T_world_camera = [
+        check_rigid(
+            f"{poses}, pose {line}",
+            "the pose",
+            row,
+        )
+        for line, row in enumerate(rows, start=1)
+    ]
     T_camera_sensor = square(_read_calibration(calibration or folder / _CALIBRATION, poses))
     T_sensor_camera = np.linalg.inv(T_camera_sensor)
-    return np.array([(T_sensor_camera @ square(motion) @ T_camera_sensor)[:3] for motion in T_world_camera])
+    return np.array(
+        [(T_sensor_camera @ square(motion) @ T_camera_sensor)[:3] for motion in T_world_camera],
+    )
 
 
 def _read_calibration(path: Path, poses: Path) -> FloatArray:
     """(3, 4) float64, the line `Tr` of KITTI's calibration."""
     if not path.is_file():
         raise DatasetError(
-            f"{path}: no such file; {poses.name} holds 12 numbers per line, KITTI's poses of the camera, which "
-            "need a calibration with the line Tr (--calib); poses of the sensor are read in TUM format"
+            f"{path}: no such file; {poses.name} holds 12 numbers per line, KITTI's poses of the "
+            "camera, which need a calibration with the line Tr (--calib); poses of the sensor "
+            "are read in TUM format"
         )
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -190,7 +221,9 @@ def _kitti_times(path: Path, n_frames: int) -> list[float] | list[None]:
         return [None] * n_frames
     times: list[float] = read_numbers(path, (1,))[:, 0].tolist()
     if len(times) != n_frames:
-        raise DatasetError(f"{path}: expected one time per scan, got {len(times)} for {n_frames} scans")
+        raise DatasetError(
+            f"{path}: expected one time per scan, got {len(times)} for {n_frames} scans",
+        )
     return times
 
 

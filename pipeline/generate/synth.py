@@ -59,7 +59,15 @@ def make_dataset(
     names = [pair_name(index) for index in range(n_pairs)]
     with named_errors(out):
         files = {path for name in names for path in _files(out, name)}
-        prepare_folder(out, RECIPE, recipe, _own_files, files, dict(enumerate(KINDS)), replace=replace)
+        prepare_folder(
+            out,
+            RECIPE,
+            recipe,
+            _own_files,
+            files,
+            dict(enumerate(KINDS)),
+            replace=replace,
+        )
         tasks = {}
         for index, name in enumerate(names):
             if not all(path.exists() for path in _files(out, name)):

@@ -100,13 +100,16 @@ def make_twins(
     require_ray_caster()
     if settings.real_frame != "ros":
         raise FidpipeError(
-            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a recording require '
+            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a '
+            "recording require "
             f"{FRAME_AXES['ros']}; convert its scans and poses first"
         )
     known = list(recording.label_names.values())
     for label in foliage if known else ():
         if label not in known:
-            raise FidpipeError(f"foliage {label!r}: no such label in {LABEL_NAMES}; {suggestion(label, known)}")
+            raise FidpipeError(
+                f"foliage {label!r}: no such label in {LABEL_NAMES}; {suggestion(label, known)}",
+            )
     frames = select_pairs(recording, pattern)
     if out.resolve() == recording.folder.resolve():
         raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
@@ -123,7 +126,15 @@ def make_twins(
     }
     with named_errors(out):
         files = {out / side / name for side in SIDES for name in recipe["files"]}
-        prepare_folder(out, RECIPE, recipe, _own_files, files, recording.label_names, replace=replace)
+        prepare_folder(
+            out,
+            RECIPE,
+            recipe,
+            _own_files,
+            files,
+            recording.label_names,
+            replace=replace,
+        )
         tasks = {}
         for frame in frames:
             tasks[frame.pair_id] = _Task(
@@ -201,7 +212,15 @@ def _row(frame: ScanPair) -> tuple[str, ...]:
     """The row of a pair in the manifest."""
     time_s = "" if frame.timestamp_s is None else repr(frame.timestamp_s)
     real, sim, _ = _files(Path(), frame)
-    return frame.pair_id, str(real), str(sim), time_s, " ".join(map(repr, frame.T_world_sensor or ()))
+    return (
+        frame.pair_id,
+        str(real),
+        str(sim),
+        time_s,
+        " ".join(
+            map(repr, frame.T_world_sensor or ()),
+        ),
+    )
 
 
 def _write_twin(task: _Task) -> None:
@@ -239,10 +258,17 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
             except ScanError:  # its own pair fails
                 continue
             motion = T_sensor_world @ square(frame.T_world_sensor or ())
-            voxels = extend_map(voxels, points @ motion[:3, :3].T + motion[:3, 3], is_labelled, brightness)
+            voxels = extend_map(
+                voxels,
+                points @ motion[:3, :3].T + motion[:3, 3],
+                is_labelled,
+                brightness,
+            )
             others.append(points)
         if len(others) < _LEAST_OTHERS:
-            raise StageError(f"expected at least {_LEAST_OTHERS} readable other scans for a model, got {len(others)}")
+            raise StageError(
+                f"expected at least {_LEAST_OTHERS} readable other scans for a model, got {len(others)}",
+            )
         rng = _rng(task, task.frame.pair_id)
         if task.sensor.name == RECORDED.name:
             directions = recorded_directions(scan, np.concatenate(others))
@@ -251,7 +277,10 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
         points, is_foliage, intensity = rescan(voxels, directions, task.sensor, rng)
         for flaw in task.flaws:
             kind = FLAWS[flaw.name]
-            rng = _rng(task, flaw.name if kind.is_systematic else f"{task.frame.pair_id}/{flaw.name}")
+            rng = _rng(
+                task,
+                flaw.name if kind.is_systematic else f"{task.frame.pair_id}/{flaw.name}",
+            )
             if flaw.name == "foliage" and task.foliage:  # the first flaw: no rows are lost yet
                 altered = lose_foliage(points, flaw.amount, rng, is_foliage)
             else:
@@ -262,7 +291,7 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
                 intensity = kind.intensity(points, intensity, flaw.amount)
     if not len(points):
         raise StageError(
-            "no points: no ray hits the model, or the flaws remove every point; check the poses and the amounts"
+            "no points: no ray hits the model, or the flaws remove every point; check the poses and the amounts",
         )
     return points, intensity
 
@@ -275,7 +304,9 @@ def _read(task: _Task, frame: ScanPair) -> tuple[FloatArray, BoolArray | None, F
     if not task.foliage:
         return clean.points, None, intensity
     if scan.labels is None:
-        raise ScanError(f"{frame.real}: has no labels; expected labels for the foliage ({', '.join(task.foliage)})")
+        raise ScanError(
+            f"{frame.real}: has no labels; expected labels for the foliage ({', '.join(task.foliage)})",
+        )
     return clean.points, np.isin(scan.labels[clean.point_ids], task.foliage), intensity
 
 

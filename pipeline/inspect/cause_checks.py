@@ -53,7 +53,11 @@ class CauseSamples:
         self._amounts: list[dict[str, Amount]] = []
 
     def add(
-        self, pair: ScanPair, scans: Mapping[str, Scan], sensors: Mapping[str, SensorDescription], content: str
+        self,
+        pair: ScanPair,
+        scans: Mapping[str, Scan],
+        sensors: Mapping[str, SensorDescription],
+        content: str,
     ) -> None:
         """Add a pair; left out if its scans have too little in common.
 
@@ -73,7 +77,10 @@ class CauseSamples:
             self._amounts.append(estimates.amounts)
 
     def _pair_scans(
-        self, scans: Mapping[str, Scan], sensors: Mapping[str, SensorDescription], T_real_sim: FloatArray | None
+        self,
+        scans: Mapping[str, Scan],
+        sensors: Mapping[str, SensorDescription],
+        T_real_sim: FloatArray | None,
     ) -> PairScans:
         real, real_cut = remove_road(scans["real"].points, self._settings, "real")
         sim, sim_cut = remove_road(

@@ -58,7 +58,12 @@ def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
     view += _notes("warning: ", dataset.warnings, "yellow")
     view += _notes("error: ", dataset.faults, "red")
     view.append(_space_needed(_disk_bytes(dataset)))
-    view.append(Note(f"{n_usable} of {n_pairs} pairs can be evaluated", "red" if dataset.faults else "green"))
+    view.append(
+        Note(
+            f"{n_usable} of {n_pairs} pairs can be evaluated",
+            "red" if dataset.faults else "green",
+        ),
+    )
     if run_command and n_usable:
         view.append(Note(f"next: {run_command}"))
     return view
@@ -74,7 +79,14 @@ def _pair_table(dataset: DatasetCheck) -> Table:
             if scan is None or scan.fault:
                 rows.append((name, side, None, None, "", "cannot be used" if scan else "missing"))
                 continue
-            extent = "  ".join(f"{high - low:.1f}" for low, high in zip(scan.low, scan.high, strict=True))
+            extent = "  ".join(
+                f"{high - low:.1f}"
+                for low, high in zip(
+                    scan.low,
+                    scan.high,
+                    strict=True,
+                )
+            )
             dropped = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in scan.dropped.items() if n)
             rows.append((name, side, scan.n_raw, scan.n_clean, extent, dropped or "none"))
     columns = ("pair", "side", "points", "clean", "extent x y z (m)", "dropped")
@@ -110,7 +122,9 @@ def _causes(check: CauseCheck) -> View:
 
 def _disk_bytes(dataset: DatasetCheck) -> int:
     """Disk space that the tables of a run may take."""
-    return CostModel().disk_bytes(sum(scan.n_raw for check in dataset.pairs for scan in check.sides.values()))
+    return CostModel().disk_bytes(
+        sum(scan.n_raw for check in dataset.pairs for scan in check.sides.values()),
+    )
 
 
 def _space_needed(need: int) -> Note:
@@ -120,5 +134,8 @@ def _space_needed(need: int) -> Note:
     if free is None:
         return Note(text)
     if need > free:
-        return Note(f"warning: {text}; {megabytes(free)} are free here, give it another --out", "yellow")
+        return Note(
+            f"warning: {text}; {megabytes(free)} are free here, give it another --out",
+            "yellow",
+        )
     return Note(f"{text}; {megabytes(free)} are free here")

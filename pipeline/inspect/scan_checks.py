@@ -54,7 +54,16 @@ class ScanCheck:
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON; `azimuth_gap_deg` is 0 if the file cannot be read."""
         gap_deg = self.inspection.azimuth_gap_deg if self.inspection else 0.0
-        numbers = {name: getattr(self, name) for name in ("n_raw", "n_clean", "dropped", "low", "high")}
+        numbers = {
+            name: getattr(self, name)
+            for name in (
+                "n_raw",
+                "n_clean",
+                "dropped",
+                "low",
+                "high",
+            )
+        }
         return numbers | {"azimuth_gap_deg": gap_deg, "fault": self.fault}
 
 
@@ -109,15 +118,27 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     checks = _check_pairs(dataset.pairs, settings.input, dataset.label_names)
     samples = SideSamples(dataset.pairs, settings.input)
     comparable = [check.pair.pair_id for check in checks if check.frames and not check.frames.is_suspect]
-    causes = CauseSamples([pair_id for pair_id in comparable if pair_id in samples.pair_ids], settings)
+    causes = CauseSamples(
+        [pair_id for pair_id in comparable if pair_id in samples.pair_ids],
+        settings,
+    )
     for check in checks:
         pair_id = check.pair.pair_id
         if pair_id in samples.pair_ids:
             scans = _read_again(check, settings.input, dataset.label_names)
             samples.add(check.pair, scans)
             if pair_id in causes.pair_ids:
-                causes.add(check.pair, scans, samples.sensors_of(pair_id), check.sides["real"].sha256)
-    warnings = [*dataset.warnings, *swapped_sides(dataset.pairs, folder), *shared_files(_hashes(checks))]
+                causes.add(
+                    check.pair,
+                    scans,
+                    samples.sensors_of(pair_id),
+                    check.sides["real"].sha256,
+                )
+    warnings = [
+        *dataset.warnings,
+        *swapped_sides(dataset.pairs, folder),
+        *shared_files(_hashes(checks)),
+    ]
     faults = []
     counts: dict[str, list[int]] = {side: [] for side in SIDES}
     for check in checks:
@@ -195,7 +216,11 @@ def _check_scan(
     return check, scan.points
 
 
-def _check_pairs(pairs: tuple[ScanPair, ...], settings: InputSettings, label_names: dict[int, str]) -> list[PairCheck]:
+def _check_pairs(
+    pairs: tuple[ScanPair, ...],
+    settings: InputSettings,
+    label_names: dict[int, str],
+) -> list[PairCheck]:
     """Check each pair: in this process, unless a reader may end it."""
     in_workers = may_crash(pairs)
     checks, failures = map_tasks(
@@ -205,10 +230,21 @@ def _check_pairs(pairs: tuple[ScanPair, ...], settings: InputSettings, label_nam
         n_workers=None if in_workers else 1,
         may_end_workers=in_workers,
     )
-    return [checks.get(pair.pair_id) or PairCheck(pair, fault=failures[pair.pair_id]) for pair in pairs]
+    return [
+        checks.get(pair.pair_id)
+        or PairCheck(
+            pair,
+            fault=failures[pair.pair_id],
+        )
+        for pair in pairs
+    ]
 
 
-def _read_again(check: PairCheck, settings: InputSettings, label_names: dict[int, str]) -> dict[str, Scan]:
+def _read_again(
+    check: PairCheck,
+    settings: InputSettings,
+    label_names: dict[int, str],
+) -> dict[str, Scan]:
     """The scans of a pair that was checked; one without points if it could not be read."""
     scans = {}
     for side, result in check.sides.items():

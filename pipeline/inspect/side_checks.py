@@ -77,7 +77,11 @@ class SideSamples:
             # neither cleaned nor moved: beams are those of its frame
             points = at_sensor(scan.points, side, self._settings)
             if len(scan.points):
-                self._sensors[side][pair.pair_id] = describe_sensor(points, scan.rings, scan.times_s is not None)
+                self._sensors[side][pair.pair_id] = describe_sensor(
+                    points,
+                    scan.rings,
+                    scan.times_s is not None,
+                )
             if scan.notes:
                 self._notes[side] = scan.notes
             if scan.intensity is not None and len(scan.points) and side not in self._intensity:
@@ -154,8 +158,9 @@ class SideSamples:
         empty = find_empty_side(counts["real"], counts["sim"])
         if empty is not None:
             lines.append(
-                f"the {NAMES[empty]} side is nearly empty: median of {np.median(counts['real']):.0f} points real and "
-                f"{np.median(counts['sim']):.0f} simulated, after cleaning; was the sensor on, are its columns right?"
+                f"the {NAMES[empty]} side is nearly empty: median of "
+                f"{np.median(counts['real']):.0f} points real and {np.median(counts['sim']):.0f} "
+                "simulated, after cleaning; was the sensor on, are its columns right?"
             )
             return lines
         moved = {side: moved_m(self._sequences(side)) for side in SIDES}
@@ -163,8 +168,9 @@ class SideSamples:
         if static is not None:
             other = "sim" if static == "real" else "real"
             lines.append(
-                f"all {NAMES[static]} scans are nearly identical: neighbouring ones are {moved[static]:.2f} m apart, "
-                f"{NAMES[other]} ones {moved[other]:.2f} m; is one scan written again and again?"
+                f"all {NAMES[static]} scans are nearly identical: neighbouring ones are "
+                f"{moved[static]:.2f} m apart, {NAMES[other]} ones {moved[other]:.2f} m; is one "
+                "scan written again and again?"
             )
         else:
             lines += self._time_offset()
@@ -200,8 +206,9 @@ class SideSamples:
                 lines.append(f"{NAMES[side]} scans: intensity is {law}; {question}")
         if len(highest) == len(SIDES) and min(highest.values()) <= 1.0 and max(highest.values()) > _UNIT_SCALE:
             lines.append(
-                f"intensities have different scales: up to {highest['real']:.3g} on the real side, up to "
-                f"{highest['sim']:.3g} on the simulated side; expected 0 to 1 or 0 to 255 on both"
+                f"intensities have different scales: up to {highest['real']:.3g} on the real "
+                f"side, up to {highest['sim']:.3g} on the simulated side; expected 0 to 1 or 0 to "
+                "255 on both"
             )
         return lines
 
@@ -212,7 +219,9 @@ class SideSamples:
         times: list[float] = []
         for stretch in self._stretches:
             pairs = [pair for pair in stretch if pair.pair_id in real and pair.pair_id in sim]
-            sequences.append(([real[pair.pair_id] for pair in pairs], [sim[pair.pair_id] for pair in pairs]))
+            sequences.append(
+                ([real[pair.pair_id] for pair in pairs], [sim[pair.pair_id] for pair in pairs]),
+            )
             if stretch is self._stretches[0]:
                 times = [pair.timestamp_s for pair in pairs if pair.timestamp_s is not None]
         offset = find_time_offset(sequences)
@@ -226,9 +235,10 @@ class SideSamples:
         if len(times) > 1:
             lag += f" ({n_frames * float(np.median(np.diff(times))):.2g} s)"
         return [
-            f"simulated scans seem {lag}: real ones are {offset.misfit_m:.2f} m from those of pair "
-            f"{offset.frames:+d}, {offset.as_paired_m:.2f} m from their own (better in {offset.n_better} of "
-            f"{offset.n}); is fidpipe pair's --offset right, or is the simulated sensor mounted farther ahead or back?"
+            f"simulated scans seem {lag}: real ones are {offset.misfit_m:.2f} m from those of "
+            f"pair {offset.frames:+d}, {offset.as_paired_m:.2f} m from their own (better in "
+            f"{offset.n_better} of {offset.n}); is fidpipe pair's --offset right, or is the "
+            "simulated sensor mounted farther ahead or back?"
         ]
 
     def _ego_hits(self, side: str, side_moved_m: float) -> list[str]:
@@ -282,7 +292,8 @@ def _ego_text(hits: EgoHits, side: str, settings: InputSettings) -> str:
     corners = np.array([hits.low, hits.high]) @ axes.T
     box = ",".join(f"{value + 0.0:.1f}" for value in (*corners.min(axis=0), *corners.max(axis=0)))
     return (
-        f"{hits.share:.1%} of the points lie within {hits.farthest_m:.1f} m and move with the sensor: hits on the ego "
-        f"vehicle? input.exclude_box={box} drops them and {hits.others_in_box:.1%} others, "
-        f"input.min_range_m={hits.farthest_m:.1f} them and {hits.others_in_range:.1%} others"
+        f"{hits.share:.1%} of the points lie within {hits.farthest_m:.1f} m and move with the "
+        f"sensor: hits on the ego vehicle? input.exclude_box={box} drops them and "
+        f"{hits.others_in_box:.1%} others, input.min_range_m={hits.farthest_m:.1f} them and "
+        f"{hits.others_in_range:.1%} others"
     )

@@ -94,7 +94,12 @@ CHOSEN = ("k", "tau_m", "t")
 _SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
-def evaluate_pair(pair: ScanPair, scans: Mapping[str, Scan], settings: Settings, request: Request) -> JobResult:
+def evaluate_pair(
+    pair: ScanPair,
+    scans: Mapping[str, Scan],
+    settings: Settings,
+    request: Request,
+) -> JobResult:
     """One row of `ablate` per parameter set of the request.
 
     Graphs and communities of both sides are computed once for each k and tau; an object that is matched under several
@@ -180,10 +185,20 @@ class AblateOutcome(ExperimentOutcome):
     def scores(self, metric: str, tried: Sequence[ParameterSet]) -> FloatArray:
         """(n_pairs, n_sets) values of a column of `ablate`, without pairs where one is missing."""
         wide = self.rows.to_pandas().pivot(index="pair_id", columns=_NAMES, values=metric)
-        values: FloatArray = wide.reindex(columns=pd.MultiIndex.from_tuples(tried)).dropna().to_numpy(dtype=np.float64)
+        values: FloatArray = (
+            wide.reindex(
+                columns=pd.MultiIndex.from_tuples(tried),
+            )
+            .dropna()
+            .to_numpy(dtype=np.float64)
+        )
         return values
 
-    def spreads(self, columns: Sequence[str], tried: Sequence[ParameterSet] | None = None) -> pd.DataFrame:
+    def spreads(
+        self,
+        columns: Sequence[str],
+        tried: Sequence[ParameterSet] | None = None,
+    ) -> pd.DataFrame:
         """Mean and std over pairs of some columns, one row per parameter set; by default all that exist, ascending."""
         spreads: pd.DataFrame = self.rows.to_pandas().groupby(_NAMES)[[*columns]].agg(["mean", "std"])
         return spreads if tried is None else spreads.reindex(pd.MultiIndex.from_tuples(tried))
@@ -222,11 +237,18 @@ def ablate_dataset(
     FidpipeError
         The dataset, a setting or the folder is invalid; raised before any work.
     """
-    base = ParameterSet(settings.graph.k, settings.graph.tau_m, settings.matching.delta_m, settings.selection.t)
+    base = ParameterSet(
+        settings.graph.k,
+        settings.graph.tau_m,
+        settings.matching.delta_m,
+        settings.selection.t,
+    )
     requested = dict(values or {})
     if settings.communities.objects == "reference":
         if {*requested.get("delta_m", ())} - {base.delta_m}:
-            raise SettingsError("--delta: leave it out; objects fixed by the real side are not matched by distance")
+            raise SettingsError(
+                "--delta: leave it out; objects fixed by the real side are not matched by distance",
+            )
         requested["delta_m"] = ()
     tried = {}
     for name, parameter in PARAMETERS.items():
@@ -235,7 +257,9 @@ def ablate_dataset(
         with_parameters(settings, parameters)  # raises before any work
     source = read_source(dataset, pattern)
     if scan_ref(dataset).exists:
-        raise SettingsError(f"{dataset}: is a scan; expected a dataset with real and simulated scans")
+        raise SettingsError(
+            f"{dataset}: is a scan; expected a dataset with real and simulated scans",
+        )
     request = {
         "base": list(base),
         "values": {name: list(numbers) for name, numbers in tried.items()},
@@ -269,7 +293,11 @@ def choose(outcome: AblateOutcome) -> list[Choice]:
     return choose_parameters(trials)
 
 
-def parameter_sets(base: ParameterSet, values: dict[str, tuple[float, ...]], grid: bool) -> list[ParameterSet]:
+def parameter_sets(
+    base: ParameterSet,
+    values: dict[str, tuple[float, ...]],
+    grid: bool,
+) -> list[ParameterSet]:
     """The parameter sets to try: one parameter varied at a time, or all combinations.
 
     Examples
@@ -281,7 +309,9 @@ def parameter_sets(base: ParameterSet, values: dict[str, tuple[float, ...]], gri
     """
     if grid:
         return [ParameterSet(int(k), *rest) for k, *rest in product(*values.values())]
-    return sorted({base.with_value(name, value) for name, tried in values.items() for value in tried})
+    return sorted(
+        {base.with_value(name, value) for name, tried in values.items() for value in tried},
+    )
 
 
 def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:

@@ -130,9 +130,13 @@ def read_source(path: Path, pattern: str | None = None, *, first_only: bool = Fa
     scan = scan_ref(path)
     if scan.exists:
         if not scan.format.module:
-            raise ScanError(f"{path}: not a known scan format; expected a scan file or a dataset folder")
+            raise ScanError(
+                f"{path}: not a known scan format; expected a scan file or a dataset folder",
+            )
         if pattern is not None:
-            raise DatasetError(f"--pairs {pattern!r}: {path} is one scan; expected a dataset folder")
+            raise DatasetError(
+                f"--pairs {pattern!r}: {path} is one scan; expected a dataset folder",
+            )
         folder = scan.file.resolve().parent
         names = read_label_names(folder) or read_label_names(folder.parent)
         return Dataset(path, (ScanPair(scan.stem, scan, None),), names)
@@ -327,7 +331,11 @@ def _tasks(
     return tasks, failures
 
 
-def _content_keys(pair: ScanPair, sides: tuple[str, ...], label_names: Mapping[int, str]) -> tuple[str, ...]:
+def _content_keys(
+    pair: ScanPair,
+    sides: tuple[str, ...],
+    label_names: Mapping[int, str],
+) -> tuple[str, ...]:
     """A hash of the content of the scan of each side; `ScanError` if one cannot be read."""
     keys = []
     for side in sides:
@@ -365,7 +373,11 @@ def _evaluate(task: PairTask) -> JobRecord:
     return replace(record, files=folder.write_job(record, result.tables))
 
 
-def _write_tables(experiment: Experiment, folder: RunFolder, records: list[JobRecord]) -> dict[str, pa.Table]:
+def _write_tables(
+    experiment: Experiment,
+    folder: RunFolder,
+    records: list[JobRecord],
+) -> dict[str, pa.Table]:
     """Join the tables of all pairs, summarise them, and write both; returns them by name."""
     tables = {}
     for name in experiment.tables:

@@ -54,7 +54,9 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
     with new_figure(11, _TOP_IN + _ROW_IN * n_rows) as figure:
         heights = (_TOP_IN, max(_ROW_IN * n_rows, 0.1))
         top, bottom = _halves(figure, heights)
-        top.suptitle(f"scan {shown_name(scan)}, altered; bands: one standard deviation over the repeats")
+        top.suptitle(
+            f"scan {shown_name(scan)}, altered; bands: one standard deviation over the repeats",
+        )
         grid = top.add_gridspec(1, 1 + len(shown), width_ratios=[1.3] + [1.0] * len(shown))
         chosen_colours = {chosen.community_id: colours[chosen.name] for chosen in shown}
         _draw_scene(top.add_subplot(grid[0]), points, community, chosen_colours)
@@ -83,7 +85,11 @@ def draw_ablation(outcome: AblateOutcome) -> Path | None:
         if has_maps:
             top, bottom = _halves(figure, (1.0, 1.0))
             _draw_maps(bottom, outcome)
-        for axis, name in zip(top.subplots(1, len(names), sharey=True, squeeze=False)[0], names, strict=True):
+        for axis, name in zip(
+            top.subplots(1, len(names), sharey=True, squeeze=False)[0],
+            names,
+            strict=True,
+        ):
             _draw_scores(axis, outcome, name)
         top.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2)
         path = outcome.folder / "ablate.png"
@@ -97,7 +103,12 @@ def _halves(figure: Any, heights: tuple[float, float]) -> tuple[Any, Any]:
     return top, bottom
 
 
-def _draw_panels(figure: Any, outcome: PerturbOutcome, curves: Sequence[str], colours: dict[str, str]) -> None:
+def _draw_panels(
+    figure: Any,
+    outcome: PerturbOutcome,
+    curves: Sequence[str],
+    colours: dict[str, str],
+) -> None:
     """Two panels for each kind of perturbation; those of one metric share a scale."""
     panels = [(kind, metric) for kind in curves for metric in ("r_lambda", "r_gap")]
     axes = figure.subplots((len(panels) + 3) // 4, 4, squeeze=False).ravel()
@@ -111,20 +122,44 @@ def _draw_panels(figure: Any, outcome: PerturbOutcome, curves: Sequence[str], co
         axis.set_ylim(bottom=0)
     for axis in axes[len(panels) :]:
         axis.set_axis_off()
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(colours))
+    figure.legend(
+        *axes[0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=len(colours),
+    )
 
 
-def _draw_scene(axis: Any, points: FloatArray, community: IntArray, colour_of: dict[int, str]) -> None:
+def _draw_scene(
+    axis: Any,
+    points: FloatArray,
+    community: IntArray,
+    colour_of: dict[int, str],
+) -> None:
     """All objects from above, the chosen ones in colour."""
-    greys = 0.62 + 0.25 * (np.arange(int(community.max()) + 1) * 0.618 % 1)  # consecutive numbers differ
+    greys = 0.62 + 0.25 * (
+        np.arange(
+            int(community.max()) + 1,
+        )
+        * 0.618
+        % 1
+    )  # consecutive numbers differ
     dots(axis, points, 0.8, np.repeat(greys[community, None], 3, axis=1))
     for chosen, colour in colour_of.items():
         dots(axis, points[community == chosen], 1.6, colour)
     from_above(axis, frame_of(points))
-    axis.set_title(f"(a) {int(community.max()) + 1} objects from above,\n{len(colour_of)} of them chosen", fontsize=8.5)
+    axis.set_title(
+        f"(a) {int(community.max()) + 1} objects from above,\n{len(colour_of)} of them chosen",
+        fontsize=8.5,
+    )
 
 
-def _draw_curves(axis: Any, means: Means, levels: Sequence[Perturbation], metric: str, colours: dict[str, str]) -> None:
+def _draw_curves(
+    axis: Any,
+    means: Means,
+    levels: Sequence[Perturbation],
+    metric: str,
+    colours: dict[str, str],
+) -> None:
     levels = sorted(levels, key=lambda level: level.amount)
     for marker, (name, colour) in zip(_MARKERS * len(colours), colours.items(), strict=False):
         curve = []
@@ -148,8 +183,22 @@ def _draw_scores(axis: Any, outcome: AblateOutcome, name: str) -> None:
     for score, (colour, marker) in _SCORES.items():
         mean = spreads[score, "mean"].to_numpy()
         std = spreads[score, "std"].fillna(0).to_numpy()
-        draw_band(axis, values, mean, std, marker=marker, color=colour, label=metric_of(score).label)
-    axis.axvline(getattr(outcome.base, name), color="black", linewidth=0.8, linestyle="--", zorder=0)
+        draw_band(
+            axis,
+            values,
+            mean,
+            std,
+            marker=marker,
+            color=colour,
+            label=metric_of(score).label,
+        )
+    axis.axvline(
+        getattr(outcome.base, name),
+        color="black",
+        linewidth=0.8,
+        linestyle="--",
+        zorder=0,
+    )
     if values.max() > 10 * values.min() > 0:
         axis.set_xscale("log")
     mark_amounts(axis, values)
@@ -166,8 +215,20 @@ def _draw_maps(figure: Any, outcome: AblateOutcome) -> None:
         middle = np.mean(picture.get_clim())
         for (row, column), value in np.ndenumerate(table.to_numpy()):
             colour = "white" if value < middle else "black"
-            axis.text(column, row, f"{value:.3f}", ha="center", va="center", fontsize=7.5, color=colour)
+            axis.text(
+                column,
+                row,
+                f"{value:.3f}",
+                ha="center",
+                va="center",
+                fontsize=7.5,
+                color=colour,
+            )
         axis.set_xticks(range(table.shape[1]), [f"{k:g}" for k in table.columns])
         axis.set_yticks(range(table.shape[0]), [f"{tau_m:g}" for tau_m in table.index])
-        axis.set(xlabel=PARAMETERS["k"].label, ylabel=PARAMETERS["tau_m"].label, title=metric_of(score).label)
+        axis.set(
+            xlabel=PARAMETERS["k"].label,
+            ylabel=PARAMETERS["tau_m"].label,
+            title=metric_of(score).label,
+        )
         figure.colorbar(picture, ax=axis)

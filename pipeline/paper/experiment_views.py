@@ -17,7 +17,13 @@ from .perturb import PerturbOutcome
 _TABLE_I_SCORES = ("match_rate", "centroid_distance_m_mean", "eigenspectrum_distance_mean")
 _ROUNDING = 1e-12
 #: The parts of r_lambda, and other scores.
-_DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "cdc", "alignment_rms_m")
+_DETAILS = (
+    "max_eigenvalue_shift",
+    "laplacian_change",
+    "eigenspectrum_distance",
+    "cdc",
+    "alignment_rms_m",
+)
 
 _OBJECT_SCORES = ("r_lambda", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m", "cdc")
 #: Means over pairs; the first two also have a standard deviation.
@@ -45,9 +51,21 @@ def ablate_view(outcome: AblateOutcome) -> View:
     """A table for each parameter, and the choice."""
     parts: list[Part] = []
     if outcome.rows.num_rows:
-        parts += [_parameter_table(outcome, name) for name in PARAMETERS if len(outcome.values[name]) > 1]
+        parts += [
+            _parameter_table(outcome, name)
+            for name in PARAMETERS
+            if len(
+                outcome.values[name],
+            )
+            > 1
+        ]
         parts += [Note("The choice", "bold"), Note(f"Rule: {RULE}.")]
-        parts += [Note(f"  {choice.name.removesuffix('_m')}: {choice.text}") for choice in choose(outcome)]
+        parts += [
+            Note(
+                f"  {choice.name.removesuffix('_m')}: {choice.text}",
+            )
+            for choice in choose(outcome)
+        ]
         note = "A small r_lambda can also result from a poor alignment (a large change): compare shift and change."
         parts.append(Note(f"{note}\n"))
     results = "ablate_summary.parquet (means over pairs), ablate.parquet (a row per pair and parameter set), ablate.png"
@@ -59,13 +77,18 @@ def _last_lines(outcome: ExperimentOutcome, results: str) -> list[Note]:
     notes = []
     if outcome.failures:
         n_failed = len(outcome.failures)
-        notes.append(Note(f"{n_failed} failed, see the messages above and failures in run.json", "red"))
+        notes.append(
+            Note(f"{n_failed} failed, see the messages above and failures in run.json", "red"),
+        )
     made = f"{count(outcome.n_made, 'scan')} evaluated, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"
     return [*notes, Note(made), Note(f"results: {outcome.folder}/{results}")]
 
 
 def _level_table(
-    title: str, columns: Sequence[str], outcome: PerturbOutcome, cells: Callable[[Perturbation], Sequence[str]]
+    title: str,
+    columns: Sequence[str],
+    outcome: PerturbOutcome,
+    cells: Callable[[Perturbation], Sequence[str]],
 ) -> Table:
     """One row per level and a line after each kind; only the names of the levels never break into lines."""
     levels = outcome.levels
@@ -85,7 +108,14 @@ def _table_i(outcome: PerturbOutcome, means: Means) -> Table:
 
 def _chosen_table(outcome: PerturbOutcome) -> Table:
     rows = [
-        (chosen.name, chosen.pair_id, chosen.community_id, chosen.n_points, chosen.range_m, chosen.why)
+        (
+            chosen.name,
+            chosen.pair_id,
+            chosen.community_id,
+            chosen.n_points,
+            chosen.range_m,
+            chosen.why,
+        )
         for chosen in outcome.objects
     ]
     columns = ("object", "scan", "id", "points", "range (m)", "chosen as")
@@ -94,7 +124,10 @@ def _chosen_table(outcome: PerturbOutcome) -> Table:
 
 def _object_table(outcome: PerturbOutcome, means: Means, column: str) -> Table:
     names = list(dict.fromkeys(chosen.name for chosen in outcome.objects))
-    n = max((means.get(name, level, column).n for name in names for level in outcome.levels), default=0)
+    n = max(
+        (means.get(name, level, column).n for name in names for level in outcome.levels),
+        default=0,
+    )
     metric = METRIC[column]
     title = f"{metric.label} of single objects ({metric.scale}), mean ± std over {n} repeats"
 

@@ -90,15 +90,20 @@ def objects_in(tables: PairTables, scan_id: str) -> ScanObjects:
     )
 
 
-def _by_names(scan: ScanObjects, names: Sequence[str], least: int, say: Callable[[str], None]) -> list[ChosenObject]:
+def _by_names(
+    scan: ScanObjects,
+    names: Sequence[str],
+    least: int,
+    say: Callable[[str], None],
+) -> list[ChosenObject]:
     chosen: dict[int, ChosenObject] = {}
     for name in names:
         candidate = _by_name(scan, name, least)
         first = chosen.setdefault(candidate.community_id, candidate)
         if first is not candidate:
             say(
-                f"--objects {name}: object {candidate.community_id} of scan {scan.pair_id} "
-                f"is already chosen as {first.name}; left out"
+                f"--objects {name}: object {candidate.community_id} of scan {scan.pair_id} is "
+                f"already chosen as {first.name}; left out"
             )
     return list(chosen.values())
 
@@ -107,11 +112,18 @@ def _by_name(scan: ScanObjects, name: str, least: int) -> ChosenObject:
     if name.isdigit():
         if int(name) >= len(scan.n_points):
             raise DatasetError(
-                f"--objects {name}: expected an id of scan {scan.pair_id} from 0 to {len(scan.n_points) - 1}"
+                f"--objects {name}: expected an id of scan {scan.pair_id} from 0 to {len(scan.n_points) - 1}",
             )
         return scan.chosen(int(name), f"object {name}", "as requested")
     chosen = typical_of_class(scan, name, least)
     if chosen is None:
-        known = ", ".join(sorted({label for label in scan.labels if label})) or "none: it has no labels"
-        raise DatasetError(f"--objects {name}: no object of scan {scan.pair_id} has this label; its labels are {known}")
+        known = (
+            ", ".join(
+                sorted({label for label in scan.labels if label}),
+            )
+            or "none: it has no labels"
+        )
+        raise DatasetError(
+            f"--objects {name}: no object of scan {scan.pair_id} has this label; its labels are {known}",
+        )
     return chosen

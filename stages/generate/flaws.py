@@ -53,7 +53,13 @@ class Flaw:
     is_whole: bool = False
     intensity: Callable[[FloatArray, FloatArray, float], FloatArray] | None = None
 
-    def __call__(self, points: FloatArray, amount: float, rng: Generator, at_m: float | None = None) -> FloatArray:
+    def __call__(
+        self,
+        points: FloatArray,
+        amount: float,
+        rng: Generator,
+        at_m: float | None = None,
+    ) -> FloatArray:
         """Return the altered points, (m, 3): the kept points in their order, then new ones. No points remain no points.
 
         Parameters
@@ -127,7 +133,12 @@ def is_foliage(points: FloatArray) -> BoolArray:
     return fit_planes(points, points, _NEIGHBOURS).scattering >= SCATTERED
 
 
-def lose_foliage(points: FloatArray, share: float, rng: Generator, where: BoolArray | None = None) -> FloatArray:
+def lose_foliage(
+    points: FloatArray,
+    share: float,
+    rng: Generator,
+    where: BoolArray | None = None,
+) -> FloatArray:
     """Remove a share of the foliage, in clumps of 2 m instead of single leaves.
 
     Parameters
@@ -167,7 +178,12 @@ def _blur(points: FloatArray, radius_m: float, rng: Generator) -> FloatArray:
     """
     if radius_m == 0:
         return points.copy()
-    planes = fit_planes(voxel_means(points, radius_m / _BLUR_VOXELS), points, _BLUR_NEIGHBOURS, radius_m)
+    planes = fit_planes(
+        voxel_means(points, radius_m / _BLUR_VOXELS),
+        points,
+        _BLUR_NEIGHBOURS,
+        radius_m,
+    )
     off_m = ((planes.mean - points) * planes.normal).sum(axis=1)
     return points + np.where(planes.n_neighbours >= 3, off_m, 0.0)[:, None] * planes.normal
 
@@ -186,7 +202,9 @@ def _misalign_beams(points: FloatArray, std_deg: float, rng: Generator) -> Float
     errors = np.radians(rng.normal(0.0, std_deg, round(180.0 / _BEAM_DEG) + 1))
     altered_elevation = elevation + errors[bands]
     heading = points[:, :2] / np.maximum(level_m, 1e-9)[:, None]
-    directions = np.column_stack([np.cos(altered_elevation)[:, None] * heading, np.sin(altered_elevation)])
+    directions = np.column_stack(
+        [np.cos(altered_elevation)[:, None] * heading, np.sin(altered_elevation)],
+    )
     planes = fit_planes(points, points, _NEIGHBOURS)
     with np.errstate(divide="ignore", invalid="ignore"):
         slid_m = (planes.normal * points).sum(axis=1) / (planes.normal * directions).sum(axis=1)
@@ -221,19 +239,71 @@ def _scaled(_: FloatArray, intensity: FloatArray, factor: float) -> FloatArray:
 
 _KINDS = (
     Flaw("foliage", "share of the foliage lost, in clumps of 2 m", 0, 1, lose_foliage),
-    Flaw("holes", "number of holes", 0, 10_000, _cut_holes, at_m=1.5, at="radius of a hole, metres", is_whole=True),
-    Flaw("far-dropout", "share lost beyond a range", 0, 1, _lose_far, at_m=25.0, at="range, metres"),
+    Flaw(
+        "holes",
+        "number of holes",
+        0,
+        10_000,
+        _cut_holes,
+        at_m=1.5,
+        at="radius of a hole, metres",
+        is_whole=True,
+    ),
+    Flaw(
+        "far-dropout",
+        "share lost beyond a range",
+        0,
+        1,
+        _lose_far,
+        at_m=25.0,
+        at="range, metres",
+    ),
     Flaw("dropout", "share of the points lost", 0, 1, drop_points),
-    Flaw("density", "factor of the density in regions that hold 30 % of the points", 0, 8, change_density),
-    Flaw("beams", "std of each beam's elevation error, degrees", 0, 10, _misalign_beams, is_systematic=True),
+    Flaw(
+        "density",
+        "factor of the density in regions that hold 30 % of the points",
+        0,
+        8,
+        change_density,
+    ),
+    Flaw(
+        "beams",
+        "std of each beam's elevation error, degrees",
+        0,
+        10,
+        _misalign_beams,
+        is_systematic=True,
+    ),
     Flaw("blur", "radius within which surfaces are smoothed, metres", 0, 5, _blur),
     Flaw("noise", "std of the noise on each coordinate, metres", 0, 10, add_noise),
     Flaw("ghosts", "points in ghost clusters of 20, per point", 0, 8, add_clusters),
     Flaw("yaw", "turn about the vertical, degrees", -180, 180, move_rigidly, is_systematic=True),
-    Flaw("offset", "shift in a random horizontal direction, metres", 0, 100, _shift, is_systematic=True),
-    Flaw("mirrored", "1: y is negated; 0: it is not", 0, 1, _mirror, is_systematic=True, is_whole=True),
+    Flaw(
+        "offset",
+        "shift in a random horizontal direction, metres",
+        0,
+        100,
+        _shift,
+        is_systematic=True,
+    ),
+    Flaw(
+        "mirrored",
+        "1: y is negated; 0: it is not",
+        0,
+        1,
+        _mirror,
+        is_systematic=True,
+        is_whole=True,
+    ),
     Flaw("intensity-constant", "intensity of all points", 0, 65_535, _keep, intensity=_constant),
-    Flaw("intensity-range", "a of exp(-a d), 1/m, as in CARLA", 0, 10, _keep, intensity=_attenuated),
+    Flaw(
+        "intensity-range",
+        "a of exp(-a d), 1/m, as in CARLA",
+        0,
+        10,
+        _keep,
+        intensity=_attenuated,
+    ),
     Flaw("intensity-scale", "factor of the intensity", 0, 65_535, _keep, intensity=_scaled),
 )
 #: Flaws by name, in the order in which they are applied to a scan: losses, distortions, additions, then rigid motions.
@@ -268,7 +338,7 @@ def parse_flaws(words: Sequence[str]) -> tuple[ChosenFlaw, ...]:
         except ValueError:
             second = f", and {FLAWS[name].at} after a colon" if FLAWS[name].at_m is not None else ""
             raise FidpipeError(
-                f"flaw {word!r}: expected {name}=AMOUNT with a number ({FLAWS[name].amount}{second})"
+                f"flaw {word!r}: expected {name}=AMOUNT with a number ({FLAWS[name].amount}{second})",
             ) from None
         FLAWS[name].check(flaw.amount, flaw.at_m)
         chosen[name] = flaw

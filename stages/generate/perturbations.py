@@ -97,7 +97,12 @@ def drop_points(points: FloatArray, share: float, rng: Generator) -> FloatArray:
     return points[rng.random(len(points)) >= share]
 
 
-def remeasure(points: FloatArray, noise_m: float, lost_share: float, rng: Generator) -> tuple[FloatArray, IndexArray]:
+def remeasure(
+    points: FloatArray,
+    noise_m: float,
+    lost_share: float,
+    rng: Generator,
+) -> tuple[FloatArray, IndexArray]:
     """A simulated second measurement of the points by the same beams.
 
     p' = p (1 + e / |p|) with e ~ N(0, noise_m): noise along the ray alone; then each is lost independently with the
@@ -129,7 +134,11 @@ def remeasure(points: FloatArray, noise_m: float, lost_share: float, rng: Genera
     return again[rows], rows
 
 
-def fill_gaps(points: FloatArray, rows: IndexArray, n_lost: IndexArray) -> tuple[FloatArray, IndexArray]:
+def fill_gaps(
+    points: FloatArray,
+    rows: IndexArray,
+    n_lost: IndexArray,
+) -> tuple[FloatArray, IndexArray]:
     """The returns of lost pulses, evenly spaced in direction and range between two returns of one beam.
 
     Parameters
@@ -162,7 +171,12 @@ def fill_gaps(points: FloatArray, rows: IndexArray, n_lost: IndexArray) -> tuple
     return filled, rows[gap, (share[:, 0] >= 0.5).astype(np.intp)]
 
 
-def move_rigidly(points: FloatArray, angle_deg: float, rng: Generator, shift_m: float = 0.0) -> FloatArray:
+def move_rigidly(
+    points: FloatArray,
+    angle_deg: float,
+    rng: Generator,
+    shift_m: float = 0.0,
+) -> FloatArray:
     """Points rotated about +Z through the sensor, then moved in a random horizontal direction."""
     angle = np.radians(angle_deg)
     heading = rng.uniform(0.0, 2 * np.pi)
@@ -207,7 +221,9 @@ def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatAr
     n_near = min(SURFACE_NEIGHBOURS, len(points) - 1)
     _, near = cKDTree(points).query(points[start], k=n_near + 1)
     end = near[np.arange(n_new), rng.integers(1, n_near + 1, size=n_new)]
-    return np.vstack([points, points[start] + rng.random((n_new, 1)) * (points[end] - points[start])])
+    return np.vstack(
+        [points, points[start] + rng.random((n_new, 1)) * (points[end] - points[start])],
+    )
 
 
 def grow_regions(points: FloatArray, n_chosen: int, rng: Generator) -> BoolArray:

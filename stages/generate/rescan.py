@@ -80,8 +80,12 @@ def extend_map(
     """
     merged = np.concatenate([voxels.points, points])
     weight = np.concatenate([voxels.n_points, np.ones(len(points))])
-    foliage = np.concatenate([voxels.foliage, np.zeros(len(points)) if is_foliage is None else is_foliage])
-    bright = np.concatenate([voxels.intensity, np.full(len(points), np.nan) if intensity is None else intensity])
+    foliage = np.concatenate(
+        [voxels.foliage, np.zeros(len(points)) if is_foliage is None else is_foliage],
+    )
+    bright = np.concatenate(
+        [voxels.intensity, np.full(len(points), np.nan) if intensity is None else intensity],
+    )
     band = _bands(merged)
     parts = []
     for number in range(_BANDS):
@@ -90,7 +94,11 @@ def extend_map(
         own = weight[rows]
         total = np.bincount(ids, own)
         columns = np.column_stack([merged[rows], foliage[rows], bright[rows]])
-        parts.append(np.column_stack([sums_by_id(own[:, None] * columns, ids, len(total)) / total[:, None], total]))
+        parts.append(
+            np.column_stack(
+                [sums_by_id(own[:, None] * columns, ids, len(total)) / total[:, None], total],
+            ),
+        )
     means = np.concatenate(parts)
     return VoxelMap(means[:, :3], means[:, 5], means[:, 3], means[:, 4])
 
@@ -125,7 +133,10 @@ def rescan(
     widest_m = (_WIDEST * VOXEL_M * 2.0 ** _bands(points)).astype(np.float64)
     planes = fit_planes(points, points, _PLANE_NEIGHBOURS)
     apart, _ = cKDTree(points).query(points, k=[min(_RADIUS_NEIGHBOUR + 1, len(points))])
-    radius_m = np.minimum(apart[:, 0], widest_m) * np.where(planes.scattering >= SCATTERED, _LEAF, 1.0)
+    radius_m = np.minimum(
+        apart[:, 0],
+        widest_m,
+    ) * np.where(planes.scattering >= SCATTERED, _LEAF, 1.0)
     off_m = ((planes.mean - points) * planes.normal).sum(axis=1)[:, None]
     target = RayTarget(*_discs(points + off_m * planes.normal, planes.normal, radius_m))
     hits = target.first_hits(directions)
@@ -139,7 +150,12 @@ def rescan(
     return (rays * range_m[:, None])[is_detected], voxels.foliage[seen] > 0.5, voxels.intensity[seen]
 
 
-def _onto_planes(points: FloatArray, rays: FloatArray, range_m: FloatArray, widest_m: FloatArray) -> FloatArray:
+def _onto_planes(
+    points: FloatArray,
+    rays: FloatArray,
+    range_m: FloatArray,
+    widest_m: FloatArray,
+) -> FloatArray:
     """Ranges on the local planes of the map: x = u (n . m) / (n . u), with m and n mean and normal."""
     planes = fit_planes(points, rays * range_m[:, None], _PLANE_NEIGHBOURS)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -190,7 +206,11 @@ def _bands(points: FloatArray) -> IndexArray:
     return np.searchsorted(limits, range_m, side="left")
 
 
-def _discs(centre: FloatArray, normal: FloatArray, radius_m: FloatArray) -> tuple[FloatArray, IndexArray]:
+def _discs(
+    centre: FloatArray,
+    normal: FloatArray,
+    radius_m: FloatArray,
+) -> tuple[FloatArray, IndexArray]:
     """Vertices and faces of squares, two triangles each, of the area of a disc."""
     upright = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     u = np.cross(normal, upright)

@@ -140,7 +140,12 @@ def build_box(foot: FloatArray, size_m: FloatArray, reflectivity: float) -> Mesh
     return build_prism(outline - along / 2, along, reflectivity)
 
 
-def build_house(foot: FloatArray, size_m: FloatArray, street_side: int, reflectivity: float) -> Mesh:
+def build_house(
+    foot: FloatArray,
+    size_m: FloatArray,
+    street_side: int,
+    reflectivity: float,
+) -> Mesh:
     """A house with a gable roof, and windows in the front.
 
     Parameters

@@ -94,7 +94,12 @@ def _step_for(n_points: int, street: _Surface, sensor: SensorModel) -> float:
     return sensor.n_beams * 360.0 * max(share, 0.01) / n_points
 
 
-def _scan_street(street: _Surface, sensor: SensorModel, step_deg: float, rng: np.random.Generator) -> SynthScan:
+def _scan_street(
+    street: _Surface,
+    sensor: SensorModel,
+    step_deg: float,
+    rng: np.random.Generator,
+) -> SynthScan:
     """The real scan, with undetected hits, range noise and quantum; intensity is reflectivity, 0-255."""
     directions = fire(sensor, rng.uniform(0.0, 360.0), step_deg).directions()
     hits = street.target.first_hits(directions)
@@ -142,7 +147,11 @@ def _scan_twin(
 
 
 def _between(
-    beams: Beams, ray_ids: IndexArray, sensor: SensorModel, step_deg: float, rng: np.random.Generator
+    beams: Beams,
+    ray_ids: IndexArray,
+    sensor: SensorModel,
+    step_deg: float,
+    rng: np.random.Generator,
 ) -> FloatArray:
     """(n, 3) float64, unit vectors: random beams around the given ones, up to half way to their neighbours."""
     elevation_rad = np.sort(np.radians(sensor.elevation_deg))

@@ -107,7 +107,9 @@ class EgoHits:
     others_in_box: float
 
 
-def find_time_offset(sequences: Sequence[tuple[Sequence[SequenceScan], Sequence[SequenceScan]]]) -> TimeOffset | None:
+def find_time_offset(
+    sequences: Sequence[tuple[Sequence[SequenceScan], Sequence[SequenceScan]]],
+) -> TimeOffset | None:
     """Find by how many frames the simulated side is late, if scans of other pairs fit clearly better; else None.
 
     The misfit m(i, j) of real scan i and simulated scan j is compared with m(i, i), for j = i + k and |k| <= 3. The k
@@ -135,7 +137,10 @@ def find_time_offset(sequences: Sequence[tuple[Sequence[SequenceScan], Sequence[
         as_paired_m, misfit_m = both.mean(axis=0).tolist()
         gain_m = as_paired_m - misfit_m
         n_better = int((both[:, 1] < both[:, 0]).sum())
-        is_clear = gain_m > max(_MIN_GAIN_M, _MIN_GAIN * as_paired_m) and n_better >= _AGREEING * len(both)
+        is_clear = gain_m > max(
+            _MIN_GAIN_M,
+            _MIN_GAIN * as_paired_m,
+        ) and n_better >= _AGREEING * len(both)
         if is_clear and (best is None or gain_m > best.as_paired_m - best.misfit_m):
             best = TimeOffset(late, misfit_m, as_paired_m, n_better, len(both))
     return best
@@ -165,7 +170,10 @@ def find_static_side(real_moved_m: float, sim_moved_m: float) -> str | None:
     ----------
     real_moved_m, sim_moved_m : see `moved_m`
     """
-    for side, side_m, other_m in (("real", real_moved_m, sim_moved_m), ("sim", sim_moved_m, real_moved_m)):
+    for side, side_m, other_m in (
+        ("real", real_moved_m, sim_moved_m),
+        ("sim", sim_moved_m, real_moved_m),
+    ):
         if side_m < _STILL_M and is_moving(other_m) and other_m > 2.5 * side_m:
             return side
     return None
@@ -240,7 +248,11 @@ def _staying(points: FloatArray, others: Sequence[cKDTree]) -> FloatArray:
     points = points[n_seen >= _AGREEING * len(others)]
     if not len(points):
         return points
-    _, first, cell = np.unique(voxel_ids(points, _LINK_M / 2), return_index=True, return_inverse=True)
+    _, first, cell = np.unique(
+        voxel_ids(points, _LINK_M / 2),
+        return_index=True,
+        return_inverse=True,
+    )
     component = connected_points(points[first], _LINK_M)[cell]
     reach = np.zeros(component.max() + 1)
     np.maximum.at(reach, component, np.hypot(points[:, 0], points[:, 1]))

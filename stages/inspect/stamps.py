@@ -41,7 +41,11 @@ class StampCheck:
     faults: tuple[str, ...] = ()
 
 
-def describe_stamps(times_s: FloatArray, points: FloatArray, stamp_s: float | None = None) -> StampCheck:
+def describe_stamps(
+    times_s: FloatArray,
+    points: FloatArray,
+    stamp_s: float | None = None,
+) -> StampCheck:
     """Check the point times of one scan.
 
     A time is missing if it is NaN, or if a quarter of all returns share it while others differ (such as 0). A
@@ -57,7 +61,10 @@ def describe_stamps(times_s: FloatArray, points: FloatArray, stamp_s: float | No
     stamp_s : time of the scan (the header of its message), seconds; times below one day are relative to it
     """
     if len(times_s) != len(points):
-        return StampCheck(0.0, faults=(f"expected {len(points)} times, one per point, got {len(times_s)}",))
+        return StampCheck(
+            0.0,
+            faults=(f"expected {len(points)} times, one per point, got {len(times_s)}",),
+        )
     is_return = np.isfinite(points).all(axis=1) & points.any(axis=1)
     points = points[is_return]
     times = times_s[is_return]
@@ -66,12 +73,17 @@ def describe_stamps(times_s: FloatArray, points: FloatArray, stamp_s: float | No
     is_missing = ~np.isfinite(times)
     values, counts = np.unique(times[~is_missing], return_counts=True)
     if len(values) == 1 and not is_missing.any():
-        return StampCheck(0.0, faults=("all points have one time; motion during a revolution cannot be compensated",))
+        return StampCheck(
+            0.0,
+            faults=("all points have one time; motion during a revolution cannot be compensated",),
+        )
     faults = []
     if len(values) > 1 and counts.max() > _MAX_EQUAL_SHARE * len(times):
         is_missing |= times == values[counts.argmax()]
     if is_missing.mean() > _MAX_MISSING:
-        faults.append(f"{is_missing.mean():.0%} of the points have no time (NaN, or one value for all of them)")
+        faults.append(
+            f"{is_missing.mean():.0%} of the points have no time (NaN, or one value for all of them)",
+        )
     if (~is_missing).sum() < _MIN_POINTS:
         return StampCheck(0.0, faults=tuple(faults))
     points = points[~is_missing]
@@ -92,11 +104,14 @@ def describe_stamps(times_s: FloatArray, points: FloatArray, stamp_s: float | No
         if times.min() > _DAY_S:
             after_s += stamp_s
         share = after_s / span_s
-        place = next((name for name, at in _PLACES.items() if abs(share - at) < _PLACE_TOLERANCE), None)
+        place = next(
+            (name for name, at in _PLACES.items() if abs(share - at) < _PLACE_TOLERANCE),
+            None,
+        )
         if not -_PLACE_TOLERANCE < share < 1 + _PLACE_TOLERANCE:
             faults.append(
-                f"the scan's own time is {after_s:+.3f} s after its first point, outside of the {span_s:.3f} s of its "
-                "points; are both from one clock?"
+                f"the scan's own time is {after_s:+.3f} s after its first point, outside of the "
+                f"{span_s:.3f} s of its points; are both from one clock?"
             )
     return StampCheck(span_s, place, rotation or 0, tuple(faults))
 
@@ -114,13 +129,13 @@ def stamp_differences(real: StampCheck | None, sim: StampCheck | None) -> list[s
     if real.place and sim.place and real.place != sim.place:
         apart = abs(_PLACES[real.place] - _PLACES[sim.place]) * max(real.span_s, sim.span_s)
         lines.append(
-            f"the time of a real scan is that of its {real.place} point, the time of a simulated scan that of its "
-            f"{sim.place} point: scans with the same time are {apart:.2g} s apart"
+            f"the time of a real scan is that of its {real.place} point, the time of a simulated "
+            f"scan that of its {sim.place} point: scans with the same time are {apart:.2g} s apart"
         )
     if real.rotation * sim.rotation < 0:
         ways = {1: "anticlockwise", -1: "clockwise"}
         lines.append(
-            f"by the times, the real sensor rotates {ways[real.rotation]} and the simulated one {ways[sim.rotation]}"
+            f"by the times, the real sensor rotates {ways[real.rotation]} and the simulated one {ways[sim.rotation]}",
         )
     return lines
 
@@ -133,14 +148,25 @@ def _rotation(points: FloatArray, times: FloatArray) -> int | None:
     """Sense of rotation by time: +1, -1, 0 if there are too few returns; None if there is no rotation."""
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     start, stop = np.quantile(times, (0.005, 0.995))
-    if len(times) < _MIN_POINTS or start == stop or len(np.unique(np.floor(azimuth / (np.pi / 6)))) < 7:
+    if (
+        len(times) < _MIN_POINTS
+        or start == stop
+        or len(
+            np.unique(np.floor(azimuth / (np.pi / 6))),
+        )
+        < 7
+    ):
         return 0
     part = np.floor((times - start) / (stop - start) * _BINS)
     is_used: BoolArray = (part >= 0) & (part < _BINS)
     number = part[is_used].astype(np.intp)
     azimuth = azimuth[is_used]
     count = np.bincount(number, minlength=_BINS)
-    total = np.bincount(number, np.cos(azimuth), _BINS) + 1j * np.bincount(number, np.sin(azimuth), _BINS)
+    total = np.bincount(
+        number,
+        np.cos(azimuth),
+        _BINS,
+    ) + 1j * np.bincount(number, np.sin(azimuth), _BINS)
     is_full = count >= _MIN_IN_BIN
     mean = total[is_full] / count[is_full]
     if len(mean) < _BINS / 3:

@@ -14,10 +14,11 @@ from ..arrays import FloatArray
 from ..statistics.comparison import holm
 
 RULE = (
-    "a value replaces the current one if its match rate is clearly higher (of several the highest), or, if no match "
-    "rate is, if its r_lambda is clearly lower and its match rate not clearly lower (of several the lowest r_lambda). "
-    "Clearly: by a paired t-test over the pairs at 5 %, corrected (Holm) for all tests of the experiment: without any "
-    "effect some setting is replaced in under 5 % of the experiments. Delta is left out: the larger it is, the more "
+    "a value replaces the current one if its match rate is clearly higher (of several the "
+    "highest), or, if no match rate is, if its r_lambda is clearly lower and its match rate not "
+    "clearly lower (of several the lowest r_lambda). Clearly: by a paired t-test over the pairs "
+    "at 5 %, corrected (Holm) for all tests of the experiment: without any effect some setting "
+    "is replaced in under 5 % of the experiments. Delta is left out: the larger it is, the more "
     "objects match, regardless of their quality"
 )
 LEVEL = 0.05

@@ -53,7 +53,11 @@ class Means:
         self._by_key: dict[tuple[str | None, Perturbation, str], Mean] = {}
         for row in rows:
             level = Perturbation(row["kind"], row["amount"], row["shift_m"])
-            self._by_key[row["object"], level, row["metric"]] = Mean(row["mean"], row["std"], row["n"])
+            self._by_key[row["object"], level, row["metric"]] = Mean(
+                row["mean"],
+                row["std"],
+                row["n"],
+            )
         self.objects = tuple(dict.fromkeys(name for name, _, _ in self._by_key if name is not None))
         self.object_metrics = {metric for name, _, metric in self._by_key if name is not None}
 
@@ -81,7 +85,15 @@ def react(means: Means, levels: Sequence[Perturbation]) -> list[Reaction]:
     for metric in (*OWN_METRICS, *sorted(means.object_metrics - set(OBJECT_METRICS))):
         values = [means.over_objects(level, metric) for level in strongest]
         equal = METRIC[metric].equal or 0.0
-        moved = {level: abs(v - equal) for level, v in zip(strongest, values, strict=True) if v is not None}
+        moved = {
+            level: abs(v - equal)
+            for level, v in zip(
+                strongest,
+                values,
+                strict=True,
+            )
+            if v is not None
+        }
         most = max(moved, key=lambda level: moved[level]) if any(moved.values()) else None
         reactions.append(Reaction(metric, tuple(values), most))
     return reactions

@@ -36,7 +36,9 @@ def frames_of(source: ScanRef | Path | str) -> list[ScanRef]:
     """
     recording = scan_ref(source)
     if not recording.format.holds_frames:
-        raise ScanError(f"{source}: expected a bag or a capture of packets: files of this format hold no frames")
+        raise ScanError(
+            f"{source}: expected a bag or a capture of packets: files of this format hold no frames",
+        )
     with _reader(recording) as reader:
         frames: list[ScanRef] = reader.frames(recording)
     return frames
@@ -116,7 +118,14 @@ def _reader(ref: ScanRef) -> Iterator[Any]:
             raise
         content = ref.format.content
         what = f"not {content}" if content else "cannot be read"
-        cause = "its header is not text" if isinstance(error, UnicodeDecodeError) else cause_of(error)
+        cause = (
+            "its header is not text"
+            if isinstance(
+                error,
+                UnicodeDecodeError,
+            )
+            else cause_of(error)
+        )
         if isinstance(error, OSError) and error.errno is not None:  # of the file itself, not of a library
             what = "cannot be read"
             cause = str(error.strerror)

@@ -40,21 +40,33 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
         names = list(columns)
     elif not has_header:
         got = cause_of(",".join(names))
-        raise ScanError(f"{path}: expected a header such as x,y,z,intensity, got {got}; write one, or {remedy}")
+        raise ScanError(
+            f"{path}: expected a header such as x,y,z,intensity, got {got}; write one, or {remedy}",
+        )
     if has_header and n_columns == 1:
         raise ScanError(
-            f"{path}: expected names of columns separated by commas, got {cause_of(names[0])}; for semicolons and "
-            "decimal commas, convert it: pandas.read_csv(file, sep=';', decimal=',').to_csv(file, index=False)"
+            f"{path}: expected names of columns separated by commas, got {cause_of(names[0])}; "
+            "for semicolons and decimal commas, convert it: pandas.read_csv(file, sep=';', "
+            "decimal=',').to_csv(file, index=False)"
         )
     if any(values[n_columns:]):
         raise ScanError(
-            f"{path}: expected {n_columns} values in a row, got {len(values)}: {cause_of(','.join(values))}; "
-            "are these decimal commas? write decimal points"
+            f"{path}: expected {n_columns} values in a row, got {len(values)}: "
+            f"{cause_of(','.join(values))}; are these decimal commas? write decimal points"
         )
     check_names(path, names, f"; rename them, or {remedy}")
     header = 0 if has_header else None
-    frame = pd.read_csv(path, skipinitialspace=True, low_memory=False, header=header, index_col=False)
-    return scan_from_columns(path, {name: frame.iloc[:, i].to_numpy() for i, name in enumerate(names)})
+    frame = pd.read_csv(
+        path,
+        skipinitialspace=True,
+        low_memory=False,
+        header=header,
+        index_col=False,
+    )
+    return scan_from_columns(
+        path,
+        {name: frame.iloc[:, i].to_numpy() for i, name in enumerate(names)},
+    )
 
 
 def _cells(file: BinaryIO) -> list[str]:

@@ -81,8 +81,8 @@ def _other_formats() -> dict[str, Format]:
         first = others.get(suffix) or FORMATS.get(suffix)
         if first is not None:
             raise DatasetError(
-                f"two readers of {suffix} files are installed, {first.module.strip('.')} and {entry.value}; "
-                f"uninstall the package of {entry.value}"
+                f"two readers of {suffix} files are installed, {first.module.strip('.')} and "
+                f"{entry.value}; uninstall the package of {entry.value}"
             )
         others[suffix] = Format(entry.value, may_crash=True)
     return others

@@ -114,7 +114,9 @@ def _opened(file: Path) -> Any:
     for path in file.iterdir() if file.is_dir() else [file]:
         name = str(path.absolute())
         if name.endswith(".db3") and not {*"%?#"}.isdisjoint(name):
-            raise ScanError(f"{name}: expected a path without %, ? and #, which SQLite reads as parts of an address")
+            raise ScanError(
+                f"{name}: expected a path without %, ? and #, which SQLite reads as parts of an address",
+            )
     return foxglove.opened(file) if _is_other_mcap(file) else reader(file)
 
 
@@ -144,10 +146,14 @@ def _topic(bag: Any, scan: ScanRef) -> str:
     if not known:
         names = {f"{connection.topic} ({connection.msgtype})" for connection in bag.connections}
         topics = ", ".join(sorted(names)) or "no topics"
-        raise ScanError(f"{scan.file}: expected a topic of {_CLOUD}, {foxglove.CLOUD}, {_PACKETS}, got {topics}")
+        raise ScanError(
+            f"{scan.file}: expected a topic of {_CLOUD}, {foxglove.CLOUD}, {_PACKETS}, got {topics}",
+        )
     if scan.topic is not None:
         if scan.topic not in known:
-            raise ScanError(f"{scan.file}: no point clouds on topic {scan.topic}; they are on {listed}")
+            raise ScanError(
+                f"{scan.file}: no point clouds on topic {scan.topic}; they are on {listed}",
+            )
         return scan.topic
     candidates = clouds or packets
     if len(candidates) > 1:
@@ -169,7 +175,9 @@ def _times_ns(file: Path, marks: tuple[tuple[int, int], ...], topic: str) -> lis
         connections = [connection for connection in bag.connections if connection.topic == topic]
         times_ns = [time_ns for _, time_ns, _ in bag.messages(connections)]
         if not all(isinstance(time_ns, int) and time_ns >= 0 for time_ns in times_ns):
-            raise ScanError(f"{file}: expected a time in nanoseconds for each frame; a frame has none")
+            raise ScanError(
+                f"{file}: expected a time in nanoseconds for each frame; a frame has none",
+            )
         return times_ns
 
 
@@ -195,8 +203,8 @@ def _cloud_columns(file: Path, cloud: Any) -> dict[str, NDArray[Any]]:
     n_bytes = max(cloud.height - 1, 0) * row_step + row_bytes
     if len(cloud.data) < n_bytes or row_step < row_bytes:
         raise ScanError(
-            f"{file}: expected {n_bytes} bytes in a cloud, got {len(cloud.data)} in rows of {row_step} "
-            f"({cloud.height} x {cloud.width} points of {cloud.point_step})"
+            f"{file}: expected {n_bytes} bytes in a cloud, got {len(cloud.data)} in rows of "
+            f"{row_step} ({cloud.height} x {cloud.width} points of {cloud.point_step})"
         )
     layout = packed_layout(fields, cloud.point_step)
     strides = (row_step, cloud.point_step)

@@ -30,12 +30,23 @@ _LABEL = ("label", "scalar_label", "objtag")
 _INSTANCE = ("instance", "scalar_instance", "objidx")
 _INCIDENCE = ("incidence", "scalar_incidence", "cosangle")
 _RING = ("ring", "scalar_ring", "channel", "laser_number", "laser_id", "line")
-_TIME = ("time", "scalar_time", "t", "timestamp", "time_stamp", "offset_time", "offset_ns", "gps_time")
+_TIME = (
+    "time",
+    "scalar_time",
+    "t",
+    "timestamp",
+    "time_stamp",
+    "offset_time",
+    "offset_ns",
+    "gps_time",
+)
 _ARGOVERSE_BEAMS = 32  # of each of its two sensors
 _MAX_RING_SPREAD_DEG = 1.0
 _NO_NUMBERS = "bcV"  # kinds of NumPy's types: truth values, complex numbers, records
 #: Names of columns that are read, in lower case.
-KNOWN_COLUMNS = frozenset(chain(*_COORDINATES, _INTENSITY, _LABEL, _INSTANCE, _INCIDENCE, _RING, _TIME))
+KNOWN_COLUMNS = frozenset(
+    chain(*_COORDINATES, _INTENSITY, _LABEL, _INSTANCE, _INCIDENCE, _RING, _TIME),
+)
 LONGEST_LABEL = 200  #: characters
 _LONGEST_CAUSE = 300
 
@@ -188,7 +199,7 @@ def check_promise(path: Path, n_points: int, point_bytes: float) -> None:
     if n_points < 0 or n_points * point_bytes > n_bytes:
         promised = n_points if abs(n_points) < 10**30 else "10^30 and more"
         raise ScanError(
-            f"{path}: the header says {promised} points, in {n_bytes} bytes; the file is truncated or wrong"
+            f"{path}: the header says {promised} points, in {n_bytes} bytes; the file is truncated or wrong",
         )
 
 
@@ -203,8 +214,9 @@ def check_unpacked(path: Path, n_unpacked: int) -> None:
     most = MOST_UNPACKED_BYTES + MOST_UNPACKED_A_BYTE * n_bytes
     if n_unpacked > most:
         raise ScanError(
-            f"{path}: {n_bytes} bytes would unpack to {n_unpacked}, at most {most} are read; the file is wrong, or "
-            "made to fill the memory; if it is right, write it without compression and dictionaries"
+            f"{path}: {n_bytes} bytes would unpack to {n_unpacked}, at most {most} are read; the "
+            "file is wrong, or made to fill the memory; if it is right, write it without "
+            "compression and dictionaries"
         )
 
 
@@ -231,8 +243,8 @@ def with_label_file(scan: Scan, ref: ScanRef) -> Scan:
     n_points = len(scan.points)
     if n_bytes != 4 * n_points:
         raise ScanError(
-            f"{path}: expected {4 * n_points} bytes (one uint32 for each of the {n_points} points of "
-            f"{ref.file.name}), got {n_bytes}"
+            f"{path}: expected {4 * n_points} bytes (one uint32 for each of the {n_points} points "
+            f"of {ref.file.name}), got {n_bytes}"
         )
     numbers = np.fromfile(path, dtype="<u4")
     instances = (numbers >> 16).astype(np.int32)
@@ -248,7 +260,10 @@ def with_label_names(scan: Scan, names: Mapping[int, str]) -> Scan:
     if scan.labels is None or not text:
         return scan
     classes, class_ids = np.unique(scan.labels, return_inverse=True)
-    return replace(scan, labels=np.array([text.get(name, name) for name in classes.tolist()])[class_ids])
+    return replace(
+        scan,
+        labels=np.array([text.get(name, name) for name in classes.tolist()])[class_ids],
+    )
 
 
 def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
@@ -262,14 +277,19 @@ def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
     return bool(spreads_deg) and float(np.median(spreads_deg)) <= _MAX_RING_SPREAD_DEG
 
 
-def _notes(columns: Mapping[str, NDArray[Any]], has_intensity: bool, rings: IntArray | None) -> tuple[str, ...]:
+def _notes(
+    columns: Mapping[str, NDArray[Any]],
+    has_intensity: bool,
+    rings: IntArray | None,
+) -> tuple[str, ...]:
     """Notes of a scan, see `Scan`."""
     notes = []
     names = {name.lower() for name in columns}
     if "laser_number" in names and rings is not None and rings.max(initial=-1) >= _ARGOVERSE_BEAMS:
         notes.append(
-            f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams (Argoverse, VLP-32C), "
-            f"in the vehicle's frame; for beams and rays, write numbers below {_ARGOVERSE_BEAMS} alone, in their frame"
+            f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams "
+            "(Argoverse, VLP-32C), in the vehicle's frame; for beams and rays, write numbers "
+            f"below {_ARGOVERSE_BEAMS} alone, in their frame"
         )
     colours = sorted({"rgb", "rgba", "red"}.intersection(names))
     if colours and not has_intensity:
@@ -282,9 +302,14 @@ def _notes(columns: Mapping[str, NDArray[Any]], has_intensity: bool, rings: IntA
 
 def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
     if column.dtype.kind in _NO_NUMBERS:
-        raise ScanError(f"{path}: column {name}: expected one real number per row, got {column.dtype} values")
+        raise ScanError(
+            f"{path}: column {name}: expected one real number per row, got {column.dtype} values",
+        )
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # what float64 does not hold is infinite or NaN
+        with np.errstate(
+            over="ignore",
+            invalid="ignore",
+        ):  # what float64 does not hold is infinite or NaN
             return column.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
         for row, value in enumerate(column.tolist()):
@@ -294,8 +319,12 @@ def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
                 text = cause_of(repr(value))
                 if re.fullmatch(r"[-\d ]+,\d+", str(value)):
                     text += "; is it a decimal comma? write decimal points"
-                raise ScanError(f"{path}: row {row + 1}, column {name}: expected a number, got {text}") from None
-        raise ScanError(f"{path}: column {name}: expected numbers, got type {column.dtype}") from None
+                raise ScanError(
+                    f"{path}: row {row + 1}, column {name}: expected a number, got {text}",
+                ) from None
+        raise ScanError(
+            f"{path}: column {name}: expected numbers, got type {column.dtype}",
+        ) from None
 
 
 def _instance_numbers(path: Path, column: NDArray[Any] | None) -> IntArray | None:
@@ -326,7 +355,9 @@ def _label_text(path: Path, column: NDArray[Any]) -> NDArray[np.str_]:
     if column.dtype.kind == "O":
         longest = max((len(str(label)) for label in column.tolist()), default=0)
         if longest > LONGEST_LABEL:
-            raise ScanError(f"{path}: expected labels of at most {LONGEST_LABEL} characters, got one of {longest}")
+            raise ScanError(
+                f"{path}: expected labels of at most {LONGEST_LABEL} characters, got one of {longest}",
+            )
     if column.dtype.kind == "f" and np.all((np.abs(column) < 2**53) & (column == np.round(column))):
         column = column.astype(np.int64)
     return column.astype(np.str_)

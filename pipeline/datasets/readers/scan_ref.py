@@ -112,7 +112,9 @@ def scan_ref(source: ScanRef | Path | str) -> ScanRef:
     if not at and not _NUMBER.fullmatch(frame):
         topic, frame = fragment, ""
     if frame and not _NUMBER.fullmatch(frame):
-        raise ScanError(f"{path}: expected a frame number from 0 or a time in seconds, got {frame!r}")
+        raise ScanError(
+            f"{path}: expected a frame number from 0 or a time in seconds, got {frame!r}",
+        )
     return replace(_file_ref(Path(file)), topic=topic or None, frame=frame or None)
 
 
@@ -152,8 +154,8 @@ def frame_number(scan: ScanRef, times_ns: Sequence[int]) -> int:
     if scan.frame is None:
         if len(times_ns) > 1:
             raise ScanError(
-                f"{scan.file}: {len(times_ns)} frames found; name one of {name}0 to {name}{len(times_ns) - 1}, "
-                "in a pairs.csv for instance"
+                f"{scan.file}: {len(times_ns)} frames found; name one of {name}0 to "
+                f"{name}{len(times_ns) - 1}, in a pairs.csv for instance"
             )
         return 0
     time_ns = scan.time_ns
@@ -165,8 +167,8 @@ def frame_number(scan: ScanRef, times_ns: Sequence[int]) -> int:
         return times_ns.index(time_ns)
     nearest = min(range(len(times_ns)), key=lambda i: abs(times_ns[i] - time_ns))
     raise ScanError(
-        f"{scan.file}: expected one frame at {scan.frame} s, got {times_ns.count(time_ns)}; the nearest is "
-        f"number {nearest}, {name}{_seconds(times_ns[nearest])}"
+        f"{scan.file}: expected one frame at {scan.frame} s, got {times_ns.count(time_ns)}; the "
+        f"nearest is number {nearest}, {name}{_seconds(times_ns[nearest])}"
     )
 
 

@@ -38,7 +38,14 @@ def read(scan: ScanRef) -> Scan:
     file = scan.file
     revolutions = _revolutions(file, file.stat().st_mtime_ns)
     revolution = revolutions[frame_number(scan, [revolution.time_ns for revolution in revolutions])]
-    packets = [(stamp, data) for _, stamp, data in _packets(file, revolution.start, revolution.stop)]
+    packets = [
+        (stamp, data)
+        for _, stamp, data in _packets(
+            file,
+            revolution.start,
+            revolution.stop,
+        )
+    ]
     return scan_from_columns(file, decoded(file, packets))
 
 
@@ -94,7 +101,9 @@ def _revolutions(file: Path, mtime_ns: int) -> list[_Revolution]:
             start = None
     add(decoder.finish(False))
     if not revolutions:
-        raise ScanError(f"{file}: no data packets of a Velodyne sensor ({_PACKET_BYTES} bytes each) found")
+        raise ScanError(
+            f"{file}: no data packets of a Velodyne sensor ({_PACKET_BYTES} bytes each) found",
+        )
     return revolutions
 
 
