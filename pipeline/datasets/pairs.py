@@ -278,12 +278,9 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
         The file is not a CSV table, lacks a column, repeats a pair, or a value is not a number.
     """
     rows, columns = _manifest_rows(manifest)
-    required = ("pair_id", *SIDES) if needs_sim else ("pair_id", "real")
-    missing = [name for name in required if name not in columns]
+    missing = [name for name in ("pair_id", "real", "sim") if name not in columns and (needs_sim or name != "sim")]
     if missing:
-        raise DatasetError(
-            f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}",
-        )
+        raise DatasetError(f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}")
     for name in columns:
         if columns.count(name) > 1:
             raise DatasetError(
@@ -292,44 +289,46 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
         if name not in _MANIFEST_COLUMNS:
             meant = nearest(name, _MANIFEST_COLUMNS)
             if meant is not None and meant not in columns:
-                raise DatasetError(f"{manifest}: column {name} is not known; did you mean {meant}?")
+                raise DatasetError(
+                    f"{manifest}: column {name} is not known; did you mean {meant}?",
+                )
             warnings.append(f"{manifest}: column {name} is not known, ignored")
-    names = [row.get(side, "") for row in rows for side in SIDES]
-    stubs = _stubs_of(manifest.parent, names)
-    pairs = []
-    lines: dict[str, int] = {}
+    stubs = _stubs_of(manifest.parent, [row.get(side, "") for row in rows for side in SIDES])
+    pairs: dict[str, ScanPair] = {}
     for line, row in enumerate(rows, start=2):
         where = f"{manifest}, line {line}"
         if None in row:
+            n_values = len(columns) + len(row[None])
+            raise DatasetError(f"{where}: expected {len(columns)} values, got {n_values}")
+        pair = _pair_of_row(where, manifest.parent, row, stubs)
+        if pair.pair_id in pairs:
+            first = 2 + list(pairs).index(pair.pair_id)
             raise DatasetError(
-                f"{where}: expected {len(columns)} values, got {len(columns) + len(row[None])}",
+                f"{where}: pair_id {pair.pair_id} is already in line {first}; expected unique names",
             )
-        pair_id = row["pair_id"]
-        if not pair_id:
-            raise DatasetError(f"{where}: pair_id is empty; expected a name")
-        if pair_id in lines:
-            raise DatasetError(
-                f"{where}: pair_id {pair_id} is already in line {lines[pair_id]}; expected unique names",
-            )
-        lines[pair_id] = line
-        scans: dict[str, ScanRef | None] = dict.fromkeys(SIDES)
-        faults = []
-        for side in SIDES:
-            try:
-                scans[side] = _named_scan(manifest.parent, row.get(side, ""), side, stubs)
-            except ScanError as error:
-                faults.append(f"{where}: {error}")
-        pair = ScanPair(
-            pair_id,
-            scans["real"],
-            scans["sim"],
-            timestamp_s=_number(where, "timestamp_s", row.get("timestamp_s", "")),
-            T_real_sim=_transform(where, "T_real_sim", row.get("T_real_sim", "")),
-            fault=faults[0] if faults else None,
-            T_world_sensor=_transform(where, "T_world_sensor", row.get("T_world_sensor", "")),
-        )
-        pairs.append(pair)
-    return pairs
+        pairs[pair.pair_id] = pair
+    return list(pairs.values())
+
+
+def _pair_of_row(where: str, folder: Path, row: Mapping[str, str], stubs: Mapping[str, Path | str]) -> ScanPair:
+    if not row["pair_id"]:
+        raise DatasetError(f"{where}: pair_id is empty; expected a name")
+    scans: dict[str, ScanRef | None] = dict.fromkeys(SIDES)
+    faults = []
+    for side in SIDES:
+        try:
+            scans[side] = _named_scan(folder, row.get(side, ""), side, stubs)
+        except ScanError as error:
+            faults.append(f"{where}: {error}")
+    return ScanPair(
+        row["pair_id"],
+        scans["real"],
+        scans["sim"],
+        timestamp_s=_number(where, "timestamp_s", row.get("timestamp_s", "")),
+        T_real_sim=_transform(where, "T_real_sim", row.get("T_real_sim", "")),
+        fault=faults[0] if faults else None,
+        T_world_sensor=_transform(where, "T_world_sensor", row.get("T_world_sensor", "")),
+    )
 
 
 def _manifest_rows(manifest: Path) -> tuple[list[dict[Any, Any]], list[str]]:
@@ -373,13 +372,13 @@ def _named_scan(folder: Path, name: str, side: str, stubs: Mapping[str, Path | s
     if not name:
         raise ScanError(f"no {side} scan is named")
     if name in stubs:
-        stub = stubs[name]
-        if isinstance(stub, str):
-            raise ScanError(stub)
-        return scan_ref(stub)
+        found = stubs[name]
+        if isinstance(found, str):
+            raise ScanError(found)
+        return scan_ref(found)
     path = folder / name
+    stub = Path(f"{path}{STUB}")
     try:
-        stub = Path(f"{path}{STUB}")
         scan = scan_ref(stub if is_stub(stub) and stub.exists() else path)
         if scan.exists:
             return scan

@@ -97,22 +97,8 @@ def make_twins(
         embreex is missing, no frame matches, or the folder holds something else than a dataset of this recipe.
     """
     settings = settings or InputSettings()
-    require_ray_caster()
-    if settings.real_frame != "ros":
-        raise FidpipeError(
-            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a '
-            "recording require "
-            f"{FRAME_AXES['ros']}; convert its scans and poses first"
-        )
-    known = list(recording.label_names.values())
-    for label in foliage if known else ():
-        if label not in known:
-            raise FidpipeError(
-                f"foliage {label!r}: no such label in {LABEL_NAMES}; {suggestion(label, known)}",
-            )
+    _check_request(recording, out, foliage, settings)
     frames = select_pairs(recording, pattern)
-    if out.resolve() == recording.folder.resolve():
-        raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
     recipe = _inputs(recording) | {
         "seed": seed,
         "others": n_others,
@@ -124,30 +110,14 @@ def make_twins(
         "frames": [frame.pair_id for frame in frames],
         "files": sorted({path.name for frame in frames for path in _files(out, frame)}),
     }
+    names = recording.label_names
+    tasks = {}
+    for frame in frames:
+        others = _nearest(recording.pairs, frame, n_others)
+        tasks[frame.pair_id] = _Task(frame, others, names, out, sensor, flaws, foliage, seed, settings)
     with named_errors(out):
         files = {out / side / name for side in SIDES for name in recipe["files"]}
-        prepare_folder(
-            out,
-            RECIPE,
-            recipe,
-            _own_files,
-            files,
-            recording.label_names,
-            replace=replace,
-        )
-        tasks = {}
-        for frame in frames:
-            tasks[frame.pair_id] = _Task(
-                frame=frame,
-                others=_nearest(recording.pairs, frame, n_others),
-                label_names=recording.label_names,
-                out=out,
-                sensor=sensor,
-                flaws=flaws,
-                foliage=foliage,
-                seed=seed,
-                settings=settings,
-            )
+        prepare_folder(out, RECIPE, recipe, _own_files, files, names, replace=replace)
         missing = {name: task for name, task in tasks.items() if not _is_done(task)}
         if 0 < len(missing) < len(tasks):
             reporter.say(f"{len(tasks) - len(missing)} of {len(tasks)} twins already exist")
@@ -156,6 +126,24 @@ def make_twins(
         columns = ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"]
         write_whole(out / MANIFEST, csv_bytes(columns, map(_row, done)))
     return TwinOutcome(len(done), failures)
+
+
+def _check_request(recording: Recording, out: Path, foliage: Sequence[str], settings: InputSettings) -> None:
+    """Raise `FidpipeError` if twins of a recording cannot be made with these arguments."""
+    require_ray_caster()
+    if settings.real_frame != "ros":
+        raise FidpipeError(
+            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a '
+            f"recording require {FRAME_AXES['ros']}; convert its scans and poses first"
+        )
+    known = list(recording.label_names.values())
+    for label in foliage if known else ():
+        if label not in known:
+            raise FidpipeError(
+                f"foliage {label!r}: no such label in {LABEL_NAMES}; {suggestion(label, known)}",
+            )
+    if out.resolve() == recording.folder.resolve():
+        raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
 
 
 def _without_none(values: Mapping[str, Any]) -> Recipe:

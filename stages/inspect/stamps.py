@@ -98,22 +98,19 @@ def describe_stamps(
     rotation = _rotation(points, times)
     if rotation is None:
         faults.append("times do not follow the azimuth; do they belong to other points?")
-    place = None
-    if stamp_s is not None and not faults:
-        after_s = -times.min()
-        if times.min() > _DAY_S:
-            after_s += stamp_s
-        share = after_s / span_s
-        place = next(
-            (name for name, at in _PLACES.items() if abs(share - at) < _PLACE_TOLERANCE),
-            None,
+    if stamp_s is None or faults:
+        return StampCheck(span_s, None, rotation or 0, tuple(faults))
+    after_s = -times.min()
+    if times.min() > _DAY_S:
+        after_s += stamp_s
+    share = after_s / span_s
+    if not -_PLACE_TOLERANCE < share < 1 + _PLACE_TOLERANCE:
+        faults.append(
+            f"the scan's own time is {after_s:+.3f} s after its first point, outside of the "
+            f"{span_s:.3f} s of its points; are both from one clock?"
         )
-        if not -_PLACE_TOLERANCE < share < 1 + _PLACE_TOLERANCE:
-            faults.append(
-                f"the scan's own time is {after_s:+.3f} s after its first point, outside of the "
-                f"{span_s:.3f} s of its points; are both from one clock?"
-            )
-    return StampCheck(span_s, place, rotation or 0, tuple(faults))
+    places = [name for name, at in _PLACES.items() if abs(share - at) < _PLACE_TOLERANCE]
+    return StampCheck(span_s, places[0] if places else None, rotation or 0, tuple(faults))
 
 
 def stamp_differences(real: StampCheck | None, sim: StampCheck | None) -> list[str]:

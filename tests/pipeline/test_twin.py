@@ -158,7 +158,7 @@ def test_what_was_interrupted_goes_on_with_the_twins_that_are_missing(twins, dri
     (out / "pairs.csv").unlink()
     made = []
     rescan = twin._rescan
-    monkeypatch.setattr(twin, "_rescan", lambda task: made.append(task.frame.name) or rescan(task))
+    monkeypatch.setattr(twin, "_rescan", lambda task: made.append(task.frame.pair_id) or rescan(task))
     make(out, drive)
     assert made == ["001"]
     assert files_in(out) == files_in(twins)
@@ -219,7 +219,7 @@ def test_the_recording_itself_is_left_alone(drive, tmp_path):
         make(drive, drive)
     with pytest.raises(FidpipeError, match='input.real_frame: .*"nuscenes"'):
         make(tmp_path / "turned", drive, settings=InputSettings(real_frame="nuscenes"))
-    with pytest.raises(DatasetError, match="none of the 4 frames"):
+    with pytest.raises(DatasetError, match="none of the 4 pairs"):
         make(tmp_path / "out", drive, pattern="x*")
 
 
