@@ -372,10 +372,10 @@ def _named_scan(folder: Path, name: str, side: str, stubs: Mapping[str, Path | s
     if not name:
         raise ScanError(f"no {side} scan is named")
     if name in stubs:
-        found = stubs[name]
-        if isinstance(found, str):
-            raise ScanError(found)
-        return scan_ref(found)
+        stub_or_reason = stubs[name]
+        if isinstance(stub_or_reason, str):
+            raise ScanError(stub_or_reason)
+        return scan_ref(stub_or_reason)
     path = folder / name
     stub = Path(f"{path}{STUB}")
     try:

@@ -184,28 +184,28 @@ def pair_clouds(
     RunError
         A table is damaged or gone.
     """
-    every = run.objects_of([pair_id]).rename(
+    objects = run.objects_of([pair_id]).rename(
         columns={"cx": "x", "cy": "y", "cz": "z", "community_id": "community"},
     )
-    status = every["status"].where(
-        every["fate"] == "matched",
-        every["fate"].replace("remnant", "missing"),
+    status = objects["status"].where(
+        objects["fate"] == "matched",
+        objects["fate"].replace("remnant", "missing"),
     )
-    every["status"] = [Status[word.upper()].value for word in status]
+    objects["status"] = [Status[word.upper()].value for word in status]
     frames = {side: run.points(pair_id, side) for side in SIDES}
     places = [frame.loc[~frame.is_ground, ["x", "y", "z"]].to_numpy() for frame in frames.values()]
     clouds = {}
     for (side, frame), distance_m in zip(frames.items(), nearest_distances(*places), strict=True):
-        objects = every[every["side"] == side]
+        side_objects = objects[objects["side"] == side]
         frame["community"] = frame.community_id.fillna(-1).astype(int)
         frame.loc[frame.community >= 0, "distance_m"] = distance_m
         points = frame.merge(
-            objects[["community", "r_lambda", "cdc", "status"]],
+            side_objects[["community", "r_lambda", "cdc", "status"]],
             on="community",
             how="left",
         )
         points["status"] = points.status.fillna(Status.GROUND.value)
-        clouds[side] = _rows(points, POINT), _rows(objects[objects["n_points"] > 0], OBJECT)
+        clouds[side] = _rows(points, POINT), _rows(side_objects[side_objects["n_points"] > 0], OBJECT)
     return clouds
 
 

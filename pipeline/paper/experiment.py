@@ -234,7 +234,7 @@ def _evaluate_all(
     if not tasks:
         return {}
     settings = next(iter(tasks.values())).settings
-    made, failures = map_tasks(
+    records, failures = map_tasks(
         _evaluate,
         tasks,
         reporter,
@@ -242,7 +242,7 @@ def _evaluate_all(
         memory_gib=settings.machine.memory_gib,
         may_end_workers=may_crash(task.pair for task in tasks.values()),
     )
-    for record in made.values():
+    for record in records.values():
         folder.ledger.put_job(record)
     return failures
 

@@ -33,8 +33,9 @@ class Flaw:
 
     name : name in the command
     amount : description of the amount
-    low, high : bounds of the amount
-    alter : function of points, amount, random generator and, if it has one, `at_m`, that returns the altered points
+    high, low : bounds of the amount
+    alter : function of points, amount, random generator and, if it has one, `at_m`, that returns the altered points;
+        by default their coordinates stay
     is_systematic : all scans of a simulator have the same flaw, so that they share one seed
     at_m : default second parameter in metres, or None
     at : description of the second parameter
@@ -44,9 +45,9 @@ class Flaw:
 
     name: str
     amount: str
-    low: float
     high: float
-    alter: Callable[..., FloatArray]
+    alter: Callable[..., FloatArray] = lambda points, amount, rng: points.copy()
+    low: float = 0
     is_systematic: bool = False
     at_m: float | None = None
     at: str = ""
@@ -213,98 +214,84 @@ def _misalign_beams(points: FloatArray, std_deg: float, rng: Generator) -> Float
     return directions * np.where(slides, slid_m, range_m)[:, None]
 
 
-def _shift(points: FloatArray, shift_m: float, rng: Generator) -> FloatArray:
-    return move_rigidly(points, 0.0, rng, shift_m)
-
-
-def _mirror(points: FloatArray, is_mirrored: float, rng: Generator) -> FloatArray:
-    return points * np.array([1.0, -1.0 if is_mirrored else 1.0, 1.0])
-
-
-def _keep(points: FloatArray, _: float, rng: Generator) -> FloatArray:
-    return points.copy()
-
-
-def _constant(points: FloatArray, _: FloatArray, amount: float) -> FloatArray:
-    return np.full(len(points), amount)
-
-
-def _attenuated(points: FloatArray, _: FloatArray, per_m: float) -> FloatArray:
-    return np.exp(-per_m * np.linalg.norm(points, axis=1))
-
-
-def _scaled(_: FloatArray, intensity: FloatArray, factor: float) -> FloatArray:
-    return factor * intensity
-
-
+_INTENSITY_MAX = 65_535
 _KINDS = (
-    Flaw("foliage", "share of the foliage lost, in clumps of 2 m", 0, 1, lose_foliage),
+    Flaw("foliage", "share of the foliage lost, in clumps of 2 m", 1, lose_foliage),
     Flaw(
-        "holes",
-        "number of holes",
-        0,
-        10_000,
-        _cut_holes,
+        name="holes",
+        amount="number of holes",
+        high=10_000,
+        alter=_cut_holes,
         at_m=1.5,
         at="radius of a hole, metres",
         is_whole=True,
     ),
     Flaw(
-        "far-dropout",
-        "share lost beyond a range",
-        0,
-        1,
-        _lose_far,
+        name="far-dropout",
+        amount="share lost beyond a range",
+        high=1,
+        alter=_lose_far,
         at_m=25.0,
         at="range, metres",
     ),
-    Flaw("dropout", "share of the points lost", 0, 1, drop_points),
+    Flaw("dropout", "share of the points lost", 1, drop_points),
     Flaw(
-        "density",
-        "factor of the density in regions that hold 30 % of the points",
-        0,
-        8,
-        change_density,
+        name="density",
+        amount="factor of the density in regions that hold 30 % of the points",
+        high=8,
+        alter=change_density,
     ),
     Flaw(
-        "beams",
-        "std of each beam's elevation error, degrees",
-        0,
-        10,
-        _misalign_beams,
+        name="beams",
+        amount="std of each beam's elevation error, degrees",
+        high=10,
+        alter=_misalign_beams,
         is_systematic=True,
     ),
-    Flaw("blur", "radius within which surfaces are smoothed, metres", 0, 5, _blur),
-    Flaw("noise", "std of the noise on each coordinate, metres", 0, 10, add_noise),
-    Flaw("ghosts", "points in ghost clusters of 20, per point", 0, 8, add_clusters),
-    Flaw("yaw", "turn about the vertical, degrees", -180, 180, move_rigidly, is_systematic=True),
+    Flaw("blur", "radius within which surfaces are smoothed, metres", 5, _blur),
+    Flaw("noise", "std of the noise on each coordinate, metres", 10, add_noise),
+    Flaw("ghosts", "points in ghost clusters of 20, per point", 8, add_clusters),
     Flaw(
-        "offset",
-        "shift in a random horizontal direction, metres",
-        0,
-        100,
-        _shift,
+        name="yaw",
+        amount="turn about the vertical, degrees",
+        low=-180,
+        high=180,
+        alter=move_rigidly,
         is_systematic=True,
     ),
     Flaw(
-        "mirrored",
-        "1: y is negated; 0: it is not",
-        0,
-        1,
-        _mirror,
+        name="offset",
+        amount="shift in a random horizontal direction, metres",
+        high=100,
+        alter=lambda points, shift_m, rng: move_rigidly(points, 0.0, rng, shift_m),
+        is_systematic=True,
+    ),
+    Flaw(
+        name="mirrored",
+        amount="1: y is negated; 0: it is not",
+        high=1,
+        alter=lambda points, is_mirrored, rng: points * [1.0, -1.0 if is_mirrored else 1.0, 1.0],
         is_systematic=True,
         is_whole=True,
     ),
-    Flaw("intensity-constant", "intensity of all points", 0, 65_535, _keep, intensity=_constant),
     Flaw(
-        "intensity-range",
-        "a of exp(-a d), 1/m, as in CARLA",
-        0,
-        10,
-        _keep,
-        intensity=_attenuated,
+        name="intensity-constant",
+        amount="intensity of all points",
+        high=_INTENSITY_MAX,
+        intensity=lambda points, intensity, amount: np.full(len(points), amount),
     ),
-    Flaw("intensity-scale", "factor of the intensity", 0, 65_535, _keep, intensity=_scaled),
+    Flaw(
+        name="intensity-range",
+        amount="a of exp(-a d), 1/m, as in CARLA",
+        high=10,
+        intensity=lambda points, intensity, per_m: np.exp(-per_m * np.linalg.norm(points, axis=1)),
+    ),
+    Flaw(
+        name="intensity-scale",
+        amount="factor of the intensity",
+        high=_INTENSITY_MAX,
+        intensity=lambda points, intensity, factor: factor * intensity,
+    ),
 )
 #: Flaws by name, in the order in which they are applied to a scan: losses, distortions, additions, then rigid motions.
 FLAWS: dict[str, Flaw] = {flaw.name: flaw for flaw in _KINDS}

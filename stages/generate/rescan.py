@@ -91,12 +91,12 @@ def extend_map(
     for number in range(_BANDS):
         rows = np.flatnonzero(band == number)
         _, ids = np.unique(voxel_ids(merged[rows], VOXEL_M * 2.0**number), return_inverse=True)
-        own = weight[rows]
-        total = np.bincount(ids, own)
+        weights = weight[rows]
+        total = np.bincount(ids, weights)
         columns = np.column_stack([merged[rows], foliage[rows], bright[rows]])
         parts.append(
             np.column_stack(
-                [sums_by_id(own[:, None] * columns, ids, len(total)) / total[:, None], total],
+                [sums_by_id(weights[:, None] * columns, ids, len(total)) / total[:, None], total],
             ),
         )
     means = np.concatenate(parts)
@@ -163,7 +163,7 @@ def _onto_planes(
     return np.where(np.abs(plane_m - range_m) <= widest_m, plane_m, range_m)
 
 
-def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
+def recorded_directions(scan: FloatArray, others: FloatArray) -> FloatArray:
     """The beams of a recorded scan, (n, 3) unit vectors.
 
     The directions of all its returns, and those of returns of other scans of the same sensor in directions without a
@@ -173,7 +173,7 @@ def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    own, others : (n, 3), (m, 3) float64, returns, each in the sensor's frame at its time; none at the origin
+    scan, others : (n, 3), (m, 3) float64, returns, each in the sensor's frame at its time; none at the origin
 
     Examples
     --------
@@ -182,12 +182,12 @@ def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
     [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     """
     is_seen = np.zeros(_DIRECTION_CELLS, dtype=np.bool_)
-    is_seen[_direction_cells(own)] = True
+    is_seen[_direction_cells(scan)] = True
     is_near = binary_dilation(np.pad(is_seen, ((1, 1), (0, 0)), mode="wrap"), np.ones((3, 3)))[1:-1]
     columns, rows = _direction_cells(others)
     _, first = np.unique(columns * _DIRECTION_CELLS[1] + rows, return_index=True)
     added = np.sort(first[~is_near[columns[first], rows[first]]])
-    returns = np.concatenate([own, others[added]])
+    returns = np.concatenate([scan, others[added]])
     return returns / np.linalg.norm(returns, axis=1)[:, None]
 
 

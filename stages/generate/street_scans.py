@@ -124,16 +124,16 @@ def _scan_twin(
     """
     surface = _Surface([part.mesh for part in twin])
     beams = fire(sensor, rng.uniform(0.0, 360.0), step_deg)
-    own_hits = surface.target.first_hits(beams.directions())
-    own_parts = surface.mesh_of_face[own_hits.face_ids]
-    density = np.array([part.density for part in twin])[own_parts]
+    beam_hits = surface.target.first_hits(beams.directions())
+    hit_parts = surface.mesh_of_face[beam_hits.face_ids]
+    density = np.array([part.density for part in twin])[hit_parts]
     is_kept = rng.uniform(size=len(density)) < density
     n_further = rng.poisson(np.maximum(density - 1.0, 0.0))
 
-    own = beams.directions()[own_hits.ray_ids[is_kept]]
-    further = _between(beams, np.repeat(own_hits.ray_ids, n_further), sensor, step_deg, rng)
-    directions = np.concatenate([own, further])
-    aimed_at = np.concatenate([own_parts[is_kept], np.repeat(own_parts, n_further)])
+    kept = beams.directions()[beam_hits.ray_ids[is_kept]]
+    further = _between(beams, np.repeat(beam_hits.ray_ids, n_further), sensor, step_deg, rng)
+    directions = np.concatenate([kept, further])
+    aimed_at = np.concatenate([hit_parts[is_kept], np.repeat(hit_parts, n_further)])
     hits = surface.target.first_hits(directions)
     parts = surface.mesh_of_face[hits.face_ids]
     range_m = hits.range_m + rng.normal(0.0, _SIM_NOISE_M, len(hits.range_m))

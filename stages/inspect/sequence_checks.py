@@ -217,12 +217,12 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
     n_points = np.array([max(len(points), 1) for points in scans])
     n_hits = np.array([len(points) for points in hits])
     share = float(np.mean(n_hits / n_points))
-    every = np.concatenate(hits)
-    if share < _MIN_SHARE or len(every) < _MIN_NEAR:
+    all_hits = np.concatenate(hits)
+    if share < _MIN_SHARE or len(all_hits) < _MIN_NEAR:
         return None
-    low = np.floor(10 * every.min(axis=0)) / 10
-    high = np.ceil(10 * every.max(axis=0)) / 10
-    farthest_m = float(np.ceil(10 * np.linalg.norm(every, axis=1).max()) / 10)
+    low = np.floor(10 * all_hits.min(axis=0)) / 10
+    high = np.ceil(10 * all_hits.max(axis=0)) / 10
+    farthest_m = float(np.ceil(10 * np.linalg.norm(all_hits, axis=1).max()) / 10)
 
     def others(is_in: Callable[[FloatArray], BoolArray]) -> float:
         n_in = np.array([int(is_in(points).sum()) for points in scans])
