@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ...schemas.errors import ScanError
 from ..storage.files import file_marks, hash_file, key_of
+from ..storage.urls import n_bytes_of
 from .pairs import ScanPair
 from .readers.scan_ref import ScanRef, scan_ref
 
@@ -56,7 +57,7 @@ def scan_content(source: ScanRef | Path, hash_of: Callable[[Path], str] = file_h
     """
     scan = scan_ref(source)
     try:
-        n_bytes = scan.n_bytes()
+        n_bytes = sum(n_bytes_of(file) for file in scan.files)
         if not n_bytes:
             raise ScanError(f"{scan}: the file is empty; expected points")
         hashes = [hash_of(file) for file in scan.files]

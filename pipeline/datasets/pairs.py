@@ -63,15 +63,6 @@ class ScanPair:
         """The scans that the pair has, by side."""
         return {side: scan for side, scan in zip(SIDES, (self.real, self.sim), strict=True) if scan}
 
-    def stubs(self) -> dict[Path, str]:
-        """Texts of the stubs of remote scans and labels, for a worker that does not see the cache."""
-        stubs = {}
-        for scan in self.scans.values():
-            for path in (scan.file, scan.labels) if scan.is_remote else ():
-                if path.exists():
-                    stubs[path] = path.read_text(encoding="utf-8")
-        return stubs
-
     def motion(self, side: str) -> tuple[float, ...] | None:
         """The motion of a side's points into the real sensor's frame; None if they are in it."""
         return self.T_real_sim if side == "sim" else None

@@ -19,7 +19,7 @@ from ..storage.files import megabytes
 from ..storage.folder import RunFolder, refuse_overwrite
 from ..storage.run_record import LIBRARIES, changed_settings, has_ended, library_versions
 from ..storage.table_files import JobId, JobName
-from ..storage.urls import read_stub, remote, url_of_cache
+from ..storage.urls import read_stub, remote, stub_texts, url_of_cache
 from .plan import OUT_OF_DATE, PairPlan, with_results
 from .pool import Pool
 from .progress import Reporter
@@ -165,7 +165,9 @@ class RunEngine:
         for i, plan in enumerate(plans):
             own = plan if seconds is None else replace(plan, limit=TimeLimit(seconds, notes / str(i)))
             if self._machines.scheduler is not None:
-                own = replace(own, url=self.folder.url, stubs=plan.pair.stubs())
+                scans = plan.pair.scans.values()
+                files = [*(scan.file for scan in scans), *(scan.labels for scan in scans)]
+                own = replace(own, url=self.folder.url, stubs=stub_texts(files))
             yield own
 
     def fail(self, pair_id: str, reason: str) -> None:

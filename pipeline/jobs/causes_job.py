@@ -11,7 +11,7 @@ import pyarrow as pa
 from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import SIDES
 from ...schemas.tables import TABLES
-from ...stages.arrays import FloatArray, transform_of
+from ...stages.arrays import FloatArray
 from ...stages.sensor_description import SensorDescription
 from ..stage import FRAMES, OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
@@ -66,7 +66,7 @@ def pair_scans(inputs: Inputs) -> PairScans:
     from ...stages.causes.sides import PairScans
 
     moved = inputs.metadata("ground", "sim").get("T_real_sim")
-    T_real_sim = transform_of(moved)
+    T_real_sim = np.array(moved).reshape(3, 4) if moved else None
     position = inputs.settings.input.sensor_position
     real, sim = (_side(inputs, side, T_real_sim if side == "sim" else None, position) for side in SIDES)
     return PairScans(real, sim)
@@ -133,5 +133,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
+    version=2,
     libraries=("scikit-learn",),
 )

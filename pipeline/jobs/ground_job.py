@@ -10,7 +10,6 @@ import pyarrow as pa
 from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
-from ...stages.arrays import transform_of
 from ...stages.clean import CleanResult
 from ...stages.ground import GroundResult
 from ...stages.method import remove_road
@@ -44,7 +43,7 @@ def make_ground(own: Inputs) -> JobResult:
             scan.points,
             own.settings,
             own.part,
-            T_real_sim=transform_of(own.T_real_sim),
+            T_real_sim=np.array(own.T_real_sim).reshape(3, 4) if own.T_real_sim else None,
             real_cut=real_cut,
             real_points=real_points,
             watch=own.step,
@@ -108,7 +107,7 @@ STAGE = Stage(
     gives=("ground",),
     settings=("input", "ground"),
     grain=Grain.SIDE,
-    version=1,
+    version=2,
     make=make_ground,
     libraries=("scikit-learn", "pypatchworkpp"),
     takes_real=_takes_real,

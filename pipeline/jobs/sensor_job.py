@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
+import numpy as np
+
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
-from ...stages.arrays import transform_of
 from ...stages.clean import at_sensor
 from ...stages.frame_search import check_frames
 from ...stages.sensor_description import describe_sensor, pair_columns, sensor_row
@@ -36,7 +37,7 @@ def _frame_check(own: Inputs, sim: Scan) -> Metadata | None:
     with own.step("read"):
         real = own.scans["real"]()
     with own.step("frames"):
-        T_real_sim = transform_of(own.T_real_sim)
+        T_real_sim = np.array(own.T_real_sim).reshape(3, 4) if own.T_real_sim else None
         check = check_frames(real.points, sim.points, own.settings.input, T_real_sim)
     return None if check is None else asdict(check)
 
@@ -53,5 +54,5 @@ STAGE = Stage(
     grain=Grain.SIDE,
     make=make_sensor,
     takes_real=_takes_real,
-    version=4,
+    version=5,
 )

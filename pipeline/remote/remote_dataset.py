@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 from ...schemas.errors import ScanError, StoreError
 from ..storage.files import remove_stale, write_whole
-from ..storage.urls import STUB, cache_of, read_stub
+from ..storage.urls import RESTORED, STUB, cache_of, read_stub
 from .object_store import NoSuchObjectError, StoredObject, describe_object, read_object
 
 #: Files of a dataset that are read when a run is planned, and so are fetched whole.
@@ -64,6 +64,7 @@ def restore_stubs(texts: Mapping[Path, str]) -> None:
     for path, text in texts.items():
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             write_whole(path, text.encode(), advice="; give the command a FIDPIPE_CACHE that workers can create")
+        RESTORED.add(path)
 
 
 @contextmanager
@@ -76,7 +77,7 @@ def fetched_scan(path: Path, labels: Path) -> Iterator[Path]:
         The object, or that of its labels, cannot be fetched whole.
     """
     with tempfile.TemporaryDirectory(prefix="fidpipe-") as folder:
-        for stub in (path, *([labels] if labels.exists() else [])):
+        for stub in (path, *[labels] * labels.exists()):
             url, etag, size = read_stub(stub)
             try:
                 content = read_object(url, etag)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -16,6 +17,8 @@ from ...schemas.errors import StoreError
 
 SCHEMES = ("s3", "gs", "az", "http", "https")
 STUB = ".url"
+#: Stubs that a command sent to this process of a worker, whose cache may be elsewhere.
+RESTORED: set[Path] = set()
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 
 
@@ -80,12 +83,22 @@ def recorded_path(name: str) -> Path:
 
 def is_stub(path: Path) -> bool:
     """True for a stub in the cache. Elsewhere it is ignored: a dataset of others could name any address."""
-    return path.suffix == STUB and _cache() in path.absolute().parents
+    return path.suffix == STUB and (path in RESTORED or path.absolute().parts[: len(_cache().parts)] == _cache().parts)
 
 
 def read_stub(stub: Path) -> list[str]:
     """URL, etag and size of the object that a stub names."""
     return stub.read_text(encoding="utf-8").split("\n")[:3]
+
+
+def n_bytes_of(path: Path) -> int:
+    """Size of a scan file; of a stub that of its object."""
+    return int(read_stub(path)[2]) if is_stub(path) else path.stat().st_size
+
+
+def stub_texts(paths: Iterable[Path]) -> dict[Path, str]:
+    """The stubs among some files, for a worker that does not see the cache."""
+    return {path: path.read_text(encoding="utf-8") for path in paths if is_stub(path) and path.exists()}
 
 
 def _cache() -> Path:

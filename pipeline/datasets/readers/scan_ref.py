@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ....schemas.errors import ScanError
-from ...storage.urls import STUB, is_stub, read_stub
+from ...storage.urls import STUB, is_stub
 from .formats import Format, known_formats
 
 _NUMBER = re.compile(r"\d+(\.\d+)?")
@@ -75,12 +75,6 @@ class ScanRef:
             return None
         seconds, _, rest = self.frame.partition(".")
         return int(seconds) * _NANOSECONDS + int(rest.ljust(9, "0")[:9])
-
-    def n_bytes(self) -> int:
-        """Size of all its files; of a remote scan that of the object."""
-        if self.is_remote:
-            return int(read_stub(self.file)[2])
-        return sum(file.stat().st_size for file in self.files)
 
     def absolute(self) -> ScanRef:
         """The same scan with an absolute path."""
