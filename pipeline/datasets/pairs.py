@@ -145,26 +145,24 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
         warnings += [f"{path}: {_IGNORED}" for path in others]
         unread[side] = {path.stem: path for path in others}
     pairs = []
-    n_lonely = {"real": 0, "sim": 0}
     for stem in scans["real"].keys() | scans["sim"].keys():
         real = scans["real"].get(stem)
         sim = scans["sim"].get(stem)
         fault = None
         if real is None or sim is None:
             absent = "real" if real is None else "sim"
-            n_lonely["sim" if real is None else "real"] += 1
             fault = f"{real or sim}: {NO_PARTNER}; expected a scan named {stem} in {folder / absent}"
             path = unread[absent].get(stem)
             if path is not None:
                 fault = f"{path}: not readable; known formats are {', '.join(known_formats())}"
                 warnings.remove(f"{path}: {_IGNORED}")  # the error reports it
         pairs.append(ScanPair(stem, real, sim, fault=fault))
-    if sum(n_lonely.values()) > 1:
-        side = "real" if n_lonely["real"] else "sim"
-        example = min(pair.pair_id for pair in pairs if pair.fault and side in pair.scans)
+    lonely_real = scans["real"].keys() - scans["sim"].keys()
+    lonely_sim = scans["sim"].keys() - scans["real"].keys()
+    if len(lonely_real) + len(lonely_sim) > 1:
         warnings.append(
-            f"{folder}: {n_lonely['real']} real and {n_lonely['sim']} simulated scans have no "
-            f"partner of the same name, such as {example}; rename them, or {LIST_NAMES}"
+            f"{folder}: {len(lonely_real)} real and {len(lonely_sim)} simulated scans have no partner of "
+            f"the same name, such as {min(lonely_real or lonely_sim)}; rename them, or {LIST_NAMES}"
         )
     return pairs
 
@@ -269,7 +267,8 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
         The file is not a CSV table, lacks a column, repeats a pair, or a value is not a number.
     """
     rows, columns = _manifest_rows(manifest)
-    missing = [name for name in ("pair_id", "real", "sim") if name not in columns and (needs_sim or name != "sim")]
+    required = ("pair_id", *SIDES) if needs_sim else ("pair_id", "real")
+    missing = [name for name in required if name not in columns]
     if missing:
         raise DatasetError(f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}")
     for name in columns:
