@@ -193,12 +193,7 @@ def read_timeline(source: Path) -> Timeline:
     frames = scans_in(source)
     for path in (source / name for name in _TIMES):
         if path.is_file():
-            times_s = read_numbers(path, (1, 8))[:, 0]
-            if len(times_s) != len(frames):
-                raise DatasetError(
-                    f"{path}: expected one time per scan, got {len(times_s)} for {len(frames)} scans",
-                )
-            return _in_order(source, frames, times_s)
+            return _in_order(source, frames, read_times(path, len(frames)))
     names = [frame.stem for frame in frames]
     if not all(_SECONDS.fullmatch(name) for name in names):
         raise DatasetError(
@@ -206,6 +201,16 @@ def read_timeline(source: Path) -> Timeline:
             "or names such as 12.100.ply"
         )
     return _in_order(source, frames, np.array(names, dtype=np.float64))
+
+
+def read_times(path: Path, n_scans: int) -> FloatArray:
+    """(n_scans,) float64, seconds, the first numbers of the lines of times or of poses."""
+    times_s = read_numbers(path, (1, 8))[:, 0]
+    if len(times_s) != n_scans:
+        raise DatasetError(
+            f"{path}: expected one time per scan, got {len(times_s)} for {n_scans} scans",
+        )
+    return times_s
 
 
 def _in_order(source: Path, frames: Sequence[ScanRef], times_s: FloatArray) -> Timeline:
@@ -219,7 +224,7 @@ def _paired_by_name(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]
     """The files of two folders that have the same name, or the same number in it; None without any."""
     real_frames = scans_in(real)
     sim_frames = scans_in(sim)
-    for name_of in (_stem, _only_number):
+    for name_of in (str, _only_number):
         real_places = _unique_places(real_frames, name_of)
         sim_places = _unique_places(sim_frames, name_of)
         names = [name for name in real_places if name in sim_places]
@@ -233,9 +238,9 @@ def _paired_by_name(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]
     return None
 
 
-def _unique_places(frames: Sequence[ScanRef], name_of: Callable[[ScanRef], str]) -> dict[str, int]:
-    """Positions of the frames whose name is unique, by name."""
-    names = [name_of(frame) for frame in frames]
+def _unique_places(frames: Sequence[ScanRef], name_of: Callable[[str], str]) -> dict[str, int]:
+    """Positions of the frames by name, which is made of their stems; without those that share one."""
+    names = [name_of(frame.stem) for frame in frames]
     counts = Counter(names)
     return {name: i for i, name in enumerate(names) if name and counts[name] == 1}
 
@@ -250,13 +255,9 @@ def _known_times(folder: Path, frames: Sequence[ScanRef]) -> FloatArray:
     return np.array([time_of[frame] for frame in frames])
 
 
-def _stem(frame: ScanRef) -> str:
-    return frame.stem
-
-
-def _only_number(frame: ScanRef) -> str:
+def _only_number(stem: str) -> str:
     """The number in the name of a file, without leading zeros; "" if it has none or several."""
-    numbers = re.findall("[0-9]+", frame.stem)
+    numbers = re.findall("[0-9]+", stem)
     return str(int(numbers[0])) if len(numbers) == 1 else ""
 
 

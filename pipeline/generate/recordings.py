@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray
-from ..datasets.pairing import read_numbers
+from ..datasets.pairing import read_numbers, read_times
 from ..datasets.pairs import (
     MANIFEST,
     Dataset,
@@ -145,7 +145,8 @@ def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> lis
         times = rows[:, 0].tolist()
     else:
         motions = _kitti_motions(folder, poses, rows, calibration)
-        times = _kitti_times(folder / _TIMES, len(scans))
+        path = folder / _TIMES
+        times = read_times(path, len(scans)).tolist() if path.is_file() else [None] * len(scans)
     frames = []
     for scan, motion, time_s in zip(scans, motions, times, strict=True):
         frames.append(
@@ -214,17 +215,6 @@ def _read_calibration(path: Path, poses: Path) -> FloatArray:
                 raise DatasetError(f"{path}: Tr holds no numbers ({error})") from error
             return check_rigid(str(path), "Tr", numbers)
     raise DatasetError(f"{path}: no line Tr: found; it maps the sensor's frame into the camera's")
-
-
-def _kitti_times(path: Path, n_frames: int) -> list[float] | list[None]:
-    if not path.is_file():
-        return [None] * n_frames
-    times: list[float] = read_numbers(path, (1,))[:, 0].tolist()
-    if len(times) != n_frames:
-        raise DatasetError(
-            f"{path}: expected one time per scan, got {len(times)} for {n_frames} scans",
-        )
-    return times
 
 
 def square(motion: ArrayLike) -> FloatArray:

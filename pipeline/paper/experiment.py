@@ -198,7 +198,7 @@ def run_experiment(
             write_record(out, settings, header.items(), folder.check_token)
         _remove(stale, folder, reporter, "; ".join(changes) or "out of date")
         missing = {pair_id: task for pair_id, task in tasks.items() if pair_id not in done}
-        failures |= _evaluate_all(missing, folder, reporter, n_workers)
+        failures |= _evaluate_all(missing, folder, reporter, settings.machine.memory_gib, n_workers)
         if scan_ref(source.folder).exists and failures:
             raise ScanError("; ".join(failures.values()))
         records = _finished(tasks, folder)
@@ -228,18 +228,19 @@ def _remove(pair_ids: list[str], folder: RunFolder, reporter: Reporter, why: str
 
 
 def _evaluate_all(
-    tasks: Mapping[str, PairTask], folder: RunFolder, reporter: Reporter, n_workers: int | None
+    tasks: Mapping[str, PairTask],
+    folder: RunFolder,
+    reporter: Reporter,
+    memory_gib: float | None,
+    n_workers: int | None,
 ) -> dict[str, str]:
     """Evaluate pairs, put the results into the ledger, and return the reasons of failures by pair_id."""
-    if not tasks:
-        return {}
-    settings = next(iter(tasks.values())).settings
     records, failures = map_tasks(
         _evaluate,
         tasks,
         reporter,
         n_workers=n_workers,
-        memory_gib=settings.machine.memory_gib,
+        memory_gib=memory_gib,
         may_end_workers=may_crash(task.pair for task in tasks.values()),
     )
     for record in records.values():

@@ -53,7 +53,8 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
     n_rows = (len(curves) + 1) // 2
     with new_figure(11, _TOP_IN + _ROW_IN * n_rows) as figure:
         heights = (_TOP_IN, max(_ROW_IN * n_rows, 0.1))
-        top, bottom = _halves(figure, heights)
+        whole: Any = figure
+        top, bottom = whole.subfigures(2, 1, height_ratios=heights)
         top.suptitle(
             f"scan {shown_name(scan)}, altered; bands: one standard deviation over the repeats",
         )
@@ -83,7 +84,7 @@ def draw_ablation(outcome: AblateOutcome) -> Path | None:
     with new_figure(2.75 * max(len(names), 2), 5.5 if has_maps else 2.7, title) as figure:
         top: Any = figure
         if has_maps:
-            top, bottom = _halves(figure, (1.0, 1.0))
+            top, bottom = top.subfigures(2, 1)
             _draw_maps(bottom, outcome)
         for axis, name in zip(
             top.subplots(1, len(names), sharey=True, squeeze=False)[0],
@@ -95,12 +96,6 @@ def draw_ablation(outcome: AblateOutcome) -> Path | None:
         path = outcome.folder / "ablate.png"
         figure.savefig(path, dpi=120)
     return path
-
-
-def _halves(figure: Any, heights: tuple[float, float]) -> tuple[Any, Any]:
-    """An upper and a lower part of a figure."""
-    top, bottom = figure.subfigures(2, 1, height_ratios=heights)
-    return top, bottom
 
 
 def _draw_panels(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, NamedTuple
@@ -106,34 +106,35 @@ def _choose(trial: Trial, match_rate: Sequence[int], r_lambda: Sequence[int]) ->
         return Choice(name, current, False, text)
     others = [i for i in range(len(trial.tried)) if i != trial.current]
     higher = [i for i in others if match_rate[i] == 1]
-    if higher:
-        return _replaced(trial, higher, "match rate", trial.match_rate.mean(axis=0), np.argmax)
     lower = [i for i in others if match_rate[i] == -1]
-    better_r_lambda = [i for i in others if i not in lower and r_lambda[i] == -1]
-    if better_r_lambda:
-        return _replaced(trial, better_r_lambda, "r_lambda", trial.r_lambda.mean(axis=0), np.argmin)
+    if higher:
+        means = trial.match_rate.mean(axis=0)
+        return _replaced(trial, "match rate", means, higher, max(higher, key=means.item))
+    lower_r_lambda = [i for i in others if i not in lower and r_lambda[i] == -1]
+    if lower_r_lambda:
+        means = trial.r_lambda.mean(axis=0)
+        return _replaced(
+            trial,
+            "r_lambda",
+            means,
+            lower_r_lambda,
+            min(lower_r_lambda, key=means.item),
+        )
     if all(i in lower or r_lambda[i] == 1 for i in others):
         return Choice(name, current, True, f"{here} stays: all other values are clearly worse")
     text = f"the data do not decide: no other value is clearly better; {here} stays"
     return Choice(name, current, False, text)
 
 
-def _replaced(
-    trial: Trial,
-    winners: Sequence[int],
-    score: str,
-    means: FloatArray,
-    best_of: Callable[[FloatArray], np.intp],
-) -> Choice:
-    """The choice of the best of some values that are clearly better than the current one."""
-    best = winners[int(best_of(means[winners]))]
-    here = _named(trial.name, trial.tried[trial.current])
-    text = f"{_named(trial.name, trial.tried[best])} instead of {here}: "
+def _replaced(trial: Trial, score: str, means: FloatArray, better: Sequence[int], best: int) -> Choice:
+    """The best value instead of the current one."""
+    name = trial.name
+    text = f"{_named(name, trial.tried[best])} instead of {_named(name, trial.tried[trial.current])}: "
     text += f"{score} {means[best]:.3f} against {means[trial.current]:.3f}"
-    rest = [trial.tried[i] for i in winners if i != best]
+    rest = [trial.tried[i] for i in better if i != best]
     if rest:
-        text += f" (clearly better too: {_listed(trial.name, rest)})"
-    return Choice(trial.name, trial.tried[best], True, text)
+        text += f" (clearly better too: {_listed(name, rest)})"
+    return Choice(name, trial.tried[best], True, text)
 
 
 def _p_value(change: FloatArray) -> float | None:

@@ -7,11 +7,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
-from .scan import columns_of, packed_layout
+from .scan import packed_columns
 
 #: The message type of a point cloud.
 CLOUD = "foxglove.PointCloud"
@@ -99,18 +98,12 @@ def cloud_of(
             f"{file}: topic {connection.topic}: expected a protobuf schema, got {connection.schema.encoding}",
         )
     cloud = decode(content)
-    if len(cloud.data) % cloud.point_stride:
+    stride = cloud.point_stride
+    if len(cloud.data) % stride:
         raise ScanError(
-            f"{file}: expected points of {cloud.point_stride} bytes in a cloud, got {len(cloud.data)} bytes",
+            f"{file}: expected points of {stride} bytes in a cloud, got {len(cloud.data)} bytes",
         )
-    fields = [
-        (
-            field.name,
-            f"<{_NUMBERS[field.type]}",
-            field.offset,
-        )
-        for field in cloud.fields
-        if field.type in _NUMBERS
-    ]
-    points = np.frombuffer(cloud.data, packed_layout(fields, cloud.point_stride))
-    return columns_of(points), cloud.timestamp.seconds + cloud.timestamp.nanos * 1e-9
+    known = [field for field in cloud.fields if field.type in _NUMBERS]
+    fields = [(field.name, f"<{_NUMBERS[field.type]}", field.offset) for field in known]
+    columns = packed_columns(fields, cloud.data, (len(cloud.data) // stride,), (stride,))
+    return columns, cloud.timestamp.seconds + cloud.timestamp.nanos * 1e-9

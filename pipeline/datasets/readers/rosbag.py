@@ -11,12 +11,11 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
 from . import foxglove
-from .scan import Scan, columns_of, packed_layout, scan_from_columns
+from .scan import Scan, packed_columns, scan_from_columns
 from .scan_ref import ScanRef, frame_number
 
 _CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -206,6 +205,5 @@ def _cloud_columns(file: Path, cloud: Any) -> dict[str, NDArray[Any]]:
             f"{file}: expected {n_bytes} bytes in a cloud, got {len(cloud.data)} in rows of "
             f"{row_step} ({cloud.height} x {cloud.width} points of {cloud.point_step})"
         )
-    layout = packed_layout(fields, cloud.point_step)
-    strides = (row_step, cloud.point_step)
-    return columns_of(np.ndarray((cloud.height, cloud.width), layout, cloud.data, strides=strides))
+    shape = (cloud.height, cloud.width)
+    return packed_columns(fields, cloud.data, shape, (row_step, cloud.point_step))

@@ -161,21 +161,24 @@ def scan_from_columns(
     )
 
 
-def packed_layout(fields: Iterable[tuple[str, str, int]], point_bytes: int) -> np.dtype[Any]:
-    """The layout of points in memory.
+def packed_columns(
+    fields: Iterable[tuple[str, str, int]],
+    content: bytes,
+    shape: tuple[int, ...],
+    strides: tuple[int, ...],
+) -> dict[str, NDArray[Any]]:
+    """The numbers of points in memory by name, row by row.
 
     Parameters
     ----------
     fields : name, NumPy's type and offset of each number; those without a name are left out
+    shape, strides : of the points, in bytes
     """
-    named = [field for field in fields if field[0]]
-    names, types, offsets = zip(*named, strict=True) if named else ((), (), ())
-    return np.dtype({"names": names, "formats": types, "offsets": offsets, "itemsize": point_bytes})
-
-
-def columns_of(points: NDArray[np.void]) -> dict[str, NDArray[Any]]:
-    """The fields of a structured array by name, row by row."""
-    return {name: points[name].ravel() for name in points.dtype.names or ()}
+    columns = {}
+    for name, dtype, offset in fields:
+        if name:
+            columns[name] = np.ndarray(shape, dtype, content, offset, strides).ravel()
+    return columns
 
 
 def check_names(path: Path, names: Iterable[str], remedy: str = "") -> None:
