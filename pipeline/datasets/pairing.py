@@ -18,7 +18,7 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray, IntArray
 from ..storage.files import csv_bytes, write_whole
-from .pairs import LIST_NAMES, MANIFEST, NO_PARTNER, UNPAIRED, Dataset, read_manifest, scans_in
+from .pairs import LIST_NAMES, MANIFEST, NO_PARTNER, UNPAIRED, Dataset, folders_of_scans, read_manifest, scans_in
 from .readers import frames_of
 from .readers.formats import known_formats
 from .readers.scan_ref import ScanRef, scan_ref
@@ -65,8 +65,9 @@ class Pairing:
 def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     """Folder of the dataset of two sides, and one line on how they were paired; "" if it was a dataset before.
 
-    Files of two folders are paired by equal names, else by equal numbers in their names, else by time, as recordings
-    are. The manifest of an earlier call for the same two sides is replaced.
+    Scans may be one level down, in the only folder that has any. Files of two folders are paired by equal names, else
+    by equal numbers in their names, else by time, as recordings are. The manifest of an earlier call for the same two
+    sides is replaced.
 
     Parameters
     ----------
@@ -78,18 +79,14 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     FidpipeError
         A side cannot be read, nothing pairs them, or `out` has the pairs of other sides.
     """
-    sides = (scan_ref(real), scan_ref(sim))
-    for side in sides:
-        if not (side.file.is_dir() or side.format.holds_frames):
-            raise DatasetError(f"{side}: expected a folder of scans or a recording (bag, capture)")
+    for source in (real, sim):
+        if not (source.is_dir() or scan_ref(source).format.holds_frames):
+            raise DatasetError(f"{source}: expected a folder of scans or a recording (bag, capture)")
+    real, sim = _side(real), _side(sim)
     if _are_a_dataset(real, sim):
         return real.parent, ""
-    real_line, sim_line, pairing = _paired(
-        real,
-        sim,
-        any(side.format.holds_frames for side in sides),
-    )
-    _require_same_sides(sides, out)
+    real_line, sim_line, pairing = _paired(real, sim)
+    _require_same_sides(real, sim, out)
     n_pairs = len(pairing.real_ids)
     kept = np.arange(n_pairs, dtype=np.int32)
     n_unpaired = write_dataset(out, real_line, sim_line, pairing, kept, replace=True)
@@ -102,8 +99,9 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     return out, f"{n_pairs} pairs by {how}, {n_unpaired} frames without a partner: {out / MANIFEST}"
 
 
-def _paired(real: Path, sim: Path, is_recording: bool) -> tuple[Timeline, Timeline, Pairing]:
+def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
     """The frames of both sides, paired by name if both are folders, else by time."""
+    is_recording = any(scan_ref(side).format.holds_frames for side in (real, sim))
     by_name = None if is_recording else _paired_by_name(real, sim)
     if by_name is not None:
         return by_name
@@ -120,16 +118,16 @@ def _paired(real: Path, sim: Path, is_recording: bool) -> tuple[Timeline, Timeli
     return real_line, sim_line, pair_times(real_line.times_s, sim_line.times_s, TOLERANCE_S)
 
 
-def _require_same_sides(sides: Sequence[ScanRef], out: Path) -> None:
+def _require_same_sides(real: Path, sim: Path, out: Path) -> None:
     """Raise `DatasetError` if a folder has the pairs of other sides."""
     if not (out / MANIFEST).exists():
         return
     before = read_manifest(out / MANIFEST, [])
     if not before:
         return
-    for source, scan in zip(sides, (before[0].real, before[0].sim), strict=True):
+    for source, scan in ((real, before[0].real), (sim, before[0].sim)):
         file = scan.file.resolve() if scan else out
-        if source.file.resolve() not in (file, file.parent):
+        if scan_ref(source).file.resolve() not in (file, file.parent):
             raise DatasetError(
                 f"{out}: has the pairs of other scans ({file.parent}); give another --out",
             )
@@ -323,6 +321,17 @@ def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IntArray:
     before = after - 1
     after = np.minimum(after, len(among_s) - 1)
     return np.where(of_s - among_s[before] <= among_s[after] - of_s, before, after)
+
+
+def _side(source: Path) -> Path:
+    """The recording or folder of scans that the user means: the only folder with scans, also one level down."""
+    if scan_ref(source).format.holds_frames or not source.is_dir():
+        return source
+    folders = folders_of_scans(source)
+    if len(folders) > 1:
+        names = ", ".join(path.name for path in folders)
+        raise DatasetError(f"{source}: {len(folders)} folders hold scans ({names}); name one of them")
+    return folders[0] if folders else source
 
 
 def read_numbers(path: Path, widths: tuple[int, ...]) -> FloatArray:

@@ -35,6 +35,7 @@ _MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_w
 _ROTATION_TOLERANCE = 1e-3
 _IGNORED = "not a known scan format, ignored"
 _FORMATS = "see docs/formats.md"
+_HOLDS_ONE_SIDE = "; it holds scans of one side: fidpipe run {} SIM"
 NO_PARTNER = "no partner"
 
 
@@ -177,7 +178,7 @@ def _missing_folder_hint(folder: Path, side: str) -> str:
     if not paths:
         return f"; the folder is empty: expected scans of the same names in real/ and sim/, {_FORMATS}"
     if scans_in(folder):
-        return f"; it holds scans of one side: fidpipe run {shlex.quote(str(folder))} SIM"
+        return _HOLDS_ONE_SIDE.format(shlex.quote(str(folder)))
     names = [path.name for path in folders]
     alike = [name for name in names if name.lower().startswith(side)]
     near = alike[0] if alike else nearest(side, names)
@@ -201,6 +202,8 @@ def _one_side_hint(folder: Path, paths: list[Path]) -> str:
         if (folder / other).is_dir():
             command = shlex.join(["fidpipe", "run", *sides])
             return f"; expected it next to {other}/; if its scans are elsewhere: {command}"
+    if folders_of_scans(folder):
+        return _HOLDS_ONE_SIDE.format(shlex.quote(str(folder)))
     return f"; expected one of the two, {_FORMATS}"
 
 
@@ -221,6 +224,14 @@ def scans_in(folder: Path) -> list[ScanRef]:
     """The scan files of a folder, in the order of their names; recordings of many scans are left out."""
     scans = [scan_ref(path) for path in _files(folder) if path.name not in (MANIFEST, UNPAIRED)]
     return [scan for scan in scans if scan.format.module and not scan.format.holds_frames]
+
+
+def folders_of_scans(folder: Path) -> list[Path]:
+    """The folder itself if it holds scans, else those one level down that do."""
+    if scans_in(folder):
+        return [folder]
+    inner = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
+    return [path for path in inner if scans_in(path)]
 
 
 def _files(folder: Path) -> list[Path]:
