@@ -195,10 +195,12 @@ class ObjectFindings(Result):
 class Findings(ObjectFindings):
     """The findings as they are recorded.
 
-    n_independent : pairs that count as independent: copies, and scans within 10 s, count once
+    n_places : independent places: copies and neighbouring frames count once
+    places : by scored pair, the number of its place
     """
 
-    n_independent: int
+    n_places: int
+    places: dict[str, int]
 
 
 class Evidence(Result):
@@ -294,7 +296,7 @@ class SurfaceGroup(Result):
 class Caution(Result):
     """A limit to the trust in the numbers.
 
-    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or floor (unknown)
+    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or best_case (unknown)
     words : one sentence
     """
 
@@ -344,9 +346,9 @@ class Diagnosis(Result):
     """Causes of the difference between both sides, with the gain of correcting each.
 
     n_pairs : diagnosed pairs
-    distance_m, floor_m : mean distance of both sides' surfaces, counted up to 1 m, and that of a perfect second
+    distance_m, best_case_m : mean distance of both sides' surfaces, counted up to 1 m, and that of a perfect second
         measurement of the real scans
-    unexplained : share of the distance over `floor_m` that no correction explains; null if there is hardly any
+    unexplained : share of the distance over `best_case_m` that no correction explains; null if there is hardly any
     causes : those with the largest gain first
     doubtful : seen, but fixing them would not help
     notes : on causes that can have several reasons
@@ -354,7 +356,7 @@ class Diagnosis(Result):
 
     n_pairs: int
     distance_m: float
-    floor_m: float
+    best_case_m: float
     unexplained: float | None
     causes: tuple[Cause, ...]
     doubtful: tuple[str, ...] = ()
