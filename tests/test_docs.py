@@ -68,7 +68,7 @@ def test_a_script_of_twelve_lines_does_the_same_in_python(tmp_path, monkeypatch,
     assert "worse 2 pairs of 2 places" in text
     assert names["comparison"].causes.words[0] == "world 11 cm too low"
     assert list(names["comparison"].table.score)[:1] == [names["comparison"].scores[0].name]
-    assert names["diagnosed"].causes.gain.notna().any()
+    assert names["diagnosed"].diagnosis.n_pairs == 2
 
 
 def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(tmp_path, monkeypatch):
