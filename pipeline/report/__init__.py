@@ -6,4 +6,6 @@ and figures/ draw. They share run_frames (reads a run), charts and pictures (of 
 
 import logging
 
-logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where its cache is, or is not, does not concern our users
+logging.getLogger("matplotlib").setLevel(
+    logging.ERROR
+)  # where its cache is, or is not, does not concern our users

@@ -1,4 +1,4 @@
-"""The first answer of a run: surface, pieces, causes, worst places, scores, trust, and the next step."""
+"""The first answer of a run: surface, pieces, causes, worst places, scores, trust, next step."""
 
 from __future__ import annotations
 
@@ -6,25 +6,34 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from ....schemas.metric_catalogue import metric_of
+from ....schemas.metric_catalogue import headline_scores, metric_of
 from ....schemas.record import RunRecord
 from ....schemas.results import Cause, Diagnosis, Overview
 from ...results.causes import MOST_SHOWN, interval_words
 from ...results.diagnosis import gain_words, unexplained_words, with_gains
 from ...results.floor import FloorRecipe, RunExcess, read_recipe, run_of_floor
 from ...storage.urls import url_or_path
-from ..view import Answers, Note, View, number, percent, shortened
+from ..view import (
+    Answers,
+    Item,
+    Note,
+    View,
+    count,
+    items_of,
+    number,
+    percent,
+    shortened,
+)
 
-#: Causes, places and cautions that are shown without --all.
-_FEW = MOST_SHOWN, 3, 2
-_PAIR = 16
-_SCORES = ("cdc_mean", "r_lambda_mean", "r_gap_mean")
+#: What is shown without --all.
+_MOST_PLACES = 3
+_MOST_CAUTIONS = 2
+_PAIR_WIDTH = 16
 _COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
 #: Sentence if no cause is named.
 NO_CAUSE = "no cause is larger than the differences between two measurements of one scene"
 _NOT_YET = "the frame of the simulated scans: see the warning above"
-#: Cautions that are shown above the answer.
-_SHOWN_ABOVE = ("failed", "frames")
+_LEAST_MOVE = 5e-3
 
 
 def answer_view(
@@ -45,46 +54,69 @@ def answer_view(
     with_all : all causes, places and cautions
     took : time and reused jobs of a run that just ended
     """
-    run, recipe = url_or_path(folder), read_recipe(folder)
+    recipe = read_recipe(folder)
     line = Note(run_line(record, took, recipe), "bold")
     overview = with_gains(record.overview, diagnosis)
     if overview is None:
         return [line]
-    n_causes, n_places, n_cautions = (None, None, None) if with_all else _FEW
-    first = cause_items(overview.causes[:n_causes])
-    if not first:
-        first = [(_NOT_YET if record.frames else NO_CAUSE, "", "")]
+    causes = overview.causes if with_all else overview.causes[:MOST_SHOWN]
+    first = cause_items(causes) or items_of(_NOT_YET if record.frames else NO_CAUSE)
     if diagnosis is not None:
-        first.append((unexplained_words(diagnosis), "", ""))
-    pieces = overview.pieces[:n_places]
-    names = shortened({own.pair_id for own in pieces}, _PAIR)
-    hidden = {*_SHOWN_ABOVE, *(["floor"] if excess or recipe else [])}
-    trust = [own.words for own in overview.trust if own.kind not in hidden][:n_cautions]
-    if overview.unknown:
-        trust.append(unknown_words(overview))
-    if not with_all:
-        trust.append(f"more: {shlex.join(['fidpipe', 'show', run, '--all'])}")
-    following = [["check", record.dataset]] if record.frames else [["report", run, "--open"]]
-    if recipe is not None:
-        following = [["show", run_of_floor(folder, recipe), "--floor", run]]
-    elif diagnosis is None and not record.frames:
-        following.insert(0, ["diagnose", run])
+        first += items_of(unexplained_words(diagnosis))
+    trust = _trust(overview, folder, with_all, has_floor=bool(excess or recipe))
     sections = {
-        "  surface": [(surface_words(record, excess), "", "")],
-        "  pieces": [(pieces_words(record), "", "")],
+        "  surface": items_of(surface_words(record, excess)),
+        "  pieces": items_of(pieces_words(record)),
         "Fix first": first,
-        "Worst places": [(f"{names[own.pair_id]}  {own.words}", "", own.fate_words) for own in pieces],
-        "Objects": [(scores_words(record), "", "")],
-        "Last run": [(change_words(record), "", "")] if record.previous else [],
-        "Trust": [(words, "", "") for words in trust],
-        "Next": [(shlex.join(["fidpipe", *words]), "", "") for words in following],
+        "Worst places": _worst_places(overview, with_all),
+        "Objects": items_of(scores_words(record)),
+        "Last run": items_of(change_words(record)),
+        "Trust": items_of(*trust),
+        "Next": items_of(*_next_commands(folder, record, diagnosis, recipe)),
     }
     return [line, Answers([(heading, items) for heading, items in sections.items() if items])]
 
 
-def cause_items(causes: Sequence[Cause]) -> list[tuple[str, str, str]]:
+def cause_items(causes: Sequence[Cause]) -> list[Item]:
     """Causes as items of an answer: words, interval and gain, and the setting."""
-    return [(f"{i}  {cause.words}", f"95 %: {amount_words(cause)}", cause.setting) for i, cause in enumerate(causes, 1)]
+    items = []
+    for i, cause in enumerate(causes, start=1):
+        items.append((f"{i}  {cause.words}", f"95 %: {amount_words(cause)}", cause.setting))
+    return items
+
+
+def _worst_places(overview: Overview, with_all: bool) -> list[Item]:
+    pieces = overview.pieces if with_all else overview.pieces[:_MOST_PLACES]
+    names = shortened({piece.pair_id for piece in pieces}, _PAIR_WIDTH)
+    return [(f"{names[piece.pair_id]}  {piece.words}", "", piece.fate_words) for piece in pieces]
+
+
+def _trust(overview: Overview, folder: Path, with_all: bool, *, has_floor: bool) -> list[str]:
+    hidden = {"failed", "frames"}  # shown above the answer
+    if has_floor:
+        hidden.add("floor")
+    cautions = [caution.words for caution in overview.trust if caution.kind not in hidden]
+    trust = cautions if with_all else cautions[:_MOST_CAUTIONS]
+    if overview.unknown:
+        trust.append(unknown_words(overview))
+    if not with_all:
+        trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(folder), '--all'])}")
+    return trust
+
+
+def _next_commands(
+    folder: Path, record: RunRecord, diagnosis: Diagnosis | None, recipe: FloorRecipe | None
+) -> list[str]:
+    run = url_or_path(folder)
+    if recipe is not None:
+        commands = [["show", run_of_floor(folder, recipe), "--floor", run]]
+    elif record.frames:
+        commands = [["check", record.dataset]]
+    else:
+        commands = [["report", run, "--open"]]
+        if diagnosis is None:
+            commands.insert(0, ["diagnose", run])
+    return [shlex.join(["fidpipe", *words]) for words in commands]
 
 
 def amount_words(cause: Cause) -> str:
@@ -95,45 +127,52 @@ def amount_words(cause: Cause) -> str:
 
 def unknown_words(overview: Overview) -> str:
     """The causes that cannot be estimated, by reason."""
-    return "unknown: " + "; ".join(f"{', '.join(group.causes)} ({group.reason})" for group in overview.unknown)
+    groups = [f"{', '.join(group.causes)} ({group.reason})" for group in overview.unknown]
+    return f"unknown: {'; '.join(groups)}"
 
 
 def run_line(record: RunRecord, took: str = "", recipe: FloorRecipe | None = None) -> str:
     """Dataset, pairs, time and preset of a run, or of a floor if its recipe is given."""
-    pairs = record.pairs
-    n, n_all = pairs.scored, pairs.scored + pairs.failed + pairs.to_do
-    counts = f"{n} of {n_all}" if n < n_all else n
-    scored = " scored" * (n < n_all)
-    differing = f", but {' '.join(record.departures)}" if record.departures else ""
-    name = Path(record.dataset).name if recipe is None else f"floor of {Path(recipe.dataset).name}"
-    return f"{name}: {counts} pair{'s' * (n_all != 1)}{scored}{took}, preset {record.preset}{differing}"
+    n_scored = record.pairs.scored
+    n_all = n_scored + record.pairs.failed + record.pairs.to_do
+    pairs = count(n_all, "pair")
+    if n_scored < n_all:
+        pairs = f"{n_scored} of {pairs} scored"
+    name = Path(record.dataset if recipe is None else recipe.dataset).name
+    if recipe is not None:
+        name = f"floor of {name}"
+    return f"{name}: {pairs}{took}, preset {record.preset}{departures(record)}"
+
+
+def departures(record: RunRecord) -> str:
+    """The settings of a run that differ from its preset."""
+    return f", but {' '.join(record.departures)}" if record.departures else ""
 
 
 def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:
     """Share of each side's surface that the other side has, with the floor's."""
-    real, sim = (percent(record.summary[column].mean) for column in _COVERED)
-    floor = excess and ", ".join(percent(excess.scores[column].floor) for column in _COVERED)
-    return (
-        f"{real} of the real surface is simulated within 0.3 m, {sim} of the simulated surface is real"
-        f"{f' (floor {floor})' if floor else ''}"
+    real, sim = [percent(record.summary[column].mean) for column in _COVERED]
+    words = (
+        f"{real} of the real surface is simulated within 0.3 m, "
+        f"{sim} of the simulated surface is real"
     )
+    if excess is None:
+        return words
+    floor = ", ".join(percent(excess.scores[column].floor) for column in _COVERED)
+    return f"{words} (floor {floor})"
 
 
 def pieces_words(record: RunRecord) -> str:
     """Missing and invented pieces per pair."""
-    missing, invented = (record.summary[f"n_{kind}_pieces"].mean for kind in ("missing", "invented"))
-    return f"{number(missing, 1)} missing and {number(invented, 1)} invented per pair"
-
-
-def headline_scores(record: RunRecord) -> tuple[str, ...]:
-    """Columns of `pairs`: the object scores that a run is described by; *found* if the real side fixes the objects."""
-    return ("match_rate" if record.preset == "paper" else "found", *_SCORES)
+    missing = number(record.summary["n_missing_pieces"].mean, 1)
+    invented = number(record.summary["n_invented_pieces"].mean, 1)
+    return f"{missing} missing and {invented} invented per pair"
 
 
 def scores_words(record: RunRecord) -> str:
     """The object scores; those of the paper next to them under its preset."""
     words = []
-    for column in headline_scores(record):
+    for column in headline_scores(record.preset):
         metric = metric_of(column)
         word = f"{metric.label} {number(record.summary[column].mean, 2)}"
         if record.preset == "paper" and metric.paper_mean is not None:
@@ -147,11 +186,11 @@ def change_words(record: RunRecord) -> str:
     last = record.previous
     if last is None:
         return ""
-    moved = [
-        f"{metric_of(column).label.partition(',')[0]} {now - before:+.2f}"
-        for column in (*_COVERED, *headline_scores(record))
-        if (now := record.summary[column].mean) is not None
-        and (before := last.means.get(column)) is not None
-        and abs(now - before) >= 5e-3
-    ]
-    return f"{', '.join(moved) or 'no score moved'} since {last.written}; is it chance? fidpipe compare"
+    moved = []
+    for column in (*_COVERED, *headline_scores(record.preset)):
+        now = record.summary[column].mean
+        before = last.means.get(column)
+        if now is not None and before is not None and abs(now - before) >= _LEAST_MOVE:
+            moved.append(f"{metric_of(column).label.partition(',')[0]} {now - before:+.2f}")
+    changes = ", ".join(moved) or "no score moved"
+    return f"{changes} since {last.written}; is it chance? fidpipe compare"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ....schemas.metric_catalogue import SHIFT_COLUMNS, metric_of
+from ....schemas.metric_catalogue import metric_of, pair_columns_in
 from ...results.floor import RunExcess, ScoreExcess
 from ..view import Note, Table, View, signed
 
@@ -15,11 +15,7 @@ _EXCESS_NOTE = (
     "left between the distributions without it."
 )
 #: What the terminal shows; JSON and the page have all.
-HEADLINES = (
-    *("match_rate", "n_missing", "n_hallucinated", "cdc_mean", "r_lambda_mean", "r_gap_mean"),
-    *("centroid_distance_m_mean", "alignment_rms_m_mean", "covered_real_0p3m", "covered_sim_0p3m"),
-    *(*SHIFT_COLUMNS[:3], "roughness_bias_m", "roughness_area_m"),
-)
+HEADLINES = pair_columns_in("excess")
 _MOST_NAMES = 5
 
 
@@ -45,7 +41,10 @@ def excess_view(excess: RunExcess, columns: Sequence[str] = ()) -> View:
 
 def pair_excess_table(excess: RunExcess, pair_id: str) -> Table:
     """The headline scores of one pair over its floor."""
-    rows = [(metric_of(own.column).label, own.mean, own.floor, signed(own.excess)) for own in _known(excess, HEADLINES)]
+    rows = [
+        (metric_of(own.column).label, own.mean, own.floor, signed(own.excess))
+        for own in _known(excess, HEADLINES)
+    ]
     title = f"Pair {pair_id} over the floor {excess.floor} ({excess.recipe.words})"
     return Table(title, ("score", "score", "floor", "excess"), rows)
 
@@ -53,7 +52,14 @@ def pair_excess_table(excess: RunExcess, pair_id: str) -> Table:
 def both_excesses_table(base: RunExcess, other: RunExcess) -> Table:
     """The headline scores of two runs over one floor: the floor, and excess and area before and after."""
     rows = [
-        (metric_of(own.column).label, own.floor, signed(own.excess), signed(after.excess), own.area, after.area)
+        (
+            metric_of(own.column).label,
+            own.floor,
+            signed(own.excess),
+            signed(after.excess),
+            own.area,
+            after.area,
+        )
         for own in _known(base, HEADLINES)
         for after in [other.scores[own.column]]
     ]
@@ -65,8 +71,12 @@ def excess_notes(excess: RunExcess) -> list[Note]:
     """Differences of code and pairs that a reader must know."""
     notes = [f"other code or libraries: {text}" for text in excess.notes]
     if excess.left_out:
-        named = ", ".join(excess.left_out[:_MOST_NAMES]) + " ..." * (len(excess.left_out) > _MOST_NAMES)
-        notes.append(f"{len(excess.left_out)} pairs are not in the floor {excess.floor} and left out: {named}")
+        named = ", ".join(excess.left_out[:_MOST_NAMES]) + " ..." * (
+            len(excess.left_out) > _MOST_NAMES
+        )
+        notes.append(
+            f"{len(excess.left_out)} pairs are not in the floor {excess.floor} and left out: {named}"
+        )
     return [Note(f"note: {text}", "yellow") for text in notes]
 
 
