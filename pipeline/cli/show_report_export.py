@@ -50,16 +50,21 @@ def show(
     if all_ and object_ is not None:
         raise typer.BadParameter("--all is about a run or a pair; leave out the object")
     if floor is not None and object_ is not None:
-        raise typer.BadParameter("--floor is about the scores of a run or of a pair; leave out the object")
+        raise typer.BadParameter(
+            "--floor is about the scores of a run or of a pair; leave out the object"
+        )
     if (as_markdown or as_csv) and (all_ or floor is not None):
-        raise typer.BadParameter("--markdown and --csv are of a run, a pair or an object; leave out --all and --floor")
+        raise typer.BadParameter(
+            "--markdown and --csv are of a run, a pair or an object; leave out --all and --floor"
+        )
 
     from ..report.views.show_view import show_json, show_records, show_view
     from ..results.finished import FinishedRun
     from ..results.floor import excess_over
 
     finished = FinishedRun(run)
-    excess = None if floor is None else excess_over(finished, floor, None if pair is None else [pair])
+    pairs = None if pair is None else [pair]
+    excess = None if floor is None else excess_over(finished, floor, pairs)
     print_as(
         output,
         view=lambda: show_view(finished, pair, object_, excess, with_all=all_),
@@ -115,7 +120,14 @@ def report(
     from ..report.page.run_page import write_report
 
     made = write_report(
-        run, pairs, one_page_a_pair=folder, out=out, html=html, floor=floor, with_figures=figures, reporter=Reporter()
+        run,
+        pairs,
+        one_page_a_pair=folder,
+        out=out,
+        html=html,
+        floor=floor,
+        with_figures=figures,
+        reporter=Reporter(),
     )
     pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
     print_line(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
@@ -167,13 +179,18 @@ def export(
     if not (mcap or ply):
         raise typer.BadParameter("no format given; expected --mcap, --ply or both")
     reporter = Reporter()
-    finished, folder = FinishedRun(run), out or run / "export"
+    finished = FinishedRun(run)
+    folder = out or run / "export"
     with counting(reporter) as pair_done:
-        made = export_run(finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, pair_done=pair_done)
-    if n_failed := finished.record.pairs.failed:
+        made = export_run(
+            finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, pair_done=pair_done
+        )
+    n_failed = finished.record.pairs.failed
+    if n_failed:
         reporter.warn(f"{n_failed} pairs of the run failed and have no points to export")
     if made.mcap:
-        print_line(f"MCAP:   {made.mcap}, stamps {'of the dataset' if made.has_times else 'one second apart'}")
+        stamps = "of the dataset" if made.has_times else "one second apart"
+        print_line(f"MCAP:   {made.mcap}, stamps {stamps}")
     if made.ply:
         print_line(f"PLY:    {len(made.ply)} files in {folder}")
     print_line(f"pairs:  {made.n_pairs}, {megabytes(made.n_bytes)}")

@@ -6,7 +6,7 @@ The camera looks from the sensor's side, where the points are; drawings have the
 from __future__ import annotations
 
 import cmath
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 from urllib.parse import quote, urlencode
 
@@ -19,7 +19,7 @@ from ...stages.arrays import BoolArray, FloatArray
 from ...stages.statistics.findings import evenly
 from ..results.finished import FinishedRun
 from .figures.style import VIEW
-from .run_frames import Cloud, RunResults, frames_of, read_cloud
+from .run_frames import RunResults, frames_of, read_cloud
 from .view import number
 
 #: Width and height of a drawing, in the units of its paths.
@@ -95,9 +95,8 @@ def _piece(results: RunResults, piece: Piece) -> tuple[dict[str, FloatArray], st
         around += [cloud.points[~is_piece], cloud.road]
         if side == piece.side:
             community = np.bincount(cloud.community[is_piece]).argmax()
-    low, high = box_around(np.concatenate(list(layers.values())))
-    others = [points[inside(points, low - _AROUND_M, high + _AROUND_M)] for points in around]
-    return {"others": np.concatenate(others), **layers}, f"{piece.side} {community}"
+    others = surroundings(layers.values(), around, _AROUND_M)
+    return {"others": others, **layers}, f"{piece.side} {community}"
 
 
 def _row_of(run: FinishedRun, piece: Piece) -> Row:
@@ -154,32 +153,23 @@ def draw_change(change: Row, runs: Sequence[FinishedRun]) -> list[dict[str, Any]
     """
     base, other = runs
     pair_id = change["pair_id"]
-    views: list[tuple[str, Cloud, BoolArray]] = []
-    for when, run, side, object_id in (
-        ("", base, "real", change["real_id"]),
-        ("before", base, "sim", change["sim_before"]),
-        ("after", other, "sim", change["sim_after"]),
-    ):
-        cloud = read_cloud(run, pair_id, side)
-        views.append(
-            (when, cloud, np.equal(cloud.community, np.nan if object_id is None else object_id))
-        )
-    low, high = box_around(np.concatenate([cloud.points[is_own] for _, cloud, is_own in views]))
+    views = {
+        "": read_cloud(base, pair_id, "real").split(change["real_id"]),
+        "before": read_cloud(base, pair_id, "sim").split(change["sim_before"]),
+        "after": read_cloud(other, pair_id, "sim").split(change["sim_after"]),
+    }
+    members = [points for points, _ in views.values()]
     places = []
-    for when, cloud, is_own in views:
-        is_other = inside(cloud.points, low, high) & ~is_own
-        words = [f"{is_own.sum():,} points"]
+    for when, (points, others) in views.items():
+        near = surroundings(members, [others])
+        words = [f"{len(points):,} points"]
         if when:
             for score in QUADRANT_SCORES:
                 words.append(f"{METRIC[score].label} {number(change[f'{score}_{when}'])}")
-        if not is_own.any():
-            words = [f"not matched; {is_other.sum():,} points of other objects here"]
+        if not len(points):
+            words = [f"not matched; {len(near):,} points of other objects here"]
         places.append(
-            {
-                "words": ", ".join(words),
-                "own": _columns(cloud.points[is_own]),
-                "others": _columns(cloud.points[is_other]),
-            }
+            {"words": ", ".join(words), "own": _columns(points), "others": _columns(near)}
         )
     return places
 
@@ -188,6 +178,15 @@ def _columns(points: FloatArray) -> list[list[float]]:
     """All x, all y and all z of some points, rounded."""
     columns: list[list[float]] = _few(points).T.round(2).tolist()
     return columns
+
+
+def surroundings(
+    members: Iterable[FloatArray], others: Iterable[FloatArray], margin_m: float = 0.0
+) -> FloatArray:
+    """The points of others, (n, 3), within a box around the members and a margin."""
+    low, high = box_around(np.concatenate(list(members)))
+    points = np.concatenate(list(others))
+    return points[inside(points, low - margin_m, high + margin_m)]
 
 
 def box_around(points: FloatArray) -> tuple[FloatArray, FloatArray]:

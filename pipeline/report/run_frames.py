@@ -30,6 +30,7 @@ from .look import OUTCOME_COLOURS
 
 #: The two scores that are drawn side by side.
 SCORES = QUADRANT_SCORES[::-1]
+_NONE = -1  # no object has this number
 #: Fewer objects have no quartiles.
 FEWEST_IN_BOX = 3
 #: Columns of the share of a real and of a simulated object that the other side has.
@@ -184,6 +185,11 @@ class Cloud:
     community: IntArray
     road: FloatArray
 
+    def split(self, community: int | None) -> tuple[FloatArray, FloatArray]:
+        """The points of an object, and the object points of all others; None has no points."""
+        is_member = self.community == (_NONE if community is None else community)
+        return self.points[is_member], self.points[~is_member]
+
 
 def read_cloud(run: FinishedRun, pair_id: str, side: str) -> Cloud:
     """The points of a side; `RunError` if a table is damaged or gone."""
@@ -197,6 +203,11 @@ def read_cloud(run: FinishedRun, pair_id: str, side: str) -> Cloud:
         community=communities["community_id"].to_numpy(),
         road=points[is_ground],
     )
+
+
+def read_clouds(run: FinishedRun, pair_id: str) -> dict[str, Cloud]:
+    """The points of a pair by side; `RunError` if a table is damaged or gone."""
+    return {side: read_cloud(run, pair_id, side) for side in SIDES}
 
 
 class PairFrames:
@@ -216,7 +227,7 @@ class PairFrames:
     @cached_property
     def clouds(self) -> dict[str, Cloud]:
         """The points by side."""
-        return {side: read_cloud(self._run, self._pair_id, side) for side in SIDES}
+        return read_clouds(self._run, self._pair_id)
 
     @cached_property
     def sensors(self) -> dict[str, SensorDescription]:

@@ -17,6 +17,7 @@ from . import style
 
 _MOST_CLASSES = 8
 _MOST_LETTERS = 70  # that fit side by side under the boxes
+_MOST_VECTORS = 2000  # dots of a figure that are not a picture
 
 
 def plot_distributions(matched: pd.DataFrame) -> Figure:
@@ -60,7 +61,7 @@ def draw_quadrants(matched: pd.DataFrame, axis: Any) -> None:
             rows.r_lambda,
             color=QUADRANT_COLOURS[key],
             label=f"{title}: {100 * share:.0f} %",
-            rasterized=len(rows) > 2000,
+            rasterized=len(rows) > _MOST_VECTORS,
             **look,
         )
     axis.axhline(R_LAMBDA_LIMIT, color="black", linewidth=0.7)

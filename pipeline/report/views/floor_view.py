@@ -41,10 +41,7 @@ def excess_view(excess: RunExcess, columns: Sequence[str] = ()) -> View:
 
 def pair_excess_table(excess: RunExcess, pair_id: str) -> Table:
     """The headline scores of one pair over its floor."""
-    rows = [
-        (metric_of(own.column).label, own.mean, own.floor, signed(own.excess))
-        for own in _known(excess, HEADLINES)
-    ]
+    rows = [(metric_of(own.column).label, own.mean, own.floor, signed(own.excess)) for own in _known(excess, HEADLINES)]
     title = f"Pair {pair_id} over the floor {excess.floor} ({excess.recipe.words})"
     return Table(title, ("score", "score", "floor", "excess"), rows)
 
@@ -52,14 +49,7 @@ def pair_excess_table(excess: RunExcess, pair_id: str) -> Table:
 def both_excesses_table(base: RunExcess, other: RunExcess) -> Table:
     """The headline scores of two runs over one floor: the floor, and excess and area before and after."""
     rows = [
-        (
-            metric_of(own.column).label,
-            own.floor,
-            signed(own.excess),
-            signed(after.excess),
-            own.area,
-            after.area,
-        )
+        (metric_of(own.column).label, own.floor, signed(own.excess), signed(after.excess), own.area, after.area)
         for own in _known(base, HEADLINES)
         for after in [other.scores[own.column]]
     ]
@@ -71,12 +61,8 @@ def excess_notes(excess: RunExcess) -> list[Note]:
     """Differences of code and pairs that a reader must know."""
     notes = [f"other code or libraries: {text}" for text in excess.notes]
     if excess.left_out:
-        named = ", ".join(excess.left_out[:_MOST_NAMES]) + " ..." * (
-            len(excess.left_out) > _MOST_NAMES
-        )
-        notes.append(
-            f"{len(excess.left_out)} pairs are not in the floor {excess.floor} and left out: {named}"
-        )
+        named = ", ".join(excess.left_out[:_MOST_NAMES]) + " ..." * (len(excess.left_out) > _MOST_NAMES)
+        notes.append(f"{len(excess.left_out)} pairs are not in the floor {excess.floor} and left out: {named}")
     return [Note(f"note: {text}", "yellow") for text in notes]
 
 

@@ -149,30 +149,24 @@ def _counts_table(row: Row) -> Table:
         f"objects), found {number(row['found'])} of the real objects; {row['n_matched']} objects "
         f"on both sides, {row['n_missing']} missing, {row['n_hallucinated']} hallucinated"
     )
+    headings = ("side", "points read", "clean", "not ground", "ground below (m)", "objects")
+    columns = ("n_{}_raw", "n_{}_clean", "n_{}_points", "ground_{}_threshold_m", "n_communities_{}")
+    return Table(title, headings, _sides_of(row, columns), digits={4: 2})
+
+
+def _sides_of(row: Row, columns: Sequence[str]) -> list[list[Any]]:
+    """A row per side of the columns of a pair, whose names have the side in the place of braces."""
     rows = []
     for side in SIDES:
-        rows.append(
-            (
-                side,
-                row[f"n_{side}_raw"],
-                row[f"n_{side}_clean"],
-                row[f"n_{side}_points"],
-                row[f"ground_{side}_threshold_m"],
-                row[f"n_communities_{side}"],
-            )
-        )
-    headings = ("side", "points read", "clean", "not ground", "ground below (m)", "objects")
-    return Table(title, headings, rows, digits={4: 2})
+        rows.append([side, *(row[column.format(side)] for column in columns)])
+    return rows
 
 
 def _surface_table(row: Row) -> Table:
-    headings = ["side"]
-    headings += [f"within {reach_words(reach)}" for reach in COVERAGE_REACHES]
-    rows = []
-    for side in SIDES:
-        rows.append((side, *(row[f"covered_{side}_{reach}"] for reach in COVERAGE_REACHES)))
+    headings = ("side", *(f"within {reach_words(reach)}" for reach in COVERAGE_REACHES))
+    columns = [f"covered_{{}}_{reach}" for reach in COVERAGE_REACHES]
     title = "Surface (share of the object points with one of the other side)"
-    return Table(title, headings, rows)
+    return Table(title, headings, _sides_of(row, columns))
 
 
 def _rays(facts: PairFacts) -> Part:
@@ -303,9 +297,13 @@ def object_view(pair_id: str, facts: ObjectFacts) -> View:
     rows = _by_side(facts, ("community_id", *_OBJECT_COLUMNS))
     rows[0][0] = "object"
     table = Table(f"Object of pair {pair_id}: {facts.status}", ("", "real", "simulated"), rows)
+    if facts.scores is None:
+        parts: list[Part] = [Note(alone_judgement(facts.row)), table]
+        if facts.real and facts.sim:
+            n_sim = facts.sim["n_points"] or "no"
+            parts.append(Note(f"{n_sim} of its points are simulated, too few to match it"))
+        return parts
     scores = facts.scores
-    if scores is None:
-        return [table, *map(Note, _alone_lines(facts))]
     title = f"Scores ({scores['status']}, on {scores['n_keep']} aligned nodes)"
     values = []
     for name in scores_in("object"):
@@ -364,17 +362,15 @@ def judgement(row: Mapping[str, Any]) -> str:
 
 
 def alone_judgement(row: Mapping[str, Any]) -> str:
-    """Sentence on an object that only one side has; `row` is one of `RunResults.objects`."""
-    side = row["side"]
-    if side == "real":
-        verdict = "Missing in the simulation"
-        other = "simulated"
-    else:
+    """Sentence on an object that only one side has; `row` is that of the frame of objects."""
+    verdict = "Missing in the simulation"
+    other = "simulated"
+    if row["side"] == "sim":
         verdict = "Invented by the simulation"
         other = "real"
-    covered = percent(row[f"covered_{side}_0p3m"])
+    covered = percent(row[_NEAR])
     text = f"{verdict}: {covered} of its points have one of the other side within 0.3 m"
-    road = row[f"road_share_{side}"] or 0.0
+    road = row["road_share"] or 0.0
     if road >= _LEAST_ROAD:
         text += f"; {percent(road)} of it is road on the {other} side"
     return f"{text}."
@@ -408,21 +404,3 @@ def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
         f"({BAD_ALIGNMENT_WORDS}), which alone lowers it: {', '.join(named)}"
     )
     return [Note(text, "yellow")]
-
-
-def _alone_lines(facts: ObjectFacts) -> list[str]:
-    """Reason why an unmatched object has no scores, and whether the other side has its surface."""
-    side, other = ("real", "simulated")
-    if facts.row["side"] == "sim":
-        side, other = (other, side)
-    why = f"only the {side} side has this object, so that it has no scores"
-    if facts.real and facts.sim:
-        n_sim = facts.sim["n_points"] or "no"
-        why = (
-            f"{n_sim} points of this object are simulated, too few to match it, so that it has no "
-            "scores"
-        )
-    state = surface_state(facts.row[_NEAR])
-    words = {"there": "there, only partitioned differently", "partly": "there in part"}
-    covered = f"{percent(facts.row[_NEAR])} of its points have a {other} one within 0.3 m"
-    return [why, f"its surface is {words.get(state, state)}: {covered}"]
