@@ -14,7 +14,7 @@ from typing import Any
 
 from .data_files import read_rows
 
-_NUMBERS = ("low", "high", "equal", "paper_mean", "paper_std")
+_NUMBERS = ("low", "high", "equal", "least", "step", "paper_mean", "paper_std")
 _LAST = 1000
 
 #: Places that show scores: column `shown_in` of the file names them.
@@ -26,6 +26,7 @@ PLACES = {
     "page": "tables of pairs and objects on the page",
     "numbers": "section *The numbers* of the page",
     "panel": "numbers of a chosen object on the page that are shown at once",
+    "compare": "families of `compare`",
     "excess": "scores over those of a perfect simulator",
     "export": "objects in MCAP and PLY files",
 }
@@ -47,6 +48,10 @@ class Metric:
         mean and standard deviation over the objects)
     shown_in : position in each place that shows the score, by the names of `PLACES`; in the file `PLACE:POSITION`,
         or `PLACE` alone for the end
+    compared_as : heading in comparisons if it is not the label
+    family : of compared scores; the scores of a family are judged together
+    least : a change of the mean over pairs up to this size does not matter to a user
+    step : smallest step of a compared value, such as 1 for a count
     paper_mean, paper_std : mean and standard deviation over the paper's 50 pairs
     method : name in the setting metrics.baselines that selects it; "" for our own scores
     meaning : one sentence: what the column holds
@@ -65,6 +70,10 @@ class Metric:
     equal: float | None
     flags: list[str]
     shown_in: dict[str, int]
+    compared_as: str
+    family: str
+    least: float | None
+    step: float | None
     paper_mean: float | None
     paper_std: float | None
     method: str
@@ -203,21 +212,26 @@ def metric_of(column: str) -> Metric:
 
 def scores_in(place: str) -> tuple[str, ...]:
     """Columns of the scores that a place shows, in their order."""
-    return tuple(metric.column for metric in _shown_in(place))
+    return tuple(metric.column for metric in metrics_in(place))
 
 
 def pair_columns_in(place: str) -> tuple[str, ...]:
     """Columns of `pairs` that a place shows, in their order."""
-    return tuple(metric.pair_column for metric in _shown_in(place))
+    return tuple(metric.pair_column for metric in metrics_in(place))
 
 
 def headline_scores(preset: str) -> tuple[str, ...]:
-    """Columns of `pairs` that describe a run first; of the matched objects the share that the preset is about."""
-    other_share = "found" if preset == "paper" else "match_rate"
-    return tuple(column for column in pair_columns_in("answer") if column != other_share)
+    """Columns of `pairs` that describe a run first."""
+    return tuple(column for column in pair_columns_in("answer") if is_of_preset(column, preset))
 
 
-def _shown_in(place: str) -> list[Metric]:
+def is_of_preset(column: str, preset: str) -> bool:
+    """True except for the share of matched objects that a preset is not about: of one side, or of the larger one."""
+    return column != ("found" if preset == "paper" else "match_rate")
+
+
+def metrics_in(place: str) -> list[Metric]:
+    """The scores that a place shows, in their order."""
     shown = [metric for metric in METRIC.values() if place in metric.shown_in]
     return sorted(shown, key=lambda metric: metric.shown_in[place])
 
