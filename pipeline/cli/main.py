@@ -1,7 +1,7 @@
 """The command: its entry, and the one place where known errors become exit codes.
 
-Each file holds a family of commands. A command parses, calls and prints: no arithmetic, and heavy imports only after
-the options are checked, so that `fidpipe --help` answers at once.
+Each file holds a family of commands. A command parses, calls and prints: no arithmetic, and heavy
+imports only after the options are checked, so that `fidpipe --help` answers at once.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class _ShortTypes:
 
 
 class _Command(_ShortTypes, TyperCommand):
-    """A command whose docstring has the meaning of its parameters; no empty lines between examples."""
+    """A command whose docstring describes its parameters; no empty lines between examples."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -132,7 +132,7 @@ def _local_arguments() -> AbstractContextManager[None]:
 
 
 def _open_streams() -> None:
-    """Redirect closed standard streams to the null device: otherwise files would get their descriptors."""
+    """Redirect closed standard streams to the null device; files would get their descriptors."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             stream = Path(os.devnull).open(mode, encoding="utf-8")  # noqa: SIM115, until the process ends
@@ -187,7 +187,7 @@ def _has_working_folder() -> bool:
 
 
 class _Stop:
-    """Ends the command at the first Ctrl-C; more of them do nothing while that is done in order, some seconds long."""
+    """Ends the command at the first Ctrl-C; for some seconds, more of them do nothing."""
 
     last = -_SECONDS_TO_STOP
 
@@ -199,7 +199,7 @@ class _Stop:
 
 
 def _stop_again(unraisable: Any) -> None:
-    """Raise Ctrl-C again if it came while Python collected garbage, where it would be printed and forgotten."""
+    """Raise Ctrl-C again if it came in a garbage collection, where Python only prints it."""
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         _Stop.last = -_SECONDS_TO_STOP
         signal.setitimer(signal.ITIMER_REAL, _SECONDS_UNTIL_AGAIN)
@@ -208,7 +208,7 @@ def _stop_again(unraisable: Any) -> None:
 
 
 def _ignore_interrupts() -> None:
-    """All is done and only the process has to end: Python takes our handlers away before that, and not these."""
+    """Ignore signals until the process ends: Python removes our handlers before, but not these."""
     for number in _STOPPING:
         signal.signal(number, signal.SIG_IGN)
 
@@ -234,8 +234,9 @@ def _root(
 ) -> None:
     """Measure how faithful simulated LiDAR is, and where it fails.
 
-    fidpipe compares real and simulated scans object by object: what is missing, what is invented, and how far the
-    geometry (CDC) and the structure (r_lambda, r_gap) of each common object have drifted.
+    fidpipe compares real and simulated scans object by object: what is missing, what is invented,
+    and how far the geometry (CDC) and the structure (r_lambda, r_gap) of each common object have
+    drifted.
 
     Begin with check, run, show and compare.
 
@@ -253,7 +254,7 @@ _COMMANDS = {
 
 
 def _application(name: str = "") -> typer.Typer:
-    """The command of this name, or all if there is none: each takes some milliseconds to be set up."""
+    """The command of this name, or all if there is none: each takes milliseconds to set up."""
     application = typer.Typer(
         name="fidpipe",
         cls=_Group,

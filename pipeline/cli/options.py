@@ -43,7 +43,7 @@ SimFolder = Annotated[
     Path | None,
     typer.Argument(
         metavar="[SIM]",
-        help="With the folder of the real scans before it: that of the simulated ones; paired by name or by time.",
+        help="Simulated scans, after the folder of the real ones; paired by name or by time.",
         show_default=False,
     ),
 ]
@@ -96,7 +96,7 @@ EXIT_INTERRUPTED = 130
 
 
 def format_of(as_json: bool, as_markdown: bool, as_csv: bool) -> str:
-    """Format of the output, "" for people; raises `typer.BadParameter` if more than one is requested."""
+    """Format of the output, "" for people; `typer.BadParameter` if more than one is given."""
     requested = {"json": as_json, "markdown": as_markdown, "csv": as_csv}
     formats = [name for name, is_requested in requested.items() if is_requested]
     if len(formats) > 1:
@@ -121,7 +121,7 @@ def run_folder(dataset: Path) -> Path:
 
 
 def paired(real: Path, sim: Path, out: Path) -> Path:
-    """Folder of the dataset of two sides; its manifest, if it needs one, is in `datasets` next to the run."""
+    """Folder of the dataset of two sides; any manifest is in `datasets` next to the run."""
     from ..datasets.pairing import dataset_of
     from ..engine.progress import Reporter
 

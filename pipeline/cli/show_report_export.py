@@ -32,13 +32,13 @@ def show(
 
     Examples
     --------
-    fidpipe show runs/dataset                  the summary that the run ended with; --all for every table
+    fidpipe show runs/dataset                  the summary of the run; --all for every table
 
     fidpipe show runs/dataset 0007             the objects of a pair, worst first
 
-    fidpipe show runs/dataset 0007 12          real object 12 and its simulated partner; sim:3 for a simulated one
+    fidpipe show runs/dataset 0007 12          real object 12; sim:3 for a simulated one
 
-    fidpipe show runs/dataset --floor runs/dataset-floor    each score minus that of a perfect simulator
+    fidpipe show runs/dataset --floor runs/dataset-floor    minus a perfect simulator
 
     fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
 
@@ -85,8 +85,9 @@ def report(
 ) -> None:
     """Make a self-contained web page of a finished run, and with --figures the paper's figures.
 
-    RUN/report.html: surface, what to fix first, worst places, scores, tables, points of some pairs in 3D (the worst,
-    the middle and the best ones, or those of --pairs). RUN/figures: each figure as PNG, SVG and PDF.
+    RUN/report.html: surface, what to fix first, worst places, scores, tables, points of some pairs
+    in 3D (the worst, the middle and the best ones, or those of --pairs). RUN/figures: each figure
+    as PNG, SVG and PDF.
 
     An address that ends in #pair=0007&object=real%203 opens the page at that object.
 
@@ -146,14 +147,16 @@ def export(
     out: Annotated[Path | None, typer.Option(show_default="RUN/export")] = None,
     replace: bool = False,
 ) -> None:
-    """Write the points of a finished run with their scores for Foxglove, Lichtblick, rerun or CloudCompare.
+    """Write points with their scores for Foxglove, Lichtblick, rerun or CloudCompare.
 
-    Each clean point has x, y, z, community (its object, -1: ground), r_lambda, cdc, distance_m (to the other side; NaN
-    if it has no points) and status: 0 ground, 1 scored, 2 identical, 3 too_small, 4 missing, 5 hallucinated.
+    Each clean point has x, y, z, community (its object, -1: ground), r_lambda, cdc, distance_m (to
+    the other side; NaN if it has no points) and status: 0 ground, 1 scored, 2 identical, 3
+    too_small, 4 missing, 5 hallucinated.
 
-    MCAP topics: /fidpipe/real and /fidpipe/sim, /fidpipe/real_objects and /fidpipe/sim_objects (a point per object, at
-    its centroid), all sensor_msgs/msg/PointCloud2, and /fidpipe/scores (a pair's scores as JSON). Stamps are those of
-    the dataset if every pair has one, otherwise a second apart.
+    MCAP topics: /fidpipe/real and /fidpipe/sim, /fidpipe/real_objects and /fidpipe/sim_objects (a
+    point per object, at its centroid), all sensor_msgs/msg/PointCloud2, and /fidpipe/scores (a
+    pair's scores as JSON). Stamps are those of the dataset if every pair has one, otherwise a
+    second apart.
 
     Parameters
     ----------
@@ -164,9 +167,9 @@ def export(
 
     Examples
     --------
-    fidpipe export runs/dataset --mcap                       runs/dataset/export/dataset.mcap, for Foxglove
+    fidpipe export runs/dataset --mcap                     one file for Foxglove
 
-    fidpipe export runs/dataset --ply --pairs '0007'         0007.real.ply and 0007.sim.ply, for CloudCompare
+    fidpipe export runs/dataset --ply --pairs '0007'       two files for CloudCompare
 
     fidpipe export runs/dataset --mcap --ply --out viewers/
     """

@@ -27,14 +27,15 @@ from ..charts import MOST_DOTS, along_the_sequence, evidence_chart, run_charts
 from ..look import PAGE_COLOURS, SIGNED_RAMP_M
 from ..pictures import FRAME, draw_pieces
 from ..run_frames import OBJECT_COVERAGE, SCORES, RunResults, frames_of, quadrants
-from ..view import Note, Table, number, percent, sentence
+from ..view import Note, columns_of, number, percent, sentence
 from ..views.answer_view import (
     NO_CAUSE,
     amount_words,
+    caution_words,
     change_words,
     pieces_words,
     surface_words,
-    unknown_words,
+    trust_words,
 )
 from ..views.floor_view import excess_view
 from ..views.run_view import (
@@ -155,11 +156,7 @@ def _described(class_is: str) -> dict[str, dict[str, Any]]:
 
 
 def _table(rows: pd.DataFrame, keys: Sequence[str], note: str) -> dict[str, Any]:
-    return {"keys": keys, "rows": _plain(rows.round(_DIGITS), keys), "note": note}
-
-
-def _plain(rows: pd.DataFrame, keys: Sequence[str]) -> list[list[Any]]:
-    return [[*row.values()] for row in plain_rows(rows[[*keys]])]
+    return {"keys": keys, "rows": columns_of(plain_rows(rows[[*keys]].round(_DIGITS)), keys), "note": note}
 
 
 def score_limits(results: RunResults) -> dict[str, tuple[float, float]]:
@@ -178,27 +175,12 @@ def score_limits(results: RunResults) -> dict[str, tuple[float, float]]:
     return limits
 
 
-def stage_times(results: RunResults) -> pd.DataFrame:
-    """By stage and step in the order of the pipeline: median over pairs of the `seconds`.
-
-    Those of both sides are added.
-    """
-    times: pd.DataFrame = results.run.read_table("timings").to_pandas()
-    times = times[times.pair_id.isin(results.pairs.pair_id)]
-    order = [*results.run.record.stages, *times.stage]
-    times = times.assign(stage=pd.Categorical(times.stage, list(dict.fromkeys(order))))
-    per_pair = times.groupby(["stage", "step", "pair_id"], sort=False, observed=True).seconds.sum()
-    median = per_pair.groupby(["stage", "step"], sort=False, observed=True).median()
-    return median.reset_index().sort_values("stage", kind="stable")
-
-
 def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
     """Values of the whole run for the page's template, and scores over a floor if any."""
     record = results.run.record
     diagnosis = results.run.diagnosis
     sensor_pair = results.pairs.pair_id.min()
     sensors = frames_of(results, sensor_pair).sensors
-    times = ("stage", "step", "seconds")
     run_values = {
         name: getattr(record, name) for name in ("fidpipe", "written", "dataset", "seed", "workers")
     }
@@ -226,7 +208,6 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "sensor_pair": sensor_pair,
         "sensors": {side: sensor_lines(sensors[side]) for side in SIDES},
         "ranges": [range_table(record.findings)] if record.findings else [],
-        "times": Table("", times, _plain(stage_times(results), times), words=(0, 1)),
         "settings": record.settings,
         "versions": {
             "": run_values,
@@ -253,15 +234,7 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
             f"run {results.run.folder}: no pair is scored, so there is nothing to report"
         )
     is_met, good_enough = _good_enough(results, excess)
-    trust = []
-    frames = []
-    for caution in overview.trust:
-        if caution.kind == "frames":
-            frames.append(f"Warning: {caution.words}")
-        elif caution.kind != "failed":
-            trust.append(caution.words)
-    if overview.unknown:
-        trust.append(unknown_words(overview))
+    warning = [f"Warning: {words}" for words in caution_words(overview, ("frames",))]
     return {
         "sentence": sentence(surface_words(record, excess)),
         "pieces": sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
@@ -271,9 +244,9 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "worst": draw_pieces(results, overview.pieces),
         "is_met": is_met,
         "good_enough": good_enough,
-        "warning": " ".join(frames),
+        "warning": " ".join(warning),
         "change": sentence(change_words(record)) if record.previous else "",
-        "trust": [sentence(words) for words in trust],
+        "trust": [sentence(words) for words in trust_words(overview)],
         "details": [
             dataset_table(record, pair_columns_in("numbers")),
             Note(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
 
 from ....schemas.metric_catalogue import headline_scores, metric_of
@@ -63,7 +63,10 @@ def answer_view(
     first = cause_items(causes) or items_of(_NOT_YET if record.frames else NO_CAUSE)
     if diagnosis is not None:
         first += items_of(unexplained_words(diagnosis))
-    trust = _trust(overview, folder, with_all, has_floor=bool(excess or recipe))
+    most = None if with_all else _MOST_CAUTIONS
+    trust = trust_words(overview, most, has_floor=bool(excess or recipe))
+    if not with_all:
+        trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(folder), '--all'])}")
     sections = {
         "  surface": items_of(surface_words(record, excess)),
         "  pieces": items_of(pieces_words(record)),
@@ -91,17 +94,23 @@ def _worst_places(overview: Overview, with_all: bool) -> list[Item]:
     return [(f"{names[piece.pair_id]}  {piece.words}", "", piece.fate_words) for piece in pieces]
 
 
-def _trust(overview: Overview, folder: Path, with_all: bool, *, has_floor: bool) -> list[str]:
-    hidden = {"failed", "frames"}  # shown above the answer
+def trust_words(
+    overview: Overview, most: int | None = None, *, has_floor: bool = False
+) -> list[str]:
+    """What limits the trust in a run, at most so many cautions; then causes that are unknown."""
+    kinds = {caution.kind for caution in overview.trust} - {"failed", "frames"}  # shown above
     if has_floor:
-        hidden.add("floor")
-    cautions = [caution.words for caution in overview.trust if caution.kind not in hidden]
-    trust = cautions if with_all else cautions[:_MOST_CAUTIONS]
+        kinds.discard("floor")
+    trust = caution_words(overview, kinds)[:most]
     if overview.unknown:
-        trust.append(unknown_words(overview))
-    if not with_all:
-        trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(folder), '--all'])}")
+        groups = [f"{', '.join(group.causes)} ({group.reason})" for group in overview.unknown]
+        trust.append(f"unknown: {'; '.join(groups)}")
     return trust
+
+
+def caution_words(overview: Overview, kinds: Container[str]) -> list[str]:
+    """The cautions of these kinds."""
+    return [caution.words for caution in overview.trust if caution.kind in kinds]
 
 
 def _next_commands(
@@ -123,12 +132,6 @@ def amount_words(cause: Cause) -> str:
     """The 95 % interval of a cause, and its gain if it was measured."""
     gain = gain_words(cause)
     return f"{interval_words(cause)}; {gain}" if gain else interval_words(cause)
-
-
-def unknown_words(overview: Overview) -> str:
-    """The causes that cannot be estimated, by reason."""
-    groups = [f"{', '.join(group.causes)} ({group.reason})" for group in overview.unknown]
-    return f"unknown: {'; '.join(groups)}"
 
 
 def run_line(record: RunRecord, took: str = "", recipe: FloorRecipe | None = None) -> str:

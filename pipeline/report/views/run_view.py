@@ -48,7 +48,7 @@ from ..view import (
     number,
     percent,
 )
-from .answer_view import answer_view, departures
+from .answer_view import answer_view, caution_words, departures
 from .floor_view import HEADLINES, excess_view
 
 if TYPE_CHECKING:
@@ -108,9 +108,8 @@ def summary_view(
     if excess:
         parts += [*excess_view(excess, HEADLINES), Note("")]
     parts += _failures_parts(folder, rows, reported)
-    for caution in record.overview.trust if record.overview else ():
-        if caution.kind == "frames":
-            parts.append(Note(f"warning: {caution.words}", "yellow"))
+    for words in caution_words(record.overview, ("frames",)) if record.overview else ():
+        parts.append(Note(f"warning: {words}", "yellow"))
     parts += answer_view(folder, record, diagnosis, excess, with_all=with_all, took=took)
     return parts
 
