@@ -21,12 +21,12 @@ def run_folders(incomplete: str) -> list[str]:
     """Folders of runs that begin with this text, up to two folders down."""
     above = Path(incomplete if incomplete.endswith("/") else Path(incomplete).parent)
     try:
-        found = {
+        runs = {
             str(path.parent) for below in ("*", "*/*") for path in above.glob(f"{below}/{_RECORD}")
         }
     except OSError:
         return []
-    return _beginning(sorted(found), incomplete)
+    return _beginning(sorted(runs), incomplete)
 
 
 def pairs(ctx: typer.Context, incomplete: str) -> list[str]:

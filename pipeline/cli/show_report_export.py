@@ -120,7 +120,7 @@ def report(
     from ..engine.progress import Reporter
     from ..report.page.run_page import write_report
 
-    made = write_report(
+    files = write_report(
         run,
         pairs,
         one_page_a_pair=folder,
@@ -130,13 +130,13 @@ def report(
         with_figures=figures,
         reporter=Reporter(),
     )
-    pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
-    print_line(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
-    names = ", ".join(dict.fromkeys(path.stem for path in made.figures))
+    pages = f" and {files.n_pages - 1} more" if files.n_pages > 1 else ""
+    print_line(f"page:    {files.page}{pages} ({files.n_views} of {files.n_pairs} pairs in 3D)")
+    names = ", ".join(dict.fromkeys(path.stem for path in files.figures))
     if names:
-        print_line(f"figures: {made.figures[0].parent} ({names}; PNG, SVG and PDF)")
-    if opens and not webbrowser.open(made.page.resolve().as_uri()):
-        Reporter().warn(f"no browser could be started; open {made.page} in one")
+        print_line(f"figures: {files.figures[0].parent} ({names}; PNG, SVG and PDF)")
+    if opens and not webbrowser.open(files.page.resolve().as_uri()):
+        Reporter().warn(f"no browser could be started; open {files.page} in one")
 
 
 def export(
@@ -185,16 +185,16 @@ def export(
     finished = FinishedRun(run)
     folder = out or run / "export"
     with counting(reporter) as pair_done:
-        made = export_run(
+        files = export_run(
             finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, pair_done=pair_done
         )
     n_failed = finished.record.pairs.failed
     if n_failed:
         reporter.warn(f"{n_failed} pairs of the run failed and have no points to export")
-    if made.mcap:
-        stamps = "of the dataset" if made.has_times else "one second apart"
-        print_line(f"MCAP:   {made.mcap}, stamps {stamps}")
-    if made.ply:
-        print_line(f"PLY:    {len(made.ply)} files in {folder}")
-    print_line(f"pairs:  {made.n_pairs}, {megabytes(made.n_bytes)}")
+    if files.mcap:
+        stamps = "of the dataset" if files.has_times else "one second apart"
+        print_line(f"MCAP:   {files.mcap}, stamps {stamps}")
+    if files.ply:
+        print_line(f"PLY:    {len(files.ply)} files in {folder}")
+    print_line(f"pairs:  {files.n_pairs}, {megabytes(files.n_bytes)}")
     print_line(f"status: {LEGEND}")

@@ -100,9 +100,10 @@ def _table(table: Table) -> RichTable:
     )
     cells = table.cells
     columns = [i for i in range(len(table.headings)) if i not in table.wide]
-    words_in = {i: _words_in(row[i] for row in cells) for i in columns}
+    words_in = {}
     breaking = set()
     for i in columns:
+        words_in[i] = _words_in(row[i] for row in cells)
         is_words = i in table.words
         is_fixed = not is_words if table.fixed is None else i in table.fixed
         heading_words = _words_in([table.headings[i]])

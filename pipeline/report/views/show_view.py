@@ -125,10 +125,11 @@ def pair_view(facts: PairFacts, command: str = "") -> View:
     row = facts.pair
     if row["status"] != "scored":
         return [Note(f"pair {row['pair_id']} failed: {row['reason']}", "red")]
-    matched = []
-    for each in facts.objects:
-        if each.scores and each.real and each.sim:
-            matched.append((each.row, each.real, each.sim))
+    matched = [
+        (entry.row, entry.real, entry.sim)
+        for entry in facts.objects
+        if entry.scores and entry.real and entry.sim
+    ]
     parts: list[Part] = [
         _counts_table(row),
         _surface_table(row),
@@ -222,7 +223,7 @@ def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
     rows = []
     left_out = []
     for status in ("missing", "hallucinated"):
-        of_status = [each.row for each in objects if each.status == status]
+        of_status = [entry.row for entry in objects if entry.status == status]
         of_status.sort(key=lambda row: -row["n_points"])
         n_shown = _MOST_UNMATCHED if command else len(of_status)
         for row in of_status[:n_shown]:
@@ -253,7 +254,8 @@ def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
 
 def _least_covered(matched: Sequence[_Matched]) -> Table:
     """The matched objects of which the other side has least."""
-    least = sorted(matched, key=lambda each: each[1][_NEAR] + each[2][_NEAR])[:_MOST_UNCOVERED]
+    by_coverage = sorted(matched, key=lambda sides: sides[1][_NEAR] + sides[2][_NEAR])
+    least = by_coverage[:_MOST_UNCOVERED]
     rows = []
     for _, real, sim in least:
         covered = [side[column] for side in (real, sim) for column in _COVERED]
@@ -278,15 +280,15 @@ def pair_records(facts: PairFacts) -> Table:
         *("covered_real_0p3m", "covered_sim_0p3m", *scores),
     )
     rows = []
-    for each in facts.objects:
-        real = each.real or {}
-        sim = each.sim or {}
+    for entry in facts.objects:
+        real = entry.real or {}
+        sim = entry.sim or {}
         rows.append(
             [
-                *(each.row["pair_id"], each.status, each.row["label"]),
-                *(real.get("community_id"), sim.get("community_id"), each.row["range_m"]),
+                *(entry.row["pair_id"], entry.status, entry.row["label"]),
+                *(real.get("community_id"), sim.get("community_id"), entry.row["range_m"]),
                 *(real.get("n_points"), sim.get("n_points"), real.get(_NEAR), sim.get(_NEAR)),
-                *map((each.scores or {}).get, scores),
+                *map((entry.scores or {}).get, scores),
             ]
         )
     return Table("", headings, rows)
@@ -388,7 +390,7 @@ def object_records(facts: ObjectFacts) -> Table:
 
 def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
     """Objects whose r_lambda depends on a poor alignment, worst first; no note without any."""
-    scored = [each.row for each in objects if each.row["r_lambda"] is not None]
+    scored = [entry.row for entry in objects if entry.row["r_lambda"] is not None]
     bad = [row for row in scored if alignment_is_bad(row["alignment_rms_m"], row["diagonal_m"])]
     if not bad:
         return []
