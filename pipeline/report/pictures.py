@@ -52,10 +52,13 @@ def draw_pieces(results: RunResults, pieces: Sequence[Piece]) -> list[dict[str, 
     for piece in pieces:
         layers, name = _piece(results, piece)
         places, ahead = _seen(layers)
-        sizes.append(np.ptp(np.concatenate(list(places.values())), axis=0) + _PAD_M)
+        everywhere = np.concatenate(list(places.values()))
+        sizes.append(np.ptp(everywhere, axis=0) + _PAD_M)
         drawings.append((piece, name, places, ahead))
-    scale = float(((np.array(FRAME) - 2 * _MARGIN) / np.max(sizes, axis=0)).min())
-    bar_m = max((m for m in _BARS_M if m * scale <= FRAME[0] / 3), default=_BARS_M[0])
+    room = np.array(FRAME) - 2 * _MARGIN
+    scale = float((room / np.max(sizes, axis=0)).min())
+    fitting = [m for m in _BARS_M if m * scale <= FRAME[0] / 3]
+    bar_m = max(fitting, default=_BARS_M[0])
     pictures = []
     for piece, name, places, ahead in drawings:
         pictures.append(
@@ -213,5 +216,6 @@ def object_address(pair_id: str, name: str) -> str:
 
 def _few(points: FloatArray) -> FloatArray:
     """At most `_MOST_DOTS` of some points, evenly over their order."""
-    few: FloatArray = points[np.array(evenly(len(points), _MOST_DOTS), dtype=np.intp)]
+    places = np.array(evenly(len(points), _MOST_DOTS), dtype=np.intp)
+    few: FloatArray = points[places]
     return few

@@ -309,5 +309,5 @@ def ray_image(rays: pd.DataFrame, values: NDArray[Any], empty: float) -> NDArray
 def outcome_places(rays: pd.DataFrame) -> NDArray[np.uint8]:
     """(n,) place of the outcome of each ray in `OUTCOME_COLOURS`, 255 for none."""
     places = {name: place for place, name in enumerate(OUTCOME_COLOURS)}
-    found: NDArray[np.uint8] = np.array(rays.outcome.map(places).fillna(255), dtype=np.uint8)
-    return found
+    known = rays.outcome.map(places)
+    return known.fillna(255).to_numpy().astype(np.uint8)

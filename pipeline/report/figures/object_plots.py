@@ -33,7 +33,8 @@ def plot_object(run: FinishedRun, pair_id: str, name: str) -> Figure:
         cloud = read_cloud(run, pair_id, side)
         members[side], points = cloud.split(row["community_id"] if row else None)
         others[side] = [points, cloud.road]
-    box = style.box_of(np.stack(box_around(np.concatenate(list(members.values())))))
+    corners = box_around(np.concatenate(list(members.values())))
+    box = style.box_of(np.stack(corners))
     with style.new_figure(7.5, 3.5, _object_title(facts, pair_id)) as figure:
         for place, side in enumerate(SIDES, start=1):
             axis = figure.add_subplot(1, 2, place, projection="3d", **style.VIEW)

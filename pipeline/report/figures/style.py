@@ -85,7 +85,8 @@ def community_colours(n: int) -> Any:
     """(n, 3) colours in which neighbours in number differ; they repeat, and none is grey."""
     from matplotlib import colormaps
 
-    wheel = np.concatenate([colormaps[name](np.arange(20))[:, :3] for name in ("tab20", "tab20b")])
+    maps = (colormaps["tab20"], colormaps["tab20b"])
+    wheel = np.concatenate([colours(np.arange(20)) for colours in maps])[:, :3]
     wheel = wheel[np.ptp(wheel, axis=1) > 0.1]
     return wheel[np.arange(n) % len(wheel)]
 
@@ -101,9 +102,10 @@ def frame_of(*clouds: FloatArray) -> FloatArray:
 
     It holds all but the farthest hundredth of the points, and the sensor.
     """
-    ends = np.quantile(np.concatenate(clouds)[:, :2], [0.005, 0.995], axis=0)
-    low = np.minimum(ends[0], 0)
-    high = np.maximum(ends[1], 0)
+    places = np.concatenate(clouds)[:, :2]
+    low, high = np.quantile(places, [0.005, 0.995], axis=0)
+    low = np.minimum(low, 0)
+    high = np.maximum(high, 0)
     margin = 0.04 * (high - low).max()
     return np.stack([low - margin, high + margin])
 
@@ -130,7 +132,8 @@ def new_maps(frame: FloatArray, n_maps: int, title: str) -> Iterator[tuple[Shown
 
 def colour_bar(axis: Any, dots: Any, label: str, extend: str = "neither") -> None:
     """Draw the colours of some dots to the right of a map."""
-    axis.figure.colorbar(dots, cax=axis.inset_axes((1.03, 0, 0.04, 1)), label=label, extend=extend)
+    place = axis.inset_axes((1.03, 0, 0.04, 1))
+    axis.figure.colorbar(dots, cax=place, label=label, extend=extend)
 
 
 def from_above(axis: Any, frame: FloatArray) -> None:
@@ -181,9 +184,10 @@ def _metres(axis: Any, size: FloatArray, zoom: float) -> None:
     """Set an axis in space to a box that begins at 0, true to scale."""
     from matplotlib.ticker import MaxNLocator
 
-    axis.set(xlim=(0, size[0]), ylim=(0, size[1]), zlim=(0, size[2]))
     axis.set_box_aspect(tuple(size), zoom=zoom)  # an array would be changed
-    for name, pad, length in zip("xyz", (-4, -6, -4), size, strict=True):
+    label_pads = (-4, -6, -4)
+    for name, pad, length in zip("xyz", label_pads, size, strict=True):
+        getattr(axis, f"set_{name}lim")(0, length)
         ticks = getattr(axis, f"{name}axis")
         ticks.set_major_locator(MaxNLocator(4 if length > 0.6 * size.max() else 2))
         ticks.set_tick_params(labelsize=6, pad=-2)

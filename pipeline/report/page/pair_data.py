@@ -122,17 +122,21 @@ def thinned(community: Iterable[int], most: int) -> IndexArray:
     share = min(1.0, most / max(1, len(ids)))
     rng = np.random.default_rng(0)
     chosen = []
-    for members in np.split(np.argsort(ids, kind="stable"), np.cumsum(np.bincount(ids))[:-1]):
+    by_object = np.argsort(ids, kind="stable")
+    ends = np.cumsum(np.bincount(ids))
+    for members in np.split(by_object, ends[:-1]):
         n = max(_FEWEST_OF_OBJECT, math.ceil(share * len(members)))
-        chosen.append(rng.choice(members, min(n, len(members), _MOST_OF_OBJECT), replace=False))
+        n = min(n, len(members), _MOST_OF_OBJECT)
+        chosen.append(rng.choice(members, n, replace=False))
     kept: IndexArray = np.sort(np.concatenate(chosen))
     return kept
 
 
 def _ring_by_ring(points: FloatArray, first: Any) -> IndexArray:
     """Order of points by `first`, by elevation and by azimuth: neighbours follow one another."""
-    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
-    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    x, y, z = points.T
+    elevation = np.arctan2(z, np.hypot(x, y))
+    azimuth = np.arctan2(y, x)
     order: IndexArray = np.lexsort((azimuth, np.rint(elevation * _RINGS_PER_RADIAN), first))
     return order
 
@@ -178,15 +182,18 @@ def _lines(tables: PairFrames, shown: dict[str, IndexArray]) -> dict[str, IntArr
 
 def _some_road(road: FloatArray) -> FloatArray:
     """Road points evenly over the ground, one per cell; for display only."""
-    _, first = np.unique(np.floor(road[:, :2] / _ROAD_CELL_M), axis=0, return_index=True)
+    cells = np.floor(road[:, :2] / _ROAD_CELL_M)
+    _, first = np.unique(cells, axis=0, return_index=True)
     if len(first) > _MOST_ROAD_POINTS:
         first = np.random.default_rng(0).choice(first, _MOST_ROAD_POINTS, replace=False)
-    return road[first][_ring_by_ring(road[first], np.zeros(len(first)))]
+    points = road[first]
+    return points[_ring_by_ring(points, np.zeros(len(points)))]
 
 
 def _in_bytes(share: FloatArray, whole: int) -> Any:
     """Shares of `whole`, cut off at 0 and 1; NaN is `_NO_SIGN`."""
-    return np.nan_to_num(np.rint(whole * np.clip(share, 0, 1)), nan=_NO_SIGN).astype(np.uint8)
+    steps = np.rint(whole * np.clip(share, 0, 1))
+    return np.nan_to_num(steps, nan=_NO_SIGN).astype(np.uint8)
 
 
 def _packed_points(points: FloatArray, step_m: float) -> str:

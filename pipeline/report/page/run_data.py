@@ -156,7 +156,8 @@ def _described(class_is: str) -> dict[str, dict[str, Any]]:
 
 
 def _table(rows: pd.DataFrame, keys: Sequence[str], note: str) -> dict[str, Any]:
-    return {"keys": keys, "rows": columns_of(plain_rows(rows[[*keys]].round(_DIGITS)), keys), "note": note}
+    values = plain_rows(rows[[*keys]].round(_DIGITS))
+    return {"keys": keys, "rows": columns_of(values, keys), "note": note}
 
 
 def score_limits(results: RunResults) -> dict[str, tuple[float, float]]:
