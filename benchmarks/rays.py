@@ -62,7 +62,7 @@ def main():
     parser.add_argument("datasets", type=Path, nargs="+", help="folders with real/ and sim/")
     parser.add_argument("--flaws", nargs="*", default=list(FLAWS))
     args = parser.parse_args()
-    scores, bands = {}, {"twin": [], "floor": []}
+    scores, bands = {}, {"twin": [], "best case": []}
     for path in (path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))):
         name = f"{path.parent.parent.name}-{path.stem}"
         real, sim = read(path), read(path.parent.with_name("sim") / path.name)
@@ -70,8 +70,8 @@ def main():
         base = find_rays(real, sim, (sensor, sensor_of(sim)))
         scores[name, ""] = score_rays(base)
         kept = real[random(name, "loss").random(len(real)) >= 0.03]
-        floor = find_rays(real, ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), (sensor, sensor))
-        for which, rays in (("twin", base), ("floor", floor)):
+        best_case = find_rays(real, ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), (sensor, sensor))
+        for which, rays in (("twin", base), ("best case", best_case)):
             bands[which].append(by_range(rays))
         for flaw in args.flaws:
             scores[name, flaw] = scores_of(real, FLAWS[flaw](Scan(sim, car, poles), random(name, flaw)), sensor)

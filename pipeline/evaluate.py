@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError
-from ..schemas.settings import Settings, parse
+from ..schemas.settings import Settings, parse, preset_of
 from ..stages.arrays import FloatArray
 from ..stages.frame_search import FrameCheck
 from .datasets.readers import read_scan
@@ -37,6 +37,7 @@ _FIELDS = {"ground": "points", "graph": "edges"}  #: of `PairResult`, by table
 class PairResult:
     """The tables of one pair as pandas frames, with the columns of `schemas.tables`.
 
+    preset : whose objects they are, "paper" or "reference"
     summary : the pair's row of `pairs`: counts, match rate, means and standard deviations
     points, sensor, edges, communities, objects : by side, "real" and "sim"
     matching, coverage, surface, pieces, rays, ray_scores, causes, selection, metrics : of the pair; `causes` has the
@@ -45,6 +46,7 @@ class PairResult:
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
     """
 
+    preset: str
     summary: dict[str, Any]
     points: dict[str, pd.DataFrame]
     sensor: dict[str, pd.DataFrame]
@@ -65,8 +67,8 @@ class PairResult:
 
     def __repr__(self) -> str:
         names = ("n_matched", "n_missing", "n_hallucinated", "match_rate", "cdc_mean", "r_lambda_mean")
-        known = ((name, self.summary[name]) for name in names)
-        return f"<evaluated pair: {', '.join(f'{name} {value:.4g}' for name, value in known if value is not None)}>"
+        known = [f"{name} {self.summary[name]:.4g}" for name in names if self.summary[name] is not None]
+        return f"<evaluated pair, preset {self.preset}: {', '.join(known)}>"
 
 
 def evaluate_pair(
@@ -130,7 +132,7 @@ def evaluate_pair(
             frames.setdefault(_FIELDS.get(name, name), {})[side] = frame
         else:
             frames[name] = frame
-    return PairResult(summary=summary, **frames)
+    return PairResult(preset=preset_of(settings), summary=summary, **frames)
 
 
 def _scan(name: str, source: ArrayLike | Scan | Path, settings: Settings) -> Scan:

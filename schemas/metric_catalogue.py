@@ -165,7 +165,9 @@ PAIR_SCORES = _of_group("pair")
 #: Coverage of both surfaces of a pair, displacement and roughness, missing and invented pieces and the share of found
 #: objects, rays and intensities: in the order of the columns of `pairs`, those of rays also of `ray_scores`.
 COVERAGE_SCORES, SURFACE_SCORES = _of_group("coverage"), _of_group("surface")
-PIECE_SCORES, RAY_SCORES, INTENSITY_SCORES = _of_group("piece"), _of_group("ray"), _of_group("intensity")
+PIECE_SCORES = _of_group("piece")
+RAY_SCORES = _of_group("ray")
+INTENSITY_SCORES = _of_group("intensity")
 #: The baseline metrics, in the order in which they are computed and shown.
 BASELINES = _of_group("baseline")
 #: Scores of the displacement of the simulated surface.
@@ -185,7 +187,10 @@ QUADRANT_LIMITS = {"cdc": 0.5, "r_lambda": 0.4}
 #: Geometry and structure of an object: charts, and comparisons of single objects, are of these two.
 QUADRANT_SCORES = tuple(QUADRANT_LIMITS)
 #: Scores of a pair that are repeated under other seeds.
-SEEDED_SCORES = (*(metric.column for metric in PAIR_SCORES), *(METRIC[name].mean_column for name in OBJECT_METRICS))
+SEEDED_SCORES = (
+    *(metric.column for metric in PAIR_SCORES),
+    *(METRIC[name].mean_column for name in OBJECT_METRICS),
+)
 #: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
 DATASET_SCORES = ("match_rate", *(METRIC[name].mean_column for name in OBJECT_METRICS))
 #: Columns of `pairs` that describe a run, which also measures surfaces.

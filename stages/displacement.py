@@ -25,7 +25,8 @@ _FLAT = 0.02  # l3 / l1 of a plane, at most
 _REACHES_M = (1.5, 1.5, 1.0, 1.0, 0.7, 0.7)
 _FINE_REACH_M, _FINE_STEPS = 0.5, 8
 _TUKEY, _LEAST_SPREAD_M = 4.685, 0.01  # efficiency of 95 % under normal errors
-_PRIOR = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05, 0.05, 0.5, 3.0, 3.0, 0.5])  # standard deviations; radians
+#: Standard deviations of the parameters; radians.
+_PRIOR = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05, 0.05, 0.5, 3.0, 3.0, 0.5])
 _NOISE_M, _CORRELATED = 0.1, 20  # of a distance to a plane, and the places that share an error
 
 
@@ -57,7 +58,11 @@ class Displacement:
         return points - self.of(place, is_ground)
 
 
-def fit_displacement(real: FloatArray, sim: FloatArray, is_ground: BoolArray) -> Displacement | None:
+def fit_displacement(
+    real: FloatArray,
+    sim: FloatArray,
+    is_ground: BoolArray,
+) -> Displacement | None:
     """Fit the displacement of the simulated surface, or None without enough planes in common.
 
     Least squares of distances along normals, point to plane (Chen and Medioni, Image Vision Comput. 1992), linear in
@@ -77,7 +82,13 @@ def fit_displacement(real: FloatArray, sim: FloatArray, is_ground: BoolArray) ->
     planes = fit_planes(real, real[rows], _NEIGHBOURS)
     l3, _, l1 = planes.variance.T
     is_plane = (l3 <= _FLAT * l1) & ~planes.is_line
-    fit = _Fit(planes.mean[is_plane], planes.normal[is_plane], is_ground[rows[is_plane]], cKDTree(sim), sim)
+    fit = _Fit(
+        planes.mean[is_plane],
+        planes.normal[is_plane],
+        is_ground[rows[is_plane]],
+        cKDTree(sim),
+        sim,
+    )
     found = _fit_coarsely(fit)
     if found is None:
         return None
@@ -129,7 +140,9 @@ class _Fit:
         slopes = np.einsum("nkp,nk->np", columns, self.normal)
         n_near = _NEIGHBOURS if is_fine else 1
         distance, near = self.tree.query(
-            self.places + columns @ values, k=range(1, 1 + n_near), distance_upper_bound=reach_m
+            self.places + columns @ values,
+            k=range(1, 1 + n_near),
+            distance_upper_bound=reach_m,
         )
         met = np.flatnonzero(np.isfinite(distance[:, 0]))
         if len(met) < 10 * len(PARAMETERS):
@@ -141,7 +154,10 @@ class _Fit:
         weighted = slopes[met] / (_NOISE_M**2 * _CORRELATED)
         if is_fine:
             weighted *= _biweight(gap - slopes[met] @ values)[:, None]
-        better: FloatArray = np.linalg.solve(weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0), weighted.T @ gap)
+        better: FloatArray = np.linalg.solve(
+            weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0),
+            weighted.T @ gap,
+        )
         return better
 
     def misfit(self, values: FloatArray, seam_deg: float) -> float:
@@ -150,7 +166,8 @@ class _Fit:
         distance, near = self.tree.query(displaced, distance_upper_bound=_FINE_REACH_M)
         is_met = np.isfinite(distance)
         gap = np.full(len(displaced), _FINE_REACH_M)
-        gap[is_met] = np.abs(((self.sim[near[is_met]] - displaced[is_met]) * self.normal[is_met]).sum(axis=1))
+        offset = self.sim[near[is_met]] - displaced[is_met]
+        gap[is_met] = np.abs((offset * self.normal[is_met]).sum(axis=1))
         return float(gap.mean())
 
 

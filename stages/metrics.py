@@ -35,7 +35,13 @@ class Scores:
     gap_sim: float | None = None
 
 
-def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: Watch = unwatched) -> Scores:
+def score_object(
+    real: Subgraph,
+    sim: Subgraph,
+    selection: Selection,
+    *,
+    watch: Watch = unwatched,
+) -> Scores:
     """Compute geometry (CDC) and structure (r_lambda, r_gap) scores of one matched object.
 
     With L_real, L_sim the normalised Laplacians of the reduced subgraphs, rows and columns of L_sim in the aligned
@@ -61,19 +67,22 @@ def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: 
     rms_m = _alignment_rms(real.points[selection.real_nodes], sim.points[selection.sim_nodes])
     n_keep = len(selection.real_nodes)
     if n_keep < MIN_NODES:
-        return Scores(
-            cdc, rms_m, "too_small", f"{n_keep} aligned nodes, at least {MIN_NODES} are needed for a spectrum"
-        )
+        reason = f"{n_keep} aligned nodes, at least {MIN_NODES} are needed for a spectrum"
+        return Scores(cdc, rms_m, "too_small", reason)
     with watch("laplacian"):
         laplacian_real = induced_laplacian(real, selection.real_nodes)
         laplacian_sim = induced_laplacian(sim, selection.sim_nodes)
     with watch("norm"):
-        change = min(MAX_CHANGE, spectral_norm(laplacian_sim - laplacian_real))  # an excess is rounding
+        change = spectral_norm(laplacian_sim - laplacian_real)
+    change = min(MAX_CHANGE, change)  # an excess is rounding
     with watch("spectra"):
         spectrum_real = eigenvalues(laplacian_real)
-        spectrum_sim = eigenvalues(laplacian_sim) if change > 0 else spectrum_real  # of equal matrices, exactly equal
+        spectrum_sim = spectrum_real  # of equal matrices, exactly equal
+        if change > 0:
+            spectrum_sim = eigenvalues(laplacian_sim)
     shift = min(MAX_CHANGE, float(np.max(np.abs(spectrum_sim - spectrum_real))))
-    gap_real, gap_sim = (float(spectrum[1] - spectrum[0]) for spectrum in (spectrum_real, spectrum_sim))
+    gap_real = float(spectrum_real[1] - spectrum_real[0])
+    gap_sim = float(spectrum_sim[1] - spectrum_sim[0])
     is_identical = change <= IDENTICAL_CHANGE
     return Scores(
         cdc=cdc,

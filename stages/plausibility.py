@@ -71,12 +71,11 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     reach = np.abs([low, high]).max()
     if reach > FAR_COORDINATE_M:
         unit = _unit(low, high)
-        reach_words = f"{reach:.0f} m" if reach < FARTHEST_M else f"{reach:.0e} m"
-        odd.append(
-            f"coordinates reach {reach_words}; expected metres: are they {unit}?"
-            if unit
-            else f"coordinates reach {reach_words}; a scan has its sensor at (0, 0, 0): are they projected?"
-        )
+        words = f"{reach:.0f} m" if reach < FARTHEST_M else f"{reach:.0e} m"
+        question = "a scan has its sensor at (0, 0, 0): are they projected?"
+        if unit:
+            question = f"expected metres: are they {unit}?"
+        odd.append(f"coordinates reach {words}; {question}")
     elif spread.max() < SMALLEST_EXTENT_M:
         odd.append(f"all points are within {spread.max():.2g} m; expected metres")
     elif spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
@@ -99,15 +98,13 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     near = float(np.mean(range_m < EGO_RANGE_M))
     if near > 0.5:
         left = float(np.mean((range_m >= min_range_m) & (range_m < EGO_RANGE_M)))
-        odd.append(
-            f"{near:.0%} of the points are within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
-            + (
-                f"{left:.1%} are kept by input.min_range_m={min_range_m:g}; input.min_range_m={EGO_RANGE_M:g} or "
-                "input.exclude_box drops them"
-                if left >= 0.0005
-                else f"they are already dropped by input.min_range_m={min_range_m:g}"
+        setting = f"input.min_range_m={min_range_m:g}"
+        advice = f"they are already dropped by {setting}"
+        if left >= 0.0005:
+            advice = (
+                f"{left:.1%} are kept by {setting}; input.min_range_m={EGO_RANGE_M:g} or input.exclude_box drops them"
             )
-        )
+        odd.append(f"{near:.0%} of the points are within {EGO_RANGE_M:g} m; hits on the ego vehicle? {advice}")
     return odd
 
 
@@ -127,7 +124,8 @@ def _are_angles(points: FloatArray) -> bool:
     for turn, right_angle in ((360.0, 90.0), (2 * np.pi, np.pi / 2)):
         uneven = np.abs(np.diff(quantiles, axis=0) / np.maximum(spans, 1e-9) - 0.25).max(axis=0)
         is_azimuth = (spans > 0.9 * turn) & (spans < 1.001 * turn) & (uneven < _EVEN)
-        is_elevation = (np.abs(quantiles) <= right_angle).all(axis=0) & (quantiles[0] < 0) & ~is_azimuth
+        is_small = (np.abs(quantiles) <= right_angle).all(axis=0)
+        is_elevation = is_small & (quantiles[0] < 0) & ~is_azimuth
         is_range = (quantiles[0] >= 0) & ~is_azimuth & ~is_elevation
         if is_azimuth.any() and is_elevation.any() and is_range.any():
             return True

@@ -215,6 +215,7 @@ def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
         "azimuth_noise_deg": sensor.azimuth_noise_deg,
         "lost_share": sensor.lost_in_all,
         "reason": "; ".join(f"{name}: {why}" for name, why in sensor.untold.items()) or None,
+        "doubts": "\n".join(sensor.doubts.values()) or None,
     }
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from . import completion
-from .options import AsCsv, AsJson, AsMarkdown, Floor, Pairs, RunFolder, format_of
+from .options import AsCsv, AsJson, AsMarkdown, BestCase, Pairs, RunFolder, format_of
 from .output import print_as, print_line
 
 
@@ -17,7 +17,7 @@ def show(
     pair: Annotated[str | None, typer.Argument(autocompletion=completion.pairs)] = None,
     object_: Annotated[str | None, typer.Argument(metavar="[OBJECT]")] = None,
     all_: Annotated[bool, typer.Option("--all")] = False,
-    floor: Floor = None,
+    best_case: BestCase = None,
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
@@ -38,7 +38,7 @@ def show(
 
     fidpipe show runs/dataset 0007 12          real object 12; sim:3 for a simulated one
 
-    fidpipe show runs/dataset --floor runs/dataset-floor    minus a perfect simulator
+    fidpipe show runs/dataset --best-case runs/dataset-best-case    minus a perfect simulator
 
     fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
 
@@ -49,22 +49,23 @@ def show(
     output = format_of(as_json, as_markdown, as_csv)
     if all_ and object_ is not None:
         raise typer.BadParameter("--all is about a run or a pair; leave out the object")
-    if floor is not None and object_ is not None:
+    if best_case is not None and object_ is not None:
         raise typer.BadParameter(
-            "--floor is about the scores of a run or of a pair; leave out the object"
+            "--best-case is about the scores of a run or of a pair; leave out the object"
         )
-    if (as_markdown or as_csv) and (all_ or floor is not None):
+    if (as_markdown or as_csv) and (all_ or best_case is not None):
         raise typer.BadParameter(
-            "--markdown and --csv are of a run, a pair or an object; leave out --all and --floor"
+            "--markdown and --csv are of a run, a pair or an object; leave out --all and "
+            "--best-case"
         )
 
     from ..report.views.show_view import show_json, show_records, show_view
+    from ..results.best_case import excess_over
     from ..results.finished import FinishedRun
-    from ..results.floor import excess_over
 
     finished = FinishedRun(run)
     pairs = None if pair is None else [pair]
-    excess = None if floor is None else excess_over(finished, floor, pairs)
+    excess = None if best_case is None else excess_over(finished, best_case, pairs)
     print_as(
         output,
         view=lambda: show_view(finished, pair, object_, excess, with_all=all_),
@@ -78,7 +79,7 @@ def report(
     pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
     folder: bool = False,
     figures: bool = False,
-    floor: Floor = None,
+    best_case: BestCase = None,
     out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
     html: Path | None = None,
     opens: Annotated[bool, typer.Option("--open")] = False,
@@ -110,7 +111,7 @@ def report(
 
     fidpipe report runs/dataset --figures
 
-    fidpipe report runs/dataset --floor runs/dataset-floor
+    fidpipe report runs/dataset --best-case runs/dataset-best-case
     """
     if folder and html is not None:
         raise typer.BadParameter("--html names one page, --folder writes several; give one of them")
@@ -126,7 +127,7 @@ def report(
         one_page_a_pair=folder,
         out=out,
         html=html,
-        floor=floor,
+        best_case=best_case,
         with_figures=figures,
         reporter=Reporter(),
     )

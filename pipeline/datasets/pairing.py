@@ -63,8 +63,9 @@ class Pairing:
 def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     """Folder of the dataset of two sides, and one line on how they were paired; "" if it was a dataset before.
 
-    Files of two folders are paired by equal names, else by equal numbers in their names, else by time, as recordings
-    are. The manifest of an earlier call for the same two sides is replaced.
+    Scans may be one level down, in the only folder that has any. Files of two folders are paired by equal names, else
+    by equal numbers in their names, else by time, as recordings are. The manifest of an earlier call for the same two
+    sides is replaced.
 
     Parameters
     ----------
@@ -79,6 +80,7 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     for source in (real, sim):
         if not (source.is_dir() or holds_frames(source)):
             raise DatasetError(f"{source}: expected a folder of scans or a recording (bag, capture)")
+    real, sim = _side(real), _side(sim)
     if _are_a_dataset(real, sim):
         return real.parent, ""
     is_recording = holds_frames(real) or holds_frames(sim)
@@ -250,6 +252,25 @@ def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IntArray:
     before = after - 1
     after = np.minimum(after, len(among_s) - 1)
     return np.where(of_s - among_s[before] <= among_s[after] - of_s, before, after)
+
+
+def folders_of_scans(folder: Path) -> list[Path]:
+    """The folder itself if it holds scans, else those one level down that do."""
+    if scans_in(folder):
+        return [folder]
+    inner = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
+    return [path for path in inner if scans_in(path)]
+
+
+def _side(source: Path) -> Path:
+    """The recording or folder of scans that the user means: the only folder with scans, also one level down."""
+    if holds_frames(source) or not source.is_dir():
+        return source
+    folders = folders_of_scans(source)
+    if len(folders) > 1:
+        names = ", ".join(path.name for path in folders)
+        raise DatasetError(f"{source}: {len(folders)} folders hold scans ({names}); name one of them")
+    return folders[0] if folders else source
 
 
 def scans_in(folder: Path) -> list[Path]:

@@ -155,6 +155,8 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
                     ["fidpipe", "run", *([str(other), "SIM"] if side == "sim" else ["REAL", str(other)])]
                 )
                 hint = f"; expected it next to {other.name}/; if its scans are elsewhere: {words}"
+            elif not near and any(suffix_of(path) for path in _files_below(folder)):
+                hint = f"; it holds scans of one side: fidpipe run {shlex.quote(str(folder))} SIM"
             elif not any(folder.iterdir()):
                 hint = f"; the folder is empty: expected scans of the same names in real/ and sim/, {_FORMATS}"
             raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found{hint}")
@@ -189,6 +191,12 @@ def _files(folder: Path) -> list[Path]:
         and not path.is_dir()
         and not path.name.removesuffix(STUB).endswith((".label", ".toml"))
     ]
+
+
+def _files_below(folder: Path) -> list[Path]:
+    """Files that may be scans in the folders of a folder."""
+    inner = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
+    return [path for below in inner for path in _files(below)]
 
 
 def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, Path]:

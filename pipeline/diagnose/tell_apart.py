@@ -120,22 +120,26 @@ def _summary(test: Separation) -> JsonObject:
     return {"auc": test.auc, "low": test.low, "high": test.high}
 
 
-def tell_apart_run(run: FinishedRun, floor: FinishedRun | None = None, pattern: str | None = None) -> TellApart:
+def tell_apart_run(run: FinishedRun, best_case: FinishedRun | None = None, pattern: str | None = None) -> TellApart:
     """Test the pairs of a run.
 
     Parameters
     ----------
-    floor : a run of `fidpipe floor` on the same real scans; its second measurements stand for the real sensor
+    best_case : a run of `fidpipe best-case` on the same real scans; its second measurements stand for the real sensor
     pattern : only pairs whose name matches (shell style)
 
     Raises
     ------
     FidpipeError
-        No pair is scored, a table is damaged, or the floor lacks a pair.
+        No pair is scored, a table is damaged, or the best case lacks a pair.
     """
     chosen = _evenly(run.select(pattern))
     sides = [[partial(_read_stored, run, name, side) for name in chosen] for side in SIDES]
-    second = [partial(_read_stored, floor, floor.row(name)["pair_id"], "sim") for name in chosen] if floor else []
+    second = (
+        [partial(_read_stored, best_case, best_case.row(name)["pair_id"], "sim") for name in chosen]
+        if best_case
+        else []
+    )
     return _compare(str(run.folder), sides[0], sides[1], second, is_paired=True)
 
 
@@ -180,7 +184,7 @@ def _compare(
     parts = (n[: 2 * half : 2], n[1::2]) if is_paired else (n[:half], n[half : 2 * half])
     c, d = (_of_frames(a, part) for part in parts)
     if second:
-        base_of, (c, d) = "second measurements of the floor", (a, draw(second))
+        base_of, (c, d) = "second measurements of the best case", (a, draw(second))
     elif half and (not is_paired or len(np.unique(a.place)) <= half):
         base_of = "even and odd frames" if is_paired else "first and second half of the frames"
     else:

@@ -109,6 +109,6 @@ STAGE = Stage(
     grain=Grain.SIDE,
     version=2,
     make=make_ground,
-    libraries=("scikit-learn", "pypatchworkpp"),
+    libraries=("pypatchworkpp",),
     takes_real=_takes_real,
 )

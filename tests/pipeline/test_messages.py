@@ -300,7 +300,7 @@ def test_a_command_to_type_next_can_be_typed_where_a_name_has_spaces(dataset, tm
     ended = command("run", data, "--out", "my run", "--workers", 1, cwd=tmp_path)
     assert "fidpipe report 'my run' --open" in ended.stdout
     everything = command("show", "my run", "--all", cwd=tmp_path).stdout
-    assert f"fidpipe floor '{data}' --preset paper" in " ".join(everything.split())
+    assert f"fidpipe run '{data}' --preset reference" in " ".join(everything.split())
     assert "fidpipe show my run" not in ended.stdout
 
 

@@ -17,9 +17,9 @@ from ....schemas.errors import RunError
 from ....schemas.metric_catalogue import METRIC, metric_of, pair_columns_in, scores_in
 from ....schemas.results import Cause, Evidence
 from ....stages.sensor_description import sensor_lines
+from ...results.best_case import RunExcess
 from ...results.causes import MOST_SHOWN
 from ...results.diagnosis import unexplained_words
-from ...results.floor import RunExcess
 from ...results.gate import Criterion, judge_run
 from ...results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, plain_rows
 from ...terminal import STEERING
@@ -37,7 +37,7 @@ from ..views.answer_view import (
     surface_words,
     trust_words,
 )
-from ..views.floor_view import excess_view
+from ..views.best_case_view import excess_view
 from ..views.run_view import (
     coverage_table,
     dataset_table,
@@ -177,7 +177,7 @@ def score_limits(results: RunResults) -> dict[str, tuple[float, float]]:
 
 
 def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
-    """Values of the whole run for the page's template, and scores over a floor if any."""
+    """Values of the whole run for the page's template, and scores over a best case if any."""
     record = results.run.record
     diagnosis = results.run.diagnosis
     sensor_pair = results.pairs.pair_id.min()
@@ -205,7 +205,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
             row["pair_id"]: row["reason"] for row in results.run.rows if row["status"] == "failed"
         },
         "most_failures": _MOST_FAILURES,
-        "floor": excess_view(excess) if excess else [],
+        "best_case": excess_view(excess) if excess else [],
         "sensor_pair": sensor_pair,
         "sensors": {side: sensor_lines(sensors[side]) for side in SIDES},
         "ranges": [range_table(record.findings)] if record.findings else [],
@@ -224,7 +224,7 @@ def _with_amounts(causes: Sequence[Cause]) -> list[tuple[Cause, str]]:
 
 
 def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
-    """The first screen of a run's page, over a floor if there is one, and the section `details`.
+    """The first screen of a run's page, over a best case if any, and the section `details`.
 
     is_met is True if the acceptance criteria of the last gate are met, None without any.
     """
@@ -247,7 +247,7 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "good_enough": good_enough,
         "warning": " ".join(warning),
         "change": sentence(change_words(record)) if record.previous else "",
-        "trust": [sentence(words) for words in trust_words(overview)],
+        "trust": [sentence(words) for words in trust_words(results.run.folder, overview)],
         "details": [
             dataset_table(record, pair_columns_in("numbers")),
             Note(
@@ -296,7 +296,7 @@ def _surface_bar(
     parts.append((f"{side} step{len(_REACHES)}", alone, 1.0 - covered))
     near = f"covered_{side}_0p3m"
     share = percent(results.run.record.summary[near].mean or 0.0)
-    note = f"floor {percent(excess.scores[near].floor)}" if excess else ""
+    note = f"best case {percent(excess.scores[near].best_case)}" if excess else ""
     return {"name": name, "value": f"{share} within 0.3 m", "note": note, "parts": parts}
 
 
@@ -309,7 +309,7 @@ def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | 
         command = f"fidpipe gate {folder} --max r_lambda.mean=0.4"
         return None, [f"No acceptance limits are set yet: {command} sets one."]
     try:
-        result = judge_run(folder, criteria, None if excess is None else excess.floor)
+        result = judge_run(folder, criteria, None if excess is None else excess.best_case)
     except (RunError, ValueError) as error:
         return None, [f"The criteria of {path} cannot be evaluated again: {error}"]
     on_scores = [judged for judged in result.judged if not judged.measure.startswith("pairs.")]

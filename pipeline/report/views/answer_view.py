@@ -7,11 +7,11 @@ from collections.abc import Container, Sequence
 from pathlib import Path
 
 from ....schemas.metric_catalogue import headline_scores, metric_of
-from ....schemas.record import RunRecord
+from ....schemas.record import RunHeader, RunRecord
 from ....schemas.results import Cause, Diagnosis, Overview
+from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
 from ...results.causes import MOST_SHOWN, interval_words
 from ...results.diagnosis import gain_words, unexplained_words, with_gains
-from ...results.floor import FloorRecipe, RunExcess, read_recipe, run_of_floor
 from ...storage.urls import url_or_path
 from ..view import (
     Answers,
@@ -50,7 +50,7 @@ def answer_view(
     Parameters
     ----------
     diagnosis : of the run, if it has one
-    excess : the run over a floor, whose coverage is shown
+    excess : the run over a best case, whose coverage is shown
     with_all : all causes, places and cautions
     took : time and reused jobs of a run that just ended
     """
@@ -64,7 +64,7 @@ def answer_view(
     if diagnosis is not None:
         first += items_of(unexplained_words(diagnosis))
     most = None if with_all else _MOST_CAUTIONS
-    trust = trust_words(overview, most, has_floor=bool(excess or recipe))
+    trust = trust_words(folder, overview, most, has_best_case=bool(excess or recipe))
     if not with_all:
         trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(folder), '--all'])}")
     sections = {
@@ -78,6 +78,14 @@ def answer_view(
         "Next": items_of(*_next_commands(folder, record, diagnosis, recipe)),
     }
     return [line, Answers([(heading, items) for heading, items in sections.items() if items])]
+
+
+def run_options(record: RunHeader) -> list[str]:
+    """Preset and settings of a run, as options of a command."""
+    options = ["--preset", record.preset]
+    for setting in record.departures:
+        options += ["--set", setting]
+    return options
 
 
 def cause_items(causes: Sequence[Cause]) -> list[Item]:
@@ -95,13 +103,19 @@ def _worst_places(overview: Overview, with_all: bool) -> list[Item]:
 
 
 def trust_words(
-    overview: Overview, most: int | None = None, *, has_floor: bool = False
+    folder: Path, overview: Overview, most: int | None = None, *, has_best_case: bool = False
 ) -> list[str]:
-    """What limits the trust in a run, at most so many cautions; then causes that are unknown."""
+    """What limits the trust in a run, at most so many cautions; then causes that are unknown.
+
+    Commands name the folder of the run.
+    """
+    command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
     kinds = {caution.kind for caution in overview.trust} - {"failed", "frames"}  # shown above
-    if has_floor:
-        kinds.discard("floor")
-    trust = caution_words(overview, kinds)[:most]
+    if has_best_case:
+        kinds.discard("best_case")
+    trust = []
+    for words in caution_words(overview, kinds)[:most]:
+        trust.append(words.replace("fidpipe best-case RUN", command))
     if overview.unknown:
         groups = [f"{', '.join(group.causes)} ({group.reason})" for group in overview.unknown]
         trust.append(f"unknown: {'; '.join(groups)}")
@@ -114,13 +128,13 @@ def caution_words(overview: Overview, kinds: Container[str]) -> list[str]:
 
 
 def _next_commands(
-    folder: Path, record: RunRecord, diagnosis: Diagnosis | None, recipe: FloorRecipe | None
+    folder: Path, record: RunRecord, diagnosis: Diagnosis | None, recipe: BestCaseRecipe | None
 ) -> list[str]:
     run = url_or_path(folder)
     if recipe is not None:
-        commands = [["show", run_of_floor(folder, recipe), "--floor", run]]
+        commands = [["show", run_of_best_case(folder, recipe), "--best-case", run]]
     elif record.frames:
-        commands = [["check", record.dataset]]
+        commands = [["check", record.dataset, *run_options(record)]]
     else:
         commands = [["report", run, "--open"]]
         if diagnosis is None:
@@ -134,8 +148,8 @@ def amount_words(cause: Cause) -> str:
     return f"{interval_words(cause)}; {gain}" if gain else interval_words(cause)
 
 
-def run_line(record: RunRecord, took: str = "", recipe: FloorRecipe | None = None) -> str:
-    """Dataset, pairs, time and preset of a run, or of a floor if its recipe is given."""
+def run_line(record: RunRecord, took: str = "", recipe: BestCaseRecipe | None = None) -> str:
+    """Dataset, pairs, time and preset of a run, or of a best case if its recipe is given."""
     n_scored = record.pairs.scored
     n_all = n_scored + record.pairs.failed + record.pairs.to_do
     pairs = count(n_all, "pair")
@@ -143,7 +157,7 @@ def run_line(record: RunRecord, took: str = "", recipe: FloorRecipe | None = Non
         pairs = f"{n_scored} of {pairs} scored"
     name = Path(record.dataset if recipe is None else recipe.dataset).name
     if recipe is not None:
-        name = f"floor of {name}"
+        name = f"best case of {name}"
     return f"{name}: {pairs}{took}, preset {record.preset}{departures(record)}"
 
 
@@ -153,7 +167,7 @@ def departures(record: RunRecord) -> str:
 
 
 def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:
-    """Share of each side's surface that the other side has, with the floor's."""
+    """Share of each side's surface that the other side has, with the best case's."""
     real, sim = [percent(record.summary[column].mean) for column in _COVERED]
     words = (
         f"{real} of the real surface is simulated within 0.3 m, "
@@ -161,8 +175,8 @@ def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:
     )
     if excess is None:
         return words
-    floor = ", ".join(percent(excess.scores[column].floor) for column in _COVERED)
-    return f"{words} (floor {floor})"
+    best_case = ", ".join(percent(excess.scores[column].best_case) for column in _COVERED)
+    return f"{words} (best case {best_case})"
 
 
 def pieces_words(record: RunRecord) -> str:

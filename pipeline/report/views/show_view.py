@@ -18,6 +18,7 @@ from ....schemas.metric_catalogue import (
 )
 from ....schemas.results import JsonObject
 from ....stages.coverage import surface_state
+from ...results.best_case import RunExcess
 from ...results.finished import (
     FinishedRun,
     ObjectFacts,
@@ -26,12 +27,11 @@ from ...results.finished import (
     pair_facts,
     run_facts,
 )
-from ...results.floor import RunExcess
 from ...results.object_frame import UNKNOWN
 from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad
 from ...storage.urls import url_or_path
 from ..view import Note, Part, Table, View, columns_of, number, percent, warnings
-from .floor_view import pair_excess_table
+from .best_case_view import pair_excess_table
 from .run_view import summary_view
 
 _NEAR = "covered_0p3m"
@@ -74,7 +74,7 @@ def show_view(
 
     Parameters
     ----------
-    excess : of run or pair over a floor, to be shown as well
+    excess : of run or pair over a best case, to be shown as well
     with_all : all tables of the run, all objects of the pair
     """
     if pair is None:
