@@ -13,15 +13,13 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DiskFullError, ScanError
 from ...schemas.settings import Settings, preset_of
 from ..datasets.content import ScanContent, scan_content
-from ..datasets.pairs import ScanPair
-from ..datasets.readers import files_of, may_crash, stem_of
-from ..datasets.readers.scan import label_path_of
+from ..datasets.pairs import ScanPair, may_crash
 from ..stage import Stage
 from ..storage.files import megabytes
 from ..storage.folder import RunFolder, refuse_overwrite
 from ..storage.run_record import LIBRARIES, changed_settings, has_ended, library_versions
 from ..storage.table_files import JobId, JobName
-from ..storage.urls import is_stub, read_stub, remote, stub_texts, url_of_cache
+from ..storage.urls import read_stub, remote, stub_texts, url_of_cache
 from .plan import OUT_OF_DATE, PairPlan, with_results
 from .pool import Pool
 from .progress import Reporter
@@ -127,7 +125,7 @@ class RunEngine:
             remote().share_folder(self.folder)
         if self._pool is None:
             is_local = self._machines.scheduler is None
-            reader_may_crash = is_local and any(may_crash(path) for pair in pairs for path in pair.paths)
+            reader_may_crash = is_local and may_crash(pairs)
             shared = self._shared_files(pairs)
             libraries = dict.fromkeys(name for stage in self._stages for name in stage.libraries)
             from .cluster import start_pool
@@ -152,10 +150,13 @@ class RunEngine:
 
     def _shared_files(self, pairs: Iterable[ScanPair]) -> list[str]:
         """A scan and the token of the run, which all workers must be able to read."""
-        some_scan = [file for pair in pairs for path in pair.paths[:1] for file in files_of(path)][:1]
-        scans = [read_stub(scan)[0] if is_stub(scan) else str(scan.resolve()) for scan in some_scan]
         url, token = self.folder.url, self.folder.token_path
-        return [*scans, f"{url}/{token.name}" if url else str(token.resolve())]
+        shared = [f"{url}/{token.name}" if url else str(token.resolve())]
+        scan = next((scan for pair in pairs for scan in pair.scans.values()), None)
+        if scan is not None:
+            file = scan.files[0]
+            shared.insert(0, read_stub(file)[0] if scan.is_remote else str(file.resolve()))
+        return shared
 
     def _for_workers(self, plans: Iterable[PairPlan]) -> Iterator[PairPlan]:
         """The plans with the time limit of their pairs, and all that workers need that may not see the files here."""
@@ -164,7 +165,8 @@ class RunEngine:
         for i, plan in enumerate(plans):
             own = plan if seconds is None else replace(plan, limit=TimeLimit(seconds, notes / str(i)))
             if self._machines.scheduler is not None:
-                files = [file for path in plan.pair.paths for file in (path, label_path_of(path, stem_of(path)))]
+                scans = plan.pair.scans.values()
+                files = [*(scan.file for scan in scans), *(scan.labels for scan in scans)]
                 own = replace(own, url=self.folder.url, stubs=stub_texts(files))
             yield own
 
@@ -178,15 +180,15 @@ class RunEngine:
         for pair in pairs:
             contents, reasons = {}, []
             for side in SIDES:
-                path = pair.path(side)
+                scan = pair.scans.get(side)
                 try:
-                    if path is not None:
-                        contents[side] = scan_content(path, self.folder.ledger.input_hash)
+                    if scan is not None:
+                        contents[side] = scan_content(scan, self.folder.ledger.input_hash)
                     elif pair.fault and pair.fault not in reasons:
                         reasons.append(pair.fault)
                 except ScanError as error:
                     reasons.append(str(error))
-            if len(contents) == len(pair.paths):
+            if len(contents) == len(pair.scans):
                 self.contents[pair.pair_id] = contents
             if reasons:
                 self.fail(pair.pair_id, "; ".join(reasons))

@@ -10,7 +10,7 @@ from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS, Difference
 from ...results.causes import interval_words
 from ...results.compare import Comparison
-from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange
+from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, score_rows
 from ...results.followed import by_change, by_class, by_range
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.object_frame import plain_rows
@@ -98,11 +98,7 @@ def decision(comparison: Comparison) -> str:
     parts = []
     if comparison.failed:
         n_base = len(comparison.pairs) + len(comparison.lost)
-        count = (
-            f"all {n_base}"
-            if len(comparison.failed) == n_base
-            else f"{len(comparison.failed)} of {n_base}"
-        )
+        count = f"all {n_base}" if len(comparison.failed) == n_base else f"{len(comparison.failed)} of {n_base}"
         parts.append(f"{count} pairs that were scored before fail now")
     for verdict in ("worse", "mixed", "better"):
         reasons = _reasons(comparison, verdict)
@@ -120,19 +116,13 @@ def _reasons(comparison: Comparison, verdict: str) -> list[str]:
     reasons = [f"{change.words} ({change.cause.setting})" for change in causes[:_MOST_CAUSES]]
     if len(causes) > _MOST_CAUSES:
         reasons.append(f"{len(causes) - _MOST_CAUSES} more causes")
-    families = [
-        family for family in comparison.families if family.verdict == verdict and not family.why
-    ]
-    return reasons + [
-        _both_ways(family) if verdict == "mixed" else family.name for family in families
-    ]
+    families = [family for family in comparison.families if family.verdict == verdict and not family.why]
+    return reasons + [_both_ways(family) if verdict == "mixed" else family.name for family in families]
 
 
 def _both_ways(family: FamilyChange) -> str:
     """A family some scores of which are better and some worse."""
-    counted = [
-        score for score in family.scores if not score.why and score.verdict in ("worse", "better")
-    ]
+    counted = [score for score in family.scores if not score.why and score.verdict in ("worse", "better")]
     return f"{family.name} ({', '.join(f'{score.name} {score.verdict}' for score in counted)})"
 
 
@@ -140,9 +130,7 @@ def _nothing_decided(comparison: Comparison) -> str:
     """Sentence for a comparison in which nothing is worse or better."""
     if comparison.decision == "same":
         return "no score changed"
-    uncertain = [
-        change.words for change in comparison.changes.causes if change.verdict == "changed"
-    ]
+    uncertain = [change.words for change in comparison.changes.causes if change.verdict == "changed"]
     if uncertain:
         return f"changed, neither better nor worse: {', '.join(uncertain[:_MOST_CAUSES])}"
     counted = pairs_and_places(len(comparison.pairs), comparison.n_places)
@@ -171,9 +159,7 @@ def chance(comparison: Comparison) -> str:
             "alone)"
         )
     if comparison.is_small:
-        return (
-            f"{counted}; fewer than {LEAST_PAIRS} pairs: only very large changes of the world count"
-        )
+        return f"{counted}; fewer than {LEAST_PAIRS} pairs: only very large changes of the world count"
     return f"{counted}; false-alarm rate at most {100 * ERROR_RATE:.0f} %"
 
 
@@ -183,29 +169,17 @@ def remarks(comparison: Comparison) -> list[Note]:
     lines += [f"also differs: {text}" for text in comparison.notes]
     tending = [family.name for family in comparison.families if family.tendency == "worse"]
     if tending:
-        lines.append(
-            f"not decided, but with a tendency to the worse (p below 5 % alone): {', '.join(tending)}"
-        )
-    lines += [
-        f"{own.name}: ({own.verdict}) does not count, {own.why}"
-        for own in comparison.families
-        if own.why
-    ]
+        lines.append(f"not decided, but with a tendency to the worse (p below 5 % alone): {', '.join(tending)}")
+    lines += [f"{own.name}: ({own.verdict}) does not count, {own.why}" for own in comparison.families if own.why]
     if comparison.changes.elsewhere is not None:
         share = percent(comparison.changes.elsewhere)
-        lines.append(
-            f"unexplained: {share} of the flat surface is elsewhere than before, which no cause explains"
-        )
+        lines.append(f"unexplained: {share} of the flat surface is elsewhere than before, which no cause explains")
     if comparison.changes.doubtful:
-        lines.append(
-            f"seen, but undoing it brings nothing closer: {'; '.join(comparison.changes.doubtful)}"
-        )
+        lines.append(f"seen, but undoing it brings nothing closer: {'; '.join(comparison.changes.doubtful)}")
     lines += _on_chance(comparison)
     n_unfollowed = len(comparison.unfollowed)
     if n_unfollowed:
-        lines.append(
-            f"{n_unfollowed} pairs have different real objects in the two runs: they are not followed"
-        )
+        lines.append(f"{n_unfollowed} pairs have different real objects in the two runs: they are not followed")
     left_out = [f"left out: pair {name}: {why}" for name, why in comparison.left_out.items()]
     lines += left_out[:_MOST_LEFT_OUT]
     if len(left_out) > _MOST_LEFT_OUT:
@@ -216,16 +190,10 @@ def remarks(comparison: Comparison) -> list[Note]:
 def _on_chance(comparison: Comparison) -> list[str]:
     """Seeds and best case: which changes are not more than these make."""
     lines = [comparison.on_partition] if comparison.on_partition else []
-    by_seeds = [
-        score.name for score in comparison.scores if score.exceeds(score.seed_noise) is False
-    ]
+    by_seeds = [score.name for score in comparison.scores if score.exceeds(score.seed_noise) is False]
     if by_seeds:
         lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
-    below = [
-        score
-        for score in comparison.scores
-        if score.exceeds(score.best_case) is False and score.towards
-    ]
+    below = [score for score in comparison.scores if score.exceeds(score.best_case) is False and score.towards]
     if below:
         lines.append(
             "no more than the best case, by which a second measurement of the real scan differs: "
@@ -236,9 +204,7 @@ def _on_chance(comparison: Comparison) -> list[str]:
         )
     if comparison.excess:
         lines += dict.fromkeys(
-            note.text.removeprefix("note: ")
-            for each in comparison.excess
-            for note in excess_notes(each)
+            note.text.removeprefix("note: ") for each in comparison.excess for note in excess_notes(each)
         )
     return lines
 
@@ -281,27 +247,19 @@ def changed_since(comparison: Comparison) -> View:
 def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = None) -> Table:
     """One row per score, or per score chosen, with its numbers, and an arrow to where it is better.
 
-    Not in a terminal: the pairs if all have each score; if both runs were repeated under other
-    seeds, whether the change is more than they alone make; with a best case, whether it is more
-    than a second measurement makes.
+    Not in a terminal: the pairs if all have each score; if both runs were repeated under other seeds, whether the
+    change is more than they alone make; with a best case, whether it is more than a second measurement makes.
     """
     beyond = {None: "-", True: "yes ({})", False: "no ({})"}
     with_seeds = any(score.seed_noise is not None for score in comparison.scores)
     with_best_case = any(score.best_case is not None for score in comparison.scores)
     rows = [
         (
-            *(
-                family.name,
-                f"{score.name} {score.mark}",
-                score.difference.n_pairs,
-                score.difference.before,
-            ),
+            *(family.name, f"{score.name} {score.mark}", score.difference.n_pairs, score.difference.before),
             *(score.difference.after, _interval(score.difference), _p(score.p)),
             f"({score.verdict})" if score.why else score.verdict,
-            *[beyond[score.exceeds(score.seed_noise)].format(number(score.seed_noise))]
-            * with_seeds,
-            *[beyond[score.exceeds(score.best_case)].format(number(score.best_case))]
-            * with_best_case,
+            *[beyond[score.exceeds(score.seed_noise)].format(number(score.seed_noise))] * with_seeds,
+            *[beyond[score.exceeds(score.best_case)].format(number(score.best_case))] * with_best_case,
         )
         for score in (comparison.scores if chosen is None else chosen)
         for family in comparison.families
@@ -336,12 +294,7 @@ def _group_table(what: str, groups: Sequence[Row]) -> Table:
     changes = (f"{METRIC[score].label}\nchange" for score in QUADRANT_SCORES)
     rows = [
         (
-            *(
-                group["name"],
-                group["n"],
-                *(group["kinds"][kind] for kind in kinds),
-                group["n_both"],
-            ),
+            *(group["name"], group["n"], *(group["kinds"][kind] for kind in kinds), group["n_both"]),
             *(signed(group[score]) for score in QUADRANT_SCORES),
         )
         for group in groups
@@ -351,35 +304,13 @@ def _group_table(what: str, groups: Sequence[Row]) -> Table:
 
 def compare_records(comparisons: Sequence[Comparison]) -> Table:
     """One row per run and score, numbers in full."""
-    headings = ("base", "run", "family", "score", "better is", "verdict", "pairs", "places")
-    numbers = ("before", "after", "change", "from", "to", "p")
-    rows = []
-    for one in comparisons:
-        for family in one.families:
-            for score in family.scores:
-                own = score.difference
-                words = (
-                    str(one.base),
-                    str(one.other),
-                    family.name,
-                    score.name,
-                    score.mark,
-                    score.verdict,
-                )
-                counts = (own.n_pairs, one.n_places)
-                rows.append(
-                    (
-                        *words,
-                        *counts,
-                        own.before,
-                        own.after,
-                        own.difference,
-                        own.low,
-                        own.high,
-                        score.p,
-                    )
-                )
-    return Table("", (*headings, *numbers), rows)
+    rows, headings = [], ["base", "run", "places"]
+    for comparison in comparisons:
+        runs = (str(comparison.base), str(comparison.other), comparison.n_places)
+        for row in score_rows(comparison.families):
+            headings[3:] = row
+            rows.append((*runs, *row.values()))
+    return Table("", tuple(headings), rows)
 
 
 def _p(p: float | None) -> str:
@@ -388,6 +319,4 @@ def _p(p: float | None) -> str:
 
 def _interval(own: Difference) -> str:
     """A change with half the width of its interval."""
-    return signed(own.difference) + (
-        "" if own.half_width is None else f" ±{number(own.half_width)}"
-    )
+    return signed(own.difference) + ("" if own.half_width is None else f" ±{number(own.half_width)}")
