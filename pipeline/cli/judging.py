@@ -39,7 +39,7 @@ def gate(
     ] = None,
     out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
 ) -> None:
-    """Check a finished run against acceptance criteria; exits with 0 if all are met, with 4 if one is not.
+    """Check a run against acceptance criteria; exits with 0 if all are met, with 4 if not.
 
     A criterion on a measure that could not be computed fails. So does a run with failed pairs, an
     unfinished run, and one whose scans have changed, unless pairs.failed, pairs.to_do and
@@ -216,7 +216,7 @@ def compare(
 
 
 def _write_for_ci(asked: Path | None, default: Path, content: bytes, *, is_asked: bool) -> None:
-    """Write a file for CI; failing to write to a default path is only a warning, as the result is printed too."""
+    """Write a file for CI; a default path that cannot be written is only a warning."""
     from ...schemas.errors import RunError
     from ..engine.progress import Reporter
     from ..storage.files import write_whole
