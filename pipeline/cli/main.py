@@ -120,7 +120,7 @@ def _local_arguments() -> AbstractContextManager[None]:
     """Replaces the URLs among the arguments by local paths while the command runs."""
     if not any("://" in word for word in sys.argv):
         return nullcontext()
-    from ..remote.remote_run import local_arguments
+    from ..storage.remote_run import local_arguments
 
     return local_arguments(sys.argv)
 

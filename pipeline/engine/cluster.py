@@ -24,8 +24,10 @@ from time import monotonic
 from typing import Any
 
 from ...schemas.errors import FidpipeError, RunError, StoreError
+from ..storage.object_store import describe_object
 from ..storage.run_record import library_versions
-from ..storage.urls import is_url, remote
+from ..storage.scratch import use_scratch_folder
+from ..storage.urls import is_url
 from . import prefork
 from .costs import CostModel
 from .pool import (
@@ -382,9 +384,11 @@ def start_pool(
     if address is None and n_workers > 1:
         n_workers = min(n_workers, CostModel().most_workers(memory or machine_memory()))
     if address is None and n_workers == 1 and not may_end_workers:
+        use_scratch_folder()
         return Pool(memory)
     if address is None:
         _check_address_space()
+        use_scratch_folder()
     return DaskPool(n_workers, address, shared_files, libraries, memory, modules, may_end_workers=may_end_workers)
 
 
@@ -445,7 +449,7 @@ def worker_fault(required: Requirements) -> str:
 def _beginning(path: str) -> bytes:
     """The first bytes of a file, or the etag of an object."""
     if is_url(path):
-        return remote().describe_object(path).etag.encode()
+        return describe_object(path).etag.encode()
     with Path(path).open("rb") as file:
         return file.read(_BEGINNING_BYTES)
 

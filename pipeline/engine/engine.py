@@ -21,7 +21,7 @@ from ..storage.files import megabytes
 from ..storage.folder import RunFolder, refuse_overwrite
 from ..storage.run_record import LIBRARIES, changed_settings, has_ended, library_versions
 from ..storage.table_files import JobId, JobName
-from ..storage.urls import is_stub, read_stub, remote, stub_texts, url_of_cache
+from ..storage.urls import is_stub, read_stub, stub_texts, url_of_cache
 from .plan import OUT_OF_DATE, PairPlan, with_results
 from .pool import Pool
 from .progress import Reporter
@@ -124,7 +124,9 @@ class RunEngine:
         pairs : whose jobs it will run; if a reader may end its process, that is never the command's own
         """
         if self._machines.scheduler and url_of_cache(self.folder.folder):
-            remote().share_folder(self.folder)
+            from ..storage.remote_run import share_folder
+
+            share_folder(self.folder)
         if self._pool is None:
             is_local = self._machines.scheduler is None
             reader_may_crash = is_local and any(may_crash(path) for pair in pairs for path in pair.paths)

@@ -21,8 +21,9 @@ from ..datasets.content import scan_content
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..stage import SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
-from ..storage.table_files import JobId, JobRecord, TableFolder, plain_metadata, table_name
-from ..storage.urls import remote
+from ..storage.remote_dataset import restored_scan
+from ..storage.scratch import temporary_space
+from ..storage.table_files import JobId, JobRecord, plain_metadata, table_name, tables_of_run
 from .costs import CostModel, largest_object
 from .plan import Job, PairPlan
 from .time_limit import OutOfTimeError, limited
@@ -88,7 +89,8 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
                         break
                     note(job_title(*job.name))
                     try:
-                        records.append(make_job(tables, job, batch.rows))
+                        with temporary_space():
+                            records.append(make_job(tables, job, batch.rows))
                     except DiskFullError:
                         raise  # of every pair that comes after
                     except Exception as error:  # one broken pair does not stop a dataset
@@ -114,9 +116,12 @@ def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, .
             for job in (plan.jobs[name] for name in jobs):
                 note(job_title(*job.name))
                 inputs = tables.inputs(job, objects, rows)
-                made[job.name] = job.stage.make(inputs).tables
+                with temporary_space():
+                    made[job.name] = job.stage.make(inputs).tables
                 steps[job.name] = inputs.step.total()
                 rows |= {(table, ""): own for table, own in made[job.name].items()}
+    except DiskFullError:
+        raise  # of every pair that comes after
     except Exception as error:  # one broken pair does not stop a dataset
         return _failure(job, error)
     return ObjectRows(made, steps)
@@ -146,9 +151,7 @@ class PairTables:
     """The tables of one pair while jobs run on it: new ones, and those that are read when first requested."""
 
     def __init__(self, plan: PairPlan) -> None:
-        self._folder = TableFolder(plan.folder, plan.token)
-        if plan.url or plan.stubs:
-            self._folder = remote().folder_of_worker(plan.folder, plan.token, plan.url, plan.stubs)
+        self._folder = tables_of_run(plan.folder, plan.token, plan.url)
         self._scans: dict[str, Scan] = {}
         self._tables: dict[tuple[str, str], pa.Table] = {}
         self._parts: dict[tuple[str, str, tuple[str, ...]], pa.Table] = {}
@@ -225,6 +228,8 @@ class PairTables:
             path = self.plan.pair.path(side)
             if path is None:
                 raise StageError(f"no {side} scan")
+            if self.plan.stubs:
+                path = restored_scan(path, self.plan.stubs)
             columns = next(iter(self.plan.jobs.values())).settings.input.columns_of(side)
             scan = read_scan(path, columns, dict(self.plan.label_names))
             if scan_content(path) != self.plan.inputs[side]:

@@ -99,9 +99,13 @@ def free_bytes(path: Path) -> int | None:
 
 def disk_full(path: Path, reason: object) -> DiskFullError:
     """The error of a file for which no space is left, with the free space and the next step."""
+    return DiskFullError(f"{path}: {reason}, {free_text(path)}; make room, then run the same command again")
+
+
+def free_text(path: Path) -> str:
+    """Free space at the path of a future file or folder, as text."""
     free = free_bytes(path)
-    space = "what is free is not known" if free is None else f"{megabytes(free)} free"
-    return DiskFullError(f"{path}: {reason}, {space}; make room, then run the same command again")
+    return "what is free is not known" if free is None else f"{megabytes(free)} free"
 
 
 def megabytes(n_bytes: int) -> str:

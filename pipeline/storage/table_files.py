@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from time import monotonic
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
@@ -26,12 +27,13 @@ import pyarrow.parquet as pq
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from .files import key_of, write_whole
-from .urls import remote
+from .object_store import read_object, write_object
 
 TOKEN = ".writer"  #: the file that names the run which may write
 AT_URL = ".at_url"  #: a file of this name in a folder of the cache: tables that it lacks are at its URL
 _READ_NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # without waiting for the writer of a named pipe
 _LONGEST_NAME_BYTES = 120
+_SECONDS_BETWEEN_CHECKS = 10.0
 
 #: Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by plane.
 _ENCODINGS = {
@@ -253,7 +255,7 @@ class TableFolder:
         except OSError as error:
             raise self.damaged(name, error.strerror or str(error)) from error
         if content is None and self.url:
-            content = remote().read_object(f"{self.url}/{name}")
+            content = read_object(f"{self.url}/{name}")
             content = content if hashlib.sha256(content).hexdigest() == stored.sha256 else None
         if content is None:
             with suppress(OSError):
@@ -282,6 +284,29 @@ class TableFolder:
     def _compare(self, token: str) -> None:
         if token != self.token:
             raise RunError(f"run {self.folder}: another run has taken over this folder; this one writes nothing more")
+
+
+class TablesAtUrl(TableFolder):
+    """The tables of a run for a worker that does not share its folder: each is one object, read and written whole."""
+
+    def check_token(self) -> None:
+        """See `TableFolder`; a process asks every ten seconds."""
+        if monotonic() - _CHECKED.get(self.token, -_SECONDS_BETWEEN_CHECKS) >= _SECONDS_BETWEEN_CHECKS:
+            self._compare(read_object(f"{self.url}/{TOKEN}").decode())
+            _CHECKED[self.token] = monotonic()
+
+    def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
+        self.check_token()
+        write_object(f"{self.url}/{path.relative_to(self.folder).as_posix()}", bytes(content))
+        return StoredFile(len(content), sha256, 0)
+
+
+_CHECKED: dict[str, float] = {}
+
+
+def tables_of_run(folder: Path, token: str, url: str) -> TableFolder:
+    """The tables of a run for a worker: in its folder, or at its URL if workers do not share the folder."""
+    return TablesAtUrl(folder, token, url) if url else TableFolder(folder, token)
 
 
 @cache

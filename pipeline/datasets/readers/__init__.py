@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ....schemas.errors import DatasetError, FidpipeError, ScanError
-from ...storage.urls import is_stub, remote
+from ...storage.urls import is_stub
 from .frame_address import address_of
 from .scan import Scan, cause_of, label_path_of, with_label_file, with_label_names
 
@@ -200,7 +200,11 @@ def read_scan(
 
 def _local(file: Path, stem: str) -> AbstractContextManager[Path]:
     """A scan file on this machine next to its labels: itself, or a copy of the object that a stub names."""
-    return remote().fetched_scan(file, label_path_of(file, stem)) if is_stub(file) else nullcontext(file)
+    if not is_stub(file):
+        return nullcontext(file)
+    from ...storage.remote_dataset import fetched_scan
+
+    return fetched_scan(file, label_path_of(file, stem))
 
 
 @contextmanager

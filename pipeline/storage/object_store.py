@@ -7,31 +7,39 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from ...schemas.errors import StoreError
 
-_FIRST_PAUSE_S = 0.5
+_PAUSES_S = (0.5, 1.0, None)  # after each try; none after the last
+_SECONDS_BETWEEN_LINES = 3.0
 _MODIFIED = "modified "
 _STATUS = re.compile(r"status code: (\d+)")
 _MACHINE = re.compile("169[.]254[.]|computeMetadata")  # where a machine in a cloud asks if the environment has none
-#: Errors that a second try does not change, by the name of obstore's exception.
-_FINAL = {
-    "NotFoundError": "no such object",
-    "FileNotFoundError": "no such object",
-    "PermissionDeniedError": "permission denied",
-    "UnauthenticatedError": "no valid credentials in the environment",
-    "PreconditionError": "it changed since it was listed",
-    "AlreadyExistsError": "it exists",
-    "NotSupportedError": "the server does not support this",
-}
 
 
 class NoSuchObjectError(StoreError):
     """The object does not exist."""
+
+
+class ObjectChangedError(StoreError):
+    """The object is not the one that a condition names."""
+
+
+#: Errors that a second try does not change, by the name of obstore's exception.
+_FINAL: dict[str, tuple[type[StoreError], str]] = {
+    "NotFoundError": (NoSuchObjectError, "no such object"),
+    "FileNotFoundError": (NoSuchObjectError, "no such object"),
+    "PermissionDeniedError": (StoreError, "permission denied"),
+    "UnauthenticatedError": (StoreError, "no valid credentials in the environment"),
+    "PreconditionError": (ObjectChangedError, "it changed since it was listed"),
+    "AlreadyExistsError": (ObjectChangedError, "it exists"),
+    "NotSupportedError": (StoreError, "the server does not support this"),
+}
+Item = TypeVar("Item")
 
 
 class StoredObject(NamedTuple):
@@ -48,8 +56,31 @@ class StoredObject(NamedTuple):
 def list_objects(url: str) -> list[StoredObject]:
     """All objects below a URL, by name relative to it."""
     obstore, store = _open(url)
-    found = _tried(url, lambda: [one for chunk in obstore.list(store) for one in chunk])
-    return sorted((_described(one) for one in found), key=lambda one: one.name)
+
+    def list_all() -> list[StoredObject]:
+        objects = []
+        for chunk in counted(obstore.list(store, chunk_size=1000), f"{url}: thousands listed"):
+            objects += [_described(entry) for entry in chunk]
+        return objects
+
+    return sorted(_tried(url, list_all))
+
+
+def counted(items: Iterable[Item], text: str) -> Iterator[Item]:
+    """The same items; if they take long, a line every few seconds has their number so far."""
+    last_line = time.monotonic()
+    for n_items, item in enumerate(items, start=1):
+        yield item
+        if time.monotonic() - last_line >= _SECONDS_BETWEEN_LINES:
+            last_line = time.monotonic()
+            say(f"{text}: {n_items:,}")
+
+
+def say(text: str) -> None:
+    """Print a line on stderr."""
+    from ..terminal import Terminal
+
+    Terminal(stderr=True, soft_wrap=True).print(text, markup=False)
 
 
 def describe_object(url: str) -> StoredObject:
@@ -81,20 +112,26 @@ def read_with_etag(url: str, etag: str = "") -> tuple[bytes, str]:
     return content
 
 
-def write_object(url: str, content: bytes) -> str:
-    """Write an object by one PUT, and return its etag."""
-    return str(_tried(url, lambda: write_once(url, content, "overwrite")))
-
-
-def write_once(url: str, content: bytes, mode: Any) -> str:
-    """Write an object by one PUT that is not repeated, and return its etag; errors are those of obstore.
+def write_object(url: str, content: bytes, mode: Any = "overwrite") -> str:
+    """Write an object by one PUT, and return its etag.
 
     Parameters
     ----------
     mode : "create" for an object that must not exist yet, {"e_tag": ...} for one that must have this etag now
+
+    Raises
+    ------
+    ObjectChangedError
+        The condition is not met; or it was met by a try whose answer was lost.
     """
     obstore, store, name = _at(url)
-    return str(obstore.put(store, name, content, mode=mode, use_multipart=False)["e_tag"] or "")
+
+    def put() -> str:
+        answer = obstore.put(store, name, content, mode=mode, use_multipart=False)
+        return str(answer["e_tag"] or "")
+
+    etag: str = _tried(url, put)
+    return etag
 
 
 def delete_objects(url: str, names: Iterable[str]) -> None:
@@ -107,7 +144,8 @@ def delete_objects(url: str, names: Iterable[str]) -> None:
 def _at(url: str) -> tuple[Any, Any, str]:
     """The library, the store of the folder of an object, and the name of the object in it."""
     folder, _, name = url.rpartition("/")
-    return *_open(folder), name
+    obstore, store = _open(folder)
+    return obstore, store, name
 
 
 @lru_cache(maxsize=64)
@@ -121,22 +159,29 @@ def _open(folder: str) -> tuple[Any, Any]:
             f"{folder}: reading it needs obstore; install it with: pip install 'fidpipe[remote]'"
         ) from error
     try:
-        return obstore, from_url(folder, client_options={"allow_http": True}, retry_config={"max_retries": 0})
+        options: Any = {
+            "client_options": {"allow_http": True},
+            "retry_config": {"max_retries": 0},
+        }
+        return obstore, from_url(folder, **options)
     except Exception as error:
-        hint = "; az:// needs AZURE_STORAGE_ACCOUNT_NAME in the environment" * folder.startswith("az")
+        hint = ""
+        if folder.startswith("az"):
+            hint = "; az:// needs AZURE_STORAGE_ACCOUNT_NAME in the environment"
         raise StoreError(f"{folder}: cannot be opened ({type(error).__name__}){hint}") from error
 
 
 def _tried(url: str, work: Callable[[], Any]) -> Any:
     """Result of work on an object; up to three tries, as bodies can also be cut off."""
-    for pause_s in (_FIRST_PAUSE_S, 2 * _FIRST_PAUSE_S, None):
+    for pause_s in _PAUSES_S:
         try:
             return work()
         except Exception as error:
-            kind = "UnauthenticatedError" if _MACHINE.search(str(error)) else type(error).__name__
+            is_machine = _MACHINE.search(str(error))
+            kind = "UnauthenticatedError" if is_machine else type(error).__name__
             if kind in _FINAL:
-                fault = NoSuchObjectError if "NotFound" in kind else StoreError
-                raise fault(f"{url}: {_FINAL[kind]}") from None
+                fault, reason = _FINAL[kind]
+                raise fault(f"{url}: {reason}") from None
             if pause_s is None:
                 status = _STATUS.search(str(error))
                 reason = f"the server answered {status[1]}" if status else "the connection failed"
@@ -145,5 +190,6 @@ def _tried(url: str, work: Callable[[], Any]) -> Any:
     raise AssertionError
 
 
-def _described(one: Any) -> StoredObject:
-    return StoredObject(one["path"], one["e_tag"] or f"{_MODIFIED}{one['last_modified'].isoformat()}", one["size"])
+def _described(entry: Any) -> StoredObject:
+    etag = entry["e_tag"] or f"{_MODIFIED}{entry['last_modified'].isoformat()}"
+    return StoredObject(entry["path"], etag, entry["size"])
