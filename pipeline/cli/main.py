@@ -80,12 +80,13 @@ def main() -> None:
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     _open_streams()
     from ...schemas.errors import FidpipeError
+    from ..storage.scratch import scratch_folder
 
     for number in _STOPPING:
         signal.signal(number, _Stop())
     sys.unraisablehook = _stop_again
     try:
-        with _local_arguments():
+        with scratch_folder(), _local_arguments():
             code = _application(*sys.argv[1:2])(standalone_mode=False)
         _ignore_interrupts()
     except FidpipeError as error:

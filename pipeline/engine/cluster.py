@@ -26,7 +26,6 @@ from typing import Any
 from ...schemas.errors import FidpipeError, RunError, StoreError
 from ..storage.object_store import describe_object
 from ..storage.run_record import library_versions
-from ..storage.scratch import use_scratch_folder
 from ..storage.urls import is_url
 from . import prefork
 from .costs import CostModel
@@ -384,11 +383,9 @@ def start_pool(
     if address is None and n_workers > 1:
         n_workers = min(n_workers, CostModel().most_workers(memory or machine_memory()))
     if address is None and n_workers == 1 and not may_end_workers:
-        use_scratch_folder()
         return Pool(memory)
     if address is None:
         _check_address_space()
-        use_scratch_folder()
     return DaskPool(n_workers, address, shared_files, libraries, memory, modules, may_end_workers=may_end_workers)
 
 

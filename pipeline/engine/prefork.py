@@ -13,8 +13,6 @@ import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
-from ..storage.scratch import use_scratch_folder
-
 #: What it imports in any case, and what dask calls in each worker.
 WORKER_START = "fidpipe.pipeline.engine.worker_start"
 
@@ -40,8 +38,6 @@ def start(modules: Iterable[str] = ()) -> None:
     modules : names of further modules to import: those of the jobs
     """
     from multiprocessing import forkserver, resource_tracker
-
-    use_scratch_folder()
 
     # It removes what killed workers left and complains about that, after the command's last line.
     words = ",".join(filter(None, [os.environ.get("PYTHONWARNINGS"), "ignore:resource_tracker"]))

@@ -2,52 +2,74 @@
 
 from __future__ import annotations
 
+import atexit
 import fcntl
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
-from multiprocessing.util import Finalize
 from pathlib import Path
 
 from ...schemas.errors import DiskFullError
 from .files import NO_SPACE, free_text
 
-_LAST = -200  # after multiprocessing has removed its own folder, at -100
-_LONGEST_PARENT = 50  # characters; the sockets of worker processes are in the folder, and may have 107
 _PREFIX = f"fidpipe-{os.getuid()}-"
+_LONGEST_PARENT = 50  # characters; the sockets of worker processes are in the folder, and may have 107
 
 
-@cache
-def use_scratch_folder() -> None:
-    """Give this process and those that it starts a temporary folder that ends with it."""
-    parent = Path(tempfile.gettempdir())
-    _remove_leftovers(parent)
-    if len(str(parent)) > _LONGEST_PARENT:
+@contextmanager
+def scratch_folder() -> Iterator[None]:
+    """Context in which this process and those that it starts have a temporary folder of their own.
+
+    It is removed when the process ends, after `multiprocessing` has cleaned up in it; not used where it cannot be made.
+    """
+    lock = None
+    with suppress(OSError):
+        parent = Path(tempfile.gettempdir())
+        _remove_leftovers(parent)
+        if len(str(parent)) <= _LONGEST_PARENT:
+            new = Path(tempfile.mkdtemp(prefix=f".{_PREFIX}", dir=parent))
+            lock = _lock(new)  # before it has the name by which others look for it
+            folder = new.rename(parent / new.name.removeprefix("."))
+    if lock is None:
+        yield
         return
-    with temporary_space():
-        new = Path(tempfile.mkdtemp(prefix=f".{_PREFIX}"))
-        _is_locked_now(new)  # before it has the name by which others look for it
-        folder = new.rename(parent / new.name.removeprefix("."))
-    Finalize(None, shutil.rmtree, (folder, True), exitpriority=_LAST)
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    before = os.environ.get("TMPDIR")
     os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
+    try:
+        yield
+    finally:
+        tempfile.tempdir = None
+        if before is None:
+            del os.environ["TMPDIR"]
+        else:
+            os.environ["TMPDIR"] = before
+        with suppress(OSError):  # it is not empty until worker processes have ended
+            folder.rmdir()
+            os.close(lock)
 
 
 def _remove_leftovers(parent: Path) -> None:
     """Remove the folders of this user's commands that were killed."""
     for folder in parent.glob(f"{_PREFIX}*"):
-        if folder.lstat().st_uid == os.getuid() and _is_locked_now(folder):
+        lock = _lock(folder)
+        if lock is not None:
             shutil.rmtree(folder, ignore_errors=True)
+            os.close(lock)
 
 
-def _is_locked_now(folder: Path) -> bool:
-    """Lock a folder as long as this process lives; False if another one has locked it."""
+def _lock(folder: Path) -> int | None:
+    """Lock a folder until the returned file is closed, or this process ends; None if another one has locked it."""
+    file = None
     with suppress(OSError):
-        fcntl.flock(os.open(folder, os.O_RDONLY | os.O_NOFOLLOW), fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return True
-    return False
+        file = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return file
+    if file is not None:
+        os.close(file)
+    return None
 
 
 @contextmanager
