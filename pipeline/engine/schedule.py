@@ -13,17 +13,15 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...schemas.columns import SIDES
 from ..stage import Grain
+from .collector import Collector
 from .costs import CostModel, largest_object
 from .plan import Job, PairPlan
 from .pool import Handle, Pool, WorkerDied
 from .worker import BatchResult, JobFailure, PairBatch, run_batch, score_objects
-
-if TYPE_CHECKING:
-    from .engine import RunEngine
 
 _FIRST = 1e6  # priority of what others wait for
 _BATCHES_PER_WORKER = 2  # submitted at the same time, so that none waits for the next
@@ -122,17 +120,24 @@ class Schedule:
     pool : where batches run
     plans : of the pairs, each with jobs to be made; taken one by one as they are begun
     n_pairs : number of plans
-    engine : receives the results while the work proceeds
+    collector : receives the results while the work proceeds
     policy : rules for cutting work into batches
     """
 
     def __init__(
-        self, pool: Pool, plans: Iterable[PairPlan], n_pairs: int, engine: RunEngine, policy: Policy | None = None
+        self,
+        pool: Pool,
+        plans: Iterable[PairPlan],
+        n_pairs: int,
+        collector: Collector,
+        policy: Policy,
     ) -> None:
-        self._pool, self._engine = pool, engine
-        self._policy = policy or Policy()
-        self._costs = self._policy.costs
-        self._pending, self._n_pending = iter(plans), n_pairs
+        self._pool = pool
+        self._collector = collector
+        self._policy = policy
+        self._costs = policy.costs
+        self._pending = iter(plans)
+        self._n_pending = n_pairs
         self._active: dict[str, _Pair] = {}
         self._waiting: list[tuple[float, int, _Batch]] = []
         self._running: dict[Handle, _Batch] = {}
@@ -183,13 +188,13 @@ class Schedule:
                 again = "the worker process died, and again when the pair ran alone (out of memory?)"
                 pair.failures.append(JobFailure(pair.ready[0].name, f"{again}: {result.detail}"))
         elif isinstance(result, BatchResult):
-            self._engine.batch_done(result)
+            self._collector.batch_done(result)
             pair.plan = pair.plan.with_records(result.records)
             pair.failures.extend(result.failures)
         else:
             pair.scored[handle] = result
             pair.n_scored += len(batch.arguments[2])
-            self._engine.objects_done(pair.plan, pair.n_scored)
+            self._collector.objects_done(pair.plan, pair.n_scored)
 
     def _go_on(self, pair: _Pair) -> None:
         """Submit the next batches of a pair of which nothing is running."""
@@ -204,7 +209,7 @@ class Schedule:
         if not pair.todo:
             self._is_alone = False
             del self._active[pair.plan.pair_id]
-            self._engine.pair_done(pair.plan, tuple(pair.failures))
+            self._collector.pair_done(pair.plan, tuple(pair.failures))
         elif self._is_alone:
             self._submit_jobs(pair, pair.ready[:1])
         elif pair.n_losses > 1:
