@@ -25,7 +25,14 @@ from .engine.collector import Collector
 from .engine.engine import Machines, schedule_of, started_pool, working
 from .engine.plan import PairPlan, Planner
 from .engine.progress import Reporter
-from .engine.survey import InputFiles, Survey, hash_files, refuse_replacing, remove_stale, survey_results
+from .engine.survey import (
+    InputFiles,
+    Survey,
+    hash_files,
+    refuse_replacing,
+    remove_stale,
+    survey_results,
+)
 from .jobs import stages_under
 from .pair_checks import shared_files, swapped_sides
 from .run_tables import JobSummary, few_of_each, records_of, summarise, write_pairs, write_timings

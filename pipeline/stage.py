@@ -142,9 +142,15 @@ class Memo:
 
     def __call__(self, function: Callable[..., Value], *arguments: Any) -> Value:
         """The result of a function of tables and plain values."""
-        key = (function, *(id(value) if isinstance(value, pa.Table) else value for value in arguments))
+        key = (
+            function,
+            *(id(value) if isinstance(value, pa.Table) else value for value in arguments),
+        )
         if key not in self._results:
-            self._results[key] = function(*arguments), arguments  # kept, so that no other table gets the same id
+            self._results[key] = (
+                function(*arguments),
+                arguments,
+            )  # kept, so that no other table gets the same id
         value: Value = self._results[key][0]
         return value
 

@@ -386,7 +386,15 @@ def start_pool(
         return Pool(memory)
     if address is None:
         _check_address_space()
-    return DaskPool(n_workers, address, shared_files, libraries, memory, modules, may_end_workers=may_end_workers)
+    return DaskPool(
+        n_workers,
+        address,
+        shared_files,
+        libraries,
+        memory,
+        modules,
+        may_end_workers=may_end_workers,
+    )
 
 
 async def _end(nannies: Iterable[Any]) -> None:

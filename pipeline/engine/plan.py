@@ -161,7 +161,10 @@ class Planner:
         inputs : by side, what its file holds
         """
         keys = {(SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in SIDES}
-        for name, job in self._jobs.items():  # keys are hexadecimal digits, so that a space ends each
+        for (
+            name,
+            job,
+        ) in self._jobs.items():  # keys are hexadecimal digits, so that a space ends each
             keys[name] = hashlib.sha256(" ".join((job.key, *_reads(job, keys))).encode()).hexdigest()
         return PairPlan(pair, self._jobs, keys, {}, inputs, self.label_names)
 

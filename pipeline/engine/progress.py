@@ -24,7 +24,12 @@ class Reporter:
     seconds_between_lines : least time between two lines where stderr is not a terminal
     """
 
-    def __init__(self, console: Console | None = None, *, seconds_between_lines: float = SECONDS_BETWEEN_LINES) -> None:
+    def __init__(
+        self,
+        console: Console | None = None,
+        *,
+        seconds_between_lines: float = SECONDS_BETWEEN_LINES,
+    ) -> None:
         self.console = console or Terminal(stderr=True, soft_wrap=True)
         self._between = seconds_between_lines
         self._bar: Progress | None = None
@@ -48,9 +53,20 @@ class Reporter:
 
     def start(self, n_pairs: int, n_jobs: int) -> None:
         """Begin to show progress over the jobs of all pairs."""
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import (
+            BarColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
 
-        self._n_pairs, self._n_ended, self._n_failed, self._last_line = n_pairs, 0, 0, self.console.get_time()
+        self._n_pairs, self._n_ended, self._n_failed, self._last_line = (
+            n_pairs,
+            0,
+            0,
+            self.console.get_time(),
+        )
         self._bar = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=12),

@@ -288,7 +288,13 @@ class Schedule:
         for pair in pairs:
             need = self._costs.pair_bytes(pair.plan.n_raw) + self._object_share(pair.plan)
             batches.append(PairBatch(pair.plan, tuple(job.name for job in pair.todo), need))
-        self._submit(pairs, run_batch, batches, self._costs, need=max(batch.most_bytes or 0 for batch in batches))
+        self._submit(
+            pairs,
+            run_batch,
+            batches,
+            self._costs,
+            need=max(batch.most_bytes or 0 for batch in batches),
+        )
 
     def _weight(self, pair: _Pair) -> float:
         """The part of a batch that a pair is worth."""
@@ -303,7 +309,13 @@ class Schedule:
         jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
         sizes = sorted(pair.plan.objects or [], key=lambda entry: (-entry[1], entry[0]))
         if not sizes:
-            self._submit([pair], run_batch, [PairBatch(pair.plan, jobs, rows=())], self._costs, priority=_FIRST)
+            self._submit(
+                [pair],
+                run_batch,
+                [PairBatch(pair.plan, jobs, rows=())],
+                self._costs,
+                priority=_FIRST,
+            )
             return
         first = 1000.0 * self._costs.object_seconds(sizes[0][1])
         batch: list[tuple[int, int]] = []
@@ -313,7 +325,15 @@ class Schedule:
             if seconds >= self._policy.batch_s or i + 1 == len(sizes):
                 need = self._costs.pair_bytes(pair.plan.n_raw) + self._costs.object_bytes(batch[0][1])
                 numbers = tuple(number for number, _ in batch)
-                self._submit([pair], score_objects, pair.plan, jobs, numbers, need=need, priority=first + seconds)
+                self._submit(
+                    [pair],
+                    score_objects,
+                    pair.plan,
+                    jobs,
+                    numbers,
+                    need=need,
+                    priority=first + seconds,
+                )
                 batch = []
 
     def _submit(

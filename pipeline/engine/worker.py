@@ -198,7 +198,8 @@ class PairTables:
             pair_id=self.plan.pair_id,
             part=job.part,
             settings=cast(
-                Settings, SimpleNamespace(**{group: getattr(job.settings, group) for group in stage.settings})
+                Settings,
+                SimpleNamespace(**{group: getattr(job.settings, group) for group in stage.settings}),
             ),
             tables=tables,
             outputs=outputs,

@@ -47,4 +47,5 @@ EXTRAS = (baselines_job.STAGE, seeds_job.STAGE)
 
 def stages_under(settings: Settings) -> tuple[Stage, ...]:
     """The stages that a run under these settings goes through."""
-    return (*STAGES, *(stage for stage in EXTRAS if stage.is_wanted is not None and stage.is_wanted(settings)))
+    extras = [stage for stage in EXTRAS if stage.is_wanted and stage.is_wanted(settings)]
+    return (*STAGES, *extras)

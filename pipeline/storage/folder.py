@@ -132,7 +132,10 @@ class RunFolder(TableFolder):
                     raise self.damaged(name)
                 parts[table, side].append(self.read(table, files[name], name, names))
         return {
-            own: (pa.concat_tables(tables).combine_chunks(), np.array([len(table) for table in tables], dtype=np.int32))
+            own: (
+                pa.concat_tables(tables).combine_chunks(),
+                np.array([len(table) for table in tables], dtype=np.int32),
+            )
             for own, tables in parts.items()
         }
 

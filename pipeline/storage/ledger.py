@@ -100,7 +100,11 @@ class Ledger:
         row = self._db.execute("SELECT entry FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()
         try:
             records = [] if row is None else [job_record(values) for values in orjson.loads(row[0])]
-        except (ValueError, TypeError, AttributeError) as error:  # of a run that was not closed in order
+        except (
+            ValueError,
+            TypeError,
+            AttributeError,
+        ) as error:  # of a run that was not closed in order
             raise RunError(f"{self._path}: damaged; remove it, it is rebuilt from the tables") from error
         return {record.job: record for record in records}
 

@@ -134,7 +134,10 @@ def finished_record(folder: Path) -> dict[str, Any]:
 
 
 def write_record(
-    folder: Path, settings: Settings, entries: Iterable[tuple[str, Any]], before_rename: Callable[[], None]
+    folder: Path,
+    settings: Settings,
+    entries: Iterable[tuple[str, Any]],
+    before_rename: Callable[[], None],
 ) -> None:
     """Write `settings.toml` and `run.json`, whose last entry is the hash of the text before it.
 
@@ -165,7 +168,10 @@ def dumps(record: Mapping[str, Any]) -> bytes:
 
 
 def run_header(
-    dataset: Path, settings: Settings, stages: Mapping[str, int], previous: PreviousRun | None = None
+    dataset: Path,
+    settings: Settings,
+    stages: Mapping[str, int],
+    previous: PreviousRun | None = None,
 ) -> RunHeader:
     """Fields of `run.json` from the start of a run: inputs, settings and versions.
 
@@ -187,7 +193,10 @@ def run_header(
         stages=dict(stages),
         libraries=dict(library_versions(LIBRARIES)),
         machine=Machine(
-            python=platform.python_version(), system=platform.platform(), processor=_processor(), cores=os.cpu_count()
+            python=platform.python_version(),
+            system=platform.platform(),
+            processor=_processor(),
+            cores=os.cpu_count(),
         ),
         **({} if previous is None else {"previous": previous}),
     )
@@ -263,7 +272,10 @@ class StageSeconds:
         if not record.steps:
             return
         stage = sys.intern(record.stage)  # one string for all pairs
-        total, of_pair = self._steps.setdefault(stage, {}), self._pairs.setdefault(record.pair_id, {})
+        total, of_pair = (
+            self._steps.setdefault(stage, {}),
+            self._pairs.setdefault(record.pair_id, {}),
+        )
         of_pair.setdefault(stage, 0.0)
         for step, seconds in record.steps:
             total[step] = total.get(step, 0.0) + seconds

@@ -190,7 +190,12 @@ class TableFolder:
         }
 
     def write_at(
-        self, path: Path, table: str, rows: pa.Table | Iterable[pa.Table], key: str, job: str | None = None
+        self,
+        path: Path,
+        table: str,
+        rows: pa.Table | Iterable[pa.Table],
+        key: str,
+        job: str | None = None,
     ) -> StoredFile:
         """Write a table to a path of this run atomically.
 
@@ -203,7 +208,11 @@ class TableFolder:
         schema = TABLES[table]
         parts = [rows] if isinstance(rows, pa.Table) else rows
         job = job or _job_in_footer(JobRecord(table, "", "", key, {}), [path.name])
-        own = {"fidpipe.table": table, "fidpipe.schema_version": str(schema.version), "fidpipe.key": key}
+        own = {
+            "fidpipe.table": table,
+            "fidpipe.schema_version": str(schema.version),
+            "fidpipe.key": key,
+        }
         own |= {"fidpipe.job": job, "fidpipe.check": key_of(key, job)}
         sink = pa.BufferOutputStream()
         with pq.ParquetWriter(sink, schema.schema, **_writer_options(schema.schema)) as writer:
@@ -387,7 +396,10 @@ def job_record(values: list[Any]) -> JobRecord:
         if not _TABLE_NAME.fullmatch(name):
             raise ValueError(f"{name!r} is not the name of a table of a run")
         record.files[name] = StoredFile(*stored)
-    record.reads, record.steps = tuple(record.reads), tuple([(name, seconds) for name, seconds in record.steps])
+    record.reads, record.steps = (
+        tuple(record.reads),
+        tuple([(name, seconds) for name, seconds in record.steps]),
+    )
     return record
 
 
