@@ -152,9 +152,9 @@ def check_frames(
     both directions and over ground and the rest. Only points within 40 m of the sensor, one per voxel of 0.5 m, count.
     Candidates for the simulated scan: its axes in all 48 orders and signs, which include either scan read in any of
     the frames of the settings; in centimetres, millimetres and feet if it reaches far beyond the real one; each of
-    these also shifted by the difference of the ground heights; and if none of them fits, 0.2 to 5 times as large. A
-    candidate is suspect if it covers at least `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as given, and
-    leaves uncovered at most `MAX_UNCOVERED_RATIO` of the share that the scan as given leaves. Otherwise a scan is
+    these also shifted by the difference of the ground heights; and if none of them covers 0.85, 0.2 to 5 times as
+    large. A candidate is suspect if it covers at least `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as given,
+    and leaves uncovered at most `MAX_UNCOVERED_RATIO` of the share that the scan as given leaves. Otherwise a scan is
     suspect if its ground is `MIN_LIFT_M` or more above or below the real one. Lifts are medians over ground points and
     their horizontal neighbours, applied and re-measured before they are reported.
 
@@ -185,7 +185,7 @@ def check_frames(
     if not sources:
         return None
     as_given, coverage, best = _search(target, sources, settings, motion)
-    if coverage < MIN_COVERAGE and "" in sources:
+    if 1 - coverage >= MIN_GAIN and "" in sources:
         coverage, best = _scaled(target, sources, (real, sim), settings, motion, (coverage, best))
     is_suspect = (
         coverage >= MIN_COVERAGE

@@ -73,7 +73,6 @@ class SensorDescription:
     model_beams : number of beams in the table of the model
     untold : reason by undetermined field
     doubts : reason by what cannot be trusted, see `trust`
-    miss_range_m : range at which rays without a return are written
     """
 
     n_points: int
@@ -98,7 +97,6 @@ class SensorDescription:
     model_beams: int | None = None
     untold: dict[str, str] = field(default_factory=dict)
     doubts: dict[str, str] = field(default_factory=dict)
-    miss_range_m: float | None = None
 
 
 #: Gaps of lost pulses within visible surfaces, between two returns of one beam: (g, 2) intp, points before and after
@@ -143,7 +141,6 @@ def describe_with_gaps(
     range_m = np.linalg.norm(points, axis=1)
     doubts = {}
     if misses := miss_range(range_m):
-        sensor = replace(sensor, miss_range_m=misses[0])
         doubts[MISSES] = misses_text(misses[1], misses[0])
         is_kept = ~is_miss(range_m, misses[0])
         returns, points, ring = returns[is_kept], points[is_kept], None if ring is None else ring[is_kept]
@@ -166,8 +163,8 @@ def describe_with_gaps(
     if text := returns_text(is_later):
         doubts[RETURNS] = text
         sweep = sweep.first_returns(is_later)
-    if text := sweeps_text(sweep.gap_deg, sweep.range_m):
-        doubts[ONE_SWEEP] = text
+    if text := sweeps_text(sweep.gap_deg):
+        doubts = {ONE_SWEEP: text, **{need: why for need, why in doubts.items() if need != RETURNS}}
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)

@@ -1,7 +1,8 @@
 """Doubts about the points of a scan, each with what estimates of it cannot be trusted.
 
-Doubts are texts by what a cause may need, see `CauseModel.needs`: `ONE_SWEEP`, `POSITION`, `BEAMS`. Points of the
-other two, `MISSES` and `RETURNS`, are left out of the estimates, which therefore stay right.
+Doubts are texts by what a cause may need, see `CauseModel.needs`: `ONE_SWEEP`, `SAME_SWEEPS`, `POSITION`, `BEAMS`.
+Points of the other two do no harm: `MISSES` are dropped by cleaning, and later returns of a ray (`RETURNS`) are left
+out of the estimates.
 """
 
 from __future__ import annotations
@@ -9,20 +10,24 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from .arrays import BoolArray, FloatArray, IndexArray
 
 MISSES, RETURNS = "misses", "single_returns"
 ONE_SWEEP, POSITION, BEAMS = "one_sweep", "sensor_position", "beams"
+#: Needed by causes of the pose and the world: several sweeps on both sides, or on none.
+SAME_SWEEPS = "same_sweeps"
 #: Needed by every cause: both sides in one frame.
 FRAME = "frame"
 #: Doubts that make `fidpipe check` fail.
 SERIOUS = (MISSES, ONE_SWEEP, POSITION)
 _SHELL_M, _SHELL_SHARE, _MOST_SHELL_SHARE = 0.1, 0.03, 0.95
+_FEWEST_RETURNS = 500
 _SAME_DEG, _SAME_SHARE, _NEAREST_M, _MOST_RETURNS = 0.005, 0.1, 1.0, 5
 _BIN_DEG, _MOST_DEG = 0.01, 4.0
-_SHORT, _SHORT_SHARE, _APART = 0.15, 0.05, 0.01
-_FEWEST_GAPS = 500
+_FEWEST_GAPS, _MOST_GROUPS, _MOST_SWEEPS = 500, 30_000, 5
+_UNEVEN, _ALIKE, _REPEATED = 0.2, 0.9, 0.06  # sweeps 0.25, 0.94 and 0.09 at least, other scans 0.18, - and 0.05
 _CELL_DEG, _SAME_CELLS = 2.0, 0.6
 _SAMPLE, _NEIGHBOURS, _DENSE_PART, _DENSE_M = 5000, 10, 5, 15.0
 SWEEPS_IN_A_ROW = "two or more sweeps or sensors in one scan? Parts of it have beams, and all of it has not"
@@ -32,7 +37,7 @@ _NEAR_M, _NEAR_SHARE = 5.0, 0.001
 def miss_range(range_m: FloatArray) -> tuple[float, float] | None:
     """Range at which rays without a return are written, and their share; None if there are none.
 
-    It is the farthest one, and 3 % to 95 % of the points lie within 0.1 m of it.
+    It is the farthest one, and 3 % to 95 % of at least 500 points lie within 0.1 m of it.
 
     Examples
     --------
@@ -41,6 +46,8 @@ def miss_range(range_m: FloatArray) -> tuple[float, float] | None:
     >>> miss_range(np.linspace(3, 60, 700)) is None
     True
     """
+    if len(range_m) < _FEWEST_RETURNS:
+        return None
     farthest_m = float(range_m.max())
     is_farthest = range_m > farthest_m - _SHELL_M
     share = float(is_farthest.mean())
@@ -58,8 +65,8 @@ def misses_text(share: float, miss_range_m: float) -> str:
     """The doubt, with the setting that drops the points."""
     limit_m = np.floor(10 * (miss_range_m - _SHELL_M)) / 10
     return (
-        f"{share:.0%} of the points lie at {miss_range_m:.1f} m: rays without a return? "
-        f"input.max_range_m={limit_m:g} drops them"
+        f"{share:.0%} of the points lie at {miss_range_m:.1f} m: rays without a return? They are left out, "
+        f"which input.max_range_m={limit_m:g} confirms"
     )
 
 
@@ -83,37 +90,54 @@ def returns_text(is_later: BoolArray) -> str | None:
     if share < _SAME_SHARE:
         return None
     return (
-        f"{share:.0%} of the points are second returns of a ray (dual return, or written twice): only first ones count"
+        f"{share:.0%} of the points are second returns of a ray (dual return, two sweeps, or written twice): only "
+        "first ones count"
     )
 
 
-def sweeps_text(gap_deg: FloatArray, range_m: FloatArray) -> str | None:
+def sweeps_text(gap_deg: FloatArray) -> str | None:
     """The doubt that a scan holds several sweeps or scans of several sensors; None if it does not.
 
-    Many returns of a beam follow each other in much less than a step, and their ranges differ, because the sensor
-    or the scene has moved. After one sweep with noisy azimuths or many losses they agree.
+    The azimuths of n sweeps have n phases: the gaps of a beam differ, and repeat after n of them. After one sweep with
+    noisy azimuths or many losses few groups of gaps repeat.
 
     Parameters
     ----------
     gap_deg : (n - 1,) azimuth from each return to the next of its beam, NaN without one
-    range_m : (n,)
     """
     two_deg = gap_deg[:-1] + gap_deg[1:]
     two_deg = two_deg[(two_deg > _SAME_DEG) & (two_deg < _MOST_DEG)]
-    is_gap = (gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)
-    if len(two_deg) < _FEWEST_GAPS or is_gap.sum() < _FEWEST_GAPS:
+    if len(two_deg) < _FEWEST_GAPS:
         return None
     two_steps_deg = (np.bincount((two_deg / _BIN_DEG).astype(np.intp)).argmax() + 0.5) * _BIN_DEG
-    is_short = is_gap & (gap_deg < _SHORT * two_steps_deg)
-    if is_short.sum() < _SHORT_SHARE * is_gap.sum():
-        return None
-    apart = np.median(np.abs(np.diff(range_m))[is_short] / range_m[:-1][is_short])
-    if apart < _APART:
-        return None
-    return (
-        f"two sweeps or two sensors in one scan? Beams fire at irregular steps, and neighbouring ranges differ by "
-        f"{apart:.1%}; expected one sweep"
-    )
+    for n_sweeps in range(2, _MOST_SWEEPS + 1):
+        share, unevenness, likeness = _repetition(gap_deg, n_sweeps, n_sweeps * two_steps_deg)
+        if unevenness >= _UNEVEN and likeness >= _ALIKE and share * unevenness >= _REPEATED:
+            return (
+                "two or more sweeps or sensors in one scan? The steps of a beam alternate, and repeat after "
+                f"{n_sweeps} returns; expected one sweep"
+            )
+    return None
+
+
+def _repetition(gap_deg: FloatArray, n: int, most_deg: float) -> tuple[float, float, float]:
+    """Share of groups of 2 n gaps in which any n have the same sum, their unevenness, and likeness of both halves.
+
+    Unevenness is the standard deviation of the gaps over their mean; likeness is the correlation of both halves.
+    """
+    groups = sliding_window_view(gap_deg, 2 * n)
+    groups = groups[:: -(-len(groups) // _MOST_GROUPS)]
+    sums = sliding_window_view(groups, n, axis=1).sum(axis=2)
+    with np.errstate(invalid="ignore"):  # NaN between beams
+        turn_deg = np.median(sums, axis=1)
+        is_repeated = (np.abs(sums - turn_deg[:, None]) < 0.1 * turn_deg[:, None]).all(axis=1) & (turn_deg < most_deg)
+    if not is_repeated.any():
+        return 0.0, 0.0, 0.0
+    off = groups[is_repeated] * (n / turn_deg[is_repeated])[:, None] - 1.0
+    first, second = off[:, :n], off[:, n:]
+    power = float((first**2).sum() * (second**2).sum())
+    likeness = float((first * second).sum()) / np.sqrt(power) if power else 0.0
+    return float(is_repeated.mean()), float(np.sqrt((first**2).mean())), likeness
 
 
 def sweep_parts(points: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:

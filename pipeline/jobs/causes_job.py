@@ -137,5 +137,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
+    version=2,
     libraries=("scikit-learn",),
 )

@@ -13,7 +13,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import Displacement, fit_displacement
 from ..sensor_description import SensorDescription, describe_sensor
 from ..surfels import fit_planes, voxel_means
-from ..trust import BEAMS, FRAME, RETURNS
+from ..trust import BEAMS, FRAME, ONE_SWEEP, RETURNS, SAME_SWEEPS
 from .beams import (
     blurred_elevation_deg,
     dead_beams,
@@ -150,6 +150,8 @@ def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]
     for side, sensor in (("real", real), ("simulated", sim)):
         for need, text in sensor.doubts.items():
             doubts.setdefault(need, f"{side} scan: {text}")
+    if (ONE_SWEEP in real.doubts) != (ONE_SWEEP in sim.doubts):
+        doubts[SAME_SWEEPS] = doubts[ONE_SWEEP]
     return doubts
 
 

@@ -12,7 +12,6 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import seen_from
 from ..sensor_description import SensorDescription
 from ..surfels import LocalPlanes, fit_planes
-from ..trust import is_miss
 
 #: Returns beyond this range are far.
 FAR_M = 25.0
@@ -129,7 +128,7 @@ def recorded_side(
     T_real_sim: FloatArray | None = None,
     position: tuple[float, float, float] | None = None,
 ) -> Side:
-    """A side of clean points, with the sensor at the origin, without rays that returned nothing.
+    """A side of clean points, with the sensor at the origin.
 
     The points are in the order of their coordinates, so that nothing depends on the order of rows.
 
@@ -141,10 +140,7 @@ def recorded_side(
     if position is not None:
         points, T_real_sim = points - position, seen_from(position, T_real_sim)
     side = Side(points, is_ground, sensor, T_real_sim)
-    side = side.chosen(np.lexsort(side.points.T))
-    if sensor.miss_range_m is None:
-        return side
-    return side.chosen(~is_miss(np.linalg.norm(side.own_points, axis=1), sensor.miss_range_m))
+    return side.chosen(np.lexsort(side.points.T))
 
 
 @dataclass(frozen=True)

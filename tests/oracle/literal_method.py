@@ -54,12 +54,19 @@ def clean(
     T : (3, 4) float64, maps that frame into the real sensor's, after conversion to x forward, y left, z up
     """
     exclude_box, include_box = settings["exclude_box"], settings["include_box"]
+    range_of = {}
+    for p in map(tuple, points.tolist()):
+        if all(map(math.isfinite, p)) and p != (0, 0, 0):
+            range_of[p] = math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
+    miss_range_m = _miss_range(list(range_of.values()))
     seen, rows, kept = set(), [], []
     for i, p in enumerate(points.tolist()):
-        if not all(map(math.isfinite, p)) or p == [0, 0, 0] or tuple(p) in seen:
+        if tuple(p) not in range_of or tuple(p) in seen:
             continue
         seen.add(tuple(p))
-        range_m = math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
+        range_m = range_of[tuple(p)]
+        if miss_range_m is not None and abs(range_m - miss_range_m) <= 0.1:
+            continue
         if not settings["min_range_m"] <= range_m <= settings["max_range_m"]:
             continue
         if exclude_box and all(exclude_box[a] <= p[a] <= exclude_box[a + 3] for a in range(3)):
@@ -72,6 +79,14 @@ def clean(
         rows.append(i)
         kept.append(q)
     return rows, np.array(kept).reshape(-1, 3)
+
+
+def _miss_range(ranges_m: list[float]) -> float | None:
+    """Range at which rays without a return are written: 3 to 95 % of at least 500 points are at the farthest range."""
+    farthest = [range_m for range_m in ranges_m if range_m > max(ranges_m) - 0.1]
+    if len(ranges_m) < 500 or not 0.03 <= len(farthest) / len(ranges_m) <= 0.95:
+        return None
+    return float(np.median(farthest))
 
 
 Cut = dict[str, Any]  #: axis (3,), tilt_deg, peak_m, threshold_m, loss and iterations of a ground cut

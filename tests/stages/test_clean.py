@@ -14,7 +14,18 @@ def test_each_reason_is_counted_in_its_order():
     result = clean_scan(scan, settings)
     assert result.point_ids.tolist() == [2]
     in_order = ["not_finite", "zero", "duplicate", "too_near", "too_far", "in_exclude_box", "outside_include_box"]
-    assert list(result.dropped.items()) == [(reason, 1) for reason in in_order]
+    assert [reason for reason, n in result.dropped.items() if n == 1] == in_order
+    assert sum(result.dropped.values()) == len(in_order)
+
+
+def test_rays_without_a_return_are_dropped(rng):
+    scan = rng.uniform(-40, 40, (900, 3))
+    misses = rng.normal(size=(100, 3))
+    misses *= 80.0 / np.linalg.norm(misses, axis=1, keepdims=True)
+    result = clean_scan(np.vstack([scan, misses]), InputSettings(min_range_m=0.0))
+    assert (result.dropped["no_return"], result.point_ids.tolist()) == (100, list(range(900)))
+    ids, _ = literal_method.clean(np.vstack([scan, misses]), InputSettings(min_range_m=0.0).model_dump(), "ros", None)
+    assert ids == result.point_ids.tolist()
 
 
 def test_range_limits_are_inclusive():

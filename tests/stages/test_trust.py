@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fidpipe.schemas.cause_catalogue import CAUSES, LOSSES
 from fidpipe.schemas.sensor_models import SENSORS
@@ -13,7 +14,7 @@ from fidpipe.stages.frame_search import check_frames
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.plausibility import implausible
 from fidpipe.stages.sensor_description import describe_sensor
-from fidpipe.stages.trust import BEAMS, FRAME, MISSES, ONE_SWEEP, POSITION, RETURNS
+from fidpipe.stages.trust import BEAMS, FRAME, MISSES, ONE_SWEEP, POSITION, RETURNS, SAME_SWEEPS
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +35,10 @@ def with_second_returns(scan, share):
     return np.vstack([scan, behind * rng.choice([1.0, 1.2], (len(behind), 1))])
 
 
+def turned(scan, degrees):
+    return scan @ Rotation.from_euler("z", degrees, degrees=True).as_matrix().T
+
+
 @pytest.mark.parametrize(
     ("change", "need"),
     [
@@ -43,6 +48,8 @@ def with_second_returns(scan, share):
         (lambda scan: with_second_returns(scan, 0.4), RETURNS),
         (lambda scan: scan + [300.0, 120.0, 4.0], POSITION),
         (lambda scan: np.vstack([scan, scan + [1.1, 0.05, 0]]), ONE_SWEEP),
+        (lambda scan: np.vstack([scan, turned(scan, 0.05)]), ONE_SWEEP),
+        (lambda scan: np.vstack([scan, turned(scan, 0.06), turned(scan, 0.1)]), ONE_SWEEP),
     ],
 )
 def test_what_cannot_be_trusted_is_named(scan, change, need):
@@ -77,7 +84,7 @@ def test_a_cause_whose_need_is_in_doubt_is_unknown_with_the_reason(scan):
 
 
 def test_every_need_of_the_catalogue_can_be_in_doubt():
-    assert {need for cause in CAUSES.values() for need in cause.needs} == {ONE_SWEEP, POSITION, BEAMS}
+    assert {need for cause in CAUSES.values() for need in cause.needs} == {ONE_SWEEP, SAME_SWEEPS, POSITION, BEAMS}
 
 
 @pytest.mark.parametrize("factor", [0.3, 0.7, 1.6, 4.0])
