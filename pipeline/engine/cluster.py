@@ -93,9 +93,13 @@ def _limit_threads() -> Any:
 
 
 def _in_worker(requirements: Requirements | None, function: Callable[..., Any], *args: Any) -> Any:
-    if requirements is not None and requirements not in _CHECKED:  # it may have joined after the first check
+    if (
+        requirements is not None and requirements not in _CHECKED
+    ):  # it may have joined after the first check
         versions = requirements.libraries
-        if fault := other_versions(library_versions(versions), versions) or worker_fault(requirements):
+        if fault := other_versions(library_versions(versions), versions) or worker_fault(
+            requirements
+        ):
             raise RunError(f"a worker on {socket.gethostname()}: {fault}")
         _CHECKED.append(requirements)
     _limit_threads()
@@ -175,9 +179,15 @@ class DaskPool(Pool):
         """See `Pool`: of the current workers."""
         if self._memory is not None or self._address is None:
             return super().memory
-        limits = [int(worker["memory_limit"]) for worker in self._workers_now().values() if worker["memory_limit"]]
+        limits = [
+            int(worker["memory_limit"])
+            for worker in self._workers_now().values()
+            if worker["memory_limit"]
+        ]
         if limits:  # while all are gone, those that come again are taken to be like them
-            self._memory_there = Memory(int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits)))
+            self._memory_there = Memory(
+                int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits))
+            )
         return self._memory_there
 
     @property
@@ -207,14 +217,18 @@ class DaskPool(Pool):
             result = future.result()
         except self._killed_worker as error:
             n_deaths = error.allowed_failures + 1
-            return future, WorkerDied(f"{n_deaths} workers each time, the last one {error.last_worker.address}")
+            return future, WorkerDied(
+                f"{n_deaths} workers each time, the last one {error.last_worker.address}"
+            )
         except CancelledError as error:
             raise RunError(self._lost("the connection is lost, or it gave up a task")) from error
         except FidpipeError:
             raise
         except Exception:
             if self._requirements is not None:
-                self._check_versions(self._requirements)  # a worker of another version cannot unpickle the task
+                self._check_versions(
+                    self._requirements
+                )  # a worker of another version cannot unpickle the task
             raise
         future.release()  # or it would be repeated, and its files written again, if the worker that holds it dies
         return future, result
@@ -245,7 +259,9 @@ class DaskPool(Pool):
             _task = self._client.submit(os.getpid)  # adaptive clusters start workers for tasks
             self._client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT_S)
         except (OSError, TimeoutError) as error:
-            raise RunError(f"scheduler {address}: no cluster with a worker could be reached ({error})") from error
+            raise RunError(
+                f"scheduler {address}: no cluster with a worker could be reached ({error})"
+            ) from error
 
     def _start_cluster(self, n_workers: int) -> None:
         """Start a cluster on this machine; it is restarted if a worker is killed during the start.
@@ -277,7 +293,9 @@ class DaskPool(Pool):
             except BaseException:
                 if self._cluster is None:
                     prefork.kill_workers()
-                    atexit.unregister(distributed.deploy.spec.close_clusters)  # it asserts that all of it was there
+                    atexit.unregister(
+                        distributed.deploy.spec.close_clusters
+                    )  # it asserts that all of it was there
                 raise
         raise RunError(
             f"no cluster could be started here in {_STARTS} tries ({fault}; was a worker killed, or is memory or "
@@ -351,8 +369,12 @@ class DaskPool(Pool):
         """Raise `RunError` if the scheduler or a worker has other versions; runs no code of ours there."""
         versions = self._client.get_versions(packages=list(required.libraries))
         for name, there in [("", versions["scheduler"]), *versions["workers"].items()]:
-            if isinstance(there, dict) and (fault := other_versions(there["packages"], required.libraries)):
-                raise RunError(f"scheduler {self._address}{f', worker {name}' if name else ''}: {fault}")
+            if isinstance(there, dict) and (
+                fault := other_versions(there["packages"], required.libraries)
+            ):
+                raise RunError(
+                    f"scheduler {self._address}{f', worker {name}' if name else ''}: {fault}"
+                )
 
     def _check_workers(self, required: Requirements) -> None:
         """Raise `RunError` if a run could not be completed on a worker."""
@@ -408,7 +430,10 @@ def _check_address(address: str) -> None:
     from distributed.comm.addressing import get_address_host_port
     from distributed.security import Security
 
-    if address.startswith("tls://") and Security().get_connection_args("client")["ssl_context"] is None:
+    if (
+        address.startswith("tls://")
+        and Security().get_connection_args("client")["ssl_context"] is None
+    ):
         raise RunError(
             f"scheduler {address!r}: expected dask's settings distributed.comm.tls to name the certificates "
             "(DASK_DISTRIBUTED__COMM__TLS__CA_FILE)"
@@ -418,7 +443,9 @@ def _check_address(address: str) -> None:
     except ValueError:
         is_known = False
     if not is_known:
-        raise RunError(f"scheduler {address!r}: expected an address tcp://HOST:PORT, such as tcp://host:8786")
+        raise RunError(
+            f"scheduler {address!r}: expected an address tcp://HOST:PORT, such as tcp://host:8786"
+        )
 
 
 def _check_address_space() -> None:
@@ -475,6 +502,10 @@ def code_hash() -> str:
     root = Path(__file__).parents[2]
     digest = hashlib.sha256()
     for folder in ("pipeline", "schemas", "stages"):
-        for path in sorted(path for ending in ("py", "csv", "toml") for path in (root / folder).rglob(f"*.{ending}")):
+        for path in sorted(
+            path
+            for ending in ("py", "csv", "toml")
+            for path in (root / folder).rglob(f"*.{ending}")
+        ):
             digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:8]

@@ -108,7 +108,9 @@ def _shared_files(pairs: Iterable[ScanPair], folder: RunFolder) -> list[str]:
     return shared
 
 
-def schedule_of(survey: Survey, plan_pair: PlanPair, pool: Pool, collector: Collector, machines: Machines) -> Schedule:
+def schedule_of(
+    survey: Survey, plan_pair: PlanPair, pool: Pool, collector: Collector, machines: Machines
+) -> Schedule:
     """The schedule of all jobs to do.
 
     Parameters
@@ -137,7 +139,9 @@ def _plans_for_workers(
 
 
 @contextmanager
-def working(survey: Survey, files: InputFiles, collector: Collector, costs: CostModel) -> Iterator[None]:
+def working(
+    survey: Survey, files: InputFiles, collector: Collector, costs: CostModel
+) -> Iterator[None]:
     """Context of the work on all jobs to do: large pairs are announced and progress is shown.
 
     At the end the ledger is written and files of workers that died are removed.
@@ -161,7 +165,9 @@ def working(survey: Survey, files: InputFiles, collector: Collector, costs: Cost
         if len(survey.todo) > 1:
             pairs = f"{len(survey.todo)} pairs that were not finished need"
         need = megabytes(costs.disk_bytes(sum(n_points)))
-        raise DiskFullError(f"{error}: it resumes where it stopped; the {pairs} about {need} in all") from error
+        raise DiskFullError(
+            f"{error}: it resumes where it stopped; the {pairs} about {need} in all"
+        ) from error
     finally:
         reporter.stop()
         folder.ledger.commit()

@@ -21,7 +21,9 @@ from ..storage.run_record import library_versions
 from ..storage.table_files import JobId, JobName, JobRecord
 from .time_limit import TimeLimit
 
-OUT_OF_DATE = "out of date"  #: reason why a result that was made from or with something else is stale
+OUT_OF_DATE = (
+    "out of date"  #: reason why a result that was made from or with something else is stale
+)
 
 
 class Source(NamedTuple):
@@ -96,7 +98,9 @@ class PairPlan:
     def n_raw(self) -> int:
         """Points of all files of the pair; of files that no finished job has counted, estimated from their size."""
         counted = self._counted()
-        return sum(counted.get(side, content.approximate_points) for side, content in self.inputs.items())
+        return sum(
+            counted.get(side, content.approximate_points) for side, content in self.inputs.items()
+        )
 
     @property
     def is_counted(self) -> bool:
@@ -105,7 +109,9 @@ class PairPlan:
 
     def _counted(self) -> dict[str, int]:
         records = self.records.values()
-        return {record.part: record.metadata[N_RAW] for record in records if N_RAW in record.metadata}
+        return {
+            record.part: record.metadata[N_RAW] for record in records if N_RAW in record.metadata
+        }
 
     @property
     def todo(self) -> list[Job]:
@@ -115,7 +121,11 @@ class PairPlan:
     @property
     def objects(self) -> list[tuple[int, int]] | None:
         """Id and nodes of each matched object, where a finished job lists them."""
-        lists = [record.metadata[OBJECTS] for record in self.records.values() if OBJECTS in record.metadata]
+        lists = [
+            record.metadata[OBJECTS]
+            for record in self.records.values()
+            if OBJECTS in record.metadata
+        ]
         return [(number, n_keep) for number, n_keep in lists[-1]] if lists else None
 
     def reads(self, job: Job) -> tuple[str, ...]:
@@ -142,7 +152,9 @@ class Planner:
         A stage takes what none before it gives, or names a table or a column that `schemas.tables` does not have.
     """
 
-    def __init__(self, stages: Sequence[Stage], settings: Settings, label_names: Mapping[int, str]) -> None:
+    def __init__(
+        self, stages: Sequence[Stage], settings: Settings, label_names: Mapping[int, str]
+    ) -> None:
         self.stages = tuple(stages)
         self.settings = settings
         self.label_names = label_names
@@ -160,19 +172,25 @@ class Planner:
         pair : the pair
         inputs : by side, what its file holds
         """
-        keys = {(SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in SIDES}
+        keys = {
+            (SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in SIDES
+        }
         for (
             name,
             job,
         ) in self._jobs.items():  # keys are hexadecimal digits, so that a space ends each
-            keys[name] = hashlib.sha256(" ".join((job.key, *_reads(job, keys))).encode()).hexdigest()
+            keys[name] = hashlib.sha256(
+                " ".join((job.key, *_reads(job, keys))).encode()
+            ).hexdigest()
         return PairPlan(pair, self._jobs, keys, {}, inputs, self.label_names)
 
     def jobs(self) -> tuple[Job, ...]:
         """The jobs of a pair, in their order."""
         return tuple(self._jobs.values())
 
-    def plan_on_results(self, pair: ScanPair, records: Mapping[JobId, JobRecord], stage: Stage) -> PairPlan:
+    def plan_on_results(
+        self, pair: ScanPair, records: Mapping[JobId, JobRecord], stage: Stage
+    ) -> PairPlan:
         """The job of one stage of a pair whose other results are taken as they are, whatever they were made of.
 
         Parameters
@@ -183,7 +201,9 @@ class Planner:
         name = (stage.name, "")
         jobs = {job: self._jobs[job] for job in self._jobs if job in records or job == name}
         keys = {job: record.key for job, record in records.items()}
-        keys[name] = hashlib.sha256(" ".join((jobs[name].key, *_reads(jobs[name], keys))).encode()).hexdigest()
+        keys[name] = hashlib.sha256(
+            " ".join((jobs[name].key, *_reads(jobs[name], keys))).encode()
+        ).hexdigest()
         others = {job: record for job, record in records.items() if job in jobs and job != name}
         return PairPlan(pair, jobs, keys, others, {}, self.label_names)
 
@@ -195,7 +215,9 @@ class Planner:
             known = {table for table, _ in makers}
             missing = [table for table in stage.takes if table not in known]
             if missing:
-                raise ValueError(f"stage {stage.name} takes {', '.join(missing)}, which no earlier stage makes")
+                raise ValueError(
+                    f"stage {stage.name} takes {', '.join(missing)}, which no earlier stage makes"
+                )
             method_key = self._method_key(stage)
             for part in stage.parts:
                 key = key_of(method_key, part, list(stage.arguments))
@@ -251,11 +273,18 @@ def _given_columns(stage: Stage, settings: Settings) -> dict[str, list[str]]:
         if table not in (*TABLES, SCAN):
             raise ValueError(f"stage {stage.name}: schemas.tables has no table {table}")
     if SCAN in stage.takes and "input" not in stage.settings:
-        raise ValueError(f"stage {stage.name}: takes {SCAN}, whose columns are read by the settings input")
+        raise ValueError(
+            f"stage {stage.name}: takes {SCAN}, whose columns are read by the settings input"
+        )
     for table, columns in (*stage.takes.items(), *stage.takes_real(settings).items()):
-        if surplus := [name for name in columns if table == SCAN or name not in TABLES[table].schema.names]:
+        if surplus := [
+            name for name in columns if table == SCAN or name not in TABLES[table].schema.names
+        ]:
             raise ValueError(f"stage {stage.name}: {table} has no column {', '.join(surplus)}")
-    return {table: [f"{field.name} {field.type}" for field in TABLES[table].schema] for table in stage.gives}
+    return {
+        table: [f"{field.name} {field.type}" for field in TABLES[table].schema]
+        for table in stage.gives
+    }
 
 
 def with_results(
@@ -295,4 +324,6 @@ def with_results(
 
 def _reads(job: Job, keys: Mapping[JobId, str]) -> tuple[str, ...]:
     """The keys of all that a job takes, in its order."""
-    return tuple(dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in job.sources))
+    return tuple(
+        dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in job.sources)
+    )

@@ -44,7 +44,9 @@ class Reporter:
     def warn(self, *texts: str) -> None:
         """Print warnings, one line each; all at once, as each call costs more than its lines."""
         if texts:
-            self.console.print("\n".join(f"warning: {shown(text)}" for text in texts), markup=False, style="yellow")
+            self.console.print(
+                "\n".join(f"warning: {shown(text)}" for text in texts), markup=False, style="yellow"
+            )
 
     def fail(self, name: str, reason: str) -> None:
         """Print one line for each failure."""
@@ -96,8 +98,16 @@ class Reporter:
         if self._bar.disable and now - self._last_line >= self._between:
             self._last_line = now
             task = self._bar.tasks[0]
-            left = f"; about {_in_words(left_s)} left" if (left_s := task.time_remaining) is not None else ""
-            self.say(f"{self._counts()}{left}" if self._n_ended else f"{task.percentage:.0f} % done{self._objects}")
+            left = (
+                f"; about {_in_words(left_s)} left"
+                if (left_s := task.time_remaining) is not None
+                else ""
+            )
+            self.say(
+                f"{self._counts()}{left}"
+                if self._n_ended
+                else f"{task.percentage:.0f} % done{self._objects}"
+            )
 
     def stop(self) -> None:
         """End the progress."""

@@ -185,7 +185,9 @@ class Schedule:
         if isinstance(result, WorkerDied):
             pair.is_lost = True
             if self._is_alone:
-                again = "the worker process died, and again when the pair ran alone (out of memory?)"
+                again = (
+                    "the worker process died, and again when the pair ran alone (out of memory?)"
+                )
                 pair.failures.append(JobFailure(pair.ready[0].name, f"{again}: {result.detail}"))
         elif isinstance(result, BatchResult):
             self._collector.batch_done(result)
@@ -215,7 +217,9 @@ class Schedule:
         elif pair.n_losses > 1:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
-        elif reason and (readers := [job for job in pair.ready if any(own.maker is None for own in job.sources)]):
+        elif reason and (
+            readers := [job for job in pair.ready if any(own.maker is None for own in job.sources)]
+        ):
             self._submit_jobs(pair, readers)  # the input files may have fewer points than estimated
         elif pair.scored:
             jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
@@ -224,7 +228,9 @@ class Schedule:
             self._submit([pair], run_batch, [batch], self._costs, priority=_FIRST)
         elif self._is_worth_splitting(pair):
             self._split(pair)
-        elif pair.n_losses or pair.plan.limit is not None:  # one that may end its worker takes no other pair along
+        elif (
+            pair.n_losses or pair.plan.limit is not None
+        ):  # one that may end its worker takes no other pair along
             self._submit_together([pair])
         else:
             self._bundle.append(pair)
@@ -251,7 +257,10 @@ class Schedule:
         return self._costs.pair_seconds(pair.plan.n_raw) > self._policy.long_pair_s
 
     def _few_left(self) -> bool:
-        return self._n_pending + len(self._active) <= self._policy.pairs_per_worker * self._pool.n_workers
+        return (
+            self._n_pending + len(self._active)
+            <= self._policy.pairs_per_worker * self._pool.n_workers
+        )
 
     def _split(self, pair: _Pair) -> None:
         """The next layer of a pair in batches that run at the same time: by side, by object, or by job."""
@@ -323,7 +332,9 @@ class Schedule:
             batch.append(entry)
             seconds = sum(self._costs.object_seconds(n) for _, n in batch)
             if seconds >= self._policy.batch_s or i + 1 == len(sizes):
-                need = self._costs.pair_bytes(pair.plan.n_raw) + self._costs.object_bytes(batch[0][1])
+                need = self._costs.pair_bytes(pair.plan.n_raw) + self._costs.object_bytes(
+                    batch[0][1]
+                )
                 numbers = tuple(number for number, _ in batch)
                 self._submit(
                     [pair],

@@ -165,7 +165,9 @@ def _reasons(before: Mapping[str, Any], stages: Sequence[Stage], settings: Setti
     if why and before.get("preset", preset) != preset:
         why.insert(0, f"preset was {before['preset']}, is {preset}")
     versions = before.get("stages", {})
-    old = [stage.name for stage in stages if versions.get(stage.name, stage.version) != stage.version]
+    old = [
+        stage.name for stage in stages if versions.get(stage.name, stage.version) != stage.version
+    ]
     if old:
         written = f"fidpipe {before.get('fidpipe')} on {before.get('written', '')[:10]}"
         why.append(f"{written} had other code of {', '.join(old)}")

@@ -108,4 +108,6 @@ def _watch(deadline: float | None, note: TextIO) -> None:
         faulthandler.cancel_dump_traceback_later()
         if _DEADLINES:
             first, noted = min(_DEADLINES.values(), key=lambda entry: entry[0])
-            faulthandler.dump_traceback_later(max(_LEAST_S, first - monotonic()), exit=True, file=noted)
+            faulthandler.dump_traceback_later(
+                max(_LEAST_S, first - monotonic()), exit=True, file=noted
+            )

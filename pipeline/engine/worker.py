@@ -85,7 +85,10 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
                     if failed.intersection(job.needs):
                         failed.add(job.name)
                         continue
-                    if batch.most_bytes is not None and tables.bytes_needed(job, costs) > batch.most_bytes:
+                    if (
+                        batch.most_bytes is not None
+                        and tables.bytes_needed(job, costs) > batch.most_bytes
+                    ):
                         break
                     note(job_title(*job.name))
                     try:
@@ -104,7 +107,9 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
     return results
 
 
-def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...]) -> ObjectRows | JobFailure:
+def score_objects(
+    plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...]
+) -> ObjectRows | JobFailure:
     """The rows of some objects, by the requested stages over objects; nothing is written."""
     tables = _kept_tables(plan)
     made: dict[JobId, Tables] = {}
@@ -127,7 +132,9 @@ def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, .
     return ObjectRows(made, steps)
 
 
-def make_job(tables: PairTables, job: Job, rows: tuple[ObjectRows | JobFailure, ...] | None = None) -> JobRecord:
+def make_job(
+    tables: PairTables, job: Job, rows: tuple[ObjectRows | JobFailure, ...] | None = None
+) -> JobRecord:
     """Run one job of a pair and write its results; errors of its stage are raised unchanged.
 
     Parameters
@@ -136,14 +143,24 @@ def make_job(tables: PairTables, job: Job, rows: tuple[ObjectRows | JobFailure, 
     """
     if rows is not None:
         parts = [part for part in rows if isinstance(part, ObjectRows)]
-        inputs = tables.inputs(job, step=Steps(step for part in parts for step in part.steps[job.name]))
-        made = {table: [part.tables[job.name][table] for part in parts] for table in job.stage.gives}
+        inputs = tables.inputs(
+            job, step=Steps(step for part in parts for step in part.steps[job.name])
+        )
+        made = {
+            table: [part.tables[job.name][table] for part in parts] for table in job.stage.gives
+        }
         return _finish_objects(tables, job, inputs, made)
-    objects = tuple(number for number, _ in tables.plan.objects or ()) if job.stage.grain is Grain.OBJECT else ()
+    objects = (
+        tuple(number for number, _ in tables.plan.objects or ())
+        if job.stage.grain is Grain.OBJECT
+        else ()
+    )
     inputs = tables.inputs(job, objects)
     result = job.stage.make(inputs)
     if job.stage.grain is Grain.OBJECT:
-        return _finish_objects(tables, job, inputs, {name: [own] for name, own in result.tables.items()})
+        return _finish_objects(
+            tables, job, inputs, {name: [own] for name, own in result.tables.items()}
+        )
     return tables.finish(job, inputs, result)
 
 
@@ -192,14 +209,18 @@ class PairTables:
                 read = partial(self._read, *source[:3], source.maker, step)
                 tables[name] = partial(rows[name].select, source.columns) if name in rows else read
             is_by_object = self.plan.jobs[source.maker].stage.grain is Grain.OBJECT
-            if not (is_by_object and stage.grain is Grain.OBJECT):  # they are gathered when all objects are done
+            if not (
+                is_by_object and stage.grain is Grain.OBJECT
+            ):  # they are gathered when all objects are done
                 outputs[name] = self.plan.records[source.maker].metadata
         return Inputs(
             pair_id=self.plan.pair_id,
             part=job.part,
             settings=cast(
                 Settings,
-                SimpleNamespace(**{group: getattr(job.settings, group) for group in stage.settings}),
+                SimpleNamespace(
+                    **{group: getattr(job.settings, group) for group in stage.settings}
+                ),
             ),
             tables=tables,
             outputs=outputs,
@@ -211,7 +232,9 @@ class PairTables:
             memo=self._memo,
         )
 
-    def _read(self, name: str, side: str, columns: tuple[str, ...], maker: JobId, step: Steps) -> pa.Table:
+    def _read(
+        self, name: str, side: str, columns: tuple[str, ...], maker: JobId, step: Steps
+    ) -> pa.Table:
         """The declared columns of a table that was made here or is in the run's folder."""
         if (name, side, columns) not in self._parts:
             if (name, side) in self._tables:
@@ -219,7 +242,9 @@ class PairTables:
             else:
                 path = table_name(name, self.plan.pair_id, side)
                 with step("read"):
-                    rows = self._folder.read(name, self.plan.records[maker].files[path], path, list(columns))
+                    rows = self._folder.read(
+                        name, self.plan.records[maker].files[path], path, list(columns)
+                    )
             self._parts[name, side, columns] = rows
         return self._parts[name, side, columns]
 
@@ -234,7 +259,9 @@ class PairTables:
             columns = next(iter(self.plan.jobs.values())).settings.input.columns_of(side)
             scan = read_scan(path, columns, dict(self.plan.label_names))
             if scan_content(path) != self.plan.inputs[side]:
-                raise StageError(f"{path}: the file changed while the run was using it; run the same command again")
+                raise StageError(
+                    f"{path}: the file changed while the run was using it; run the same command again"
+                )
             self._scans[side] = scan
         return self._scans[side]
 
@@ -267,13 +294,20 @@ class PairTables:
         self._tables |= {(name, job.part): rows for name, rows in result.tables.items()}
         self.plan = self.plan.with_records([record])
         for side in list(self._scans):
-            readers = {own.name for own in self.plan.jobs.values() for use in own.sources if use[:2] == (SCAN, side)}
+            readers = {
+                own.name
+                for own in self.plan.jobs.values()
+                for use in own.sources
+                if use[:2] == (SCAN, side)
+            }
             if self.plan.records.keys() >= readers:
                 del self._scans[side]  # no later job reads it
         return record
 
 
-def _finish_objects(tables: PairTables, job: Job, inputs: Inputs, made: Mapping[str, list[pa.Table]]) -> JobRecord:
+def _finish_objects(
+    tables: PairTables, job: Job, inputs: Inputs, made: Mapping[str, list[pa.Table]]
+) -> JobRecord:
     """Keep and write the rows of all objects, in the order of the table's keys."""
     whole = {}
     for name, parts in made.items():

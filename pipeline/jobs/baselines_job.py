@@ -39,7 +39,9 @@ def make_baselines(inputs: Inputs) -> JobResult:
     rows: list[Row] = []
     for match, real, sim in matched_objects(inputs):
         nodes = kept_nodes(selection, match["real_id"], real, sim)
-        values = compare_objects(real, sim, nodes, settings.selection.t, settings.metrics, watch=inputs.step)
+        values = compare_objects(
+            real, sim, nodes, settings.selection.t, settings.metrics, watch=inputs.step
+        )
         rows += [_row(inputs, value, match["real_id"], match["sim_id"]) for value in values]
 
     def watch(name: str) -> AbstractContextManager[None]:

@@ -108,7 +108,9 @@ def side_of(
     """A side from its table `ground`, see `recorded_side`."""
     from ...stages.causes.sides import recorded_side
 
-    return recorded_side(coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim, position)
+    return recorded_side(
+        coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim, position
+    )
 
 
 def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:

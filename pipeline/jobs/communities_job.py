@@ -52,13 +52,17 @@ def make_communities(inputs: Inputs) -> JobResult:
     return _result(inputs, point_ids, scan, noted)
 
 
-def _result(inputs: Inputs, point_ids: IntArray, scan: PartitionedScan, noted: Annotation) -> JobResult:
+def _result(
+    inputs: Inputs, point_ids: IntArray, scan: PartitionedScan, noted: Annotation
+) -> JobResult:
     """The object of each point, and a row for each object."""
     objects = scan.objects
     names = [None] * len(point_ids) if noted.labels is None else noted.labels.tolist()
     labels = majority_labels(scan.labels, names, len(objects.n_points))
     both = {"pair_id": inputs.pair_id, "side": inputs.part}
-    communities = TABLES["communities"].build(both | {"point_id": point_ids, "community_id": scan.labels})
+    communities = TABLES["communities"].build(
+        both | {"point_id": point_ids, "community_id": scan.labels}
+    )
     columns: dict[str, Any] = {
         "community_id": np.arange(len(objects.n_points), dtype=np.int32),
         "n_points": objects.n_points,

@@ -109,7 +109,9 @@ def _takes_real(settings: Settings) -> Columns:
 def _cut(metadata: Metadata) -> GroundResult:
     """The real side's cut, for the simulated side."""
     measures = {name: metadata[name] for name in _MEASURES}
-    return GroundResult(np.empty(0, dtype=np.bool_), np.empty(0), np.array(metadata["axis"]), **measures)
+    return GroundResult(
+        np.empty(0, dtype=np.bool_), np.empty(0), np.array(metadata["axis"]), **measures
+    )
 
 
 STAGE = Stage(

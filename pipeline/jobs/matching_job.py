@@ -26,7 +26,9 @@ def make_matching(inputs: Inputs) -> JobResult:
     sim_ids = matching.sim_ids.tolist()
     n_keep = np.minimum(n_real[matching.real_ids], n_sim[matching.sim_ids])
     rows: list[Row] = []
-    for real_id, sim_id, distance_m in zip(real_ids, sim_ids, matching.distance_m.tolist(), strict=True):
+    for real_id, sim_id, distance_m in zip(
+        real_ids, sim_ids, matching.distance_m.tolist(), strict=True
+    ):
         both = {"real_id": real_id, "sim_id": sim_id}
         rows.append(both | {"centroid_distance_m": distance_m, "status": "matched"})
     rows += [{"real_id": i, "status": "missing"} for i in matching.missing.tolist()]

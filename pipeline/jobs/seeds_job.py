@@ -46,7 +46,10 @@ def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[st
     dataset = {}
     pairs: dict[str, Any] = {pair_id: {} for pair_id in sorted(of_pairs)}
     for name in SEEDED_SCORES:
-        values = {pair_id: np.array(scores[name], dtype=np.float64) for pair_id, scores in of_pairs.items()}
+        values = {
+            pair_id: np.array(scores[name], dtype=np.float64)
+            for pair_id, scores in of_pairs.items()
+        }
         dataset[name] = vars(spread(np.array(list(values.values()))))
         for pair_id, of_seeds in values.items():
             mean, std = mean_and_std(of_seeds)

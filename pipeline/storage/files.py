@@ -99,7 +99,9 @@ def free_bytes(path: Path) -> int | None:
 
 def disk_full(path: Path, reason: object) -> DiskFullError:
     """The error of a file for which no space is left, with the free space and the next step."""
-    return DiskFullError(f"{path}: {reason}, {free_text(path)}; make room, then run the same command again")
+    return DiskFullError(
+        f"{path}: {reason}, {free_text(path)}; make room, then run the same command again"
+    )
 
 
 def free_text(path: Path) -> str:
@@ -132,7 +134,9 @@ def remove_stale(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise RunError(f"{path}: out of date, but cannot be removed ({error.strerror}); remove it") from error
+        raise RunError(
+            f"{path}: out of date, but cannot be removed ({error.strerror}); remove it"
+        ) from error
 
 
 def refuse_link(path: Path) -> None:

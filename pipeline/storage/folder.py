@@ -29,7 +29,9 @@ class RunFolder(TableFolder):
     """A run's folder; to be read, or, while `locked`, to be written."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(folder, secrets.token_hex(8), url_of_cache(folder) if (folder / AT_URL).exists() else "")
+        super().__init__(
+            folder, secrets.token_hex(8), url_of_cache(folder) if (folder / AT_URL).exists() else ""
+        )
         self._ledger: Ledger | None = None
 
     @property
@@ -72,8 +74,14 @@ class RunFolder(TableFolder):
                     f"run {self.folder}: another fidpipe is writing here; wait for it, or give another --out"
                 ) from None
             except OSError as error:
-                fault = "its file system has no locks" if error.errno in _NO_LOCKS else "cannot be written"
-                raise RunError(f"run {self.folder}: {fault} ({error.strerror}); give another --out") from error
+                fault = (
+                    "its file system has no locks"
+                    if error.errno in _NO_LOCKS
+                    else "cannot be written"
+                )
+                raise RunError(
+                    f"run {self.folder}: {fault} ({error.strerror}); give another --out"
+                ) from error
             if self._ledger is not None:
                 self._ledger.close()
             self._ledger = self._open_ledger(is_writable=True)
@@ -89,9 +97,13 @@ class RunFolder(TableFolder):
         with os.scandir(self.folder) as entries:
             link = next((entry.name for entry in entries if entry.is_symlink()), None)
         if link is not None:
-            raise RunError(f"run {self.folder}: expected a file, got the symbolic link {link}; remove the link")
+            raise RunError(
+                f"run {self.folder}: expected a file, got the symbolic link {link}; remove the link"
+            )
 
-    def read_table(self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None) -> pa.Table:
+    def read_table(
+        self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None
+    ) -> pa.Table:
         """A table of one pair (of one side where each side has its own), or of the whole run if `pair_id` is "".
 
         Parameters
@@ -125,7 +137,11 @@ class RunFolder(TableFolder):
         """
         parts: dict[tuple[str, str], list[pa.Table]] = {own: [] for own in columns}
         for pair_id in pair_ids:
-            files = {name: file for job in self.ledger.jobs(pair_id).values() for name, file in job.files.items()}
+            files = {
+                name: file
+                for job in self.ledger.jobs(pair_id).values()
+                for name, file in job.files.items()
+            }
             for (table, side), names in columns.items():
                 name = table_name(table, pair_id, side)
                 if name not in files:
@@ -159,7 +175,9 @@ class RunFolder(TableFolder):
 
     def forget(self, pair_id: str, jobs: Container[JobId] | None = None) -> list[JobRecord]:
         """Remove some jobs of a pair, by default all, and their files; returns them."""
-        records = [own for own in self.ledger.jobs(pair_id).values() if jobs is None or own.job in jobs]
+        records = [
+            own for own in self.ledger.jobs(pair_id).values() if jobs is None or own.job in jobs
+        ]
         for name in (name for record in records for name in record.files):
             (self.folder / name).unlink(missing_ok=True)
         self.ledger.drop_jobs(pair_id, records)
@@ -213,12 +231,22 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
     refuse_other_content(f"run {out}", out, "a run", is_own=is_run)
     before, made_by = record.get("dataset"), record.get("experiment", "run")
     if before and made_by != experiment:
-        raise RunError(f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out")
-    if before and before != name_in_records(dataset) and (is_url(before) or os.path.lexists(before)):
-        raise RunError(f"run {out}: holds the results of {before}, not of {dataset}; give another --out")
+        raise RunError(
+            f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out"
+        )
+    if (
+        before
+        and before != name_in_records(dataset)
+        and (is_url(before) or os.path.lexists(before))
+    ):
+        raise RunError(
+            f"run {out}: holds the results of {before}, not of {dataset}; give another --out"
+        )
 
 
-def refuse_other_content(name: str, out: Path, kind: str, *, is_own: bool, other: str = "--out") -> None:
+def refuse_other_content(
+    name: str, out: Path, kind: str, *, is_own: bool, other: str = "--out"
+) -> None:
     """Raise `RunError` if results would be written to a file, or to a folder that holds something else.
 
     Parameters

@@ -45,7 +45,9 @@ def mirror_dataset(url: str, objects: Sequence[StoredObject]) -> Path:
     try:
         objects = objects or [describe_object(f"{url}/{_MANIFEST}")]
     except NoSuchObjectError as error:
-        raise StoreError(f"{url}: expected a run, scans or a {_MANIFEST}, got none ({error})") from error
+        raise StoreError(
+            f"{url}: expected a run, scans or a {_MANIFEST}, got none ({error})"
+        ) from error
     folder = cache_of(url)
     mirrored = set()
     for stored in counted(objects, f"{url}: of {len(objects):,} objects"):

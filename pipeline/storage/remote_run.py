@@ -140,7 +140,9 @@ class RemoteRun:
             (self.folder / AT_URL).unlink(missing_ok=True)
         if found and "run.json" not in found:  # of a run that was killed, or no run at all
             if not all(name.endswith((".parquet", "settings.toml")) for name in found):
-                raise RunError(f"run {self.url}: the URL holds other things than a run; give another --out")
+                raise RunError(
+                    f"run {self.url}: the URL holds other things than a run; give another --out"
+                )
             self.folder.mkdir(parents=True, exist_ok=True)
             (self.folder / LEDGER).touch()
         missing = []
@@ -266,7 +268,9 @@ class RemoteRun:
     def _claim(self) -> None:
         """Write our lock in place of ours; raises `RunError` if it was taken over."""
         if self._other_owner({"e_tag": self._etag}) is not None:
-            raise RunError(f"run {self.url}: another command writes there now; results stay in {self.folder}")
+            raise RunError(
+                f"run {self.url}: another command writes there now; results stay in {self.folder}"
+            )
 
     def _claim_first(self) -> None:
         """Write our lock, if there is none or one of a dead command; else raise `RunError`.
@@ -357,7 +361,9 @@ def _prepare_cache() -> None:
     say(f"no home folder: files of URLs are kept in {folder}; FIDPIPE_CACHE names another place")
     folder.mkdir(mode=0o700, exist_ok=True)
     if folder.lstat().st_uid != os.getuid():
-        raise StoreError(f"{folder}: belongs to another user; set FIDPIPE_CACHE to a folder of yours")
+        raise StoreError(
+            f"{folder}: belongs to another user; set FIDPIPE_CACHE to a folder of yours"
+        )
 
 
 def share_folder(folder: TableFolder) -> None:

@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     from ...schemas.settings import Settings
 
 RUN_JSON = "run.json"
-_SEAL = re.compile(rb',\n  "sha256": "([0-9a-f]{64})"\n}\n\Z')  # records written by others have none
+_SEAL = re.compile(
+    rb',\n  "sha256": "([0-9a-f]{64})"\n}\n\Z'
+)  # records written by others have none
 SETTINGS_TOML = "settings.toml"
 
 #: Everything whose version can change a number or a file.
@@ -106,7 +108,9 @@ def read_run(folder: Path) -> dict[str, Any]:
         _AnyRecord.model_validate(record)
     except ValidationError as error:
         where = ".".join(map(str, error.errors()[0]["loc"])) or RUN_JSON
-        raise RunError(f"run {folder}: {RUN_JSON} is damaged at {where}; remove it, or give another --out") from error
+        raise RunError(
+            f"run {folder}: {RUN_JSON} is damaged at {where}; remove it, or give another --out"
+        ) from error
     record.pop("sha256", None)
     return record
 
@@ -120,7 +124,9 @@ def finished_record(folder: Path) -> dict[str, Any]:
         It is not, or is damaged.
     """
     if folder.is_file():
-        wanted = str(folder.parent) if folder.name == RUN_JSON else "a folder written by fidpipe run"
+        wanted = (
+            str(folder.parent) if folder.name == RUN_JSON else "a folder written by fidpipe run"
+        )
         raise RunError(f"run {folder}: expected {wanted}, got a file")
     record = read_run(folder)
     if not record and (folder / RUN_JSON).exists():
@@ -129,7 +135,9 @@ def finished_record(folder: Path) -> dict[str, Any]:
             "(intact results are reused)"
         )
     if not record:
-        raise RunError(f"run {folder}: expected a folder written by fidpipe run, found no run.json of one")
+        raise RunError(
+            f"run {folder}: expected a folder written by fidpipe run, found no run.json of one"
+        )
     return record
 
 
@@ -210,7 +218,9 @@ def last_results(before: Mapping[str, Any]) -> RunRecord | None:
         return None
 
 
-def replaced_results(before: Mapping[str, Any], last: RunRecord | None, *, is_same: bool) -> PreviousRun | None:
+def replaced_results(
+    before: Mapping[str, Any], last: RunRecord | None, *, is_same: bool
+) -> PreviousRun | None:
     """The last results, in short; if they are the same, or their run has not ended, those that they replaced.
 
     Parameters
@@ -235,7 +245,9 @@ def summarise_pairs(scored: pa.Table) -> dict[str, ScoreSummary]:
     scored : of `pairs`
     """
     scores = {name: np.array(scored[name].to_pylist(), dtype=np.float64) for name in RUN_SCORES}
-    return summarise_dataset(scores | {unmatched_worst(name): _with_unmatched(scored, name) for name in DISTRIBUTED})
+    return summarise_dataset(
+        scores | {unmatched_worst(name): _with_unmatched(scored, name) for name in DISTRIBUTED}
+    )
 
 
 def unmatched_worst(metric: str) -> str:
@@ -252,7 +264,9 @@ def _with_unmatched(scored: pa.Table, name: str) -> list[float | None]:
     columns = [scored[name].to_pylist() for name in names]
     is_left_out = "required" not in METRIC[name].flags
     return [
-        with_unmatched_as_worst(mean, n_matched - is_left_out * n_too_small, n_missing + n_extra, worst)
+        with_unmatched_as_worst(
+            mean, n_matched - is_left_out * n_too_small, n_missing + n_extra, worst
+        )
         for mean, n_matched, n_too_small, n_missing, n_extra in zip(*columns, strict=True)
     ]
 
@@ -284,16 +298,23 @@ class StageSeconds:
     def mean(self) -> dict[str, dict[str, float]]:
         """By stage and step, the mean over the pairs that have the stage."""
         n_pairs = Counter(stage for of_pair in self._pairs.values() for stage in of_pair)
-        return {stage: {step: s / n_pairs[stage] for step, s in of.items()} for stage, of in self._steps.items()}
+        return {
+            stage: {step: s / n_pairs[stage] for step, s in of.items()}
+            for stage, of in self._steps.items()
+        }
 
     def result(self) -> Seconds:
         """`mean`, and seconds by pair and stage, rounded to microseconds."""
         for own in self._pairs.values():
             own |= {stage: round(seconds, 6) for stage, seconds in own.items()}
-        return Seconds.model_construct(mean=self.mean(), pairs=dict(sorted(self._pairs.items())))  # without a copy
+        return Seconds.model_construct(
+            mean=self.mean(), pairs=dict(sorted(self._pairs.items()))
+        )  # without a copy
 
 
-def what_changed(before: Mapping[str, Any], settings: Settings, stages: Mapping[str, int]) -> list[str]:
+def what_changed(
+    before: Mapping[str, Any], settings: Settings, stages: Mapping[str, int]
+) -> list[str]:
     """Differences from the record of the last run, as text: settings, library versions, stage code."""
     if not before:
         return []
@@ -302,7 +323,11 @@ def what_changed(before: Mapping[str, Any], settings: Settings, stages: Mapping[
     for name, found in library_versions(libraries).items():
         if found != libraries[name]:
             changes.append(f"{name} was {libraries[name]}, is {found}")
-    changes += [f"code of stage {stage} is new" for stage, own in stages.items() if old_stages.get(stage, own) != own]
+    changes += [
+        f"code of stage {stage} is new"
+        for stage, own in stages.items()
+        if old_stages.get(stage, own) != own
+    ]
     return changes
 
 

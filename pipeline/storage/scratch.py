@@ -15,7 +15,9 @@ from ...schemas.errors import DiskFullError
 from .files import NO_SPACE, free_text
 
 _PREFIX = f"fidpipe-{os.getuid()}-"
-_LONGEST_PARENT = 50  # characters; the sockets of worker processes are in the folder, and may have 107
+_LONGEST_PARENT = (
+    50  # characters; the sockets of worker processes are in the folder, and may have 107
+)
 
 
 @contextmanager

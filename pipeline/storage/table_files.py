@@ -30,8 +30,12 @@ from .files import key_of, write_whole
 from .object_store import read_object, write_object
 
 TOKEN = ".writer"  #: the file that names the run which may write
-AT_URL = ".at_url"  #: a file of this name in a folder of the cache: tables that it lacks are at its URL
-_READ_NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # without waiting for the writer of a named pipe
+AT_URL = (
+    ".at_url"  #: a file of this name in a folder of the cache: tables that it lacks are at its URL
+)
+_READ_NO_LINK = (
+    os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
+)  # without waiting for the writer of a named pipe
 _LONGEST_NAME_BYTES = 120
 _SECONDS_BETWEEN_CHECKS = 10.0
 
@@ -61,7 +65,9 @@ class StoredFile(NamedTuple):
         """True if the file at a path is as it was written, and not a link; hashed only if length or time differ."""
         try:
             status = os.lstat(path)
-            if (status.st_size, status.st_mtime_ns) == (self.size, self.mtime_ns) and stat.S_ISREG(status.st_mode):
+            if (status.st_size, status.st_mtime_ns) == (self.size, self.mtime_ns) and stat.S_ISREG(
+                status.st_mode
+            ):
                 return True
             return self.read(path) is not None
         except OSError:  # missing, or the disk or the user's rights do not allow to read it: it can be recomputed
@@ -83,7 +89,9 @@ class StoredFile(NamedTuple):
             raise
         try:
             content = os.read(file, self.size + 1)
-            while len(content) < self.size and (more := os.read(file, self.size + 1 - len(content))):
+            while len(content) < self.size and (
+                more := os.read(file, self.size + 1 - len(content))
+            ):
                 content += more
         finally:
             os.close(file)
@@ -222,7 +230,9 @@ class TableFolder:
         content = memoryview(sink.getvalue())
         return self._store(path, content, hashlib.sha256(content).hexdigest())
 
-    def read(self, table: str, stored: StoredFile, name: str, columns: list[str] | None = None) -> pa.Table:
+    def read(
+        self, table: str, stored: StoredFile, name: str, columns: list[str] | None = None
+    ) -> pa.Table:
         """The rows of a table of this run, which must be as it was stored and have the columns of its schema.
 
         Parameters
@@ -241,7 +251,9 @@ class TableFolder:
             rows = read_content(content, columns)
             if columns is None:
                 return schema.check(rows)
-            if not rows.schema.equals(pa.schema([schema.schema.field(column) for column in columns])):
+            if not rows.schema.equals(
+                pa.schema([schema.schema.field(column) for column in columns])
+            ):
                 raise ValueError(f"expected the columns {', '.join(columns)}")
             return rows
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
@@ -292,7 +304,9 @@ class TableFolder:
 
     def _compare(self, token: str) -> None:
         if token != self.token:
-            raise RunError(f"run {self.folder}: another run has taken over this folder; this one writes nothing more")
+            raise RunError(
+                f"run {self.folder}: another run has taken over this folder; this one writes nothing more"
+            )
 
 
 class TablesAtUrl(TableFolder):
@@ -300,7 +314,10 @@ class TablesAtUrl(TableFolder):
 
     def check_token(self) -> None:
         """See `TableFolder`; a process asks every ten seconds."""
-        if monotonic() - _CHECKED.get(self.token, -_SECONDS_BETWEEN_CHECKS) >= _SECONDS_BETWEEN_CHECKS:
+        if (
+            monotonic() - _CHECKED.get(self.token, -_SECONDS_BETWEEN_CHECKS)
+            >= _SECONDS_BETWEEN_CHECKS
+        ):
             self._compare(read_object(f"{self.url}/{TOKEN}").decode())
             _CHECKED[self.token] = monotonic()
 
@@ -361,7 +378,9 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
         content = path.read_bytes()
         metadata = pq.read_metadata(pa.BufferReader(content))
         footer = metadata.metadata or {}
-        job, key, table = (footer.get(f"fidpipe.{what}".encode(), b"").decode() for what in ("job", "key", "table"))
+        job, key, table = (
+            footer.get(f"fidpipe.{what}".encode(), b"").decode() for what in ("job", "key", "table")
+        )
         if footer.get(b"fidpipe.check") != key_of(key, job).encode():
             return None
         rows = read_content(content, page_checksum_verification=True)
@@ -380,7 +399,11 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
 
 def plain_record(record: JobRecord) -> list[Any]:
     """The values of a finished job, for JSON."""
-    return [*(vars(record) | {"files": {name: [*stored] for name, stored in record.files.items()}}).values()]
+    return [
+        *(
+            vars(record) | {"files": {name: [*stored] for name, stored in record.files.items()}}
+        ).values()
+    ]
 
 
 def job_record(values: list[Any]) -> JobRecord:
@@ -405,7 +428,9 @@ def job_record(values: list[Any]) -> JobRecord:
 
 def _job_in_footer(record: JobRecord, names: Iterable[str]) -> str:
     """A job as the footers of its files have it: without seconds, so that files of equal content are equal."""
-    own = {name: getattr(record, name) for name in ("stage", "pair_id", "part", "reads", "metadata")}
+    own = {
+        name: getattr(record, name) for name in ("stage", "pair_id", "part", "reads", "metadata")
+    }
     return orjson.dumps(own | {"files": list(names)}).decode()
 
 
