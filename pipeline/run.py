@@ -125,7 +125,8 @@ def run_dataset(
     """
     machines = machines or Machines()
     if machines.scheduler:  # its workers may run in other folders
-        dataset, out = dataset.absolute(), out.absolute()
+        dataset = dataset.absolute()
+        out = out.absolute()
     content = read_dataset(dataset)
     require_partners(content)
     selected = select_pairs(content, pattern)

@@ -116,7 +116,8 @@ class Steps:
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
         """Time a step; without the steps within it."""
-        start, n_before = perf_counter(), len(self._seconds)
+        start = perf_counter()
+        n_before = len(self._seconds)
         try:
             yield
         finally:

@@ -149,7 +149,8 @@ def _flushed(code: int | None) -> int | None:
 
 def _usage_words(error: Any) -> str:
     """One line on wrong usage with the next step; without a command, the help."""
-    text, context = error.format_message(), getattr(error, "ctx", None)
+    text = error.format_message()
+    context = getattr(error, "ctx", None)
     if context is None or not sys.argv[1:]:
         return str(text)
     text = text.removeprefix("Invalid value: ").rstrip(".").replace(". Did", "; did")
@@ -253,8 +254,11 @@ def _application(name: str = "") -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     application.callback()(_root)
-    commands = [(command, heading) for heading, own in _COMMANDS.items() for command in own]
-    for command, heading in [each for each in commands if each[0].__name__ == name] or commands:
+    commands = []
+    for heading, of_heading in _COMMANDS.items():
+        commands += [(command, heading) for command in of_heading]
+    named = [entry for entry in commands if entry[0].__name__ == name]
+    for command, heading in named or commands:
         application.command(cls=_Command, rich_help_panel=heading)(command)
     return application
 

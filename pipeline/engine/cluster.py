@@ -156,8 +156,9 @@ class DaskPool(Pool):
         self._may_end_workers = may_end_workers
         self._requirements: Requirements | None = None
         self._workers: dict[str, dict[str, Any]] = {}
-        self._looked, self._had_workers = -_SECONDS_BETWEEN_LOOKS, monotonic()
-        self._looked_after, self._dead_since = monotonic(), dict[Any, float]()
+        self._looked = -_SECONDS_BETWEEN_LOOKS
+        self._had_workers = self._looked_after = monotonic()
+        self._dead_since: dict[Any, float] = {}
         try:
             self._start(n_workers, address)
             if address is not None:
@@ -464,7 +465,8 @@ def _check_address_space() -> None:
 
 def worker_fault(required: Requirements) -> str:
     """Reason why a worker cannot serve a run: it does not see the run's files, or runs other code; "" if it can."""
-    code, same = code_hash(), "workers must see the same files under the same paths"
+    code = code_hash()
+    same = "workers must see the same files under the same paths"
     if code != required.code:
         return f"fidpipe of the same version with other code ({code}, here {required.code}); install the same one there"
     for path, beginning in required.beginnings.items():

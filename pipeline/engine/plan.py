@@ -58,6 +58,11 @@ class Job:
         return self.stage.name, self.part
 
     @cached_property
+    def scan_sides(self) -> set[str]:
+        """The sides whose input file it takes."""
+        return {source.side for source in self.sources if source.maker is None}
+
+    @cached_property
     def needs(self) -> set[JobId]:
         """The jobs of the pair whose results it takes."""
         return {source.maker for source in self.sources if source.maker is not None}
@@ -277,14 +282,14 @@ def _given_columns(stage: Stage, settings: Settings) -> dict[str, list[str]]:
             f"stage {stage.name}: takes {SCAN}, whose columns are read by the settings input"
         )
     for table, columns in (*stage.takes.items(), *stage.takes_real(settings).items()):
-        if surplus := [
-            name for name in columns if table == SCAN or name not in TABLES[table].schema.names
-        ]:
+        known = () if table == SCAN else TABLES[table].schema.names
+        surplus = [name for name in columns if name not in known]
+        if surplus:
             raise ValueError(f"stage {stage.name}: {table} has no column {', '.join(surplus)}")
-    return {
-        table: [f"{field.name} {field.type}" for field in TABLES[table].schema]
-        for table in stage.gives
-    }
+    given = {}
+    for table in stage.gives:
+        given[table] = [f"{field.name} {field.type}" for field in TABLES[table].schema]
+    return given
 
 
 def with_results(
@@ -303,7 +308,8 @@ def with_results(
     redo : stages to recompute regardless of their keys
     """
     records = folder.ledger.jobs(plan.pair_id)
-    whole, unwanted = [], {}
+    whole = []
+    unwanted = {}
     for name, job in plan.jobs.items():
         record = records.pop(name, None)
         if record is None:

@@ -63,12 +63,9 @@ class Reporter:
             TimeRemainingColumn,
         )
 
-        self._n_pairs, self._n_ended, self._n_failed, self._last_line = (
-            n_pairs,
-            0,
-            0,
-            self.console.get_time(),
-        )
+        self._n_pairs = n_pairs
+        self._n_ended = self._n_failed = 0
+        self._last_line = self.console.get_time()
         self._bar = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=12),

@@ -90,7 +90,8 @@ class _Pair:
 
     def chain(self, grain: Grain, part: str) -> list[Job]:
         """Those of a grain and part that can be done one after the other without waiting for any other job."""
-        done, chain = set(self.plan.records), []
+        done = set(self.plan.records)
+        chain = []
         for job in self.todo:
             if (job.stage.grain, job.part) == (grain, part) and done.issuperset(job.needs):
                 chain.append(job)
@@ -206,6 +207,7 @@ class Schedule:
             pair.n_scored = 0
             pair.scored.clear()
         reason = self._why_too_large(pair.plan)
+        readers = [job for job in pair.ready if job.scan_sides]
         while reason and pair.plan.is_counted and pair.todo:
             pair.failures.append(JobFailure(pair.todo[0].name, reason))
         if not pair.todo:
@@ -217,9 +219,7 @@ class Schedule:
         elif pair.n_losses > 1:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
-        elif reason and (
-            readers := [job for job in pair.ready if any(own.maker is None for own in job.sources)]
-        ):
+        elif reason and readers:
             self._submit_jobs(pair, readers)  # the input files may have fewer points than estimated
         elif pair.scored:
             jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
@@ -228,9 +228,8 @@ class Schedule:
             self._submit([pair], run_batch, [batch], self._costs, priority=_FIRST)
         elif self._is_worth_splitting(pair):
             self._split(pair)
-        elif (
-            pair.n_losses or pair.plan.limit is not None
-        ):  # one that may end its worker takes no other pair along
+        elif pair.n_losses or pair.plan.limit is not None:
+            # one that may end its worker takes no other pair along
             self._submit_together([pair])
         else:
             self._bundle.append(pair)
@@ -281,14 +280,15 @@ class Schedule:
         need = self._costs.pair_bytes(pair.plan.n_raw)
         if any(job.stage.grain is not Grain.SIDE for job in jobs):
             need += self._costs.object_bytes(largest_object(pair.plan.objects or [])[1])
-        names, most_bytes = tuple(job.name for job in jobs), None if pair.plan.is_counted else need
-        batch = PairBatch(pair.plan, names, most_bytes)
+        names = tuple(job.name for job in jobs)
+        batch = PairBatch(pair.plan, names, None if pair.plan.is_counted else need)
         self._submit([pair], run_batch, [batch], self._costs, need=need, priority=priority)
 
     def _submit_bundle(self) -> None:
         """The pairs that wait for company, as one batch."""
         if self._bundle:
-            pairs, self._bundle = self._bundle, []
+            pairs = self._bundle
+            self._bundle = []
             self._submit_together(pairs)
 
     def _submit_together(self, pairs: list[_Pair]) -> None:

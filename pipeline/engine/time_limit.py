@@ -62,7 +62,8 @@ def limited(limit: TimeLimit | None) -> Iterator[Callable[[str], object]]:
     left = limit.seconds - _seconds_used(limit)
     if left <= 0:
         raise OutOfTimeError(_used_up(limit))
-    path, begun = limit.folder / secrets.token_hex(8), monotonic()
+    path = limit.folder / secrets.token_hex(8)
+    begun = monotonic()
     with path.open("w", buffering=1, encoding="utf-8") as note:
         _watch(begun + left, note)
         try:

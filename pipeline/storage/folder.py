@@ -18,7 +18,7 @@ from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, read_run
-from .table_files import AT_URL, JobId, JobRecord, TableFolder, read_footer, table_name
+from .table_files import AT_URL, JobId, JobRecord, StoredFile, TableFolder, read_footer, table_name
 from .urls import is_url, name_in_records, url_of_cache
 
 _LOCK = ".lock"
@@ -135,25 +135,21 @@ class RunFolder(TableFolder):
         RunError
             A file is damaged or gone.
         """
-        parts: dict[tuple[str, str], list[pa.Table]] = {own: [] for own in columns}
+        parts: dict[tuple[str, str], list[pa.Table]] = {source: [] for source in columns}
         for pair_id in pair_ids:
-            files = {
-                name: file
-                for job in self.ledger.jobs(pair_id).values()
-                for name, file in job.files.items()
-            }
+            files: dict[str, StoredFile] = {}
+            for job in self.ledger.jobs(pair_id).values():
+                files |= job.files
             for (table, side), names in columns.items():
                 name = table_name(table, pair_id, side)
                 if name not in files:
                     raise self.damaged(name)
                 parts[table, side].append(self.read(table, files[name], name, names))
-        return {
-            own: (
-                pa.concat_tables(tables).combine_chunks(),
-                np.array([len(table) for table in tables], dtype=np.int32),
-            )
-            for own, tables in parts.items()
-        }
+        joined = {}
+        for source, tables in parts.items():
+            n_rows = np.array([len(table) for table in tables], dtype=np.int32)
+            joined[source] = pa.concat_tables(tables).combine_chunks(), n_rows
+        return joined
 
     def damaged(self, name: str, cause: str = "") -> RunError:
         """Error about a damaged file, with the command that recomputes it."""
@@ -175,11 +171,12 @@ class RunFolder(TableFolder):
 
     def forget(self, pair_id: str, jobs: Container[JobId] | None = None) -> list[JobRecord]:
         """Remove some jobs of a pair, by default all, and their files; returns them."""
-        records = [
-            own for own in self.ledger.jobs(pair_id).values() if jobs is None or own.job in jobs
-        ]
-        for name in (name for record in records for name in record.files):
-            (self.folder / name).unlink(missing_ok=True)
+        records = []
+        for record in self.ledger.jobs(pair_id).values():
+            if jobs is None or record.job in jobs:
+                records.append(record)
+                for name in record.files:
+                    (self.folder / name).unlink(missing_ok=True)
         self.ledger.drop_jobs(pair_id, records)
         return records
 
@@ -199,10 +196,10 @@ class RunFolder(TableFolder):
             return ledger
         parts: dict[tuple[str, str, str, str], JobRecord] = {}
         for name in self._unknown_files(ledger):
-            told = read_footer(self.folder, name)
-            if told is None:
+            footer = read_footer(self.folder, name)
+            if footer is None:
                 continue
-            record, names = told
+            record, names = footer
             known = parts.setdefault((*record.name, record.key), record)
             known.files.update(record.files)
             if set(known.files) == set(names):

@@ -142,7 +142,7 @@ class Ledger:
         """Adds finished jobs of a pair, in place of those of the same names; those of the whole run under ""."""
         jobs = self.jobs(pair_id) | {record.job: record for record in records}
         self._put_records(pair_id, jobs.values())
-        for name in (name for record in records for name in record.files):
+        for name in [name for record in records for name in record.files]:
             self._change("INSERT OR REPLACE INTO files VALUES (?, ?)", name, pair_id)
 
     def put_job(self, record: JobRecord) -> None:
@@ -152,11 +152,11 @@ class Ledger:
     def drop_jobs(self, pair_id: str, records: Collection[JobRecord]) -> None:
         """Forgets finished jobs of a pair."""
         dropped = {record.job for record in records}
-        self._put_records(
-            pair_id, [own for job, own in self.jobs(pair_id).items() if job not in dropped]
-        )
-        for name in (name for record in records for name in record.files):
-            self._change("DELETE FROM files WHERE name = ?", name)
+        left = [record for job, record in self.jobs(pair_id).items() if job not in dropped]
+        self._put_records(pair_id, left)
+        for record in records:
+            for name in record.files:
+                self._change("DELETE FROM files WHERE name = ?", name)
 
     def _put_records(self, pair_id: str, records: Collection[JobRecord]) -> None:
         if records:
@@ -169,7 +169,8 @@ class Ledger:
 
     def input_hash(self, path: Path) -> str:
         """SHA-256 of an input file; computed again only if its length, times or inode have changed."""
-        name, marks = os.fsencode(path.absolute()), file_marks(path)
+        name = os.fsencode(path.absolute())
+        marks = file_marks(path)
         row = self._db.execute(
             "SELECT sha256 FROM hashes WHERE path = ? AND marks = ?", (name, marks)
         ).fetchone()

@@ -391,9 +391,11 @@ def local_arguments(words: list[str]) -> Iterator[None]:
     """
     run = None
     for i, word in enumerate(words):
-        option, is_joined, value = words[i - 1], "", word
-        if word.startswith("--"):
-            option, is_joined, value = word.partition("=")
+        option, is_joined, value = word.partition("=")
+        if not word.startswith("--"):
+            option = words[i - 1]
+            value = word
+            is_joined = ""
         if not is_url(value) or option == "--scheduler":
             continue
         if option in ("--out", "-o"):

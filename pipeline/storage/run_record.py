@@ -161,7 +161,8 @@ def write_record(
 
 def _sealed(entries: Iterable[tuple[str, Any]]) -> Iterator[bytes | memoryview]:
     """The text of a record in parts, each hashed, and the hash."""
-    digest, before = hashlib.sha256(), b"{"
+    digest = hashlib.sha256()
+    before = b"{"
     for name, value in entries:
         for part in (before, memoryview(dumps({name: value}))[1:-3]):
             digest.update(part)
@@ -244,10 +245,12 @@ def summarise_pairs(scored: pa.Table) -> dict[str, ScoreSummary]:
     ----------
     scored : of `pairs`
     """
-    scores = {name: np.array(scored[name].to_pylist(), dtype=np.float64) for name in RUN_SCORES}
-    return summarise_dataset(
-        scores | {unmatched_worst(name): _with_unmatched(scored, name) for name in DISTRIBUTED}
-    )
+    scores: dict[str, Any] = {}
+    for name in RUN_SCORES:
+        scores[name] = np.array(scored[name].to_pylist(), dtype=np.float64)
+    for name in DISTRIBUTED:
+        scores[unmatched_worst(name)] = _with_unmatched(scored, name)
+    return summarise_dataset(scores)
 
 
 def unmatched_worst(metric: str) -> str:
@@ -286,10 +289,8 @@ class StageSeconds:
         if not record.steps:
             return
         stage = sys.intern(record.stage)  # one string for all pairs
-        total, of_pair = (
-            self._steps.setdefault(stage, {}),
-            self._pairs.setdefault(record.pair_id, {}),
-        )
+        total = self._steps.setdefault(stage, {})
+        of_pair = self._pairs.setdefault(record.pair_id, {})
         of_pair.setdefault(stage, 0.0)
         for step, seconds in record.steps:
             total[step] = total.get(step, 0.0) + seconds
@@ -298,18 +299,18 @@ class StageSeconds:
     def mean(self) -> dict[str, dict[str, float]]:
         """By stage and step, the mean over the pairs that have the stage."""
         n_pairs = Counter(stage for of_pair in self._pairs.values() for stage in of_pair)
-        return {
-            stage: {step: s / n_pairs[stage] for step, s in of.items()}
-            for stage, of in self._steps.items()
-        }
+        means = {}
+        for stage, steps in self._steps.items():
+            means[stage] = {step: seconds / n_pairs[stage] for step, seconds in steps.items()}
+        return means
 
     def result(self) -> Seconds:
         """`mean`, and seconds by pair and stage, rounded to microseconds."""
-        for own in self._pairs.values():
-            own |= {stage: round(seconds, 6) for stage, seconds in own.items()}
-        return Seconds.model_construct(
-            mean=self.mean(), pairs=dict(sorted(self._pairs.items()))
-        )  # without a copy
+        for of_pair in self._pairs.values():
+            for stage, seconds in of_pair.items():
+                of_pair[stage] = round(seconds, 6)
+        pairs = dict(sorted(self._pairs.items()))
+        return Seconds.model_construct(mean=self.mean(), pairs=pairs)  # without a copy
 
 
 def what_changed(
@@ -318,16 +319,17 @@ def what_changed(
     """Differences from the record of the last run, as text: settings, library versions, stage code."""
     if not before:
         return []
-    changes = [text for texts in changed_settings(before, settings).values() for text in texts]
-    libraries, old_stages = before.get("libraries", {}), before.get("stages", {})
-    for name, found in library_versions(libraries).items():
-        if found != libraries[name]:
-            changes.append(f"{name} was {libraries[name]}, is {found}")
-    changes += [
-        f"code of stage {stage} is new"
-        for stage, own in stages.items()
-        if old_stages.get(stage, own) != own
-    ]
+    changes = []
+    for texts in changed_settings(before, settings).values():
+        changes += texts
+    libraries = before.get("libraries", {})
+    for name, version_now in library_versions(libraries).items():
+        if version_now != libraries[name]:
+            changes.append(f"{name} was {libraries[name]}, is {version_now}")
+    old_stages = before.get("stages", {})
+    for stage, stage_version in stages.items():
+        if old_stages.get(stage, stage_version) != stage_version:
+            changes.append(f"code of stage {stage} is new")
     return changes
 
 
@@ -353,8 +355,8 @@ def has_ended(record: Mapping[str, Any]) -> bool:
 
 def command_again(folder: Path, dataset: object) -> str:
     """Command that resumes a run with its settings."""
-    own = folder / SETTINGS_TOML
-    settings = ["--settings", str(own)] if own.exists() else []
+    path = folder / SETTINGS_TOML
+    settings = ["--settings", str(path)] if path.exists() else []
     return shlex.join(["fidpipe", "run", str(dataset), "--out", url_or_path(folder), *settings])
 
 

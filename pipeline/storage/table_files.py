@@ -37,6 +37,7 @@ _READ_NO_LINK = (
     os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 )  # without waiting for the writer of a named pipe
 _LONGEST_NAME_BYTES = 120
+_IN_FOOTER = ("stage", "pair_id", "part", "reads", "metadata", "files")
 _SECONDS_BETWEEN_CHECKS = 10.0
 
 #: Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by plane.
@@ -216,17 +217,18 @@ class TableFolder:
         schema = TABLES[table]
         parts = [rows] if isinstance(rows, pa.Table) else rows
         job = job or _job_in_footer(JobRecord(table, "", "", key, {}), [path.name])
-        own = {
+        footer = {
             "fidpipe.table": table,
             "fidpipe.schema_version": str(schema.version),
             "fidpipe.key": key,
+            "fidpipe.job": job,
+            "fidpipe.check": key_of(key, job),
         }
-        own |= {"fidpipe.job": job, "fidpipe.check": key_of(key, job)}
         sink = pa.BufferOutputStream()
         with pq.ParquetWriter(sink, schema.schema, **_writer_options(schema.schema)) as writer:
             for part in parts:
                 writer.write_table(schema.check(part))
-            writer.add_key_value_metadata(own)
+            writer.add_key_value_metadata(footer)
         content = memoryview(sink.getvalue())
         return self._store(path, content, hashlib.sha256(content).hexdigest())
 
@@ -246,7 +248,8 @@ class TableFolder:
         RunError
             The file is damaged or gone.
         """
-        schema, content = TABLES[table], self.content(stored, name)
+        schema = TABLES[table]
+        content = self.content(stored, name)
         try:
             rows = read_content(content, columns)
             if columns is None:
@@ -378,32 +381,28 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
         content = path.read_bytes()
         metadata = pq.read_metadata(pa.BufferReader(content))
         footer = metadata.metadata or {}
-        job, key, table = (
-            footer.get(f"fidpipe.{what}".encode(), b"").decode() for what in ("job", "key", "table")
-        )
+        job = footer.get(b"fidpipe.job", b"").decode()
+        key = footer.get(b"fidpipe.key", b"").decode()
+        table = footer.get(b"fidpipe.table", b"").decode()
         if footer.get(b"fidpipe.check") != key_of(key, job).encode():
             return None
         rows = read_content(content, page_checksum_verification=True)
         TABLES[table].check(rows)
         if _row_counts(metadata) != {rows.num_rows}:
             return None
-        own = orjson.loads(job)
-        names = tuple(own["files"])
-        stored = StoredFile(len(content), hashlib.sha256(content).hexdigest(), status.st_mtime_ns)
-        job_id = own["stage"], own["pair_id"], own["part"]
-        record = job_record([*job_id, key, {name: stored}, own["reads"], own["metadata"], (), ""])
+        stage, pair_id, part, reads, job_metadata, names = _from_footer(job)
+        sha256 = hashlib.sha256(content).hexdigest()
+        stored = StoredFile(len(content), sha256, status.st_mtime_ns)
+        record = job_record([stage, pair_id, part, key, {name: stored}, reads, job_metadata])
     except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
         return None
-    return (record, names) if name in names else None
+    return (record, tuple(names)) if name in names else None
 
 
 def plain_record(record: JobRecord) -> list[Any]:
     """The values of a finished job, for JSON."""
-    return [
-        *(
-            vars(record) | {"files": {name: [*stored] for name, stored in record.files.items()}}
-        ).values()
-    ]
+    files = {name: list(stored) for name, stored in record.files.items()}
+    return list((vars(record) | {"files": files}).values())
 
 
 def job_record(values: list[Any]) -> JobRecord:
@@ -419,19 +418,21 @@ def job_record(values: list[Any]) -> JobRecord:
         if not _TABLE_NAME.fullmatch(name):
             raise ValueError(f"{name!r} is not the name of a table of a run")
         record.files[name] = StoredFile(*stored)
-    record.reads, record.steps = (
-        tuple(record.reads),
-        tuple([(name, seconds) for name, seconds in record.steps]),
-    )
+    record.reads = tuple(record.reads)
+    record.steps = tuple([(name, seconds) for name, seconds in record.steps])
     return record
 
 
 def _job_in_footer(record: JobRecord, names: Iterable[str]) -> str:
     """A job as the footers of its files have it: without seconds, so that files of equal content are equal."""
-    own = {
-        name: getattr(record, name) for name in ("stage", "pair_id", "part", "reads", "metadata")
-    }
-    return orjson.dumps(own | {"files": list(names)}).decode()
+    entries = {name: getattr(record, name) for name in _IN_FOOTER[:-1]}
+    return orjson.dumps(entries | {"files": list(names)}).decode()
+
+
+def _from_footer(job: str) -> list[Any]:
+    """The entries of a job in a footer; `KeyError` if one is missing."""
+    entries = orjson.loads(job)
+    return [entries[name] for name in _IN_FOOTER]
 
 
 def _row_counts(metadata: pq.FileMetaData) -> set[int]:
