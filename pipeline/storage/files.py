@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import errno
+import fcntl
 import hashlib
 import io
 import json
@@ -137,6 +138,16 @@ def remove_stale(path: Path) -> None:
         raise RunError(
             f"{path}: out of date, but cannot be removed ({error.strerror}); remove it"
         ) from error
+
+
+def is_locked(path: Path) -> bool:
+    """True if a process holds the lock of a file; False if there is no file, or its file system has no locks."""
+    try:
+        with path.open() as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return isinstance(error, BlockingIOError)
+    return False
 
 
 def refuse_link(path: Path) -> None:

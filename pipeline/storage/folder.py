@@ -16,6 +16,7 @@ import pyarrow as pa
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
+from .files import is_locked
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, read_run
 from .table_files import AT_URL, JobId, JobRecord, StoredFile, TableFolder, read_footer, table_name
@@ -44,12 +45,7 @@ class RunFolder(TableFolder):
     @property
     def is_locked(self) -> bool:
         """True if a command is working on the folder."""
-        try:
-            with (self.folder / _LOCK).open() as file:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError as error:  # no lock file, or a file system without locks: no lock is known
-            return isinstance(error, BlockingIOError)
-        return False
+        return is_locked(self.folder / _LOCK)
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -74,11 +70,8 @@ class RunFolder(TableFolder):
                     f"run {self.folder}: another fidpipe is writing here; wait for it, or give another --out"
                 ) from None
             except OSError as error:
-                fault = (
-                    "its file system has no locks"
-                    if error.errno in _NO_LOCKS
-                    else "cannot be written"
-                )
+                has_locks = error.errno not in _NO_LOCKS
+                fault = "cannot be written" if has_locks else "its file system has no locks"
                 raise RunError(
                     f"run {self.folder}: {fault} ({error.strerror}); give another --out"
                 ) from error
@@ -151,12 +144,10 @@ class RunFolder(TableFolder):
             joined[source] = pa.concat_tables(tables).combine_chunks(), n_rows
         return joined
 
-    def damaged(self, name: str, cause: str = "") -> RunError:
-        """Error about a damaged file, with the command that recomputes it."""
-        again = command_again(self.folder, read_run(self.folder).get("dataset", "DATASET"))
-        return RunError(
-            f"run {self.folder}: {name} is damaged or gone{cause and f' ({cause})'}; run it again with: {again}"
-        )
+    def again(self) -> str:
+        """The command that recomputes what is damaged."""
+        dataset = read_run(self.folder).get("dataset", "DATASET")
+        return f"it again with: {command_again(self.folder, dataset)}"
 
     def damaged_files(self, record: JobRecord) -> list[str]:
         """Names of the files of a job that are not as they were written; files at the URL alone are not checked."""
@@ -226,16 +217,17 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
     record = read_run(out) if out.is_dir() else {}
     is_run = (out / LEDGER).exists() or bool(record.get("dataset"))
     refuse_other_content(f"run {out}", out, "a run", is_own=is_run)
-    before, made_by = record.get("dataset"), record.get("experiment", "run")
-    if before and made_by != experiment:
+    made_by = record.get("experiment", "run")
+    before = record.get("dataset")
+    if not before:
+        return
+    if made_by != experiment:
         raise RunError(
-            f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out"
+            f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; "
+            "give another --out"
         )
-    if (
-        before
-        and before != name_in_records(dataset)
-        and (is_url(before) or os.path.lexists(before))
-    ):
+    is_there = is_url(before) or os.path.lexists(before)
+    if before != name_in_records(dataset) and is_there:
         raise RunError(
             f"run {out}: holds the results of {before}, not of {dataset}; give another --out"
         )

@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...schemas.errors import DatasetError, FidpipeError, RunError, StoreError
 from ...schemas.tables import TABLES
-from .files import remove_stale, write_whole
+from .files import is_locked, remove_stale, write_whole
 from .folder import RunFolder
 from .ledger import LEDGER, SEAL
 from .object_store import (
@@ -111,12 +111,7 @@ class RemoteRun:
     @property
     def is_in_use(self) -> bool:
         """True if a command of this machine works on the folder: others leave it alone."""
-        try:
-            with self._in_use.open() as file:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError as error:
-            return isinstance(error, BlockingIOError)
-        return False
+        return is_locked(self._in_use)
 
     def pull(self, objects: Sequence[StoredObject], *, for_reading: bool = False) -> None:
         """Fetch what the URL has and the folder lacks, and remove what the URL has not.
@@ -127,26 +122,26 @@ class RemoteRun:
         for_reading : leave tables of pairs there, to be fetched when they are read, if the run has ended in order
         """
         known = self._known()
-        found = {stored.name: stored for stored in objects}
-        of_ledger = [found[name] for name in (SEAL, LEDGER) if name in found]
+        remote = {stored.name: stored for stored in objects}
+        of_ledger = [remote[name] for name in (SEAL, LEDGER) if name in remote]
         for name in (SEAL, LEDGER, LOCK, TOKEN):
-            found.pop(name, None)
+            remote.pop(name, None)
         is_partial = for_reading and len(of_ledger) == 2
         if is_partial:
-            found = {name: stored for name, stored in found.items() if "/" not in name}
+            remote = {name: stored for name, stored in remote.items() if "/" not in name}
             self._get_all(of_ledger)
             (self.folder / AT_URL).touch()
         else:
             (self.folder / AT_URL).unlink(missing_ok=True)
-        if found and "run.json" not in found:  # of a run that was killed, or no run at all
-            if not all(name.endswith((".parquet", "settings.toml")) for name in found):
+        if remote and "run.json" not in remote:  # of a run that was killed, or no run at all
+            if not all(name.endswith((".parquet", "settings.toml")) for name in remote):
                 raise RunError(
                     f"run {self.url}: the URL holds other things than a run; give another --out"
                 )
             self.folder.mkdir(parents=True, exist_ok=True)
             (self.folder / LEDGER).touch()
         missing = []
-        for name, stored in found.items():
+        for name, stored in remote.items():
             is_same = name in known and known[name][0] == stored.etag
             if not is_same or not (self.folder / name).exists():
                 missing.append(stored)
@@ -157,10 +152,10 @@ class RemoteRun:
         if any("/" in stored.name for stored in missing):  # the ledger is out of date
             (self.folder / SEAL).unlink(missing_ok=True)
             (self.folder / LEDGER).write_bytes(b"")
-        gone = (self._files().keys() & known.keys()) - found.keys()
+        gone = (self._files().keys() & known.keys()) - remote.keys()
         for name in gone:  # others are newer than the last push
             remove_stale(self.folder / name)
-        self._keep({name: marks for name, marks in known.items() if name in found})
+        self._keep({name: marks for name, marks in known.items() if name in remote})
 
     def push(self) -> None:
         """Write what has changed in the folder.

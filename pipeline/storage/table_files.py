@@ -293,9 +293,12 @@ class TableFolder:
 
     def damaged(self, name: str, cause: str = "") -> RunError:
         """The error of a file that is not as it was stored."""
-        return RunError(
-            f"run {self.folder}: {name} is damaged or gone{cause and f' ({cause})'}; run the same command again"
-        )
+        why = f" ({cause})" if cause else ""
+        return RunError(f"run {self.folder}: {name} is damaged or gone{why}; run {self.again()}")
+
+    def again(self) -> str:
+        """How to recompute what is damaged."""
+        return "the same command again"
 
     def check_token(self) -> None:
         """Raises `RunError` where another run has taken over the folder."""
