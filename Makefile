@@ -26,7 +26,7 @@ SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env
 
 run: setup
 	$(BIN)/fidpipe synth .cache/streets --pairs 4
-	$(BIN)/fidpipe run .cache/streets --out runs/streets
+	$(BIN)/fidpipe run .cache/streets --preset reference --out runs/streets
 	$(BIN)/fidpipe report runs/streets
 
 test: check

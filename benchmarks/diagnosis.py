@@ -358,7 +358,7 @@ def diagnose(pairs):
         pose = pair.estimates.pose
         amounts = {name: amount.amount for name, amount in pair.estimates.amounts.items()}
         made = corrections(pair.scans, pose, amounts, excess, rng)
-        gains.append(shares(pair.scans, made, pose.displacement.seam_deg, rng, pair.estimates.floor_m))
+        gains.append(shares(pair.scans, made, pose.displacement.seam_deg, rng, pair.estimates.best_case_m))
     confirmed, _ = confirm(causes, mean_gains(gains), mean_distances(gains))
     rows = [cause_row(cause) for cause in confirmed]
     unexplained = unexplained_share(mean_distances(gains))
@@ -372,7 +372,7 @@ def mean_gains(gains):
 
 
 def mean_distances(gains):
-    return tuple(np.mean([(pair.before_m, pair.after_m, pair.floor_m) for pair in gains], axis=0).tolist())
+    return tuple(np.mean([(pair.before_m, pair.after_m, pair.best_case_m) for pair in gains], axis=0).tolist())
 
 
 def cause_row(cause):

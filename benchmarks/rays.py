@@ -22,6 +22,7 @@ import numpy as np
 import pandas as pd
 from flawed_scans import ALL, Scan, find_car, find_poles, ranges, ray_noise
 
+from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.stages.rays import OUTCOMES, RANGE_EDGES_M, find_rays, score_rays
 from fidpipe.stages.sensor_description import describe_sensor
 
@@ -30,7 +31,7 @@ SCORES = (*(f"rays_{name}" for name in OUTCOMES[:-1]), "rays_bias_m", "rays_scal
 
 
 def read(path):
-    points = np.fromfile(path, np.float32).reshape(-1, 4)[:, :3].astype(float)
+    points = read_scan(path).points
     return points[(ranges(points) > 2.5) & (ranges(points) < 100)]
 
 
@@ -62,7 +63,7 @@ def main():
     parser.add_argument("datasets", type=Path, nargs="+", help="folders with real/ and sim/")
     parser.add_argument("--flaws", nargs="*", default=list(FLAWS))
     args = parser.parse_args()
-    scores, bands = {}, {"twin": [], "floor": []}
+    scores, bands = {}, {"twin": [], "best case": []}
     for path in (path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))):
         name = f"{path.parent.parent.name}-{path.stem}"
         real, sim = read(path), read(path.parent.with_name("sim") / path.name)
@@ -70,8 +71,8 @@ def main():
         base = find_rays(real, sim, (sensor, sensor_of(sim)))
         scores[name, ""] = score_rays(base)
         kept = real[random(name, "loss").random(len(real)) >= 0.03]
-        floor = find_rays(real, ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), (sensor, sensor))
-        for which, rays in (("twin", base), ("floor", floor)):
+        best_case = find_rays(real, ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), (sensor, sensor))
+        for which, rays in (("twin", base), ("best case", best_case)):
             bands[which].append(by_range(rays))
         for flaw in args.flaws:
             scores[name, flaw] = scores_of(real, FLAWS[flaw](Scan(sim, car, poles), random(name, flaw)), sensor)

@@ -136,8 +136,8 @@ def main():
     T = starts[0][1]
     aligned = moved(T, sim)
     twins = {"twin": sim, "twin, entrant's affine step": affine(sim, real), "twin, aligned": aligned}
-    floor = [list(contest(real[i], real[j]).values()) for i, j in pairs]
-    show("real against real", floor)
+    measured = [list(contest(real[i], real[j]).values()) for i, j in pairs]
+    show("real against real", measured)
     for name, twin in twins.items():
         show(name, [list(contest(real[i], twin[i]).values()) for i in n])
     cloud = np.vstack(real)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..schemas.columns import SIDES
 from ..schemas.errors import ScanError
-from ..schemas.settings import Settings, parse
+from ..schemas.settings import Settings, parse, preset_of
 from ..stages.arrays import FloatArray
 from ..stages.frame_search import FrameCheck
 from .datasets.readers import read_scan
@@ -37,6 +37,7 @@ _FIELDS = {"ground": "points", "graph": "edges"}  #: of `PairResult`, by table
 class PairResult:
     """The tables of one pair as pandas frames, with the columns of `schemas.tables`.
 
+    preset : whose objects they are, "paper" or "reference"
     summary : the pair's row of `pairs`: counts, match rate, means and standard deviations
     points, sensor, edges, communities, objects : by side, "real" and "sim"
     matching, coverage, surface, pieces, rays, ray_scores, causes, selection, metrics : of the pair; `causes` has the
@@ -45,6 +46,7 @@ class PairResult:
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
     """
 
+    preset: str
     summary: dict[str, Any]
     points: dict[str, pd.DataFrame]
     sensor: dict[str, pd.DataFrame]
@@ -65,12 +67,14 @@ class PairResult:
 
     def __repr__(self) -> str:
         names = ("n_matched", "n_missing", "n_hallucinated", "match_rate", "cdc_mean", "r_lambda_mean")
-        known = ((name, self.summary[name]) for name in names)
-        return f"<evaluated pair: {', '.join(f'{name} {value:.4g}' for name, value in known if value is not None)}>"
+        known = [f"{name} {self.summary[name]:.4g}" for name in names if self.summary[name] is not None]
+        return f"<evaluated pair, preset {self.preset}: {', '.join(known)}>"
 
 
 def evaluate_pair(
-    real: ArrayLike | Scan | Path, sim: ArrayLike | Scan | Path, settings: Settings | Mapping[str, Any] | None = None
+    real: ArrayLike | Scan | Path,
+    sim: ArrayLike | Scan | Path,
+    settings: Settings | Mapping[str, Any] | None = None,
 ) -> PairResult:
     """Compare a simulated scan with a real one, object by object; the same numbers as `fidpipe run`.
 
@@ -113,7 +117,11 @@ def evaluate_pair(
     settings = settings if isinstance(settings, Settings) else parse(dict(settings or {}))
     scans = {"real": _scan("real", real, settings), "sim": _scan("sim", sim, settings)}
     with one_blas_thread():
-        tables, outputs = run_in_memory(Planner(stages_under(settings), settings, {}).jobs(), scans, _PAIR)
+        tables, outputs = run_in_memory(
+            Planner(stages_under(settings), settings, {}).jobs(),
+            scans,
+            _PAIR,
+        )
     check = outputs["sensor", "sim"][FRAMES]
     if check is not None and check["is_suspect"]:
         warnings.warn(frame_warning(FrameCheck(**check)), stacklevel=2)
@@ -130,7 +138,7 @@ def evaluate_pair(
             frames.setdefault(_FIELDS.get(name, name), {})[side] = frame
         else:
             frames[name] = frame
-    return PairResult(summary=summary, **frames)
+    return PairResult(preset=preset_of(settings), summary=summary, **frames)
 
 
 def _scan(name: str, source: ArrayLike | Scan | Path, settings: Settings) -> Scan:
@@ -146,15 +154,19 @@ def _numbers(name: str, points: ArrayLike) -> FloatArray:
     try:
         array = np.asanyarray(points)
     except ValueError as error:
-        raise ScanError(f"{name}: expected numbers of shape (n, 3), got rows of unequal lengths") from error
+        raise ScanError(
+            f"{name}: expected numbers of shape (n, 3), got rows of unequal lengths",
+        ) from error
     if array.ndim != 2 or array.shape[1] not in (3, 4):
         hint = f"; pass {name}[:, :3]" if array.ndim == 2 and array.shape[1] > 4 else ""
         raise ScanError(
-            f"{name}: expected an array of shape (n, 3), or (n, 4) with the intensity, got {array.shape}{hint}"
+            f"{name}: expected an array of shape (n, 3), or (n, 4) with the intensity, got {array.shape}{hint}",
         )
     if array.dtype.kind not in "fiu":
         convert = ".real" if array.dtype.kind == "c" else ".astype(float)"
-        raise ScanError(f"{name}: expected real numbers, got {array.dtype} values; convert them with {name}{convert}")
+        raise ScanError(
+            f"{name}: expected real numbers, got {array.dtype} values; convert them with {name}{convert}",
+        )
     with np.errstate(over="ignore"):  # what float64 does not hold is infinite, and dropped
         metres = array.astype(np.float64, copy=False)
     return np.asarray(np.ma.filled(metres, np.nan))

@@ -18,7 +18,7 @@ UNEVEN = "unevenness of returns"
 #: Share of curved real surface where the simulated surface is much flatter.
 FLAT = "flat shapes"
 #: Relative accuracy of the surface distance of a second measurement.
-FLOOR_ACCURACY = 0.2
+BEST_CASE_ACCURACY = 0.2
 #: Causes that lose a share of the returns: over another run, of what that one returns.
 LOSSES = ("lost returns", "lost far returns", "lost grazing returns")
 

@@ -10,6 +10,8 @@ from typing import Any
 import pyarrow as pa
 
 SIDES = ("real", "sim")
+#: The sides as people call them.
+SIDE_NAMES = {"real": "real", "sim": "simulated"}
 #: The farthest that a range or a motion may reach: squares, sums and single precision hold it with room to spare.
 FARTHEST_M = 1e9
 #: A row of a table by column; the schema of the table has names and types.
@@ -39,17 +41,24 @@ class Table:
             A column is missing, surplus, of another type, or has a null that the schema forbids.
         """
         if table.schema.names != self.schema.names:
-            expected, got = self.schema.names, table.schema.names
+            expected = self.schema.names
+            got = table.schema.names
             missing = [name for name in expected if name not in got]
             unknown = [name for name in got if name not in expected]
-            differences = [f"{word} {', '.join(own)}" for word, own in (("no", missing), ("unknown", unknown)) if own]
-            raise ValueError(f"table {self.name}: {'; '.join(differences) or 'columns in another order'}")
+            differences = []
+            if missing:
+                differences.append(f"no {', '.join(missing)}")
+            if unknown:
+                differences.append(f"unknown {', '.join(unknown)}")
+            words = "; ".join(differences) or "columns in another order"
+            raise ValueError(f"table {self.name}: {words}")
         for field in self.schema:
             column = table.column(field.name)
+            where = f"table {self.name}, column {field.name}"
             if column.type != field.type:
-                raise ValueError(f"table {self.name}, column {field.name}: expected {field.type}, got {column.type}")
+                raise ValueError(f"{where}: expected {field.type}, got {column.type}")
             if not field.nullable and column.null_count:
-                raise ValueError(f"table {self.name}, column {field.name}: expected no nulls, got {column.null_count}")
+                raise ValueError(f"{where}: expected no nulls, got {column.null_count}")
         return table
 
     def build(self, columns: Mapping[str, Any], n_rows: int | None = None) -> pa.Table:
@@ -67,10 +76,11 @@ class Table:
 
     def from_rows(self, rows: Iterable[Row]) -> pa.Table:
         """Build a checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
-        remaining, parts = iter(rows), list[pa.Table]()
-        while (part := list(islice(remaining, _CHUNK_ROWS))) or not parts:  # dictionaries need much memory
-            parts.append(pa.Table.from_pylist(part, schema=self.schema))
-        table = pa.concat_tables(parts)
+        remaining = iter(rows)
+        chunks = [self.schema.empty_table()]
+        while part := list(islice(remaining, _CHUNK_ROWS)):  # dictionaries need much memory
+            chunks.append(pa.Table.from_pylist(part, schema=self.schema))
+        table = pa.concat_tables(chunks)
         return self.check(table.sort_by([(key, "ascending") for key in self.keys]))
 
 
@@ -78,7 +88,13 @@ def _is_column(value: Any) -> bool:
     return hasattr(value, "__len__") and not isinstance(value, str)
 
 
-def column(name: str, kind: pa.DataType, meaning: str, unit: str = "", optional: bool = False) -> pa.Field:
+def column(
+    name: str,
+    kind: pa.DataType,
+    meaning: str,
+    unit: str = "",
+    optional: bool = False,
+) -> pa.Field:
     """Column with its meaning, and its unit if it has one."""
     metadata = {"meaning": meaning}
     if unit:

@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-_MOST, _FEW = 15, 5
+_MOST = 15
+_FEW = 5
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
     """End of a message about an unknown name: the most similar known name, else all, of many the five nearest."""
     known = list(known)
-    if near := nearest(name, known):
+    near = nearest(name, known)
+    if near:
         return f"did you mean {near}?"
-    few = known if len(known) <= _MOST else get_close_matches(name.lower(), known, _FEW, 0.0)
-    return f"known are {', '.join(few)}{f' and {len(known) - len(few)} more' * (len(few) < len(known))}"
+    if len(known) <= _MOST:
+        return f"known are {', '.join(known)}"
+    few = get_close_matches(name.lower(), known, _FEW, 0.0)
+    return f"known are {', '.join(few)} and {len(known) - len(few)} more"
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

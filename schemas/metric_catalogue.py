@@ -92,7 +92,11 @@ def unit_words(unit: str | None) -> str:
 def _read_metrics() -> Iterator[Metric]:
     for row in read_rows("metrics"):
         values: dict[str, Any] = row | {name: float(row[name]) if row[name] else None for name in _NUMBERS}
-        values |= {"unit": row["unit"] or None, "better": row["better"] or None, "flags": row["flags"].split()}
+        values |= {
+            "unit": row["unit"] or None,
+            "better": row["better"] or None,
+            "flags": row["flags"].split(),
+        }
         yield Metric(**values)
 
 
@@ -120,7 +124,9 @@ PAIR_SCORES = _of_group("pair")
 #: Coverage of both surfaces of a pair, displacement and roughness, missing and invented pieces and the share of found
 #: objects, rays and intensities: in the order of the columns of `pairs`, those of rays also of `ray_scores`.
 COVERAGE_SCORES, SURFACE_SCORES = _of_group("coverage"), _of_group("surface")
-PIECE_SCORES, RAY_SCORES, INTENSITY_SCORES = _of_group("piece"), _of_group("ray"), _of_group("intensity")
+PIECE_SCORES = _of_group("piece")
+RAY_SCORES = _of_group("ray")
+INTENSITY_SCORES = _of_group("intensity")
 #: The baseline metrics, in the order in which they are computed and shown.
 BASELINES = _of_group("baseline")
 #: Scores of the displacement of the simulated surface.
@@ -138,7 +144,10 @@ DISTRIBUTED = ("cdc", "r_lambda", "r_gap")
 #: usual values for objects of a twin meshed from scans (the paper's mean is 0.37).
 QUADRANT_LIMITS = {"cdc": 0.5, "r_lambda": 0.4}
 #: Scores of a pair that are repeated under other seeds.
-SEEDED_SCORES = (*(metric.column for metric in PAIR_SCORES), *(METRIC[name].mean_column for name in OBJECT_METRICS))
+SEEDED_SCORES = (
+    *(metric.column for metric in PAIR_SCORES),
+    *(METRIC[name].mean_column for name in OBJECT_METRICS),
+)
 #: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
 DATASET_SCORES = ("match_rate", *(METRIC[name].mean_column for name in OBJECT_METRICS))
 #: Columns of `pairs` that describe a run, which also measures surfaces.
@@ -149,7 +158,13 @@ RUN_SCORES = (
     *(metric.column for metric in INTENSITY_SCORES if metric.equal is not None),
 )
 #: Columns of `pairs` in a summary of pairs and dataset.
-HEADLINE_SCORES = ("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "centroid_distance_m_mean")
+HEADLINE_SCORES = (
+    "match_rate",
+    "cdc_mean",
+    "r_lambda_mean",
+    "r_gap_mean",
+    "centroid_distance_m_mean",
+)
 #: Valid names in the setting metrics.baselines.
 BASELINE_NAMES = tuple(dict.fromkeys(metric.method for metric in BASELINES))
 

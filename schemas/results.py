@@ -195,10 +195,12 @@ class ObjectFindings(Result):
 class Findings(ObjectFindings):
     """The findings as they are recorded.
 
-    n_independent : pairs that count as independent: copies, and scans within 10 s, count once
+    n_places : independent places: copies and neighbouring frames count once
+    places : by scored pair, the number of its place
     """
 
-    n_independent: int
+    n_places: int
+    places: dict[str, int]
 
 
 class Evidence(Result):
@@ -294,7 +296,7 @@ class SurfaceGroup(Result):
 class Caution(Result):
     """A limit to the trust in the numbers.
 
-    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or floor (unknown)
+    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or best_case (unknown)
     words : one sentence
     """
 
@@ -314,6 +316,7 @@ class Overview(Result):
 
     causes : what to fix first, most severe first
     unknown : causes that cannot be estimated
+    doubts : why points of the scans cannot be trusted, one line for each side and kind
     pieces : the largest pieces
     surface : coverage by range and by class
     n_aligned, n_badly_aligned : objects with an r_lambda, and those whose alignment is too bad for it
@@ -327,6 +330,7 @@ class Overview(Result):
     n_aligned: int
     n_badly_aligned: int
     trust: tuple[Caution, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 class PreviousRun(Result):
@@ -344,9 +348,9 @@ class Diagnosis(Result):
     """Causes of the difference between both sides, with the gain of correcting each.
 
     n_pairs : diagnosed pairs
-    distance_m, floor_m : mean distance of both sides' surfaces, counted up to 1 m, and that of a perfect second
+    distance_m, best_case_m : mean distance of both sides' surfaces, counted up to 1 m, and that of a perfect second
         measurement of the real scans
-    unexplained : share of the distance over `floor_m` that no correction explains; null if there is hardly any
+    unexplained : share of the distance over `best_case_m` that no correction explains; null if there is hardly any
     causes : those with the largest gain first
     doubtful : seen, but fixing them would not help
     notes : on causes that can have several reasons
@@ -354,7 +358,7 @@ class Diagnosis(Result):
 
     n_pairs: int
     distance_m: float
-    floor_m: float
+    best_case_m: float
     unexplained: float | None
     causes: tuple[Cause, ...]
     doubtful: tuple[str, ...] = ()

@@ -85,7 +85,11 @@ _Columns = Annotated[
     BeforeValidator(_split_words, json_schema_input_type=tuple[str, ...] | str),
     AfterValidator(_check_columns),
 ]
-_Box = Annotated[Box | None, BeforeValidator(_split_box, json_schema_input_type=Box | str), AfterValidator(_check_box)]
+_Box = Annotated[
+    Box | None,
+    BeforeValidator(_split_box, json_schema_input_type=Box | str),
+    AfterValidator(_check_box),
+]
 _Position = Annotated[
     tuple[float, float, float] | None,
     BeforeValidator(_split_words, json_schema_input_type=tuple[float, float, float] | str),
@@ -162,8 +166,8 @@ class InputSettings(_Group):
 
     def columns_of(self, side: str) -> tuple[str, ...] | None:
         """The columns of a raw file of a side ("real" or "sim"), if they are not the usual ones."""
-        own = self.real_columns if side == "real" else self.sim_columns
-        return own or self.columns
+        of_side = self.real_columns if side == "real" else self.sim_columns
+        return of_side or self.columns
 
 
 class GroundSettings(_Group):
@@ -188,7 +192,9 @@ class GroundSettings(_Group):
     @model_validator(mode="after")
     def _shared_needs_pca(self) -> GroundSettings:
         if self.shared and self.method != "pca":
-            raise ValueError(f'expected method = "pca" with shared = true, got "{self.method}"; change either')
+            raise ValueError(
+                f'expected method = "pca" with shared = true, got "{self.method}"; change either',
+            )
         return self
 
 
@@ -224,7 +230,10 @@ class CommunitySettings(_Group):
     seed: int = Field(0, ge=0, lt=2**31)
     objects: Literal["independent", "reference"] = "independent"
     reference: Literal["louvain", "labels", "instances"] = "louvain"
-    leave_out: tuple[str, ...] = Field(("0", "unlabelled", "unlabeled", "void"), examples=[["0", "unlabelled", "road"]])
+    leave_out: tuple[str, ...] = Field(
+        ("0", "unlabelled", "unlabeled", "void"),
+        examples=[["0", "unlabelled", "road"]],
+    )
     reach_m: float = Field(1.0, gt=0)
     min_points: int = Field(8, ge=1)
 
@@ -232,7 +241,10 @@ class CommunitySettings(_Group):
     @classmethod
     def _split_classes(cls, value: Any) -> Any:
         """`0,road` is read as a list, and numbers are read as text."""
-        value = value.split(",") if isinstance(value, str) else [value] if isinstance(value, int) else value
+        if isinstance(value, str):
+            value = value.split(",")
+        elif isinstance(value, int):
+            value = [value]
         if not isinstance(value, list | tuple):
             return value
         return [str(name).strip().lower() for name in value if str(name).strip()]
@@ -285,7 +297,8 @@ if TYPE_CHECKING:
 
     BaselineName = str
 else:
-    BaselineName = Literal[BASELINE_NAMES]  # one of the catalogue's; a type checker cannot know them
+    # One of the catalogue's; a type checker cannot know them.
+    BaselineName = Literal[BASELINE_NAMES]
 
 
 class MetricsSettings(_Group):
@@ -306,7 +319,8 @@ class MetricsSettings(_Group):
     """
 
     baselines: tuple[BaselineName, ...] = Field(
-        (), description=f'any of {", ".join(BASELINE_NAMES)}; "all" for all of them; by default none'
+        (),
+        description=f'any of {", ".join(BASELINE_NAMES)}; "all" for all of them; by default none',
     )
     f_score_distance_m: float = Field(0.2, gt=0)
     dcd_alpha: float = Field(1000.0, gt=0)
@@ -321,7 +335,11 @@ class MetricsSettings(_Group):
     heat_time_max: float = Field(100.0, gt=0)
     heat_max_nodes: int = Field(8000, ge=2)
 
-    @field_validator("baselines", mode="before", json_schema_input_type=tuple[BaselineName, ...] | str)
+    @field_validator(
+        "baselines",
+        mode="before",
+        json_schema_input_type=tuple[BaselineName, ...] | str,
+    )
     @classmethod
     def _read_names(cls, value: Any) -> Any:
         """`all` is every one; `chamfer,emd` is read as a list."""
@@ -419,16 +437,22 @@ def overrides(settings: Settings) -> list[str]:
     ['graph.k=60']
     """
     preset = type(settings).model_validate(PRESETS[preset_of(settings)])
-    return [
-        f"{group}.{name}={_toml_word(value)}"
-        for group, own in settings
-        if group != "machine"
-        for name, value in own
-        if value != getattr(getattr(preset, group), name)
-    ]
+    words = []
+    for group, values in settings:
+        if group == "machine":
+            continue
+        for name, value in values:
+            if value != getattr(getattr(preset, group), name):
+                words.append(f"{group}.{name}={_toml_word(value)}")
+    return words
 
 
-def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: str | None = None) -> Settings:
+def load(
+    path: Path | None = None,
+    assignments: Iterable[str] = (),
+    *,
+    preset: str | None = None,
+) -> Settings:
     """Settings from a preset, a TOML file (which may have a line `preset = "reference"`), and `graph.k=60`-like words.
 
     Raises
@@ -442,24 +466,27 @@ def load(path: Path | None = None, assignments: Iterable[str] = (), *, preset: s
         values = read_toml(path, "settings file")
     if preset is not None:
         values["preset"] = preset
-    if path is not None and preset is not None and preset_of(parse(values)) != preset_of(parse({"preset": preset})):
+    if path is not None and preset is not None and preset_of(parse(values)) != preset:
+        objects = values["communities"]["objects"]
         raise SettingsError(
-            f"settings file {path}: has communities.objects = {values['communities']['objects']!r}, unlike the preset "
+            f"settings file {path}: has communities.objects = {objects!r}, unlike the preset "
             f"{preset}; remove --preset, or that line of the file"
         )
-    for word in (assignments := list(assignments)):
+    assignments = list(assignments)
+    for word in assignments:
         name, equals, text = word.partition("=")
-        parts = name.strip().split(".")
-        if not equals or len(parts) != 2 or not all(parts):
+        group, _, setting = name.strip().partition(".")
+        if not equals or not group or not setting or "." in setting:
             raise SettingsError(f"--set {word!r}: expected GROUP.NAME=VALUE, such as graph.k=60")
-        group = values.setdefault(parts[0], {})
-        if not isinstance(group, dict):
-            raise SettingsError(f"setting {parts[0]}: expected a table of settings, got {group!r}")
-        group[parts[1]] = _toml_value(text.strip())
+        table = values.setdefault(group, {})
+        if not isinstance(table, dict):
+            raise SettingsError(f"setting {group}: expected a table of settings, got {table!r}")
+        table[setting] = _toml_value(text.strip())
     try:
         return parse(values)
     except SettingsError as error:
-        is_assigned = any(str(error).startswith(f"setting {word.partition('.')[0].strip()}") for word in assignments)
+        groups = [word.partition(".")[0].strip() for word in assignments]
+        is_assigned = str(error).startswith(tuple(f"setting {group}" for group in groups))
         if path is None or is_assigned:
             raise
         raise SettingsError(f"settings file {path}: {error}") from error
@@ -477,9 +504,9 @@ def parse(values: Mapping[str, Any]) -> Settings:
     preset = values.pop("preset", "paper")
     if preset not in PRESETS:
         raise SettingsError(f"preset {preset!r}: no such preset; {suggestion(preset, PRESETS)}")
-    for group, own in PRESETS[preset].items():
+    for group, departures in PRESETS[preset].items():
         given = values.get(group, {})
-        values[group] = own | given if isinstance(given, dict) else given
+        values[group] = departures | given if isinstance(given, dict) else given
     try:
         return Settings.model_validate(values)
     except ValidationError as error:
@@ -497,7 +524,7 @@ def _toml_value(text: str) -> Any:
 def _toml_word(value: Any) -> str:
     """A value as `--set` takes it."""
     if isinstance(value, tuple):
-        return ",".join(str(own) for own in value)
+        return ",".join(map(str, value))
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
@@ -507,8 +534,11 @@ def _first_problem(error: ValidationError) -> str:
         name = ".".join(map(str, problem["loc"]))
         return f"setting {name}: no such setting; known are {_known_beside(problem['loc'])}"
     name = ".".join(part for part in problem["loc"] if isinstance(part, str))
-    next_step = "" if problem["type"] == "value_error" else "; fidpipe settings lists the allowed values"
-    return f"{f'setting {name}' if name else 'settings'}: {expected_and_got(problem)}{next_step}"
+    where = f"setting {name}" if name else "settings"
+    text = f"{where}: {expected_and_got(problem)}"
+    if problem["type"] == "value_error":
+        return text
+    return f"{text}; fidpipe settings lists the allowed values"
 
 
 #: What is expected, by pydantic's type of an error or its first word.
@@ -540,10 +570,14 @@ def expected_and_got(problem: ErrorDetails) -> str:
     ...     print(expected_and_got(error.errors()[0]))
     expected a number of at least 1, got 0
     """
-    kind, text = problem["type"], problem["msg"].removeprefix("Value error, ")
-    if kind in ("missing", "extra_forbidden"):
-        return "the field is missing" if kind == "missing" else "unknown field"
-    if expected := _EXPECTED.get(kind) or _EXPECTED.get(kind.partition("_")[0]):
+    kind = problem["type"]
+    if kind == "missing":
+        return "the field is missing"
+    if kind == "extra_forbidden":
+        return "unknown field"
+    text = problem["msg"].removeprefix("Value error, ")
+    expected = _EXPECTED.get(kind) or _EXPECTED.get(kind.partition("_")[0])
+    if expected:
         text = f"expected {expected.format(**problem.get('ctx', {}))}"
     return text if " got " in text else f"{text}, got {problem['input']!r}"
 

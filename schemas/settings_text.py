@@ -47,7 +47,11 @@ def commented_toml(settings: Settings) -> str:
         for name, field in model.model_fields.items():
             value = getattr(values, name)
             is_unset = value is None
-            line = _line(name, (field.examples or [])[0] if is_unset else value, allowed(schema[name]))
+            line = _line(
+                name,
+                (field.examples or [])[0] if is_unset else value,
+                allowed(schema[name]),
+            )
             lines += [*_comment(field.description or ""), f"# {line}" if is_unset else line]
     return "\n".join(lines) + "\n"
 
@@ -55,7 +59,12 @@ def commented_toml(settings: Settings) -> str:
 def json_schema() -> dict[str, JsonValue]:
     """The JSON schema (draft 2020-12) of a file of settings, for editors; rules about two settings are not in it."""
     schema: dict[str, Any] = Settings.model_json_schema()
-    preset = {"type": "string", "enum": list(PRESETS), "default": "paper", "description": _PRESET_MEANING}
+    preset = {
+        "type": "string",
+        "enum": list(PRESETS),
+        "default": "paper",
+        "description": _PRESET_MEANING,
+    }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **schema,
@@ -91,5 +100,10 @@ def allowed(schema: dict[str, Any]) -> str:
         return "`true`, `false`"
     if {"minimum", "maximum"} <= kind.keys():
         return f"{kind['minimum']:.10g} to {kind['maximum']:.10g}"
-    bounds = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
+    bounds = {
+        "minimum": "at least",
+        "exclusiveMinimum": "above",
+        "maximum": "at most",
+        "exclusiveMaximum": "below",
+    }
     return ", ".join(f"{words} {kind[name]:.10g}" for name, words in bounds.items() if name in kind)

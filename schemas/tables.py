@@ -13,7 +13,7 @@ is a string that is the same in all rows of a file.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import groupby
+from itertools import chain, groupby
 from operator import itemgetter
 
 import pyarrow as pa
@@ -25,29 +25,37 @@ from .metric_catalogue import METRIC, OBJECT_METRICS
 
 def _columns(row: dict[str, str]) -> Iterator[pa.Field]:
     """The columns of a row of `tables.csv`."""
-    name, kind, meaning, optional = row["column"], row["type"], row["meaning"], row["null"] == "yes"
+    name = row["column"]
+    kind = row["type"]
+    meaning = row["meaning"]
+    optional = row["null"] == "yes"
     if kind == "score":
-        for metric in (metric for metric in METRIC.values() if name in (metric.column, metric.group)):
-            is_nullable = optional and "required" not in metric.flags
-            number = pa.int32() if "count" in metric.flags else pa.float64()
-            yield column(metric.column, number, metric.meaning, metric.unit or "", is_nullable)
+        for metric in METRIC.values():
+            if name in (metric.column, metric.group):
+                is_nullable = optional and "required" not in metric.flags
+                number = pa.int32() if "count" in metric.flags else pa.float64()
+                unit = metric.unit or ""
+                yield column(metric.column, number, metric.meaning, unit, is_nullable)
     elif kind == "object score":
-        yield from (column(score, pa.float64(), meaning, optional=optional) for score in OBJECT_METRICS)
+        for score in OBJECT_METRICS:
+            yield column(score, pa.float64(), meaning, optional=optional)
     elif kind.startswith("mean"):
         for score in OBJECT_METRICS:
-            yield column(f"{score}_mean", pa.float64(), f"mean of {score} over {meaning}", optional=optional)
+            words = f"mean of {score} over {meaning}"
+            yield column(f"{score}_mean", pa.float64(), words, optional=optional)
             if kind == "mean and deviation":
                 words = f"standard deviation (n - 1) of {score} over {meaning}"
                 yield column(f"{score}_std", pa.float64(), words, optional=optional)
     else:
-        yield column(name, pa.type_for_alias(kind.replace("constant", "string")), meaning, row["unit"], optional)
+        arrow_type = pa.type_for_alias(kind.replace("constant", "string"))
+        yield column(name, arrow_type, meaning, row["unit"], optional)
 
 
 def _read_tables() -> Iterator[Table]:
     for name, group in groupby(read_rows("tables"), itemgetter("table")):
         rows = list(group)
         keys = sorted((int(row["key"]), row["column"]) for row in rows if row["key"])
-        fields = [field for row in rows for field in _columns(row)]
+        fields = chain.from_iterable(map(_columns, rows))
         of_file = tuple(row["column"] for row in rows if row["type"] == "constant")
         yield Table(name, pa.schema(fields), tuple(key for _, key in keys), of_file)
 

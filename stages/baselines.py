@@ -62,10 +62,16 @@ class Baseline:
 
 
 Baselines = tuple[Baseline, ...]
+_OfPoints = Callable[[FloatArray, FloatArray, MetricsSettings], Baselines]
+_OfObject = Callable[[Subgraph, Subgraph, Selection, float, MetricsSettings], Baselines]
 
 
 def compare_points(
-    real: FloatArray, sim: FloatArray, settings: MetricsSettings, *, watch: Watch = unwatched
+    real: FloatArray,
+    sim: FloatArray,
+    settings: MetricsSettings,
+    *,
+    watch: Watch = unwatched,
 ) -> Baselines:
     """Compute the requested baseline metrics of two point sets, in the order of the settings.
 
@@ -184,8 +190,10 @@ def f_score(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Bas
     >>> f_score(np.array([[0.0, 0, 0], [9, 0, 0]]), np.array([[0.1, 0, 0], [0, 9, 0]]), MetricsSettings())[0].value
     0.5
     """
-    to_sim, to_real = (apart < settings.f_score_distance_m for apart in nearest_distances(real, sim))
-    return (Baseline("f_score", harmonic_mean(float(np.mean(to_real)), float(np.mean(to_sim)))),)
+    to_sim, to_real = nearest_distances(real, sim)
+    recall = float(np.mean(to_sim < settings.f_score_distance_m))
+    precision = float(np.mean(to_real < settings.f_score_distance_m))
+    return (Baseline("f_score", harmonic_mean(precision, recall)),)
 
 
 def harmonic_mean(precision: float, recall: float) -> float:
@@ -216,10 +224,16 @@ def dcd(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
     alpha = settings.dcd_alpha / squared_m2 if squared_m2 else np.inf
     if np.isinf(alpha):  # no extent, or its square underflows
         return (Baseline("dcd", None, "the real points have no extent to scale by"),)
-    (from_real, n_cut_real), (from_sim, n_cut_sim) = _one_way(real, sim, alpha), _one_way(sim, real, alpha)
-    n_real, n_sim, n_cut = len(real), len(sim), n_cut_real + n_cut_sim
-    cut = f"{n_real} real and {n_sim} simulated points: {n_cut} of {n_real + n_sim} count weights cut at 1"
-    return (Baseline("dcd", (from_real + from_sim) / 2, cut if n_cut else None),)
+    from_real, n_cut_real = _one_way(real, sim, alpha)
+    from_sim, n_cut_sim = _one_way(sim, real, alpha)
+    n_cut = n_cut_real + n_cut_sim
+    note = None
+    if n_cut:
+        note = (
+            f"{len(real)} real and {len(sim)} simulated points: "
+            f"{n_cut} of {len(real) + len(sim)} count weights cut at 1"
+        )
+    return (Baseline("dcd", (from_real + from_sim) / 2, note),)
 
 
 def _one_way(x: FloatArray, y: FloatArray, alpha: float) -> tuple[float, int]:
@@ -251,7 +265,8 @@ def sliced_wasserstein(real: FloatArray, sim: FloatArray, settings: MetricsSetti
     total = 0.0
     for start in range(0, len(directions), _DIRECTIONS_PER_STEP):
         some = directions[start : start + _DIRECTIONS_PER_STEP].T
-        total += len(some.T) * float(ot.sliced_wasserstein_distance(real, sim, projections=some, p=1))
+        distance_m = ot.sliced_wasserstein_distance(real, sim, projections=some, p=1)
+        total += len(some.T) * float(distance_m)
     return (Baseline("sliced_wasserstein_m", total / len(directions)),)
 
 
@@ -279,7 +294,8 @@ def histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> B
             return (Baseline("histogram", None, "a side has no two points apart from each other"),)
         counts, _ = np.histogram(distance / largest, bins=settings.histogram_bins, range=(0.0, 1.0))
         shares.append(counts / len(distance))
-    return (Baseline("histogram", float(np.linalg.norm(shares[0] - shares[1], settings.histogram_order))),)
+    distance = np.linalg.norm(shares[0] - shares[1], settings.histogram_order)
+    return (Baseline("histogram", float(distance)),)
 
 
 def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
@@ -297,17 +313,18 @@ def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
     ----------
     real, sim : (n, 3), (m, 3) float64, metres
     """
-    n_fewest, reason = min(len(real), len(sim)), None
+    n_fewest = min(len(real), len(sim))
     if find_spec("small_gicp") is None:
-        reason = 'small_gicp is not installed; pip install "fidpipe[icp]"'
-    elif n_fewest < _ICP_POINTS:
-        reason = f"{n_fewest} points on a side, at least {_ICP_POINTS} are needed for ICP"
-    if reason:
-        return (Baseline("icp_fitness", None, reason), Baseline("icp_rmse_m", None, reason))
+        return _without_icp('small_gicp is not installed; pip install "fidpipe[icp]"')
+    if n_fewest < _ICP_POINTS:
+        needed = f"at least {_ICP_POINTS} are needed for ICP"
+        return _without_icp(f"{n_fewest} points on a side, {needed}")
     import small_gicp
 
-    centre = real.mean(axis=0)  # rounding of the normal equations grows with the distance from the origin
-    target, source = real - centre, sim - centre
+    # Rounding of the normal equations grows with the distance from the origin.
+    centre = real.mean(axis=0)
+    target = real - centre
+    source = sim - centre
     result = small_gicp.align(
         small_gicp.PointCloud(target),
         small_gicp.PointCloud(source),
@@ -317,28 +334,43 @@ def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
         max_iterations=_ICP_ITERATIONS,
     )
     T_real_sim: FloatArray = result.T_target_source
-    apart, _ = scipy.spatial.cKDTree(target).query(source @ T_real_sim[:3, :3].T + T_real_sim[:3, 3])
+    moved = source @ T_real_sim[:3, :3].T + T_real_sim[:3, 3]
+    apart, _ = scipy.spatial.cKDTree(target).query(moved)
     near = apart[apart <= settings.icp_distance_m]
     reason = None if result.converged else "ICP had not converged"
     fitness = Baseline("icp_fitness", len(near) / len(apart), reason)
     if not len(near):
-        return fitness, Baseline("icp_rmse_m", None, f"no points within {settings.icp_distance_m:g} m of each other")
+        reason = f"no points within {settings.icp_distance_m:g} m of each other"
+        return fitness, Baseline("icp_rmse_m", None, reason)
     return fitness, Baseline("icp_rmse_m", float(np.sqrt(np.mean(near**2))), reason)
 
 
-def _emd(real: Subgraph, sim: Subgraph, selection: Selection, t: float, settings: MetricsSettings) -> Baselines:
+def _without_icp(reason: str) -> Baselines:
+    return Baseline("icp_fitness", None, reason), Baseline("icp_rmse_m", None, reason)
+
+
+def _emd(
+    real: Subgraph,
+    sim: Subgraph,
+    selection: Selection,
+    t: float,
+    settings: MetricsSettings,
+) -> Baselines:
     """Earth mover's distance of all points, of the aligned nodes as given, and of these with both sides centred."""
     n_most = max(len(real.points), len(sim.points))
-    exact_m = reason = None
     if n_most > settings.emd_max_points:
         reason = f"{n_most} points, metrics.emd_max_points allows {settings.emd_max_points}"
-    elif (exact_m := earth_movers(real.points, sim.points)) is None:
+        exact = Baseline("emd_mean_m", None, reason)
+    else:
+        exact_m = earth_movers(real.points, sim.points)
         reason = "the network simplex ended without the optimum"
-    a, b = real.points[selection.real_nodes], sim.points[selection.sim_nodes]
+        exact = Baseline("emd_mean_m", exact_m, reason if exact_m is None else None)
+    a = real.points[selection.real_nodes]
+    b = sim.points[selection.sim_nodes]
     # The alignment is the optimal assignment of the centred nodes, so it is not solved again for these.
     centred_m = aligned_distance(a - a.mean(axis=0), b - b.mean(axis=0))
     return (
-        Baseline("emd_mean_m", exact_m, reason),
+        exact,
         Baseline("emd_kept_mean_m", aligned_distance(a, b[assign_nodes(a, b)])),
         Baseline("emd_centred_mean_m", centred_m),
     )
@@ -395,18 +427,29 @@ def aligned_distance(a: FloatArray, b: FloatArray) -> float:
     return float(np.linalg.norm(a - b, axis=1).mean())
 
 
-def _netlsd(real: Subgraph, sim: Subgraph, selection: Selection, t: float, settings: MetricsSettings) -> Baselines:
+def _netlsd(
+    real: Subgraph,
+    sim: Subgraph,
+    selection: Selection,
+    t: float,
+    settings: MetricsSettings,
+) -> Baselines:
     """NetLSD of the whole object; None if a side has more than `heat_max_nodes`."""
     n_most = max(len(real.points), len(sim.points))
     if n_most > settings.heat_max_nodes:
         reason = f"{n_most} points, metrics.heat_max_nodes allows {settings.heat_max_nodes}"
         return (Baseline("netlsd", None, reason),)
     times = np.geomspace(settings.heat_time_min, settings.heat_time_max, settings.heat_times)
-    laplacians = normalised_laplacian(real.adjacency), normalised_laplacian(sim.adjacency)
-    return (Baseline("netlsd", heat_trace_distance(*laplacians, times)),)
+    laplacian_real = normalised_laplacian(real.adjacency)
+    laplacian_sim = normalised_laplacian(sim.adjacency)
+    return (Baseline("netlsd", heat_trace_distance(laplacian_real, laplacian_sim, times)),)
 
 
-def heat_trace_distance(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, times: FloatArray) -> float:
+def heat_trace_distance(
+    real: scipy.sparse.csr_matrix,
+    sim: scipy.sparse.csr_matrix,
+    times: FloatArray,
+) -> float:
     """|h(real) - h(sim)|_2, h(t) = tr exp(-tL) / n at the given times; 0 for isospectral graphs.
 
     Tsitsulin, Mottin, Karras, Bronstein and Mueller, NetLSD: hearing the shape of a graph, KDD 2018, section 4, heat
@@ -428,15 +471,27 @@ def heat_trace_distance(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_mat
     return float(np.linalg.norm(heat_trace(real, times) - heat_trace(sim, times)))
 
 
-def _r_h(real: Subgraph, sim: Subgraph, selection: Selection, t: float, settings: MetricsSettings) -> Baselines:
+def _r_h(
+    real: Subgraph,
+    sim: Subgraph,
+    selection: Selection,
+    t: float,
+    settings: MetricsSettings,
+) -> Baselines:
     """Bounded diffusion change of the aligned nodes; None for fewer than 3 nodes."""
-    if (n := len(selection.real_nodes)) < MIN_NODES:
-        return (Baseline("r_h", None, f"{n} aligned nodes, at least {MIN_NODES} are needed"),)
-    laplacians = induced_laplacian(real, selection.real_nodes), induced_laplacian(sim, selection.sim_nodes)
-    return (Baseline("r_h", diffusion_change(*laplacians, t)),)
+    n_keep = len(selection.real_nodes)
+    if n_keep < MIN_NODES:
+        return (Baseline("r_h", None, f"{n_keep} aligned nodes, at least {MIN_NODES} are needed"),)
+    laplacian_real = induced_laplacian(real, selection.real_nodes)
+    laplacian_sim = induced_laplacian(sim, selection.sim_nodes)
+    return (Baseline("r_h", diffusion_change(laplacian_real, laplacian_sim, t)),)
 
 
-def diffusion_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: float) -> float:
+def diffusion_change(
+    real: scipy.sparse.csr_matrix,
+    sim: scipy.sparse.csr_matrix,
+    t: float,
+) -> float:
     """r_H = |dH_t|_2 / (t |dL|_2), dH_t = exp(-t L_sim) - exp(-t L_real), 0 to 1.
 
     "Bounded diffusion change" in the source of the paper (equation "rH", commented out there). The bound holds because
@@ -504,7 +559,8 @@ def _range_image(points: FloatArray) -> FloatArray:
     x, y, z = points.T
     elevation = np.arctan2(z, np.hypot(x, y)) + (_IMAGE_DEG - _IMAGE_UP_DEG) / 180 * np.pi
     column = np.rint((np.pi - np.arctan2(y, x)) / (2 * np.pi / _IMAGE_COLUMNS)).astype(np.intp)
-    row = np.rint(_IMAGE_ROWS - elevation / (_IMAGE_DEG / 180 * np.pi / _IMAGE_ROWS)).astype(np.intp)
+    row_height = _IMAGE_DEG / 180 * np.pi / _IMAGE_ROWS
+    row = np.rint(_IMAGE_ROWS - elevation / row_height).astype(np.intp)
     is_inside = (range_m < _IMAGE_RANGE_M) & (row >= 0) & (row < _IMAGE_ROWS)
     is_inside &= (column >= 0) & (column < _IMAGE_COLUMNS)
     pixel = row[is_inside] * _IMAGE_COLUMNS + column[is_inside]
@@ -520,7 +576,9 @@ def _points_of_image(image: FloatArray) -> FloatArray:
     azimuth = -(column - _IMAGE_COLUMNS / 2) / _IMAGE_COLUMNS * 2 * np.pi
     elevation = (_IMAGE_UP_DEG - row / _IMAGE_ROWS * _IMAGE_DEG) / 180 * np.pi
     level = np.cos(elevation)
-    directions = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    directions = np.column_stack(
+        [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)],
+    )
     return directions * image[row, column, None]
 
 
@@ -528,18 +586,22 @@ def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
     """Chamfer distance and F-score of the points of two range images."""
     if not min(len(real), len(sim)):
         reason = "a side has no point in the range image"
-        return Baseline("nvs_chamfer_m2", None, reason), Baseline("nvs_f_score_0p05m2", None, reason)
+        return Baseline("nvs_chamfer_m2", None, reason), Baseline(
+            "nvs_f_score_0p05m2",
+            None,
+            reason,
+        )
     to_sim, to_real = nearest_distances(real, sim)
-    to_sim2, to_real2 = to_sim**2, to_real**2
-    recall, precision = float(np.mean(to_sim2 < _NEAR_M2)), float(np.mean(to_real2 < _NEAR_M2))
+    recall = float(np.mean(to_sim**2 < _NEAR_M2))
+    precision = float(np.mean(to_real**2 < _NEAR_M2))
     return (
-        Baseline("nvs_chamfer_m2", float(to_sim2.mean() + to_real2.mean())),
+        Baseline("nvs_chamfer_m2", float((to_sim**2).mean() + (to_real**2).mean())),
         Baseline("nvs_f_score_0p05m2", harmonic_mean(precision, recall)),
     )
 
 
 #: Baseline metrics of two point sets by their names in the settings.
-OF_POINTS: dict[str, Callable[[FloatArray, FloatArray, MetricsSettings], Baselines]] = {
+OF_POINTS: dict[str, _OfPoints] = {
     "chamfer": chamfer,
     "hausdorff": hausdorff,
     "f_score": f_score,
@@ -551,7 +613,7 @@ OF_POINTS: dict[str, Callable[[FloatArray, FloatArray, MetricsSettings], Baselin
 #: Name in the settings of the scores of whole scans, ground included; objects do not have them.
 OF_SCANS = "nvs"
 #: Those that need the graphs or the aligned nodes of a matched object.
-OF_OBJECTS: dict[str, Callable[[Subgraph, Subgraph, Selection, float, MetricsSettings], Baselines]] = {
+OF_OBJECTS: dict[str, _OfObject] = {
     "emd": _emd,
     "netlsd": _netlsd,
     "r_h": _r_h,

@@ -71,7 +71,8 @@ def clean_scan(
         nonlocal ids, points
         dropped[reason] = int(np.count_nonzero(is_dropped))
         if dropped[reason]:
-            ids, points = ids[~is_dropped], points[~is_dropped]
+            ids = ids[~is_dropped]
+            points = points[~is_dropped]
 
     drop("not_finite", ~_all(np.isfinite(points)))
     drop("zero", _all(points == 0))
@@ -121,7 +122,10 @@ def at_sensor(points: FloatArray, side: str, settings: InputSettings) -> FloatAr
     return points - settings.sensor_position
 
 
-def seen_from(position: tuple[float, float, float], T_real_sim: FloatArray | None) -> FloatArray | None:
+def seen_from(
+    position: tuple[float, float, float],
+    T_real_sim: FloatArray | None,
+) -> FloatArray | None:
     """T_real_sim of points whose origin has moved to a position of both sides.
 
     Parameters
@@ -131,11 +135,17 @@ def seen_from(position: tuple[float, float, float], T_real_sim: FloatArray | Non
     """
     if T_real_sim is None:
         return None
-    R, t = T_real_sim[:, :3], T_real_sim[:, 3]
+    R = T_real_sim[:, :3]
+    t = T_real_sim[:, 3]
     return np.column_stack([R, t - position + R @ position])
 
 
-def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], settings: InputSettings) -> str:
+def too_few_left(
+    n_left: int,
+    n_fewest: int,
+    dropped: Mapping[str, int],
+    settings: InputSettings,
+) -> str:
     """Message for a scan with too few points after cleaning: counts by reason, and how to keep more.
 
     Examples
@@ -144,7 +154,8 @@ def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], setting
     'expected at least 8 points after cleaning, got 5 (9 too near, 2 too far); lower input.min_range_m (now 2.5)'
     """
     counts = {reason: n for reason, n in dropped.items() if n}
-    why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in counts.items()) or "no more in the file"
+    reasons = [f"{n} {reason.replace('_', ' ')}" for reason, n in counts.items()]
+    why = ", ".join(reasons) or "no more in the file"
     too_far = "give the points in metres, in the sensor's frame"
     if settings.max_range_m < InputSettings().max_range_m:
         too_far = f"raise input.max_range_m (now {settings.max_range_m:g}), or {too_far}"
@@ -154,7 +165,8 @@ def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int], setting
         "in_exclude_box": "shrink input.exclude_box",
         "outside_include_box": "widen input.include_box",
     }
-    remedy = remedies.get(max(counts, key=counts.__getitem__, default=""), "check that the export is complete")
+    worst = max(counts, key=counts.__getitem__, default="")
+    remedy = remedies.get(worst, "check that the export is complete")
     return f"expected at least {n_fewest} points after cleaning, got {n_left} ({why}); {remedy}"
 
 
@@ -171,8 +183,7 @@ def inside(points: FloatArray, box: Box | None, *, default: bool = True) -> Bool
     """True for points in the box, bounds included, (n,) bool; the default for all points without a box."""
     if box is None:
         return np.full(len(points), default)
-    low, high = np.array(box[:3]), np.array(box[3:])
-    return _all((points >= low) & (points <= high))
+    return _all((points >= np.array(box[:3])) & (points <= np.array(box[3:])))
 
 
 def _all(flags: BoolArray) -> BoolArray:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..schemas.settings import CommunitySettings
 from .arrays import IntArray
-from .linalg.subgraph import Edges, connected_pieces, upper_half
+from .linalg.subgraph import Edges, connected_nodes, upper_half
 
 #: Smallest gain of modularity for another pass over a level, and for another level; of scikit-network.
 TOLERANCE_OPTIMISATION = 1e-3
@@ -19,7 +19,11 @@ _TOLERANCE_AGGREGATION = 1e-7
 
 
 def find_communities(
-    n_nodes: int, edges: Edges, settings: CommunitySettings, *, order: IntArray | None = None
+    n_nodes: int,
+    edges: Edges,
+    settings: CommunitySettings,
+    *,
+    order: IntArray | None = None,
 ) -> IntArray:
     """Community of each node, (n,) int32, that maximise modularity by Louvain's method; ids as of `canonical_ids`.
 
@@ -43,7 +47,7 @@ def find_communities(
     [0, 0, 1, 1]
     """
     if not edges.length_m.any():
-        return canonical_ids(connected_pieces(n_nodes, edges), order)
+        return canonical_ids(connected_nodes(n_nodes, edges.src, edges.dst), order)
     find = _scikit_network if settings.backend == "scikit-network" else _python_louvain
     return canonical_ids(find(n_nodes, edges, settings.seed, order), order)
 
@@ -57,7 +61,12 @@ def canonical_ids(labels: NDArray[np.integer], order: IntArray | None = None) ->
     order : (n,) int32, nodes in the order that defines the smallest one; by default ascending
     """
     order = np.arange(len(labels), dtype=np.int32) if order is None else order
-    _, first, dense, size = np.unique(labels[order], return_index=True, return_inverse=True, return_counts=True)
+    _, first, dense, size = np.unique(
+        labels[order],
+        return_index=True,
+        return_inverse=True,
+        return_counts=True,
+    )
     new_id = np.empty(len(size), dtype=np.int32)
     new_id[np.lexsort((first, -size))] = np.arange(len(size), dtype=np.int32)
     canonical = np.empty(len(labels), dtype=np.int32)
@@ -81,11 +90,18 @@ def _scikit_network(n_nodes: int, edges: Edges, seed: int, order: IntArray | Non
         return_probs=False,
         return_aggregate=False,
     )
-    shuffled: IntArray = louvain.fit_predict(_shuffled_adjacency(n_nodes, edges, order, place)).astype(np.int32)
+    shuffled: IntArray = louvain.fit_predict(
+        _shuffled_adjacency(n_nodes, edges, order, place),
+    ).astype(np.int32)
     return shuffled[place]
 
 
-def _shuffled_adjacency(n_nodes: int, edges: Edges, order: IntArray, place: IntArray) -> scipy.sparse.csr_matrix:
+def _shuffled_adjacency(
+    n_nodes: int,
+    edges: Edges,
+    order: IntArray,
+    place: IntArray,
+) -> scipy.sparse.csr_matrix:
     """Adjacency matrix with node order[i] in row i = place[order[i]]; a transposition sorts it in linear time."""
     half = upper_half(n_nodes, edges)[order]
     half.indices = place[half.indices]

@@ -45,7 +45,9 @@ def surface_state(covered: float) -> str:
     ('there', 'partly', 'absent')
     """
     there, partly, absent = SURFACE_STATES
-    return there if covered > THERE else absent if covered <= ABSENT else partly
+    if covered > THERE:
+        return there
+    return absent if covered <= ABSENT else partly
 
 
 def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -81,7 +83,12 @@ def below_cut(points: FloatArray, axis: FloatArray, threshold_m: float | None) -
     return None if threshold_m is None else points @ axis < threshold_m
 
 
-def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0, is_road: BoolArray | None = None) -> Coverage:
+def cover(
+    distance_m: FloatArray,
+    labels: IntArray,
+    n_ids: int = 0,
+    is_road: BoolArray | None = None,
+) -> Coverage:
     """Coverage of each object of a side, by id.
 
     covered_r = |{p : min_q |p - q| <= r}| / n, p of the object, q any object point of the other side (defined by
@@ -101,17 +108,16 @@ def cover(distance_m: FloatArray, labels: IntArray, n_ids: int = 0, is_road: Boo
     [[0.5, 0.5, 1.0]]
     """
     inside = labels >= 0
-    distance_m, labels, is_road = distance_m[inside], labels[inside], None if is_road is None else is_road[inside]
+    distance_m = distance_m[inside]
+    labels = labels[inside]
     n_points = np.bincount(labels, minlength=n_ids).astype(np.int32)
+    road = np.full(len(n_points), np.nan)
     with np.errstate(invalid="ignore"):
-        covered = np.column_stack(
-            [np.bincount(labels, distance_m <= reach_m, len(n_points)) / n_points for reach_m in COVERAGE_DISTANCES_M]
-        )
-        road = (
-            np.full(len(n_points), np.nan)
-            if is_road is None
-            else np.bincount(labels, is_road, len(n_points)) / n_points
-        )
-    by_object = np.split(distance_m[np.argsort(labels, kind="stable")], np.cumsum(n_points)[:-1])
-    median_m = np.array([np.median(own) if len(own) else np.nan for own in by_object])
-    return Coverage(n_points, covered, median_m, road)
+        if is_road is not None:
+            road = np.bincount(labels, is_road[inside], len(n_points)) / n_points
+        within = [distance_m <= reach_m for reach_m in COVERAGE_DISTANCES_M]
+        shares = [np.bincount(labels, is_near, len(n_points)) / n_points for is_near in within]
+    in_order = distance_m[np.argsort(labels, kind="stable")]
+    by_object = np.split(in_order, np.cumsum(n_points)[:-1])
+    median_m = [np.median(values) if len(values) else np.nan for values in by_object]
+    return Coverage(n_points, np.column_stack(shares), np.array(median_m), road)

@@ -25,7 +25,8 @@ _FLAT = 0.02  # l3 / l1 of a plane, at most
 _REACHES_M = (1.5, 1.5, 1.0, 1.0, 0.7, 0.7)
 _FINE_REACH_M, _FINE_STEPS = 0.5, 8
 _TUKEY, _LEAST_SPREAD_M = 4.685, 0.01  # efficiency of 95 % under normal errors
-_PRIOR = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05, 0.05, 0.5, 3.0, 3.0, 0.5])  # standard deviations; radians
+#: Standard deviations of the parameters; radians.
+_PRIOR = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05, 0.05, 0.5, 3.0, 3.0, 0.5])
 _NOISE_M, _CORRELATED = 0.1, 20  # of a distance to a plane, and the places that share an error
 
 
@@ -57,7 +58,11 @@ class Displacement:
         return points - self.of(place, is_ground)
 
 
-def fit_displacement(real: FloatArray, sim: FloatArray, is_ground: BoolArray) -> Displacement | None:
+def fit_displacement(
+    real: FloatArray,
+    sim: FloatArray,
+    is_ground: BoolArray,
+) -> Displacement | None:
     """Fit the displacement of the simulated surface, or None without enough planes in common.
 
     Least squares of distances along normals, point to plane (Chen and Medioni, Image Vision Comput. 1992), linear in
@@ -77,34 +82,38 @@ def fit_displacement(real: FloatArray, sim: FloatArray, is_ground: BoolArray) ->
     planes = fit_planes(real, real[rows], _NEIGHBOURS)
     l3, _, l1 = planes.variance.T
     is_plane = (l3 <= _FLAT * l1) & ~planes.is_line
-    fit = _Fit(planes.mean[is_plane], planes.normal[is_plane], is_ground[rows[is_plane]], cKDTree(sim), sim)
-    found = _fit_coarsely(fit)
-    if found is None:
-        return None
-    values, seam_deg = found
+    fit = _Fit(
+        planes.mean[is_plane],
+        planes.normal[is_plane],
+        is_ground[rows[is_plane]],
+        cKDTree(sim),
+        sim,
+    )
+    values, seam_deg = _fit_coarsely(fit)
     for reach_m in (*_REACHES_M, *[_FINE_REACH_M] * _FINE_STEPS):
-        step = fit.step(values, seam_deg, reach_m)
-        if step is None:
-            return None
-        values = step
+        if values is not None:
+            values = fit.step(values, seam_deg, reach_m)
+    if values is None:
+        return None
     return Displacement(np.where(_IS_ANGLE, np.degrees(values), values), seam_deg)
 
 
-def _fit_coarsely(fit: _Fit) -> tuple[FloatArray, float] | None:
+def _fit_coarsely(fit: _Fit) -> tuple[FloatArray | None, float]:
     """Parameters after two steps, and the seam that fits best; None without enough planes in common."""
-    found = []
+    least = np.inf
+    best: tuple[FloatArray | None, float] = (None, BEHIND_DEG)
     for seam_deg in SEAMS_DEG:
         values: FloatArray | None = np.zeros(len(PARAMETERS))
         for _ in range(_COARSE_STEPS):
-            values = None if values is None else fit.step(values, seam_deg, _REACHES_M[0])
-        if values is not None:
-            found.append((fit.misfit(values, seam_deg), seam_deg, values))
-    if not found:
-        return None
-    misfit, seam_deg, values = min(found, key=lambda candidate: candidate[0])
-    if found[0][1] == BEHIND_DEG and misfit > _CLEARLY * found[0][0]:
-        _, seam_deg, values = found[0]
-    return values, seam_deg
+            if values is not None:
+                values = fit.step(values, seam_deg, _REACHES_M[0])
+        if values is None:
+            continue
+        misfit = fit.misfit(values, seam_deg)
+        if misfit < least:
+            best = (values, seam_deg)
+            least = _CLEARLY * misfit if seam_deg == BEHIND_DEG else misfit
+    return best
 
 
 @dataclass(frozen=True)
@@ -129,7 +138,9 @@ class _Fit:
         slopes = np.einsum("nkp,nk->np", columns, self.normal)
         n_near = _NEIGHBOURS if is_fine else 1
         distance, near = self.tree.query(
-            self.places + columns @ values, k=range(1, 1 + n_near), distance_upper_bound=reach_m
+            self.places + columns @ values,
+            k=range(1, 1 + n_near),
+            distance_upper_bound=reach_m,
         )
         met = np.flatnonzero(np.isfinite(distance[:, 0]))
         if len(met) < 10 * len(PARAMETERS):
@@ -141,7 +152,10 @@ class _Fit:
         weighted = slopes[met] / (_NOISE_M**2 * _CORRELATED)
         if is_fine:
             weighted *= _biweight(gap - slopes[met] @ values)[:, None]
-        better: FloatArray = np.linalg.solve(weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0), weighted.T @ gap)
+        better: FloatArray = np.linalg.solve(
+            weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0),
+            weighted.T @ gap,
+        )
         return better
 
     def misfit(self, values: FloatArray, seam_deg: float) -> float:
@@ -150,7 +164,8 @@ class _Fit:
         distance, near = self.tree.query(displaced, distance_upper_bound=_FINE_REACH_M)
         is_met = np.isfinite(distance)
         gap = np.full(len(displaced), _FINE_REACH_M)
-        gap[is_met] = np.abs(((self.sim[near[is_met]] - displaced[is_met]) * self.normal[is_met]).sum(axis=1))
+        offset = self.sim[near[is_met]] - displaced[is_met]
+        gap[is_met] = np.abs((offset * self.normal[is_met]).sum(axis=1))
         return float(gap.mean())
 
 

@@ -55,7 +55,9 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
         _reject_crowd(points, near_m, settings)
     tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE)
     k = min(settings.k, n - 1)
-    precedence = np.arange(n) if settings.ties == "point_id" else np.argsort(np.lexsort(points.T[::-1]))
+    precedence = np.arange(n)
+    if settings.ties == "coordinates":
+        precedence = np.argsort(np.lexsort(points.T[::-1]))
     distance, nearest = tree.query(points, k=min(k + 2, n))
     # If the k-th neighbour is farther than tau, all points within tau are neighbours already.
     crowded = np.flatnonzero(distance[:, k] <= near_m * (1 + _SLACK))
@@ -67,10 +69,11 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
         arcs.append((crowded[near], crowded[other]))
     src, dst = _unique_pairs(arcs, n)
     length_m = _distance(points, src, dst)
-    if settings.edges == "intersection":
-        inside = length_m <= settings.tau_m
-        src, dst, length_m = src[inside], dst[inside], length_m[inside]
-    return Edges(src.astype(np.int32), dst.astype(np.int32), length_m.astype(np.float32))
+    edges = Edges(src.astype(np.int32), dst.astype(np.int32), length_m.astype(np.float32))
+    if settings.edges == "union":
+        return edges
+    is_near = length_m <= settings.tau_m
+    return Edges(edges.src[is_near], edges.dst[is_near], edges.length_m[is_near])
 
 
 def _reject_crowd(points: FloatArray, near_m: float, settings: GraphSettings) -> None:
@@ -82,8 +85,9 @@ def _reject_crowd(points: FloatArray, near_m: float, settings: GraphSettings) ->
     n_pairs = (int(tree.count_neighbors(tree, near_m * (1 + _SLACK))) - n) // 2
     if n_pairs > MAX_CLOSE_PAIRS:
         raise StageError(
-            f"expected at most {MAX_CLOSE_PAIRS} pairs of points within {near_m:g} m of each other, got {n_pairs}; "
-            f"lower graph.tau_m (now {settings.tau_m:g}), raise input.min_range_m, or downsample the scan"
+            f"expected at most {MAX_CLOSE_PAIRS} pairs of points within {near_m:g} m of each other, "
+            f"got {n_pairs}; lower graph.tau_m (now {settings.tau_m:g}), raise input.min_range_m, "
+            "or downsample the scan"
         )
 
 
@@ -100,26 +104,21 @@ def _nearest(
     is_open = nearest[:, 0] != np.arange(len(points))  # another point at the same place comes first
     if nearest.shape[1] > k + 1:
         is_open |= distance[:, k + 1] <= distance[:, k] * (1 + _SLACK)  # a tie at the k-th place
-    for i in np.flatnonzero(is_open):
-        neighbours[i] = _nearest_of_one(tree, points, int(i), float(distance[i, k]), k, precedence)
+    for i in np.flatnonzero(is_open):  # again, from all points within the distance of the k-th
+        within_m = distance[i, k] * (1 + _SLACK)
+        ball = np.array(tree.query_ball_point(points[i], within_m), dtype=np.intp)
+        ball = ball[ball != i]
+        apart_m = _distance(points, np.full(len(ball), i), ball)
+        neighbours[i] = ball[np.lexsort((precedence[ball], apart_m))[:k]]
     return neighbours
-
-
-def _nearest_of_one(
-    tree: scipy.spatial.cKDTree, points: FloatArray, i: int, radius: float, k: int, precedence: IndexArray
-) -> IndexArray:
-    """The k nearest neighbours of point i, (k,), ties by smaller precedence, from all points within the radius."""
-    ball = np.array(tree.query_ball_point(points[i], radius * (1 + _SLACK)), dtype=np.intp)
-    ball = ball[ball != i]
-    distance = _distance(points, np.full(len(ball), i), ball)
-    return ball[np.lexsort((precedence[ball], distance))[:k]]
 
 
 def _within(points: FloatArray, tau_m: float) -> IndexArray:
     """Pairs of points at most tau apart, (2, m)."""
     if len(points) < 2:
         return np.empty((2, 0), dtype=np.intp)
-    src, dst = scipy.spatial.cKDTree(points).query_pairs(tau_m * (1 + _SLACK), output_type="ndarray").T
+    tree = scipy.spatial.cKDTree(points)
+    src, dst = tree.query_pairs(tau_m * (1 + _SLACK), output_type="ndarray").T
     inside = _distance(points, src, dst) <= tau_m
     return np.array([src[inside], dst[inside]])
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from ..schemas.errors import StageError
 from ..schemas.settings import GroundSettings
@@ -92,46 +93,71 @@ def remove_ground(
                 f"fewer than {MIN_COMMON_CELLS} cells within {NEAR_M:.0f} m have points of both sides; "
                 "the road's peak is that of this side only"
             )
-    if shared is not None:
-        axis, tilt_deg = shared.axis, shared.tilt_deg
+    if shared is None:
+        axis, tilt_deg = _vertical_axis(points, notes)
         height = points @ axis
-        peak_m = shared.peak_m
+        peak_m = _find_peak(points, height, notes)
     else:
-        axis, tilt_deg = _up_axis(points)
-        if tilt_deg > MAX_TILT_DEG:
-            notes.append(
-                f"the PCA axis is tilted by {tilt_deg:.1f} degrees (at most {MAX_TILT_DEG:.0f}); heights are along +Z"
-            )
-            axis = np.array([0.0, 0.0, 1.0])
+        axis, tilt_deg, peak_m = shared.axis, shared.tilt_deg, shared.peak_m
         height = points @ axis
-        near = height[np.linalg.norm(points, axis=1) <= NEAR_M]
-        if not len(near):
-            notes.append(f"no point within {NEAR_M:.0f} m; the road's peak is that of all points")
-            near = height
-        peak_m = _fullest_window_median(near)
 
-    threshold_m: float | None = None
-    loss: float | None = None
-    iterations: int | None = None
-    if settings.method == "none":
-        is_ground = np.zeros(len(points), dtype=np.bool_)
-    elif settings.method == "patchwork":
-        is_ground = _patchwork(points, peak_m)
-    elif shared is not None and shared.threshold_m is not None:
-        threshold_m, iterations = shared.threshold_m, shared.iterations
-        is_ground = height < threshold_m
-        loss = _variance_loss(points, height, is_ground, peak_m, settings)
-    else:
-        threshold_m, loss, iterations = _lower_threshold(points, height, peak_m, settings)
-        is_ground = height < threshold_m
-
+    is_ground, threshold_m, loss, iterations = _cut(points, height, peak_m, settings, shared)
     n_left = len(points) - int(np.count_nonzero(is_ground))
     if n_left < MIN_OBJECT_POINTS:
         raise StageError(
             f"expected at least {MIN_OBJECT_POINTS} object points after ground removal, got {n_left}; "
-            f"lower ground.prior_m (now {settings.prior_m:g}) or choose another ground.method (now {settings.method})"
+            f"lower ground.prior_m (now {settings.prior_m:g}) "
+            f"or choose another ground.method (now {settings.method})"
         )
-    return GroundResult(is_ground, height - peak_m, axis, tilt_deg, peak_m, threshold_m, loss, iterations, tuple(notes))
+    return GroundResult(
+        is_ground,
+        height - peak_m,
+        axis,
+        tilt_deg,
+        peak_m,
+        threshold_m,
+        loss,
+        iterations,
+        tuple(notes),
+    )
+
+
+def _cut(
+    points: FloatArray,
+    height: FloatArray,
+    peak_m: float,
+    settings: GroundSettings,
+    shared: GroundResult | None,
+) -> tuple[BoolArray, float | None, float | None, int | None]:
+    """Ground flags, threshold, its loss, and number of times it was lowered; see `GroundResult`."""
+    if settings.method == "none":
+        return np.zeros(len(points), dtype=np.bool_), None, None, None
+    if settings.method == "patchwork":
+        return _patchwork(points, peak_m), None, None, None
+    if shared is None or shared.threshold_m is None:
+        threshold_m, loss, iterations = _lower_threshold(points, height, peak_m, settings)
+        return height < threshold_m, threshold_m, loss, iterations
+    is_ground = height < shared.threshold_m
+    loss = _variance_loss(points, height, is_ground, peak_m, settings)
+    return is_ground, shared.threshold_m, loss, shared.iterations
+
+
+def _vertical_axis(points: FloatArray, notes: list[str]) -> tuple[FloatArray, float]:
+    """Axis of the heights, and the angle of the principal axis to +Z; +Z instead of one that is tilted too much."""
+    axis, tilt_deg = _up_axis(points)
+    if tilt_deg <= MAX_TILT_DEG:
+        return axis, tilt_deg
+    notes.append(f"the PCA axis is tilted by {tilt_deg:.1f} degrees (at most {MAX_TILT_DEG:.0f}); heights are along +Z")
+    return np.array([0.0, 0.0, 1.0]), tilt_deg
+
+
+def _find_peak(points: FloatArray, height: FloatArray, notes: list[str]) -> float:
+    """Height of the road."""
+    near = height[np.linalg.norm(points, axis=1) <= NEAR_M]
+    if not len(near):
+        notes.append(f"no point within {NEAR_M:.0f} m; the road's peak is that of all points")
+        near = height
+    return _fullest_window_median(near)
 
 
 def peaks_note(real_peak_m: float, sim_peak_m: float, settings: GroundSettings) -> str:
@@ -148,10 +174,8 @@ def peaks_note(real_peak_m: float, sim_peak_m: float, settings: GroundSettings) 
 
 def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:
     """Principal axis nearest +Z, pointing up, and its angle to +Z in degrees."""
-    from sklearn.decomposition import PCA
-
-    with np.errstate(divide="ignore", invalid="ignore"):  # the shares of a variance that underflows; not used
-        axes: FloatArray = PCA(n_components=3, svd_solver="full").fit(points).components_
+    centred = points - points.mean(axis=0)
+    axes: FloatArray = scipy.linalg.svd(centred, full_matrices=False)[2]
     axis = axes[np.argmax(np.abs(axes[:, 2]))]
     if axis[2] < 0:
         axis = -axis
@@ -175,21 +199,26 @@ def _follow_road(cut: GroundResult, real: FloatArray, sim: FloatArray) -> Ground
     """
     from scipy import ndimage
 
-    near = [side[np.linalg.norm(side, axis=1) <= NEAR_M] for side in (real, sim)]
-    cells = np.floor(np.vstack(near)[:, :2] / CELL_M).astype(np.int64)
+    near_real = real[np.linalg.norm(real, axis=1) <= NEAR_M]
+    near_sim = sim[np.linalg.norm(sim, axis=1) <= NEAR_M]
+    cells = np.floor(np.vstack([near_real, near_sim])[:, :2] / CELL_M).astype(np.int64)
     cells = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-    of_real, of_sim = cells[: len(near[0])], cells[len(near[0]) :]
+    of_real, of_sim = np.split(cells, [len(near_real)])
     common = np.intersect1d(of_real, of_sim)
     if len(common) < MIN_COMMON_CELLS:
         return None
-    above = ndimage.median(near[1] @ cut.axis, of_sim, common) - ndimage.median(near[0] @ cut.axis, of_real, common)
-    offset_m = _fullest_window_median(above)
+    height_real = ndimage.median(near_real @ cut.axis, of_real, common)
+    height_sim = ndimage.median(near_sim @ cut.axis, of_sim, common)
+    offset_m = _fullest_window_median(height_sim - height_real)
     threshold_m = None if cut.threshold_m is None else cut.threshold_m + offset_m
     return replace(cut, peak_m=cut.peak_m + offset_m, threshold_m=threshold_m)
 
 
 def _lower_threshold(
-    points: FloatArray, height: FloatArray, peak_m: float, settings: GroundSettings
+    points: FloatArray,
+    height: FloatArray,
+    peak_m: float,
+    settings: GroundSettings,
 ) -> tuple[float, float, int]:
     """Threshold, its loss, and the number of times it was lowered."""
     iterations = 0
@@ -203,7 +232,11 @@ def _lower_threshold(
 
 
 def _variance_loss(
-    points: FloatArray, height: FloatArray, removed: BoolArray, peak_m: float, settings: GroundSettings
+    points: FloatArray,
+    height: FloatArray,
+    removed: BoolArray,
+    peak_m: float,
+    settings: GroundSettings,
 ) -> float:
     """Share of the scan's variance that is lost with the removed points, by the definition that `loss` selects."""
     if settings.loss == "total":

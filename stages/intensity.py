@@ -12,14 +12,19 @@ from .arrays import BoolArray, FloatArray, IndexArray
 from .rays import INCIDENCE_EDGES_DEG, RANGE_EDGES_M, SAME, Rays
 
 #: Least number of returns from which a score is computed; of a bin of range and incidence.
-LEAST_RETURNS, _LEAST_OF_BIN = 100, 10
+LEAST_RETURNS = 100
+_LEAST_OF_BIN = 10
 #: An intensity is a function of range alone if groups of equal range explain this share of the variance of its ranks.
 OF_RANGE = 0.97
 _GROUPS = 20
 
 
 def score_intensity(
-    rays: Rays, intensity: Sequence[FloatArray | None], labels: IndexArray, *, has_one_scale: bool = False
+    rays: Rays,
+    intensity: Sequence[FloatArray | None],
+    labels: IndexArray,
+    *,
+    has_one_scale: bool = False,
 ) -> dict[str, Number | str]:
     """Scores of the intensities of a pair, by column of `pairs`; None if a side has none, or too few rays.
 
@@ -36,34 +41,65 @@ def score_intensity(
     has_one_scale : True if the intensities of both sides have one scale, so that their differences mean something
     """
     scores: dict[str, Number | str] = {}
-    notes, values = [], []
+    notes = []
+    of_rays = []
     is_compared = rays.outcome == SAME
-    returns = (rays.real_row, rays.real_range_m), (rays.sim_row, rays.sim_range_m)
-    for side, own, (rows, range_m) in zip(SIDES, intensity, returns, strict=True):
-        if own is None:
+    returns = ((rays.real_row, rays.real_range_m), (rays.sim_row, rays.sim_range_m))
+    for side, values, (rows, range_m) in zip(SIDES, intensity, returns, strict=True):
+        if values is None:
             notes.append(f"{side}: no intensity")
             continue
-        found = np.where(rows >= 0, own[rows], np.nan)
-        is_known = ~np.isnan(found)
-        groups = _equal_counts(range_m, is_known), _equal_counts(rays.incidence_deg, is_known), labels
-        for cause, group in zip(("range", "incidence", "class"), groups, strict=True):
-            scores[f"intensity_{side}_by_{cause}"] = explained_share(found, np.where(is_known, group, -1))
-        if law := intensity_law(found[is_known], range_m[is_known]):
+        of_ray = np.where(rows >= 0, values[rows], np.nan)
+        is_known = ~np.isnan(of_ray)
+        groups = {
+            "range": _equal_counts(range_m, is_known),
+            "incidence": _equal_counts(rays.incidence_deg, is_known),
+            "class": np.where(is_known, labels, -1),
+        }
+        for cause, group in groups.items():
+            scores[f"intensity_{side}_by_{cause}"] = explained_share(of_ray, group)
+        law = intensity_law(of_ray[is_known], range_m[is_known])
+        if law:
             notes.append(f"{side}: {law}")
         is_compared &= is_known
-        values.append(found)
-    if len(values) == len(SIDES) and is_compared.sum() >= LEAST_RETURNS:
-        real, sim = (own[is_compared] for own in values)
-        ranks = mean_ranks(real), mean_ranks(sim)
-        incidence_deg = np.nan_to_num(rays.incidence_deg, nan=-1.0)
-        bins = [np.digitize(rays.real_range_m, RANGE_EDGES_M), np.digitize(incidence_deg, INCIDENCE_EDGES_DEG)]
-        scores |= {
-            "intensity_rank_corr": float(np.corrcoef(*ranks)[0, 1]) if min(map(np.ptp, ranks)) else None,
-            "intensity_rank_distance": _rank_distance(*ranks, np.ravel_multi_index(bins, (16, 16))[is_compared]),
-            "intensity_ratio": float(sim.mean() / real.mean()) if real.mean() > 0 else None,
-            "intensity_rmse": float(np.sqrt(((sim - real) ** 2).mean())) if has_one_scale else None,
-        }
+        of_rays.append(of_ray)
+    if len(of_rays) == len(SIDES) and is_compared.sum() >= LEAST_RETURNS:
+        real, sim = of_rays
+        bins = _bins_of(rays)[is_compared]
+        scores |= _compare(real[is_compared], sim[is_compared], bins, has_one_scale)
     return scores | {"intensity_note": "; ".join(notes) or None}
+
+
+def _bins_of(rays: Rays) -> IndexArray:
+    """(n,) bin of range and incidence of each ray."""
+    incidence_deg = np.nan_to_num(rays.incidence_deg, nan=-1.0)
+    range_bin = np.digitize(rays.real_range_m, RANGE_EDGES_M)
+    incidence_bin = np.digitize(incidence_deg, INCIDENCE_EDGES_DEG)
+    return range_bin * (len(INCIDENCE_EDGES_DEG) + 1) + incidence_bin
+
+
+def _compare(
+    real: FloatArray,
+    sim: FloatArray,
+    bins: IndexArray,
+    has_one_scale: bool,
+) -> dict[str, Number | str]:
+    """Scores of the intensities that both sides have, by column of `pairs`."""
+    real_ranks = mean_ranks(real)
+    sim_ranks = mean_ranks(sim)
+    correlation = ratio = rmse = None
+    if np.ptp(real_ranks) and np.ptp(sim_ranks):
+        correlation = float(np.corrcoef(real_ranks, sim_ranks)[0, 1])
+    if real.mean() > 0:
+        ratio = float(sim.mean() / real.mean())
+    if has_one_scale:
+        rmse = float(np.sqrt(((sim - real) ** 2).mean()))
+    return {
+        "intensity_rank_corr": correlation,
+        "intensity_rank_distance": _rank_distance(real_ranks, sim_ranks, bins),
+        "intensity_ratio": ratio,
+        "intensity_rmse": rmse,
+    }
 
 
 def intensity_law(intensity: FloatArray, range_m: FloatArray) -> str:
@@ -77,7 +113,8 @@ def intensity_law(intensity: FloatArray, range_m: FloatArray) -> str:
         return ""
     if np.ptp(intensity) == 0:
         return f"constant ({intensity[0]:g})"
-    share = explained_share(intensity, _equal_counts(range_m, np.ones(len(range_m), dtype=np.bool_)))
+    groups = _equal_counts(range_m, np.ones(len(range_m), dtype=np.bool_))
+    share = explained_share(intensity, groups)
     return "a function of range alone" if share is not None and share >= OF_RANGE else ""
 
 
@@ -96,7 +133,8 @@ def explained_share(intensity: FloatArray, groups: IndexArray) -> float | None:
     >>> explained_share(np.repeat([10.0, 20.0], 100), np.repeat([0, 1], 100))
     1.0
     """
-    intensity, groups = intensity[groups >= 0], groups[groups >= 0]
+    intensity = intensity[groups >= 0]
+    groups = groups[groups >= 0]
     if len(intensity) < LEAST_RETURNS or np.ptp(intensity) == 0:
         return None
     ranks = mean_ranks(intensity) - 0.5
@@ -123,16 +161,19 @@ def _equal_counts(values: FloatArray, is_chosen: BoolArray) -> IndexArray:
     is_known = is_chosen & ~np.isnan(values)
     known = values[is_known]
     if len(known):
-        groups[is_known] = np.searchsorted(np.quantile(known, np.arange(1, _GROUPS) / _GROUPS), known)
+        limits = np.quantile(known, np.arange(1, _GROUPS) / _GROUPS)
+        groups[is_known] = np.searchsorted(limits, known)
     return groups
 
 
 def _rank_distance(real: FloatArray, sim: FloatArray, bins: IndexArray) -> float | None:
     """Mean over rays of the Wasserstein distance between the ranks of both sides in the ray's bin."""
-    total, n_rays = 0.0, 0
+    total = 0.0
+    n_rays = 0
     for number in np.unique(bins):
-        own = bins == number
-        if (n := int(own.sum())) >= _LEAST_OF_BIN:
-            total += float(np.abs(np.sort(real[own]) - np.sort(sim[own])).sum())
+        is_in = bins == number
+        n = int(is_in.sum())
+        if n >= _LEAST_OF_BIN:
+            total += float(np.abs(np.sort(real[is_in]) - np.sort(sim[is_in])).sum())
             n_rays += n
     return total / n_rays if n_rays else None

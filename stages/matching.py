@@ -64,7 +64,13 @@ def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSetti
     )
 
 
-def match_reference(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: IntArray, min_points: int) -> Matching:
+def match_reference(
+    real: FloatArray,
+    sim: FloatArray,
+    n_real: IntArray,
+    n_sim: IntArray,
+    min_points: int,
+) -> Matching:
     """Match reference objects, whose ids are the same on both sides, if enough of them is simulated.
 
     A real object is matched with the simulated one of its id, regardless of the distance, if that has at least
@@ -97,12 +103,18 @@ def match_reference(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: 
     )
 
 
-def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArray, IndexArray, FloatArray]:
+def _greedy(
+    real: FloatArray,
+    sim: FloatArray,
+    delta_m: float,
+) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Real and simulated ids of Algorithm 1 and their distances, by real id; one row of distances at a time."""
     is_taken = np.zeros(len(sim), dtype=np.bool_)
-    pairs, distance_m = [], []
+    pairs = []
+    distance_m = []
     for real_id in range(len(real)):
-        distance = np.where(is_taken, np.inf, scipy.spatial.distance.cdist(real[real_id : real_id + 1], sim)[0])
+        distance = scipy.spatial.distance.cdist(real[real_id : real_id + 1], sim)[0]
+        distance[is_taken] = np.inf
         sim_id = int(np.argmin(distance))
         if distance[sim_id] < delta_m:
             pairs.append((real_id, sim_id))
@@ -112,12 +124,17 @@ def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArr
     return matched[:, 0], matched[:, 1], np.array(distance_m, dtype=np.float64)
 
 
-def _optimal(real: FloatArray, sim: FloatArray, delta_m: float) -> tuple[IndexArray, IndexArray, FloatArray]:
+def _optimal(
+    real: FloatArray,
+    sim: FloatArray,
+    delta_m: float,
+) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Ids of the largest number of pairs at the smallest total distance, and their distances, by real id."""
     distance = scipy.spatial.distance.cdist(real, sim)
     # A forbidden pair costs more than all allowed ones together, so the solution has as few of them as possible.
     forbidden = delta_m * (min(distance.shape) + 1)
-    real_ids, sim_ids = scipy.optimize.linear_sum_assignment(np.where(distance < delta_m, distance, forbidden))
+    cost = np.where(distance < delta_m, distance, forbidden)
+    real_ids, sim_ids = scipy.optimize.linear_sum_assignment(cost)
     distance_m = distance[real_ids, sim_ids]
     allowed = distance_m < delta_m
     return real_ids[allowed], sim_ids[allowed], distance_m[allowed]

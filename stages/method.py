@@ -24,12 +24,16 @@ from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
 from .matching import Matching, match_communities, match_reference
 from .metrics import Scores, score_object
 from .objects import Objects, describe_objects
-from .reference import Annotation, ReferenceObjects, assign_to_reference, find_reference_objects, visiting_order
+from .reference import (
+    Annotation,
+    ReferenceObjects,
+    assign_to_reference,
+    find_reference_objects,
+    visiting_order,
+)
 from .selection import Selection, select_nodes
 from .summary import summarise_pair
 from .surface import Offsets, compare_roughness, describe_surface, measure_offsets
-
-_COUNTS = ("n_matched", "n_missing", "n_hallucinated")
 
 
 def remove_road(
@@ -59,16 +63,19 @@ def remove_road(
     StageError
         Fewer than 8 points are left.
     """
-    own, ground = settings.input, settings.ground
+    ground = settings.ground
     with watch("clean"):
-        clean = clean_scan(points, own, frame=own.frame_of(side), T_real_sim=T_real_sim)
-    if len(clean.points) < MIN_OBJECT_POINTS:
-        raise StageError(too_few_left(len(clean.points), MIN_OBJECT_POINTS, clean.dropped, own))
-    follows_real = ground.shared or ground.peak == "real"
+        frame = settings.input.frame_of(side)
+        clean = clean_scan(points, settings.input, frame=frame, T_real_sim=T_real_sim)
+    n_left = len(clean.points)
+    if n_left < MIN_OBJECT_POINTS:
+        raise StageError(too_few_left(n_left, MIN_OBJECT_POINTS, clean.dropped, settings.input))
+    if ground.shared:
+        real_points = None
+    elif ground.peak != "real":
+        real_cut = None
     with watch("ground"):
-        cut = remove_ground(
-            clean.points, ground, real_cut if follows_real else None, None if ground.shared else real_points
-        )
+        cut = remove_ground(clean.points, ground, real_cut, real_points)
     return clean, cut
 
 
@@ -92,19 +99,24 @@ def partition(
     annotation : for the real side, labels and instances of these points, if `communities.reference` uses them
     watch : entered around the steps louvain and describe
     """
-    own = settings.communities
+    communities = settings.communities
     # "From Point Clouds to Graphs"
     edges = build_graph(points, settings.graph) if edges is None else edges
     # "Object-Level Decomposition via Communities"
     with watch("louvain"):
-        if own.objects == "independent":
-            labels = find_communities(len(points), edges, own)
+        if communities.objects == "independent":
+            labels = find_communities(len(points), edges, communities)
         elif reference is None:
-            labels = find_reference_objects(points, edges, own, annotation)
+            labels = find_reference_objects(points, edges, communities, annotation)
         else:
-            labels = assign_to_reference(points, reference, own, settings.pieces.link_m)
+            labels = assign_to_reference(points, reference, communities, settings.pieces.link_m)
     with watch("describe"):
-        objects = describe(points, labels, settings, 0 if reference is None else reference.n_objects)
+        objects = describe(
+            points,
+            labels,
+            settings,
+            0 if reference is None else reference.n_objects,
+        )
     return PartitionedScan(points, edges, labels, objects)
 
 
@@ -124,7 +136,13 @@ def describe(points: FloatArray, labels: IntArray, settings: Settings, n_ids: in
     return describe_objects(points[order], labels[order], n_ids)
 
 
-def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, memo: Memo | None = None) -> PairScores:
+def compare(
+    real: PartitionedScan,
+    sim: PartitionedScan,
+    settings: Settings,
+    *,
+    memo: Memo | None = None,
+) -> PairScores:
     """Match the objects of both sides and score them; returns matching, scores and summary.
 
     Parameters
@@ -136,7 +154,11 @@ def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, 
     """
     # "Community Matching", Algorithm 1
     matching = match_objects(
-        real.objects.centroid, sim.objects.centroid, real.objects.n_points, sim.objects.n_points, settings
+        real.objects.centroid,
+        sim.objects.centroid,
+        real.objects.n_points,
+        sim.objects.n_points,
+        settings,
     )
 
     # "Heat-Kernel Node Selection", Algorithm 2, then CDC, r_gap and r_lambda of each object
@@ -152,7 +174,13 @@ def compare(real: PartitionedScan, sim: PartitionedScan, settings: Settings, *, 
     return PairScores(matching, objects, _summarise(real, sim, matching, objects))
 
 
-def match_objects(real: FloatArray, sim: FloatArray, n_real: IntArray, n_sim: IntArray, settings: Settings) -> Matching:
+def match_objects(
+    real: FloatArray,
+    sim: FloatArray,
+    n_real: IntArray,
+    n_sim: IntArray,
+    settings: Settings,
+) -> Matching:
     """Match the objects of both sides: by centroids, or by ids if the real side determines the objects.
 
     Parameters
@@ -185,12 +213,13 @@ def measure_coverage(
     """
     with watch("nearest"):
         distances_m = nearest_distances(points[0], points[1])
-    found = []
-    for own, distance_m, ids, n_ids, cut in zip(points, distances_m, labels, n_objects, reversed(cuts), strict=True):
-        is_road = below_cut(own, *cut)
-        whole = cover(distance_m, np.zeros(len(own), dtype=np.int32), is_road=is_road)
-        found.append((cover(distance_m, ids, n_ids, is_road), whole))
-    return found
+    coverages = []
+    for i, distance_m in enumerate(distances_m):
+        is_road = below_cut(points[i], *cuts[1 - i])
+        of_objects = cover(distance_m, labels[i], n_objects[i], is_road)
+        whole = cover(distance_m, np.zeros(len(distance_m), dtype=np.int32), is_road=is_road)
+        coverages.append((of_objects, whole))
+    return coverages
 
 
 #: Displacement of the whole surface (one row) and of each real object, and roughness by column of `pairs`.
@@ -198,7 +227,10 @@ SurfaceScores = tuple[Offsets, Offsets, dict[str, Number]]
 
 
 def measure_surface(
-    real: FloatArray, sim: FloatArray, real_labels: IntArray, watch: Watch = unwatched
+    real: FloatArray,
+    sim: FloatArray,
+    real_labels: IntArray,
+    watch: Watch = unwatched,
 ) -> SurfaceScores:
     """Displacement of the whole simulated surface (one row) and of each real object; roughness by column of `pairs`.
 
@@ -230,8 +262,11 @@ def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredO
 
 def n_communities(summary: Mapping[str, Number]) -> dict[str, int]:
     """Number of objects of each side, by column of `pairs`; the few points of a missing object do not count."""
-    n_matched, n_missing, n_hallucinated = (int(summary[name] or 0) for name in _COUNTS)
-    return {"n_communities_real": n_matched + n_missing, "n_communities_sim": n_matched + n_hallucinated}
+    n_matched = int(summary["n_matched"] or 0)
+    return {
+        "n_communities_real": n_matched + int(summary["n_missing"] or 0),
+        "n_communities_sim": n_matched + int(summary["n_hallucinated"] or 0),
+    }
 
 
 def graph_of(points: FloatArray, settings: Settings) -> Subgraph:
@@ -302,14 +337,22 @@ class PairScores:
 
 
 def _summarise(
-    real: PartitionedScan, sim: PartitionedScan, matching: Matching, objects: tuple[ScoredObject, ...]
+    real: PartitionedScan,
+    sim: PartitionedScan,
+    matching: Matching,
+    objects: tuple[ScoredObject, ...],
 ) -> dict[str, Number]:
     """The summary of a pair, from the scores of its objects."""
-    distances_m = matching.distance_m.tolist()
-    rows = [{"centroid_distance_m": m} | vars(own.scores) for m, own in zip(distances_m, objects, strict=True)]
+    scores: dict[str, FloatArray] = {}
+    for name in OBJECT_METRICS:
+        if name == "centroid_distance_m":
+            scores[name] = matching.distance_m
+        else:
+            values = [getattr(scored.scores, name) for scored in objects]
+            scores[name] = np.array(values, dtype=np.float64)
     return summarise_pair(
-        {name: np.array([row[name] for row in rows], dtype=np.float64) for name in OBJECT_METRICS},
-        [own.scores.status for own in objects],
+        scores,
+        [scored.scores.status for scored in objects],
         real.objects.range_m[matching.real_ids],
         real.objects.range_m[matching.missing],
         sim.objects.range_m[matching.hallucinated],

@@ -35,7 +35,13 @@ class Scores:
     gap_sim: float | None = None
 
 
-def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: Watch = unwatched) -> Scores:
+def score_object(
+    real: Subgraph,
+    sim: Subgraph,
+    selection: Selection,
+    *,
+    watch: Watch = unwatched,
+) -> Scores:
     """Compute geometry (CDC) and structure (r_lambda, r_gap) scores of one matched object.
 
     With L_real, L_sim the normalised Laplacians of the reduced subgraphs, rows and columns of L_sim in the aligned
@@ -61,29 +67,42 @@ def score_object(real: Subgraph, sim: Subgraph, selection: Selection, *, watch: 
     rms_m = _alignment_rms(real.points[selection.real_nodes], sim.points[selection.sim_nodes])
     n_keep = len(selection.real_nodes)
     if n_keep < MIN_NODES:
-        return Scores(
-            cdc, rms_m, "too_small", f"{n_keep} aligned nodes, at least {MIN_NODES} are needed for a spectrum"
-        )
+        reason = f"{n_keep} aligned nodes, at least {MIN_NODES} are needed for a spectrum"
+        return Scores(cdc, rms_m, "too_small", reason)
     with watch("laplacian"):
         laplacian_real = induced_laplacian(real, selection.real_nodes)
         laplacian_sim = induced_laplacian(sim, selection.sim_nodes)
     with watch("norm"):
-        change = min(MAX_CHANGE, spectral_norm(laplacian_sim - laplacian_real))  # an excess is rounding
+        change = spectral_norm(laplacian_sim - laplacian_real)
+    change = min(MAX_CHANGE, change)  # an excess is rounding
     with watch("spectra"):
         spectrum_real = eigenvalues(laplacian_real)
-        spectrum_sim = eigenvalues(laplacian_sim) if change > 0 else spectrum_real  # of equal matrices, exactly equal
-    shift = min(MAX_CHANGE, float(np.max(np.abs(spectrum_sim - spectrum_real))))
-    gap_real, gap_sim = (float(spectrum[1] - spectrum[0]) for spectrum in (spectrum_real, spectrum_sim))
-    is_identical = change <= IDENTICAL_CHANGE
+        spectrum_sim = spectrum_real  # of equal matrices, exactly equal
+        if change > 0:
+            spectrum_sim = eigenvalues(laplacian_sim)
+    return _compare_spectra(cdc, rms_m, change, spectrum_real, spectrum_sim)
+
+
+def _compare_spectra(cdc: float, rms_m: float, change: float, real: FloatArray, sim: FloatArray) -> Scores:
+    """Scores of an object from the change of its Laplacian and the spectra of both sides."""
+    shift = min(MAX_CHANGE, float(np.max(np.abs(sim - real))))
+    gap_real = float(real[1] - real[0])
+    gap_sim = float(sim[1] - sim[0])
+    status = "identical"
+    r_lambda = r_gap = 0.0
+    if change > IDENTICAL_CHANGE:
+        status = "scored"
+        r_lambda = min(1.0, shift / change)
+        r_gap = min(0.5, abs(gap_sim - gap_real) / (2 * change))
     return Scores(
         cdc=cdc,
         alignment_rms_m=rms_m,
-        status="identical" if is_identical else "scored",
-        r_lambda=0.0 if is_identical else min(1.0, shift / change),
-        r_gap=0.0 if is_identical else min(0.5, abs(gap_sim - gap_real) / (2 * change)),
+        status=status,
+        r_lambda=r_lambda,
+        r_gap=r_gap,
         max_eigenvalue_shift=shift,
         laplacian_change=change,
-        eigenspectrum_distance=float(np.linalg.norm(spectrum_sim - spectrum_real)),
+        eigenspectrum_distance=float(np.linalg.norm(sim - real)),
         gap_real=gap_real,
         gap_sim=gap_sim,
     )

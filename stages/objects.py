@@ -49,15 +49,16 @@ def describe_objects(points: FloatArray, labels: IntArray, n_ids: int = 0) -> Ob
     >>> objects.n_points.tolist(), objects.range_m.tolist(), objects.shape[0].tolist()
     ([2, 1], [4.0, 9.0], [1.0, 0.0, 0.0])
     """
-    points, labels = points[labels >= 0], labels[labels >= 0]
+    points = points[labels >= 0]
+    labels = labels[labels >= 0]
     order = np.argsort(labels, kind="stable")
     n_points = np.bincount(labels, minlength=n_ids).astype(np.int32)
     members = np.split(points[order], np.cumsum(n_points)[:-1])
-    nothing = np.full(3, np.nan)
-    centroid = np.array([own.mean(axis=0) if len(own) else nothing for own in members])
-    extent = np.array([np.ptp(own, axis=0) if len(own) else nothing for own in members])
-    shape = np.array([_shape(own) if len(own) else nothing for own in members])
-    return Objects(n_points, centroid, extent, shape)
+    described = np.full((3, len(members), 3), np.nan)
+    for i, member in enumerate(members):
+        if len(member):
+            described[:, i] = (member.mean(axis=0), np.ptp(member, axis=0), _shape(member))
+    return Objects(n_points, *described)
 
 
 def majority_labels(labels: IntArray, names: list[str | None], n_ids: int = 0) -> list[str | None]:
@@ -73,13 +74,20 @@ def majority_labels(labels: IntArray, names: list[str | None], n_ids: int = 0) -
     for community, name in zip(labels.tolist(), names, strict=True):
         if name is not None and community >= 0:
             counts[community][name] = counts[community].get(name, 0) + 1
-    return [min(count, key=lambda name: (-count[name], name)) if count else None for count in counts]
+    return [_most_frequent(count) if count else None for count in counts]
+
+
+def _most_frequent(count: dict[str, int]) -> str:
+    """The name that occurs most, for equal counts the first in the alphabet."""
+    return min(count, key=lambda name: (-count[name], name))
 
 
 def _shape(points: FloatArray) -> tuple[float, float, float]:
     """Linearity, planarity and scattering of the points of one community."""
     centred = points - points.mean(axis=0)
-    centred = np.ldexp(centred, -np.frexp(np.abs(centred).max())[1])  # about 1: squares of 1e-200 m would be 0
+    # Scaled to about 1: squares of 1e-200 m would be 0.
+    exponent = np.frexp(np.abs(centred).max())[1]
+    centred = np.ldexp(centred, -exponent)
     l3, l2, l1 = np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(points)), 0.0)
     if l1 <= 0:
         return 0.0, 0.0, 0.0

@@ -22,7 +22,8 @@ MOVED_WITHIN_M = 3.0
 #: ... and if their extents differ, along each axis, by at most this or by a third of the larger one.
 SIZE_SLACK_M = 0.5
 SIZE_SLACK = 1 / 3
-_ROUNDED_DIGITS, _ROUNDING_M = 9, 1e-6  #: two distances that differ by less are equal
+_ROUNDED_DIGITS = 9
+_ROUNDING_M = 1e-6  #: two distances that differ by less are equal
 
 
 @dataclass(frozen=True)
@@ -80,19 +81,37 @@ def find_pieces(real: CutScan, sim: CutScan, settings: PieceSettings) -> tuple[P
     real, sim : all clean points of both sides, at least one object point each
     settings : reach_m, link_m, min_points
     """
-    labels = [label_pieces(own, other, settings) for own, other in ((real, sim), (sim, real))]
-    objects = [_describe(own, ids) for own, ids in zip((real, sim), labels, strict=True)]
-    links = _match_moved(*objects)
-    vectors = objects[1].centroid[links[1]] - objects[0].centroid[links[0]]
-    found = []
-    for i, own in enumerate((real, sim)):
-        n = len(objects[i].n_points)
-        partner, moved_m, lowest = np.full(n, -1, np.int32), np.full((n, 3), np.nan), np.full(n, np.inf)
-        partner[links[i]], moved_m[links[i]] = links[1 - i], vectors
-        np.minimum.at(lowest, labels[i][labels[i] >= 0], own.height_m[labels[i] >= 0])
-        share = int(objects[i].n_points.sum()) / int(np.count_nonzero(~own.is_ground))
-        found.append(Pieces(labels[i], share, objects[i], lowest, partner, moved_m))
-    return found[0], found[1]
+    labels_real = label_pieces(real, sim, settings)
+    labels_sim = label_pieces(sim, real, settings)
+    missing = _describe(real.points, labels_real)
+    invented = _describe(sim.points, labels_sim)
+    missing_ids, invented_ids = _match_moved(missing, invented)
+    moved_m = invented.centroid[invented_ids] - missing.centroid[missing_ids]
+    return (
+        _pieces(real, labels_real, missing, missing_ids, invented_ids, moved_m),
+        _pieces(sim, labels_sim, invented, invented_ids, missing_ids, moved_m),
+    )
+
+
+def _pieces(
+    side: CutScan,
+    labels: IntArray,
+    objects: Objects,
+    ids: IndexArray,
+    partner_ids: IndexArray,
+    moved_m: FloatArray,
+) -> Pieces:
+    """Pieces of a side; those of these ids have moved, from or to those of the other side."""
+    n = len(objects.n_points)
+    partner = np.full(n, -1, np.int32)
+    partner[ids] = partner_ids
+    moved = np.full((n, 3), np.nan)
+    moved[ids] = moved_m
+    is_in = labels >= 0
+    lowest_m = np.full(n, np.inf)
+    np.minimum.at(lowest_m, labels[is_in], side.height_m[is_in])
+    share = int(objects.n_points.sum()) / int(np.count_nonzero(~side.is_ground))
+    return Pieces(labels, share, objects, lowest_m, partner, moved)
 
 
 def count_pieces(missing: Pieces, invented: Pieces) -> dict[str, Number]:
@@ -105,37 +124,44 @@ def count_pieces(missing: Pieces, invented: Pieces) -> dict[str, Number]:
     }
 
 
-def label_pieces(own: CutScan, other: CutScan, settings: PieceSettings) -> IntArray:
+def label_pieces(side: CutScan, other: CutScan, settings: PieceSettings) -> IntArray:
     """Piece of each clean point of a side, (n,) int32, -1 for none."""
-    labels = np.full(len(own.points), -1, dtype=np.int32)
-    objects = np.flatnonzero(~own.is_ground)
-    distance_m, _ = scipy.spatial.cKDTree(other.points).query(own.points[objects])
+    labels = np.full(len(side.points), -1, dtype=np.int32)
+    objects = np.flatnonzero(~side.is_ground)
+    distance_m, _ = scipy.spatial.cKDTree(other.points).query(side.points[objects])
     uncovered = objects[distance_m > settings.reach_m]
-    uncovered = uncovered[np.lexsort(own.points[uncovered].T[::-1])]
-    ids = canonical_ids(connected_points(own.points[uncovered], settings.link_m))
+    uncovered = uncovered[np.lexsort(side.points[uncovered].T[::-1])]
+    ids = canonical_ids(connected_points(side.points[uncovered], settings.link_m))
     is_large = np.bincount(ids)[ids] >= settings.min_points  # the largest have the first ids
     labels[uncovered[is_large]] = ids[is_large]
     return labels
 
 
-def _describe(own: CutScan, labels: IntArray) -> Objects:
+def _describe(points: FloatArray, labels: IntArray) -> Objects:
     """Size and place of the pieces of a side; independent of row order to the last bit."""
     inside = np.flatnonzero(labels >= 0)
     if not len(inside):
-        return Objects(np.empty(0, dtype=np.int32), *(np.empty((0, 3)) for _ in range(3)))
-    inside = inside[np.lexsort(own.points[inside].T[::-1])]
-    return describe_objects(own.points[inside], labels[inside])
+        nothing = np.empty((0, 3))
+        return Objects(np.empty(0, dtype=np.int32), nothing, nothing, nothing)
+    inside = inside[np.lexsort(points[inside].T[::-1])]
+    return describe_objects(points[inside], labels[inside])
 
 
 def _match_moved(missing: Objects, invented: Objects) -> tuple[IndexArray, IndexArray]:
     """Ids, (m,) and (m,), of missing and invented pieces that are each other's nearest of similar size."""
-    trees = (scipy.spatial.cKDTree(own.centroid) for own in (missing, invented))
-    near = next(trees).sparse_distance_matrix(next(trees), MOVED_WITHIN_M + _ROUNDING_M, output_type="ndarray")
-    i, j, apart_m = near["i"], near["j"], np.round(near["v"], _ROUNDED_DIGITS)
-    a, b = missing.extent[i], invented.extent[j]
-    is_similar = (np.abs(a - b) <= np.maximum(SIZE_SLACK_M, SIZE_SLACK * np.maximum(a, b))).all(axis=1)
+    tree = scipy.spatial.cKDTree(missing.centroid)
+    other = scipy.spatial.cKDTree(invented.centroid)
+    near = tree.sparse_distance_matrix(other, MOVED_WITHIN_M + _ROUNDING_M, output_type="ndarray")
+    i = near["i"]
+    j = near["j"]
+    apart_m = np.round(near["v"], _ROUNDED_DIGITS)
+    a = missing.extent[i]
+    b = invented.extent[j]
+    slack_m = np.maximum(SIZE_SLACK_M, SIZE_SLACK * np.maximum(a, b))
+    is_similar = (np.abs(a - b) <= slack_m).all(axis=1)
     chosen = np.lexsort((j, i, apart_m))
     chosen = chosen[(is_similar & (apart_m <= MOVED_WITHIN_M))[chosen]]
-    first_of_i, first_of_j = (np.unique(ids[chosen], return_index=True)[1] for ids in (i, j))
+    _, first_of_i = np.unique(i[chosen], return_index=True)
+    _, first_of_j = np.unique(j[chosen], return_index=True)
     both = chosen[np.intersect1d(first_of_i, first_of_j)]
     return i[both], j[both]

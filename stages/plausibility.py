@@ -45,12 +45,13 @@ def inspect_points(points: FloatArray, side: str, settings: InputSettings) -> Sc
     side : "real" or "sim"
     """
     is_finite = np.isfinite(points).all(axis=1)
-    own = as_ros(points[is_finite & points.any(axis=1)], settings.frame_of(side))
-    warnings = implausible(own, side, settings.min_range_m)
-    if len(points) and (share := 1.0 - float(is_finite.mean())) > _MAX_NOT_FINITE:
+    measured = as_ros(points[is_finite & points.any(axis=1)], settings.frame_of(side))
+    warnings = implausible(measured, side, settings.min_range_m)
+    share = 1.0 - float(is_finite.mean()) if len(points) else 0.0
+    if share > _MAX_NOT_FINITE:
         dropped = f"{share:.0%} of the points are not finite (NaN or infinite) and are dropped"
         warnings.append(f"{dropped}; is the export complete?")
-    return ScanInspection(widest_azimuth_gap_deg(own), tuple(warnings))
+    return ScanInspection(widest_azimuth_gap_deg(measured), tuple(warnings))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # distances may be infinite
@@ -71,12 +72,11 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     reach = np.abs([low, high]).max()
     if reach > FAR_COORDINATE_M:
         unit = _unit(low, high)
-        reach_words = f"{reach:.0f} m" if reach < FARTHEST_M else f"{reach:.0e} m"
-        odd.append(
-            f"coordinates reach {reach_words}; expected metres: are they {unit}?"
-            if unit
-            else f"coordinates reach {reach_words}; a scan has its sensor at (0, 0, 0): are they projected?"
-        )
+        words = f"{reach:.0f} m" if reach < FARTHEST_M else f"{reach:.0e} m"
+        question = "a scan has its sensor at (0, 0, 0): are they projected?"
+        if unit:
+            question = f"expected metres: are they {unit}?"
+        odd.append(f"coordinates reach {words}; {question}")
     elif spread.max() < SMALLEST_EXTENT_M:
         odd.append(f"all points are within {spread.max():.2g} m; expected metres")
     elif spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
@@ -101,14 +101,17 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
         left = float(np.mean((range_m >= min_range_m) & (range_m < EGO_RANGE_M)))
         odd.append(
             f"{near:.0%} of the points are within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
-            + (
-                f"{left:.1%} are kept by input.min_range_m={min_range_m:g}; input.min_range_m={EGO_RANGE_M:g} or "
-                "input.exclude_box drops them"
-                if left >= 0.0005
-                else f"they are already dropped by input.min_range_m={min_range_m:g}"
-            )
+            + _advice_on_near_points(left, min_range_m)
         )
     return odd
+
+
+def _advice_on_near_points(left: float, min_range_m: float) -> str:
+    """What to do about points on the ego vehicle, by the share that is kept."""
+    setting = f"input.min_range_m={min_range_m:g}"
+    if left < 0.0005:
+        return f"they are already dropped by {setting}"
+    return f"{left:.1%} are kept by {setting}; input.min_range_m={EGO_RANGE_M:g} or input.exclude_box drops them"
 
 
 def _axes_question(points: FloatArray, spread: FloatArray, side: str) -> str:
@@ -127,7 +130,8 @@ def _are_angles(points: FloatArray) -> bool:
     for turn, right_angle in ((360.0, 90.0), (2 * np.pi, np.pi / 2)):
         uneven = np.abs(np.diff(quantiles, axis=0) / np.maximum(spans, 1e-9) - 0.25).max(axis=0)
         is_azimuth = (spans > 0.9 * turn) & (spans < 1.001 * turn) & (uneven < _EVEN)
-        is_elevation = (np.abs(quantiles) <= right_angle).all(axis=0) & (quantiles[0] < 0) & ~is_azimuth
+        is_small = (np.abs(quantiles) <= right_angle).all(axis=0)
+        is_elevation = is_small & (quantiles[0] < 0) & ~is_azimuth
         is_range = (quantiles[0] >= 0) & ~is_azimuth & ~is_elevation
         if is_azimuth.any() and is_elevation.any() and is_range.any():
             return True

@@ -18,21 +18,36 @@ from .statistics.findings import BAND_EDGES_M
 OUTCOMES = ("same", "in_front", "behind", "dropped", "no_surface", "sim_only", "none")
 SAME, IN_FRONT, BEHIND, DROPPED, NO_SURFACE, SIM_ONLY, NONE = range(len(OUTCOMES))
 #: Ranges agree if they differ by at most this, or by three standard deviations of the noise of both sides.
-SAME_M, SAME_SIGMAS = 0.1, 3.0
+SAME_M = 0.1
+SAME_SIGMAS = 3.0
 #: A real return without a simulated one was dropped if there is simulated surface within this distance.
 SURFACE_M = 0.3
 #: Two returns belong to one ray if their directions differ by at most this number of cells, root of the sum of squares.
 REACH = 0.75
 #: Edges of the bands in which rays are scored; the last has no end.
-RANGE_EDGES_M, INCIDENCE_EDGES_DEG = BAND_EDGES_M, (0.0, 30.0, 60.0, 75.0, 85.0)
+RANGE_EDGES_M = BAND_EDGES_M
+INCIDENCE_EDGES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
 #: Edges of the directions in which rays are scored.
 AZIMUTH_EDGES_DEG = tuple(range(-180, 181, 45))
-_CANDIDATES, _NEIGHBOURS = 6, 8
+_RANGE_SCORES = (
+    "rays_bias_m",
+    "rays_bias_low_m",
+    "rays_bias_high_m",
+    "rays_scale",
+    "rays_mae_m",
+    "rays_medae_m",
+    "rays_p90_m",
+    "rays_rmse_m",
+)
+_CANDIDATES = 6
+_NEIGHBOURS = 8
 _PHASE_CELLS = 32  # columns over which the columns of the two sides keep their phase
 _STEADY = 0.5  # resultant length of phases that agree
-_ADJACENT = 1.3  # steps between two firings, none of them lost; columns of HDL-64E jitter by half a step
+#: Steps between two firings, none of them lost; columns of HDL-64E jitter by half a step.
+_ADJACENT = 1.3
 _FINER = 1.2  # ratio of steps
-_SQUEEZE, _LEAST_ROWS = 4.0, 0.6
+_SQUEEZE = 4.0
+_LEAST_ROWS = 0.6
 _ROW = 0.35  # rows; neighbours along a row are within it
 _NEAR_ROW = (0.5, 1.6)
 _GRAZING = 0.02  # cosine of incidence
@@ -60,7 +75,11 @@ class RayGrid:
         height: float | FloatArray = 0.0
         if self.origin_height_m:
             seen = np.degrees(np.arctan2(points[:, 2] - np.mean(self.origin_height_m), level))
-            height = np.where(seen < self.block_deg, self.origin_height_m[0], self.origin_height_m[-1])
+            height = np.where(
+                seen < self.block_deg,
+                self.origin_height_m[0],
+                self.origin_height_m[-1],
+            )
         return np.degrees(np.arctan2(points[:, 2] - height, level))
 
     def beam_of(self, points: FloatArray) -> IndexArray:
@@ -104,7 +123,11 @@ class Rays:
 
 
 def compare_rays(
-    real: FloatArray, sim: FloatArray, real_grid: RayGrid, sim_grid: RayGrid, noise_m: float = 0.0
+    real: FloatArray,
+    sim: FloatArray,
+    real_grid: RayGrid,
+    sim_grid: RayGrid,
+    noise_m: float = 0.0,
 ) -> Rays:
     """Pair the returns of both sides by direction and compare their ranges.
 
@@ -125,50 +148,75 @@ def compare_rays(
     """
     step = max(real_grid.step_deg, sim_grid.step_deg)
     limits, rows = _rows_of(real_grid, sim_grid)
-    a = _Side(real, real_grid, step, limits, rows)
-    b = _Side(sim, sim_grid, step, limits, rows)
-    partner = _partners(a, b)
-    of_sim = np.full(len(sim), -1)
-    both = np.flatnonzero(partner >= 0)
-    of_sim[partner[both]] = both
+    real_side = _Side(real, real_grid, step, limits, rows)
+    sim_side = _Side(sim, sim_grid, step, limits, rows)
     lowest, highest = np.interp(real_grid.elevation_deg[[0, -1]], limits, rows)
-    is_seen = (b.place[:, 1] >= lowest - REACH) & (b.place[:, 1] <= highest + REACH)
-    only_real = _without_finer(np.flatnonzero(partner < 0), a, b)
-    only_sim = _without_finer(np.flatnonzero((of_sim < 0) & is_seen), b, a)
-    met, single = b.normals(partner[both]), [side.normals(rows) for side, rows in ((a, only_real), (b, only_sim))]
-    ranges = _range_along(real[both] / a.range_m[both, None], sim[partner[both]], met)
-    difference = ranges - a.range_m[both]
-    is_same = np.abs(difference) <= max(SAME_M, SAME_SIGMAS * noise_m)
-    surface = scipy.spatial.cKDTree(sim, balanced_tree=False)
-    is_far = surface.query(real[only_real], distance_upper_bound=SURFACE_M)[0] > SURFACE_M
-    n_real, n_sim = len(only_real), len(only_sim)
-    real_row = np.concatenate([both, only_real, np.full(n_sim, -1)])
-    sim_row = np.concatenate([partner[both], np.full(n_real, -1), only_sim])
-    is_real = real_row >= 0
-    return _in_grid(
-        beam=np.where(is_real, a.beam[real_row], real_grid.beam_of(sim)[sim_row]),
-        azimuth=np.where(is_real, a.place[real_row, 0], b.place[sim_row, 0]),
-        n_beams=len(real_grid.elevation_deg),
-        n_columns=round(a.width),
-        real_row=real_row,
-        sim_row=sim_row,
-        real_range_m=np.where(is_real, a.range_m[real_row], np.nan),
-        sim_range_m=np.concatenate([ranges, np.full(n_real, np.nan), b.range_m[only_sim]]),
-        outcome=np.concatenate(
-            [
-                np.where(is_same, SAME, np.where(difference < 0, IN_FRONT, BEHIND)),
-                np.where(is_far, NO_SURFACE, DROPPED),
-                np.full(n_sim, SIM_ONLY),
-            ]
-        ),
-        incidence_deg=np.concatenate(
-            [
-                b.incidence_deg(partner[both], met),
-                a.incidence_deg(only_real, single[0]),
-                b.incidence_deg(only_sim, single[1]),
-            ]
-        ),
+    sim_rows = sim_side.place[:, 1]
+    is_between = (sim_rows >= lowest - REACH) & (sim_rows <= highest + REACH)
+    both, both_sim, only_real, only_sim = _sort_returns(real_side, sim_side, is_between)
+
+    normal = sim_side.normals(both_sim)
+    directions = real[both] / real_side.range_m[both, None]
+    along_m = _range_along(directions, sim[both_sim], normal)
+    outcomes = (
+        _agreement(along_m - real_side.range_m[both], noise_m),
+        _without_partner(real[only_real], sim),
+        np.full(len(only_sim), SIM_ONLY),
     )
+    incidences_deg = (
+        sim_side.incidence_deg(both_sim, normal),
+        real_side.incidence_deg(only_real, real_side.normals(only_real)),
+        sim_side.incidence_deg(only_sim, sim_side.normals(only_sim)),
+    )
+    real_row = np.concatenate([both, only_real])
+    return _in_grid(
+        beam=np.concatenate([real_side.beam[real_row], real_grid.beam_of(sim)[only_sim]]),
+        azimuth=np.concatenate([real_side.place[real_row, 0], sim_side.place[only_sim, 0]]),
+        n_beams=len(real_grid.elevation_deg),
+        n_columns=round(real_side.width),
+        real_row=np.concatenate([real_row, np.full(len(only_sim), -1)]),
+        sim_row=np.concatenate([both_sim, np.full(len(only_real), -1), only_sim]),
+        real_range_m=np.concatenate([real_side.range_m[real_row], np.full(len(only_sim), np.nan)]),
+        sim_range_m=np.concatenate(
+            [along_m, np.full(len(only_real), np.nan), sim_side.range_m[only_sim]],
+        ),
+        outcome=np.concatenate(outcomes),
+        incidence_deg=np.concatenate(incidences_deg),
+    )
+
+
+def _sort_returns(
+    real: _Side,
+    sim: _Side,
+    is_between: BoolArray,
+) -> tuple[IndexArray, IntArray, IndexArray, IndexArray]:
+    """Rows of the real and simulated returns of one ray, of real ones alone and of simulated ones alone.
+
+    Parameters
+    ----------
+    is_between : (m,) bool, simulated returns between the lowest and the highest real beam
+    """
+    partner = _partners(real, sim)
+    both = np.flatnonzero(partner >= 0)
+    both_sim = partner[both]
+    is_single = is_between.copy()
+    is_single[both_sim] = False
+    only_real = _without_finer(np.flatnonzero(partner < 0), real, sim)
+    only_sim = _without_finer(np.flatnonzero(is_single), sim, real)
+    return both, both_sim, only_real, only_sim
+
+
+def _agreement(difference_m: FloatArray, noise_m: float) -> IndexArray:
+    """(n,) outcome of rays that both sides returned, by simulated minus real range."""
+    is_same = np.abs(difference_m) <= max(SAME_M, SAME_SIGMAS * noise_m)
+    return np.select([is_same, difference_m < 0], [SAME, IN_FRONT], BEHIND)
+
+
+def _without_partner(points: FloatArray, sim: FloatArray) -> IndexArray:
+    """(n,) outcome of real returns without a simulated one."""
+    tree = scipy.spatial.cKDTree(sim, balanced_tree=False)
+    distance_m, _ = tree.query(points, distance_upper_bound=SURFACE_M)
+    return np.where(distance_m > SURFACE_M, NO_SURFACE, DROPPED)
 
 
 def find_rays(
@@ -189,12 +237,7 @@ def find_rays(
         for name in ("elevation_deg", "azimuth_step_deg"):
             if not sensor[name]:
                 return f"{side} scan: {sensor['untold'].get(name, 'no beams')}"
-    grids = [
-        RayGrid(
-            np.array(one["elevation_deg"]), one["azimuth_step_deg"], tuple(one["origin_height_m"]), one["block_deg"]
-        )
-        for one in sensors
-    ]
+    grids = [_grid_of(sensor) for sensor in sensors]
     apart_m = 0.0 if T_real_sim is None else float(np.linalg.norm(T_real_sim[:, 3]))
     median_m = float(np.median(np.linalg.norm(real, axis=1)))
     cell_m = np.radians(max(grid.step_deg for grid in grids)) * median_m
@@ -203,8 +246,19 @@ def find_rays(
             f"the simulated sensor is {apart_m:.2f} m from the real one: at the median range of {median_m:.1f} m its "
             f"rays are {apart_m / cell_m:.1f} cells off"
         )
-    noise_real, noise_sim = (sensor["range_noise_m"] or 0.0 for sensor in sensors)
-    return compare_rays(real, sim, grids[0], grids[1], float(np.hypot(noise_real, noise_sim)))
+    noise_real_m, noise_sim_m = [sensor["range_noise_m"] or 0.0 for sensor in sensors]
+    noise_m = float(np.hypot(noise_real_m, noise_sim_m))
+    return compare_rays(real, sim, grids[0], grids[1], noise_m)
+
+
+def _grid_of(sensor: Mapping[str, Any]) -> RayGrid:
+    """The directions of a sensor by the fields of its description."""
+    return RayGrid(
+        elevation_deg=np.array(sensor["elevation_deg"]),
+        step_deg=sensor["azimuth_step_deg"],
+        origin_height_m=tuple(sensor["origin_height_m"]),
+        block_deg=sensor["block_deg"],
+    )
 
 
 def score_rays(rays: Rays, is_in: BoolArray | None = None) -> dict[str, Number]:
@@ -220,33 +274,42 @@ def score_rays(rays: Rays, is_in: BoolArray | None = None) -> dict[str, Number]:
     ----------
     is_in : (n,) bool, rays to be scored; all by default
     """
-    outcome = rays.outcome if is_in is None else rays.outcome[is_in]
-    count = dict(zip(OUTCOMES, np.bincount(outcome, minlength=len(OUTCOMES)).tolist(), strict=True))
-    n_none = count.pop("none")
-    n_rays = sum(count.values())
-    n_both = sum(count[name] for name in OUTCOMES[:DROPPED])
+    if is_in is None:
+        is_in = np.ones(len(rays.outcome), dtype=np.bool_)
+    counts = np.bincount(rays.outcome[is_in], minlength=len(OUTCOMES)).tolist()
+    n_none = counts[NONE]
+    n_rays = sum(counts[:NONE])
+    n_both = sum(counts[:DROPPED])
     n_single = n_rays - n_both
     scores: dict[str, Number] = {"n_rays": n_rays}
-    scores |= {f"rays_{name}": n / n_rays if n_rays else None for name, n in count.items()}
+    for name, n in zip(OUTCOMES[:NONE], counts, strict=False):
+        scores[f"rays_{name}"] = n / n_rays if n_rays else None
     for name, n in (("hit", n_both), ("drop", n_none)):
         scores[f"rays_{name}_f1"] = 2 * n / (2 * n + n_single) if n + n_single else None
-    is_both = rays.outcome <= BEHIND if is_in is None else (rays.outcome <= BEHIND) & is_in
-    real, sim = rays.real_range_m[is_both], rays.sim_range_m[is_both]
+    is_both = (rays.outcome <= BEHIND) & is_in
+    return scores | _range_scores(rays.real_range_m[is_both], rays.sim_range_m[is_both])
+
+
+def _range_scores(real: FloatArray, sim: FloatArray) -> dict[str, Number]:
+    """Bias, scale and error of the ranges of rays that both sides returned, by column of `pairs`."""
+    n = len(real)
+    if not n:
+        return dict.fromkeys(_RANGE_SCORES)
     difference = np.sort(sim - real)
-    names = ("bias_m", "bias_low_m", "bias_high_m", "scale", "mae_m", "medae_m", "p90_m", "rmse_m")
-    values: list[Number] = [None] * len(names)
-    if n_both:
-        reach = 0.98 * np.sqrt(n_both)
-        ranks = np.clip([n_both / 2 - reach, n_both / 2 + reach], 0, n_both - 1).astype(np.intp)
-        error = np.abs(difference)
-        values = [
-            float(value)
-            for value in (
-                *(np.median(difference), *difference[ranks], np.median(sim / real) - 1.0),
-                *(error.mean(), np.median(error), np.quantile(error, 0.9), np.sqrt((error**2).mean())),
-            )
-        ]
-    return scores | dict(zip((f"rays_{name}" for name in names), values, strict=True))
+    reach = 0.98 * np.sqrt(n)
+    low, high = np.clip([n / 2 - reach, n / 2 + reach], 0, n - 1).astype(np.intp)
+    error = np.abs(difference)
+    values = (
+        np.median(difference),
+        difference[low],
+        difference[high],
+        np.median(sim / real) - 1.0,
+        error.mean(),
+        np.median(error),
+        np.quantile(error, 0.9),
+        np.sqrt((error**2).mean()),
+    )
+    return dict(zip(_RANGE_SCORES, map(float, values), strict=True))
 
 
 def _rows_of(real_grid: RayGrid, sim_grid: RayGrid) -> tuple[FloatArray, FloatArray]:
@@ -268,14 +331,27 @@ class _Side:
     """
 
     def __init__(
-        self, points: FloatArray, grid: RayGrid, step_deg: float, elevation_deg: FloatArray, rows: FloatArray
+        self,
+        points: FloatArray,
+        grid: RayGrid,
+        step_deg: float,
+        elevation_deg: FloatArray,
+        rows: FloatArray,
     ) -> None:
-        self.points, self.range_m, self.beam = points, np.linalg.norm(points, axis=1), grid.beam_of(points)
-        self.width, self.step = 360.0 / step_deg, grid.step_deg / step_deg
-        azimuth = (np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0) / step_deg % self.width
+        self.points = points
+        self.range_m: FloatArray = np.linalg.norm(points, axis=1)
+        self.beam = grid.beam_of(points)
+        self.width = 360.0 / step_deg
+        self.step = grid.step_deg / step_deg
+        azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+        azimuth = (azimuth_deg + 180.0) / step_deg % self.width
         elevation = np.degrees(np.arcsin(points[:, 2] / self.range_m))
         self.place = np.column_stack([azimuth, np.interp(elevation, elevation_deg, rows)])
-        self.tree = scipy.spatial.cKDTree(self.place, boxsize=[self.width, 0.0], balanced_tree=False)
+        self.tree = scipy.spatial.cKDTree(
+            self.place,
+            boxsize=[self.width, 0.0],
+            balanced_tree=False,
+        )
 
     def incidence_deg(self, at: IndexArray | IntArray, normal: FloatArray) -> FloatArray:
         """(k,) angle between the rays of some returns and the normals of the surface that they met."""
@@ -291,24 +367,33 @@ class _Side:
 
         Of the plane through a return, its nearest neighbour along its row, and that on the rows next to it.
         """
-        own = self.place[at]
+        place = self.place[at]
         k = min(_NEIGHBOURS, len(self.place))
-        distance, near = self.tree.query(own, k=k, distance_upper_bound=_NEAR_ROW[1])
+        distance, near = self.tree.query(place, k=k, distance_upper_bound=_NEAR_ROW[1])
         is_there = np.isfinite(distance) & (near != at[:, None])
         near = np.where(is_there, near, 0)
-        across = np.abs(self.across(self.place[near, 0] - own[:, :1]))
-        rows = np.abs(self.place[near, 1] - own[:, 1:])
-        along = np.where(is_there & (rows < _ROW), across, np.inf)
-        upward = np.where(is_there & (rows >= _NEAR_ROW[0]) & (rows < _NEAR_ROW[1]), np.hypot(across, rows), np.inf)
-        edges = []
-        for choice in (along, upward):
-            best = choice.argmin(axis=1)[:, None]
-            edge = self.points[np.take_along_axis(near, best, 1)[:, 0]] - self.points[at]
-            edges.append(np.where(np.isfinite(np.take_along_axis(choice, best, 1)), edge, np.nan))
-        normal = np.cross(edges[0], edges[1])
+        across = np.abs(self.across(self.place[near, 0] - place[:, :1]))
+        rows = np.abs(self.place[near, 1] - place[:, 1:])
+        is_along = is_there & (rows < _ROW)
+        is_next = is_there & (rows >= _NEAR_ROW[0]) & (rows < _NEAR_ROW[1])
+        along = self._edges(at, near, np.where(is_along, across, np.inf))
+        upward = self._edges(at, near, np.where(is_next, np.hypot(across, rows), np.inf))
+        normal = np.cross(along, upward)
         with np.errstate(invalid="ignore", divide="ignore"):
             unit: FloatArray = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         return unit
+
+    def _edges(
+        self,
+        at: IndexArray | IntArray,
+        near: IndexArray,
+        distance: FloatArray,
+    ) -> FloatArray:
+        """(k, 3) metres from some returns to that of their neighbours with the least distance; NaN without one."""
+        best = distance.argmin(axis=1)[:, None]
+        nearest = np.take_along_axis(near, best, 1)[:, 0]
+        is_there = np.isfinite(np.take_along_axis(distance, best, 1))
+        return np.where(is_there, self.points[nearest] - self.points[at], np.nan)
 
 
 def _partners(a: _Side, b: _Side) -> IntArray:
@@ -319,22 +404,26 @@ def _partners(a: _Side, b: _Side) -> IntArray:
     azimuth = a.across(b.place[near, 0] - a.place[row, 0])
     azimuth -= _phase(a, row[rank == 0], azimuth[rank == 0])[row]
     apart = np.hypot(azimuth, b.place[near, 1] - a.place[row, 1])
-    row, near, apart = row[apart <= REACH], near[apart <= REACH], apart[apart <= REACH]
     order = np.argsort(apart, kind="stable")
-    row, near = row[order], near[order]
-    partner, is_taken = np.full(len(a.points), -1, dtype=np.int32), np.zeros(len(b.points), dtype=np.bool_)
+    order = order[apart[order] <= REACH]
+    row = row[order]
+    near = near[order]
+    partner = np.full(len(a.points), -1, dtype=np.int32)
+    is_taken = np.zeros(len(b.points), dtype=np.bool_)
     while len(row):  # a pair that comes first for both of its returns is the nearest pair of both
         first = np.flatnonzero(_is_first(row, len(partner)) & _is_first(near, len(is_taken)))
         partner[row[first]] = near[first]
         is_taken[near[first]] = True
         is_free = (partner[row] < 0) & ~is_taken[near]
-        row, near = row[is_free], near[is_free]
+        row = row[is_free]
+        near = near[is_free]
     return partner
 
 
 def _is_first(values: IndexArray, n: int) -> BoolArray:
     """True where a value, from 0 to n - 1, occurs for the first time."""
-    first, places = np.empty(n, dtype=np.intp), np.arange(len(values))
+    first = np.empty(n, dtype=np.intp)
+    places = np.arange(len(values))
     first[values[::-1]] = places[::-1]  # the last assignment counts
     return first[values] == places
 
@@ -350,7 +439,8 @@ def _phase(a: _Side, row: IndexArray, azimuth: FloatArray) -> FloatArray:
     """
     n_blocks = int(a.width // _PHASE_CELLS) + 1
     block = a.beam * n_blocks + (a.place[:, 0] // _PHASE_CELLS).astype(np.intp)
-    of_beam, of_block = (_mean_phase(place, row, azimuth)[place] for place in (a.beam, block))
+    of_beam = _mean_phase(a.beam, row, azimuth)[a.beam]
+    of_block = _mean_phase(block, row, azimuth)[block]
     return of_beam + (of_block - of_beam + 0.5) % 1.0 - 0.5
 
 
@@ -358,47 +448,60 @@ def _mean_phase(place: IndexArray, row: IndexArray, azimuth: FloatArray) -> Floa
     """Circular mean of azimuths, in cells, by place; 0 where they do not agree."""
     size = int(place.max(initial=0)) + 1
     turn = np.exp(2j * np.pi * azimuth)
-    total = np.bincount(place[row], turn.real, size) + 1j * np.bincount(place[row], turn.imag, size)
-    is_steady = np.abs(total) > _STEADY * np.maximum(np.bincount(place[row], minlength=size), 1)
+    at = place[row]
+    total = np.bincount(at, turn.real, size) + 1j * np.bincount(at, turn.imag, size)
+    count = np.bincount(at, minlength=size)
+    is_steady = np.abs(total) > _STEADY * np.maximum(count, 1)
     return np.where(is_steady, np.angle(total) / (2 * np.pi), 0.0)
 
 
-def _without_finer(rows: IndexArray, own: _Side, other: _Side) -> IndexArray:
+def _without_finer(rows: IndexArray, side: _Side, other: _Side) -> IndexArray:
     """Those of some returns without a partner that are rays: the other side would have fired there.
 
     Left out are returns between two adjacent firings of the other side, and, if the own grid is finer, all but the
     first of each cell.
     """
     near_rows = np.array([_SQUEEZE, 1.0])  # the nearest row counts more than the nearest column
-    tree = scipy.spatial.cKDTree(other.place / near_rows, boxsize=[other.width / _SQUEEZE, 0.0], balanced_tree=False)
+    around = [other.width / _SQUEEZE, 0.0]
+    tree = scipy.spatial.cKDTree(other.place / near_rows, boxsize=around, balanced_tree=False)
+    place = side.place[rows]
     k = min(_CANDIDATES, len(other.place))
-    distance, near = tree.query(own.place[rows] / near_rows, k=k, distance_upper_bound=_LEAST_ROWS)
+    distance, near = tree.query(place / near_rows, k=k, distance_upper_bound=_LEAST_ROWS)
     is_there = np.isfinite(distance)
     near = np.where(is_there, near, 0)
-    azimuth = own.across(other.place[near, 0] - own.place[rows, :1])
+    azimuth = side.across(other.place[near, 0] - place[:, :1])
     is_there &= np.abs(other.place[near, 1] - other.place[near[:, :1], 1]) <= _ROW
-    gap = [np.where(is_there & (sign * azimuth >= 0), sign * azimuth, np.inf).min(axis=1) for sign in (-1, 1)]
-    rows = rows[gap[0] + gap[1] > _ADJACENT * other.step]
-    if own.step * _FINER < 1.0:
-        cell = np.column_stack([own.beam[rows], own.place[rows, 0].astype(np.intp)])
+    before = np.where(is_there & (azimuth <= 0), -azimuth, np.inf).min(axis=1)
+    after = np.where(is_there & (azimuth >= 0), azimuth, np.inf).min(axis=1)
+    rows = rows[before + after > _ADJACENT * other.step]
+    if side.step * _FINER < 1.0:
+        cell = np.column_stack([side.beam[rows], side.place[rows, 0].astype(np.intp)])
         rows = rows[np.sort(np.unique(cell, axis=0, return_index=True)[1])]
     return rows
 
 
 def _range_along(directions: FloatArray, points: FloatArray, normal: FloatArray) -> FloatArray:
     """(n,) metres, where rays meet the planes around points; a point's own range if its ray grazes the plane."""
-    own = np.linalg.norm(points, axis=1)
+    range_m = np.linalg.norm(points, axis=1)
     cosine = np.einsum("ij,ij->i", directions, normal)
     with np.errstate(invalid="ignore", divide="ignore"):
         meeting = np.einsum("ij,ij->i", points, normal) / cosine
-        is_met = (np.abs(cosine) > _GRAZING) & (np.abs(meeting - own) < _MOST_MOVED * own)
-    return np.where(is_met, meeting, own)
+        is_near = np.abs(meeting - range_m) < _MOST_MOVED * range_m
+        is_met = (np.abs(cosine) > _GRAZING) & is_near
+    return np.where(is_met, meeting, range_m)
 
 
-def _in_grid(beam: IndexArray, azimuth: FloatArray, n_beams: int, n_columns: int, **values: IntArray) -> Rays:
+def _in_grid(
+    beam: IndexArray,
+    azimuth: FloatArray,
+    n_beams: int,
+    n_columns: int,
+    **values: IntArray,
+) -> Rays:
     """Give each ray a column, no two of a beam the same, and add the rays that returned on neither side."""
     order = np.lexsort((azimuth, beam))
-    beam, count = beam[order], np.bincount(beam, minlength=n_beams)
+    beam = beam[order]
+    count = np.bincount(beam, minlength=n_beams)
     start = np.repeat(np.cumsum(count) - count, count)
     rank = np.arange(len(order)) - start
     base = start * 1.0 + beam * n_columns
@@ -406,15 +509,16 @@ def _in_grid(beam: IndexArray, azimuth: FloatArray, n_beams: int, n_columns: int
     column = (np.maximum.accumulate(column - rank + base) - base + rank).astype(np.intp)
     most = np.maximum(n_columns, count)[beam] - count[beam] + rank
     column = np.minimum(column, most)
+    is_inside = column < n_columns
     is_silent = np.ones((n_beams, n_columns), dtype=np.bool_)
-    is_silent[beam[column < n_columns], column[column < n_columns]] = False
-    silent = np.nonzero(is_silent)
-    n_silent = len(silent[0])
+    is_silent[beam[is_inside], column[is_inside]] = False
+    silent_beam, silent_column = np.nonzero(is_silent)
+    beam = np.concatenate([beam, silent_beam])
+    column = np.concatenate([column, silent_column])
+    final = np.lexsort((column, beam))
     empty = {"outcome": NONE, "real_row": -1, "sim_row": -1}
-    beams, columns = np.concatenate([beam, silent[0]]), np.concatenate([column, silent[1]])
-    final = np.lexsort((columns, beams))
-    filled = {
-        name: np.concatenate([own[order], np.full(n_silent, empty.get(name, np.nan), dtype=own.dtype)])[final]
-        for name, own in values.items()
-    }
-    return Rays(beam=beams[final].astype(np.int32), column=columns[final].astype(np.int32), **filled)
+    filled = {}
+    for name, returned in values.items():
+        silent = np.full(len(silent_beam), empty.get(name, np.nan), dtype=returned.dtype)
+        filled[name] = np.concatenate([returned[order], silent])[final]
+    return Rays(beam=beam[final].astype(np.int32), column=column[final].astype(np.int32), **filled)

@@ -16,7 +16,7 @@ from ..schemas.errors import StageError
 from ..schemas.settings import CommunitySettings
 from .arrays import FloatArray, IndexArray, IntArray
 from .communities import canonical_ids, find_communities
-from .linalg.subgraph import Edges, connected_pieces, connected_points
+from .linalg.subgraph import Edges, connected_nodes, connected_points
 
 #: Sources of the annotations that the settings may request.
 _SOURCES = {
@@ -56,7 +56,10 @@ class ReferenceObjects:
 
 
 def find_reference_objects(
-    points: FloatArray, edges: Edges, settings: CommunitySettings, annotation: Annotation | None = None
+    points: FloatArray,
+    edges: Edges,
+    settings: CommunitySettings,
+    annotation: Annotation | None = None,
 ) -> IntArray:
     """Object of each point of the real side, (n,) int32, -1 for none; independent of row order.
 
@@ -89,16 +92,18 @@ def find_reference_objects(
             f'the real scan has no {settings.reference}, which communities.reference = "{settings.reference}" needs: '
             f"{_SOURCES[settings.reference]}; or set communities.reference=louvain"
         )
-    own = () if annotation.labels is None else annotation.labels
-    names = ["unlabelled" if label is None else str(label) for label in own]
-    classes = np.unique(names, return_inverse=True)[1].ravel() if names else np.zeros(len(points), dtype=np.intp)
-    instances = annotation.instances if settings.reference == "instances" else None
-    instances = np.zeros(len(points), dtype=np.int32) if instances is None else instances
+    names = ["" for _ in points]
+    if annotation.labels is not None:
+        names = ["unlabelled" if label is None else str(label) for label in annotation.labels]
+    classes = np.unique(names, return_inverse=True)[1].ravel()
+    instances = np.zeros(len(points), dtype=np.int32)
+    if settings.reference == "instances" and annotation.instances is not None:
+        instances = annotation.instances
     codes = np.unique(np.column_stack([classes, instances]), axis=0, return_inverse=True)[1].ravel()
     components = _components(len(points), edges, codes, settings.reach_m)
     components = _merge_small(points, components, codes, settings.min_points)
     objects = canonical_ids(np.where(instances > 0, len(points) + codes, components), order)
-    kept = np.array([name.lower() not in settings.leave_out for name in names] or [True] * len(points))
+    kept = np.array([name.lower() not in settings.leave_out for name in names])
     if not kept.any():
         raise StageError(
             "communities.leave_out excludes the classes of all object points of the real side "
@@ -110,7 +115,10 @@ def find_reference_objects(
 
 
 def assign_to_reference(
-    points: FloatArray, reference: ReferenceObjects, settings: CommunitySettings, link_m: float
+    points: FloatArray,
+    reference: ReferenceObjects,
+    settings: CommunitySettings,
+    link_m: float,
 ) -> IntArray:
     """Object of each point of the simulated side: the ids of real objects, then those of hallucinated ones.
 
@@ -132,7 +140,8 @@ def assign_to_reference(
     if len(outside):
         order = visiting_order(points[outside], settings.seed)
         groups = canonical_ids(connected_points(points[outside], link_m), order)
-        is_object = (np.bincount(groups) >= settings.min_points)[groups]  # the largest groups have the first ids
+        # The largest groups have the first ids.
+        is_object = (np.bincount(groups) >= settings.min_points)[groups]
         labels[outside[is_object]] = reference.n_objects + groups[is_object]
     return labels
 
@@ -162,15 +171,21 @@ def visiting_order(points: FloatArray, seed: int) -> IntArray:
 def _components(n_nodes: int, edges: Edges, codes: IndexArray, reach_m: float) -> IndexArray:
     """Connected components of points with the same code, (n,), connected by edges of at most the reach."""
     kept = (codes[edges.src] == codes[edges.dst]) & (edges.length_m <= np.float32(reach_m))
-    return connected_pieces(n_nodes, Edges(edges.src[kept], edges.dst[kept], edges.length_m[kept]))
+    return connected_nodes(n_nodes, edges.src[kept], edges.dst[kept])
 
 
-def _merge_small(points: FloatArray, components: IndexArray, codes: IndexArray, min_points: int) -> IndexArray:
+def _merge_small(
+    points: FloatArray,
+    components: IndexArray,
+    codes: IndexArray,
+    min_points: int,
+) -> IndexArray:
     """Merge small components, (n,), into the nearest larger component of the same code, if any."""
     merged = components.copy()
     is_large = np.bincount(components)[components] >= min_points
     for code in np.unique(codes[~is_large]):
-        large, small = (np.flatnonzero((codes == code) & chosen) for chosen in (is_large, ~is_large))
+        large = np.flatnonzero((codes == code) & is_large)
+        small = np.flatnonzero((codes == code) & ~is_large)
         if len(large):
             ids, of_small = np.unique(components[small], return_inverse=True)
             nearest, distance_m = nearest_points(points[large], points[small])

@@ -30,7 +30,13 @@ class Selection:
     sim_influence: FloatArray
 
 
-def select_nodes(real: Subgraph, sim: Subgraph, settings: SelectionSettings, *, watch: Watch = unwatched) -> Selection:
+def select_nodes(
+    real: Subgraph,
+    sim: Subgraph,
+    settings: SelectionSettings,
+    *,
+    watch: Watch = unwatched,
+) -> Selection:
     """Select the n_keep = min(n_real, n_sim) nodes of largest influence on each side, and align them one to one.
 
     Influence is the row sum of the heat kernel, s = exp(-tL) 1 (paper, equations "heat" and "influence"), rounded to
@@ -43,16 +49,21 @@ def select_nodes(real: Subgraph, sim: Subgraph, settings: SelectionSettings, *, 
     watch : entered around the steps laplacian, heat and alignment
     """
     n_keep = min(len(real.points), len(sim.points))
-    influence = []
-    for graph in (real, sim):
-        with watch("laplacian"):
-            laplacian = normalised_laplacian(graph.adjacency)
-        with watch("heat"):
-            influence.append(np.round(heat_row_sums(laplacian, settings.t), INFLUENCE_DECIMALS))
-    real_nodes, sim_nodes = (_most_influential(values, n_keep) for values in influence)
+    real_influence = _influence(real, settings, watch)
+    sim_influence = _influence(sim, settings, watch)
+    real_nodes = _most_influential(real_influence, n_keep)
+    sim_nodes = _most_influential(sim_influence, n_keep)
     with watch("alignment"):
         sim_nodes = sim_nodes[align_nodes(real.points[real_nodes], sim.points[sim_nodes])]
-    return Selection(real_nodes, sim_nodes, influence[0][real_nodes], influence[1][sim_nodes])
+    return Selection(real_nodes, sim_nodes, real_influence[real_nodes], sim_influence[sim_nodes])
+
+
+def _influence(graph: Subgraph, settings: SelectionSettings, watch: Watch) -> FloatArray:
+    """Influence of each node, (n,), rounded to 1e-9."""
+    with watch("laplacian"):
+        laplacian = normalised_laplacian(graph.adjacency)
+    with watch("heat"):
+        return np.round(heat_row_sums(laplacian, settings.t), INFLUENCE_DECIMALS)
 
 
 def _most_influential(influence: FloatArray, n_keep: int) -> IndexArray:

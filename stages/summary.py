@@ -29,7 +29,11 @@ def summarise_pair(
     matched_range_m : (m,) distance of the matched real objects from the sensor
     missing_range_m, hallucinated_range_m : distance of the unmatched real and simulated objects from the sensor
     """
-    n_matched, n_missing, n_hallucinated = len(matched_range_m), len(missing_range_m), len(hallucinated_range_m)
+    n_matched, n_missing, n_hallucinated = (
+        len(matched_range_m),
+        len(missing_range_m),
+        len(hallucinated_range_m),
+    )
     summary: dict[str, Number] = {
         "n_matched": n_matched,
         "n_missing": n_missing,
@@ -40,20 +44,28 @@ def summarise_pair(
         "match_rate": n_matched / (n_matched + max(n_missing, n_hallucinated)),
         "found": n_matched / (n_matched + n_missing),
         "median_range_matched_m": median_of(matched_range_m),
-        "median_range_unmatched_m": median_of(np.concatenate([missing_range_m, hallucinated_range_m])),
+        "median_range_unmatched_m": median_of(
+            np.concatenate([missing_range_m, hallucinated_range_m]),
+        ),
     }
     for metric, values in scores.items():
         summary[f"{metric}_mean"], summary[f"{metric}_std"] = mean_and_std(values)
     return summary
 
 
-def summarise_dataset(pair_means: Mapping[str, Sequence[Number] | FloatArray]) -> dict[str, ScoreSummary]:
+def summarise_dataset(
+    pair_means: Mapping[str, Sequence[Number] | FloatArray],
+) -> dict[str, ScoreSummary]:
     """Mean, standard deviation (n - 1) over pairs, and number of pairs, of each per-pair value; nulls are left out."""
     summary = {}
     for name, of_pairs in pair_means.items():
-        values = np.array([np.nan if value is None else value for value in of_pairs], dtype=np.float64)
+        values = np.array(of_pairs, dtype=np.float64)  # None becomes NaN
         mean, std = mean_and_std(values)
-        summary[name] = ScoreSummary(mean=mean, std=std, n_pairs=int(np.count_nonzero(~np.isnan(values))))
+        summary[name] = ScoreSummary(
+            mean=mean,
+            std=std,
+            n_pairs=int(np.count_nonzero(~np.isnan(values))),
+        )
     return summary
 
 

@@ -26,8 +26,10 @@ REACH_M = 1.0
 MIN_POINTS = 10
 #: A direction is observable if the mean squared share of the normals along it is at least this; isotropic normals: 1/3.
 MIN_SHARE = 0.05
-_PLANE_POINTS, _PLANE_CELL_M = 10, 0.2
-_MAX_LEANING = 0.01  # squared cosine between an axis and a direction that is not observable: 6 degrees
+_PLANE_POINTS = 10
+_PLANE_CELL_M = 0.2
+#: Squared cosine between an axis and a direction that is not observable: 6 degrees.
+_MAX_LEANING = 0.01
 _MIN_STEP_M = 1e-3
 _MAX_STEPS = 20
 _PLANE_PARAMETERS = 3
@@ -103,7 +105,8 @@ def describe_surface(points: FloatArray, seed: int = 0) -> Surface:
     scatter, axes = np.linalg.eigh(off.transpose(0, 2, 1) @ off)
     l3, l2, l1 = np.maximum(scatter, 0.0).T
     is_plane = (l1 > 0) & (l2 - l3 >= MIN_PLANARITY * l1)
-    return Surface(ordered, rows, tree, axes[:, :, 0], np.sqrt(l3 / (NEIGHBOURS - _PLANE_PARAMETERS)), is_plane)
+    roughness_m = np.sqrt(l3 / (NEIGHBOURS - _PLANE_PARAMETERS))
+    return Surface(ordered, rows, tree, axes[:, :, 0], roughness_m, is_plane)
 
 
 def signed_distances(points: FloatArray, other: FloatArray, reach_m: float) -> FloatArray:
@@ -140,7 +143,8 @@ def signed_distances(points: FloatArray, other: FloatArray, reach_m: float) -> F
     l3, l2, l1 = planes.variance.T
     is_plane = l2 - l3 >= MIN_PLANARITY * l1
     off_m = (planes.normal * (points[rows] - planes.mean)).sum(axis=1)
-    signed[rows[is_plane]] = np.where((planes.normal * planes.mean).sum(axis=1) > 0, -off_m, off_m)[is_plane]
+    is_turned = (planes.normal * planes.mean).sum(axis=1) > 0
+    signed[rows[is_plane]] = np.where(is_turned, -off_m, off_m)[is_plane]
     return signed
 
 
@@ -179,29 +183,42 @@ def measure_offsets(real: Surface, sim: Surface, labels: IntArray | None = None)
     >>> (np.round(measure_offsets(real, sim).shift_m, 2) + 0.0).tolist()
     [[0.2, 0.0, -0.1]]
     """
-    of_sample = np.zeros(len(real.normal), dtype=np.int32) if labels is None else labels[real.rows[: len(real.normal)]]
-    n_ids = 1 if labels is None else int(labels.max(initial=-1)) + 1
-    chosen = real.is_plane & (of_sample >= 0)
-    ids, normal = of_sample[chosen], real.normal[chosen]
-    points = real.points[: len(real.normal)][chosen]
-    shift, gap, covered = np.zeros((n_ids, 3)), np.zeros_like(points), np.zeros(len(points), dtype=np.bool_)
+    n_ids = 1
+    of_sample = np.zeros(len(real.normal), dtype=np.int32)
+    if labels is not None:
+        n_ids = int(labels.max(initial=-1)) + 1
+        of_sample = labels[real.rows[: len(real.normal)]]
+    chosen = np.flatnonzero(real.is_plane & (of_sample >= 0))
+    ids = of_sample[chosen]
+    normal = real.normal[chosen]
+    points = real.points[chosen]
+    gap = np.zeros_like(points)
+    covered = np.zeros(len(points), dtype=np.bool_)
+    shift = np.zeros((n_ids, 3))
     is_moving = np.ones(n_ids, dtype=np.bool_)
+    within_m = np.nextafter(REACH_M, np.inf)
     for _ in range(_MAX_STEPS):
         active = np.flatnonzero(is_moving[ids])
-        apart, nearest = sim.tree.query(
-            points[active] + shift[ids[active]], distance_upper_bound=np.nextafter(REACH_M, np.inf)
-        )
-        is_near = covered[active] = np.isfinite(apart)
+        moved = points[active] + shift[ids[active]]
+        apart_m, nearest = sim.tree.query(moved, distance_upper_bound=within_m)
+        is_near = np.isfinite(apart_m)
+        covered[active] = is_near
         gap[active[is_near]] = sim.points[nearest[is_near]] - points[active[is_near]]
         before = shift
-        shift, is_observable, axes, n_points = _shifts(normal[covered], gap[covered], ids[covered], n_ids)
+        shift, is_observable, axes, n_points = _shifts(
+            normal[covered],
+            gap[covered],
+            ids[covered],
+            n_ids,
+        )
         is_moving = np.abs(shift - before).max(axis=1, initial=0.0) > _MIN_STEP_M
         if not is_moving.any():
             break
     n_directions = np.count_nonzero(is_observable, axis=1).astype(np.int32)
     leaning = np.where(is_observable[:, None, :], 0.0, axes**2).sum(axis=2)
     distance_m = np.where(n_directions > 0, np.linalg.norm(shift, axis=1), np.nan)
-    return Offsets(n_points, n_directions, np.where(leaning <= _MAX_LEANING, shift, np.nan), distance_m)
+    shift_m = np.where(leaning <= _MAX_LEANING, shift, np.nan)
+    return Offsets(n_points, n_directions, shift_m, distance_m)
 
 
 def compare_roughness(real: Surface, sim: Surface) -> dict[str, Number]:
@@ -212,7 +229,9 @@ def compare_roughness(real: Surface, sim: Surface) -> dict[str, Number]:
     real, sim : both sides; all values are None if a side has too few points
     """
     if not len(real.roughness_m) or not len(sim.roughness_m):
-        return dict.fromkeys(("roughness_real_m", "roughness_sim_m", "roughness_bias_m", "roughness_area_m"))
+        return dict.fromkeys(
+            ("roughness_real_m", "roughness_sim_m", "roughness_bias_m", "roughness_area_m"),
+        )
     apart = double_validation_metric(real.roughness_m, sim.roughness_m)
     return {
         "roughness_real_m": float(np.median(real.roughness_m)),
@@ -223,13 +242,18 @@ def compare_roughness(real: Surface, sim: Surface) -> dict[str, Number]:
 
 
 def _shifts(
-    normal: FloatArray, gap: FloatArray, ids: IntArray, n_ids: int
+    normal: FloatArray,
+    gap: FloatArray,
+    ids: IntArray,
+    n_ids: int,
 ) -> tuple[FloatArray, BoolArray, FloatArray, IntArray]:
     """Least squares shift of each object, (c, 3), observable axes of its normals, (c, 3), all axes, and its points."""
     n_points = np.bincount(ids, minlength=n_ids).astype(np.int32)
-    squares = sums_by_id((normal[:, :, None] * normal[:, None, :]).reshape(-1, 9), ids, n_ids).reshape(-1, 3, 3)
+    products = normal[:, :, None] * normal[:, None, :]
+    squares = sums_by_id(products.reshape(-1, 9), ids, n_ids).reshape(-1, 3, 3)
     gaps = sums_by_id(normal * (normal * gap).sum(axis=1, keepdims=True), ids, n_ids)
     values, axes = np.linalg.eigh(squares)
-    is_observable = (values >= MIN_SHARE * n_points[:, None]) & (n_points >= MIN_POINTS)[:, None]
+    is_enough = (n_points >= MIN_POINTS)[:, None]
+    is_observable = is_enough & (values >= MIN_SHARE * n_points[:, None])
     along = np.einsum("cij,ci->cj", axes, gaps) / np.where(is_observable, values, np.inf)
     return np.einsum("cij,cj->ci", axes, along) + 0.0, is_observable, axes, n_points

@@ -39,7 +39,12 @@ class LocalPlanes:
         return self.variance[:, 1] < _BROAD * self.variance[:, 2]
 
 
-def fit_planes(points: FloatArray, places: FloatArray, n_most: int, reach_m: float = np.inf) -> LocalPlanes:
+def fit_planes(
+    points: FloatArray,
+    places: FloatArray,
+    n_most: int,
+    reach_m: float = np.inf,
+) -> LocalPlanes:
     """Fit a plane to the neighbours of each place, by weighted principal component analysis.
 
     The neighbours are the `n_most` nearest points within `reach_m`. With a finite reach h their weights are
@@ -59,24 +64,35 @@ def fit_planes(points: FloatArray, places: FloatArray, n_most: int, reach_m: flo
     >>> np.abs(planes.normal).tolist(), planes.n_neighbours.tolist()
     ([[0.0, 0.0, 1.0]], [9])
     """
+    n = len(places)
     n_most = min(n_most, len(points))
-    if not len(places) or not n_most:
-        normal = np.broadcast_to([0.0, 0.0, 1.0], places.shape).copy()
-        return LocalPlanes(places.copy(), normal, np.zeros_like(places), np.zeros(len(places), dtype=np.intp))
+    planes = LocalPlanes(
+        mean=places.copy(),
+        normal=np.tile([0.0, 0.0, 1.0], (n, 1)),
+        variance=np.zeros((n, 3)),
+        n_neighbours=np.zeros(n, dtype=np.intp),
+    )
+    if not n_most:
+        return planes
     tree = scipy.spatial.cKDTree(points)
-    parts = []
-    for start in range(0, len(places), _ROWS_AT_ONCE):
-        asked = places[start : start + _ROWS_AT_ONCE]
-        apart, ids = tree.query(asked, k=np.arange(1, n_most + 1), distance_upper_bound=reach_m)
-        is_near = np.isfinite(apart)
-        weight = is_near * (np.exp(-((2 * np.where(is_near, apart, 0.0) / reach_m) ** 2)))
+    ranks = np.arange(1, n_most + 1)
+    for start in range(0, n, _ROWS_AT_ONCE):
+        rows = slice(start, start + _ROWS_AT_ONCE)
+        place = places[rows]
+        distance_m, ids = tree.query(place, k=ranks, distance_upper_bound=reach_m)
+        is_near = np.isfinite(distance_m)
+        share = 2 * np.where(is_near, distance_m, 0.0) / reach_m
+        weight = is_near * np.exp(-(share**2))
         total = np.maximum(weight.sum(axis=1), 1e-300)[:, None]
-        off = (points[np.where(is_near, ids, 0)] - asked[:, None]) * is_near[..., None]
-        mean = np.einsum("nk,nkd->nd", weight, off) / total
-        centred = (off - mean[:, None]) * np.sqrt(weight / total)[..., None]
+        offset = (points[np.where(is_near, ids, 0)] - place[:, None]) * is_near[..., None]
+        mean = np.einsum("nk,nkd->nd", weight, offset) / total
+        centred = (offset - mean[:, None]) * np.sqrt(weight / total)[..., None]
         variance, axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)
-        parts.append((asked + mean, axes[:, :, 0], np.maximum(variance, 0.0), is_near.sum(axis=1)))
-    return LocalPlanes(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        planes.mean[rows] += mean
+        planes.normal[rows] = axes[:, :, 0]
+        planes.variance[rows] = np.maximum(variance, 0.0)
+        planes.n_neighbours[rows] = is_near.sum(axis=1)
+    return planes
 
 
 def voxel_means(points: FloatArray, edge_m: float) -> FloatArray:

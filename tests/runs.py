@@ -32,7 +32,7 @@ from fidpipe.schemas.settings import Settings
 QUIET = Reporter(Console(quiet=True))
 FIDPIPE = str(Path(sys.executable).with_name("fidpipe"))
 #: Commands that start worker processes, unless they are given one worker.
-WITH_WORKERS = ("run", "synth", "perturb", "ablate", "floor", "twin")
+WITH_WORKERS = ("run", "synth", "perturb", "ablate", "best-case", "twin")
 STAGE_NAMES = [stage.name for stage in STAGES]
 JOBS_PER_PAIR = sum(len(stage.parts) for stage in STAGES)
 FOLDERS = [table for stage in STAGES for table in stage.gives]

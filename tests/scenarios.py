@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fidpipe.pipeline.engine.engine import Machines
-from fidpipe.pipeline.generate.floor_run import run_floor
+from fidpipe.pipeline.generate.best_case_run import run_best_case
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.schemas.settings import Settings, load
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
@@ -63,13 +63,13 @@ def extras(folder):
     run(write_dataset(folder / "streets", 2), folder / "run", load(None, words))
 
 
-def floor(folder):
-    """Three streets with their run, and their floor in `floor`."""
+def best_case(folder):
+    """Three streets with their run, and their best case in `best_case`."""
     plain(folder)
-    run_floor(folder / "streets", folder / "floor", Settings(), QUIET, machines=Machines(1))
+    run_best_case(folder / "streets", folder / "best_case", Settings(), QUIET, machines=Machines(1))
 
 
-SCENARIOS = {make.__name__: make for make in (plain, labelled, reference, failed, extras, floor)}
+SCENARIOS = {make.__name__: make for make in (plain, labelled, reference, failed, extras, best_case)}
 
 
 class Shared:

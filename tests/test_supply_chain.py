@@ -109,7 +109,7 @@ def all_commands(dataset):
     yield FIDPIPE, "gate", "a", "--max", "cdc.mean=2"
     yield FIDPIPE, "export", "a", "--ply", "--mcap"
     yield FIDPIPE, "status", "a"
-    yield FIDPIPE, "floor", dataset, "--out", "floor", "--workers", "1", "--pairs", "000"
+    yield FIDPIPE, "best-case", dataset, "--out", "best_case", "--workers", "1", "--pairs", "000"
     yield FIDPIPE, "perturb", dataset, "--out", "perturbed", "--workers", "1", "--pairs", "000", "--repeats", "1"
     yield FIDPIPE, "ablate", dataset, "--out", "ablated", "--workers", "1", "--pairs", "000"
     yield FIDPIPE, "settings"

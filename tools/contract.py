@@ -36,7 +36,10 @@ def columns(table):
 
 def commands():
     """Arguments and options of each command: position or names, type, and default."""
-    hints = {command.callback.__name__: get_type_hints(command.callback) for command in app.registered_commands}
+    hints = {
+        command.callback.__name__.replace("_", "-"): get_type_hints(command.callback)
+        for command in app.registered_commands
+    }
     described = {}
     for name, command in sorted(typer.main.get_command(app).commands.items()):
         described[name] = {}

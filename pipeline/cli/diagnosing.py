@@ -13,7 +13,7 @@ from .options import (
     AsJson,
     AsMarkdown,
     Assignments,
-    Floor,
+    BestCase,
     Scheduler,
     SettingsFile,
     Workers,
@@ -29,7 +29,7 @@ def diagnose(
     scheduler: Scheduler = None,
     since: Annotated[Path | None, typer.Option(metavar="RUN", autocompletion=completion.run_folders)] = None,
     tell_apart: bool = False,
-    floor: Floor = None,
+    best_case: BestCase = None,
     picture: Annotated[Path | None, typer.Option(metavar="PNG")] = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -52,7 +52,7 @@ def diagnose(
     sources : Folder of a run; with --tell-apart also two folders of scans (or recordings), which need no pairs.
     since : Run of an earlier build on the same real scans.
     tell_apart : Test if a classifier can distinguish real and simulated points.
-    floor : With --tell-apart: floor whose second measurements are compared.
+    best_case : With --tell-apart: best case whose second measurements are compared.
     picture : With --tell-apart: map of the recognised points.
 
     Examples
@@ -69,18 +69,18 @@ def diagnose(
     """
     output = format_of(as_json, as_markdown, as_csv)
     check_machines(workers, scheduler)
-    if len(sources) > 1 and (floor or not tell_apart or len(sources) > 2):
-        raise typer.BadParameter("expected one run, or two folders of scans with --tell-apart, without --floor")
+    if len(sources) > 1 and (best_case or not tell_apart or len(sources) > 2):
+        raise typer.BadParameter("expected one run, or two folders of scans with --tell-apart, without --best-case")
     if len(sources) == 1 and (settings or assignments):
         raise typer.BadParameter("--settings and --set are for two folders; a run has its settings")
     if tell_apart and as_csv:
         raise typer.BadParameter("--csv is for causes; with --tell-apart give --json or --markdown")
-    if floor and not tell_apart:
-        raise typer.BadParameter("--floor is for --tell-apart; causes need no floor")
+    if best_case and not tell_apart:
+        raise typer.BadParameter("--best-case is for --tell-apart; causes need no best case")
     if since and tell_apart:
         raise typer.BadParameter("--since is for causes; leave out --tell-apart")
     if tell_apart:
-        return _tell_apart(sources, floor, picture, settings, assignments or [], output)
+        return _tell_apart(sources, best_case, picture, settings, assignments or [], output)
     from ..diagnose.diagnose import diagnose_run
     from ..diagnose.diagnosis_view import diagnosis_records, diagnosis_view
     from ..engine.engine import Machines
@@ -105,7 +105,7 @@ def diagnose(
 
 def _tell_apart(
     sources: list[Path],
-    floor: Path | None,
+    best_case: Path | None,
     picture: Path | None,
     settings: Path | None,
     assignments: list[str],
@@ -120,7 +120,7 @@ def _tell_apart(
     if len(sources) == 2:
         found = tell_apart_folders(sources[0], sources[1], load(settings, assignments))
     else:
-        found = tell_apart_run(FinishedRun(sources[0]), FinishedRun(floor) if floor else None)
+        found = tell_apart_run(FinishedRun(sources[0]), FinishedRun(best_case) if best_case else None)
     if picture:
         draw_map(found, picture)
     view = tell_apart_view(found)

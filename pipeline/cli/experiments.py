@@ -161,7 +161,8 @@ def _numbers(option: str, text: str) -> tuple[float, ...]:
 
 
 def _experiment_folder(source: Path, experiment: str) -> Path:
-    from ..datasets.readers import is_scan_path, stem_of
+    from ..datasets.readers.scan_ref import scan_ref
 
     path = Path(os.path.realpath(source))
-    return Path("runs") / f"{stem_of(path) if is_scan_path(source) else path.name}-{experiment}"
+    name = scan_ref(path).stem if scan_ref(source).exists else path.name
+    return Path("runs") / f"{name}-{experiment}"

@@ -14,13 +14,15 @@ from .options import (
     AsCsv,
     AsJson,
     AsMarkdown,
-    Floor,
+    Assignments,
+    BestCase,
+    ComparePreset,
     OutFile,
     RunFolder,
+    SettingsFile,
+    Workers,
     criterion_option,
     format_of,
-    paired,
-    run_folder,
 )
 from .output import print_as, print_view
 
@@ -30,7 +32,7 @@ def gate(
     at_most: Annotated[list[str] | None, criterion_option("--max")] = None,
     at_least: Annotated[list[str] | None, criterion_option("--min")] = None,
     criteria: Path | None = None,
-    floor: Floor = None,
+    best_case: BestCase = None,
     junit: Annotated[Path | None, typer.Option(show_default="RUN/gate.xml")] = None,
     json_: Annotated[Path | None, typer.Option("--json-file", "--json", show_default="RUN/gate.json")] = None,
     out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
@@ -43,7 +45,7 @@ def gate(
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
     missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total, causes.height (its size;
-    spaces are underscores); with --floor also excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
+    spaces are underscores); with --best-case also excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
 
     Parameters
     ----------
@@ -64,7 +66,7 @@ def gate(
 
     fidpipe gate runs/dataset --criteria acceptance.toml
 
-    fidpipe gate runs/dataset --floor runs/dataset-floor --max excess.cdc.mean=0.1
+    fidpipe gate runs/dataset --best-case runs/dataset-best-case --max excess.cdc.mean=0.1
     """
     from ..report.views.gate_view import gate_checks, gate_view, junit_xml
     from ..results.gate import judge_run, parse_word, read_criteria
@@ -75,7 +77,7 @@ def gate(
     wanted += [parse_word(word, "min") for word in at_least or []]
     if not wanted:
         raise typer.BadParameter("no criterion given; expected --max, --min or --criteria")
-    result = judge_run(run, wanted, floor)
+    result = judge_run(run, wanted, best_case)
     folder = out or run
     _write_for_ci(junit, folder / "gate.xml", junit_xml("gate", {str(run): gate_checks(result)}), is_asked=bool(out))
     _write_for_ci(json_, folder / "gate.json", dumps(result.as_dict()), is_asked=bool(out))
@@ -87,23 +89,29 @@ def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN_A RUN_B", autocompletion=completion.run_folders)],
     html: OutFile = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
-    floor: Floor = None,
+    best_case: BestCase = None,
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
     fail_on: Annotated[str | None, typer.Option(metavar="VERDICT")] = None,
+    undecided_ok: bool = False,
     junit: OutFile = None,
     json_file: OutFile = None,
     allow_different_settings: bool = False,
     independent: bool = False,
     all_: Annotated[bool, typer.Option("--all")] = False,
+    preset: ComparePreset = "reference",
+    settings: SettingsFile = None,
+    assignments: Assignments = None,
+    workers: Workers = None,
 ) -> None:
     """Compare simulator versions on the same real scans: better, worse or mixed, and in what.
 
     Causes and families of scores are decided, the families with at most 5 % false alarms over all; see
-    docs/compare.md. Datasets and scans are evaluated first (preset reference). --fail-on worse exits with 4 if a cause
-    or a family is worse or mixed, or a pair that the base has scored failed or is not compared; --fail-on undecided
-    also if nothing is decided. It writes compare.xml and compare.json into the last run unless --junit, --json-file or
+    docs/compare.md. Datasets and scans are evaluated first, with --preset, --settings, --set and --workers. --fail-on
+    worse exits with 4 if a cause or a family is worse or mixed, if a pair that the base has scored failed or is not
+    compared, and if the comparison is undecided for lack of places (unless --undecided-ok); --fail-on undecided also
+    if nothing is decided. It writes compare.xml and compare.json into the last run unless --junit, --json-file or
     --out say otherwise.
 
     Parameters
@@ -112,6 +120,7 @@ def compare(
     html : Write a web page.
     out : Folder for compare.html, .xml, .json.
     fail_on : Exit with 4 on worse, or also on undecided.
+    undecided_ok : Accept a comparison that too few places leave undecided.
     junit : JUnit XML of --fail-on.
     json_file : JSON of --fail-on.
     allow_different_settings : Allow runs of other settings.
@@ -124,12 +133,17 @@ def compare(
 
     fidpipe compare drive/ build41/lidar/ build42/lidar/    real, two simulators
 
-    fidpipe compare runs/base runs/new --floor runs/base-floor --html new.html
+    fidpipe compare drive/ build41/ build42/ --set input.sim_frame=carla --workers 8
+
+    fidpipe compare runs/base runs/new --best-case runs/base-best-case --html new.html
 
     fidpipe compare runs/base runs/new --fail-on worse --junit build/compare.xml
 
     fidpipe compare runs/build41 runs/build42 --markdown >> comment.md
     """
+    from ...schemas.settings import load
+    from ..builds import runs_of
+    from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..report.views.compare_view import compare_records, compare_view
     from ..report.views.gate_view import base_view, junit_xml
@@ -139,18 +153,20 @@ def compare(
     from ..storage.run_record import dumps
 
     if not 2 <= len(runs) <= MOST_RUNS:
-        raise typer.BadParameter(f"{len(runs)} run{'s' * (len(runs) > 1)} given; expected 2 to {MOST_RUNS}")
+        raise typer.BadParameter(f"expected 2 to {MOST_RUNS} runs, got {len(runs)}")
     output = format_of(as_json, as_markdown, as_csv)
     if fail_on is not None and fail_on not in FAIL_ON:
         raise typer.BadParameter(f"--fail-on: expected {' or '.join(FAIL_ON)}, got {fail_on!r}")
     if fail_on is None and (junit or json_file):
         raise typer.BadParameter("--junit and --json-file are what --fail-on writes; give it as well")
+    if undecided_ok and fail_on != "worse":
+        raise typer.BadParameter("--undecided-ok is for --fail-on worse")
     page = html or (out and out / "compare.html")
-    runs = _evaluated(runs)
+    runs = runs_of(runs, load(settings, assignments or [], preset=preset), Reporter(), Machines(workers))
     comparisons = compare_runs(
         runs,
         allow_different_settings=allow_different_settings,
-        floor=floor,
+        best_case=best_case,
         independent=independent,
         reporter=Reporter(),
     )
@@ -158,7 +174,9 @@ def compare(
         from ..report.page.compare_page import compare_page
 
         write_whole(page, compare_page(comparisons, page.parent).encode())
-    results = [judge_comparison(each, fail_on) for each in comparisons] if fail_on else []
+    results = []
+    if fail_on:
+        results = [judge_comparison(each, [fail_on], undecided_ok=undecided_ok) for each in comparisons]
     views = (compare_view(each, with_all=all_ or output == "markdown") for each in comparisons)
     print_as(
         output,
@@ -173,44 +191,6 @@ def compare(
         content = dumps({"comparisons": [one.as_dict() for one in results]})
         _write_for_ci(json_file, folder / "compare.json", content, is_asked=bool(out))
         raise typer.Exit(EXIT_GATE_FAILED if any(one.failed for one in results) else 0)
-
-
-def _evaluated(folders: list[Path]) -> list[Path]:
-    """Folders of runs; datasets, or several simulated sides after a real one, are evaluated first (`reference`)."""
-    from ...schemas.errors import RunError
-    from ...schemas.settings import load
-    from ..datasets.pairing import scans_in
-    from ..datasets.readers import holds_frames
-    from ..datasets.readers.frame_address import address_of
-    from ..engine.engine import Machines
-    from ..engine.progress import Reporter
-    from ..run import run_dataset
-    from ..storage.files import path_exists
-    from ..storage.urls import url_of_cache
-
-    def has(folder: Path, *names: str) -> bool:
-        return any(path_exists(folder / name) for name in names)
-
-    for folder in folders:
-        if not (url_of_cache(folder) or path_exists(address_of(folder).file)):
-            raise RunError(f"{folder}: no such file or folder; nothing was evaluated")
-    real, reporter, found = folders[0], Reporter(), []
-    is_known = has(real, "run.json", "pairs.parquet", "real", "pairs.csv")
-    is_side = holds_frames(real) or (real.is_dir() and not is_known and bool(scans_in(real)))
-    if is_side and len(folders) < 3:
-        raise typer.BadParameter(f"{real} holds real scans; expected two or more simulated folders after it")
-    names = [run_folder(folder) for folder in folders]
-    for folder, name in list(zip(folders, names, strict=True))[is_side:]:
-        if not is_side and (has(folder, "run.json") or not has(folder, "real", "pairs.csv")):
-            found.append(folder)
-            continue
-        is_unique = names.count(name) == 1
-        out = name if is_unique else name.with_name(f"{folder.resolve().parent.name}-{name.name}")
-        reporter.say(f"{folder}: its run is {out}")
-        dataset = paired(real, folder, out) if is_side else folder
-        run_dataset(dataset, out, load(None, [], preset="reference"), reporter, machines=Machines())
-        found.append(out)
-    return found
 
 
 def _write_for_ci(asked: Path | None, default: Path, content: bytes, *, is_asked: bool) -> None:

@@ -26,7 +26,7 @@ from .diagnosing import diagnose
 from .experiments import ablate, perturb
 from .judging import compare, gate
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
-from .running import check, floor, run, settings, status
+from .running import best_case, check, run, settings, status
 from .show_report_export import export, report, show
 
 _OBJECTS_BETWEEN_COLLECTIONS = 100_000  # Python's 700 cost the imports of a small command 5 % of its time
@@ -230,13 +230,14 @@ def _root(
 
     Begin with check, run, show and compare.
 
-    Example: fidpipe run dataset/, where dataset/real and dataset/sim hold files of the same names
+    Example: fidpipe run dataset/ --preset reference, where dataset/real and dataset/sim hold files of the same
+    names
     """
 
 
 _COMMANDS = {
     "Evaluate": (check, run, show, report),
-    "Compare": (compare, gate, floor),
+    "Compare": (compare, gate, best_case),
     "Data": (pair, synth, twin),
     "Research": (diagnose, perturb, ablate),
     "Other": (status, export, settings),
@@ -257,8 +258,8 @@ def _application(name: str = "") -> typer.Typer:
     commands = []
     for heading, of_heading in _COMMANDS.items():
         commands += [(command, heading) for command in of_heading]
-    named = [entry for entry in commands if entry[0].__name__ == name]
-    for command, heading in named or commands:
+    wanted = [entry for entry in commands if entry[0].__name__ == name.replace("-", "_")]
+    for command, heading in wanted or commands:
         application.command(cls=_Command, rich_help_panel=heading)(command)
     return application
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,6 +33,9 @@ Preset = Annotated[
         help="Objects of each side, or only of the real one, to compare simulators.",
     ),
 ]
+ComparePreset = Annotated[
+    str, typer.Option("--preset", metavar="paper|reference", autocompletion=completion.presets, help="Of what is run.")
+]
 DatasetFolder = Annotated[Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.")]
 SimFolder = Annotated[
     Path | None,
@@ -53,11 +55,11 @@ Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="
 PairTimeout = Annotated[
     float | None, typer.Option(metavar="SECONDS", min=0.001, help="A pair that takes longer fails.")
 ]
-Floor = Annotated[
+BestCase = Annotated[
     Path | None,
     typer.Option(
         metavar="RUN",
-        help="Show scores minus those of this run of fidpipe floor.",
+        help="Show scores minus those of this run of fidpipe best-case.",
         autocompletion=completion.run_folders,
     ),
 ]
@@ -89,20 +91,3 @@ def check_machines(workers: int | None, scheduler: str | None) -> None:
     """Raise `typer.BadParameter` if both a number of workers and a cluster are given."""
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--workers is for this machine, --scheduler for a cluster; give one of the two")
-
-
-def run_folder(dataset: Path) -> Path:
-    """Default folder of the run of a dataset, or of the simulated side of one."""
-    path = Path(os.path.normpath(dataset.absolute()))
-    return Path("runs") / ((path.parent if path.name == "sim" else path).name or "dataset")
-
-
-def paired(real: Path, sim: Path, out: Path) -> Path:
-    """Folder of the dataset of two sides; its manifest, if it needs one, is in `datasets` next to the run."""
-    from ..datasets.pairing import dataset_of
-    from ..engine.progress import Reporter
-
-    dataset, how = dataset_of(real, sim, out.parent / "datasets" / out.name)
-    if how:
-        Reporter().say(how)
-    return dataset

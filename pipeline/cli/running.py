@@ -1,8 +1,7 @@
-"""The commands around a run: settings, check, run, floor and status."""
+"""The commands around a run: settings, check, run, best-case and status."""
 
 from __future__ import annotations
 
-import os
 import shlex
 from itertools import chain
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from ..builds import paired, run_folder, side_run_folder
 from . import completion
 from .options import (
     EXIT_WRONG_INPUT,
@@ -27,8 +27,6 @@ from .options import (
     SimFolder,
     Workers,
     check_machines,
-    paired,
-    run_folder,
 )
 from .output import print_json, print_outcome, print_text, print_view
 
@@ -94,13 +92,13 @@ def check(
     from ..inspect.scan_checks import check_dataset
 
     options = [("--preset", preset), ("--settings", settings), *(("--set", own) for own in assignments or [])]
-    if not any(own for _, own in options):
+    if preset is None and settings is None:
         preset = "reference"
-        options = [("--preset", preset)]
+        options[0] = ("--preset", preset)
     words = [*filter(None, (dataset, sim)), *chain.from_iterable(own for own in options if own[1])]
     run_command = shlex.join(["fidpipe", "run", *map(str, words)])
     if sim is not None:
-        dataset = paired(dataset, sim, run_folder(sim))
+        dataset = paired(dataset, sim, side_run_folder(sim))
     found = check_dataset(dataset, load(settings, assignments or [], preset=preset))
     print_json(check_json(found)) if as_json else print_view(check_view(found, run_command))
     raise typer.Exit(EXIT_WRONG_INPUT if found.faults or found.doubts else 0)
@@ -162,8 +160,10 @@ def run(
     check_machines(workers, scheduler)
     repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
     in_force = load(settings, [*(assignments or []), *repeats], preset=preset)
-    out = out or run_folder(sim or dataset)
-    if sim is not None:
+    if sim is None:
+        out = out or run_folder(dataset)
+    else:
+        out = out or side_run_folder(sim)
         dataset = paired(dataset, sim, out)
     if scheduler is None and workers != 1 and dataset.is_dir() and not out.exists():
         prefork.start(["fidpipe.pipeline.jobs"])  # a new run needs workers as soon as all else is imported
@@ -190,10 +190,10 @@ def run(
     print_outcome(outcome.as_dict() if as_json else outcome_view(outcome), outcome.failures)
 
 
-def floor(
-    dataset: DatasetFolder,
-    out: Annotated[Path | None, typer.Option(show_default="runs/NAME-floor")] = None,
-    preset: Preset = "paper",
+def best_case(
+    source: Annotated[Path, typer.Argument(metavar="RUN | DATASET", help="Folder of a run, or of a dataset.")],
+    out: Annotated[Path | None, typer.Option(show_default="runs/NAME-best-case")] = None,
+    preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     noise_m: Annotated[float | None, typer.Option(min=0, max=10)] = None,
@@ -206,11 +206,12 @@ def floor(
     pair_timeout: PairTimeout = None,
     replace: Replace = False,
 ) -> None:
-    """Evaluate a perfect simulator: each real scan of a dataset against a simulated second measurement of itself.
+    """Evaluate a perfect simulator: each real scan of a run against a simulated second measurement of itself.
 
-    The result is a run, which show, report, gate and compare take as --floor; give it the settings of the run that it
-    is for. The second measurement is the scan with range noise and losses, by default those that it shows (else 3 cm
-    and 3 %), or with --neighbours the next scan, by T_world_sensor in pairs.csv. How to read it: docs/fidelity.md.
+    The result is a run with the same settings, which show, report, gate and compare take as --best-case. The second
+    measurement is the scan with range noise and losses, by default those that it shows (else 3 cm and 3 %), or with
+    --neighbours the next scan, by T_world_sensor in pairs.csv. Of a dataset without a run, give the settings of the
+    run that it is for. How to read it: docs/fidelity.md.
 
     Parameters
     ----------
@@ -222,31 +223,40 @@ def floor(
 
     Examples
     --------
-    fidpipe floor dataset/                       results go to runs/dataset-floor
+    fidpipe best-case runs/dataset                   results go to runs/dataset-best-case
 
-    fidpipe show runs/dataset --floor runs/dataset-floor
+    fidpipe show runs/dataset --best-case runs/dataset-best-case
 
-    fidpipe floor dataset/ --preset reference --noise-m 0.02 --dropout 0.005
+    fidpipe best-case runs/dataset --noise-m 0.02 --dropout 0.005
 
-    fidpipe floor twins/ --neighbours            real against real
+    fidpipe best-case twins/ --preset reference --neighbours    real against real
     """
     from ...schemas.settings import load
+    from ..storage.files import path_exists
 
     check_machines(workers, scheduler)
     if neighbours and (noise_m is not None or dropout is not None):
         raise typer.BadParameter(
             "--neighbours takes neither --noise-m nor --dropout: its second measurement is a real scan"
         )
-    in_force = load(settings, assignments or [], preset=preset)
+    is_run = path_exists(source / "run.json")
+    if is_run and (preset or settings or assignments):
+        raise typer.BadParameter("a run has its settings; leave out --preset, --settings and --set")
 
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..generate.floor_run import run_floor
+    from ..generate.best_case_run import run_best_case, source_of_run
     from ..report.views.run_view import outcome_view
 
-    outcome = run_floor(
+    if is_run:
+        dataset, in_force = source_of_run(source)
+        default = source.with_name(f"{source.resolve().name}-best-case")
+    else:
+        dataset, in_force = source, load(settings, assignments or [], preset=preset)
+        default = Path("runs") / f"{source.resolve().name or 'dataset'}-best-case"
+    outcome = run_best_case(
         dataset,
-        out or Path("runs") / f"{Path(os.path.realpath(dataset)).name or 'dataset'}-floor",
+        out or default,
         in_force,
         Reporter(),
         noise_m=noise_m,

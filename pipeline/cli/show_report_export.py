@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from . import completion
-from .options import AsCsv, AsJson, AsMarkdown, Floor, Pairs, RunFolder, format_of
+from .options import AsCsv, AsJson, AsMarkdown, BestCase, Pairs, RunFolder, format_of
 from .output import print_as, print_line
 
 
@@ -17,7 +17,7 @@ def show(
     pair: Annotated[str | None, typer.Argument(autocompletion=completion.pairs)] = None,
     object_: Annotated[str | None, typer.Argument(metavar="[OBJECT]")] = None,
     all_: Annotated[bool, typer.Option("--all")] = False,
-    floor: Floor = None,
+    best_case: BestCase = None,
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
@@ -38,7 +38,7 @@ def show(
 
     fidpipe show runs/dataset 0007 12          real object 12 and its simulated partner; sim:3 for a simulated one
 
-    fidpipe show runs/dataset --floor runs/dataset-floor    each score minus that of a perfect simulator
+    fidpipe show runs/dataset --best-case runs/dataset-best-case    each score minus that of a perfect simulator
 
     fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
 
@@ -49,17 +49,19 @@ def show(
     output = format_of(as_json, as_markdown, as_csv)
     if all_ and object_ is not None:
         raise typer.BadParameter("--all is about a run or a pair; leave out the object")
-    if floor is not None and object_ is not None:
-        raise typer.BadParameter("--floor is about the scores of a run or of a pair; leave out the object")
-    if (as_markdown or as_csv) and (all_ or floor is not None):
-        raise typer.BadParameter("--markdown and --csv are of a run, a pair or an object; leave out --all and --floor")
+    if best_case is not None and object_ is not None:
+        raise typer.BadParameter("--best-case is about the scores of a run or of a pair; leave out the object")
+    if (as_markdown or as_csv) and (all_ or best_case is not None):
+        raise typer.BadParameter(
+            "--markdown and --csv are of a run, a pair or an object; leave out --all and --best-case"
+        )
 
     from ..report.views.show_view import show_json, show_records, show_view
+    from ..results.best_case import excess_over
     from ..results.finished import FinishedRun
-    from ..results.floor import excess_over
 
     finished = FinishedRun(run)
-    excess = None if floor is None else excess_over(finished, floor, None if pair is None else [pair])
+    excess = None if best_case is None else excess_over(finished, best_case, None if pair is None else [pair])
     print_as(
         output,
         view=lambda: show_view(finished, pair, object_, excess, with_all=all_),
@@ -73,7 +75,7 @@ def report(
     pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
     folder: bool = False,
     figures: bool = False,
-    floor: Floor = None,
+    best_case: BestCase = None,
     out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
     html: Path | None = None,
     opens: Annotated[bool, typer.Option("--open")] = False,
@@ -104,7 +106,7 @@ def report(
 
     fidpipe report runs/dataset --figures
 
-    fidpipe report runs/dataset --floor runs/dataset-floor
+    fidpipe report runs/dataset --best-case runs/dataset-best-case
     """
     if folder and html is not None:
         raise typer.BadParameter("--html names one page, --folder writes several; give one of them")
@@ -115,7 +117,14 @@ def report(
     from ..report.page.run_page import write_report
 
     made = write_report(
-        run, pairs, one_page_a_pair=folder, out=out, html=html, floor=floor, with_figures=figures, reporter=Reporter()
+        run,
+        pairs,
+        one_page_a_pair=folder,
+        out=out,
+        html=html,
+        best_case=best_case,
+        with_figures=figures,
+        reporter=Reporter(),
     )
     pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
     print_line(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")

@@ -20,7 +20,7 @@ def diagnosis_view(diagnosis: Diagnosis) -> View:
     pairs = "1 pair" if diagnosis.n_pairs == 1 else f"{diagnosis.n_pairs} pairs"
     title = (
         f"{pairs}: the surfaces are {100 * diagnosis.distance_m:.1f} cm apart, in a second measurement "
-        f"{100 * diagnosis.floor_m:.1f} cm"
+        f"{100 * diagnosis.best_case_m:.1f} cm"
     )
     first = cause_items(diagnosis.causes) or [(NO_CAUSE, "", "")]
     first.append((unexplained_words(diagnosis), "", ""))

@@ -22,8 +22,9 @@ from ...stages.method import remove_road
 from ...stages.sensor_description import describe_sensor
 from ...stages.statistics.findings import BAND_EDGES_M
 from ...stages.statistics.neighbours import SAME_PLACE, PlaceMap, map_place, overlap
-from ..datasets.pairing import scans_in
-from ..datasets.readers import frames_of, holds_frames, read_scan
+from ..datasets.pairs import scans_of
+from ..datasets.readers import read_scan
+from ..datasets.readers.scan_ref import ScanRef
 from ..jobs.points_job import column
 from ..results.finished import FinishedRun
 
@@ -120,22 +121,26 @@ def _summary(test: Separation) -> JsonObject:
     return {"auc": test.auc, "low": test.low, "high": test.high}
 
 
-def tell_apart_run(run: FinishedRun, floor: FinishedRun | None = None, pattern: str | None = None) -> TellApart:
+def tell_apart_run(run: FinishedRun, best_case: FinishedRun | None = None, pattern: str | None = None) -> TellApart:
     """Test the pairs of a run.
 
     Parameters
     ----------
-    floor : a run of `fidpipe floor` on the same real scans; its second measurements stand for the real sensor
+    best_case : a run of `fidpipe best-case` on the same real scans; its second measurements stand for the real sensor
     pattern : only pairs whose name matches (shell style)
 
     Raises
     ------
     FidpipeError
-        No pair is scored, a table is damaged, or the floor lacks a pair.
+        No pair is scored, a table is damaged, or the best case lacks a pair.
     """
     chosen = _evenly(run.select(pattern))
     sides = [[partial(_read_stored, run, name, side) for name in chosen] for side in SIDES]
-    second = [partial(_read_stored, floor, floor.row(name)["pair_id"], "sim") for name in chosen] if floor else []
+    second = (
+        [partial(_read_stored, best_case, best_case.row(name)["pair_id"], "sim") for name in chosen]
+        if best_case
+        else []
+    )
     return _compare(str(run.folder), sides[0], sides[1], second, is_paired=True)
 
 
@@ -153,10 +158,10 @@ def tell_apart_folders(real: Path, sim: Path, settings: Settings) -> TellApart:
     """
     sides = []
     for side, source in zip(SIDES, (real, sim), strict=True):
-        paths = frames_of(source) if holds_frames(source) else scans_in(source) if source.is_dir() else []
-        if not paths:
+        scans = scans_of(source)
+        if not scans:
             raise DatasetError(f"{source}: no {side} scans found; expected a folder of scans, or a recording")
-        sides.append([partial(_read_clean, path, side, settings) for path in _evenly(paths)])
+        sides.append([partial(_read_clean, scan, side, settings) for scan in _evenly(scans)])
     return _compare(f"{real} and {sim}", sides[0], sides[1], [], is_paired=False)
 
 
@@ -180,7 +185,7 @@ def _compare(
     parts = (n[: 2 * half : 2], n[1::2]) if is_paired else (n[:half], n[half : 2 * half])
     c, d = (_of_frames(a, part) for part in parts)
     if second:
-        base_of, (c, d) = "second measurements of the floor", (a, draw(second))
+        base_of, (c, d) = "second measurements of the best case", (a, draw(second))
     elif half and (not is_paired or len(np.unique(a.place)) <= half):
         base_of = "even and odd frames" if is_paired else "first and second half of the frames"
     else:
@@ -276,12 +281,12 @@ def _read_stored(run: FinishedRun, name: str, side: str) -> Frame:
     return Frame(points, own_points, column(ground, "height_m"), column(ground, "is_ground"), intensity)
 
 
-def _read_clean(path: Path, side: str, settings: Settings) -> Frame:
-    scan = read_scan(path, settings.input.columns_of(side))
+def _read_clean(ref: ScanRef, side: str, settings: Settings) -> Frame:
+    scan = read_scan(ref, settings.input.columns_of(side))
     try:
         clean, cut = remove_road(scan.points, settings, side)
     except StageError as error:
-        raise DatasetError(f"{path}: {error}") from error
+        raise DatasetError(f"{ref}: {error}") from error
     intensity = None if scan.intensity is None else scan.intensity[clean.point_ids]
     return Frame(clean.points, clean.points, cut.height_m, cut.is_ground, intensity)
 

@@ -9,14 +9,12 @@ from shutil import rmtree
 
 from ...schemas.errors import DiskFullError
 from ...schemas.settings import Settings
-from ..datasets.pairs import ScanPair
-from ..datasets.readers import files_of, may_crash, stem_of
-from ..datasets.readers.scan import label_path_of
+from ..datasets.pairs import ScanPair, may_crash
 from ..stage import Stage
 from ..storage.files import megabytes
 from ..storage.folder import RunFolder
 from ..storage.run_record import LIBRARIES, library_versions
-from ..storage.urls import is_stub, read_stub, stub_texts, url_of_cache
+from ..storage.urls import read_stub, stub_texts, url_of_cache
 from .collector import Collector
 from .costs import CostModel
 from .plan import PairPlan, with_results
@@ -77,7 +75,7 @@ def started_pool(
     from .cluster import start_pool
 
     is_local = machines.scheduler is None
-    reader_may_crash = is_local and any(may_crash(path) for pair in pairs for path in pair.paths)
+    reader_may_crash = is_local and may_crash(pairs)
     libraries = {name: "" for stage in stages for name in stage.libraries}
     pool = start_pool(
         machines.workers,
@@ -100,11 +98,10 @@ def _shared_files(pairs: Iterable[ScanPair], folder: RunFolder) -> list[str]:
     """A scan and the token of the run, which all workers must be able to read."""
     token = folder.token_path
     shared = [f"{folder.url}/{token.name}" if folder.url else str(token.resolve())]
-    for pair in pairs:
-        for path in pair.paths:
-            scan = files_of(path)[0]
-            shared.insert(0, read_stub(scan)[0] if is_stub(scan) else str(scan.resolve()))
-            return shared
+    scan = next((scan for pair in pairs for scan in pair.scans.values()), None)
+    if scan is not None:
+        file = scan.files[0]
+        shared.insert(0, read_stub(file)[0] if scan.is_remote else str(file.resolve()))
     return shared
 
 
@@ -133,7 +130,8 @@ def _plans_for_workers(
             notes = folder.folder / _TIME_NOTES / str(i)
             plan = replace(plan, limit=TimeLimit(machines.pair_timeout_s, notes))
         if machines.scheduler is not None:
-            files = [*pair.paths, *(label_path_of(path, stem_of(path)) for path in pair.paths)]
+            scans = pair.scans.values()
+            files = [*(scan.file for scan in scans), *(scan.labels for scan in scans)]
             plan = replace(plan, url=folder.url, stubs=stub_texts(files))
         yield plan
 

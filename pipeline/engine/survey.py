@@ -64,15 +64,15 @@ def hash_files(pairs: Iterable[ScanPair], folder: RunFolder) -> InputFiles:
         contents = {}
         reasons = []
         for side in SIDES:
-            path = pair.path(side)
+            scan = pair.scans.get(side)
             try:
-                if path is not None:
-                    contents[side] = scan_content(path, folder.ledger.input_hash)
+                if scan is not None:
+                    contents[side] = scan_content(scan, folder.ledger.input_hash)
                 elif pair.fault and pair.fault not in reasons:
                     reasons.append(pair.fault)
             except ScanError as error:
                 reasons.append(str(error))
-        if len(contents) == len(pair.paths):
+        if len(contents) == len(pair.scans):
             files.contents[pair.pair_id] = contents
         if reasons:
             files.faults[pair.pair_id] = "; ".join(reasons)

@@ -263,16 +263,16 @@ class PairTables:
     def _scan(self, side: str) -> Scan:
         """The scan of a side, whose file must be the one that the keys were made of."""
         if side not in self._scans:
-            path = self.plan.pair.path(side)
-            if path is None:
+            ref = self.plan.pair.scans.get(side)
+            if ref is None:
                 raise StageError(f"no {side} scan")
             if self.plan.stubs:
-                path = restored_scan(path, self.plan.stubs)
+                ref = replace(ref, file=restored_scan(ref.file, self.plan.stubs))
             columns = next(iter(self.plan.jobs.values())).settings.input.columns_of(side)
-            scan = read_scan(path, columns, dict(self.plan.label_names))
-            if scan_content(path) != self.plan.inputs[side]:
+            scan = read_scan(ref, columns, dict(self.plan.label_names))
+            if scan_content(ref) != self.plan.inputs[side]:
                 raise StageError(
-                    f"{path}: the file changed while the run was using it; run the same command again"
+                    f"{ref}: the file changed while the run was using it; run the same command again"
                 )
             self._scans[side] = scan
         return self._scans[side]

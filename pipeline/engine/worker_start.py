@@ -11,7 +11,7 @@ import ot
 import scipy.ndimage
 import scipy.signal
 import scipy.stats
-import sklearn.decomposition
+import sklearn.utils
 import sknetwork.clustering
 
 from . import worker

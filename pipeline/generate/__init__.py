@@ -1,1 +1,1 @@
-"""Generating datasets: synthetic streets, twins of recorded scans, noise floors."""
+"""Generating datasets: synthetic streets, twins of recorded scans, best cases."""

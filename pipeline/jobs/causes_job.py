@@ -33,13 +33,13 @@ def make_causes(inputs: Inputs) -> JobResult:
         estimates = estimate(pair_scans(inputs))
     if estimates is None:
         amounts = {name: Amount(None, reason=_TOO_LITTLE) for name in CAUSES}
-        distances: Metadata = {"surface_distance_m": None, "surface_floor_m": None}
+        distances: Metadata = {"surface_distance_m": None, "surface_best_case_m": None}
         pose = None
     else:
         amounts = only_known(estimates.amounts | intensity_amounts(inputs), _doubts(inputs))
         distances = {
             "surface_distance_m": estimates.distance_m,
-            "surface_floor_m": estimates.floor_m,
+            "surface_best_case_m": estimates.best_case_m,
         }
         pose = asdict(estimates.pose)
         pose["displacement"]["values"] = estimates.pose.displacement.values.tolist()

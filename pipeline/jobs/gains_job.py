@@ -42,8 +42,8 @@ def make_gains(inputs: Inputs) -> JobResult:
     of_pair = _amounts_of_pair(inputs)
     with inputs.step("gains"):
         made = corrections(scans, pose, of_pair, amounts, rng)
-        floor_m = inputs.metadata("causes")[OF_PAIR]["surface_floor_m"]
-        gains = shares(scans, made, pose.displacement.seam_deg, rng, floor_m)
+        best_case_m = inputs.metadata("causes")[OF_PAIR]["surface_best_case_m"]
+        gains = shares(scans, made, pose.displacement.seam_deg, rng, best_case_m)
     kinds = {CAUSES[name].curve for name in amounts if CAUSES[name].curve}
     with inputs.step("curves"):
         drawn = {kind: _rounded(curves(scans, pose, kind)) for kind in sorted(kinds)}
@@ -60,12 +60,12 @@ def _rounded(of_sides: Any) -> dict[str, list[float]]:
 
 
 def _result(inputs: Inputs, gains: Shares, drawn: dict[str, dict[str, list[float]]]) -> JobResult:
-    gain_m = gains.by_cause | {UNEXPLAINED: gains.after_m - gains.floor_m}
+    gain_m = gains.by_cause | {UNEXPLAINED: gains.after_m - gains.best_case_m}
     rows = []
     for name, value in sorted(gain_m.items()):
         rows.append({"pair_id": inputs.pair_id, "cause": name, "gain_m": value})
     metadata = {
-        DISTANCES: [gains.before_m, gains.after_m, gains.floor_m],
+        DISTANCES: [gains.before_m, gains.after_m, gains.best_case_m],
         CURVES: drawn,
         AMOUNTS: dict(inputs.arguments),
     }

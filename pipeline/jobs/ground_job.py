@@ -122,6 +122,6 @@ STAGE = Stage(
     grain=Grain.SIDE,
     version=2,
     make=make_ground,
-    libraries=("scikit-learn", "pypatchworkpp"),
+    libraries=("pypatchworkpp",),
     takes_real=_takes_real,
 )

@@ -16,7 +16,7 @@ import numpy as np
 from ...schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS
 from ...schemas.columns import Row
 from ...schemas.results import Cause
-from ...stages.arrays import FloatArray, IntArray
+from ...stages.arrays import FloatArray, IntArray, transform_of
 from ...stages.causes.estimates import estimate_between, fit_pose
 from ...stages.causes.gain import Shares, changes
 from ...stages.causes.sides import Side
@@ -167,7 +167,7 @@ def _sim_side(folder: Path, pair_id: str) -> Side:
     sensor = SensorDescription(**jobs["sensor", "sim"].metadata["sensor"])
     moved = jobs["ground", "sim"].metadata["T_real_sim"]
     position = read_run(folder)["settings"]["input"].get("sensor_position")
-    return side_of(ground, sensor, np.array(moved).reshape(3, 4) if moved else None, position)
+    return side_of(ground, sensor, transform_of(moved), position)
 
 
 def _undo(

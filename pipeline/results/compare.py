@@ -21,16 +21,16 @@ from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
-from ...stages.statistics.comparison import BLOCK_S, KINDS, LEAST_FLIPPED, LEAST_PAIRS, blocks_of
-from ...stages.statistics.neighbours import neighbours
+from ...stages.statistics.comparison import KINDS, LEAST_FLIPPED, LEAST_PAIRS
 from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
 from ..storage.table_files import table_name
+from .best_case import RunExcess, excess_over
 from .changes import Changes, change_rows, find_changes
-from .families import FamilyChange, ScoreChange, judge_families, overall
-from .finished import FinishedRun, differences, partition_note, settings_changes
-from .floor import RunExcess, excess_over
+from .families import FamilyChange, ScoreChange, judge_families, overall, score_rows
+from .finished import OF_SIM_FILES, FinishedRun, differences, partition_note, settings_changes
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, follow
+from .independence import how_found, pairs_and_places
 from .object_frame import object_parts, plain_rows
 from .sectors import N_SECTORS, sector_rows
 
@@ -52,11 +52,11 @@ class Comparison:
     changes : causes that changed
     families : scores of the world
     objects : the real objects and their fates, see `followed.follow`
-    n_blocks : independent pairs: copies and neighbouring frames count once
-    blocking : one sentence on how they were found
-    by_direction : True if few blocks are left, so that changes of the world must be consistent over directions as well
+    n_places : independent places: copies and neighbouring frames count once
+    counted : the numbers of pairs and places, and how places were recognised
+    by_direction : True if few places are left, so that changes of the world must be consistent over directions as well
     on_partition : what chance does to scores of the paper's partition; "" of reference objects
-    excess : of the base and of the other run over the floor; None without one
+    excess : of the base and of the other run over the best case; None without one
     """
 
     base: Path
@@ -71,16 +71,21 @@ class Comparison:
     changes: Changes
     families: tuple[FamilyChange, ...]
     objects: pd.DataFrame
-    n_blocks: int
-    blocking: str
+    n_places: int
+    counted: str
     by_direction: bool
     on_partition: str
     excess: tuple[RunExcess, RunExcess] | None = None
 
     @property
     def is_small(self) -> bool:
-        """True if so few pairs are compared that only changes far beyond the noise are decided."""
-        return (len(self.pairs) if self.by_direction else self.n_blocks) < LEAST_PAIRS
+        """True if so few pairs are compared that only very large changes count."""
+        return (len(self.pairs) if self.by_direction else self.n_places) < LEAST_PAIRS
+
+    @property
+    def lacks_places(self) -> bool:
+        """True if the comparison is undecided although more places may decide it."""
+        return self.decision == "undecided" and self.n_places < LEAST_PAIRS
 
     @property
     def decision(self) -> str:
@@ -95,6 +100,16 @@ class Comparison:
         if not self.failed:
             return decision
         return "mixed" if decision in ("better", "mixed") else "worse"
+
+    @property
+    def causes(self) -> pd.DataFrame:
+        """One row per cause that changed: amounts before and after, change with its 95 % interval, verdict, setting."""
+        return pd.DataFrame(change_rows(self.changes))
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One row per score of the world: family, verdict, means before and after, change with its 95 % interval, p."""
+        return pd.DataFrame(score_rows(self.families))
 
     @property
     def scores(self) -> list[ScoreChange]:
@@ -123,7 +138,7 @@ def compare_runs(
     folders: Sequence[Path],
     *,
     allow_different_settings: bool = False,
-    floor: Path | None = None,
+    best_case: Path | None = None,
     independent: bool = False,
     reporter: Reporter | None = None,
 ) -> list[Comparison]:
@@ -132,17 +147,17 @@ def compare_runs(
     Parameters
     ----------
     independent : treat each pair as independent, also neighbouring frames
-    floor : the run of fidpipe floor of the same real scans; all runs then need its settings
+    best_case : the run of fidpipe best-case of the same real scans; all runs then need its settings
     reporter : shows the progress over many pairs
 
     Raises
     ------
     RunError
         A folder is not a finished run, settings that change scores differ and that is not allowed, no pair is
-        common, or the floor belongs to other runs.
+        common, or the best case belongs to other runs.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
-    options: dict[str, Any] = {"floor": floor, "independent": independent, "reporter": reporter}
+    options: dict[str, Any] = {"best_case": best_case, "independent": independent, "reporter": reporter}
     return [compare_two(base, other, allow_different_settings, **options) for other in others]
 
 
@@ -151,12 +166,12 @@ def compare_two(
     other: FinishedRun,
     allow_different_settings: bool = False,
     *,
-    floor: Path | None = None,
+    best_case: Path | None = None,
     independent: bool = False,
     reporter: Reporter | None = None,
 ) -> Comparison:
     """One run against another, as `compare_runs` does."""
-    differing = settings_changes(base, other)
+    differing = settings_changes(base, other, but=OF_SIM_FILES)
     if differing and not allow_different_settings:
         raise RunError(_settings_differ(base, other, differing))
     left_out = pairs_left_out(base, other)
@@ -169,12 +184,12 @@ def compare_two(
         raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'no pair is scored'})")
     objects, unfollowed = _followed(base, other, names)
     excess = None
-    if floor is not None and names:
-        excess = excess_over(base, floor, names), excess_over(other, floor, names)
-    blocks, blocking = _blocks(base, other, names, independent)
-    n_blocks = len(np.unique(blocks))
+    if best_case is not None and names:
+        excess = excess_over(base, best_case, names), excess_over(other, best_case, names)
+    blocks = np.arange(len(names), dtype=np.int32) if independent else base.places(names)
+    n_places = len(np.unique(blocks))
     changes = find_changes(base, other, names, blocks, reporter) if names else Changes()
-    by_direction = n_blocks < min(LEAST_FLIPPED, len(names))
+    by_direction = n_places < min(LEAST_FLIPPED, len(names))
     return Comparison(
         base=base.folder,
         other=other.folder,
@@ -188,8 +203,8 @@ def compare_two(
         changes=changes,
         families=_families(base, other, names, blocks, by_direction, excess, changes) if names else (),
         objects=objects,
-        n_blocks=n_blocks,
-        blocking=blocking,
+        n_places=n_places,
+        counted=_counted(base, names, n_places, independent=independent),
         by_direction=by_direction,
         on_partition=partition_note((base, other)),
         excess=excess,
@@ -219,12 +234,12 @@ def _families(
     if by_direction:
         sectors = _by_sector(base, other, names, blocks)
         blocks = np.arange(len(names), dtype=np.int32)
-    floors = {}
+    best_cases = {}
     if excess is not None:
-        floors = {column: score.floor_from_equal for column, score in excess[0].scores.items()}
+        best_cases = {column: score.best_case_from_equal for column, score in excess[0].scores.items()}
     preset = base.preset if base.preset == other.preset else "paper"
     worse = [changed.cause.name for changed in changes.causes if changed.verdict == "worse"]
-    return judge_families(preset, rows, blocks, _noise_of_seeds(base, other, names), floors, sectors, worse)
+    return judge_families(preset, rows, blocks, _noise_of_seeds(base, other, names), best_cases, sectors, worse)
 
 
 def _by_sector(
@@ -255,29 +270,16 @@ def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tu
     return changes, [names[i] for _, own in found for i in own]
 
 
-def _blocks(base: FinishedRun, other: FinishedRun, names: Sequence[str], independent: bool) -> tuple[IntArray, str]:
-    """The block of each pair, and how these were found.
-
-    Neighbouring frames are recognised by their time stamps; real scans without one, by comparing them.
-    """
-    n, unit = len(names), "pair" if len(names) == 1 else "pairs"
+def _counted(base: FinishedRun, names: Sequence[str], n_places: int, *, independent: bool) -> str:
+    """The numbers of pairs and places, and how the places were recognised."""
     if independent:
-        return np.arange(n, dtype=np.int32), (
-            f"{n} {unit}, each counted as independent (--independent): the decision is about these scans only, not "
-            "about other places"
-        )
-    known = base.record.times_s | other.record.times_s
-    times_s = [known.get(name) for name in names]
-    untimed = [i for i, time_s in enumerate(times_s) if time_s is None]
-    links = neighbours(base.object_points(names[i]) for i in untimed)
-    contents = [base.record.inputs[name]["real"] for name in names]
-    blocks = blocks_of(contents, times_s, [(untimed[i], untimed[j]) for i, j in links])
-    n_blocks = len(np.unique(blocks))
-    found_by = "by comparing the scans" if untimed else "by time stamps"
-    if n_blocks < n:
-        return blocks, f"{n} {unit} form {n_blocks} block{'s' * (n_blocks != 1)} of neighbouring frames ({found_by})"
-    why = "no time stamps, and no two scans show the same place" if untimed else f"{BLOCK_S:g} s apart or more"
-    return blocks, f"{n} {unit}, taken as independent ({why})"
+        number = "1 pair" if len(names) == 1 else f"{len(names)} pairs"
+        return f"{number} (--independent), so that the decision is about these scans only"
+    counted = pairs_and_places(len(names), n_places)
+    if len(names) < 2:
+        return counted
+    are_timed = all(name in base.record.times_s for name in names)
+    return f"{counted} ({how_found(len(names), n_places, are_timed=are_timed)})"
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...schemas.cause_catalogue import CAUSES, FLOOR_ACCURACY, PARAMETERS
+from ...schemas.cause_catalogue import BEST_CASE_ACCURACY, CAUSES, PARAMETERS
 from ...schemas.record import RunRecord
 from ...schemas.results import Cause, Diagnosis, Evidence, Overview
 from ...stages.arrays import FloatArray
@@ -82,9 +82,9 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
     gains = read_gains(store, pair_ids, record.overview.causes)
     if gains is None:
         return None
-    before_m, after_m, floor_m = gains.distances_m.mean(axis=0).tolist()
+    before_m, after_m, best_case_m = gains.distances_m.mean(axis=0).tolist()
     gains_m = {name: float(values.mean()) for name, values in gains.by_cause.items()}
-    confirmed, doubtful = confirm(record.overview.causes, gains_m, (before_m, after_m, floor_m))
+    confirmed, doubtful = confirm(record.overview.causes, gains_m, (before_m, after_m, best_case_m))
     shown = []
     for cause in confirmed:
         evidence = _evidence(CAUSES[cause.name].curve, gains)
@@ -92,8 +92,8 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
     return Diagnosis(
         n_pairs=len(pair_ids),
         distance_m=before_m,
-        floor_m=floor_m,
-        unexplained=unexplained_share((before_m, after_m, floor_m)),
+        best_case_m=best_case_m,
+        unexplained=unexplained_share((before_m, after_m, best_case_m)),
         causes=tuple(shown),
         doubtful=tuple(cause.words for cause in doubtful),
     )
@@ -110,10 +110,10 @@ def confirm(
     gains_m : by name, metres by which the surface distance becomes smaller
     distances_m : before and after all corrections, and that of a second measurement
     """
-    _, after_m, floor_m = distances_m
+    _, after_m, best_case_m = distances_m
     excess_m = _excess(distances_m)
     # within the accuracy of the second measurement the whole distance counts, else small gains would be large parts
-    left_m = after_m if excess_m is None else after_m - floor_m
+    left_m = after_m if excess_m is None else after_m - best_case_m
     confirmed, doubtful = [], []
     for cause in causes:
         diagnosed = _with_gain(cause, gains_m.get(cause.name), excess_m)
@@ -131,18 +131,18 @@ def unexplained_share(distances_m: tuple[float, float, float]) -> float | None:
     ----------
     distances_m : before and after all corrections, and that of a second measurement
     """
-    _, after_m, floor_m = distances_m
+    _, after_m, best_case_m = distances_m
     excess_m = _excess(distances_m)
     if excess_m is None:
         return None
-    return min(max((after_m - floor_m) / excess_m, 0.0), 1.0)
+    return min(max((after_m - best_case_m) / excess_m, 0.0), 1.0)
 
 
 def _excess(distances_m: tuple[float, float, float]) -> float | None:
     """Distance over that of a second measurement, metres; None if it is within the accuracy of the latter."""
-    before_m, _, floor_m = distances_m
-    excess_m = before_m - floor_m
-    return excess_m if excess_m >= max(LEAST_EXCESS_M, FLOOR_ACCURACY * floor_m) else None
+    before_m, _, best_case_m = distances_m
+    excess_m = before_m - best_case_m
+    return excess_m if excess_m >= max(LEAST_EXCESS_M, BEST_CASE_ACCURACY * best_case_m) else None
 
 
 def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overview | None:
@@ -186,7 +186,7 @@ def _evidence(kind: str, gains: Gains) -> Evidence | None:
 
 def unexplained_words(diagnosis: Diagnosis) -> str:
     """Part of the distance that remains if all causes are corrected."""
-    distance = f"{100 * max(diagnosis.distance_m - diagnosis.floor_m, 0.0):.1f} cm"
+    distance = f"{100 * max(diagnosis.distance_m - diagnosis.best_case_m, 0.0):.1f} cm"
     over = "by which the surfaces are farther apart than in a second measurement"
     if diagnosis.unexplained is None:
         return f"unexplained: nothing; the surfaces are as close as in a second measurement ({distance})"

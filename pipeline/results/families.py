@@ -21,6 +21,7 @@ from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import (
     ALIKE,
     CONFIDENCE,
+    LEAST_PAIRS,
     Difference,
     adjusted_p_values,
     block_means,
@@ -113,7 +114,7 @@ class ScoreChange:
     why : reason for which its verdict does not count; "" if it counts
     of_pairs : by pair, after minus before; None if a value is null
     seed_noise : largest difference of the two means that Louvain seeds alone make in 95 % of the cases; None if unknown
-    floor : distance of the floor's mean from equal scans; None if unknown
+    best_case : distance of the best case's mean from equal scans; None if unknown
     """
 
     name: str
@@ -124,7 +125,7 @@ class ScoreChange:
     towards: str
     of_pairs: dict[str, float | None]
     seed_noise: float | None = None
-    floor: float | None = None
+    best_case: float | None = None
     why: str = ""
 
     @property
@@ -132,8 +133,14 @@ class ScoreChange:
         """Change in standard deviations of the blocks' changes."""
         return self.difference.size / (self.difference.std or math.inf)
 
+    @property
+    def is_clear(self) -> bool:
+        """True if it moved, and its interval, if there is one, does not hold 0."""
+        low, high = self.difference.low, self.difference.high
+        return bool(self.towards) and (low is None or high is None or low > 0 or high < 0)
+
     def exceeds(self, least: float | None) -> bool | None:
-        """True if the difference is larger than `seed_noise` or `floor`; None if one of them is unknown."""
+        """True if the difference is larger than `seed_noise` or `best_case`; None if one of them is unknown."""
         change = self.difference.difference
         return None if least is None or change is None else abs(change) > least
 
@@ -167,7 +174,7 @@ def judge_families(
     rows: PairRows,
     blocks: IntArray,
     seed_noise: Mapping[str, float | None] | None = None,
-    floors: Mapping[str, float | None] | None = None,
+    best_cases: Mapping[str, float | None] | None = None,
     sectors: tuple[PairRows, IntArray] | None = None,
     worse_causes: Sequence[str] = (),
 ) -> tuple[FamilyChange, ...]:
@@ -181,14 +188,14 @@ def judge_families(
     preset : of both runs
     rows : by pair, its rows of `pairs` before and after
     blocks : (n,) block of each pair
-    seed_noise, floors : by column of `pairs`, see `ScoreChange`
+    seed_noise, best_cases : by column of `pairs`, see `ScoreChange`
     sectors : rows of the sectors of all pairs (`sectors.sector_rows`) and the block of each, where neighbouring frames
         leave few blocks. A change must then be consistent over the sectors of the places, and over the frames, too
     worse_causes : causes of the sensor that became worse, from which improvements of a family may follow
     """
     found = [
         FamilyChange(
-            name, "undecided", None, "", "", _changes(scores, rows, blocks, seed_noise or {}, floors or {}, sectors)
+            name, "undecided", None, "", "", _changes(scores, rows, blocks, seed_noise or {}, best_cases or {}, sectors)
         )
         for name, scores in families(preset).items()
     ]
@@ -196,6 +203,8 @@ def judge_families(
     lowest = [min((score.p for score in family.scores if score.p is not None), default=None) for family in found]
     adjusted = holm(lowest)
     found = [_with_p(family, p, before) for family, p, before in zip(found, adjusted, lowest, strict=True)]
+    if len(np.unique(blocks)) < LEAST_PAIRS:
+        found = [_without_idle_p(family) for family in found]
     worse = {family.name for family in found if any(score.verdict == "worse" for score in family.scores)}
     right, invented = _points_change(rows)
     reasons = _Reasons(worse, right > invented / 2, tuple(worse_causes))
@@ -211,6 +220,12 @@ def _with_p(family: FamilyChange, p: float | None, before_holm: float | None) ->
     return replace(family, p=p, tendency=scores[0].towards if tends else "", scores=scores)
 
 
+def _without_idle_p(family: FamilyChange) -> FamilyChange:
+    """The family without p-values of 1: those that few pairs cannot lower."""
+    scores = tuple(replace(score, p=None) if score.p == 1.0 else score for score in family.scores)
+    return replace(family, p=None if family.p == 1.0 else family.p, scores=scores)
+
+
 def _with_verdict(score: ScoreChange) -> ScoreChange:
     is_decided = score.p is not None and score.p < ERROR_RATE and score.exceeds(score.seed_noise) is not False
     return replace(score, verdict=score.towards) if is_decided else score
@@ -221,7 +236,7 @@ def _changes(
     rows: PairRows,
     blocks: IntArray,
     seed_noise: Mapping[str, float | None],
-    floors: Mapping[str, float | None],
+    best_cases: Mapping[str, float | None],
     sectors: tuple[PairRows, IntArray] | None,
 ) -> tuple[ScoreChange, ...]:
     """The scores of a family that have values, without verdicts, the most clearly changed first."""
@@ -237,7 +252,7 @@ def _changes(
         if difference.n_pairs:
             change = dict(zip(rows, (after[i] - before[i]).tolist(), strict=True))
             p = None if np.isnan(p_values[i]) else float(p_values[i])
-            scores.append(_score_change(score, difference, p, change, seed_noise, floors))
+            scores.append(_score_change(score, difference, p, change, seed_noise, best_cases))
     return tuple(sorted(scores, key=lambda score: (2.0 if score.p is None else score.p, -score.clarity)))
 
 
@@ -260,7 +275,7 @@ def _score_change(
     p: float | None,
     change: Mapping[str, float],
     seed_noise: Mapping[str, float | None],
-    floors: Mapping[str, float | None],
+    best_cases: Mapping[str, float | None],
 ) -> ScoreChange:
     is_same = difference.low == difference.high == 0 or (difference.n_blocks > 1 and p is None)
     towards = ""
@@ -275,7 +290,7 @@ def _score_change(
         towards=towards,
         of_pairs={name: None if math.isnan(value) else value for name, value in change.items()},
         seed_noise=seed_noise.get(score.column),
-        floor=floors.get(score.column),
+        best_case=best_cases.get(score.column),
     )
 
 
@@ -356,3 +371,27 @@ def overall(verdicts: Collection[str], *, tends_worse: bool = False) -> str:
     if "better" in verdicts:
         return "mixed" if tends_worse else "better"
     return "same" if {*verdicts} <= {"same"} else "undecided"
+
+
+def score_rows(found: Sequence[FamilyChange]) -> list[Row]:
+    """One row per score, for programs."""
+    rows = []
+    for family in found:
+        for score in family.scores:
+            change = score.difference
+            rows.append(
+                {
+                    "family": family.name,
+                    "score": score.name,
+                    "better is": score.mark,
+                    "verdict": score.verdict,
+                    "pairs": change.n_pairs,
+                    "before": change.before,
+                    "after": change.after,
+                    "change": change.difference,
+                    "from": change.low,
+                    "to": change.high,
+                    "p": score.p,
+                }
+            )
+    return rows

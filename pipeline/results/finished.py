@@ -26,8 +26,7 @@ from ...schemas.metric_catalogue import metric_of
 from ...schemas.record import RunRecord
 from ...schemas.results import Cause, Diagnosis, JsonObject, Overview, Unknown
 from ...schemas.tables import PAIR_TABLES, TABLES
-from ...stages.arrays import FloatArray
-from ...stages.statistics.comparison import blocks_of
+from ...stages.arrays import IntArray
 from ..datasets.pairs import MANIFEST
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
@@ -35,7 +34,7 @@ from ..storage.run_record import RUN_JSON, command_again, finished_record
 from ..storage.urls import url_or_path
 from .causes import mean_amount, read_causes
 from .diagnosis import diagnosis_of, with_gains
-from .object_frame import ALL_COLUMNS, COLUMNS_OF, object_parts, plain_rows
+from .object_frame import ALL_COLUMNS, COLUMNS_OF, WITH_UNITS, object_parts, plain_rows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,6 +56,8 @@ def record_of_run(folder: Path) -> dict[str, Any]:
         hint = f"it holds a dataset, evaluate it: fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
     elif runs:
         hint = f"it holds runs: {', '.join(runs[:3])}{', ...' * (len(runs) > 3)}"
+    elif names:
+        hint = f"if it holds scans, evaluate them: fidpipe run {shlex.quote(shown)} SIM"
     else:
         hint = f"make a run: fidpipe run DATASET --out {shlex.quote(shown)}"
     problem = f"no {RUN_JSON} found" if folder.is_dir() else "no such folder"
@@ -107,8 +108,15 @@ class FinishedRun:
 
     @property
     def objects(self) -> pd.DataFrame:
-        """One row per object of either side of all scored pairs; its columns are in `schemas/tables.csv`."""
-        return _frame(self.table("objects"))
+        """One row per object of either side of all scored pairs, with place, coverage, class, fate and scores.
+
+        Columns are those of the tables `objects`, `coverage` and `metrics` with units in their names, and `fate`
+        (matched, missing, hallucinated; remnant: a few simulated points of a missing object), `partner` (the matched
+        object of the other side, -1 without one), `shape`, `bearing_deg`, `diagonal_m` and `quadrant`. Scores are
+        those of the pair of objects, on both rows; null for unmatched objects.
+        """
+        frame = self.objects_of([row["pair_id"] for row in self.scored])
+        return frame.drop(columns=["pair", "band"]).rename(columns=WITH_UNITS)
 
     @property
     def metrics(self) -> pd.DataFrame:
@@ -124,11 +132,10 @@ class FinishedRun:
         labels = _frame(self._of_side("communities", pair_id, side))[["point_id", "community_id"]]
         return points.merge(labels.astype({"community_id": "Int32"}), on="point_id", how="left", validate="1:1")
 
-    def object_points(self, pair_id: str, side: str = "real") -> FloatArray:
-        """(n, 3) the points of a side without ground, metres, in the real sensor's frame."""
-        table = self.read_table("ground", pair_id, side, ["x", "y", "z", "is_ground"])
-        points: FloatArray = np.column_stack([table[axis] for axis in "xyz"])[~table["is_ground"].to_numpy()]
-        return points
+    def places(self, names: Sequence[str]) -> IntArray:
+        """(n,) number of the place of each scored pair; copies and neighbouring frames have the same one."""
+        place_of = {} if self.record.findings is None else self.record.findings.places
+        return np.array([place_of[name] for name in names], dtype=np.int32)
 
     def edges(self, pair_id: str, side: str) -> pd.DataFrame:
         """The graph of a side, one row per edge: `src`, `dst` (ids of points), `length_m`."""
@@ -185,9 +192,7 @@ class FinishedRun:
         """Every cause of the catalogue with its mean amount over the scored pairs, also those that are not named."""
         names = [row["pair_id"] for row in self.scored]
         values = read_causes(self.store, names)
-        blocks = blocks_of(
-            [self.record.inputs[name]["real"] for name in names], [self.record.times_s.get(name) for name in names]
-        )
+        blocks = self.places(names)
         amounts: dict[str, Cause | Unknown] = {}
         for name, of_cause in values.items():
             amount = mean_amount(name, of_cause, blocks)
@@ -279,6 +284,10 @@ class FinishedRun:
 def _frame(table: pa.Table) -> pd.DataFrame:
     frame: pd.DataFrame = table.to_pandas(ignore_metadata=True)
     return frame
+
+
+#: How the files of the simulated side are read: runs that differ in these alone can be compared.
+OF_SIM_FILES = ("input.sim_columns", "input.sim_flip_y", "input.sim_frame")
 
 
 def settings_changes(base: FinishedRun, other: FinishedRun, but: Sequence[str] = ()) -> list[str]:

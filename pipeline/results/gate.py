@@ -19,9 +19,9 @@ from ...schemas.data_files import read_toml
 from ...schemas.errors import SettingsError
 from ...schemas.results import JsonObject
 from ...schemas.settings import expected_and_got
-from ...stages.statistics.comparison import LEAST_PAIRS
+from .best_case import excess_over
 from .finished import FinishedRun, partition_note
-from .floor import excess_over
+from .independence import NEEDED, pairs_and_places
 from .measures import Measures
 
 if TYPE_CHECKING:
@@ -77,22 +77,22 @@ class GateResult:
         return found | {"notes": [*self.notes], "criteria": [dict(vars(verdict)) for verdict in self.judged]}
 
 
-def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = None) -> GateResult:
+def judge_run(folder: Path, criteria: Iterable[Criterion], best_case: Path | None = None) -> GateResult:
     """Check a finished run against criteria.
 
     Parameters
     ----------
-    floor : the run of fidpipe floor that measures such as `excess.r_lambda.mean` are over
+    best_case : the run of fidpipe best-case that measures such as `excess.r_lambda.mean` are over
 
     Raises
     ------
     RunError
-        The folder is not a finished run, a table is damaged, or the floor is another's.
+        The folder is not a finished run, a table is damaged, or the best case is another's.
     SettingsError
-        A criterion names an unknown measure, or one that needs a floor without one.
+        A criterion names an unknown measure, or one that needs a best case without one.
     """
     run = FinishedRun(folder)
-    excess = None if floor is None else excess_over(run, floor)
+    excess = None if best_case is None else excess_over(run, best_case)
     measures = Measures(run, excess)
     wanted = list(criteria)
     given = {(criterion.measure, criterion.bound) for criterion in wanted}
@@ -104,7 +104,7 @@ def judge_run(folder: Path, criteria: Iterable[Criterion], floor: Path | None = 
     notes = [note] if (note := partition_note([run])) else []
     if excess is not None:
         n_both = f"{len(excess.pairs)} of {len(run.scored)} pairs"
-        notes.append(f"excess is over the floor {floor} ({excess.recipe.words}), {n_both}")
+        notes.append(f"excess is over the best case {best_case} ({excess.recipe.words}), {n_both}")
     if measures.dataset_is_gone:
         notes.append(f"the dataset {run.record.dataset} is not here: not checked whether it has changed since the run")
     else:
@@ -148,14 +148,14 @@ class BaseResult:
 
     @property
     def note(self) -> str:
-        """Families that tend to the worse though the gate passed, and what too few pairs cannot show; "" if nothing."""
+        """Families that tend to the worse though the gate passed, and what few pairs cannot show; "" if nothing."""
+        notes = []
         tending = [family.name for family in self.comparison.families if family.tendency == "worse"]
-        notes = [f"not decided, but with a tendency to the worse: {', '.join(tending)}"] * bool(tending)
-        if self.comparison.is_small and "undecided" not in self.fail_on:
-            notes.append(
-                f"with {self.comparison.n_blocks} independent pairs (a verdict requires {LEAST_PAIRS}) "
-                "this gate fails only on changes far beyond the noise; use --fail-on undecided to fail instead"
-            )
+        if tending:
+            notes.append(f"not decided, but with a tendency to the worse: {', '.join(tending)}")
+        if self.comparison.is_small:
+            counted = pairs_and_places(len(self.comparison.pairs), self.comparison.n_places)
+            notes.append(f"{counted}: of the world, only very large changes fail this gate")
         return "; ".join(notes)
 
     def as_dict(self) -> JsonObject:
@@ -164,13 +164,17 @@ class BaseResult:
         return self.comparison.as_dict() | checks | {"passed": not self.failed, "gate_note": self.note}
 
 
-def judge_comparison(comparison: Comparison, fail_on: Collection[str]) -> BaseResult:
+def judge_comparison(comparison: Comparison, fail_on: Collection[str], *, undecided_ok: bool = False) -> BaseResult:
     """Evaluate a run against its base.
 
     A cause of the sensor fails if it is worse, a family if it is worse or mixed. Every pair that the base has scored
-    must have been compared: one that fails
-    now fails the gate, for a simulator that loses its hardest pairs looks better in the means. With "undecided" the
-    gate also fails if nothing is decided: too few independent pairs, or changes within the noise.
+    must have been compared: one that fails now fails the gate, for a simulator that loses its hardest pairs looks
+    better in the means. A comparison that is undecided for lack of places fails, too.
+
+    Parameters
+    ----------
+    fail_on : words of `FAIL_ON`; with "undecided" the gate also fails if changes are within the noise
+    undecided_ok : pass a comparison that lacks places
     """
     n_base = len(comparison.pairs) + len(comparison.lost)
     why = [f"{name}: {comparison.left_out[name]}" for name in comparison.lost]
@@ -188,9 +192,14 @@ def judge_comparison(comparison: Comparison, fail_on: Collection[str]) -> BaseRe
     for family in comparison.families:
         fault = family.verdict if family.verdict in ("worse", "mixed") and not family.why else ""
         checks.append(Check(f"{family.name} is not worse", _found(family), fault))
-    if "undecided" in fail_on:
-        undecided = "undecided" * (comparison.decision == "undecided")
-        checks.append(Check("the comparison is decided", comparison.decision, undecided))
+    lacks_places = comparison.lacks_places and not undecided_ok
+    if lacks_places or "undecided" in fail_on:
+        found = comparison.decision
+        if comparison.lacks_places:
+            counted = pairs_and_places(len(comparison.pairs), comparison.n_places)
+            found = f"undecided: {counted}, {NEEDED}; --undecided-ok accepts that"
+        fault = "undecided" if comparison.decision == "undecided" else ""
+        checks.append(Check("the comparison is decided", found, fault))
     return BaseResult(comparison, tuple(word for word in FAIL_ON if word in fail_on), tuple(checks))
 
 

@@ -17,8 +17,8 @@ from ...stages.arrays import FloatArray, IndexArray
 from ...stages.statistics.findings import distribution
 from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, local_folder, read_dataset
+from .best_case import RunExcess
 from .finished import FinishedRun
-from .floor import RunExcess
 from .measure_names import (
     CAUSE_NAMES,
     COUNTS,
@@ -42,7 +42,7 @@ class _AbsentError(Exception):
 
 
 class Measures:
-    """The numbers of a finished run by name; those over its floor where there is one."""
+    """The numbers of a finished run by name; those over its best case where there is one."""
 
     def __init__(self, run: FinishedRun, excess: RunExcess | None = None) -> None:
         self.run, self._excess = run, excess
@@ -53,7 +53,7 @@ class Measures:
         Raises
         ------
         SettingsError
-            The name is unknown, or needs a floor that is not given.
+            The name is unknown, or needs a best case that is not given.
         """
         for pattern, measure in _MEASURES.items():
             if match := re.fullmatch(pattern, name, re.DOTALL):
@@ -81,14 +81,14 @@ class Measures:
         values = np.array([row[_column(score)] for row in self.run.scored], dtype=np.float64)  # None becomes NaN
         return _statistic(values, stat, "pair", score)
 
-    def _over_floor(self, score: str, stat: str) -> float:
+    def _over_best_case(self, score: str, stat: str) -> float:
         if self._excess is None:
-            raise SettingsError(f"criterion 'excess.{score}.{stat}': needs a floor; add --floor RUN")
+            raise SettingsError(f"criterion 'excess.{score}.{stat}': needs a best case; add --best-case RUN")
         own = self._excess.scores[_column(score)]
         if stat in OF_DISTRIBUTIONS:
             apart: float | None = getattr(own, stat)
             if apart is None:
-                raise _AbsentError(f"no {score} in the run or in its floor")
+                raise _AbsentError(f"no {score} in the run or in its best case")
             return apart
         return _statistic(np.array([*own.of_pairs.values()], dtype=np.float64), stat, "pair", f"{score} in both runs")
 
@@ -212,7 +212,7 @@ _SENSOR_VALUE = _either("score", map(re.escape, SENSOR_VALUES))
 _MEASURES: dict[str, Callable[..., float]] = {
     rf"{_SCORE}\.{_either('stat', OF_PAIRS)}": Measures._of_pairs,
     rf"{_SENSOR_VALUE}\.{_either('stat', OF_PAIRS)}": Measures._of_pairs,
-    rf"excess\.{_SCORE}\.{_either('stat', (*OF_PAIRS, *OF_DISTRIBUTIONS))}": Measures._over_floor,
+    rf"excess\.{_SCORE}\.{_either('stat', (*OF_PAIRS, *OF_DISTRIBUTIONS))}": Measures._over_best_case,
     rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', OF_OBJECTS)}": Measures._of_objects,
     rf"{_CLASS}?{_either('what', ('missing', 'hallucinated'))}{_WITHIN}(?:\.{_either('count', COUNTS)})?": (
         Measures._unmatched

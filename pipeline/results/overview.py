@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import SIDES, Row
+from ...schemas.columns import SIDE_NAMES, SIDES, Row
 from ...schemas.record import (
     ELSEWHERE,
     SURFACE_STATES,
@@ -28,13 +28,14 @@ from ...schemas.results import Caution, Findings, Overview, Piece, SurfaceGroup
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.coverage import ROAD, surface_state
-from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS, blocks_of
+from ...stages.statistics.comparison import LEAST_PAIRS
 from ...stages.statistics.findings import BAND_NAMES, summarise_objects
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.urls import recorded_path
+from .best_case import BEST_CASE_RECIPE
 from .causes import named_causes, read_causes, unknown_causes
-from .floor import FLOOR_RECIPE
+from .independence import NEEDED, find_places, pairs_and_places
 from .object_frame import PAIRS_AT_ONCE, STATISTICS_COLUMNS, arrays_of, object_parts, plain_rows
 from .places import moved_words, place_words
 
@@ -55,7 +56,7 @@ BAD_ALIGNMENT_M = 5.0
 #: From this share of badly aligned objects on it is reported.
 _MANY_BADLY_ALIGNED = 0.05
 _MOST_NAMED = 3
-_NUMBER = re.compile(r"[-+]?[0-9]+\.[0-9]+")
+_NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
 BAD_ALIGNMENT_WORDS = f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
 NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
@@ -107,19 +108,31 @@ def describe_objects(
     objects = pd.concat([part.loc[part["fate"] != "remnant", [*_KEYS, *columns]] for part in parts])
     objects["label"] = objects["label"].fillna("")
     times = [timestamps_s.get(pair_id) for pair_id in pair_ids]
-    blocks = blocks_of([hashes[pair_id]["real"] for pair_id in pair_ids], times)
-    n_independent = len(np.unique(blocks))
+    blocks = find_places(store, pair_ids, hashes, timestamps_s)
     found = summarise_objects(*arrays_of(objects), pair_ids, times)
-    findings = Findings(n_independent=n_independent, **vars(found))
+    places = dict(zip(pair_ids, blocks.tolist(), strict=True))
+    findings = Findings(n_places=len(np.unique(blocks)), places=places, **vars(found))
     causes = read_causes(store, pair_ids)
     overview = Overview(
         causes=tuple(named_causes(causes, blocks)),
         unknown=tuple(unknown_causes(causes)),
+        doubts=tuple(_doubts(store, pair_ids)),
         pieces=tuple(largest_pieces(store, pair_ids)),
         surface=tuple(_surface(objects, len(scored))),
         **_alignment(objects),
     )
     return findings, overview, _unmatched(objects)
+
+
+def _doubts(store: RunFolder, pair_ids: Sequence[str]) -> Iterator[str]:
+    """Why points of the scans cannot be trusted: one line for each side and kind, of the first scan."""
+    tables = store.read_pairs(pair_ids, {("sensor", side): ["doubts"] for side in SIDES})
+    for side, name in SIDE_NAMES.items():
+        table, _ = tables["sensor", side]
+        texts = [text for scan in table["doubts"].drop_null().to_pylist() for text in scan.split("\n")]
+        kinds = [_NUMBER.sub("", text) for text in texts]
+        for kind, n in Counter(kinds).items():
+            yield f"{name} scans ({n} of {len(pair_ids)}): {texts[kinds.index(kind)]}"
 
 
 def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
@@ -180,18 +193,6 @@ def _groups(kind: str, coverage: dict[str, GroupPoints], names: Sequence[str] = 
     return found
 
 
-def independence(findings: Findings | None) -> list[str]:
-    """Statement of which pairs count as one, or that this is unknown."""
-    if findings is None:
-        return []
-    n_pairs, n_independent = findings.n_pairs, findings.n_independent
-    if n_independent < n_pairs:
-        return [f"{n_pairs} pairs count as {n_independent}: copies, and scans within {BLOCK_S:g} s, count once"]
-    if n_pairs > 1 and all(scan.timestamp_s is None for scan in findings.scans.scans):
-        return ["no timestamps: each pair counts as independent, which neighbouring frames of a drive are not"]
-    return []
-
-
 def largest_pieces(store: RunFolder, pair_ids: Sequence[str]) -> list[Piece]:
     """The largest pieces of surface without a counterpart; one that moved counts once, on the real side."""
     import pandas as pd
@@ -240,23 +241,31 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
         pair_id, (note, *_) = next(iter(record.notes.items()))
         words = f"ground cut, notes on {len(record.notes)} of {n_pairs} pairs; {pair_id}: {note}"
         yield Caution(kind="ground", words=words)
-    n_independent = record.findings.n_independent if record.findings else pairs.scored
-    if n_independent < LEAST_PAIRS:
-        few = f"{n_independent} independent pair{'s' * (n_independent != 1)}: too few for a verdict ({LEAST_PAIRS})"
-        yield Caution(kind="pairs", words=few)
-    for words in independence(record.findings):
-        yield Caution(kind="independence", words=words)
+    n_places = record.findings.n_places if record.findings else 0
+    if n_places < LEAST_PAIRS:
+        counted = pairs_and_places(pairs.scored, n_places)
+        yield Caution(kind="pairs", words=f"{counted}: a verdict on the world {NEEDED}")
+    elif n_places < pairs.scored:
+        yield Caution(kind="independence", words=f"{pairs_and_places(pairs.scored, n_places)}, which count once each")
     if overview.n_aligned and overview.n_badly_aligned >= _MANY_BADLY_ALIGNED * overview.n_aligned:
         share = f"{100 * overview.n_badly_aligned / overview.n_aligned:.0f} %"
         words = f"r_lambda of {share} of the matched objects is unreliable (poor alignment: {BAD_ALIGNMENT_WORDS})"
         yield Caution(kind="alignment", words=words)
     if record.preset != "reference":
         words = "each scan is segmented separately, so scores vary with the segmentation; to compare simulators: "
-        yield Caution(kind="partition", words=f"{words}fidpipe run --preset reference")
-    if path_exists(recorded_path(record.dataset) / FLOOR_RECIPE):
-        return  # it is a floor itself
-    floor = shlex.join(["fidpipe", "floor", record.dataset, "--preset", record.preset])
-    yield Caution(kind="floor", words=f"no floor yet; the scores of a perfect simulator: {floor}")
+        yield Caution(kind="partition", words=words + _by_reference(record))
+    if path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
+        return  # it is a best case itself
+    yield Caution(kind="best_case", words="no best case yet; the scores of a perfect simulator: fidpipe best-case RUN")
+
+
+def _by_reference(record: RunRecord) -> str:
+    """Command that evaluates the dataset of a run with reference objects and its other settings."""
+    command = ["fidpipe", "run", record.dataset, "--preset", "reference"]
+    for setting in record.departures:
+        command += ["--set", setting]
+    out = f"runs/{recorded_path(record.dataset).name}-reference"
+    return shlex.join([*command, "--out", out])
 
 
 def _frames_summary(suspects: Mapping[str, FrameSuspect], n_pairs: int) -> str:

@@ -43,7 +43,7 @@ def mean_apart(tree: cKDTree, points: FloatArray) -> float:
     return float(np.minimum(apart_m, REACH_M).mean())
 
 
-def surface_floor(real: Side, sim: Side, aligned: Side, rng: Generator) -> float:
+def best_case_distance(real: Side, sim: Side, aligned: Side, rng: Generator) -> float:
     """Surface distance of a perfect second measurement of the real scan, with rays like the simulated ones; metres.
 
     Real rays are turned in random directions by the angle between the simulated rays and the real ones: the median,

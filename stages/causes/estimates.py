@@ -23,7 +23,7 @@ from .beams import (
     road_blur_deg2,
     second_returns,
 )
-from .distance import mean_apart, sample_rows, surface_distance, surface_floor
+from .distance import best_case_distance, mean_apart, sample_rows, surface_distance
 from .sides import FAR_M, PLANE_NEIGHBOURS, SCATTERED, PairScans, Side, noise_bounds
 
 #: Simulated returns nearer than this, without a real counterpart, are clutter.
@@ -101,13 +101,13 @@ class PairEstimates:
     """Estimates of one pair.
 
     amounts : by name of the cause
-    distance_m, floor_m : surface distance of both sides, and of a perfect second measurement
+    distance_m, best_case_m : surface distance of both sides, and of a perfect second measurement
     """
 
     pose: Pose
     amounts: dict[str, Amount]
     distance_m: float
-    floor_m: float
+    best_case_m: float
 
 
 def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
@@ -126,13 +126,13 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
         return None
     aligned = pose.undisplaced(sim)
     distance_m = surface_distance(scans.real.points, scans.sim.points, scans.real.tree)
-    floor_m = surface_floor(scans.real, sim, aligned, np.random.default_rng(seed))
-    amounts = _pose_amounts(pose, real, sim, floor_m)
+    best_case_m = best_case_distance(scans.real, sim, aligned, np.random.default_rng(seed))
+    amounts = _pose_amounts(pose, real, sim, best_case_m)
     amounts["second returns"] = _difference(real_second_share, second_share, share=second_share - real_second_share)
     amounts |= _amounts(real, aligned, sim)
     if text := _unlike_patterns(real, aligned, sim):
         doubts.setdefault(BEAMS, text)
-    return PairEstimates(pose, only_known(amounts, doubts), distance_m, floor_m)
+    return PairEstimates(pose, only_known(amounts, doubts), distance_m, best_case_m)
 
 
 def _unlike_patterns(real: Side, sim: Side, recorded: Side) -> str | None:
@@ -256,11 +256,11 @@ def _described(real: Side, aligned: Side) -> SensorDescription:
     return replace(aligned.sensor, elevation_deg=again.elevation_deg or aligned.sensor.elevation_deg)
 
 
-def _pose_amounts(pose: Pose, real: Side, sim: Side, floor_m: float) -> dict[str, Amount]:
+def _pose_amounts(pose: Pose, real: Side, sim: Side, best_case_m: float) -> dict[str, Amount]:
     """Amounts of the displacement and of the elevation scale.
 
     The share of each is its part of the distance from the simulated to the real surface that the others leave: how much
-    of the distance over the floor disappears if it is undone as well.
+    of the distance over the best case disappears if it is undone as well.
     """
     displacement, scale = pose.displacement, pose.elevation_scale
     rows = sample_rows(len(sim.points))
@@ -276,13 +276,13 @@ def _pose_amounts(pose: Pose, real: Side, sim: Side, floor_m: float) -> dict[str
         share = 0.0
         if moved_m.mean() > _LEAST_MOVED_M:
             with_it_m = mean_apart(real.tree, without.undo(rescaled, is_ground))
-            share = _part_of(with_it_m - after_m, after_m - floor_m)
+            share = _part_of(with_it_m - after_m, after_m - best_case_m)
         amounts[name] = Amount(value, share=share)
     if elevation_scale(real.sensor, sim.sensor) is None:
         amounts["elevation scale"] = Amount(None, reason="the beams of both sides do not correspond")
     else:
         with_it_m = mean_apart(real.tree, displacement.undo(sim.points[rows], is_ground))
-        amounts["elevation scale"] = Amount(scale, share=_part_of(with_it_m - after_m, after_m - floor_m))
+        amounts["elevation scale"] = Amount(scale, share=_part_of(with_it_m - after_m, after_m - best_case_m))
     return amounts
 
 

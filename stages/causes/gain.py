@@ -10,7 +10,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
 
-from ...schemas.cause_catalogue import FLAT, FLOOR_ACCURACY, LOSSES, PARAMETERS
+from ...schemas.cause_catalogue import BEST_CASE_ACCURACY, FLAT, LOSSES, PARAMETERS
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import Displacement
 from ..surfels import fit_planes
@@ -172,21 +172,21 @@ class _Pair:
 
 @dataclass(frozen=True)
 class Shares:
-    """Distances of a pair, metres: before and after all corrections, that of the floor, and the part of each cause."""
+    """Distances of a pair in metres: before and after all corrections, of the best case, and the part of each cause."""
 
     before_m: float
     after_m: float
-    floor_m: float
+    best_case_m: float
     by_cause: dict[str, float]
 
 
 def shares(
-    scans: PairScans, made: Mapping[str, Correction], seam_deg: float, rng: Generator, floor_m: float = 0.0
+    scans: PairScans, made: Mapping[str, Correction], seam_deg: float, rng: Generator, best_case_m: float = 0.0
 ) -> Shares:
     """Distance of both sides before and after all corrections, and the metres that each correction contributes.
 
-    Distances count down to `floor_m`: restored real returns are better than those of a second measurement. Where the
-    sides are as close as that, they count in full.
+    Distances count down to `best_case_m`: restored real returns are better than those of a second measurement. Where
+    the sides are as close as that, they count in full.
 
     The contribution is averaged over the orders in which the corrections can be applied (Shapley, 1953): over all
     orders up to four corrections, else over six at random.
@@ -206,14 +206,14 @@ def shares(
         drawn = [tuple(rng.permutation(names).tolist()) for _ in range(_ORDERS // 2)]
         orders = drawn + [order[::-1] for order in drawn]
     before_all_m = distance(frozenset())
-    least_m = floor_m if before_all_m > (1.0 + FLOOR_ACCURACY) * floor_m else 0.0
+    least_m = best_case_m if before_all_m > (1.0 + BEST_CASE_ACCURACY) * best_case_m else 0.0
     gains = dict.fromkeys(names, 0.0)
     for order in orders:
         for i, name in enumerate(order):
             before_m = distance(frozenset(order[:i]))
             after_m = distance(frozenset(order[: i + 1]))
             gains[name] += (max(before_m, least_m) - max(after_m, least_m)) / len(orders)
-    return Shares(before_all_m, max(distance(frozenset(names)), least_m), floor_m, gains)
+    return Shares(before_all_m, max(distance(frozenset(names)), least_m), best_case_m, gains)
 
 
 def changes(

@@ -22,19 +22,28 @@ from ..statistics.comparison import mean_interval
 SCALES = (8, 24, 64)
 #: With fewer places, folds are sectors of azimuth.
 LEAST_PLACES = 5
-SECTORS, MOST_FOLDS = 8, 10
+SECTORS = 8
+MOST_FOLDS = 10
 #: Trees of a classifier with all features, and with one.
-TREES, TREES_ALONE = 60, 20
+TREES = 60
+TREES_ALONE = 20
 #: Points next to a tested sector are not trained on.
 GUARD_DEG = 10.0
 _LEAST_POINTS = 20  # of each side in a fold
 _DENSITY_M = 0.5
 _ROW_WEIGHT = 4.0  # of elevation against azimuth, so that the nearest ray is one of the same beam
-_SURFACE = (*("shape", "roughness", "spacing") * len(SCALES), "inclination", "density", "height above the road")
+_SURFACE = (
+    *("shape", "roughness", "spacing") * len(SCALES),
+    "inclination",
+    "density",
+    "height above the road",
+)
 _RAYS = ("azimuth step", "elevation step", "range step between rays", "range step between rays")
 _INTENSITY = ("intensity", "intensity", "intensity contrast")
 #: Features by family. Each is also tested alone: a single regular ray pattern is enough to recognise every point.
 FAMILIES = {"surface": _SURFACE, "rays": _RAYS, "intensity": _INTENSITY}
+
+Fold = tuple[IndexArray, IndexArray]  #: rows to train on and to test on
 
 
 @dataclass(frozen=True)
@@ -84,22 +93,26 @@ def describe_points(
     intensity : (n,) float64, or None for no features of intensity
     """
     tree = cKDTree(points)
-    chosen, range_m = points[rows], np.linalg.norm(points[rows], axis=1)
+    chosen = points[rows]
+    range_m = np.linalg.norm(chosen, axis=1)
     distance_m, near = tree.query(chosen, k=min(SCALES[-1] + 1, len(points)))
     offsets = points[near] - chosen[:, None]
-    columns, inclinations = list[FloatArray](), list[FloatArray]()
+    columns: list[FloatArray] = []
+    inclinations: list[FloatArray] = []
     for k in SCALES:
-        own = offsets[:, : k + 1] - offsets[:, : k + 1].mean(axis=1, keepdims=True)
-        values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", own, own) / own.shape[1])
+        radius_m = distance_m[:, min(k, distance_m.shape[1] - 1)]
+        centred = offsets[:, : k + 1] - offsets[:, : k + 1].mean(axis=1, keepdims=True)
+        covariance = np.einsum("nki,nkj->nij", centred, centred) / centred.shape[1]
+        values, vectors = np.linalg.eigh(covariance)
         l3, l2, l1 = np.maximum(values, 0.0).T
-        l1 = np.maximum(l1, 1e-12)
-        columns += [(l2 - l3) / l1, np.sqrt(l3), distance_m[:, min(k, distance_m.shape[1] - 1)] / range_m]
+        columns += [(l2 - l3) / np.maximum(l1, 1e-12), np.sqrt(l3), radius_m / range_m]
         inclinations.append(np.abs(vectors[:, 2, 0]))
     n_near = tree.query_ball_point(chosen, _DENSITY_M, return_length=True)
     columns += [inclinations[1], np.log(n_near), height_m[rows]]
     names = _SURFACE
     if own_points is not None:
-        columns, names = columns + _rays(own_points, rows), names + _RAYS
+        columns += _rays(own_points, rows)
+        names += _RAYS
     if intensity is not None:
         around = intensity[near[:, : SCALES[0] + 1]]
         columns += [intensity[rows], around.mean(axis=1), around.std(axis=1)]
@@ -133,22 +146,25 @@ def separate(
         Fewer than two folds have points of both sides.
     """
     rng = np.random.default_rng(0)
-    splits = [rows for rows in folds(place, azimuth_deg) if all(_has_both(is_sim[own]) for own in rows)]
-    if len(splits) < 2:
-        raise StageError(f"points of both sides in {len(splits)} of the places or sectors; at least 2 are needed")
-    probability, aucs = np.full(len(is_sim), np.nan), []
-    columns = {name: np.flatnonzero([own == name for own in names]) for name in names if by_feature}
-    alone, loss = (np.zeros((len(columns), len(splits))) for _ in range(2))
+    splits = _testable_folds(place, azimuth_deg, is_sim)
+    columns: dict[str, IndexArray] = {}
+    if by_feature:
+        columns = {name: np.flatnonzero(np.array(names) == name) for name in names}
+    probability = np.full(len(is_sim), np.nan)
+    aucs = []
+    alone = np.zeros((len(columns), len(splits)))
+    loss = np.zeros((len(columns), len(splits)))
     for k, (train, test) in enumerate(splits):
-        model, truth = _fit(features[train], is_sim[train], TREES), is_sim[test]
+        model = _fit(features[train], is_sim[train], TREES)
+        truth = is_sim[test]
         probability[test] = model.predict_proba(features[test])[:, 1]
         aucs.append(_auc(truth, probability[test]))
-        for i, own in enumerate(columns.values()):
+        for i, group in enumerate(columns.values()):
             permuted = features[test]
-            permuted[:, own] = rng.permutation(permuted[:, own])
+            permuted[:, group] = rng.permutation(permuted[:, group])
             loss[i, k] = aucs[-1] - _auc(truth, model.predict_proba(permuted)[:, 1])
-            single = _fit(features[train][:, own], is_sim[train], TREES_ALONE)
-            alone[i, k] = _auc(truth, single.predict_proba(features[test][:, own])[:, 1])
+            single = _fit(features[train][:, group], is_sim[train], TREES_ALONE)
+            alone[i, k] = _auc(truth, single.predict_proba(features[test][:, group])[:, 1])
     _, low, high = mean_interval(np.array(aucs))
     return Separation(
         auc=float(np.mean(aucs)),
@@ -167,7 +183,7 @@ def auc_of(is_sim: BoolArray, probability: FloatArray) -> float | None:
     return _auc(is_sim, probability) if _has_both(is_sim) else None
 
 
-def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[tuple[IndexArray, IndexArray]]:
+def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[Fold]:
     """Rows to train on and to test on: places; with fewer than five of them, sectors of equal size.
 
     Neither the places before and after a tested place nor the 10 degrees next to a tested sector are trained on.
@@ -175,10 +191,12 @@ def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[tuple[IndexArray
     n_places = int(place.max()) + 1
     is_by_place = n_places >= LEAST_PLACES
     n_folds = min(n_places, MOST_FOLDS) if is_by_place else SECTORS
-    limits = np.linspace(0, n_places, n_folds + 1).round() - 0.5
-    values: FloatArray = place.astype(np.float64)
-    if not is_by_place:
-        limits, values = np.quantile(azimuth_deg, np.linspace(0, 1, n_folds + 1)), azimuth_deg
+    if is_by_place:
+        values: FloatArray = place.astype(np.float64)
+        limits = np.linspace(0, n_places, n_folds + 1).round() - 0.5
+    else:
+        values = azimuth_deg
+        limits = np.quantile(azimuth_deg, np.linspace(0, 1, n_folds + 1))
         limits[-1] += 1.0
     for low, high in pairwise(limits):
         is_tested = (values >= low) & (values < high)
@@ -190,6 +208,17 @@ def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[tuple[IndexArray
         yield np.flatnonzero(is_apart), np.flatnonzero(is_tested)
 
 
+def _testable_folds(place: IntArray, azimuth_deg: FloatArray, is_sim: BoolArray) -> list[Fold]:
+    """The folds that have points of both sides to train on and to test on."""
+    testable = []
+    for train, test in folds(place, azimuth_deg):
+        if _has_both(is_sim[train]) and _has_both(is_sim[test]):
+            testable.append((train, test))
+    if len(testable) < 2:
+        raise StageError(f"points of both sides in {len(testable)} of the places or sectors; at least 2 are needed")
+    return testable
+
+
 def _has_both(is_sim: BoolArray) -> bool:
     return bool(min(np.bincount(is_sim, minlength=2)) >= _LEAST_POINTS)
 
@@ -197,7 +226,12 @@ def _has_both(is_sim: BoolArray) -> bool:
 def _fit(features: FloatArray, is_sim: BoolArray, n_trees: int) -> Any:
     from sklearn.ensemble import HistGradientBoostingClassifier
 
-    model = HistGradientBoostingClassifier(max_iter=n_trees, max_leaf_nodes=15, early_stopping=False, random_state=0)
+    model = HistGradientBoostingClassifier(
+        max_iter=n_trees,
+        max_leaf_nodes=15,
+        early_stopping=False,
+        random_state=0,
+    )
     return model.fit(features, is_sim)
 
 
@@ -215,4 +249,9 @@ def _rays(points: FloatArray, rows: IndexArray) -> list[FloatArray]:
     near = cKDTree(places).query(places[rows], k=5)[1][:, 1:]
     step = np.abs(places[near[:, 0]] - places[rows])
     change = range_m[near] - range_m[rows, None]
-    return [step[:, 0], step[:, 1] / _ROW_WEIGHT, np.abs(change[:, 0]), np.abs(change.mean(axis=1))]
+    return [
+        step[:, 0],
+        step[:, 1] / _ROW_WEIGHT,
+        np.abs(change[:, 0]),
+        np.abs(change.mean(axis=1)),
+    ]

@@ -65,8 +65,10 @@ def assign_nodes(a: FloatArray, b: FloatArray) -> IndexArray:
         The network simplex ends without an assignment, or with one that its prices do not prove to be optimal.
     """
     offset = np.round(b.mean(axis=0) / _OFFSET_STEP_M) * _OFFSET_STEP_M
-    if offset.any():  # far from the origin (UTM) single precision would not distinguish the candidates
-        a, b = a - offset, b - offset
+    # Far from the origin (UTM) single precision would not distinguish the candidates.
+    if offset.any():
+        a = a - offset
+        b = b - offset
     if len(a) <= _DENSE_NODES:
         return scipy.optimize.linear_sum_assignment(scipy.spatial.distance.cdist(a, b))[1]
     arcs = _candidate_arcs(a, b, _coarse_prices(a, b))
@@ -89,9 +91,11 @@ def _coarse_prices(a: FloatArray, b: FloatArray) -> FloatArray:
     n = len(a)
     m = n // _COARSER
     spread = np.linspace(0, n - 1, m).astype(np.intp)
-    some_a, some_b = a[_curve(a)[spread]], b[_curve(b)[spread]]
-    is_dense = m <= _DENSE_NODES
-    arcs = np.arange(m * m) if is_dense else _candidate_arcs(some_a, some_b, _coarse_prices(some_a, some_b))
+    some_a = a[_curve(a)[spread]]
+    some_b = b[_curve(b)[spread]]
+    arcs = np.arange(m * m)
+    if m > _DENSE_NODES:
+        arcs = _candidate_arcs(some_a, some_b, _coarse_prices(some_a, some_b))
     _, (_, price_some_b) = _solve(some_a, some_b, arcs)
     return _least(b, a, _least(a, some_b, price_some_b))
 
@@ -101,22 +105,32 @@ def _candidate_arcs(a: FloatArray, b: FloatArray, price_b: FloatArray) -> IndexA
     n = len(a)
     from_a, price_a = _cheapest(a, b, price_b)
     from_b, _ = _cheapest(b, a, price_a)
-    arcs = from_a + from_b.T + scipy.sparse.csr_array((np.ones(n, np.int8), (_curve(a), _curve(b))), (n, n))
+    along_curves = scipy.sparse.csr_array((np.ones(n, np.int8), (_curve(a), _curve(b))), (n, n))
+    arcs = from_a + from_b.T + along_curves
     arcs.sort_indices()
     return np.repeat(np.arange(n) * n, np.diff(arcs.indptr)) + arcs.indices
 
 
-def _cheapest(nodes: FloatArray, others: FloatArray, price: FloatArray) -> tuple[scipy.sparse.csr_array, FloatArray]:
-    """Cheapest arcs to the others for each node, (n, n), and the smallest cost, (n,); in single precision."""
-    x, y, price_y = (array.astype(np.float32) for array in (nodes, others, price))
-    columns, counts, least = [], [], []
+def _cheapest(
+    nodes: FloatArray,
+    other_nodes: FloatArray,
+    price: FloatArray,
+) -> tuple[scipy.sparse.csr_array, FloatArray]:
+    """Cheapest arcs to the other_nodes for each node, (n, n), and the smallest cost, (n,); in single precision."""
+    x = nodes.astype(np.float32)
+    y = other_nodes.astype(np.float32)
+    price_y = price.astype(np.float32)
+    columns = []
+    counts = []
+    least = []
     for rows in _blocks(len(x), len(y)):
         cost = x[rows] @ (-2 * y.T)
         cost += (y**2).sum(axis=1)
         cost += (x[rows] ** 2).sum(axis=1)[:, None]
         np.sqrt(np.maximum(cost, 0, out=cost), out=cost)
         cost -= price_y
-        is_cheap = cost <= np.partition(cost, ARCS_PER_NODE, axis=1)[:, ARCS_PER_NODE, None]
+        limit = np.partition(cost, ARCS_PER_NODE, axis=1)[:, ARCS_PER_NODE, None]
+        is_cheap = cost <= limit
         columns.append(np.flatnonzero(is_cheap) % len(y))
         counts.append(np.count_nonzero(is_cheap, axis=1))
         least.append(cost.min(axis=1))
@@ -126,10 +140,13 @@ def _cheapest(nodes: FloatArray, others: FloatArray, price: FloatArray) -> tuple
     return arcs, np.concatenate(least).astype(np.float64)
 
 
-def _least(nodes: FloatArray, others: FloatArray, price: FloatArray) -> FloatArray:
+def _least(nodes: FloatArray, other_nodes: FloatArray, price: FloatArray) -> FloatArray:
     """min_j (|x_i - y_j| - price_j) for each node i."""
-    blocks = _blocks(len(nodes), len(others))
-    return np.concatenate([(scipy.spatial.distance.cdist(nodes[rows], others) - price).min(axis=1) for rows in blocks])
+    least = []
+    for rows in _blocks(len(nodes), len(other_nodes)):
+        cost = scipy.spatial.distance.cdist(nodes[rows], other_nodes) - price
+        least.append(cost.min(axis=1))
+    return np.concatenate(least)
 
 
 def _solve(a: FloatArray, b: FloatArray, arcs: IndexArray) -> tuple[IndexArray, Prices]:
@@ -138,7 +155,7 @@ def _solve(a: FloatArray, b: FloatArray, arcs: IndexArray) -> tuple[IndexArray, 
 
     n = len(a)
     i, j = np.divmod(arcs, n)
-    cost = np.sqrt(((a[i] - b[j]) ** 2).sum(axis=1))
+    cost = _lengths(a[i], b[j])
     plan, log = ot.emd(
         np.ones(n),
         np.ones(n),
@@ -156,11 +173,22 @@ def _solve(a: FloatArray, b: FloatArray, arcs: IndexArray) -> tuple[IndexArray, 
     return sim_of_real, (log["u"], log["v"])
 
 
-def _tight_arcs(a: FloatArray, b: FloatArray, arcs: IndexArray, sim_of_real: IndexArray, prices: Prices) -> IndexArray:
+def _lengths(a: FloatArray, b: FloatArray) -> FloatArray:
+    """|a_i - b_i|, (n,)."""
+    return np.sqrt(((a - b) ** 2).sum(axis=1))
+
+
+def _tight_arcs(
+    a: FloatArray,
+    b: FloatArray,
+    arcs: IndexArray,
+    sim_of_real: IndexArray,
+    prices: Prices,
+) -> IndexArray:
     """Arcs with the smallest cost above the prices of their ends, and those of the assignment."""
     n = len(a)
     i, j = np.divmod(arcs, n)
-    slack = np.sqrt(((a[i] - b[j]) ** 2).sum(axis=1)) - prices[0][i] - prices[1][j]
+    slack = _lengths(a[i], b[j]) - prices[0][i] - prices[1][j]
     n_tight = min(_TIGHT_ARCS_PER_NODE * n, len(arcs) - 1)
     is_tight = slack <= np.partition(slack, n_tight)[n_tight]
     return arcs[is_tight | (j == sim_of_real[i])]
@@ -179,7 +207,11 @@ def _promising_arcs(a: FloatArray, b: FloatArray, prices: Prices) -> IndexArray:
 
 
 def _check_certificate(
-    a: FloatArray, b: FloatArray, sim_of_real: IndexArray, prices: Prices, promising: IndexArray
+    a: FloatArray,
+    b: FloatArray,
+    sim_of_real: IndexArray,
+    prices: Prices,
+    promising: IndexArray,
 ) -> None:
     """Raise `StageError` unless the prices prove that no assignment is shorter.
 
@@ -193,12 +225,13 @@ def _check_certificate(
     if not np.array_equal(np.sort(sim_of_real), np.arange(n)):
         raise StageError(f"alignment of {n} nodes: the network simplex found no one-to-one assignment")
     i, j = np.divmod(promising, n)
-    excess_m = prices[0][i] + prices[1][j] - np.sqrt(((a[i] - b[j]) ** 2).sum(axis=1))
-    cost_m = float(np.sqrt(((a - b[sim_of_real]) ** 2).sum(axis=1)).sum())
+    excess_m = prices[0][i] + prices[1][j] - _lengths(a[i], b[j])
+    cost_m = float(_lengths(a, b[sim_of_real]).sum())
     least_m = float(prices[0].sum() + prices[1].sum()) - n * float(excess_m.max(initial=_SLACK_M))
     if not cost_m - least_m <= n * _MOST_GAP_M + _ROUNDING * cost_m:
         raise StageError(
-            f"alignment of {n} nodes: costs {cost_m:.9g} m, its dual prices prove {least_m:.9g} m only; "
+            f"alignment of {n} nodes: costs {cost_m:.9g} m, "
+            f"its dual prices prove {least_m:.9g} m only; "
             "the network simplex of POT ended too early, another version may do better"
         )
 

@@ -21,15 +21,16 @@ from ..arrays import FloatArray, IndexArray
 
 Kernel = Callable[..., None]
 Kernels = Mapping[str, Kernel]  #: names in BLAS and LAPACK
-_SWEEPS = 3
+_SEARCHES = 4  # each breadth-first, from the last node of the one before
+_BYTES = 8  # of a float64
 
-#: Characters of the BLAS options left, right, upper, transposed and not transposed, as addresses.
-_WORDS = np.frombuffer(b"LRUTN", dtype=np.uint8)
-_L, _R, _U, _T, _N = (_WORDS.ctypes.data + i for i in range(len(_WORDS)))
-
-#: Scalar factors of BLAS calls, as addresses.
+#: Characters of BLAS options and scalar factors of BLAS calls, and the addresses of each.
+_OPTIONS = np.frombuffer(b"LRUTN", dtype=np.uint8)
+_LEFT, _RIGHT, _UPPER, _T, _N = range(_OPTIONS.ctypes.data, _OPTIONS.ctypes.data + 5)
+_LOWER = _LEFT
 _FACTORS = np.array([0.0, 1.0, -1.0, -0.5])
-_ZERO, _ONE, _MINUS, _MINUS_HALF = (_FACTORS.ctypes.data + _FACTORS.itemsize * i for i in range(len(_FACTORS)))
+_END = _FACTORS.ctypes.data + _FACTORS.nbytes
+_ZERO, _ONE, _MINUS, _MINUS_HALF = range(_FACTORS.ctypes.data, _END, _BYTES)
 
 
 def reduce_to_band(symmetric: scipy.sparse.csr_matrix, width: int, kernels: Kernels) -> FloatArray:
@@ -52,9 +53,9 @@ def reduce_to_band(symmetric: scipy.sparse.csr_matrix, width: int, kernels: Kern
     band = np.zeros((max(height, width) + 1, symmetric.shape[0]), order="F")
     band[lower.row - lower.col, lower.col] = lower.data
     most_rows = max((max(block.n_rows, block.n_below) for block in blocks), default=0)
-    work = _Work(band, width, most_rows, kernels)
+    reduction = _Reduction(band, width, most_rows, kernels)
     for block in blocks:
-        _eliminate(work, block)
+        reduction.eliminate(block)
     return band[: width + 1]
 
 
@@ -66,9 +67,10 @@ def scipy_kernels() -> Kernels | None:
     """
     from scipy.linalg import cython_blas, cython_lapack
 
-    homes: dict[str, Any] = dict.fromkeys(("dsymm", "dsyr2k", "dgemm", "dtrmm"), cython_blas)
-    homes["dgeqrt3"] = cython_lapack
-    return kernels_from({name: home.__pyx_capi__[name] for name, home in homes.items()})
+    names = ("dsymm", "dsyr2k", "dgemm", "dtrmm")
+    capsules = {name: cython_blas.__pyx_capi__[name] for name in names}
+    capsules["dgeqrt3"] = cython_lapack.__pyx_capi__["dgeqrt3"]
+    return kernels_from(capsules)
 
 
 def kernels_from(capsules: Mapping[str, object]) -> Kernels | None:
@@ -78,21 +80,23 @@ def kernels_from(capsules: Mapping[str, object]) -> Kernels | None:
     ----------
     capsules : by name, Python capsules whose names are the C signatures, as Cython exports them
     """
+    name_of = _python_function("PyCapsule_GetName", ctypes.c_char_p, [ctypes.py_object])
+    arguments = [ctypes.py_object, ctypes.c_char_p]
+    address_of = _python_function("PyCapsule_GetPointer", ctypes.c_void_p, arguments)
     kernels: dict[str, Kernel] = {}
     for name, capsule in capsules.items():
-        signature: bytes = _capsule("GetName", ctypes.c_char_p, capsule)
+        signature: bytes = name_of(capsule)
         if b"int *" not in signature or b"long" in signature:
             return None
-        address = _capsule("GetPointer", ctypes.c_void_p, capsule, signature)
-        kernels[name] = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * signature.count(b"*"))(address)
+        addresses = [ctypes.c_void_p] * signature.count(b"*")
+        kernels[name] = ctypes.CFUNCTYPE(None, *addresses)(address_of(capsule, signature))
     return kernels
 
 
-def _capsule(what: str, result: Any, capsule: object, *more: bytes) -> Any:
-    """The result of one of Python's C functions on capsules."""
-    function = getattr(ctypes.pythonapi, f"PyCapsule_{what}")
-    function.restype, function.argtypes = result, [ctypes.py_object, *[ctypes.c_char_p] * len(more)]
-    return function(capsule, *more)
+def _python_function(name: str, result: Any, arguments: list[Any]) -> Callable[..., Any]:
+    """One of the C functions of Python itself."""
+    function = ctypes.PYFUNCTYPE(result, *arguments)
+    return function((name, ctypes.pythonapi))
 
 
 class _Block(NamedTuple):
@@ -116,11 +120,13 @@ def _blocks(reach: IndexArray, width: int) -> tuple[list[_Block], int]:
     reach : (n,) last row in which a column, or one before it, has an element
     width : width of the target band
     """
-    n, reach = len(reach), reach.copy()
+    n = len(reach)
+    reach = reach.copy()
     height = int(np.max(reach - np.arange(n)))
     blocks = []
     for start in range(0, n - width - 1, width):
-        column, row = start, start + width
+        column = start
+        row = start + width
         while row < n:
             n_columns = min(width, row - column)
             n_rows = int(reach[column + n_columns - 1]) - row + 1
@@ -130,124 +136,143 @@ def _blocks(reach: IndexArray, width: int) -> tuple[list[_Block], int]:
             n_below = last - (row + n_rows) + 1
             blocks.append(_Block(row, column, n_rows, min(n_rows, n_columns), n_below))
             reach[row : row + n_rows] = last
-            reach[column : column + n_columns] = np.minimum(row + np.arange(n_columns), row + n_rows - 1)
+            last_rows = row + np.arange(n_columns)
+            reach[column : column + n_columns] = np.minimum(last_rows, row + n_rows - 1)
             height = max(height, row + n_rows - 1 - column, last - row)
-            column, row = row, row + n_rows
+            column = row
+            row += n_rows
     return blocks, height
 
 
-class _Work:
+class _Reduction:
     """Band matrix whose parts are passed to BLAS, and workspace.
 
     In band storage element (i, j) lies i + (ld - 1) j after element (0, 0): a part of the matrix is an ordinary
-    column-major matrix of leading dimension ld - 1. BLAS takes a part by the address of its first element, no copy,
-    and each number by an address, too: what is called many times must not be wrapped again each time.
+    column-major matrix of leading dimension ld - 1. BLAS takes a part by the addresses of its first element and of its
+    leading dimension, no copy, and each number by an address, too: what is called many times must not be wrapped again
+    each time.
+
+    v, t : Householder vectors V and the factor T of a block, addresses as BLAS takes them
+    x, y, m : products
     """
 
     def __init__(self, band: FloatArray, width: int, most_rows: int, kernels: Kernels) -> None:
-        self.width, self.most_rows = width, max(most_rows, width)
+        n_most = max(most_rows, width)
+        self.call = kernels
         self.stride: int = band.shape[0] - 1
         self.flat = band.ravel(order="K")
-        self.t, self.m = (np.empty((width, width), order="F") for _ in range(2))
-        self.x, self.v = (np.empty((self.most_rows, width), order="F") for _ in range(2))
-        self.y = np.empty((width, self.most_rows), order="F")
+        self.first: int = self.flat.ctypes.data
+        self.numbers = np.arange(max(self.stride, n_most) + 1, dtype=np.intc)
+        self.first_number: int = self.numbers.ctypes.data
+        self.info = np.zeros(1, dtype=np.intc)
         self.is_below = np.tril(np.ones((width, width)), -1)
         self.unit = np.eye(width)
-        self.info = np.zeros(1, dtype=np.intc)
-        self.numbers = np.arange(max(self.stride, self.most_rows) + 1, dtype=np.intc)
-        self._first: int = self.flat.ctypes.data
-        self._first_number: int = self.numbers.ctypes.data
-        self._bytes_per_number = self.numbers.itemsize
-        self.call = kernels
+        self.vectors = np.empty((n_most, width), order="F")
+        self.products = np.empty((2, n_most, width))
+        self.small = np.empty((2, width, width))
+        self.v = (self.vectors.ctypes.data, self.number(n_most))
+        self.x = (self.products[0].ctypes.data, self.number(n_most))
+        self.y = (self.products[1].ctypes.data, self.number(width))
+        self.t = (self.small[0].ctypes.data, self.number(width))
+        self.m = (self.small[1].ctypes.data, self.number(width))
 
-    def at(self, row: int, column: int) -> int:
-        """Address of an element."""
-        return self._first + 8 * (row + self.stride * column)
+    def at(self, row: int, column: int) -> tuple[int, int]:
+        """Addresses of an element, and of the leading dimension of parts of the band."""
+        return self.first + _BYTES * (row + self.stride * column), self.number(self.stride)
 
     def number(self, value: int) -> int:
         """Address of a number from 0 to the largest dimension."""
-        return self._first_number + self._bytes_per_number * value
+        return self.first_number + self.numbers.itemsize * value
 
     def part(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
         """View of a part of the matrix, (n_rows, n_columns)."""
-        offset = 8 * (row + self.stride * column)
-        return np.ndarray((n_rows, n_columns), np.float64, self.flat, offset, (8, 8 * self.stride))
+        offset = _BYTES * (row + self.stride * column)
+        strides = (_BYTES, _BYTES * self.stride)
+        return np.ndarray((n_rows, n_columns), np.float64, self.flat, offset, strides)
 
+    def eliminate(self, block: _Block) -> None:
+        """Make a block upper triangular by reflections Q of its rows.
 
-def _eliminate(work: _Work, block: _Block) -> None:
-    """Make a block upper triangular by reflections Q of its rows.
+        Q is applied to all that these rows and, by symmetry, columns meet.
+        """
+        n_beside = block.row - block.column - block.n_columns
+        self.factorise(block)
+        if n_beside > 0:
+            self.apply_beside(block, n_beside)
+        self.apply_to_diagonal(block)
+        if block.n_below > 0:
+            self.apply_below(block)
 
-    Q is applied to all that these rows and, by symmetry, columns meet.
-    """
-    call, number, stride, width, most = work.call, work.number, work.stride, work.width, work.most_rows
-    row, column, n_rows, n_columns, n_below = block
-    x, y, v, t, m = (array.ctypes.data for array in (work.x, work.y, work.v, work.t, work.m))
-    rows, k, ld, b, w = (number(value) for value in (n_rows, n_columns, stride, most, width))
-    dgemm, dtrmm = call["dgemm"], call["dtrmm"]
+    def factorise(self, block: _Block) -> None:
+        """QR factorisation of the block: R in its place, vectors and T in the workspace."""
+        row, column, n_rows, n_columns, _ = block
+        rows, k = map(self.number, (n_rows, n_columns))
+        self.call["dgeqrt3"](rows, k, *self.at(row, column), *self.t, self.info.ctypes.data)
+        panel = self.part(row, column, n_rows, n_columns)
+        vectors = self.vectors[:n_rows, :n_columns]
+        is_below = self.is_below[:n_columns, :n_columns]
+        vectors[:] = panel  # Householder vectors below, R above the diagonal
+        vectors[:n_columns] *= is_below
+        vectors[:n_columns] += self.unit[:n_columns, :n_columns]
+        panel[:n_columns] *= 1.0 - is_below
+        panel[n_columns:] = 0.0
 
-    call["dgeqrt3"](rows, k, work.at(row, column), ld, t, w, work.info.ctypes.data)
-    panel, vectors = work.part(row, column, n_rows, n_columns), work.v[:n_rows, :n_columns]
-    is_below = work.is_below[:n_columns, :n_columns]
-    vectors[:] = panel  # Householder vectors below, R above the diagonal
-    vectors[:n_columns] *= is_below
-    vectors[:n_columns] += work.unit[:n_columns, :n_columns]
-    panel[:n_columns] *= 1.0 - is_below
-    panel[n_columns:] = 0.0
+    def apply_beside(self, block: _Block, n_beside: int) -> None:
+        """From the left, on the columns C between block and diagonal: C - V T^T (V^T C)."""
+        rows, k, columns = map(self.number, (block.n_rows, block.n_columns, n_beside))
+        beside = self.at(block.row, block.column + block.n_columns)
+        dgemm = self.call["dgemm"]
+        dgemm(_T, _N, k, columns, rows, _ONE, *self.v, *beside, _ZERO, *self.y)
+        self.call["dtrmm"](_LEFT, _UPPER, _T, _N, k, columns, _ONE, *self.t, *self.y)
+        dgemm(_N, _N, rows, columns, k, _MINUS, *self.v, *self.y, _ONE, *beside)
 
-    # From the left, on the columns between the panel and the diagonal block: C - V T^T (V^T C)
-    n_beside = row - column - n_columns
-    if n_beside > 0:
-        columns, beside = number(n_beside), work.at(row, column + n_columns)
-        dgemm(_T, _N, k, columns, rows, _ONE, v, b, beside, ld, _ZERO, y, w)
-        dtrmm(_L, _U, _T, _N, k, columns, _ONE, t, w, y, w)
-        dgemm(_N, _N, rows, columns, k, _MINUS, v, b, y, w, _ONE, beside, ld)
+    def apply_to_diagonal(self, block: _Block) -> None:
+        """From both sides, on the diagonal block A: A - V X^T - X V^T, W = A V T, X = W - V T^T V^T W / 2."""
+        rows, k = map(self.number, (block.n_rows, block.n_columns))
+        v, t, x, m = self.v, self.t, self.x, self.m
+        diagonal = self.at(block.row, block.row)
+        dgemm = self.call["dgemm"]
+        dtrmm = self.call["dtrmm"]
+        self.call["dsymm"](_LEFT, _LOWER, rows, k, _ONE, *diagonal, *v, _ZERO, *x)
+        dtrmm(_RIGHT, _UPPER, _N, _N, rows, k, _ONE, *t, *x)
+        dgemm(_T, _N, k, k, rows, _ONE, *v, *x, _ZERO, *m)
+        dtrmm(_LEFT, _UPPER, _T, _N, k, k, _ONE, *t, *m)
+        dgemm(_N, _N, rows, k, k, _MINUS_HALF, *v, *m, _ONE, *x)
+        self.call["dsyr2k"](_LOWER, _N, rows, k, _MINUS, *v, *x, _ONE, *diagonal)
 
-    # From both sides, on the diagonal block: A - V X^T - X V^T with W = A V T, X = W - V T^T V^T W / 2
-    diagonal = work.at(row, row)
-    call["dsymm"](_L, _L, rows, k, _ONE, diagonal, ld, v, b, _ZERO, x, b)
-    dtrmm(_R, _U, _N, _N, rows, k, _ONE, t, w, x, b)
-    dgemm(_T, _N, k, k, rows, _ONE, v, b, x, b, _ZERO, m, w)
-    dtrmm(_L, _U, _T, _N, k, k, _ONE, t, w, m, w)
-    dgemm(_N, _N, rows, k, k, _MINUS_HALF, v, b, m, w, _ONE, x, b)
-    call["dsyr2k"](_L, _N, rows, k, _MINUS, v, b, x, b, _ONE, diagonal, ld)
-
-    # From the right, on the rows below: C - (C V) T V^T; this makes the bulge
-    if n_below > 0:
-        others, below = number(n_below), work.at(row + n_rows, row)
-        dgemm(_N, _N, others, k, rows, _ONE, below, ld, v, b, _ZERO, x, b)
-        dtrmm(_R, _U, _N, _N, others, k, _ONE, t, w, x, b)
-        dgemm(_N, _T, others, rows, k, _MINUS, x, b, v, b, _ONE, below, ld)
+    def apply_below(self, block: _Block) -> None:
+        """From the right, on the rows C below: C - (C V) T V^T; this makes the bulge."""
+        rows, k, rows_below = map(self.number, (block.n_rows, block.n_columns, block.n_below))
+        below = self.at(block.row + block.n_rows, block.row)
+        dgemm = self.call["dgemm"]
+        dgemm(_N, _N, rows_below, k, rows, _ONE, *below, *self.v, _ZERO, *self.x)
+        self.call["dtrmm"](_RIGHT, _UPPER, _N, _N, rows_below, k, _ONE, *self.t, *self.x)
+        dgemm(_N, _T, rows_below, rows, k, _MINUS, *self.x, *self.v, _ONE, *below)
 
 
 def _numbered(symmetric: scipy.sparse.csr_matrix) -> tuple[scipy.sparse.coo_matrix, IndexArray]:
-    """Lower triangle with nodes numbered from end to end, and the last row of each column.
-
-    Of two numberings the one of the narrower band, in the mean.
-    """
+    """Lower triangle with nodes numbered from end to end, and the last row of each column, or one before it."""
     pairs = symmetric.tocoo()
-    orders = scipy.sparse.csgraph.reverse_cuthill_mckee(symmetric, symmetric_mode=True), _from_end(symmetric)
-    numberings = [_renumbered(pairs, order) for order in orders]
-    return min(numberings, key=lambda numbering: int(numbering[1].sum()))
-
-
-def _renumbered(pairs: scipy.sparse.coo_matrix, order: IndexArray) -> tuple[scipy.sparse.coo_matrix, IndexArray]:
-    """Lower triangle with nodes in this order, and the last row of an element in each column or one before it."""
+    order = _from_end(symmetric)
     place = np.empty(len(order), dtype=np.intp)
     place[order] = np.arange(len(order))
-    row, column = place[pairs.row], place[pairs.col]
+    row = place[pairs.row]
+    column = place[pairs.col]
     is_lower = row >= column
-    lower = scipy.sparse.coo_matrix((pairs.data[is_lower], (row[is_lower], column[is_lower])), pairs.shape)
+    ends = (row[is_lower], column[is_lower])
+    lower = scipy.sparse.coo_matrix((pairs.data[is_lower], ends), pairs.shape)
     reach = np.arange(len(order))
     np.maximum.at(reach, lower.col, lower.row)
     return lower, np.maximum.accumulate(reach)
 
 
 def _from_end(symmetric: scipy.sparse.csr_matrix) -> IndexArray:
-    """Nodes in breadth-first order from a peripheral node; connected components one after the other."""
-    start = 0
-    for _ in range(_SWEEPS):
-        order = scipy.sparse.csgraph.breadth_first_order(symmetric, start, directed=False, return_predecessors=False)
-        start = int(order[-1])
-    order = scipy.sparse.csgraph.breadth_first_order(symmetric, start, directed=False, return_predecessors=False)
-    others = np.setdiff1d(np.arange(symmetric.shape[0]), order)
-    return np.concatenate([order, others]).astype(np.intp)
+    """Nodes in breadth-first order from a peripheral node; by reverse Cuthill-McKee if they are not connected."""
+    search = scipy.sparse.csgraph.breadth_first_order
+    last = 0
+    for _ in range(_SEARCHES):
+        order = search(symmetric, last, directed=False, return_predecessors=False)
+        last = int(order[-1])
+    if len(order) < symmetric.shape[0]:
+        order = scipy.sparse.csgraph.reverse_cuthill_mckee(symmetric, symmetric_mode=True)
+    return order.astype(np.intp)

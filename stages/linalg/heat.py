@@ -6,11 +6,13 @@ than 1, so that no term outgrows its weight; the exponential itself, a dense mat
 
 from __future__ import annotations
 
+from itertools import count
+
 import numpy as np
 import scipy
 
 from ..arrays import FloatArray
-from .spectrum import eigenvalues
+from .spectrum import eigenvalues, lanczos_norm
 
 _DENSE_NODES = 64  # up to here the dense kernel is the faster one
 
@@ -69,38 +71,31 @@ def heat_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: 
     n = real.shape[0]
     if n <= _DENSE_NODES:
         return _dense_change(real, sim, t)
-    similarities = [scipy.sparse.eye_array(n, format="csr") - laplacian for laplacian in (real, sim)]
-    n_terms = _n_terms(t)
+    similarity_real = scipy.sparse.eye_array(n, format="csr") - real
+    similarity_sim = scipy.sparse.eye_array(n, format="csr") - sim
 
     def apply(vector: FloatArray) -> FloatArray:
-        heat_real, heat_sim = (_heat(similarity, vector.ravel(), t, n_terms) for similarity in similarities)
+        heat_real = _heat(similarity_real, vector.ravel(), t)
+        heat_sim = _heat(similarity_sim, vector.ravel(), t)
         return heat_sim - heat_real
 
-    start = np.random.default_rng(0).standard_normal(n)
-    operator = scipy.sparse.linalg.LinearOperator((n, n), matvec=apply, dtype=np.float64)
-    try:
-        return float(abs(scipy.sparse.linalg.eigsh(operator, k=1, which="LM", v0=start, return_eigenvectors=False)[0]))
-    except scipy.sparse.linalg.ArpackNoConvergence:  # a crowded edge of the spectrum; the dense solver always converges
-        return _dense_change(real, sim, t)
+    change = scipy.sparse.linalg.LinearOperator((n, n), matvec=apply, dtype=np.float64)
+    norm = lanczos_norm(change)
+    return _dense_change(real, sim, t) if norm is None else norm
 
 
-def _heat(similarity: scipy.sparse.csr_matrix, vector: FloatArray, t: float, n_terms: int) -> FloatArray:
-    """exp(-tL) v with S = I - L, from the first terms of the series."""
-    term = vector * np.exp(-t)
+def _heat(similarity: scipy.sparse.csr_matrix, vector: FloatArray, t: float) -> FloatArray:
+    """exp(-tL) v with S = I - L, by its series up to weights e^-t t^k / k! below the rounding of their sum, 1."""
+    weight = float(np.exp(-t))
+    term = vector * weight
     total = term.copy()
-    for k in range(1, n_terms):
+    for k in count(1):
+        weight *= t / k
+        if k > t and weight <= np.finfo(np.float64).eps:
+            break
         term = similarity @ term * (t / k)
         total += term
     return np.asarray(total)
-
-
-def _n_terms(t: float) -> int:
-    """Number of terms until the weights e^-t t^k / k! are below the rounding of their sum, which is 1."""
-    k, weight = 0, float(np.exp(-t))
-    while k <= t or weight > np.finfo(np.float64).eps:
-        k += 1
-        weight *= t / k
-    return k
 
 
 def _dense_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: float) -> float:

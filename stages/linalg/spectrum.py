@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy
 
@@ -26,11 +28,11 @@ def eigenvalues(symmetric: scipy.sparse.csr_matrix) -> FloatArray:
     """
     kernels = scipy_kernels() if symmetric.shape[0] >= BANDED_FROM_NODES else None
     if kernels is None:
-        values: FloatArray = scipy.linalg.eigvalsh(symmetric.toarray(order="F"), overwrite_a=True, check_finite=False)
-    else:
-        band = reduce_to_band(symmetric, BAND_WIDTH, kernels)
-        values = scipy.linalg.eigvals_banded(band, lower=True, overwrite_a_band=True, check_finite=False)
-    return values
+        dense = symmetric.toarray(order="F")
+        values: FloatArray = scipy.linalg.eigvalsh(dense, overwrite_a=True, check_finite=False)
+        return values
+    band = reduce_to_band(symmetric, BAND_WIDTH, kernels)
+    return scipy.linalg.eigvals_banded(band, lower=True, overwrite_a_band=True, check_finite=False)
 
 
 def spectral_norm(symmetric: scipy.sparse.csr_matrix) -> float:
@@ -43,17 +45,26 @@ def spectral_norm(symmetric: scipy.sparse.csr_matrix) -> float:
     ----------
     symmetric : (n, n) CSR float64
     """
-    n = symmetric.shape[0]
     if symmetric.count_nonzero() == 0:
         return 0.0
-    if n > _DENSE_NORM_NODES:
-        start = np.random.default_rng(0).standard_normal(n)
+    if symmetric.shape[0] > _DENSE_NORM_NODES:
         exponent = np.frexp(abs(symmetric.data).max())[1]
         scaled = symmetric.copy()
         scaled.data = np.ldexp(scaled.data, -exponent)
-        try:
-            largest = scipy.sparse.linalg.eigsh(scaled, k=1, which="LM", v0=start, return_eigenvectors=False)[0]
-            return float(np.ldexp(abs(largest), exponent))
-        except scipy.sparse.linalg.ArpackNoConvergence:
-            pass  # a crowded edge of the spectrum; the dense solver always converges
+        largest = lanczos_norm(scaled)
+        if largest is not None:
+            return float(np.ldexp(largest, exponent))
     return float(np.max(np.abs(scipy.linalg.eigvalsh(symmetric.toarray(), check_finite=False))))
+
+
+def lanczos_norm(symmetric: Any) -> float | None:
+    """Largest absolute eigenvalue of a matrix or linear operator, to machine precision, by Lanczos iteration.
+
+    None if it does not converge, at a crowded edge of the spectrum; the dense solver always does.
+    """
+    start = np.random.default_rng(0).standard_normal(symmetric.shape[0])
+    try:
+        values = scipy.sparse.linalg.eigsh(symmetric, 1, v0=start, return_eigenvectors=False)
+    except scipy.sparse.linalg.ArpackNoConvergence:
+        return None
+    return float(abs(values[0]))

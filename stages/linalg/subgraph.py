@@ -50,20 +50,26 @@ def adjacency(n_nodes: int, edges: Edges) -> scipy.sparse.csr_matrix:
 def upper_half(n_nodes: int, edges: Edges) -> scipy.sparse.csr_matrix:
     """Part of the adjacency matrix above its diagonal, (n, n) CSR float64."""
     starts = np.searchsorted(edges.src, np.arange(n_nodes + 1))
-    return scipy.sparse.csr_matrix((edges.length_m.astype(np.float64), edges.dst, starts), shape=(n_nodes, n_nodes))
+    lengths = edges.length_m.astype(np.float64)
+    return scipy.sparse.csr_matrix((lengths, edges.dst, starts), shape=(n_nodes, n_nodes))
 
 
-def connected_pieces(n_nodes: int, edges: Edges) -> IndexArray:
-    """Connected component of each node, (n,), numbered from 0, regardless of the length of edges.
+def connected_nodes(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]) -> IndexArray:
+    """Connected component of each node, (n,), numbered from 0.
+
+    Parameters
+    ----------
+    src, dst : (m,), nodes of each edge
 
     Examples
     --------
     >>> import numpy as np
-    >>> ends = np.array([0], np.int32), np.array([2], np.int32)
-    >>> connected_pieces(3, Edges(*ends, np.zeros(1, np.float32))).tolist()
+    >>> connected_nodes(3, np.array([0]), np.array([2])).tolist()
     [0, 1, 0]
     """
-    return _components(n_nodes, edges.src, edges.dst)
+    is_linked = np.ones(len(src), dtype=np.bool_)
+    graph = scipy.sparse.coo_matrix((is_linked, (src, dst)), shape=(n_nodes, n_nodes))
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
 def connected_points(points: FloatArray, link_m: float) -> IndexArray:
@@ -91,31 +97,32 @@ def connected_points(points: FloatArray, link_m: float) -> IndexArray:
     k = np.arange(1, min(n, _NEAREST + 1) + 1)  # the point itself is the first
     distance_m, nearest = scipy.spatial.cKDTree(points).query(points, k, distance_upper_bound=bound)
     is_linked = distance_m <= link_m
-    labels = _components(n, np.nonzero(is_linked)[0], nearest[is_linked])
+    labels = connected_nodes(n, np.nonzero(is_linked)[0], nearest[is_linked])
     dense = np.flatnonzero(is_linked[:, -1])
     n_before = -1
-    while (n_now := len(np.unique(labels[dense]))) not in (n_before, 0, 1):
-        n_before, numbers = n_now, np.unique(labels[dense], return_inverse=True)[1]
-        for bit in range((n_now - 1).bit_length()):
-            ones = (numbers >> bit) % 2 == 1
-            distance_m, nearest = scipy.spatial.cKDTree(points[dense[ones]]).query(
-                points[dense[~ones]], distance_upper_bound=bound
-            )
+    while True:
+        components, numbers = np.unique(labels[dense], return_inverse=True)
+        if len(components) in (n_before, 0, 1):
+            return labels
+        n_before = len(components)
+        for bit in range((n_before - 1).bit_length()):
+            is_one = (numbers >> bit) % 2 == 1
+            zeros = dense[~is_one]
+            ones = dense[is_one]
+            tree = scipy.spatial.cKDTree(points[ones])
+            distance_m, nearest = tree.query(points[zeros], distance_upper_bound=bound)
             is_linked = distance_m <= link_m
-            ends = dense[~ones][is_linked], dense[ones][nearest[is_linked]]
-            labels = _components(n, *(labels[end] for end in ends))[labels]
-    return labels
-
-
-def _components(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]) -> IndexArray:
-    """The connected component of each node, (n,), numbered from 0."""
-    joined = np.ones(len(src), dtype=np.bool_)
-    graph = scipy.sparse.coo_matrix((joined, (src, dst)), shape=(n_nodes, n_nodes))
-    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
+            src = labels[zeros[is_linked]]
+            dst = labels[ones[nearest[is_linked]]]
+            labels = connected_nodes(n, src, dst)[labels]
 
 
 def split_by_community(
-    point_ids: IntArray, points: FloatArray, edges: Edges, labels: IntArray, wanted: Iterable[int]
+    point_ids: IntArray,
+    points: FloatArray,
+    edges: Edges,
+    labels: IntArray,
+    wanted: Iterable[int],
 ) -> dict[int, Subgraph]:
     """The induced subgraph of each requested community, by community id; edges between communities are in none.
 
@@ -137,15 +144,18 @@ def split_by_community(
     """
     inside = np.flatnonzero(labels[edges.src] == labels[edges.dst])
     by_community = inside[np.argsort(labels[edges.src[inside]], kind="stable")]
-    edge_ends = np.searchsorted(labels[edges.src[by_community]], np.arange(int(labels.max()) + 2))
+    numbers = np.arange(int(labels.max()) + 2)
+    edge_ends = np.searchsorted(labels[edges.src[by_community]], numbers)
     nodes_in_order = np.argsort(labels, kind="stable")
-    node_ends = np.searchsorted(labels[nodes_in_order], np.arange(int(labels.max()) + 2))
+    node_ends = np.searchsorted(labels[nodes_in_order], numbers)
     index_inside = np.empty(len(labels), dtype=np.int32)
     subgraphs = {}
     for community in wanted:
         nodes = nodes_in_order[node_ends[community] : node_ends[community + 1]]
-        own = by_community[edge_ends[community] : edge_ends[community + 1]]
+        rows = by_community[edge_ends[community] : edge_ends[community + 1]]
         index_inside[nodes] = np.arange(len(nodes), dtype=np.int32)
-        own_edges = Edges(index_inside[edges.src[own]], index_inside[edges.dst[own]], edges.length_m[own])
-        subgraphs[community] = Subgraph(point_ids[nodes], points[nodes], adjacency(len(nodes), own_edges))
+        src = index_inside[edges.src[rows]]
+        dst = index_inside[edges.dst[rows]]
+        weights = adjacency(len(nodes), Edges(src, dst, edges.length_m[rows]))
+        subgraphs[community] = Subgraph(point_ids[nodes], points[nodes], weights)
     return subgraphs

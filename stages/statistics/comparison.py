@@ -77,17 +77,22 @@ def block_means(values: FloatArray, blocks: IntArray) -> FloatArray:
     values : (..., n) by pair, NaN for null
     blocks : (n,) block of each pair, from `blocks_of`
     """
-    own = np.unique(blocks, return_inverse=True)[1]
+    numbers, place = np.unique(blocks, return_inverse=True)
     known = ~np.isnan(values)
-    totals = np.zeros((2, own.max(initial=-1) + 1, *values.shape[:-1]))
-    np.add.at(totals[0], own, np.moveaxis(np.where(known, values, 0.0), -1, 0))
-    np.add.at(totals[1], own, np.moveaxis(known, -1, 0))
+    sums = np.zeros((len(numbers), *values.shape[:-1]))
+    counts = np.zeros_like(sums)
+    np.add.at(sums, place, np.moveaxis(np.where(known, values, 0.0), -1, 0))
+    np.add.at(counts, place, np.moveaxis(known, -1, 0))
     with np.errstate(invalid="ignore"):
-        means: FloatArray = np.moveaxis(totals[0] / totals[1], 0, -1)
+        means: FloatArray = np.moveaxis(sums / counts, 0, -1)
     return means
 
 
-def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | None = None) -> Difference:
+def paired_difference(
+    before: FloatArray,
+    after: FloatArray,
+    blocks: IntArray | None = None,
+) -> Difference:
     """Mean of after - before over the blocks, with the interval of `mean_interval`.
 
     Pairs that lack a value are left out. Fewer than three blocks have no interval.
@@ -107,8 +112,8 @@ def paired_difference(before: FloatArray, after: FloatArray, blocks: IntArray | 
     n = int(np.count_nonzero(known))
     if not n:
         return Difference()
-    own = np.arange(n, dtype=np.int32) if blocks is None else blocks[known]
-    a, b = block_means(np.stack([before[known], after[known]]), own)
+    blocks = np.arange(n, dtype=np.int32) if blocks is None else blocks[known]
+    a, b = block_means(np.stack([before[known], after[known]]), blocks)
     change = b - a
     counts = (n, len(change), float(a.mean()), float(b.mean()), float(change.mean()))
     if n > 1 and (np.abs(change) <= ALIKE).all():
@@ -160,30 +165,38 @@ def adjusted_p_values(change: FloatArray, least: FloatArray, step: FloatArray) -
     least : (m,) changes of the mean up to this size do not matter
     step : (m,) smallest step of the score, such as 1 for a count; few blocks may agree in it by chance
     """
+    n_blocks = change.shape[1]
     known = ~np.isnan(change)
     n_known = known.sum(axis=1)
+    n_divisor = np.maximum(n_known, 1)
     x = np.where(known, change, 0.0)
-    mean = x.sum(axis=1) / np.maximum(n_known, 1)
-    x = np.where(known, x - (np.sign(mean) * np.minimum(least, np.abs(mean)))[:, None], 0.0)
-    few = change.shape[1] < LEAST_FLIPPED
-    squares, rounding = (x**2).sum(axis=1), few * n_known * (step / 2) ** 2
+    highest_mean = np.abs(x).sum(axis=1) / n_divisor  # over all flips
+    live = (highest_mean > np.maximum(least, ALIKE)) & (n_known > 1)
     p = np.full(len(change), np.nan)
-    most = np.abs(np.where(known, change, 0.0)).sum(axis=1) / np.maximum(n_known, 1)  # of |mean| over all flips
-    live = (most > np.maximum(least, ALIKE)) & (n_known > 1)
     if not live.any():
         return p
-    unit = x[live] / np.sqrt(squares[live, None])
-    own = np.abs(x[live].sum(axis=1)) / np.sqrt((squares + rounding)[live])
-    highest = np.abs(unit @ _directions(change.shape[1]).T).max(axis=0)
-    p[live] = (highest >= own[:, None] - ALIKE).mean(axis=1)
-    if change.shape[1] < LEAST_PAIRS:
-        ratio_of_far = FAR_STDS / np.sqrt(1 - 1 / n_known[live] + FAR_STDS**2)  # of |mean| and root mean square
-        p[live] = np.where(own / np.sqrt(n_known[live]) > ratio_of_far, p[live], 1.0)
+    mean = x.sum(axis=1) / n_divisor
+    offset = np.sign(mean) * np.minimum(least, np.abs(mean))
+    x = np.where(known, x - offset[:, None], 0.0)[live]
+    squares = (x**2).sum(axis=1)
+    unit = x / np.sqrt(squares[:, None])
+    if n_blocks < LEAST_FLIPPED:
+        squares = squares + (n_known * (step / 2) ** 2)[live]  # rounding of the score
+    score = np.abs(x.sum(axis=1)) / np.sqrt(squares)
+    highest = np.abs(unit @ _directions(n_blocks).T).max(axis=0)
+    p[live] = (highest >= score[:, None] - ALIKE).mean(axis=1)
+    if n_blocks < LEAST_PAIRS:
+        # of |mean| and root mean square
+        ratio = score / np.sqrt(n_known[live])
+        ratio_of_far = FAR_STDS / np.sqrt(1 - 1 / n_known[live] + FAR_STDS**2)
+        p[live] = np.where(ratio > ratio_of_far, p[live], 1.0)
     return p
 
 
 def blocks_of(
-    contents: Sequence[str], timestamps_s: Sequence[float | None], neighbours: Sequence[tuple[int, int]] = ()
+    contents: Sequence[str],
+    timestamps_s: Sequence[float | None],
+    neighbours: Sequence[tuple[int, int]] = (),
 ) -> IntArray:
     """(n,) block of each pair: copies of a real scan, scans within 10 s of a block's first, and chains of neighbours.
 
@@ -199,11 +212,15 @@ def blocks_of(
     [0, 0, 2, 2]
     """
     first: dict[str, int] = {}
-    blocks = np.array([first.setdefault(content, i) for i, content in enumerate(contents)], dtype=np.int32)
-    start_s, block = -np.inf, -1
-    for time_s, i in sorted((time_s, i) for i, time_s in enumerate(timestamps_s) if time_s is not None):
+    numbers = [first.setdefault(content, i) for i, content in enumerate(contents)]
+    blocks = np.array(numbers, dtype=np.int32)
+    times = sorted((time_s, i) for i, time_s in enumerate(timestamps_s) if time_s is not None)
+    start_s = -np.inf
+    block = -1
+    for time_s, i in times:
         if time_s - start_s >= BLOCK_S:
-            start_s, block = time_s, int(blocks[i])
+            start_s = time_s
+            block = int(blocks[i])
         blocks[blocks == blocks[i]] = block
     for i, j in neighbours:
         blocks[blocks == blocks[j]] = blocks[i]
@@ -230,7 +247,10 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
 
 
 def kinds_of_change(
-    before: BoolArray, after: BoolArray, cdc: tuple[FloatArray, FloatArray], r_lambda: tuple[FloatArray, FloatArray]
+    before: BoolArray,
+    after: BoolArray,
+    cdc: tuple[FloatArray, FloatArray],
+    r_lambda: tuple[FloatArray, FloatArray],
 ) -> NDArray[np.str_]:
     """Kind of change of each real object.
 
@@ -244,7 +264,8 @@ def kinds_of_change(
     cdc, r_lambda : (n,) and (n,), before and after, NaN for null
     """
     change = np.nan_to_num(np.column_stack([cdc[1] - cdc[0], r_lambda[1] - r_lambda[0]]))
-    fell, rose = (change < -LEAST_CHANGE).any(axis=1), (change > LEAST_CHANGE).any(axis=1)
+    fell = (change < -LEAST_CHANGE).any(axis=1)
+    rose = (change > LEAST_CHANGE).any(axis=1)
     conditions = [~before & ~after, before & ~after, ~before & after, fell & rose, fell, rose]
     kinds = ["missing in both", "vanished", "appeared", "mixed", "better", "worse"]
     return np.select(conditions, kinds, "alike")

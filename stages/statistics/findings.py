@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +36,20 @@ BAND_NAMES = (
     f"over {BAND_EDGES_M[-1]:.0f} m",
 )
 #: Scans of the paper's box plots, and how far apart in time they must be.
-N_SCANS, SCAN_GAP_S = 4, 60.0
+N_SCANS = 4
+SCAN_GAP_S = 60.0
 #: The paper: n_sim is from under a quarter to over four times n_real.
-SPARSE_RATIO, DENSE_RATIO = 0.25, 4.0
-_QUANTILES = {"min": 0.0, "q05": 0.05, "q25": 0.25, "median": 0.5, "q75": 0.75, "q95": 0.95, "max": 1.0}
+SPARSE_RATIO = 0.25
+DENSE_RATIO = 4.0
+_QUANTILES = {
+    "min": 0.0,
+    "q05": 0.05,
+    "q25": 0.25,
+    "median": 0.5,
+    "q75": 0.75,
+    "q95": 0.95,
+    "max": 1.0,
+}
 
 
 @dataclass(frozen=True)
@@ -72,7 +81,10 @@ class Objects:
 
 
 def summarise_objects(
-    real: Objects, sim: Objects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]
+    real: Objects,
+    sim: Objects,
+    pair_ids: Sequence[str],
+    timestamps_s: Sequence[float | None],
 ) -> ObjectFindings:
     """Compute distributions, ranges, classes, density ratios, correlation, and the four scans; None for missing values.
 
@@ -88,7 +100,9 @@ def summarise_objects(
         n_pairs=len(pair_ids),
         n_matched=len(matched.pair),
         distributions=ScoreDistributions(
-            cdc=distribution(matched.cdc), r_lambda=distribution(matched.r_lambda), r_gap=distribution(matched.r_gap)
+            cdc=distribution(matched.cdc),
+            r_lambda=distribution(matched.r_lambda),
+            r_gap=distribution(matched.r_gap),
         ),
         rank_correlation=rank_correlation(matched.cdc, matched.r_lambda),
         density_ratio=density_ratio(matched.n_real, matched.n_sim),
@@ -130,15 +144,22 @@ def rank_correlation(a: FloatArray, b: FloatArray) -> RankCorrelation:
     The values of `scipy.stats`, whose import takes a sixth of the memory of a run.
     """
     both = ~(np.isnan(a) | np.isnan(b))
-    a, b = a[both], b[both]
-    if len(a) < 3 or np.ptp(a) == 0 or np.ptp(b) == 0:
-        return RankCorrelation(n=len(a), spearman=None, kendall=None)
-    (x, n_x), (y, n_y) = (np.unique(values, return_inverse=True, return_counts=True)[1:] for values in (a, b))
-    ranks: list[Any] = [(np.cumsum(n) - (n - 1) / 2)[i] for i, n in ((x, n_x), (y, n_y))]
-    concordant, discordant = (_n_inversions(own[np.lexsort((own, x))]) for own in (-y, y))
-    untied_x, untied_y = (np.sqrt(len(a) * (len(a) - 1) // 2 - (n * (n - 1) // 2).sum()) for n in (n_x, n_y))
-    tau = np.clip((concordant - discordant) / untied_x / untied_y, -1.0, 1.0)
-    return RankCorrelation(n=len(a), spearman=float(np.corrcoef(ranks)[1, 0]), kendall=float(tau))
+    a = a[both]
+    b = b[both]
+    n = len(a)
+    if n < 3 or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return RankCorrelation(n=n, spearman=None, kendall=None)
+    places_a, counts_a = np.unique(a, return_inverse=True, return_counts=True)[1:]
+    places_b, counts_b = np.unique(b, return_inverse=True, return_counts=True)[1:]
+    ranks_a = (np.cumsum(counts_a) - (counts_a - 1) / 2)[places_a]
+    ranks_b = (np.cumsum(counts_b) - (counts_b - 1) / 2)[places_b]
+    spearman = float(np.corrcoef([ranks_a, ranks_b])[1, 0])
+    concordant = _n_inversions(-places_b[np.lexsort((-places_b, places_a))])
+    discordant = _n_inversions(places_b[np.lexsort((places_b, places_a))])
+    untied_a = np.sqrt(n * (n - 1) // 2 - (counts_a * (counts_a - 1) // 2).sum())
+    untied_b = np.sqrt(n * (n - 1) // 2 - (counts_b * (counts_b - 1) // 2).sum())
+    tau = np.clip((concordant - discordant) / untied_a / untied_b, -1.0, 1.0)
+    return RankCorrelation(n=n, spearman=spearman, kendall=float(tau))
 
 
 def _n_inversions(values: NDArray[np.intp]) -> int:
@@ -164,9 +185,11 @@ def density_ratio(n_real: IntArray, n_sim: IntArray) -> DensityRatio:
 def by_range(real: Objects, sim: Objects) -> tuple[RangeBand, ...]:
     """Missing and hallucinated objects by distance from the sensor on their side; the last band has no end."""
     bands = []
-    for low, high in zip(BAND_EDGES_M, [*BAND_EDGES_M[1:], None], strict=True):
-        inside = [(side.range_m >= low) & (side.range_m < (np.inf if high is None else high)) for side in (real, sim)]
-        bands.append(RangeBand(from_m=low, to_m=high, **vars(_unmatched(real, sim, *inside))))
+    for low, high in pairwise([*BAND_EDGES_M, np.inf]):
+        in_real = (real.range_m >= low) & (real.range_m < high)
+        in_sim = (sim.range_m >= low) & (sim.range_m < high)
+        counts = vars(_unmatched(real, sim, in_real, in_sim))
+        bands.append(RangeBand(from_m=low, to_m=None if high == np.inf else high, **counts))
     return tuple(bands)
 
 
@@ -177,21 +200,22 @@ def by_class(real: Objects, sim: Objects) -> tuple[ClassFindings, ...]:
     objects.
     """
     labels, counts = np.unique(np.concatenate([real.label, sim.label]), return_counts=True)
-    matched, rows = real.matched, []
+    matched = real.matched
+    rows = []
     for label in labels[np.argsort(-counts, kind="stable")].tolist():
         if not label:
             continue
-        own = matched.label == label
+        is_of_class = matched.label == label
         scores = {
-            "cdc": _group_mean(matched.cdc[own]),
-            "r_lambda": _group_mean(matched.r_lambda[own]),
-            "r_gap": _group_mean(matched.r_gap[own]),
+            "cdc": _group_mean(matched.cdc[is_of_class]),
+            "r_lambda": _group_mean(matched.r_lambda[is_of_class]),
+            "r_gap": _group_mean(matched.r_gap[is_of_class]),
         }
         rows.append(
             ClassFindings(
                 label=label,
                 **vars(_unmatched(real, sim, real.label == label, sim.label == label)),
-                n_matched=int(np.count_nonzero(own)),
+                n_matched=int(np.count_nonzero(is_of_class)),
                 scores=scores,
             )
         )
@@ -203,7 +227,11 @@ def _group_mean(values: FloatArray) -> GroupMean:
     return GroupMean(mean=mean, std=std, n=int(np.count_nonzero(~np.isnan(values))))
 
 
-def compare_scans(matched: Objects, pair_ids: Sequence[str], timestamps_s: Sequence[float | None]) -> Scans:
+def compare_scans(
+    matched: Objects,
+    pair_ids: Sequence[str],
+    timestamps_s: Sequence[float | None],
+) -> Scans:
     """CDC and r_lambda in four scans that were taken more than a minute apart (the paper's box plots).
 
     If fewer than two scans are known to be a minute apart, four pairs evenly spaced by name are used instead, and
@@ -254,7 +282,8 @@ def evenly(n: int, most: int) -> list[int]:
 
 def _unmatched(real: Objects, sim: Objects, in_real: BoolArray, in_sim: BoolArray) -> Unmatched:
     """Objects of each side in a group, and those of them that the other side lacks."""
-    n_real, n_sim = int(np.count_nonzero(in_real)), int(np.count_nonzero(in_sim))
+    n_real = int(np.count_nonzero(in_real))
+    n_sim = int(np.count_nonzero(in_sim))
     n_missing = int(np.count_nonzero(in_real & ~real.is_matched))
     n_hallucinated = int(np.count_nonzero(in_sim & ~sim.is_matched))
     return Unmatched(
@@ -268,4 +297,6 @@ def _unmatched(real: Objects, sim: Objects, in_real: BoolArray, in_sim: BoolArra
 
 
 def _quantiles(values: FloatArray) -> dict[str, float | None]:
-    return {name: float(np.quantile(values, q)) if len(values) else None for name, q in _QUANTILES.items()}
+    if not len(values):
+        return dict.fromkeys(_QUANTILES)
+    return {name: float(np.quantile(values, q)) for name, q in _QUANTILES.items()}

@@ -15,7 +15,8 @@ from ..arrays import FloatArray
 #: Two scans show the same place from this overlap on. Measured: ten frames within 12 m 0.60 and more, a parked sensor
 #: 0.70 and more; scans of different places, recorded or generated, 0.31 at most (`docs/compare.md`).
 SAME_PLACE = 0.45
-_CELL_M, _REACH_M = 1.0, 50.0
+_CELL_M = 1.0
+_REACH_M = 50.0
 _CELLS = int(2 * _REACH_M / _CELL_M)
 _PADDED = 2 * _CELLS  #: of small prime factors, as a fast Fourier transform needs
 
@@ -64,10 +65,10 @@ def neighbours(scans: Iterable[FloatArray], window: int = 5) -> list[tuple[int, 
     ----------
     scans : object points of each, as in `map_place`, neighbouring frames next to each other
     """
-    found: list[tuple[int, int]] = []
+    pairs: list[tuple[int, int]] = []
     recent: deque[tuple[int, PlaceMap]] = deque(maxlen=window)
     for i, points in enumerate(scans):
-        own = map_place(points)
-        found += [(j, i) for j, other in recent if overlap(own, other) >= SAME_PLACE]
-        recent.append((i, own))
-    return found
+        place = map_place(points)
+        pairs += [(j, i) for j, other in recent if overlap(place, other) >= SAME_PLACE]
+        recent.append((i, place))
+    return pairs

@@ -32,13 +32,21 @@ def spread(values: FloatArray) -> Spread:
     """
     from scipy.stats import t as student_t
 
-    means = np.array([mean for mean, _ in map(mean_and_std, values) if mean is not None], dtype=np.float64)
+    rows = [row[~np.isnan(row)] for row in values]
+    means = np.array([row.mean() for row in rows if len(row)], dtype=np.float64)
     mean, std_pairs = mean_and_std(means)
-    repeats = [own for row in values if len(own := row[~np.isnan(row)]) > 1]
-    degrees = sum(len(own) - 1 for own in repeats)
+    repeats = [row for row in rows if len(row) > 1]
+    degrees = sum(len(row) - 1 for row in repeats)
     if not degrees:
-        return Spread(mean=mean, std_pairs=std_pairs, std_seeds=None, least_pair=None, least_dataset=None)
-    std_seeds = float(np.sqrt(sum(np.var(own, ddof=1) * (len(own) - 1) for own in repeats) / degrees))
+        return Spread(
+            mean=mean,
+            std_pairs=std_pairs,
+            std_seeds=None,
+            least_pair=None,
+            least_dataset=None,
+        )
+    squares = sum(np.var(row, ddof=1) * (len(row) - 1) for row in repeats)
+    std_seeds = float(np.sqrt(squares / degrees))
     least = float(student_t.isf((1 - _CONFIDENCE) / 2, degrees)) * 2**0.5 * std_seeds
     return Spread(
         mean=mean,

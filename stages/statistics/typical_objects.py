@@ -49,7 +49,8 @@ class ScanObjects:
 
     def chosen(self, community_id: int, name: str, why: str) -> ChosenObject:
         """Chosen object by its id."""
-        size, range_m = int(self.n_points[community_id]), float(self.range_m[community_id])
+        size = int(self.n_points[community_id])
+        range_m = float(self.range_m[community_id])
         return ChosenObject(self.pair_id, community_id, name, size, range_m, why)
 
     def median_sized(self, candidates: IndexArray) -> int:
@@ -64,15 +65,18 @@ def typical_of_class(scan: ScanObjects, label: str, least: int) -> ChosenObject 
     It is the one of median size among the objects of at least `least` points with three quarters of them of the label;
     without such objects, the largest with that most frequent label.
     """
-    is_of_class = np.array([own == label for own in scan.labels], dtype=np.bool_)
+    is_of_class = np.array([name == label for name in scan.labels], dtype=np.bool_)
     if not is_of_class.any():
         return None
-    typical = np.flatnonzero(is_of_class & (scan.label_share >= PURE_SHARE) & (scan.n_points >= least))
+    is_typical = is_of_class & (scan.label_share >= PURE_SHARE) & (scan.n_points >= least)
+    typical = np.flatnonzero(is_typical)
     if len(typical):
-        why = f"median size of {len(typical)} with {least} points and {PURE_SHARE:.0%} of the label or more"
+        pure = f"{PURE_SHARE:.0%} of the label or more"
+        why = f"median size of {len(typical)} with {least} points and {pure}"
         return scan.chosen(scan.median_sized(typical), label, why)
     largest = int(np.argmax(np.where(is_of_class, scan.n_points, -1)))
-    return scan.chosen(largest, label, f"the largest; none has {least} points and {PURE_SHARE:.0%} of the label")
+    why = f"the largest; none has {least} points and {PURE_SHARE:.0%} of the label"
+    return scan.chosen(largest, label, why)
 
 
 def typical_of_shapes(scan: ScanObjects, least: int) -> list[ChosenObject]:
@@ -93,9 +97,11 @@ def typical_of_shapes(scan: ScanObjects, least: int) -> list[ChosenObject]:
             is_free[chosen[name].community_id] = False
     for place, (feature, name) in enumerate(SHAPES.items()):
         if name not in chosen and is_free.any():
-            nearest = int(np.argmax(np.where(is_free, scan.shape[:, place], -np.inf)))
+            share = np.where(is_free, scan.shape[:, place], -np.inf)
+            nearest = int(np.argmax(share))
             rest = "" if is_free.sum() == n_candidates else " of the others"
-            why = f"none mostly {name}; this one has the largest {feature}{rest}, {scan.shape[nearest, place]:.2f}"
+            largest = f"the largest {feature}{rest}, {share[nearest]:.2f}"
+            why = f"none mostly {name}; this one has {largest}"
             chosen[name] = scan.chosen(nearest, name, why)
             is_free[nearest] = False
     return [chosen[name] for name in SHAPES.values() if name in chosen]

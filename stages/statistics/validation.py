@@ -42,7 +42,8 @@ def area_validation_metric(real: FloatArray, sim: FloatArray) -> float | None:
     """
     from scipy import stats
 
-    real, sim = real[~np.isnan(real)], sim[~np.isnan(sim)]
+    real = real[~np.isnan(real)]
+    sim = sim[~np.isnan(sim)]
     return float(stats.wasserstein_distance(real, sim)) if len(real) and len(sim) else None
 
 
@@ -69,7 +70,8 @@ def double_validation_metric(real: FloatArray, sim: FloatArray) -> DoubleValidat
     >>> found.bias, found.area
     (2.0, 1.0)
     """
-    real, sim = real[~np.isnan(real)], sim[~np.isnan(sim)]
+    real = real[~np.isnan(real)]
+    sim = sim[~np.isnan(sim)]
     if not len(real) or not len(sim):
         return DoubleValidation(None, None, len(real), len(sim))
     bias = float(sim.mean() - real.mean())

@@ -21,8 +21,8 @@ from fidpipe.pipeline.generate.sensor_files import read_sensor
 from fidpipe.pipeline.report.page.run_data import _last_criteria
 from fidpipe.pipeline.report.render import csv_table, terminal
 from fidpipe.pipeline.report.view import Table
+from fidpipe.pipeline.results.best_case import BEST_CASE_DATASET, BEST_CASE_RECIPE, read_recipe
 from fidpipe.pipeline.results.finished import FinishedRun
-from fidpipe.pipeline.results.floor import FLOOR_DATASET, FLOOR_RECIPE, read_recipe
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.files import hash_file
 from fidpipe.pipeline.storage.folder import RunFolder
@@ -38,7 +38,7 @@ TWIN = 'version = 1\nseed = 0\nsensor = "x"\ninputs_sha256 = "00"\nfiles = {}\n'
 
 def twins(out, replace=True):
     """Makes the twins of a recording without a frame."""
-    recording = Recording(out.parent / "posed", Path("poses.tum"), (), {})
+    recording = Recording(out.parent / "posed", (), {}, poses=Path("poses.tum"))
     twin.make_twins(recording, out, QUIET, replace=replace)
 
 
@@ -88,8 +88,8 @@ def test_a_side_that_is_a_link_is_not_cleared(tmp_path, side):
 @pytest.mark.parametrize(
     "change", ['noise_m = "much"', "kind = 5", 'dataset = ["a"]', "seed = 1.5", "[noise_m]", "version = nan"]
 )
-def test_a_recipe_of_a_floor_with_other_values_is_none(tmp_path, change):
-    path = tmp_path / FLOOR_DATASET / FLOOR_RECIPE
+def test_a_recipe_of_a_best_case_with_other_values_is_none(tmp_path, change):
+    path = tmp_path / BEST_CASE_DATASET / BEST_CASE_RECIPE
     path.parent.mkdir()
     lines = ["version = 1", 'kind = "again"', "noise_m = 0.02", "lost_share = 0.05", "seed = 0", 'dataset = "a"']
     path.write_text("\n".join(lines))

@@ -90,7 +90,7 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
         ("nosuch", ""),
         ("run --what --workers 1", ""),
         ("run {data} --workers 2 --scheduler tcp://a:1", ""),
-        ("compare {run}", "1 run given"),
+        ("compare {run}", "expected 2 to 8 runs, got 1"),
         ("compare {run} {run} --fail-on nose", "'nose'"),
         ("compare {run} {run} --junit a.xml", "give it as well"),
         ("compare {run} {run} --json --csv", "give one of them"),

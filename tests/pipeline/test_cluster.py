@@ -20,7 +20,7 @@ from fidpipe.pipeline.engine import cluster as engine_cluster
 from fidpipe.pipeline.engine.cluster import DaskPool, Requirements, code_hash, worker_fault
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.schedule import Policy
-from fidpipe.pipeline.generate.floor_run import run_floor
+from fidpipe.pipeline.generate.best_case_run import run_best_case
 from fidpipe.pipeline.jobs import metrics_job, selection_job
 from fidpipe.pipeline.storage.run_record import library_versions
 from fidpipe.schemas.errors import RunError
@@ -104,7 +104,7 @@ def test_relative_paths_are_those_of_the_command_not_of_workers_in_other_folders
     assert outcome.failures == {}
     assert outcome.n_made == JOBS_PER_PAIR
     assert run(named, tmp_path / "run", **one).n_reused == JOBS_PER_PAIR
-    assert run_floor(named, Path("floor"), Settings(), QUIET, machines=machines, **one).failures == {}
+    assert run_best_case(named, Path("best_case"), Settings(), QUIET, machines=machines, **one).failures == {}
     assert [path.name for path in (tmp_path / "cluster").iterdir() if path.is_dir()] == []
 
 

@@ -81,8 +81,11 @@ def test_a_worse_simulator_is_distinguished_from_a_better_one_both_ways(versions
 def test_a_break_on_too_few_pairs_is_worse_all_the_same(tmp_path):
     folders = run_versions(tmp_path, n=5, signs=(1, -1, 1))
     found = compare_runs(folders)[0]
-    assert (found.n_blocks, found.decision) == (5, "worse")
+    assert (found.n_places, found.decision) == (5, "worse")
     assert "fewer than 6 pairs" in chance(found)
+    p_values = {score.p for score in found.scores}
+    assert None in p_values, "no p where none can be reached"
+    assert 1.0 not in p_values
 
 
 def test_copies_of_one_pair_under_another_seed_are_not_better(tmp_path):
@@ -93,9 +96,9 @@ def test_copies_of_one_pair_under_another_seed_are_not_better(tmp_path):
     for folder, seed in zip(runs, (1, 2), strict=True):
         run(tmp_path / "data", folder, load(assignments=[f"communities.seed={seed}"]))
     found = compare_runs(runs, allow_different_settings=True)[0]
-    assert (len(found.pairs), found.n_blocks) == (8, 1)
+    assert (len(found.pairs), found.n_places) == (8, 1)
     assert {one.verdict for one in found.scores} <= {"undecided", "same"}
-    assert found.blocking == "8 pairs form 1 block of neighbouring frames (by comparing the scans)"
+    assert found.counted == "8 neighbouring frames of one place (by comparing the scans)"
 
 
 def test_scans_near_each_other_in_time_count_once(versions, tmp_path):
@@ -108,13 +111,13 @@ def test_scans_near_each_other_in_time_count_once(versions, tmp_path):
         shutil.rmtree(data)  # the same where the dataset is not
         folders.append(out)
     found = compare_runs(folders)[0]
-    assert (len(found.pairs), found.n_blocks) == (6, 1)
+    assert (len(found.pairs), found.n_places) == (6, 1)
     assert {family.verdict for family in found.families} <= {"undecided", "same"}
-    assert found.blocking == "6 pairs form 1 block of neighbouring frames (by time stamps)"
+    assert found.counted == "6 neighbouring frames of one place (by time stamps)"
     assert "--independent" in chance(found)
     alone = compare_runs(folders, independent=True)[0]
-    assert (alone.n_blocks, alone.decision) == (6, "worse")
-    assert "about these scans only" in alone.blocking
+    assert (alone.n_places, alone.decision) == (6, "worse")
+    assert "about these scans" in alone.counted
 
 
 def test_differences_are_those_of_the_tables(found, versions):
@@ -257,7 +260,7 @@ def test_the_first_line_is_the_decision_and_the_second_says_on_what(versions):
         assert decision(found).startswith(f"{word}: ")
         text = " ".join(text_of(compare_view(found)).split())
         assert text.startswith(f"{word}: ")
-        assert chance(found).startswith("6 pairs, taken as independent")
+        assert chance(found).startswith("6 pairs of 6 places")
 
 
 def test_classes_and_ranges_count_every_real_object_and_average_those_in_both(found):
@@ -379,13 +382,15 @@ def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_se
     open_ = tuple(
         replace(family, verdict="undecided", tendency="worse" * (family.name == "objects")) for family in found.families
     )
-    for n_blocks in (5, 8):
-        unsure = replace(found, n_blocks=n_blocks, families=open_, changes=Changes())
+    for n_places in (5, 8):
+        unsure = replace(found, n_places=n_places, families=open_, changes=Changes())
         assert unsure.decision == "undecided"
-        passed = judge_comparison(unsure, ["worse"])
+        passed = judge_comparison(unsure, ["worse"], undecided_ok=True)
         assert passed.failed == ()
         assert passed.note.partition(";")[0].endswith("objects")
-        assert ("5 independent pairs" in passed.note) == (n_blocks == 5)
+        assert ("6 pairs of 5 places" in passed.note) == (n_places == 5)
+        faults = [check.fault for check in judge_comparison(unsure, ["worse"]).failed]
+        assert faults == (["undecided"] if n_places == 5 else []), "too few places fail, chance does not"
         assert [check.fault for check in judge_comparison(unsure, ["undecided"]).failed] == ["undecided"]
     mixed = replace(found, families=(replace(found.families[0], verdict="mixed"),), changes=Changes())
     assert [check.fault for check in judge_comparison(mixed, ["worse"]).failed] == ["mixed"]

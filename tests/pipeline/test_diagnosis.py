@@ -121,8 +121,8 @@ def test_a_dask_scheduler_measures_the_same_gains(low, low_run, tmp_path):
 
 
 def test_causes_whose_correction_does_not_help_are_doubtful(low, monkeypatch):
-    def no_gain(scans, made, seam_deg, rng, floor_m):
-        return Shares(0.3, 0.3, floor_m, dict.fromkeys(made, 0.0))
+    def no_gain(scans, made, seam_deg, rng, best_case_m):
+        return Shares(0.3, 0.3, best_case_m, dict.fromkeys(made, 0.0))
 
     monkeypatch.setattr("fidpipe.pipeline.jobs.gains_job.shares", no_gain)
     diagnosis = diagnose_run(low, QUIET, Machines(1))
@@ -208,7 +208,7 @@ def test_the_scale_of_the_intensity_is_a_cause_if_both_sides_have_one_scale(tmp_
 
 @pytest.fixture(scope="module")
 def folder(scenario):
-    return scenario("floor")
+    return scenario("best_case")
 
 
 @pytest.fixture(autouse=True)
@@ -218,15 +218,23 @@ def shorter(monkeypatch):
         monkeypatch.setattr(classifier, name, value)
 
 
-def test_tell_apart_compares_the_run_with_its_floor_and_draws_the_map(folder, tmp_path):
+def test_tell_apart_compares_the_run_with_its_best_case_and_draws_the_map(folder, tmp_path):
     picture = tmp_path / "map.png"
     ended = command(
-        "diagnose", folder / "run", "--tell-apart", "--floor", folder / "floor", "--picture", picture, "--json", code=0
+        "diagnose",
+        folder / "run",
+        "--tell-apart",
+        "--best-case",
+        folder / "best_case",
+        "--picture",
+        picture,
+        "--json",
+        code=0,
     )
     found = json.loads(ended.stdout)["tell_apart"]
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert found["low"] <= found["auc"] <= found["high"]
-    assert found["real_against_real"]["of"] == "second measurements of the floor"
+    assert found["real_against_real"]["of"] == "second measurements of the best case"
     assert found["auc"] > found["real_against_real"]["auc"]  # the simulated side is drifted and thinned
     assert {one["name"] for one in found["families"]} == {"surface"}  # random points have no beams
 

@@ -16,7 +16,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from fidpipe.pipeline.datasets import readers
+from fidpipe.pipeline.datasets.readers import formats
 from fidpipe.schemas.errors import DatasetError
 from runs import JOBS_PER_PAIR, command, own_process
 from scenes import drifted, street, write_bin
@@ -258,8 +258,8 @@ def test_a_package_of_others_adds_a_format(tmp_path, pts_package):
 
 def test_two_readers_of_one_suffix_are_refused_and_both_named(monkeypatch):
     entries = [EntryPoint("ply", "other_package.ply", "fidpipe.readers")]
-    monkeypatch.setattr(readers, "entry_points", lambda group: entries)
-    readers._other_formats.cache_clear()
+    monkeypatch.setattr(formats, "entry_points", lambda group: entries)
+    formats._other_formats.cache_clear()
     with pytest.raises(DatasetError, match=r"ply and other_package\.ply"):
-        readers.formats()
-    readers._other_formats.cache_clear()
+        formats.known_formats()
+    formats._other_formats.cache_clear()

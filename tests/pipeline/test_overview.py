@@ -140,7 +140,7 @@ def test_a_run_ends_with_surface_pieces_causes_places_scores_trust_and_the_next_
     assert "faithful" not in text
     assert "r_lambda" in text
     assert "(paper 0.37)" in text, "under preset paper"
-    assert "3 independent pairs: too few for a verdict (6)" in text
+    assert "3 pairs of 3 places: a verdict on the world needs 6 places" in text
     assert "3 pairs, preset paper" in text_of(show_view(FinishedRun(folder), None, None)).splitlines()[0]
 
 
@@ -282,9 +282,9 @@ def test_copies_of_a_pair_count_once(tmp_path):
         for name in ("copy", "another"):
             shutil.copy(data / side / "000.bin", data / side / f"{name}.bin")
     copied = run(data, tmp_path / "copied")
-    assert copied.record.findings.n_independent == once.record.findings.n_independent == 1
+    assert copied.record.findings.n_places == once.record.findings.n_places == 1
     cautions = [caution.words for caution in copied.record.overview.trust]
-    assert "3 pairs count as 1: copies, and scans within 10 s, count once" in cautions
+    assert "3 neighbouring frames of one place: a verdict on the world needs 6 places" in cautions
 
 
 def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp_path):

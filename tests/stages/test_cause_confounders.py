@@ -50,9 +50,9 @@ def test_missing_beams_are_not_lost_returns(street):
     assert abs(amounts["lost returns"].amount) < 0.05
 
 
-def test_a_second_measurement_is_at_the_floor(street):
+def test_a_second_measurement_is_at_the_best_case(street):
     estimates = estimate(PairScans(side_of(street), side_of(again(street, 2))))
-    assert unexplained_share((estimates.distance_m, estimates.distance_m, estimates.floor_m)) is None
+    assert unexplained_share((estimates.distance_m, estimates.distance_m, estimates.best_case_m)) is None
 
 
 def cause(name):

@@ -175,7 +175,7 @@ def values_of(estimates):
 def test_no_cause_of_a_second_measurement(healthy):
     assert named_causes(values_of(healthy), np.arange(2)) == []
     for pair in healthy:
-        assert pair.distance_m == pytest.approx(pair.floor_m, abs=0.01)
+        assert pair.distance_m == pytest.approx(pair.best_case_m, abs=0.01)
 
 
 @pytest.mark.parametrize("name", some_of([*FLAWS], ALWAYS))
@@ -192,7 +192,7 @@ def test_a_flaw_is_named_with_its_amount_and_its_correction_gains(places, health
     own = estimates[0]
     amounts = {cause: estimated.amount for cause, estimated in own.amounts.items()}
     made = corrections(pairs[0], own.pose, amounts, by_name, rng)
-    found = shares(pairs[0], made, own.pose.displacement.seam_deg, rng, own.floor_m)
+    found = shares(pairs[0], made, own.pose.displacement.seam_deg, rng, own.best_case_m)
     assert sum(found.by_cause.values()) == pytest.approx(found.before_m - found.after_m)
     assert name in NO_GAIN or max(found.by_cause, key=found.by_cause.get) == name
     assert found.before_m == own.distance_m
@@ -206,8 +206,8 @@ def test_a_flaw_without_a_cause_is_unexplained(places, name):
     rng = np.random.default_rng(0)
     amounts = {cause: estimated.amount for cause, estimated in own.amounts.items()}
     made = corrections(pair, own.pose, amounts, named, rng)
-    found = shares(pair, made, own.pose.displacement.seam_deg, rng, own.floor_m)
-    assert found.after_m - own.floor_m > 0.6 * (found.before_m - own.floor_m) > 0
+    found = shares(pair, made, own.pose.displacement.seam_deg, rng, own.best_case_m)
+    assert found.after_m - own.best_case_m > 0.6 * (found.before_m - own.best_case_m) > 0
     assert off_share(pair.real.points, pair.sim.points) > 0.05
 
 

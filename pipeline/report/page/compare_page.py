@@ -20,6 +20,7 @@ from ..charts import change_chart
 from ..look import PAGE_COLOURS
 from ..pictures import draw_change, object_address
 from ..view import Table, signed
+from ..views.best_case_view import both_excesses_table
 from ..views.compare_view import (
     OBJECTS_NOTE,
     cause_table,
@@ -32,7 +33,6 @@ from ..views.compare_view import (
     remarks,
     score_table,
 )
-from ..views.floor_view import both_excesses_table
 from .page_templates import render
 from .run_page import PAGE, PAGES
 

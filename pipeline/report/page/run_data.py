@@ -17,9 +17,9 @@ from ....schemas.errors import RunError
 from ....schemas.metric_catalogue import METRIC, metric_of
 from ....schemas.results import Evidence
 from ....stages.sensor_description import sensor_lines
+from ...results.best_case import RunExcess
 from ...results.causes import MOST_SHOWN
 from ...results.diagnosis import unexplained_words
-from ...results.floor import RunExcess
 from ...results.gate import Criterion, judge_run
 from ...results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, plain_rows
 from ...terminal import STEERING
@@ -28,8 +28,16 @@ from ..look import PAGE_COLOURS, SIGNED_RAMP_M
 from ..pictures import FRAME, draw_pieces
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, SCORES, RunResults, frames_of, quadrants
 from ..view import Note, Table, number, percent, sentence
-from ..views.answer_view import NO_CAUSE, amount_words, change_words, pieces_words, surface_words, unknown_words
-from ..views.floor_view import excess_view
+from ..views.answer_view import (
+    NO_CAUSE,
+    amount_words,
+    change_words,
+    pieces_words,
+    surface_words,
+    trust_words,
+    unknown_words,
+)
+from ..views.best_case_view import excess_view
 from ..views.run_view import (
     coverage_table,
     dataset_table,
@@ -167,7 +175,7 @@ def stage_times(results: RunResults) -> pd.DataFrame:
 
 
 def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
-    """Values of the whole run for the page's template: versions by group, and scores over a floor if any."""
+    """Values of the whole run for the page's template: versions by group, and scores over a best case if any."""
     record, times = results.run.record, ("stage", "step", "seconds")
     diagnosis = results.run.diagnosis
     sensor_pair = results.pairs.pair_id.min()
@@ -189,7 +197,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "unexplained": sentence(unexplained_words(diagnosis)) if diagnosis else "",
         "failures": {row["pair_id"]: row["reason"] for row in results.run.rows if row["status"] == "failed"},
         "most_failures": _MOST_FAILURES,
-        "floor": excess_view(excess) if excess else [],
+        "best_case": excess_view(excess) if excess else [],
         "sensor_pair": sensor_pair,
         "sensors": {side: sensor_lines(sensors[side]) for side in SIDES},
         "ranges": [range_table(record.findings)] if record.findings else [],
@@ -206,7 +214,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
 
 
 def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
-    """The first screen of a run's page, over a floor if there is one, and the section `details`.
+    """The first screen of a run's page, over a best case if there is one, and the section `details`.
 
     is_met is True if the acceptance criteria of the last gate are met, None without any.
     """
@@ -215,7 +223,8 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
     if overview is None:
         raise RunError(f"run {results.run.folder}: no pair is scored, so there is nothing to report")
     is_met, good_enough = _good_enough(results, excess)
-    trust = [caution.words for caution in overview.trust if caution.kind not in ("frames", "failed")]
+    cautions = [caution for caution in overview.trust if caution.kind not in ("frames", "failed")]
+    trust = trust_words(results.run.folder, cautions)
     if overview.unknown:
         trust.append(unknown_words(overview))
     return {
@@ -255,7 +264,7 @@ def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]
             (f"{side} step{i}", text, high - low)
             for i, (text, low, high) in enumerate(zip(words, ends[:-1], ends[1:], strict=True))
         ]
-        note = f"floor {percent(excess.scores[reaches[1]].floor)}" if excess else ""
+        note = f"best case {percent(excess.scores[reaches[1]].best_case)}" if excess else ""
         bars.append({"name": name, "value": f"{percent(ends[2])} within 0.3 m", "note": note, "parts": parts})
     counted = quadrants(results)
     n_missing = int((results.unmatched.status == "missing").sum())
@@ -273,7 +282,7 @@ def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | 
     if criteria is None:
         return None, [f"No acceptance limits are set yet: fidpipe gate {folder} --max r_lambda.mean=0.4 sets one."]
     try:
-        result = judge_run(folder, criteria, None if excess is None else excess.floor)
+        result = judge_run(folder, criteria, None if excess is None else excess.best_case)
     except (RunError, ValueError) as error:
         return None, [f"The criteria of {folder / 'gate.json'} cannot be evaluated again: {error}"]
     unmet = [verdict for verdict in result.judged if not verdict.passed]

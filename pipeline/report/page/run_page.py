@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from ...engine.progress import Reporter
-from ...results.floor import excess_over
+from ...results.best_case import excess_over
 from ...storage.files import remove_stale, write_whole
 from ...storage.table_files import file_stem
 from ..run_frames import read_results
@@ -44,7 +44,7 @@ def write_report(
     one_page_a_pair: bool = False,
     out: Path | None = None,
     html: Path | None = None,
-    floor: Path | None = None,
+    best_case: Path | None = None,
     with_figures: bool = False,
     reporter: Reporter | None = None,
 ) -> ReportFiles:
@@ -56,7 +56,7 @@ def write_report(
     pattern : only pairs whose name matches are shown in 3D (shell style); the rest of the page is of all pairs
     out : folder that they are written into; by default the run's own
     html : file of the single page; by default report.html in that folder
-    floor : the run of fidpipe floor that scores are also shown over
+    best_case : the run of fidpipe best-case that scores are also shown over
     one_page_a_pair : write a folder of pages, one for each of those pairs, instead of the single page
     with_figures : write the figures for print, too
     reporter : shows the progress over pairs
@@ -65,12 +65,12 @@ def write_report(
     ------
     RunError
         The folder is not a finished run, has no scored pair or a damaged table, no pair matches, or a file cannot be
-        written; or the floor is another's.
+        written; or the best case is another's.
     """
     if with_figures:
         from ..figures.run_figures import draw_figures  # matplotlib takes a second to load
     results = read_results(folder)
-    excess = None if floor is None else excess_over(results.run, floor)
+    excess = None if best_case is None else excess_over(results.run, best_case)
     folder = out or folder
     chosen = results.select(pattern)
     overview = results.run.overview

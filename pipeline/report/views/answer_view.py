@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ....schemas.metric_catalogue import metric_of
-from ....schemas.record import RunRecord
-from ....schemas.results import Cause, Diagnosis, Overview
+from ....schemas.record import RunHeader, RunRecord
+from ....schemas.results import Cause, Caution, Diagnosis, Overview
+from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
 from ...results.causes import MOST_SHOWN, interval_words
 from ...results.diagnosis import gain_words, unexplained_words, with_gains
-from ...results.floor import FloorRecipe, RunExcess, read_recipe, run_of_floor
 from ...storage.urls import url_or_path
 from ..view import Answers, Note, View, number, percent, shortened
 
@@ -41,7 +41,7 @@ def answer_view(
     Parameters
     ----------
     diagnosis : of the run, if it has one
-    excess : the run over a floor, whose coverage is shown
+    excess : the run over a best case, whose coverage is shown
     with_all : all causes, places and cautions
     took : time and reused jobs of a run that just ended
     """
@@ -58,15 +58,15 @@ def answer_view(
         first.append((unexplained_words(diagnosis), "", ""))
     pieces = overview.pieces[:n_places]
     names = shortened({own.pair_id for own in pieces}, _PAIR)
-    hidden = {*_SHOWN_ABOVE, *(["floor"] if excess or recipe else [])}
-    trust = [own.words for own in overview.trust if own.kind not in hidden][:n_cautions]
+    hidden = {*_SHOWN_ABOVE, *(["best_case"] if excess or recipe else [])}
+    trust = trust_words(folder, [caution for caution in overview.trust if caution.kind not in hidden])[:n_cautions]
     if overview.unknown:
         trust.append(unknown_words(overview))
     if not with_all:
         trust.append(f"more: {shlex.join(['fidpipe', 'show', run, '--all'])}")
-    following = [["check", record.dataset]] if record.frames else [["report", run, "--open"]]
+    following = [["check", record.dataset, *run_options(record)]] if record.frames else [["report", run, "--open"]]
     if recipe is not None:
-        following = [["show", run_of_floor(folder, recipe), "--floor", run]]
+        following = [["show", run_of_best_case(folder, recipe), "--best-case", run]]
     elif diagnosis is None and not record.frames:
         following.insert(0, ["diagnose", run])
     sections = {
@@ -80,6 +80,20 @@ def answer_view(
         "Next": [(shlex.join(["fidpipe", *words]), "", "") for words in following],
     }
     return [line, Answers([(heading, items) for heading, items in sections.items() if items])]
+
+
+def trust_words(folder: Path, cautions: Sequence[Caution]) -> list[str]:
+    """The limits to the trust in a run, with its folder in the commands."""
+    command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
+    return [caution.words.replace("fidpipe best-case RUN", command) for caution in cautions]
+
+
+def run_options(record: RunHeader) -> list[str]:
+    """Preset and settings of a run, as options of a command."""
+    options = ["--preset", record.preset]
+    for setting in record.departures:
+        options += ["--set", setting]
+    return options
 
 
 def cause_items(causes: Sequence[Cause]) -> list[tuple[str, str, str]]:
@@ -98,24 +112,24 @@ def unknown_words(overview: Overview) -> str:
     return "unknown: " + "; ".join(f"{', '.join(group.causes)} ({group.reason})" for group in overview.unknown)
 
 
-def run_line(record: RunRecord, took: str = "", recipe: FloorRecipe | None = None) -> str:
-    """Dataset, pairs, time and preset of a run, or of a floor if its recipe is given."""
+def run_line(record: RunRecord, took: str = "", recipe: BestCaseRecipe | None = None) -> str:
+    """Dataset, pairs, time and preset of a run, or of a best case if its recipe is given."""
     pairs = record.pairs
     n, n_all = pairs.scored, pairs.scored + pairs.failed + pairs.to_do
     counts = f"{n} of {n_all}" if n < n_all else n
     scored = " scored" * (n < n_all)
     differing = f", but {' '.join(record.departures)}" if record.departures else ""
-    name = Path(record.dataset).name if recipe is None else f"floor of {Path(recipe.dataset).name}"
+    name = Path(record.dataset).name if recipe is None else f"best case of {Path(recipe.dataset).name}"
     return f"{name}: {counts} pair{'s' * (n_all != 1)}{scored}{took}, preset {record.preset}{differing}"
 
 
 def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:
-    """Share of each side's surface that the other side has, with the floor's."""
+    """Share of each side's surface that the other side has, with the best case's."""
     real, sim = (percent(record.summary[column].mean) for column in _COVERED)
-    floor = excess and ", ".join(percent(excess.scores[column].floor) for column in _COVERED)
+    best_case = excess and ", ".join(percent(excess.scores[column].best_case) for column in _COVERED)
     return (
         f"{real} of the real surface is simulated within 0.3 m, {sim} of the simulated surface is real"
-        f"{f' (floor {floor})' if floor else ''}"
+        f"{f' (best case {best_case})' if best_case else ''}"
     )
 
 

@@ -10,12 +10,13 @@ from ....schemas.metric_catalogue import METRIC
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS, Difference
 from ...results.causes import interval_words
 from ...results.compare import Comparison
-from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange
+from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, score_rows
 from ...results.followed import SHARED_SCORES, by_change, by_class, by_range
+from ...results.independence import NEEDED, pairs_and_places
 from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
-from ..view import Note, Part, Table, View, count, number, percent, signed
-from .floor_view import both_excesses_table, excess_notes
+from ..view import Note, Part, Table, View, number, percent, signed
+from .best_case_view import both_excesses_table, excess_notes
 
 _MOST_OBJECTS = 5
 _MOST_CAUSES = 3
@@ -132,26 +133,34 @@ def _nothing_decided(comparison: Comparison) -> str:
     uncertain = [change.words for change in comparison.changes.causes if change.verdict == "changed"]
     if uncertain:
         return f"changed, neither better nor worse: {', '.join(uncertain[:_MOST_CAUSES])}"
-    places = count(comparison.n_blocks, "independent place")
-    tending = [family.name for family in comparison.families if family.scores[0].towards == "worse"]
-    if comparison.is_small or comparison.by_direction:
-        few = f"{places}, {LEAST_PAIRS} are needed to decide about the world"
-        return f"{few}; on these frames worse: {', '.join(tending)}" if tending else few
-    return f"no change stands out from chance over {places}"
+    counted = pairs_and_places(len(comparison.pairs), comparison.n_places)
+    if not comparison.lacks_places:
+        return f"no change stands out from chance over {counted}"
+    parts = [counted]
+    these = "frames" if comparison.n_places < len(comparison.pairs) else "pairs"
+    for towards in ("worse", "better"):
+        moved = [family.name for family in comparison.families if _clearly(family) == towards]
+        if moved:
+            parts.append(f"on these {these} {towards}: {', '.join(moved)}")
+    return f"{'; '.join(parts)}. {NEEDED.capitalize()}"
+
+
+def _clearly(family: FamilyChange) -> str:
+    """Direction in which the clearest score of a family moved, worse or better; "" if it is not clear."""
+    return next((score.towards for score in family.scores if score.is_clear), "")
 
 
 def chance(comparison: Comparison) -> str:
     """The second line: how pairs were counted, and the rate at which equal simulators are called better or worse."""
-    counted = comparison.blocking
+    counted = comparison.counted
     if comparison.by_direction:
         counted += (
-            f"; a change counts if it is consistent over the frames and over {N_SECTORS} directions from each place "
-            "(--independent: over the frames alone, for a decision about these places only)"
+            f"; changes of the world count if the frames and {N_SECTORS} directions agree (--independent: the frames "
+            "alone)"
         )
     if comparison.is_small:
-        return f"{counted}; fewer than {LEAST_PAIRS} pairs decide only changes far beyond the noise"
-    rate = f"{100 * ERROR_RATE:.0f} %"
-    return f"{counted}; error rate over all families at most {rate} for equal simulators"
+        return f"{counted}; fewer than {LEAST_PAIRS} pairs: only very large changes of the world count"
+    return f"{counted}; false-alarm rate at most {100 * ERROR_RATE:.0f} %"
 
 
 def remarks(comparison: Comparison) -> list[Note]:
@@ -179,17 +188,18 @@ def remarks(comparison: Comparison) -> list[Note]:
 
 
 def _on_chance(comparison: Comparison) -> list[str]:
-    """Seeds and floor: which changes are not more than these make."""
+    """Seeds and best case: which changes are not more than these make."""
     lines = [comparison.on_partition] if comparison.on_partition else []
     by_seeds = [score.name for score in comparison.scores if score.exceeds(score.seed_noise) is False]
     if by_seeds:
         lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
-    below = [score for score in comparison.scores if score.exceeds(score.floor) is False and score.towards]
+    below = [score for score in comparison.scores if score.exceeds(score.best_case) is False and score.towards]
     if below:
         lines.append(
-            "no more than the floor, by which a second measurement of the real scan differs: "
+            "no more than the best case, by which a second measurement of the real scan differs: "
             + ", ".join(
-                f"{score.name} ({signed(score.difference.difference)}, floor {number(score.floor)})" for score in below
+                f"{score.name} ({signed(score.difference.difference)}, best case {number(score.best_case)})"
+                for score in below
             )
         )
     if comparison.excess:
@@ -238,18 +248,18 @@ def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = N
     """One row per score, or per score chosen, with its numbers, and an arrow to where it is better.
 
     Not in a terminal: the pairs if all have each score; if both runs were repeated under other seeds, whether the
-    change is more than they alone make; with a floor, whether it is more than a second measurement makes.
+    change is more than they alone make; with a best case, whether it is more than a second measurement makes.
     """
     beyond = {None: "-", True: "yes ({})", False: "no ({})"}
     with_seeds = any(score.seed_noise is not None for score in comparison.scores)
-    with_floor = any(score.floor is not None for score in comparison.scores)
+    with_best_case = any(score.best_case is not None for score in comparison.scores)
     rows = [
         (
             *(family.name, f"{score.name} {score.mark}", score.difference.n_pairs, score.difference.before),
             *(score.difference.after, _interval(score.difference), _p(score.p)),
             f"({score.verdict})" if score.why else score.verdict,
             *[beyond[score.exceeds(score.seed_noise)].format(number(score.seed_noise))] * with_seeds,
-            *[beyond[score.exceeds(score.floor)].format(number(score.floor))] * with_floor,
+            *[beyond[score.exceeds(score.best_case)].format(number(score.best_case))] * with_best_case,
         )
         for score in (comparison.scores if chosen is None else chosen)
         for family in comparison.families
@@ -257,7 +267,7 @@ def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = N
     ]
     have_all = all(score.difference.n_pairs == len(comparison.pairs) for score in comparison.scores)
     headings = ("family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict")
-    beyonds = ["more than seeds make"] * with_seeds + ["more than the floor"] * with_floor
+    beyonds = ["more than seeds make"] * with_seeds + ["more than the best case"] * with_best_case
     title = f"Means over {len(comparison.pairs)} pairs; in brackets: does not count"
     wide = (0, 8, 9, 2) if have_all else (0, 8, 9)
     return Table(title, (*headings, *beyonds), rows, words=(0, 1, 7), wide=wide)
@@ -294,17 +304,13 @@ def _group_table(what: str, groups: Sequence[Row]) -> Table:
 
 def compare_records(comparisons: Sequence[Comparison]) -> Table:
     """One row per run and score, numbers in full."""
-    headings = ("base", "run", "family", "score", "better is", "verdict", "pairs", "independent pairs")
-    numbers = ("before", "after", "change", "from", "to", "p")
-    rows = []
-    for one in comparisons:
-        for family in one.families:
-            for score in family.scores:
-                own = score.difference
-                words = (str(one.base), str(one.other), family.name, score.name, score.mark, score.verdict)
-                counts = (own.n_pairs, own.n_blocks)
-                rows.append((*words, *counts, own.before, own.after, own.difference, own.low, own.high, score.p))
-    return Table("", (*headings, *numbers), rows)
+    rows, headings = [], ["base", "run", "places"]
+    for comparison in comparisons:
+        runs = (str(comparison.base), str(comparison.other), comparison.n_places)
+        for row in score_rows(comparison.families):
+            headings[3:] = row
+            rows.append((*runs, *row.values()))
+    return Table("", tuple(headings), rows)
 
 
 def _p(p: float | None) -> str:

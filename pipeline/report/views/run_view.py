@@ -31,14 +31,14 @@ from ....schemas.record import (
 )
 from ....schemas.results import ClassFindings, Diagnosis, Findings, Overview, Unmatched
 from ....stages.coverage import ABSENT, THERE
+from ...results.best_case import RunExcess
 from ...results.diagnosis import diagnosis_of
-from ...results.floor import RunExcess
 from ...storage.folder import RunFolder
 from ...storage.run_record import unmatched_worst
 from ...storage.urls import url_or_path
 from ..view import Note, Table, View, mean_and_spread, number, percent
 from .answer_view import answer_view
-from .floor_view import HEADLINES, excess_view
+from .best_case_view import HEADLINES, excess_view
 
 if TYPE_CHECKING:
     from ...run import RunOutcome
@@ -79,7 +79,7 @@ def summary_view(
     ----------
     diagnosis : of the run, if it has one
     reported : pairs whose failure was reported before
-    excess : the run over a floor
+    excess : the run over a best case
     took : time and reused jobs of a run that just ended
     """
     trust = record.overview.trust if record.overview else ()

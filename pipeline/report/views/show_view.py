@@ -13,13 +13,13 @@ from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import COVERAGE_REACHES, METRIC, narrow_labels, reach_words
 from ....schemas.results import JsonObject
 from ....stages.coverage import surface_state
+from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun, ObjectFacts, PairFacts, object_facts, pair_facts, run_facts
-from ...results.floor import RunExcess
 from ...results.object_frame import UNKNOWN
 from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad
 from ...storage.urls import url_or_path
 from ..view import Note, Table, View, number, percent
-from .floor_view import pair_excess_table
+from .best_case_view import pair_excess_table
 from .run_view import summary_view
 
 #: Columns of `metrics` in the order in which an object shows them: r_lambda is next to its components.
@@ -56,7 +56,7 @@ def show_view(
 
     Parameters
     ----------
-    excess : of run or pair over a floor, to be shown as well
+    excess : of run or pair over a best case, to be shown as well
     with_all : all tables of the run, all objects of the pair
     """
     if pair is not None and name is not None:

@@ -12,13 +12,13 @@ from scipy.stats import wasserstein_distance
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.engine import Machines
-from fidpipe.pipeline.generate.floor_run import run_floor
+from fidpipe.pipeline.generate.best_case_run import run_best_case
 from fidpipe.pipeline.report.page.run_page import write_report
+from fidpipe.pipeline.report.views.best_case_view import HEADLINES, excess_view
 from fidpipe.pipeline.report.views.compare_view import remarks
-from fidpipe.pipeline.report.views.floor_view import HEADLINES, excess_view
+from fidpipe.pipeline.results.best_case import excess_over
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun
-from fidpipe.pipeline.results.floor import excess_over
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError
 from fidpipe.schemas.metric_catalogue import COVERAGE_SCORES, OBJECT_METRICS
@@ -33,8 +33,8 @@ from scenes import drifted, moved, rigid, street, write_bin, write_dataset
 REFERENCE = load(preset="reference")
 
 
-def floor(dataset, out, reporter=QUIET, *, settings=None, **options):
-    return run_floor(dataset, out, settings or Settings(), reporter, machines=Machines(1), **options)
+def best_case(dataset, out, reporter=QUIET, *, settings=None, **options):
+    return run_best_case(dataset, out, settings or Settings(), reporter, machines=Machines(1), **options)
 
 
 def shown(*words, code=0):
@@ -43,13 +43,15 @@ def shown(*words, code=0):
 
 @pytest.fixture(scope="module")
 def folder(scenario):
-    """Three streets, their run, and their floor."""
-    return scenario("floor")
+    """Three streets, their run, and their best case."""
+    return scenario("best_case")
 
 
 def test_without_noise_and_dropout_it_is_exactly_perfect(folder, tmp_path):
     reporter, said = listening()
-    made = floor(folder / "streets", tmp_path / "floor", reporter, settings=REFERENCE, noise_m=0.0, lost_share=0.0)
+    made = best_case(
+        folder / "streets", tmp_path / "best_case", reporter, settings=REFERENCE, noise_m=0.0, lost_share=0.0
+    )
     assert "warning" not in said.getvalue()
     for row in made.rows:
         assert row["match_rate"] == 1
@@ -63,14 +65,14 @@ def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_n
         write_bin(tmp_path / "data" / side / "cast.bin", rows[:, :3])
         write_bin(tmp_path / "data" / side / "street.bin", street())
     reporter, said = listening()
-    made = floor(tmp_path / "data", tmp_path / "floor", reporter, settings=REFERENCE)
-    used = pd.read_csv(tmp_path / "floor" / "dataset" / "floor.csv", index_col=0)
+    made = best_case(tmp_path / "data", tmp_path / "best_case", reporter, settings=REFERENCE)
+    used = pd.read_csv(tmp_path / "best_case" / "dataset" / "best_case.csv", index_col=0)
     own = describe_sensor(rows[:, :3].astype(np.float32).astype(float))
     assert (used.noise_m["cast"], used.lost_share["cast"]) == (own.range_noise_m, own.lost_in_all)
     assert (used.noise_m["street"], used.lost_share["street"]) == (0.03, 0.03)
     text = said.getvalue()
     assert "1 of 2 real scans" in text and "--noise-m" in text
-    again = read_scan(tmp_path / "floor" / "dataset" / "sim" / "cast.parquet").points
+    again = read_scan(tmp_path / "best_case" / "dataset" / "sim" / "cast.parquet").points
     second = describe_sensor(again)
     assert own.lost_in_all > 0.1 and second.lost_in_all == pytest.approx(own.lost_in_all, abs=0.02)
     assert len(again) == pytest.approx(len(rows), rel=0.05)  # it loses other pulses, but not more of them
@@ -78,17 +80,17 @@ def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_n
 
 
 def test_it_is_resumed_and_made_again_only_where_the_real_scan_changed(folder, tmp_path):
-    data, out = write_dataset(tmp_path / "streets", 3), tmp_path / "floor"
-    first = floor(data, out, pattern="000")
+    data, out = write_dataset(tmp_path / "streets", 3), tmp_path / "best_case"
+    first = best_case(data, out, pattern="000")
     assert len(first.rows) == 1
     (out / "dataset" / "pairs.csv").unlink()  # as if it had been interrupted
-    assert floor(data, out).n_made
-    assert_same_tables(out, folder / "floor")
+    assert best_case(data, out).n_made
+    assert_same_tables(out, folder / "best_case")
     made = {path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()}
-    assert floor(data, out).n_made == 0
+    assert best_case(data, out).n_made == 0
     assert {path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()} == made
     write_bin(data / "real" / "001.bin", street(seed=77))
-    assert floor(data, out).n_made == first.n_made
+    assert best_case(data, out).n_made == first.n_made
     now = {path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()}
     assert {name for name in now if now[name] != made[name]} == {"001.parquet"}
 
@@ -97,8 +99,8 @@ def test_the_simulated_side_does_not_matter(folder, tmp_path):
     data = write_dataset(tmp_path / "streets", 3)
     (data / "sim" / "000.bin").write_bytes(b"")
     settings = load(assignments=["input.sim_flip_y=true"])
-    assert not floor(data, tmp_path / "floor", settings=settings).failures
-    assert_same_tables(tmp_path / "floor", folder / "floor")
+    assert not best_case(data, tmp_path / "best_case", settings=settings).failures
+    assert_same_tables(tmp_path / "best_case", folder / "best_case")
 
 
 def test_t_real_sim_does_not_move_it_and_labels_stay(tmp_path):
@@ -109,28 +111,28 @@ def test_t_real_sim_does_not_move_it_and_labels_stay(tmp_path):
     (tmp_path / "data" / "labels.toml").write_text('4 = "road"\n7 = "pole"\n')
     T = " ".join(map(str, rigid(30, [1, 2, 0]).ravel()))
     (tmp_path / "data" / "pairs.csv").write_text(f"pair_id,real,sim,timestamp_s,T_real_sim\nx y,a.bin,b.bin,5.5,{T}\n")
-    made = floor(tmp_path / "data", tmp_path / "floor", settings=REFERENCE)
+    made = best_case(tmp_path / "data", tmp_path / "best_case", settings=REFERENCE)
     assert made.rows[0]["match_rate"] == 1
     assert made.record.frames == {}
-    (pair,) = read_dataset(tmp_path / "floor" / "dataset").pairs
+    (pair,) = read_dataset(tmp_path / "best_case" / "dataset").pairs
     again = read_scan(pair.sim)
     assert (pair.pair_id, pair.timestamp_s, pair.T_real_sim) == ("x y", 5.5, None)
     np.testing.assert_array_equal(np.unique(again.labels), ["pole", "road"])
     assert (again.labels == "pole").sum() < 100
 
 
-def test_a_finished_floor_is_not_replaced_by_another_recipe_or_dataset(folder, tmp_path):
-    data, out = write_dataset(tmp_path / "streets", 1), tmp_path / "floor"
-    n_made = floor(data, out).n_made
+def test_a_finished_best_case_is_not_replaced_by_another_recipe_or_dataset(folder, tmp_path):
+    data, out = write_dataset(tmp_path / "streets", 1), tmp_path / "best_case"
+    n_made = best_case(data, out).n_made
     with pytest.raises(RunError, match="range noise 0.1 m.*--replace"):
-        floor(data, out, noise_m=0.1)
+        best_case(data, out, noise_m=0.1)
     with pytest.raises(RunError, match="graph.k was 90, is 20"):
-        floor(data, out, settings=load(assignments=["graph.k=20"]))
-    with pytest.raises(RunError, match="floor of .*streets"):
-        floor(folder / "streets", out)
-    with pytest.raises(RunError, match="not a floor.*--out"):
-        floor(folder / "streets", folder / "run")
-    assert floor(data, out, noise_m=0.1, replace=True).n_made == n_made - 4  # all but those of the real side
+        best_case(data, out, settings=load(assignments=["graph.k=20"]))
+    with pytest.raises(RunError, match="best case of .*streets"):
+        best_case(folder / "streets", out)
+    with pytest.raises(RunError, match="not a best case.*--out"):
+        best_case(folder / "streets", folder / "run")
+    assert best_case(data, out, noise_m=0.1, replace=True).n_made == n_made - 4  # all but those of the real side
 
 
 def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
@@ -143,10 +145,10 @@ def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
         rows.append(f"{i},{i}.bin,,{10 - i},{' '.join(map(str, T.ravel()))}")
     manifest = tmp_path / "drive" / "pairs.csv"
     manifest.write_text("pair_id,real,sim,timestamp_s,T_world_sensor\n" + "\n".join(rows) + "\n")
-    made = floor(tmp_path / "drive", tmp_path / "floor", settings=REFERENCE, neighbours=True)
+    made = best_case(tmp_path / "drive", tmp_path / "best_case", settings=REFERENCE, neighbours=True)
     assert made.record.frames == {}
     assert min(row["covered_real_0p3m"] for row in made.rows) > 0.95  # what is too near one sensor is not to the other
-    pairs = {pair.pair_id: pair for pair in read_dataset(tmp_path / "floor" / "dataset").pairs}
+    pairs = {pair.pair_id: pair for pair in read_dataset(tmp_path / "best_case" / "dataset").pairs}
     places = {name: np.reshape(pair.T_real_sim, (3, 4)) for name, pair in pairs.items()}
     for name, pair in pairs.items():
         in_place = moved(read_scan(pair.sim).points, places[name])
@@ -155,85 +157,87 @@ def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
     assert turned == pytest.approx({"2": -4, "1": -4, "0": 4})  # 2 is the first in time, 0 the last
     manifest.write_text("pair_id,real,sim\n0,0.bin,\n1,1.bin,\n")
     with pytest.raises(DatasetError, match="pair 0 .*T_world_sensor"):
-        floor(tmp_path / "drive", tmp_path / "other", neighbours=True)
+        best_case(tmp_path / "drive", tmp_path / "other", neighbours=True)
 
 
 def test_excess_is_paired_by_name_and_areas_are_over_objects(folder):
-    found = excess_over(FinishedRun(folder / "run"), folder / "floor")
-    run_pairs, floor_pairs = (pd.read_parquet(folder / name / "pairs.parquet") for name in ("run", "floor"))
-    floor_pairs = floor_pairs.set_index("pair_id").loc[::-1]
+    found = excess_over(FinishedRun(folder / "run"), folder / "best_case")
+    run_pairs, best_case_pairs = (pd.read_parquet(folder / name / "pairs.parquet") for name in ("run", "best_case"))
+    best_case_pairs = best_case_pairs.set_index("pair_id").loc[::-1]
     for column in ("match_rate", "r_lambda_mean", "covered_real_0p3m"):
-        over = (run_pairs.set_index("pair_id")[column] - floor_pairs[column]).sort_index()
+        over = (run_pairs.set_index("pair_id")[column] - best_case_pairs[column]).sort_index()
         own = found.scores[column]
         assert own.of_pairs == pytest.approx(over.to_dict())
         assert (own.excess, own.std) == pytest.approx((over.mean(), over.std()))
-        assert own.mean - own.floor == pytest.approx(own.excess)
+        assert own.mean - own.best_case == pytest.approx(own.excess)
     own = found.scores["cdc_mean"]
-    values, floor_values = (pd.read_parquet(folder / name / "metrics").cdc.to_numpy() for name in ("run", "floor"))
-    assert own.bias == pytest.approx(values.mean() - floor_values.mean())
-    assert own.area == pytest.approx(wasserstein_distance(values - own.bias, floor_values))
-    assert (own.of, own.n, own.n_floor) == ("objects", len(values), len(floor_values))
+    values, best_case_values = (
+        pd.read_parquet(folder / name / "metrics").cdc.to_numpy() for name in ("run", "best_case")
+    )
+    assert own.bias == pytest.approx(values.mean() - best_case_values.mean())
+    assert own.area == pytest.approx(wasserstein_distance(values - own.bias, best_case_values))
+    assert (own.of, own.n, own.n_best_case) == ("objects", len(values), len(best_case_values))
 
 
-def test_a_floor_is_a_run_as_any_other_and_has_no_excess_over_itself(folder, tmp_path):
-    assert set(run_status(folder / "floor").stages["metrics"]) == {"done"}
-    own = excess_over(FinishedRun(folder / "floor"), folder / "floor")
+def test_a_best_case_is_a_run_as_any_other_and_has_no_excess_over_itself(folder, tmp_path):
+    assert set(run_status(folder / "best_case").stages["metrics"]) == {"done"}
+    own = excess_over(FinishedRun(folder / "best_case"), folder / "best_case")
     assert {score.excess for score in own.scores.values() if score.mean is not None} == {0}
-    shown("gate", folder / "floor", "--max", "pairs.changed=0", "--out", tmp_path)
+    shown("gate", folder / "best_case", "--max", "pairs.changed=0", "--out", tmp_path)
 
 
-def test_a_floor_is_titled_as_one_and_names_the_commands_that_take_it(folder, tmp_path):
-    text = " ".join(shown("show", folder / "floor").split())
-    assert text.startswith("floor of streets: 3 pairs, preset paper ")
-    assert text.endswith(f"Next fidpipe show RUN --floor {folder}/floor")
+def test_a_best_case_is_titled_as_one_and_names_the_commands_that_take_it(folder, tmp_path):
+    text = " ".join(shown("show", folder / "best_case").split())
+    assert text.startswith("best case of streets: 3 pairs, preset paper ")
+    assert text.endswith(f"Next fidpipe show RUN --best-case {folder}/best_case")
     shutil.copytree(folder / "run", tmp_path / "streets")
-    own = shutil.copytree(folder / "floor", tmp_path / "streets-floor")
-    words = f"{tmp_path}/streets --floor {own}"
+    own = shutil.copytree(folder / "best_case", tmp_path / "streets-best-case")
+    words = f"{tmp_path}/streets --best-case {own}"
     text = " ".join(shown("show", own).split())
     assert text.endswith(f"Next fidpipe show {words}")
     shown("show", *words.split())
 
 
-def test_a_wrong_floor_is_refused_and_both_are_named(folder, tmp_path):
+def test_a_wrong_best_case_is_refused_and_both_are_named(folder, tmp_path):
     finished = FinishedRun(folder / "run")
-    with pytest.raises(RunError, match=r"floor .*run: "):
+    with pytest.raises(RunError, match=r"run: is not a run of fidpipe best-case"):
         excess_over(finished, folder / "run")
-    floor(folder / "streets", tmp_path / "settings", settings=load(assignments=["graph.k=20"]))
+    best_case(folder / "streets", tmp_path / "settings", settings=load(assignments=["graph.k=20"]))
     with pytest.raises(RunError, match="graph.k is 90 and 20"):
         excess_over(finished, tmp_path / "settings")
-    floor(write_dataset(tmp_path / "streets", 3, n=160), tmp_path / "scans")
+    best_case(write_dataset(tmp_path / "streets", 3, n=160), tmp_path / "scans")
     with pytest.raises(RunError, match="scans of 3 pairs differ"):
         excess_over(finished, tmp_path / "scans")
 
 
-def test_pairs_without_a_floor_are_left_out_and_named(folder, tmp_path):
-    floor(folder / "streets", tmp_path / "part", pattern="00[12]")
+def test_pairs_without_a_best_case_are_left_out_and_named(folder, tmp_path):
+    best_case(folder / "streets", tmp_path / "part", pattern="00[12]")
     found = excess_over(FinishedRun(folder / "run"), tmp_path / "part")
     assert (found.pairs, found.left_out) == (("001", "002"), ("000",))
-    assert "1 pairs are not in the floor" in shown("show", folder / "run", "--floor", tmp_path / "part")
+    assert "1 pairs are not in the best case" in shown("show", folder / "run", "--best-case", tmp_path / "part")
 
 
 def test_people_and_programs_see_the_same_excess(folder, tmp_path):
-    own = excess_over(FinishedRun(folder / "run"), folder / "floor").scores["cdc_mean"]
-    words = ("show", folder / "run", "--floor", folder / "floor")
+    own = excess_over(FinishedRun(folder / "run"), folder / "best_case").scores["cdc_mean"]
+    words = ("show", folder / "run", "--best-case", folder / "best_case")
     assert f"{own.excess:+.3f}" in shown(*words)
     assert json.loads(shown(*words, "--json"))["excess"]["scores"]["cdc_mean"]["excess"] == own.excess
-    table = text_of(excess_view(excess_over(FinishedRun(folder / "run"), folder / "floor"), HEADLINES))
+    table = text_of(excess_view(excess_over(FinishedRun(folder / "run"), folder / "best_case"), HEADLINES))
     assert "hallucinated" in table and "…" not in table, "whole words in 80 columns"
-    pair = ("show", folder / "run", "001", "--floor", folder / "floor")
+    pair = ("show", folder / "run", "001", "--best-case", folder / "best_case")
     assert f"{own.of_pairs['001']:+.3f}" in shown(*pair)
     assert json.loads(shown(*pair, "--json"))["excess"]["pairs"] == ["001"]
-    page = write_report(folder / "run", out=tmp_path, floor=folder / "floor").page.read_text()
-    assert "Over the floor" in page
+    page = write_report(folder / "run", out=tmp_path, best_case=folder / "best_case").page.read_text()
+    assert "Over the best case" in page
     assert f"<td>{own.excess:+.3f}</td>" in page
-    assert "Over the floor" not in write_report(folder / "run", out=tmp_path).page.read_text()
-    shown("show", folder / "run", "001", "0", "--floor", folder / "floor", code=2)
+    assert "Over the best case" not in write_report(folder / "run", out=tmp_path).page.read_text()
+    shown("show", folder / "run", "001", "0", "--best-case", folder / "best_case", code=2)
 
 
-def test_a_gate_judges_excess_and_wants_a_floor_for_it(folder, tmp_path):
-    own = excess_over(FinishedRun(folder / "run"), folder / "floor").scores
+def test_a_gate_judges_excess_and_wants_a_best_case_for_it(folder, tmp_path):
+    own = excess_over(FinishedRun(folder / "run"), folder / "best_case").scores
     words = ("gate", folder / "run", "--out", tmp_path)
-    with_floor = (*words, "--floor", folder / "floor")
+    with_best_case = (*words, "--best-case", folder / "best_case")
     limits = {
         "excess.cdc.mean": own["cdc_mean"].excess,
         "excess.r_lambda.max": max(own["r_lambda_mean"].of_pairs.values()),
@@ -241,62 +245,83 @@ def test_a_gate_judges_excess_and_wants_a_floor_for_it(folder, tmp_path):
         "excess.covered.real.0.3m.mean": own["covered_real_0p3m"].excess,
     }
     for measure, value in limits.items():
-        shown(*with_floor, "--max", f"{measure}={value + 1e-9!r}")
-        shown(*with_floor, "--max", f"{measure}={value - 1e-9!r}", code=4)
+        shown(*with_best_case, "--max", f"{measure}={value + 1e-9!r}")
+        shown(*with_best_case, "--max", f"{measure}={value - 1e-9!r}", code=4)
     refused = command(*words, "--max", "excess.cdc.mean=1", code=1)
-    assert "'excess.cdc.mean': needs a floor; add --floor RUN" in " ".join(refused.stderr.split())
+    assert "'excess.cdc.mean': needs a best case; add --best-case RUN" in " ".join(refused.stderr.split())
 
 
-def test_a_comparison_says_which_differences_are_smaller_than_the_floor(folder, tmp_path):
+def test_a_comparison_says_which_differences_are_smaller_than_the_best_case(folder, tmp_path):
     data = write_dataset(tmp_path / "streets", 3)
     for i in range(3):  # the other simulator loses two points more
         points = read_scan(data / "sim" / f"{i:03}.bin").points
         write_bin(data / "sim" / f"{i:03}.bin", points[:-2])
     run(data, tmp_path / "other")
-    (found,) = compare_runs([folder / "run", tmp_path / "other"], floor=folder / "floor")
+    (found,) = compare_runs([folder / "run", tmp_path / "other"], best_case=folder / "best_case")
     scores = {score.name: score for score in found.scores}
-    floor_mean = pd.read_parquet(folder / "floor" / "pairs.parquet").covered_real_0p3m.mean()
+    best_case_mean = pd.read_parquet(folder / "best_case" / "pairs.parquet").covered_real_0p3m.mean()
     covered = scores["real covered 0.3 m"]
-    assert covered.floor == pytest.approx(1 - floor_mean)
-    below = [score.name for score in found.scores if score.exceeds(score.floor) is False and score.towards]
+    assert covered.best_case == pytest.approx(1 - best_case_mean)
+    below = [score.name for score in found.scores if score.exceeds(score.best_case) is False and score.towards]
     assert below
-    (line,) = [note.text for note in remarks(found) if "no more than the floor" in note.text]
+    (line,) = [note.text for note in remarks(found) if "no more than the best case" in note.text]
     assert all(name in line for name in below)
     assert covered.exceeds(2.0) is False
     page = tmp_path / "page.html"
-    words = ("compare", folder / "run", tmp_path / "other", "--floor", folder / "floor")
+    words = ("compare", folder / "run", tmp_path / "other", "--best-case", folder / "best_case")
     text = shown(*words, "--html", page, "--all")
-    assert "Over the floor" in text
-    assert "Over the floor" in page.read_text()
+    assert "Over the best case" in text
+    assert "Over the best case" in page.read_text()
     assert len(json.loads(shown(*words, "--json"))[0]["excess"]) == 2
 
 
 def test_the_command_takes_amounts_and_names_their_defaults(folder, tmp_path):
-    words = ("floor", folder / "streets", "--preset", "reference", "--workers", 1, "--pairs", "000")
-    text = shown(*words, "--noise-m", 0, "--dropout", 0, "--out", tmp_path / "floor")
+    words = ("best-case", folder / "streets", "--preset", "reference", "--workers", 1, "--pairs", "000")
+    text = shown(*words, "--noise-m", 0, "--dropout", 0, "--out", tmp_path / "best_case")
     assert "preset reference" in text
-    assert pd.read_parquet(tmp_path / "floor" / "pairs.parquet").cdc_mean.tolist() == [0]
+    assert pd.read_parquet(tmp_path / "best_case" / "pairs.parquet").cdc_mean.tolist() == [0]
     shown(*words, "--neighbours", "--noise-m", 0.1, "--out", tmp_path / "other", code=2)
-    help_text = " ".join(shown("floor", "--help").replace("│", " ").split())
+    help_text = " ".join(shown("best-case", "--help").replace("│", " ").split())
     for option in ("--noise-m", "--dropout"):
         assert "else as measured" in help_text.rpartition(option)[2]
 
 
-def test_what_limits_trust_names_the_floor_only_where_none_is_at_hand(folder):
-    wanted = f"fidpipe floor {folder / 'streets'}"
+def test_what_limits_trust_names_the_best_case_only_where_none_is_at_hand(folder):
+    wanted = f"fidpipe best-case {folder / 'run'}"
     assert wanted in " ".join(shown("show", folder / "run", "--all").split())
-    assert "fidpipe floor" not in shown("show", folder / "run", "--all", "--floor", folder / "floor")
-    assert "fidpipe floor" not in shown("show", folder / "floor", "--all")
+    assert "fidpipe best-case" not in shown("show", folder / "run", "--all", "--best-case", folder / "best_case")
+    assert "fidpipe best-case" not in shown("show", folder / "best_case", "--all")
 
 
-def test_a_floor_of_scans_in_another_frame_is_that_of_the_turned_ones(tmp_path):
+def test_a_best_case_of_scans_in_another_frame_is_that_of_the_turned_ones(tmp_path):
     scan = street()
     for name, points in (("ros", scan), ("nuscenes", scan[:, [1, 0, 2]] * [-1, 1, 1])):
         for side in ("real", "sim"):
             write_bin(tmp_path / name / side / "a.bin", points)
-    usual = floor(tmp_path / "ros", tmp_path / "usual", settings=REFERENCE)
+    usual = best_case(tmp_path / "ros", tmp_path / "usual", settings=REFERENCE)
     own = load(preset="reference", assignments=["input.real_frame=nuscenes"])
-    turned = floor(tmp_path / "nuscenes", tmp_path / "turned", settings=own)
+    turned = best_case(tmp_path / "nuscenes", tmp_path / "turned", settings=own)
     assert turned.rows[0]["match_rate"] == 1
     assert turned.record.frames == {}
     assert turned.rows[0]["n_matched"] == usual.rows[0]["n_matched"]
+
+
+def test_the_best_case_of_a_run_has_its_settings_and_lies_next_to_it(tmp_path):
+    data = write_dataset(tmp_path / "streets", 1)
+    settings = ("--set", "graph.k=20")
+    shown("run", data, "--preset", "reference", *settings, "--workers", 1, "--out", tmp_path / "run")
+    shown("best-case", tmp_path / "run", *settings, code=2)
+    shown("best-case", tmp_path / "run", "--workers", 1)
+    assert "Over the best case" not in shown("show", tmp_path / "run")
+    assert "best case" in shown("show", tmp_path / "run", "--best-case", tmp_path / "run-best-case")
+    found = FinishedRun(tmp_path / "run-best-case").record
+    assert (found.preset, found.departures) == ("reference", ("graph.k=20",))
+
+
+def test_every_next_step_has_the_preset_and_the_settings(tmp_path):
+    data = write_dataset(tmp_path / "streets", 1)
+    text = " ".join(shown("check", data, "--set", "graph.k=20", code=None).split())
+    assert f"fidpipe run {data} --preset reference --set graph.k=20" in text
+    shown("run", data, "--set", "graph.k=20", "--workers", 1, "--out", tmp_path / "run")
+    text = " ".join(shown("show", tmp_path / "run", "--all").split())
+    assert f"fidpipe run {data} --preset reference --set graph.k=20 --out runs/streets-reference" in text

@@ -1,4 +1,6 @@
-"""`fidpipe floor`: scores of a perfect simulator: each real scan against a simulated second measurement of itself.
+"""`fidpipe best-case`: scores of a perfect simulator.
+
+Each real scan is compared with a simulated second measurement of itself.
 
 The second measurements are a dataset in the run's folder. A measurement depends on the recipe, the real
 scan and the pair's name alone; the manifest is written last.
@@ -16,7 +18,7 @@ import pyarrow.parquet as pq
 
 from ...schemas.columns import FARTHEST_M
 from ...schemas.errors import DatasetError, RunError, ScanError
-from ...schemas.settings import FrameName, InputSettings, Settings
+from ...schemas.settings import FrameName, InputSettings, Settings, load
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.perturbations import fill_gaps, remeasure
 from ...stages.sensor_description import NO_GAPS, SurfaceGaps, describe_with_gaps
@@ -24,29 +26,38 @@ from ..datasets.content import scan_content
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
+from ..datasets.readers.scan_ref import ScanRef
 from ..engine.engine import Machines
 from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
 from ..engine.tasks import counting
-from ..results.floor import AS_MEASURED, FLOOR_AMOUNTS, FLOOR_DATASET, FLOOR_RECIPE, FloorRecipe, read_recipe
+from ..results.best_case import (
+    AS_MEASURED,
+    BEST_CASE_AMOUNTS,
+    BEST_CASE_DATASET,
+    BEST_CASE_RECIPE,
+    BestCaseRecipe,
+    read_recipe,
+)
+from ..results.finished import FinishedRun
 from ..run import RunOutcome, run_dataset, select_pairs
 from ..storage.files import csv_bytes, key_of, path_exists, refuse_link, write_whole
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.ledger import Ledger
-from ..storage.run_record import has_ended, read_run
+from ..storage.run_record import SETTINGS_TOML, has_ended, read_run
 from ..storage.table_files import file_stem
 from ..storage.urls import name_in_records, recorded_path
 from .recordings import square
 
 RECIPE_VERSION = 3  # increase it when the same recipe results in other measurements
 DEFAULT_NOISE_M, DEFAULT_LOST_SHARE = 0.03, 0.03  # if they cannot be measured on a scan
-_KEY, _NOISE_M, _LOST_SHARE, _REASON = b"fidpipe.floor", b"noise_m", b"lost_share", b"reason"
+_KEY, _NOISE_M, _LOST_SHARE, _REASON = b"fidpipe.best_case", b"noise_m", b"lost_share", b"reason"
 _AMOUNTS = (_NOISE_M, _LOST_SHARE, _REASON)
 #: Every measured point: the settings of the run crop both sides in the same way.
 _ALL = InputSettings(min_range_m=0.0, max_range_m=FARTHEST_M)
 
 
-def run_floor(
+def run_best_case(
     dataset: Path,
     out: Path,
     settings: Settings,
@@ -71,13 +82,13 @@ def run_floor(
     neighbours : use the next real scan as the second measurement, transformed by the poses
     pattern : only pairs whose name matches (shell style)
     machines : workers
-    replace : allow a finished floor of another recipe or other settings to be replaced
+    replace : allow a finished best case of another recipe or other settings to be replaced
 
     Raises
     ------
     FidpipeError
-        The dataset as a whole, a setting or the run's folder is wrong, the folder holds another finished floor, or
-        poses are missing; before any work.
+        The dataset as a whole, a setting or the run's folder is wrong, the folder holds another finished best case,
+        or poses are missing; before any work.
     """
     machines = machines or Machines()
     if machines.scheduler:  # workers of a cluster may run in other folders
@@ -85,11 +96,11 @@ def run_floor(
     noise, lost = (AS_MEASURED if value is None else value for value in (noise_m, lost_share))
     amounts = ("neighbours", 0.0, 0.0, 0) if neighbours else ("again", noise, lost, seed)
     source = read_dataset(dataset)
-    recipe = FloorRecipe(RECIPE_VERSION, *amounts, name_in_records(dataset))
+    recipe = BestCaseRecipe(RECIPE_VERSION, *amounts, name_in_records(dataset))
     selected = {pair.pair_id for pair in select_pairs(source, pattern)}
     partners = _neighbours(source) if neighbours else {pair.pair_id: pair for pair in source.pairs}
     _refuse_other_recipe(out, recipe, replace=replace)
-    check_folder(out, out / FLOOR_DATASET)
+    check_folder(out, out / BEST_CASE_DATASET)
     folder = RunFolder(out)
     with folder.locked():
         _write_dataset(folder, recipe, source, partners, selected, settings.input, reporter)
@@ -97,7 +108,7 @@ def run_floor(
         update={"sim_flip_y": False, "sim_frame": settings.input.real_frame, "sim_columns": None}
     )
     return run_dataset(
-        out / FLOOR_DATASET,
+        out / BEST_CASE_DATASET,
         out,
         settings.model_copy(update={"input": own}),
         reporter,
@@ -105,6 +116,18 @@ def run_floor(
         machines=machines,
         replace=replace,
     )
+
+
+def source_of_run(folder: Path) -> tuple[Path, Settings]:
+    """The dataset of a run, and the settings of the run.
+
+    Raises
+    ------
+    FidpipeError
+        The folder is not a run that has ended, or its settings cannot be read.
+    """
+    run = FinishedRun(folder)
+    return recorded_path(run.record.dataset), load(folder / SETTINGS_TOML)
 
 
 def _neighbours(dataset: Dataset) -> dict[str, ScanPair]:
@@ -124,22 +147,24 @@ def _neighbours(dataset: Dataset) -> dict[str, ScanPair]:
     return {pair.pair_id: after.get(pair.pair_id, pair) for pair in dataset.pairs}
 
 
-def _refuse_other_recipe(out: Path, recipe: FloorRecipe, *, replace: bool) -> None:
-    """Raise `RunError` if another run, or without `replace` a finished floor of another recipe, would be replaced."""
+def _refuse_other_recipe(out: Path, recipe: BestCaseRecipe, *, replace: bool) -> None:
+    """Raise `RunError` if another run would be replaced, or without `replace` another finished recipe."""
     before, record = read_recipe(out), read_run(out)
     if before is None and record:
-        raise RunError(f"run {out}: holds a run of {record.get('dataset')}, not a floor; give another --out")
+        raise RunError(f"run {out}: holds a run of {record.get('dataset')}, not a best case; give another --out")
     if before is None or before == recipe:
         return
     if before.dataset != recipe.dataset and path_exists(recorded_path(before.dataset)):
-        raise RunError(f"run {out}: holds the floor of {before.dataset}, not of {recipe.dataset}; give another --out")
+        raise RunError(
+            f"run {out}: holds the best case of {before.dataset}, not of {recipe.dataset}; give another --out"
+        )
     if before.words != recipe.words and has_ended(record) and not replace:
         refuse_overwrite(f"run {out}", "its scans", [before.words, f"requested: {recipe.words}"])
 
 
 def _write_dataset(
     run: RunFolder,
-    recipe: FloorRecipe,
+    recipe: BestCaseRecipe,
     source: Dataset,
     partners: dict[str, ScanPair],
     selected: set[str],
@@ -147,7 +172,7 @@ def _write_dataset(
     reporter: Reporter,
 ) -> None:
     """Write the dataset: remove files of another recipe or of other real scans, then add the missing ones."""
-    folder = run.folder / FLOOR_DATASET
+    folder = run.folder / BEST_CASE_DATASET
     refuse_link(folder / "sim")
     (folder / MANIFEST).unlink(missing_ok=True)
     paths = {pair.pair_id: folder / "sim" / f"{file_stem(pair.pair_id)}.parquet" for pair in source.pairs}
@@ -160,7 +185,7 @@ def _write_dataset(
     current = {name for name, key in keys.items() if _metadata(paths[name]).get(_KEY, b"").decode() == key}
     for path in {*(folder / "sim").glob("*.parquet")} - {paths[name] for name in current}:
         path.unlink()
-    write_whole(folder / FLOOR_RECIPE, recipe.to_toml().encode())
+    write_whole(folder / BEST_CASE_RECIPE, recipe.to_toml().encode())
     if (label_names := source.folder / LABEL_NAMES).exists():
         write_whole(folder / LABEL_NAMES, label_names.read_bytes())
     else:
@@ -186,7 +211,7 @@ def _write_dataset(
 def _report_amounts(by_pair: dict[str, dict[bytes, bytes]], folder: Path, reporter: Reporter) -> None:
     """Write and show noise and losses of the second measurements; warn of scans where they cannot be measured."""
     rows = ([pair_id, *(own[name].decode() for name in _AMOUNTS)] for pair_id, own in by_pair.items())
-    write_whole(folder / FLOOR_AMOUNTS, csv_bytes(["pair_id", *(name.decode() for name in _AMOUNTS)], rows))
+    write_whole(folder / BEST_CASE_AMOUNTS, csv_bytes(["pair_id", *(name.decode() for name in _AMOUNTS)], rows))
     amounts = list(by_pair.values())
     if not amounts:
         return
@@ -201,7 +226,12 @@ def _report_amounts(by_pair: dict[str, dict[bytes, bytes]], folder: Path, report
 
 
 def _key(
-    recipe: FloorRecipe, pair_id: str, scan: Path, settings: InputSettings, label_names: dict[int, str], ledger: Ledger
+    recipe: BestCaseRecipe,
+    pair_id: str,
+    scan: ScanRef,
+    settings: InputSettings,
+    label_names: dict[int, str],
+    ledger: Ledger,
 ) -> str:
     """Hash of all that the second measurement of a scan depends on."""
     hashes = ("", "")
@@ -220,7 +250,7 @@ def _metadata(path: Path) -> dict[bytes, bytes]:
         return {}
 
 
-def _remeasured(scan: Scan, pair_id: str, recipe: FloorRecipe, frame: FrameName, key: str) -> pa.Table:
+def _remeasured(scan: Scan, pair_id: str, recipe: BestCaseRecipe, frame: FrameName, key: str) -> pa.Table:
     """One measurement: x, y, z, and labels and instances of the points if the scan has them."""
     clean = clean_scan(scan.points, _ALL)
     rng = np.random.default_rng([recipe.seed, *pair_id.encode()])
@@ -235,7 +265,7 @@ def _remeasured(scan: Scan, pair_id: str, recipe: FloorRecipe, frame: FrameName,
     return pa.table(columns).replace_schema_metadata({_KEY: key} | amounts)
 
 
-def _amounts(recipe: FloorRecipe, scan: Scan, frame: FrameName) -> tuple[float, float, str, SurfaceGaps]:
+def _amounts(recipe: BestCaseRecipe, scan: Scan, frame: FrameName) -> tuple[float, float, str, SurfaceGaps]:
     """Noise and losses of a measurement, the reason if one of them cannot be measured, and the gaps that it fills.
 
     A second measurement loses other pulses than the first. If losses are those of the scan, the pulses that it lost

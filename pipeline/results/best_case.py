@@ -1,6 +1,6 @@
-"""The scores of a run over its floor: what a perfect simulator would score on the same real scans.
+"""The scores of a run over its best case: what a perfect simulator would score on the same real scans.
 
-A floor is a run of `fidpipe floor`: like any other, with a recipe next to its scans that describes how they were made.
+It is a run of `fidpipe best-case`: like any other, with a recipe next to its scans that describes how they were made.
 """
 
 from __future__ import annotations
@@ -22,26 +22,24 @@ from ...schemas.results import JsonObject
 from ...stages.arrays import FloatArray
 from ...stages.statistics.validation import double_validation_metric
 from ...stages.summary import mean_and_std
-from ..storage.run_record import SETTINGS_TOML, read_run
+from ..storage.run_record import read_run
 from ..storage.urls import url_or_path
-from .finished import FinishedRun, differences, settings_changes
+from .finished import OF_SIM_FILES, FinishedRun, differences, settings_changes
 
-FLOOR_DATASET = "dataset"
-FLOOR_RECIPE = "floor.toml"
-FLOOR_AMOUNTS = "floor.csv"
+BEST_CASE_DATASET = "dataset"
+BEST_CASE_RECIPE = "best_case.toml"
+BEST_CASE_AMOUNTS = "best_case.csv"
 AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real scan shows itself
-#: What has a floor: columns of `pairs`.
+#: What has a best case: columns of `pairs`.
 SCORES = ("match_rate", "n_missing", "n_hallucinated", *(name for name in RUN_SCORES if name != "match_rate"))
-#: Of the simulated side alone, which in a floor is the real one.
-_OF_SIM_ALONE = ("input.sim_columns", "input.sim_flip_y", "input.sim_frame")
 
 
 @dataclass(frozen=True)
-class FloorRecipe:
-    """Recipe of the second measurements of a floor.
+class BestCaseRecipe:
+    """Recipe of the second measurements of a best case.
 
     kind : "again": the same points with noise and dropout; "neighbours": the next real scan
-    noise_m, lost_share : of "again"; "measured" for those that each scan shows, listed in `FLOOR_AMOUNTS`
+    noise_m, lost_share : of "again"; "measured" for those that each scan shows, listed in `BEST_CASE_AMOUNTS`
     seed : of "again"
     dataset : whose real scans they are of
     """
@@ -71,51 +69,51 @@ class FloorRecipe:
 
 @dataclass(frozen=True)
 class ScoreExcess:
-    """One score of a run over its floor, in the score's unit.
+    """One score of a run over its best case, in the score's unit.
 
     column : of `pairs`
     n_pairs : pairs that have the score in both
-    mean, floor : over these pairs
-    excess, std : mean and standard deviation (n - 1) over them of score - floor of the same pair
+    mean, best_case : over these pairs
+    excess, std : mean and standard deviation (n - 1) over them of score - best case of the same pair
     bias, area : double validation metric of both distributions, over all matched objects where `of` is "objects", else
         over the pairs; see `stages.statistics.validation`
-    n, n_floor : how many values they have
-    of_pairs : by pair, score - floor; None if either is null
+    n, n_best_case : how many values they have
+    of_pairs : by pair, score - best case; None if either is null
     """
 
     column: str
     n_pairs: int
     mean: float | None
-    floor: float | None
+    best_case: float | None
     excess: float | None
     std: float | None
     of: str
     bias: float | None
     area: float | None
     n: int
-    n_floor: int
+    n_best_case: int
     of_pairs: dict[str, float | None]
 
     @property
-    def floor_from_equal(self) -> float | None:
-        """Distance of the floor's mean from the score of equal scans; None if that has no fixed value."""
+    def best_case_from_equal(self) -> float | None:
+        """Distance of the best case's mean from the score of equal scans; None if that has no fixed value."""
         equal = metric_of(self.column).equal
-        return None if self.floor is None or equal is None else abs(self.floor - equal)
+        return None if self.best_case is None or equal is None else abs(self.best_case - equal)
 
 
 @dataclass(frozen=True)
 class RunExcess:
-    """A run over its floor.
+    """A run over its best case.
 
-    recipe : of the floor
+    recipe : of the best case
     pairs : that both have; `left_out` are scored in the run alone
     notes : what else differs and can change a number
     scores : by column of `pairs`
     """
 
     run: Path
-    floor: Path
-    recipe: FloorRecipe
+    best_case: Path
+    recipe: BestCaseRecipe
     pairs: tuple[str, ...]
     left_out: tuple[str, ...]
     notes: tuple[str, ...]
@@ -123,103 +121,98 @@ class RunExcess:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
-        return asdict(self) | {"run": str(self.run), "floor": str(self.floor)}
+        return asdict(self) | {"run": str(self.run), "best_case": str(self.best_case)}
 
 
-_RECIPE = TypeAdapter(FloorRecipe)
+_RECIPE = TypeAdapter(BestCaseRecipe)
 
 
-def read_recipe(run: Path) -> FloorRecipe | None:
-    """The recipe of a floor; None if the folder is not a run of `fidpipe floor`."""
+def read_recipe(run: Path) -> BestCaseRecipe | None:
+    """The recipe of a best case; None if the folder is not a run of `fidpipe best-case`."""
     try:
-        recipe = parse_toml((run / FLOOR_DATASET / FLOOR_RECIPE).read_text(encoding="utf-8"))
+        recipe = parse_toml((run / BEST_CASE_DATASET / BEST_CASE_RECIPE).read_text(encoding="utf-8"))
         return _RECIPE.validate_python(recipe)
     except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
         return None
 
 
-def run_of_floor(floor: Path, recipe: FloorRecipe) -> str:
-    """The run next to a floor that is of the same dataset, as commands take it; "RUN" if there is none."""
-    for name in (floor.name.removesuffix("-floor"), Path(recipe.dataset).name):
-        run = floor.with_name(name)
-        if run != floor and read_run(run).get("dataset") == recipe.dataset:
+def run_of_best_case(best_case: Path, recipe: BestCaseRecipe) -> str:
+    """The run next to a best case that is of the same dataset, as commands take it; "RUN" if there is none."""
+    for name in (best_case.name.removesuffix("-best-case"), Path(recipe.dataset).name):
+        run = best_case.with_name(name)
+        if run != best_case and read_run(run).get("dataset") == recipe.dataset:
             return url_or_path(run)
     return "RUN"
 
 
-def excess_over(run: FinishedRun, floor: Path, pairs: Sequence[str] | None = None) -> RunExcess:
-    """Each score of a run minus that of the same pair in the floor, and the distance of both distributions.
+def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None = None) -> RunExcess:
+    """Each score of a run minus that of the same pair in the best case, and the distance of both distributions.
 
-    excess = mean over pairs of (score - floor)
+    excess = mean over pairs of (score - best case)
 
     Above 0 is worse than a perfect simulator where lower is better, below 0 where higher is better.
 
     Parameters
     ----------
-    floor : the folder of a run of `fidpipe floor`
+    best_case : the folder of a run of `fidpipe best-case`
     pairs : only these; by default all that are scored in both
 
     Raises
     ------
     RunError
-        The folder is not a floor, has other settings or other real scans, has none of the pairs, or a table is
+        The folder is not a best case, has other settings or other real scans, has none of the pairs, or a table is
         damaged.
     """
-    recipe = read_recipe(floor)
+    recipe = read_recipe(best_case)
     if recipe is None:
         raise RunError(
-            f"floor {floor}: is not a floor (no {FLOOR_DATASET}/{FLOOR_RECIPE} of fidpipe in it); make one for run "
-            f"{run.folder} with: {_command(run)}; for changes against another run: fidpipe compare, diagnose --floor"
+            f"{best_case}: is not a run of fidpipe best-case (no {BEST_CASE_DATASET}/{BEST_CASE_RECIPE} in it); "
+            f"make one for {run.folder} with: {_command(run)}; for changes against another run: fidpipe compare, "
+            "diagnose --since"
         )
-    other = FinishedRun(floor)
-    _refuse_other_floor(run, other)
+    other = FinishedRun(best_case)
+    _refuse_other_best_case(run, other)
     scored = {row["pair_id"] for row in other.scored}
     wanted = [row["pair_id"] for row in run.scored if pairs is None or row["pair_id"] in pairs]
     names = tuple(name for name in wanted if name in scored)
     if not names:
         raise RunError(
-            f"run {run.folder} and floor {floor}: no pair is scored in both; make the floor of these real scans with: "
-            f"{_command(run)}"
+            f"run {run.folder} and best case {best_case}: no pair is scored in both; make one for it: {_command(run)}"
         )
     of_objects = [_of_objects(own, names) for own in (run, other)]
     versions = differences(run.record.stages, other.record.stages)
     libraries = differences(run.record.libraries, other.record.libraries)
     return RunExcess(
         run=run.folder,
-        floor=floor,
+        best_case=best_case,
         recipe=recipe,
         pairs=names,
         left_out=tuple(name for name in wanted if name not in scored),
-        notes=tuple(f"{name}: {a} in the run and {b} in its floor" for name, a, b in [*versions, *libraries]),
+        notes=tuple(f"{name}: {a} in the run and {b} in its best case" for name, a, b in [*versions, *libraries]),
         scores={column: _excess(column, run, other, names, of_objects) for column in SCORES},
     )
 
 
-def _refuse_other_floor(run: FinishedRun, floor: FinishedRun) -> None:
-    differing = settings_changes(run, floor, but=_OF_SIM_ALONE)
+def _refuse_other_best_case(run: FinishedRun, best_case: FinishedRun) -> None:
+    runs = f"run {run.folder} and best case {best_case.folder}"
+    differing = settings_changes(run, best_case, but=OF_SIM_FILES)
     if differing:
-        raise RunError(
-            f"run {run.folder} and floor {floor.folder}: settings differ ({'; '.join(differing)}); make the floor with "
-            f"those of the run: {_command(run)}"
-        )
-    theirs = floor.record.inputs
+        raise RunError(f"{runs}: settings differ ({'; '.join(differing)}); make one for it: {_command(run)}")
+    theirs = best_case.record.inputs
     others = [
         name
         for name, hashes in run.record.inputs.items()
         if name in theirs and hashes.get("real") != theirs[name].get("real")
     ]
     if others:
+        named = others[0] if len(others) == 1 else f"{others[0]} ..."
         raise RunError(
-            f"run {run.folder} and floor {floor.folder}: the real scans of {len(others)} pairs differ ({others[0]}"
-            f"{' ...' * (len(others) > 1)}); make the floor of these scans with: {_command(run)}"
+            f"{runs}: the real scans of {len(others)} pairs differ ({named}); make one for it: {_command(run)}"
         )
 
 
 def _command(run: FinishedRun) -> str:
-    out = run.folder.with_name(f"{run.folder.resolve().name}-floor")
-    return shlex.join(
-        ["fidpipe", "floor", run.record.dataset, "--settings", str(run.folder / SETTINGS_TOML), "--out", str(out)]
-    )
+    return shlex.join(["fidpipe", "best-case", url_or_path(run.folder)])
 
 
 def _of_objects(run: FinishedRun, names: Sequence[str]) -> dict[str, FloatArray]:
@@ -231,31 +224,31 @@ def _of_objects(run: FinishedRun, names: Sequence[str]) -> dict[str, FloatArray]
 def _excess(
     column: str,
     run: FinishedRun,
-    floor: FinishedRun,
+    best_case: FinishedRun,
     names: Sequence[str],
     of_objects: Sequence[dict[str, FloatArray]],
 ) -> ScoreExcess:
     own, theirs = (
-        np.array([each.row(name)[column] for name in names], dtype=np.float64) for each in (run, floor)
+        np.array([each.row(name)[column] for name in names], dtype=np.float64) for each in (run, best_case)
     )  # None becomes NaN
     over = own - theirs
     has_both = ~np.isnan(over)
     excess, std = mean_and_std(over)
     metric = metric_of(column).column
     is_of_objects = metric in OBJECT_METRICS
-    values, floor_values = (each[metric] for each in of_objects) if is_of_objects else (own, theirs)
-    apart = double_validation_metric(real=floor_values, sim=values)
+    values, best_case_values = (each[metric] for each in of_objects) if is_of_objects else (own, theirs)
+    apart = double_validation_metric(real=best_case_values, sim=values)
     return ScoreExcess(
         column=column,
         n_pairs=int(np.count_nonzero(has_both)),
         mean=mean_and_std(own[has_both])[0],
-        floor=mean_and_std(theirs[has_both])[0],
+        best_case=mean_and_std(theirs[has_both])[0],
         excess=excess,
         std=std,
         of="objects" if is_of_objects else "pairs",
         bias=apart.bias,
         area=apart.area,
         n=apart.n_sim,
-        n_floor=apart.n_real,
+        n_best_case=apart.n_real,
         of_pairs={name: None if np.isnan(value) else value for name, value in zip(names, over.tolist(), strict=True)},
     )
