@@ -1,6 +1,7 @@
 """A run over a dataset, verb by verb: read, hash, survey, replace, make, write. The page to read first.
 
-The list of stages is in `jobs`, the definition of a stage in `stage`, their computations in the package `stages`.
+The list of stages is in `jobs`, the definition of a stage in `stage`, their computations in the
+package `stages`.
 """
 
 from __future__ import annotations
@@ -79,7 +80,8 @@ class RunOutcome:
     def failures(self) -> dict[str, str]:
         """Reason of each failed pair, and of each scored pair with a failed extra."""
         rows = self.pairs.select(["pair_id", "status", "reason"]).to_pylist()
-        return {row["pair_id"]: row["reason"] for row in rows if row["status"] == "failed"} | self.failed_extras
+        failed = [row for row in rows if row["status"] == "failed"]
+        return {row["pair_id"]: row["reason"] for row in failed} | self.failed_extras
 
     def as_dict(self) -> JsonObject:
         """Plain values for JSON: those of `fidpipe show --json`, with the number of jobs and the failures."""
@@ -162,7 +164,10 @@ def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
     selected = tuple(pair for pair in dataset.pairs if fnmatchcase(pair.pair_id, pattern))
     if not selected:
         names = ", ".join(pair.pair_id for pair in dataset.pairs[:5])
-        raise DatasetError(f"--pairs {pattern!r} matches none of the {len(dataset.pairs)} pairs ({names} ...)")
+        n_pairs = len(dataset.pairs)
+        raise DatasetError(
+            f"--pairs {pattern!r} matches none of the {n_pairs} pairs ({names} ...)",
+        )
     return selected
 
 
@@ -268,7 +273,8 @@ class Run:
         self._add_jobs()
         failures = self.collector.failures
         times_s = {pair.pair_id: pair.timestamp_s for pair in self.dataset.pairs}
-        key = key_of(library_versions(["fidpipe"]), sorted(self.jobs.keys.items()), failures, times_s)
+        job_keys = sorted(self.jobs.keys.items())
+        key = key_of(library_versions(["fidpipe"]), job_keys, failures, times_s)
         before = self.folder.ledger.jobs("").get(("pairs", ""))
         is_same = before is not None and before.key == key
         header = self._header(is_same=is_same)

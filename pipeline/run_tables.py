@@ -77,7 +77,11 @@ def few_of_each(warnings: Sequence[str]) -> list[str]:
     return lines
 
 
-def records_of(folder: RunFolder, stages: Sequence[Stage], pair_ids: Iterable[str]) -> Iterator[JobRecord]:
+def records_of(
+    folder: RunFolder,
+    stages: Sequence[Stage],
+    pair_ids: Iterable[str],
+) -> Iterator[JobRecord]:
     """The finished jobs of some pairs that are of some stages."""
     names = {stage.name for stage in stages}
     for pair_id in pair_ids:
@@ -146,7 +150,12 @@ def _scored_row(folder: RunFolder, stages: Sequence[Stage], pair_id: str) -> Row
     return row
 
 
-def write_timings(folder: RunFolder, key: str, stages: Sequence[Stage], pair_ids: Iterable[str]) -> None:
+def write_timings(
+    folder: RunFolder,
+    key: str,
+    stages: Sequence[Stage],
+    pair_ids: Iterable[str],
+) -> None:
     """Write the table `timings`, unless it exists under its key."""
     schema = TABLES["timings"]
     order = [(name, "ascending") for name in schema.keys]
@@ -218,7 +227,11 @@ def summarise(
         **dict(header),
         workers=workers,
         wall_s=wall_s,
-        pairs=PairCounts(scored=len(scored), failed=len(pairs) - len(scored), to_do=len(times_s) - len(pairs)),
+        pairs=PairCounts(
+            scored=len(scored),
+            failed=len(pairs) - len(scored),
+            to_do=len(times_s) - len(pairs),
+        ),
         summary=summarise_pairs(scored),
         findings=findings,
         metrics=metrics,

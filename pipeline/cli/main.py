@@ -1,7 +1,7 @@
 """The command: its entry, and the one place where known errors become exit codes.
 
-Each file holds a family of commands. A command parses, calls and prints: no arithmetic, and heavy imports only after
-the options are checked, so that `fidpipe --help` answers at once.
+Each file holds a family of commands. A command parses, calls and prints: no arithmetic, and heavy
+imports only after the options are checked, so that `fidpipe --help` answers at once.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from .running import best_case, check, run, settings, status
 from .show_report_export import export, report, show
 
-_OBJECTS_BETWEEN_COLLECTIONS = 100_000  # Python's 700 cost the imports of a small command 5 % of its time
+#: Python's 700 cost the imports of a small command 5 % of its time.
+_OBJECTS_BETWEEN_COLLECTIONS = 100_000
 _SECONDS_TO_STOP = 10.0
 _SECONDS_UNTIL_AGAIN = 0.01
 #: A batch system that ends a job means what Ctrl-C means; the alarm is of `_stop_again`.
@@ -92,7 +93,7 @@ def main() -> None:
     except FidpipeError as error:
         _complain(f"error: {error}")
         code = EXIT_WRONG_INPUT
-    except OSError as error:  # a folder without the right to search it, a read-only medium, a full disk
+    except OSError as error:  # a folder that may not be searched, a read-only medium, a full disk
         if not (refusal := _refusal(error)):
             raise
         _complain(f"error: {refusal}")
@@ -102,7 +103,8 @@ def main() -> None:
         _complain(f"error: the name {name!a} is not UTF-8; rename the file or folder")
         code = EXIT_WRONG_INPUT
     except MemoryError as error:
-        _complain(f"error: not enough memory ({error or 'none left'}); free some, or raise ulimit -v")
+        reason = str(error) or "none left"
+        _complain(f"error: not enough memory ({reason}); free some, or raise ulimit -v")
         code = EXIT_WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         code = EXIT_INTERRUPTED
@@ -130,7 +132,8 @@ def _open_streams() -> None:
     """Redirect closed standard streams to the null device: otherwise files would get their descriptors."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            stream = Path(os.devnull).open(mode, encoding="utf-8")  # noqa: SIM115, until the process ends
+            null = Path(os.devnull)
+            stream = null.open(mode, encoding="utf-8")
             os.set_inheritable(stream.fileno(), True)
             setattr(sys, name, stream)
 
@@ -141,9 +144,10 @@ def _flushed(code: int | None) -> int | None:
         sys.stdout.flush()
         return code
     except OSError as error:
-        if error.errno != errno.EPIPE and not code:  # who reads from a pipe may stop whenever he likes
+        if error.errno != errno.EPIPE and not code:  # who reads from a pipe may stop at any time
             _complain(f"error: {_refusal(error) or error}")
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python tries again, and complains
+        # or Python tries again, and complains
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return code or EXIT_WRONG_INPUT
 
 
@@ -163,11 +167,11 @@ def _refusal(error: OSError) -> str:
         return "the folder in which the command was started is gone; change to another one"
     if error.errno in _FILES:
         return f"{error.strerror}; raise ulimit -n, or take fewer --workers"
-    if error.filename is None and error.errno in _REFUSALS:
+    if error.errno not in _REFUSALS:
+        return ""
+    if error.filename is None:
         return f"standard output: {error.strerror}; files that were written are intact"
-    return (
-        f"{error.filename}: {error.strerror}; allow it there, or name another place" if error.errno in _REFUSALS else ""
-    )
+    return f"{error.filename}: {error.strerror}; allow it there, or name another place"
 
 
 def _has_working_folder() -> bool:
@@ -225,13 +229,14 @@ def _root(
 ) -> None:
     """Measure how faithful simulated LiDAR is, and where it fails.
 
-    fidpipe compares real and simulated scans object by object: what is missing, what is invented, and how far the
-    geometry (CDC) and the structure (r_lambda, r_gap) of each common object have drifted.
+    fidpipe compares real and simulated scans object by object: what is missing, what is invented,
+    and how far the geometry (CDC) and the structure (r_lambda, r_gap) of each common object have
+    drifted.
 
     Begin with check, run, show and compare.
 
-    Example: fidpipe run dataset/ --preset reference, where dataset/real and dataset/sim hold files of the same
-    names
+    Example: fidpipe run dataset/ --preset reference, where dataset/real and dataset/sim hold files
+    of the same names
     """
 
 

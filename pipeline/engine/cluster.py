@@ -1,7 +1,7 @@
 """Batches on several processes: on a local dask cluster, or on the cluster behind a scheduler's address.
 
-With `worker_start` the only file that needs dask, and only if there is a cluster (`pool` reads the machine's memory
-from it).
+With `worker_start` the only file that needs dask, and only if there is a cluster (`pool` reads the
+machine's memory from it).
 """
 
 from __future__ import annotations
@@ -51,10 +51,11 @@ _WITHOUT_WORKERS_S = 600.0
 _LEAST_ADDRESS_SPACE = 2 * 2**30
 _BEGINNING_BYTES = 64
 
-#: For a cluster on this machine. A task at which two workers die is given up; `schedule` decides what is tried again. A
-#: silent worker is busy in a library, a busy event loop is not reported, logs of messages would grow with the pairs.
-#: The rows of the objects of a large pair are a large argument. Workers would profile themselves every 10 ms, and all
-#: processes measure the delay of their event loop every 20 ms: 1 ms of CPU per small pair.
+#: For a cluster on this machine. A task at which two workers die is given up; `schedule` decides
+#: what is tried again. A silent worker is busy in a library, a busy event loop is not reported,
+#: logs of messages would grow with the pairs. The rows of the objects of a large pair are a large
+#: argument. Workers would profile themselves every 10 ms, and all processes measure the delay of
+#: their event loop every 20 ms: 1 ms of CPU per small pair.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
     "distributed.scheduler.worker-ttl": None,
@@ -122,7 +123,8 @@ class DaskPool(Pool):
     Raises
     ------
     RunError
-        The scheduler cannot be reached, or a worker does not see the files, has other versions, or lacks a limit.
+        The scheduler cannot be reached, or a worker does not see the files, has other versions, or
+        lacks a limit.
     """
 
     def __init__(
@@ -141,7 +143,8 @@ class DaskPool(Pool):
         import dask
         import distributed
 
-        # dask sets the level of its client separately; asyncio reports workers that were ended while they started
+        # dask sets the level of its client separately; asyncio reports workers that were ended
+        # while they started
         for name in ("distributed", "distributed.client", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         dask.config.set(_DASK_SETTINGS)
@@ -167,7 +170,7 @@ class DaskPool(Pool):
                 self._check_versions(self._requirements)
                 self._check_workers(self._requirements)
         except BaseException:
-            self.close(now=True)
+            self.close()
             raise
 
     @property
@@ -234,14 +237,13 @@ class DaskPool(Pool):
         future.release()  # or it would be repeated, and its files written again, if the worker that holds it dies
         return future, result
 
-    def close(self, *, now: bool = False) -> None:
+    def close(self) -> None:
         """See `Pool`."""
         if self._client is not None:
             with suppress(TimeoutError):  # a busy machine; what still runs ends with this process
                 self._client.close(timeout=_STOP_S)
         if self._cluster is not None:
-            if now:
-                self._cluster.sync(_end, self._cluster.workers.values())
+            self._cluster.sync(_end, self._cluster.workers.values())
             with suppress(TimeoutError):
                 self._cluster.close(timeout=_STOP_S)
 
@@ -397,7 +399,8 @@ def start_pool(
 ) -> Pool:
     """A pool in this process for one worker; else a cluster here, or the one behind an address. See `DaskPool`.
 
-    There are no more workers than fit into the memory. Tasks that may end their process never run in this one.
+    There are no more workers than fit into the memory. Tasks that may end their process never run
+    in this one.
     """
     from dask.system import CPU_COUNT
 
@@ -452,8 +455,8 @@ def _check_address(address: str) -> None:
 def _check_address_space() -> None:
     """Raise `RunError` if dask's threads cannot start under the limit on address space; dask would wait for them.
 
-    Tried with two workers: at 1 GB two of three runs never ended, at 2 GiB all did; without a limit the command takes
-    1.8 GB.
+    Tried with two workers: at 1 GB two of three runs never ended, at 2 GiB all did; without a limit
+    the command takes 1.8 GB.
     """
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < _LEAST_ADDRESS_SPACE:

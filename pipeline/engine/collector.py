@@ -58,7 +58,8 @@ class Collector:
     def pair_done(self, plan: PairPlan, failures: Iterable[JobFailure]) -> None:
         """Report the failures of a pair that has ended.
 
-        The ledger keeps the reason of a failed pair; all results of a pair without scores are removed.
+        The ledger keeps the reason of a failed pair; all results of a pair without scores are
+        removed.
         """
         order = list(plan.jobs)
         failures = sorted(failures, key=lambda failure: order.index(failure.job))

@@ -31,7 +31,8 @@ _TIME_NOTES = ".time_limit"  # folder in that of a run, while it works
 class Machines:
     """Machines that do the work; no result depends on them.
 
-    workers : processes on this machine; None for one per core; 1 for this process alone, unless a job may end it
+    workers : processes on this machine; None for one per core; 1 for this process alone, unless a
+        job may end it
     scheduler : address of a dask scheduler, instead of a cluster on this machine
     pool : to be used instead of either; it is not closed
     policy : for cutting work into batches
@@ -56,7 +57,8 @@ def started_pool(
 ) -> Iterator[Pool]:
     """Context with a pool for the jobs of some pairs, which ends with it, even if tasks are running.
 
-    Without pairs it is this process; a reader that may end its process never runs in the command's own.
+    Without pairs it is this process; a reader that may end its process never runs in the command's
+    own.
 
     Parameters
     ----------
@@ -91,7 +93,7 @@ def started_pool(
             collector.reporter.say(f"dask dashboard: {pool.dashboard}")
         yield pool
     finally:
-        pool.close(now=True)
+        pool.close()
 
 
 def _shared_files(pairs: Iterable[ScanPair], folder: RunFolder) -> list[str]:

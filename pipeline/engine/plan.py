@@ -154,7 +154,8 @@ class Planner:
     Raises
     ------
     ValueError
-        A stage takes what none before it gives, or names a table or a column that `schemas.tables` does not have.
+        A stage takes what none before it gives, or names a table or a column that `schemas.tables`
+        does not have.
     """
 
     def __init__(
@@ -168,9 +169,9 @@ class Planner:
     def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent]) -> PairPlan:
         """The jobs of a pair with their expected keys, none of them done yet.
 
-        The key of a result is a hash of its stage's name, version, settings and libraries, the columns of the tables
-        that it gives, its arguments and part, and the keys of what it reads; that of an input file hashes its content,
-        its labels with their names, and T_real_sim.
+        The key of a result is a hash of its stage's name, version, settings and libraries, the
+        columns of the tables that it gives, its arguments and part, and the keys of what it reads;
+        that of an input file hashes its content, its labels with their names, and T_real_sim.
 
         Parameters
         ----------

@@ -1,9 +1,10 @@
 """The order of work: when the jobs of each pair are submitted, and the next step when a batch ends.
 
-Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs are one together;
-only when few pairs are left for the workers does a pair fall into batches by side and, largest first, by object. If the
-workers of a batch die, its pairs are tried again, each in a separate batch. A pair whose workers die again is tried
-once more, job by job with nothing else running, so that only the job that causes it fails.
+Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs
+are one together; only when few pairs are left for the workers does a pair fall into batches by side
+and, largest first, by object. If the workers of a batch die, its pairs are tried again, each in a
+separate batch. A pair whose workers die again is tried once more, job by job with nothing else
+running, so that only the job that causes it fails.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ class Policy:
     """Batching policy; no result depends on it.
 
     costs : memory and seconds of batches
-    pairs_per_worker : pairs that are begun for each worker; with no more left than these, pairs fall into smaller
-        batches
+    pairs_per_worker : pairs that are begun for each worker; with no more left than these, pairs
+        fall into smaller batches
     worth_splitting_s : that cost more than this
     batch_s : seconds of objects per batch
     bundle_s : seconds of small pairs per batch
@@ -313,7 +314,8 @@ class Schedule:
     def _submit_objects(self, pair: _Pair) -> None:
         """The stages over a pair's objects: large objects alone, small ones together, largest first.
 
-        Pairs go one after the other, that of the largest object first: workers keep the tables of the last ones.
+        Pairs go one after the other, that of the largest object first: workers keep the tables of
+        the last ones.
         """
         jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
         sizes = sorted(pair.plan.objects or [], key=lambda entry: (-entry[1], entry[0]))

@@ -98,7 +98,8 @@ def survey_results(
     plan_pair : returns the plan of a pair
     selected : names of the pairs to work on
     redo : stages of the selected pairs to recompute regardless of their keys
-    complete : called with the plan of each pair without jobs to do, so that its records are read once
+    complete : called with the plan of each pair without jobs to do, so that its records are read
+        once
     """
     survey = Survey()
     names = set()

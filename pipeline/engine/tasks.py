@@ -81,7 +81,7 @@ def map_tasks(
                 running[pool.submit(_call, function, tasks[alone])] = alone
     finally:
         reporter.stop()
-        pool.close(now=True)
+        pool.close()
     return results, failures
 
 

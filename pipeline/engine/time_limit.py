@@ -1,8 +1,9 @@
 """The time limit of a pair: a worker that works too long on one ends its own process, even inside a library.
 
-Nothing else stops a thread that is inside a library: no exception, no signal, no message of the scheduler. The timer of
-`faulthandler` needs no interpreter. The time of each batch of a pair is written to small files in the run's folder: so
-every worker knows how much is left, and whether another one ended because nothing was.
+Nothing else stops a thread that is inside a library: no exception, no signal, no message of the
+scheduler. The timer of `faulthandler` needs no interpreter. The time of each batch of a pair is
+written to small files in the run's folder: so every worker knows how much is left, and whether
+another one ended because nothing was.
 """
 
 from __future__ import annotations

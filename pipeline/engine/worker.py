@@ -1,6 +1,7 @@
 """Work of a worker: jobs of a pair one after the other, or some objects of one; and the tables that they work on.
 
-A table that comes from the job before it and one that comes from the run's folder are the same, value for value.
+A table that comes from the job before it and one that comes from the run's folder are the same,
+value for value.
 """
 
 from __future__ import annotations
@@ -59,7 +60,8 @@ class PairBatch:
 
     jobs : their names
     most_bytes : a batch ends before a job that may need more than this
-    rows : of all objects, made by `score_objects`, from which the jobs write their tables; None if they are to be made
+    rows : of all objects, made by `score_objects`, from which the jobs write their tables; None if
+        they are to be made
     """
 
     plan: PairPlan

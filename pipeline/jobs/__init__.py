@@ -1,7 +1,7 @@
 """The pipeline: its stages in their order. One file per stage, with its declaration and the job that makes its tables.
 
-Nothing outside this folder knows a stage by name. To add one: a table in `schemas/tables.csv`, a settings class, a
-function in `stages`, a file here, and its row below.
+Nothing outside this folder knows a stage by name. To add one: a table in `schemas/tables.csv`, a
+settings class, a function in `stages`, a file here, and its row below.
 """
 
 from __future__ import annotations

@@ -61,8 +61,8 @@ def make_baselines(inputs: Inputs) -> JobResult:
 def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
     """Mean and standard deviation (n - 1) over pairs, and seconds per pair, by baseline and level (objects or scan).
 
-    The value of a pair is the mean over its matched objects, or that of the whole scan. `seconds` is the time of the
-    method; if the method computes several baselines, the first one has it.
+    The value of a pair is the mean over its matched objects, or that of the whole scan. `seconds`
+    is the time of the method; if the method computes several baselines, the first one has it.
     """
     records = list(records)
     groups: dict[tuple[str, str], list[Row]] = {}

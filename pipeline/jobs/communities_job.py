@@ -32,8 +32,8 @@ _SHAPE = ("linearity", "planarity", "scattering")
 def make_communities(inputs: Inputs) -> JobResult:
     """Find the objects of a side and describe each.
 
-    The real side's come from its graph or its annotation; the simulated side's from its inputs graph, or from the real
-    side's objects where the settings say so.
+    The real side's come from its graph or its annotation; the simulated side's from its inputs
+    graph, or from the real side's objects where the settings say so.
     """
     point_ids, points = object_points(inputs, inputs.part)
     noted = annotation(inputs, inputs.part)

@@ -1,6 +1,7 @@
 """Stage gains: how much closer the surfaces of a pair come if each cause of the run is corrected.
 
-It is not part of a run: `fidpipe diagnose` requests it, with the mean amounts of the causes that the run names.
+It is not part of a run: `fidpipe diagnose` requests it, with the mean amounts of the causes that
+the run names.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Stage seeds, an extra: a pair repeated under other seeds of the communities, and a summary of the repeats.
 
-Ground and graph have no seed and are shared; communities, matching, selection and scores are recomputed in
-memory, and only the scores are kept.
+Ground and graph have no seed and are shared; communities, matching, selection and scores are
+recomputed in memory, and only the scores are kept.
 """
 
 from __future__ import annotations

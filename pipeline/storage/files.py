@@ -44,7 +44,8 @@ def write_whole(
     content : everything, or its parts one after the other, which are then never in memory together
     before_rename : may raise, and the file in place stays
     advice : ends the message of the error
-    outlasts_power : wait until it is on the disk, a millisecond or more; False for a file whose readers check its hash
+    outlasts_power : wait until it is on the disk, a millisecond or more; False for a file whose
+        readers check its hash
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """A run's ledger: finished jobs, hashes of input files, and why pairs failed. In SQLite.
 
-A cache that only the command writes: the footers of the tables hold the same. It is trusted if it has the hash that was
-stored when it was closed properly; else it is deleted and rebuilt from the footers. Nothing of it is kept in memory, so
-that a command over ten thousand pairs stays small.
+A cache that only the command writes: the footers of the tables hold the same. It is trusted if it
+has the hash that was stored when it was closed properly; else it is deleted and rebuilt from the
+footers. Nothing of it is kept in memory, so that a command over ten thousand pairs stays small.
 """
 
 from __future__ import annotations

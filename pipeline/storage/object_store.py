@@ -1,6 +1,7 @@
 """Objects by URL (s3, gs, az, https): read, listed and written with obstore, the extra `remote`.
 
-Credentials come from the environment or profiles, as obstore documents; no message repeats what a server answered.
+Credentials come from the environment or profiles, as obstore documents; no message repeats what a
+server answered.
 """
 
 from __future__ import annotations
@@ -119,7 +120,8 @@ def write_object(url: str, content: bytes, mode: Any = "overwrite") -> str:
 
     Parameters
     ----------
-    mode : "create" for an object that must not exist yet, {"e_tag": ...} for one that must have this etag now
+    mode : "create" for an object that must not exist yet, {"e_tag": ...} for one that must have
+        this etag now
 
     Raises
     ------

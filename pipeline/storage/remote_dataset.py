@@ -1,7 +1,8 @@
 """A remote dataset as a local folder: each scan is a stub, a small file NAME.url with its URL, etag and size.
 
-The listing makes the stubs; a worker that reads one fetches the object, by one GET, into a temporary file of the scan's
-own name. So the content hash of a remote scan is that of its URL, etag and size.
+The listing makes the stubs; a worker that reads one fetches the object, by one GET, into a
+temporary file of the scan's own name. So the content hash of a remote scan is that of its URL, etag
+and size.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ def mirror_dataset(url: str, objects: Sequence[StoredObject]) -> Path:
 
     Parameters
     ----------
-    objects : of the listing; of a server that cannot list, none: it is one object, or has a manifest
+    objects : of the listing; of a server that cannot list, none: it is one object, or has a
+        manifest
     """
     if not objects and "." in urlsplit(url).path.rpartition("/")[2]:
         return _mirror(url, cache_of(url), describe_object(url))

@@ -1,8 +1,8 @@
 """A run in an object store: a local folder that is kept equal to a URL, table by table.
 
-Each finished file is written by one PUT, which is atomic, and never renamed. A copy of the ledger, written when a run
-has ended, serves those who read; without it they rebuild it from the tables. One object, written under a condition,
-says who writes; its owner renews it.
+Each finished file is written by one PUT, which is atomic, and never renamed. A copy of the ledger,
+written when a run has ended, serves those who read; without it they rebuild it from the tables. One
+object, written under a condition, says who writes; its owner renews it.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ class _Owner(BaseModel):
     """The command that writes to a run; the content of its lock.
 
     token : of the command
-    n_renewed : differs after each renewal, so that a lock that stays the same is that of a dead command
+    n_renewed : differs after each renewal, so that a lock that stays the same is that of a dead
+        command
     """
 
     model_config = ConfigDict(strict=True)
@@ -119,7 +120,8 @@ class RemoteRun:
         Parameters
         ----------
         objects : at the URL
-        for_reading : leave tables of pairs there, to be fetched when they are read, if the run has ended in order
+        for_reading : leave tables of pairs there, to be fetched when they are read, if the run has
+            ended in order
         """
         known = self._known()
         remote = {stored.name: stored for stored in objects}
@@ -270,8 +272,8 @@ class RemoteRun:
     def _claim_first(self) -> None:
         """Write our lock, if there is none or one of a dead command; else raise `RunError`.
 
-        A command of this machine is dead if its process is. One of another machine is, if its lock stays the same for
-        some minutes of our own clock.
+        A command of this machine is dead if its process is. One of another machine is, if its lock
+        stays the same for some minutes of our own clock.
         """
         other = self._other_owner("create")
         if other is None:

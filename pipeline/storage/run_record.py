@@ -151,7 +151,8 @@ def write_record(
 
     Parameters
     ----------
-    entries : of the record, written one by one: the text of ten thousand pairs is never in memory as a whole
+    entries : of the record, written one by one: the text of ten thousand pairs is never in memory
+        as a whole
     """
     from ...schemas.settings_text import to_toml  # not needed to read a record
 

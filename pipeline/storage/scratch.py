@@ -24,7 +24,8 @@ _LONGEST_PARENT = (
 def scratch_folder() -> Iterator[None]:
     """Context in which this process and those that it starts have a temporary folder of their own.
 
-    It is removed when the process ends, after `multiprocessing` has cleaned up in it; not used where it cannot be made.
+    It is removed when the process ends, after `multiprocessing` has cleaned up in it; not used
+    where it cannot be made.
     """
     lock = None
     with suppress(OSError):

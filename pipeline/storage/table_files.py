@@ -1,7 +1,8 @@
 """The tables of a run's folder: paths, writing and reading, and the job record in each footer.
 
-A table is written under a name that begins with a dot, flushed and renamed. Its footer holds the job that made it: the
-expected key and small metadata, so that the tables are the truth and the ledger next to them a cache.
+A table is written under a name that begins with a dot, flushed and renamed. Its footer holds the
+job that made it: the expected key and small metadata, so that the tables are the truth and the
+ledger next to them a cache.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ _LONGEST_NAME_BYTES = 120
 _IN_FOOTER = ("stage", "pair_id", "part", "reads", "metadata", "files")
 _SECONDS_BETWEEN_CHECKS = 10.0
 
-#: Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by plane.
+#: Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by
+#: plane.
 _ENCODINGS = {
     pa.int32(): "DELTA_BINARY_PACKED",
     pa.float64(): "BYTE_STREAM_SPLIT",
@@ -48,7 +50,8 @@ _ENCODINGS = {
     pa.bool_(): "PLAIN",
 }
 
-#: What a table of a run may be called: `TABLE.parquet`, or `TABLE/FILE.parquet`; nothing that leads out of the folder.
+#: What a table of a run may be called: `TABLE.parquet`, or `TABLE/FILE.parquet`; nothing that leads
+#: out of the folder.
 _TABLE_NAME = re.compile(r"[a-z0-9_]+(\.parquet|/[A-Za-z0-9][^/\0]*)")
 
 JobName = tuple[str, str, str]  #: stage, pair_id, part (a side, or "" for one job of a pair)
@@ -164,8 +167,9 @@ def table_name(table: str, pair_id: str, part: str = "") -> str:
 class TableFolder:
     """The tables of a run, as a job sees them: paths, atomic writes, checked reads. Holds no lock and no ledger.
 
-    `token` names the run that may write here; a job whose run has ended (killed, and another one started) finds
-    another token in the folder and writes nothing. Tables that the folder lacks are read from `url`, if there is one.
+    `token` names the run that may write here; a job whose run has ended (killed, and another one
+    started) finds another token in the folder and writes nothing. Tables that the folder lacks are
+    read from `url`, if there is one.
     """
 
     def __init__(self, folder: Path, token: str, url: str = "") -> None:
@@ -212,7 +216,8 @@ class TableFolder:
         ----------
         rows : checked against the table's schema; or parts of them, in their order
         key : of the result, for the footer
-        job : the job as JSON, for the footer; None for a table of the whole run, which nothing else belongs to
+        job : the job as JSON, for the footer; None for a table of the whole run, which nothing else
+            belongs to
         """
         schema = TABLES[table]
         parts = [rows] if isinstance(rows, pa.Table) else rows
@@ -268,8 +273,8 @@ class TableFolder:
         Raises
         ------
         RunError
-            It is damaged or gone. If its time does not show it, as on a failing disk, it gets another one, so
-            that the next run recomputes it.
+            It is damaged or gone. If its time does not show it, as on a failing disk, it gets
+            another one, so that the next run recomputes it.
         StoreError
             It cannot be read there.
         """
@@ -369,8 +374,9 @@ def read_content(content: bytes, columns: list[str] | None = None, **options: An
 def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | None:
     """The job that made a table, from its footer, and the names of all its files; None if it is damaged.
 
-    A file is intact if its job agrees with the hash next to it, every page with its checksum, the columns with the
-    table's schema, and all counts of rows with each other. `files` of the record holds this file alone.
+    A file is intact if its job agrees with the hash next to it, every page with its checksum, the
+    columns with the table's schema, and all counts of rows with each other. `files` of the record
+    holds this file alone.
 
     Parameters
     ----------

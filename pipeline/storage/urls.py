@@ -1,6 +1,7 @@
 """URLs and the cache, the folder whose parts mirror them. Only `object_store` reads and writes objects.
 
-A remote scan is a stub in the cache: a small file NAME.url with the URL of its object, etag and size.
+A remote scan is a stub in the cache: a small file NAME.url with the URL of its object, etag and
+size.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ def is_url(text: str) -> bool:
 def cache_of(url: str) -> Path:
     """The local folder that mirrors a URL; all URLs of the user pass here.
 
-    The number of names in a URL comes before them, so that the folder of one URL is never inside that of another.
+    The number of names in a URL comes before them, so that the folder of one URL is never inside
+    that of another.
 
     Raises
     ------
