@@ -29,9 +29,8 @@ from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from .running import best_case, check, run, settings, status
 from .show_report_export import export, report, show
 
-_OBJECTS_BETWEEN_COLLECTIONS = (
-    100_000  # Python's 700 cost the imports of a small command 5 % of its time
-)
+#: Python's 700 cost the imports of a small command 5 % of its time.
+_OBJECTS_BETWEEN_COLLECTIONS = 100_000
 _SECONDS_TO_STOP = 10.0
 _SECONDS_UNTIL_AGAIN = 0.01
 #: A batch system that ends a job means what Ctrl-C means; the alarm is of `_stop_again`.
@@ -82,20 +81,19 @@ def main() -> None:
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     _open_streams()
     from ...schemas.errors import FidpipeError
+    from ..storage.scratch import scratch_folder
 
     for number in _STOPPING:
         signal.signal(number, _Stop())
     sys.unraisablehook = _stop_again
     try:
-        with _local_arguments():
+        with scratch_folder(), _local_arguments():
             code = _application(*sys.argv[1:2])(standalone_mode=False)
         _ignore_interrupts()
     except FidpipeError as error:
         _complain(f"error: {error}")
         code = EXIT_WRONG_INPUT
-    except (
-        OSError
-    ) as error:  # a folder without the right to search it, a read-only medium, a full disk
+    except OSError as error:  # a folder that may not be searched, a read-only medium, a full disk
         if not (refusal := _refusal(error)):
             raise
         _complain(f"error: {refusal}")
@@ -105,9 +103,8 @@ def main() -> None:
         _complain(f"error: the name {name!a} is not UTF-8; rename the file or folder")
         code = EXIT_WRONG_INPUT
     except MemoryError as error:
-        _complain(
-            f"error: not enough memory ({error or 'none left'}); free some, or raise ulimit -v"
-        )
+        reason = str(error) or "none left"
+        _complain(f"error: not enough memory ({reason}); free some, or raise ulimit -v")
         code = EXIT_WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         code = EXIT_INTERRUPTED
@@ -126,7 +123,7 @@ def _local_arguments() -> AbstractContextManager[None]:
     """Replaces the URLs among the arguments by local paths while the command runs."""
     if not any("://" in word for word in sys.argv):
         return nullcontext()
-    from ..remote.remote_run import local_arguments
+    from ..storage.remote_run import local_arguments
 
     return local_arguments(sys.argv)
 
@@ -135,7 +132,8 @@ def _open_streams() -> None:
     """Redirect closed standard streams to the null device; files would get their descriptors."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            stream = Path(os.devnull).open(mode, encoding="utf-8")  # noqa: SIM115, until the process ends
+            null = Path(os.devnull)
+            stream = null.open(mode, encoding="utf-8")
             os.set_inheritable(stream.fileno(), True)
             setattr(sys, name, stream)
 
@@ -146,13 +144,10 @@ def _flushed(code: int | None) -> int | None:
         sys.stdout.flush()
         return code
     except OSError as error:
-        if (
-            error.errno != errno.EPIPE and not code
-        ):  # who reads from a pipe may stop whenever he likes
+        if error.errno != errno.EPIPE and not code:  # who reads from a pipe may stop at any time
             _complain(f"error: {_refusal(error) or error}")
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # or Python tries again, and complains
+        # or Python tries again, and complains
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return code or EXIT_WRONG_INPUT
 
 
@@ -265,7 +260,9 @@ def _application(name: str = "") -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     application.callback()(_root)
-    commands = [(command, heading) for heading, own in _COMMANDS.items() for command in own]
+    commands = []
+    for heading, of_heading in _COMMANDS.items():
+        commands += [(command, heading) for command in of_heading]
     wanted = [entry for entry in commands if entry[0].__name__ == name.replace("-", "_")]
     for command, heading in wanted or commands:
         application.command(cls=_Command, rich_help_panel=heading)(command)
