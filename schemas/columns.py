@@ -10,6 +10,8 @@ from typing import Any
 import pyarrow as pa
 
 SIDES = ("real", "sim")
+#: The sides as people call them.
+SIDE_NAMES = {"real": "real", "sim": "simulated"}
 #: The farthest that a range or a motion may reach: squares, sums and single precision hold it with room to spare.
 FARTHEST_M = 1e9
 #: A row of a table by column; the schema of the table has names and types.
@@ -75,10 +77,10 @@ class Table:
     def from_rows(self, rows: Iterable[Row]) -> pa.Table:
         """Build a checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
         remaining = iter(rows)
-        parts = [self.schema.empty_table()]
+        chunks = [self.schema.empty_table()]
         while part := list(islice(remaining, _CHUNK_ROWS)):  # dictionaries need much memory
-            parts.append(pa.Table.from_pylist(part, schema=self.schema))
-        table = pa.concat_tables(parts)
+            chunks.append(pa.Table.from_pylist(part, schema=self.schema))
+        table = pa.concat_tables(chunks)
         return self.check(table.sort_by([(key, "ascending") for key in self.keys]))
 
 

@@ -316,6 +316,7 @@ class Overview(Result):
 
     causes : what to fix first, most severe first
     unknown : causes that cannot be estimated
+    doubts : why points of the scans cannot be trusted, one line for each side and kind
     pieces : the largest pieces
     surface : coverage by range and by class
     n_aligned, n_badly_aligned : objects with an r_lambda, and those whose alignment is too bad for it
@@ -329,6 +330,7 @@ class Overview(Result):
     n_aligned: int
     n_badly_aligned: int
     trust: tuple[Caution, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 class PreviousRun(Result):

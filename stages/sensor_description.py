@@ -215,6 +215,7 @@ def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
         "azimuth_noise_deg": sensor.azimuth_noise_deg,
         "lost_share": sensor.lost_in_all,
         "reason": "; ".join(f"{name}: {why}" for name, why in sensor.untold.items()) or None,
+        "doubts": "\n".join(sensor.doubts.values()) or None,
     }
 
 
@@ -447,7 +448,7 @@ def _least_range_noise(sweep: _Sweep, step_deg: float | None, noise_m: float | N
     """Range noise without the roughness of the surface, whose variance is about proportional to the step.
 
     It is extrapolated from the noise of all returns and of every second one. The noise need not lie between both:
-    roughness that grows less, as between distant returns, stays in it (see `benchmarks/range_noise.py`).
+    roughness that grows less, as between distant returns, stays in it (see `benchmarks/sensor_bias.py`).
     """
     if step_deg is None or noise_m is None:
         return None

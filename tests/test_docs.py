@@ -38,22 +38,41 @@ def test_the_snippets_of_results_run(report_run, tmp_path, monkeypatch, capsys):
     assert names["result"].summary["status"] == "scored"
     ((_, query),) = blocks("results.md", "sql")
     found = duckdb.sql(query).df().set_index("label")
-    expected = names["both"].groupby("label").cdc.agg(["size", "mean"])
+    expected = names["matched"].groupby("label").cdc.agg(["size", "mean"])
     pd.testing.assert_series_equal(
         found.objects, expected["size"], check_like=True, check_names=False, check_dtype=False
     )
     assert found.cdc.to_dict() == pytest.approx(expected["mean"].round(2).to_dict())
 
 
-def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(tmp_path, monkeypatch):
-    for i in range(8):
+def write_builds(folder, n):
+    """Real scans in `drive`, and two builds of a simulator; the second one is 12 cm lower."""
+    for i in range(n):
         real = street(seed=10 * i)
         sim = drifted(real, seed=i)
-        write_bin(tmp_path / "drive" / f"{20 * i}.000.bin", real)
+        write_bin(folder / "drive" / f"{20 * i}.000.bin", real)
         for build, up_m in (("build41", 0.0), ("build42", -0.12)):
-            (tmp_path / build).mkdir(exist_ok=True)
+            (folder / build).mkdir(exist_ok=True)
             moved = np.column_stack([sim + [0, 0, up_m], np.zeros(len(sim))]).astype(np.float32)
-            PointCloud.from_xyzi_points(moved).save(tmp_path / build / f"{20 * i}.000.pcd")
+            PointCloud.from_xyzi_points(moved).save(folder / build / f"{20 * i}.000.pcd")
+
+
+def test_a_script_of_twelve_lines_does_the_same_in_python(tmp_path, monkeypatch, capsys):
+    write_builds(tmp_path, 2)
+    monkeypatch.chdir(tmp_path)
+    ((_, code),) = blocks("api.md", "python")
+    assert len(code.splitlines()) <= 12
+    names = {}
+    exec(code, names)
+    text = capsys.readouterr().out
+    assert "worse 2 pairs of 2 places" in text
+    assert names["comparison"].causes.words[0] == "world 11 cm too low"
+    assert list(names["comparison"].table.score)[:1] == [names["comparison"].scores[0].name]
+    assert names["diagnosed"].diagnosis.n_pairs == 2
+
+
+def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(tmp_path, monkeypatch):
+    write_builds(tmp_path, 8)
     monkeypatch.chdir(tmp_path)
     output, n_commands = "", 0
     for language, text in blocks("decision.md", "sh|text"):

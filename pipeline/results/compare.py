@@ -27,7 +27,7 @@ from ..engine.progress import Reporter
 from ..storage.table_files import table_name
 from .best_case import RunExcess, excess_over
 from .changes import Changes, change_rows, find_changes
-from .families import FamilyChange, ScoreChange, judge_families, overall
+from .families import FamilyChange, ScoreChange, judge_families, overall, score_rows
 from .finished import OF_SIM_FILES, FinishedRun, differences, partition_note, settings_changes
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, follow
 from .independence import how_found, pairs_and_places
@@ -100,6 +100,16 @@ class Comparison:
         if not self.failed:
             return decision
         return "mixed" if decision in ("better", "mixed") else "worse"
+
+    @property
+    def causes(self) -> pd.DataFrame:
+        """One row per cause that changed: amounts before and after, change with its 95 % interval, verdict, setting."""
+        return pd.DataFrame(change_rows(self.changes))
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One row per score of the world: family, verdict, means before and after, change with its 95 % interval, p."""
+        return pd.DataFrame(score_rows(self.families))
 
     @property
     def scores(self) -> list[ScoreChange]:

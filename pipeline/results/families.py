@@ -371,3 +371,27 @@ def overall(verdicts: Collection[str], *, tends_worse: bool = False) -> str:
     if "better" in verdicts:
         return "mixed" if tends_worse else "better"
     return "same" if {*verdicts} <= {"same"} else "undecided"
+
+
+def score_rows(found: Sequence[FamilyChange]) -> list[Row]:
+    """One row per score, for programs."""
+    rows = []
+    for family in found:
+        for score in family.scores:
+            change = score.difference
+            rows.append(
+                {
+                    "family": family.name,
+                    "score": score.name,
+                    "better is": score.mark,
+                    "verdict": score.verdict,
+                    "pairs": change.n_pairs,
+                    "before": change.before,
+                    "after": change.after,
+                    "change": change.difference,
+                    "from": change.low,
+                    "to": change.high,
+                    "p": score.p,
+                }
+            )
+    return rows

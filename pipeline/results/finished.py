@@ -34,7 +34,7 @@ from ..storage.run_record import RUN_JSON, command_again, finished_record
 from ..storage.urls import url_or_path
 from .causes import mean_amount, read_causes
 from .diagnosis import diagnosis_of, with_gains
-from .object_frame import ALL_COLUMNS, COLUMNS_OF, object_parts, plain_rows
+from .object_frame import ALL_COLUMNS, COLUMNS_OF, WITH_UNITS, object_parts, plain_rows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -108,8 +108,15 @@ class FinishedRun:
 
     @property
     def objects(self) -> pd.DataFrame:
-        """One row per object of either side of all scored pairs; its columns are in `schemas/tables.csv`."""
-        return _frame(self.table("objects"))
+        """One row per object of either side of all scored pairs, with place, coverage, class, fate and scores.
+
+        Columns are those of the tables `objects`, `coverage` and `metrics` with units in their names, and `fate`
+        (matched, missing, hallucinated; remnant: a few simulated points of a missing object), `partner` (the matched
+        object of the other side, -1 without one), `shape`, `bearing_deg`, `diagonal_m` and `quadrant`. Scores are
+        those of the pair of objects, on both rows; null for unmatched objects.
+        """
+        frame = self.objects_of([row["pair_id"] for row in self.scored])
+        return frame.drop(columns=["pair", "band"]).rename(columns=WITH_UNITS)
 
     @property
     def metrics(self) -> pd.DataFrame:

@@ -90,6 +90,8 @@ _COMPUTED: dict[str, tuple[tuple[str, ...], Callable[..., NDArray[Any]]]] = {
     "quadrant": (("cdc", "r_lambda"), quadrant_of),
 }
 ALL_COLUMNS = (*(name for names in COLUMNS_OF.values() for name in names), *_COMPUTED)
+#: Names with units, for Python users.
+WITH_UNITS = {f"c{axis}": f"{axis}_m" for axis in "xyz"} | {f"extent_{axis}": f"extent_{axis}_m" for axis in "xyz"}
 
 
 def object_parts(

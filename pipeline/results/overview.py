@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import SIDES, Row
+from ...schemas.columns import SIDE_NAMES, SIDES, Row
 from ...schemas.record import (
     ELSEWHERE,
     SURFACE_STATES,
@@ -56,7 +56,7 @@ BAD_ALIGNMENT_M = 5.0
 #: From this share of badly aligned objects on it is reported.
 _MANY_BADLY_ALIGNED = 0.05
 _MOST_NAMED = 3
-_NUMBER = re.compile(r"[-+]?[0-9]+\.[0-9]+")
+_NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
 BAD_ALIGNMENT_WORDS = f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
 NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
@@ -116,11 +116,23 @@ def describe_objects(
     overview = Overview(
         causes=tuple(named_causes(causes, blocks)),
         unknown=tuple(unknown_causes(causes)),
+        doubts=tuple(_doubts(store, pair_ids)),
         pieces=tuple(largest_pieces(store, pair_ids)),
         surface=tuple(_surface(objects, len(scored))),
         **_alignment(objects),
     )
     return findings, overview, _unmatched(objects)
+
+
+def _doubts(store: RunFolder, pair_ids: Sequence[str]) -> Iterator[str]:
+    """Why points of the scans cannot be trusted: one line for each side and kind, of the first scan."""
+    tables = store.read_pairs(pair_ids, {("sensor", side): ["doubts"] for side in SIDES})
+    for side, name in SIDE_NAMES.items():
+        table, _ = tables["sensor", side]
+        texts = [text for scan in table["doubts"].drop_null().to_pylist() for text in scan.split("\n")]
+        kinds = [_NUMBER.sub("", text) for text in texts]
+        for kind, n in Counter(kinds).items():
+            yield f"{name} scans ({n} of {len(pair_ids)}): {texts[kinds.index(kind)]}"
 
 
 def _unmatched(objects: pd.DataFrame) -> MetricsSummary:

@@ -166,6 +166,10 @@ def test_compare_decides_by_the_causes_of_the_sensor(base, folder, named):
     since = json.loads(command("diagnose", folder, "--since", base, "--workers", 1, "--json", code=0).stdout)
     assert since["changes"] == comparison["causes"]
     assert {cause["name"] for cause in since["causes"]} == {*named}
+    absolute = {cause["name"]: cause["estimate"] for cause in since["causes"]}
+    assert absolute == {name: cause.estimate for name, cause in named.items()}, "against the real scans, not the base"
+    text = " ".join(command("diagnose", folder, "--since", base, "--workers", 1, code=0).stdout.split())
+    assert text.index("Fix first 1 ") < text.index(f"Changed since {base}")
 
 
 def test_a_blind_sector_is_worse_and_explains_its_missing_parts(base, tmp_path):

@@ -155,7 +155,7 @@ def test_the_objects_in_mcap_are_those_of_the_tables(run, folder):
             covered = run.table("coverage", [pair_id]).to_pandas().query("side == @side").set_index("community_id")
             ids = objects["community"]
             assert ids.tolist() == wanted.community_id.tolist()
-            for name, column in {"x": "cx", "y": "cy", "z": "cz", "n_points": "n_points"}.items():
+            for name, column in {"x": "x_m", "y": "y_m", "z": "z_m", "n_points": "n_points"}.items():
                 np.testing.assert_array_equal(objects[name], wanted[column])
             for name in ("r_lambda", "cdc", "r_gap", "centroid_distance_m", "alignment_rms_m"):
                 np.testing.assert_array_equal(objects[name], metrics[name].reindex(ids).to_numpy(dtype=float))

@@ -28,12 +28,24 @@ def run(report_run):
 
 def test_the_frames_are_the_files(run, report_run):
     pd.testing.assert_frame_equal(run.pairs, pd.read_parquet(report_run / "pairs.parquet"))
-    for name in ("objects", "metrics"):
-        keys = list(TABLES[name].keys)
-        files = pd.read_parquet(report_run / name).sort_values(["pair_id", *keys], ignore_index=True)
-        frame = getattr(run, name)
-        assert len(frame) == len(files) > 0
-        pd.testing.assert_frame_equal(frame.sort_values(["pair_id", *keys], ignore_index=True), files)
+    keys = list(TABLES["metrics"].keys)
+    files = pd.read_parquet(report_run / "metrics").sort_values(["pair_id", *keys], ignore_index=True)
+    assert len(run.metrics) == len(files) > 0
+    pd.testing.assert_frame_equal(run.metrics.sort_values(["pair_id", *keys], ignore_index=True), files)
+
+
+def test_the_objects_are_one_table_with_scores_coverage_and_units(run, report_run):
+    keys = ["pair_id", "side", "community_id"]
+    objects = run.objects.set_index(keys)
+    files = pd.read_parquet(report_run / "objects").set_index(keys).loc[objects.index]
+    assert (objects.n_points == files.n_points).all()
+    assert objects.x_m.equals(files.cx.rename("x_m"))
+    coverage = pd.read_parquet(report_run / "coverage").dropna(subset="community_id").set_index(keys)
+    np.testing.assert_array_equal(objects.covered_0p3m, coverage.loc[objects.index].covered_0p3m)
+    matched = run.objects.query("side == 'real' and fate == 'matched'").set_index(["pair_id", "community_id"])
+    scores = run.metrics.set_index(["pair_id", "real_id"]).loc[matched.index]
+    np.testing.assert_array_equal(matched.cdc, scores.cdc)
+    assert not {"cx", "extent_x", "pair", "band"} & {*run.objects.columns}
 
 
 @pytest.mark.parametrize("side", ["real", "sim"])

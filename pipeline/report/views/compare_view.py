@@ -10,7 +10,7 @@ from ....schemas.metric_catalogue import METRIC
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS, Difference
 from ...results.causes import interval_words
 from ...results.compare import Comparison
-from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange
+from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, score_rows
 from ...results.followed import SHARED_SCORES, by_change, by_class, by_range
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.object_frame import plain_rows
@@ -304,17 +304,13 @@ def _group_table(what: str, groups: Sequence[Row]) -> Table:
 
 def compare_records(comparisons: Sequence[Comparison]) -> Table:
     """One row per run and score, numbers in full."""
-    headings = ("base", "run", "family", "score", "better is", "verdict", "pairs", "places")
-    numbers = ("before", "after", "change", "from", "to", "p")
-    rows = []
-    for one in comparisons:
-        for family in one.families:
-            for score in family.scores:
-                own = score.difference
-                words = (str(one.base), str(one.other), family.name, score.name, score.mark, score.verdict)
-                counts = (own.n_pairs, one.n_places)
-                rows.append((*words, *counts, own.before, own.after, own.difference, own.low, own.high, score.p))
-    return Table("", (*headings, *numbers), rows)
+    rows, headings = [], ["base", "run", "places"]
+    for comparison in comparisons:
+        runs = (str(comparison.base), str(comparison.other), comparison.n_places)
+        for row in score_rows(comparison.families):
+            headings[3:] = row
+            rows.append((*runs, *row.values()))
+    return Table("", tuple(headings), rows)
 
 
 def _p(p: float | None) -> str:
