@@ -13,6 +13,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from enum import IntEnum
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -125,7 +126,9 @@ def export_run(
         )
     names = run.select(pattern)
     bag = folder / f"{run.folder.resolve().name}.mcap" if mcap else None
-    plys = {(name, side): folder / f"{file_stem(name)}.{side}.ply" for name in names for side in SIDES} if ply else {}
+    plys = {}
+    for name, side in product(names, SIDES) if ply else ():
+        plys[name, side] = folder / f"{file_stem(name)}.{side}.ply"
     written = [*([bag] if bag else []), *plys.values()]
     for path in [] if replace else written:
         if path.exists() and not _is_ours(path):
