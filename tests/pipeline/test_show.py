@@ -135,7 +135,7 @@ def test_a_name_that_is_nearly_right_is_suggested(report_run):
 
 def test_a_folder_without_a_finished_run_is_refused(tmp_path):
     for name, advice in (
-        ("", "fidpipe run DATASET --out {0}"),
+        ("", "fidpipe run {0} SIM"),
         ("absent", "fidpipe run DATASET --out {0}"),
         ("data", "fidpipe run {0} --out runs/data"),
         ("runs", "{0}/one"),
