@@ -48,19 +48,19 @@ class _ShortTypes:
 
     def get_params(self, ctx: Any) -> Any:
         """The parameters."""
-        found = super().get_params(ctx)  # type: ignore[misc]
-        for param in found:
-            if (
-                isinstance(param, TyperOption)
-                and param.metavar is None
-                and (param.is_flag or param.type_descriptor.is_ranged)
-            ):
-                param.metavar = "" if param.is_flag else "NUMBER"
-        return found
+        params = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if not isinstance(param, TyperOption) or param.metavar is not None:
+                continue
+            if param.is_flag:
+                param.metavar = ""
+            elif param.type_descriptor.is_ranged:
+                param.metavar = "NUMBER"
+        return params
 
 
 class _Command(_ShortTypes, TyperCommand):
-    """A command whose docstring has the meaning of its parameters; no empty lines between examples."""
+    """A command whose docstring describes its parameters; no empty lines between examples."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -129,7 +129,7 @@ def _local_arguments() -> AbstractContextManager[None]:
 
 
 def _open_streams() -> None:
-    """Redirect closed standard streams to the null device: otherwise files would get their descriptors."""
+    """Redirect closed standard streams to the null device; files would get their descriptors."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             null = Path(os.devnull)
@@ -182,7 +182,7 @@ def _has_working_folder() -> bool:
 
 
 class _Stop:
-    """Ends the command at the first Ctrl-C; more of them do nothing while that is done in order, some seconds long."""
+    """Ends the command at the first Ctrl-C; for some seconds, more of them do nothing."""
 
     last = -_SECONDS_TO_STOP
 
@@ -194,7 +194,7 @@ class _Stop:
 
 
 def _stop_again(unraisable: Any) -> None:
-    """Raise Ctrl-C again if it came while Python collected garbage, where it would be printed and forgotten."""
+    """Raise Ctrl-C again if it came in a garbage collection, where Python only prints it."""
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         _Stop.last = -_SECONDS_TO_STOP
         signal.setitimer(signal.ITIMER_REAL, _SECONDS_UNTIL_AGAIN)
@@ -203,7 +203,7 @@ def _stop_again(unraisable: Any) -> None:
 
 
 def _ignore_interrupts() -> None:
-    """All is done and only the process has to end: Python takes our handlers away before that, and not these."""
+    """Ignore signals until the process ends: Python removes our handlers before, but not these."""
     for number in _STOPPING:
         signal.signal(number, signal.SIG_IGN)
 
@@ -250,7 +250,7 @@ _COMMANDS = {
 
 
 def _application(name: str = "") -> typer.Typer:
-    """The command of this name, or all if there is none: each takes some milliseconds to be set up."""
+    """The command of this name, or all if there is none: each takes milliseconds to set up."""
     application = typer.Typer(
         name="fidpipe",
         cls=_Group,

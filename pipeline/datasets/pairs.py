@@ -294,7 +294,10 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
                     f"{manifest}: column {name} is not known; did you mean {meant}?",
                 )
             warnings.append(f"{manifest}: column {name} is not known, ignored")
-    stubs = _stubs_of(manifest.parent, [row.get(side, "") for row in rows for side in SIDES])
+    names = []
+    for row in rows:
+        names += [row.get(side, "") for side in SIDES]
+    stubs = _stubs_of(manifest.parent, names)
     pairs: dict[str, ScanPair] = {}
     for line, row in enumerate(rows, start=2):
         where = f"{manifest}, line {line}"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,7 @@ def make_twins(
     settings = settings or InputSettings()
     _check_request(recording, out, foliage, settings)
     frames = select_pairs(recording, pattern)
+    paths = [_files(out, frame) for frame in frames]
     recipe = _inputs(recording) | {
         "seed": seed,
         "others": n_others,
@@ -108,7 +110,7 @@ def make_twins(
         "input": settings.model_dump(mode="json", exclude_none=True),
         "libraries": library_versions(_LIBRARIES),
         "frames": [frame.pair_id for frame in frames],
-        "files": sorted({path.name for frame in frames for path in _files(out, frame)}),
+        "files": sorted({path.name for path in chain(*paths)}),
     }
     names = recording.label_names
     tasks = {}
@@ -116,7 +118,7 @@ def make_twins(
         others = _nearest(recording.pairs, frame, n_others)
         tasks[frame.pair_id] = _Task(frame, others, names, out, sensor, flaws, foliage, seed, settings)
     with named_errors(out):
-        files = {out / side / name for side in SIDES for name in recipe["files"]}
+        files = {out / side / name for side, name in product(SIDES, recipe["files"])}
         prepare_folder(out, RECIPE, recipe, _own_files, files, names, replace=replace)
         missing = {name: task for name, task in tasks.items() if not _is_done(task)}
         if 0 < len(missing) < len(tasks):
@@ -174,7 +176,7 @@ def _own_files(out: Path, recipe: Recipe) -> set[Path] | None:
     is_ours = isinstance(names, list) and all(isinstance(name, str) and Path(name).name == name for name in names)
     if not is_ours or not {"version", "seed", "sensor", "inputs_sha256"} <= recipe.keys():
         return None
-    paths = (out / side / name for side in SIDES for name in recipe["files"])
+    paths = [out / side / name for side, name in product(SIDES, recipe["files"])]
     return {path for path in paths if path_exists(path) and not path.is_dir()}
 
 

@@ -134,12 +134,9 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
                     samples.sensors_of(pair_id),
                     check.sides["real"].sha256,
                 )
-    warnings = [
-        *dataset.warnings,
-        *swapped_sides(dataset.pairs, folder),
-        *shared_files(_hashes(checks)),
-    ]
+    warnings = []
     faults = []
+    hashes = {}
     counts: dict[str, list[int]] = {side: [] for side in SIDES}
     for check in checks:
         reasons = [check.pair.fault, check.fault]
@@ -149,6 +146,7 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
             counts[side].append(scan.n_clean)
             if scan.inspection is not None:
                 inspections[side] = scan.inspection
+        hashes[check.pair.pair_id] = {side: scan.sha256 for side, scan in check.sides.items()}
         faults += [f"pair {check.pair.pair_id}: {reason}" for reason in reasons if reason]
         warnings += pair_warnings(check.pair, inspections, check.frames)
     return DatasetCheck(
@@ -159,16 +157,15 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         notes=samples.notes(),
         doubts=samples.doubts(serious=True),
         faults=faults,
-        warnings=[*warnings, *samples.doubts(serious=False), *samples.warnings(counts)],
+        warnings=[
+            *dataset.warnings,
+            *swapped_sides(dataset.pairs, folder),
+            *shared_files(hashes),
+            *warnings,
+            *samples.doubts(serious=False),
+            *samples.warnings(counts),
+        ],
     )
-
-
-def _hashes(checks: list[PairCheck]) -> dict[str, dict[str, str]]:
-    """Content hash of each scan, by pair and side."""
-    hashes = {}
-    for check in checks:
-        hashes[check.pair.pair_id] = {side: scan.sha256 for side, scan in check.sides.items()}
-    return hashes
 
 
 def check_pair(task: tuple[ScanPair, InputSettings, dict[int, str]]) -> PairCheck:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -61,7 +62,7 @@ class SideSamples:
     def __init__(self, pairs: Sequence[ScanPair], settings: InputSettings) -> None:
         self._settings = settings
         self._stretches = _stretches(pairs)
-        self._sampled = {pair.pair_id for stretch in self._stretches for pair in stretch}
+        self._sampled = {pair.pair_id for pair in chain(*self._stretches)}
         self._with_stamps = {pair.pair_id for pair in pairs[:_WITH_STAMPS]}
         self.pair_ids = self._sampled | self._with_stamps  # sampled pairs
         self._points: dict[str, dict[str, FloatArray]] = {side: {} for side in SIDES}  # clean, own frame, z up

@@ -309,9 +309,10 @@ def parameter_sets(
     """
     if grid:
         return [ParameterSet(int(k), *rest) for k, *rest in product(*values.values())]
-    return sorted(
-        {base.with_value(name, value) for name, tried in values.items() for value in tried},
-    )
+    sets = set()
+    for name, tried in values.items():
+        sets |= {base.with_value(name, value) for value in tried}
+    return sorted(sets)
 
 
 def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:

@@ -44,24 +44,19 @@ def choose_objects(
         return _by_names(scan, names, least, say)
     candidates = [typical_of_class(scan, name, least) for name in CLASSES]
     objects = [chosen for chosen in candidates if chosen is not None]
-    if objects:
-        absent = _absent(CLASSES, objects)
-        if absent:
-            say(f"scan {scan.pair_id} has no object labelled {absent}")
-        return objects
-    why = f"has no object labelled {', '.join(CLASSES)}" if any(scan.labels) else "has no labels"
-    say(f"scan {scan.pair_id} {why}: choosing one typical object for each shape instead")
-    objects = typical_of_shapes(scan, least)
-    absent = _absent(SHAPES.values(), objects)
-    if absent:
-        say(f"scan {scan.pair_id} has no further {absent} object")
-    return objects
-
-
-def _absent(names: Iterable[str], objects: Sequence[ChosenObject]) -> str:
-    """The names without an object."""
+    expected: Iterable[str] = CLASSES
+    kind = "object labelled {}"
+    if not objects:
+        why = f"has no object labelled {', '.join(CLASSES)}" if any(scan.labels) else "has no labels"
+        say(f"scan {scan.pair_id} {why}: choosing one typical object for each shape instead")
+        objects = typical_of_shapes(scan, least)
+        expected = SHAPES.values()
+        kind = "further {} object"
     chosen = {chosen.name for chosen in objects}
-    return " or ".join(name for name in names if name not in chosen)
+    absent = [name for name in expected if name not in chosen]
+    if absent:
+        say(f"scan {scan.pair_id} has no {kind.format(' or '.join(absent))}")
+    return objects
 
 
 def objects_in(tables: PairTables, scan_id: str) -> ScanObjects:

@@ -153,7 +153,9 @@ def moved_m(sequences: Sequence[Sequence[SequenceScan]]) -> float:
     ----------
     sequences : the scans of each stretch of neighbouring frames, in order of time
     """
-    misfits = [a.misfit_m(b) for scans in sequences for a, b in pairwise(scans)]
+    misfits = []
+    for scans in sequences:
+        misfits += [a.misfit_m(b) for a, b in pairwise(scans)]
     finite = [misfit for misfit in misfits if np.isfinite(misfit)]
     return float(np.median(finite)) if finite else float("nan")
 

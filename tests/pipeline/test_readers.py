@@ -391,6 +391,12 @@ def test_a_file_whose_name_has_a_hash_is_a_file(tmp_path):
     assert len(read_scan(bag).points) == len(street())
 
 
+@pytest.mark.parametrize("text", ["a.bin", "a.bag", "a.bag#3", "a.bag#/top", "a.bag#/top@3", "a.bag#/top@5.25"])
+def test_the_text_of_a_scan_names_it(text):
+    assert str(scan_ref(text)) == text
+    assert scan_ref(scan_ref(text)) == scan_ref(text)
+
+
 def test_frames_have_names_for_their_results(tmp_path):
     bag = bag_of(tmp_path / "a.bag", street())
     assert scan_ref(f"{bag}#/lidar/top@3").stem == "a-lidar-top-3"

@@ -44,7 +44,7 @@ def frames_of(source: ScanRef | Path | str) -> list[ScanRef]:
 
 
 def read_scan(
-    source: ScanRef | Path | str,
+    path: ScanRef | Path | str,
     columns: tuple[str, ...] | None = None,
     label_names: dict[int, str] | None = None,
 ) -> Scan:
@@ -54,7 +54,7 @@ def read_scan(
 
     Parameters
     ----------
-    source : the file; its suffix determines the format; of a recording with the frame, `drive.mcap#/points@12`
+    path : the file; its suffix determines the format; of a recording with the frame, `drive.mcap#/points@12`
     columns : names of the columns of a raw file (.bin, .pcd.bin), if not the usual ones, or of a table (.npy, .csv)
         with as many columns; ignored for other formats
     label_names : class names for labels that are numbers, of a .label file or of a file that names its columns
@@ -64,7 +64,7 @@ def read_scan(
     ScanError
         The file is missing, empty, truncated or of another format; or the library that reads it is missing.
     """
-    ref = scan_ref(source)
+    ref = scan_ref(path)
     known = ref.format
     if not known.module:
         if not ref.file.exists():
