@@ -1,8 +1,9 @@
 """A dataset's layout: which files form a pair. Opens the manifest and the label names, no scan.
 
-Either folders `real/` and `sim/` with files of the same stem, or a manifest `pairs.csv` with the columns pair_id,
-real, sim and perhaps timestamp_s, T_real_sim and T_world_sensor (12 numbers separated by spaces, [R | t] row by row).
-A scan of a manifest may be one frame of a recording, named as in `readers/scan_ref.py`: `drive.mcap#/points@12`.
+Either folders `real/` and `sim/` with files of the same stem, or a manifest `pairs.csv` with the
+columns pair_id, real, sim and perhaps timestamp_s, T_real_sim and T_world_sensor (12 numbers
+separated by spaces, [R | t] row by row). A scan of a manifest may be one frame of a recording,
+named as in `readers/scan_ref.py`: `drive.mcap#/points@12`.
 """
 
 from __future__ import annotations
@@ -45,10 +46,11 @@ class ScanPair:
 
     real, sim : the scans; None if the partner is missing
     timestamp_s : when the real scan was taken, if the manifest says so
-    T_real_sim : 12 numbers, [R | t] row by row: maps simulated points into the real sensor's frame; None if they are
-        in it already
+    T_real_sim : 12 numbers, [R | t] row by row: maps simulated points into the real sensor's frame;
+        None if they are in it already
     fault : why the pair cannot be evaluated, or None
-    T_world_sensor : 12 numbers, [R | t] row by row: where the real sensor was, in the frame of the recording
+    T_world_sensor : 12 numbers, [R | t] row by row: where the real sensor was, in the frame of the
+        recording
     """
 
     pair_id: str
@@ -90,7 +92,8 @@ def read_dataset(folder: Path) -> Dataset:
     Raises
     ------
     DatasetError
-        The folder does not exist or holds no pair, the manifest or `labels.toml` is wrong, or two files have one stem.
+        The folder does not exist or holds no pair, the manifest or `labels.toml` is wrong, or two
+        files have one stem.
     """
     if folder.is_file():
         hint = "fidpipe pair REAL SIM makes one of two recordings"

@@ -75,7 +75,8 @@ class Choice:
 def choose_parameters(trials: Sequence[Trial]) -> list[Choice]:
     """The choices by `RULE` of all parameters of an experiment; undecided for fewer than three pairs.
 
-    All are tested together, because each further test is one more chance to find an effect that does not exist.
+    All are tested together, because each further test is one more chance to find an effect that
+    does not exist.
     """
     changes = []
     p_values: list[float | None] = []
