@@ -22,7 +22,7 @@ from ...schemas.data_files import parse_toml
 from ...schemas.errors import DatasetError, ScanError, nearest
 from ...stages.arrays import FloatArray
 from ..storage.files import path_exists
-from ..storage.urls import STUB, is_stub, is_url, remote, url_of_cache
+from ..storage.urls import STUB, is_stub, is_url, url_of_cache
 from .readers import frames_of
 from .readers.formats import known_formats
 from .readers.scan import LONGEST_LABEL
@@ -359,7 +359,11 @@ def local_folder(name: str) -> Path:
     DatasetError
         The URL cannot be read.
     """
-    return remote().local_of(name) if is_url(name) else Path(name)
+    if not is_url(name):
+        return Path(name)
+    from ..storage.remote_run import local_of
+
+    return local_of(name)
 
 
 def _stubs_of(folder: Path, names: list[str]) -> dict[str, Path | str]:
@@ -371,7 +375,11 @@ def _stubs_of(folder: Path, names: list[str]) -> dict[str, Path | str]:
             urls[name] = name
         elif base and not (path_exists(folder / name) or path_exists(f"{folder / name}{STUB}")):
             urls[name] = f"{base}/{name}"  # of a server that cannot list its objects
-    return remote().stubs_of(urls) if urls else {}
+    if not urls:
+        return {}
+    from ..storage.remote_dataset import stubs_of
+
+    return stubs_of(urls)
 
 
 def _named_scan(folder: Path, name: str, side: str, stubs: Mapping[str, Path | str]) -> ScanRef:

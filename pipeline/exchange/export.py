@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError, RunError
+from ...schemas.metric_catalogue import QUADRANT_SCORES, scores_in
 from ...stages.coverage import nearest_distances
 from ..storage.files import named_errors, write_whole
 from ..storage.table_files import file_stem
@@ -47,15 +48,16 @@ class Status(IntEnum):
     HALLUCINATED = 5
 
 
+_DRAWN = QUADRANT_SCORES[::-1]
 #: Of a point: metres in the real sensor's frame; object (-1: ground); NaN without a score.
 POINT = np.dtype(
     [
-        *((name, "<f8") for name in ("x", "y", "z", "r_lambda", "cdc", "distance_m")),
+        *((name, "<f8") for name in ("x", "y", "z", *_DRAWN, "distance_m")),
         ("community", "<i4"),
         ("status", "u1"),
     ]
 )
-_SCORES = ("r_lambda", "cdc", "r_gap", "centroid_distance_m", "alignment_rms_m")
+_SCORES = scores_in("export")
 _COVERAGE = ("covered_0p3m", "median_distance_m")
 #: Of an object, at its centroid: the columns of `metrics` and `coverage`; partner is -1 if absent.
 OBJECT = np.dtype(
@@ -207,7 +209,7 @@ def pair_clouds(
         frame["community"] = frame.community_id.fillna(-1).astype(int)
         frame.loc[frame.community >= 0, "distance_m"] = distance_m
         points = frame.merge(
-            side_objects[["community", "r_lambda", "cdc", "status"]],
+            side_objects[["community", *_DRAWN, "status"]],
             on="community",
             how="left",
         )

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from ....schemas.errors import FidpipeError, ScanError
-from ...storage.urls import remote
 from .formats import known_formats
 from .scan import Scan, cause_of, with_label_file, with_label_names
 from .scan_ref import ScanRef, scan_ref
@@ -98,7 +97,11 @@ def read_scan(
 
 def _local(ref: ScanRef) -> AbstractContextManager[Path]:
     """The file of a scan on this machine next to its labels: itself, or a copy of the object that a stub names."""
-    return remote().fetched_scan(ref.file, ref.labels) if ref.is_remote else nullcontext(ref.file)
+    if not ref.is_remote:
+        return nullcontext(ref.file)
+    from ...storage.remote_dataset import fetched_scan
+
+    return fetched_scan(ref.file, ref.labels)
 
 
 @contextmanager
