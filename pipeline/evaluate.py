@@ -66,7 +66,14 @@ class PairResult:
     seeds: pd.DataFrame | None = None
 
     def __repr__(self) -> str:
-        names = ("n_matched", "n_missing", "n_hallucinated", "match_rate", "cdc_mean", "r_lambda_mean")
+        names = (
+            "n_matched",
+            "n_missing",
+            "n_hallucinated",
+            "match_rate",
+            "cdc_mean",
+            "r_lambda_mean",
+        )
         known = [f"{name} {self.summary[name]:.4g}" for name in names if self.summary[name] is not None]
         return f"<evaluated pair, preset {self.preset}: {', '.join(known)}>"
 

@@ -81,7 +81,9 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     """
     for source in (real, sim):
         if not (source.is_dir() or scan_ref(source).format.holds_frames):
-            raise DatasetError(f"{source}: expected a folder of scans or a recording (bag, capture)")
+            raise DatasetError(
+                f"{source}: expected a folder of scans or a recording (bag, capture)",
+            )
     real, sim = _side(real), _side(sim)
     if _are_a_dataset(real, sim):
         return real.parent, ""
@@ -330,7 +332,9 @@ def _side(source: Path) -> Path:
     folders = folders_of_scans(source)
     if len(folders) > 1:
         names = ", ".join(path.name for path in folders)
-        raise DatasetError(f"{source}: {len(folders)} folders hold scans ({names}); name one of them")
+        raise DatasetError(
+            f"{source}: {len(folders)} folders hold scans ({names}); name one of them",
+        )
     return folders[0] if folders else source
 
 

@@ -165,8 +165,9 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
     lonely_sim = scans["sim"].keys() - scans["real"].keys()
     if len(lonely_real) + len(lonely_sim) > 1:
         warnings.append(
-            f"{folder}: {len(lonely_real)} real and {len(lonely_sim)} simulated scans have no partner of "
-            f"the same name, such as {min(lonely_real or lonely_sim)}; rename them, or {LIST_NAMES}"
+            f"{folder}: {len(lonely_real)} real and {len(lonely_sim)} simulated scans have no "
+            f"partner of the same name, such as {min(lonely_real or lonely_sim)}; rename them, or "
+            f"{LIST_NAMES}"
         )
     return pairs
 
@@ -284,7 +285,9 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     required = ("pair_id", *SIDES) if needs_sim else ("pair_id", "real")
     missing = [name for name in required if name not in columns]
     if missing:
-        raise DatasetError(f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}")
+        raise DatasetError(
+            f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}",
+        )
     for name in columns:
         if columns.count(name) > 1:
             raise DatasetError(
@@ -317,7 +320,12 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     return list(pairs.values())
 
 
-def _pair_of_row(where: str, folder: Path, row: Mapping[str, str], stubs: Mapping[str, Path | str]) -> ScanPair:
+def _pair_of_row(
+    where: str,
+    folder: Path,
+    row: Mapping[str, str],
+    stubs: Mapping[str, Path | str],
+) -> ScanPair:
     if not row["pair_id"]:
         raise DatasetError(f"{where}: pair_id is empty; expected a name")
     scans: dict[str, ScanRef | None] = dict.fromkeys(SIDES)

@@ -214,7 +214,13 @@ def pair_clouds(
             how="left",
         )
         points["status"] = points.status.fillna(Status.GROUND.value)
-        clouds[side] = _rows(points, POINT), _rows(side_objects[side_objects["n_points"] > 0], OBJECT)
+        clouds[side] = (
+            _rows(points, POINT),
+            _rows(
+                side_objects[side_objects["n_points"] > 0],
+                OBJECT,
+            ),
+        )
     return clouds
 
 

@@ -119,7 +119,17 @@ def make_twins(
     tasks = {}
     for frame in frames:
         others = _nearest(recording.pairs, frame, n_others)
-        tasks[frame.pair_id] = _Task(frame, others, names, out, sensor, flaws, foliage, seed, settings)
+        tasks[frame.pair_id] = _Task(
+            frame,
+            others,
+            names,
+            out,
+            sensor,
+            flaws,
+            foliage,
+            seed,
+            settings,
+        )
     with named_errors(out):
         files = {out / side / name for side, name in product(SIDES, recipe["files"])}
         prepare_folder(out, RECIPE, recipe, _own_files, files, names, replace=replace)
@@ -133,7 +143,12 @@ def make_twins(
     return TwinOutcome(len(done), failures)
 
 
-def _check_request(recording: Recording, out: Path, foliage: Sequence[str], settings: InputSettings) -> None:
+def _check_request(
+    recording: Recording,
+    out: Path,
+    foliage: Sequence[str],
+    settings: InputSettings,
+) -> None:
     """Raise `FidpipeError` if twins of a recording cannot be made with these arguments."""
     require_ray_caster()
     if settings.real_frame != "ros":

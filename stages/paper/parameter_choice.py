@@ -127,7 +127,13 @@ def _choose(trial: Trial, match_rate: Sequence[int], r_lambda: Sequence[int]) ->
     return Choice(name, current, False, text)
 
 
-def _replaced(trial: Trial, score: str, means: FloatArray, better: Sequence[int], best: int) -> Choice:
+def _replaced(
+    trial: Trial,
+    score: str,
+    means: FloatArray,
+    better: Sequence[int],
+    best: int,
+) -> Choice:
     """The best value instead of the current one."""
     name = trial.name
     text = f"{_named(name, trial.tried[best])} instead of {_named(name, trial.tried[trial.current])}: "
