@@ -11,7 +11,7 @@ import pyarrow as pa
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import INTENSITY_SCORES, RAY_SCORES
 from ...schemas.tables import TABLES
-from ...stages.arrays import BoolArray, FloatArray
+from ...stages.arrays import BoolArray, FloatArray, transform_of
 from ...stages.clean import seen_from
 from ...stages.intensity import score_intensity
 from ...stages.rays import (
@@ -33,7 +33,7 @@ def make_rays(inputs: Inputs) -> JobResult:
     real, sim = map(coordinates, tables)
     sensors = [inputs.metadata("sensor", side)["sensor"] for side in SIDES]
     moved = inputs.metadata("ground", "sim")["T_real_sim"]
-    T_real_sim = np.array(moved).reshape(3, 4) if moved else None
+    T_real_sim = transform_of(moved)
     position = inputs.settings.input.sensor_position
     if position is not None:
         real = real - position
