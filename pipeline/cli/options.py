@@ -34,7 +34,13 @@ Preset = Annotated[
     ),
 ]
 ComparePreset = Annotated[
-    str, typer.Option("--preset", metavar="paper|reference", autocompletion=completion.presets, help="Of what is run.")
+    str,
+    typer.Option(
+        "--preset",
+        metavar="paper|reference",
+        autocompletion=completion.presets,
+        help="Preset of what is evaluated first.",
+    ),
 ]
 DatasetFolder = Annotated[Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.")]
 SimFolder = Annotated[

@@ -59,8 +59,10 @@ def run_status(folder: Path) -> RunStatus:
         )
     dataset = read_dataset(local_folder(record["dataset"]))
     settings = parse(record["settings"])
-    stages, run_folder = stages_under(settings), RunFolder(folder)
-    ledger, planner = run_folder.ledger, Planner(stages, settings, dataset.label_names)
+    stages = stages_under(settings)
+    run_folder = RunFolder(folder)
+    ledger = run_folder.ledger
+    planner = Planner(stages, settings, dataset.label_names)
     states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
     failures: dict[str, str] = {}
     damaged: list[str] = []
