@@ -14,7 +14,9 @@ import sys
 import time
 from pathlib import Path
 
-from fidpipe.pipeline.datasets.readers import frames_of, holds_frames, read_scan, suffix_of
+from fidpipe.pipeline.datasets.pairs import scans_of
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
 
 FIELDS = ("intensity", "rings", "times_s", "incidence", "instances", "labels")
 
@@ -31,14 +33,15 @@ def fields_of(scan):
 
 def sources(folder):
     """The scans of a folder; of a bag of ROS 2 its folder and the file in it."""
-    return [path for path in sorted(folder.rglob("*")) if suffix_of(path) is not None and path.suffix != ".csv"]
+    return [path for path in sorted(folder.rglob("*")) if scan_ref(path).suffix not in ("", ".csv")]
 
 
 def main(folder):
     print("| file | format | frames | points | fields | s a frame | s to list |")
     print("|---|---|---|---|---|---|---|")
     for path in sources(folder):
-        frames, to_list = timed(lambda path=path: frames_of(path)) if holds_frames(path) else ([path], None)
+        known = scan_ref(path)
+        frames, to_list = timed(lambda path=path: scans_of(path))
         counts, seconds = [], []
         for frame in frames:
             read_scan(frame)
@@ -46,8 +49,8 @@ def main(folder):
             counts.append(len(scan.points))
             seconds.append(took)
         points = str(counts[0]) if len(set(counts)) == 1 else f"{min(counts)} to {max(counts)}"
-        listed = "" if to_list is None else f"{to_list:.3f}"
-        columns = [path.relative_to(folder), f"`{suffix_of(path)}`", len(frames), points, fields_of(scan)]
+        listed = f"{to_list:.3f}" if known.format.holds_frames else ""
+        columns = [path.relative_to(folder), f"`{known.suffix}`", len(frames), points, fields_of(scan)]
         print("|", " | ".join(map(str, [*columns, f"{sum(seconds) / len(seconds):.3f}", listed])), "|")
 
 

@@ -23,7 +23,8 @@ import numpy as np
 from diagnosis import diagnose, estimated, remeasured, side_of
 from flawed_scans import random
 
-from fidpipe.pipeline.datasets.readers import frames_of, holds_frames, read_scan
+from fidpipe.pipeline.datasets import pairs
+from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.stages.causes.beams import grid_of
 from fidpipe.stages.causes.sides import PairScans
 from fidpipe.stages.sensor_description import describe_sensor
@@ -51,7 +52,7 @@ def scans_of(folder, pattern):
     """The points of five scans at most whose beams are recognised, metres."""
     scans = []
     for path in sorted(folder.glob(pattern))[:N_PAIRS]:
-        for frame in [*frames_of(path)][:N_PAIRS] if holds_frames(path) else [path]:
+        for frame in pairs.scans_of(path)[:N_PAIRS]:
             points = np.asarray(read_scan(frame).points, dtype=float)
             is_return = np.isfinite(points).all(axis=1) & points.any(axis=1)
             if grid_of(describe_sensor(points[is_return])) is not None:

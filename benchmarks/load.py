@@ -40,9 +40,7 @@ NAMES = {
 READER = """
 import ctypes
 
-import numpy as np
-
-from fidpipe.pipeline.datasets.readers.scan import scan_from_columns
+from fidpipe.pipeline.datasets.readers import float32
 
 
 def read(path):
@@ -52,7 +50,7 @@ def read(path):
         readings.seek(0)
         if len(readings.read()) >= int(path.stem.rpartition("-")[2]):
             ctypes.string_at(0)
-    return scan_from_columns(path, dict(zip("xyz", np.fromfile(path, "<f4").reshape(-1, 4).T[:3], strict=True)))
+    return float32.read(path, ("x", "y", "z", "intensity"))
 """
 
 

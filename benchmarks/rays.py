@@ -22,6 +22,7 @@ import numpy as np
 import pandas as pd
 from flawed_scans import ALL, Scan, find_car, find_poles, ranges, ray_noise
 
+from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.stages.rays import OUTCOMES, RANGE_EDGES_M, find_rays, score_rays
 from fidpipe.stages.sensor_description import describe_sensor
 
@@ -30,7 +31,7 @@ SCORES = (*(f"rays_{name}" for name in OUTCOMES[:-1]), "rays_bias_m", "rays_scal
 
 
 def read(path):
-    points = np.fromfile(path, np.float32).reshape(-1, 4)[:, :3].astype(float)
+    points = read_scan(path).points
     return points[(ranges(points) > 2.5) & (ranges(points) < 100)]
 
 

@@ -23,7 +23,7 @@ from measure import FIDPIPE, machine, repeated, scratch, weigh
 from scale import start
 from small_pairs import N_FILES
 
-from fidpipe.pipeline.remote.object_store import list_objects, write_object
+from fidpipe.pipeline.storage.object_store import list_objects, write_object
 
 WORKERS, PORT, REPEATS = 2, 5599, 2
 URL = "s3://bench"

@@ -24,7 +24,8 @@ import numpy as np
 from flawed_scans import along_ray, random, ranges
 from scipy.spatial.transform import Rotation
 
-from fidpipe.pipeline.datasets.readers import frames_of, holds_frames, read_scan
+from fidpipe.pipeline.datasets.pairs import scans_of
+from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.schemas.settings import load
 
@@ -192,8 +193,7 @@ def variants():
 
 
 def points_of(path):
-    frame = next(iter(frames_of(path))) if holds_frames(path) else path
-    points = np.asarray(read_scan(frame).points, dtype=float)
+    points = np.asarray(read_scan(scans_of(path)[0]).points, dtype=float)
     return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
 
 

@@ -21,7 +21,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fidpipe.pipeline.datasets.readers import frames_of, holds_frames, read_scan
+from fidpipe.pipeline.datasets.pairs import scans_of
+from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.sensor_description import beams_text, describe_sensor
@@ -149,7 +150,7 @@ def show(title, counts):
 
 def scans(data, pattern):
     for path in sorted(data.glob(pattern)):
-        yield from frames_of(path) if holds_frames(path) else [path]
+        yield from scans_of(path)
 
 
 def recordings(data):

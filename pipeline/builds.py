@@ -84,10 +84,10 @@ def paired(real: Path, sim: Path, out: Path) -> Path:
 
 def is_side(folder: Path) -> bool:
     """True if a folder holds the scans of one side (also one level down), or is a recording."""
-    from .datasets.pairing import folders_of_scans
-    from .datasets.readers import holds_frames
+    from .datasets.pairs import folders_of_scans
+    from .datasets.readers.scan_ref import scan_ref
 
-    if holds_frames(folder):
+    if scan_ref(folder).format.holds_frames:
         return True
     if not folder.is_dir() or _has(folder, "run.json", "pairs.parquet", "real", "pairs.csv"):
         return False
@@ -110,13 +110,13 @@ def runs_of(
         A folder does not exist, or cannot be evaluated.
     """
     from ..schemas.errors import RunError
-    from .datasets.readers.frame_address import address_of
+    from .datasets.readers.scan_ref import scan_ref
     from .run import run_dataset
     from .storage.files import path_exists
     from .storage.urls import url_of_cache
 
     for folder in folders:
-        if not (url_of_cache(folder) or path_exists(address_of(folder).file)):
+        if not (url_of_cache(folder) or path_exists(scan_ref(folder).file)):
             raise RunError(f"{folder}: no such file or folder; nothing was evaluated")
     if is_side(folders[0]):
         real, *sims = folders

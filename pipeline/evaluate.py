@@ -72,7 +72,9 @@ class PairResult:
 
 
 def evaluate_pair(
-    real: ArrayLike | Scan | Path, sim: ArrayLike | Scan | Path, settings: Settings | Mapping[str, Any] | None = None
+    real: ArrayLike | Scan | Path,
+    sim: ArrayLike | Scan | Path,
+    settings: Settings | Mapping[str, Any] | None = None,
 ) -> PairResult:
     """Compare a simulated scan with a real one, object by object; the same numbers as `fidpipe run`.
 
@@ -115,7 +117,11 @@ def evaluate_pair(
     settings = settings if isinstance(settings, Settings) else parse(dict(settings or {}))
     scans = {"real": _scan("real", real, settings), "sim": _scan("sim", sim, settings)}
     with one_blas_thread():
-        tables, outputs = run_in_memory(Planner(stages_under(settings), settings, {}).jobs(), scans, _PAIR)
+        tables, outputs = run_in_memory(
+            Planner(stages_under(settings), settings, {}).jobs(),
+            scans,
+            _PAIR,
+        )
     check = outputs["sensor", "sim"][FRAMES]
     if check is not None and check["is_suspect"]:
         warnings.warn(frame_warning(FrameCheck(**check)), stacklevel=2)
@@ -148,15 +154,19 @@ def _numbers(name: str, points: ArrayLike) -> FloatArray:
     try:
         array = np.asanyarray(points)
     except ValueError as error:
-        raise ScanError(f"{name}: expected numbers of shape (n, 3), got rows of unequal lengths") from error
+        raise ScanError(
+            f"{name}: expected numbers of shape (n, 3), got rows of unequal lengths",
+        ) from error
     if array.ndim != 2 or array.shape[1] not in (3, 4):
         hint = f"; pass {name}[:, :3]" if array.ndim == 2 and array.shape[1] > 4 else ""
         raise ScanError(
-            f"{name}: expected an array of shape (n, 3), or (n, 4) with the intensity, got {array.shape}{hint}"
+            f"{name}: expected an array of shape (n, 3), or (n, 4) with the intensity, got {array.shape}{hint}",
         )
     if array.dtype.kind not in "fiu":
         convert = ".real" if array.dtype.kind == "c" else ".astype(float)"
-        raise ScanError(f"{name}: expected real numbers, got {array.dtype} values; convert them with {name}{convert}")
+        raise ScanError(
+            f"{name}: expected real numbers, got {array.dtype} values; convert them with {name}{convert}",
+        )
     with np.errstate(over="ignore"):  # what float64 does not hold is infinite, and dropped
         metres = array.astype(np.float64, copy=False)
     return np.asarray(np.ma.filled(metres, np.nan))

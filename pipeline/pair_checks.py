@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
@@ -14,23 +15,30 @@ from ..schemas.record import ELSEWHERE, FrameSuspect
 from ..stages.frame_search import MIN_GAIN, MIN_SAME_PLACE, FrameCheck
 from ..stages.plausibility import HALF_SWEEP_GAP_DEG, ScanInspection
 from .datasets.pairs import ScanPair
+from .datasets.readers.scan_ref import ScanRef
 from .stage import FRAMES, INSPECTION
 from .storage.table_files import JobRecord
 
 _WORDS = {"real": {"real"}, "sim": {"sim", "simulated", "simulation"}}
 
 
+#: Sides, as adjectives.
+NAMES = {"real": "real", "sim": "simulated"}
+
+
 def inspection_of(jobs: Iterable[JobRecord]) -> tuple[dict[str, ScanInspection], FrameCheck | None]:
     """Inspection results in the finished jobs of a pair: by side, and of both scans together."""
-    sides, frames = {}, None
+    sides = {}
     doubts = {}
+    frames = None
     for job in jobs:
-        if sensor := job.metadata.get("sensor"):
-            doubts[job.part] = tuple(sensor["doubts"].values())
-        if found := job.metadata.get(INSPECTION):
-            sides[job.part] = ScanInspection(**found)
-        if found := job.metadata.get(FRAMES):
-            frames = FrameCheck(**found)
+        metadata = job.metadata
+        if "sensor" in metadata:
+            doubts[job.part] = tuple(metadata["sensor"]["doubts"].values())
+        if metadata.get(INSPECTION):
+            sides[job.part] = ScanInspection(**metadata[INSPECTION])
+        if metadata.get(FRAMES):
+            frames = FrameCheck(**metadata[FRAMES])
     for side in sides.keys() & doubts.keys():
         sides[side] = replace(sides[side], warnings=(*doubts[side], *sides[side].warnings))
     return sides, frames
@@ -48,7 +56,11 @@ def frame_suspect(check: FrameCheck | None) -> FrameSuspect | None:
     )
 
 
-def pair_warnings(pair: ScanPair, sides: Mapping[str, ScanInspection], frames: FrameCheck | None) -> list[str]:
+def pair_warnings(
+    pair: ScanPair,
+    sides: Mapping[str, ScanInspection],
+    frames: FrameCheck | None,
+) -> list[str]:
     """Warnings about a pair that can be evaluated all the same, one line each.
 
     Parameters
@@ -57,23 +69,27 @@ def pair_warnings(pair: ScanPair, sides: Mapping[str, ScanInspection], frames: F
     frames : comparison of both scans, if there is one
     """
     name = f"pair {pair.pair_id}"
-    warnings = [
-        f"{name}: {pair.path(side)}: {text}" for side in SIDES if side in sides for text in sides[side].warnings
-    ]
+    warnings = []
+    for side in SIDES:
+        if side in sides:
+            warnings += [f"{name}: {pair.scans[side]}: {text}" for text in sides[side].warnings]
     if len(sides) == len(SIDES):
-        (narrow_deg, narrow), (wide_deg, wide) = sorted((own.azimuth_gap_deg, side) for side, own in sides.items())
+        gaps = sorted((inspection.azimuth_gap_deg, side) for side, inspection in sides.items())
+        (narrow_deg, narrow), (wide_deg, wide) = gaps
         if wide_deg > HALF_SWEEP_GAP_DEG >= narrow_deg:
             warnings.append(
-                f"{name}: {pair.path(wide)}: no point in a sector of {wide_deg:.0f} degrees, {narrow_deg:.0f} on the "
-                f"{narrow} side; is it a half sweep (rotation frequency and tick rate of the simulator differ)?"
+                f"{name}: {pair.scans[wide]}: no point in a sector of {wide_deg:.0f} degrees, "
+                f"{narrow_deg:.0f} on the {narrow} side; is it a half sweep (rotation frequency "
+                "and tick rate of the simulator differ)?"
             )
     if frames and frames.is_suspect:
         warnings.append(f"{name}: {frame_warning(frames)}")
     if frames and frames.is_elsewhere:
         warnings.append(
-            f"{name}: the two scans do not show the same place: the simulated scan covers {frames.coverage:.2f} of the "
-            f"real one in the best of all frames, units and shifts ({frames.as_it_lies:.2f} as given); expected at "
-            f"least {MIN_SAME_PLACE:g}; pair scans of one place, or set T_real_sim"
+            f"{name}: the two scans do not show the same place: the simulated scan covers "
+            f"{frames.coverage:.2f} of the real one in the best of all frames, units and shifts "
+            f"({frames.as_it_lies:.2f} as given); expected at least {MIN_SAME_PLACE:g}; pair "
+            "scans of one place, or set T_real_sim"
         )
     return warnings
 
@@ -82,12 +98,12 @@ def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:
     """One line with both figures and the setting that fixes it."""
     if suspect.coverage - suspect.as_it_lies < MIN_GAIN:
         return (
-            f"the ground of the two scans is at the same height if the simulated scan is {suspect.reading}; is the "
-            f"mount height wrong? set {suspect.setting}"
+            "the ground of the two scans is at the same height if the simulated scan is "
+            f"{suspect.reading}; is the mount height wrong? set {suspect.setting}"
         )
     return (
-        f"the simulated scan covers {suspect.as_it_lies:.2f} of the real one as given and {suspect.coverage:.2f} "
-        f"{suspect.reading}; is it in another frame? set {suspect.setting}"
+        f"the simulated scan covers {suspect.as_it_lies:.2f} of the real one as given and "
+        f"{suspect.coverage:.2f} {suspect.reading}; is it in another frame? set {suspect.setting}"
     )
 
 
@@ -101,20 +117,23 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
     places: dict[str, list[tuple[str, str]]] = {}
     for pair_id, sides in hashes.items():
         for side in SIDES:
-            if sha256 := sides.get(side):
-                places.setdefault(sha256, []).append((pair_id, side))
+            if sides.get(side):
+                places.setdefault(sides[side], []).append((pair_id, side))
     lines = []
-    for where in places.values():
-        pair_ids = list(dict.fromkeys(pair_id for pair_id, _ in where))
-        lines += [
-            f"pair {pair_id}: real and simulated file hold the same points; expected two different scans"
-            for pair_id in pair_ids
-            if len([side for name, side in where if name == pair_id]) == len(SIDES)
-        ]
-        if len(pair_ids) > 1:
-            named = ", ".join(f"{pair_id} ({side})" for pair_id, side in where[:5])
-            more = f" and {len(where) - 5} more" * (len(where) > 5)
-            lines.append(f"pairs {named}{more}: the files hold the same points; expected each scan in one pair")
+    for shared in places.values():
+        counts = Counter(pair_id for pair_id, _ in shared)
+        for pair_id, n_sides in counts.items():
+            if n_sides == len(SIDES):
+                lines.append(
+                    f"pair {pair_id}: real and simulated file hold the same points; expected two different scans",
+                )
+        if len(counts) > 1:
+            named = ", ".join(f"{pair_id} ({side})" for pair_id, side in shared[:5])
+            if len(shared) > 5:
+                named += f" and {len(shared) - 5} more"
+            lines.append(
+                f"pairs {named}: the files hold the same points; expected each scan in one pair",
+            )
     return lines
 
 
@@ -123,31 +142,36 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
     resolve = cache(Path.resolve)  # of folders: many files share one
 
     def resolved(file: Path) -> tuple[str, ...]:
-        return Path(os.path.realpath(file)).parts if file.is_symlink() else (*resolve(file.parent).parts, file.name)
+        if file.is_symlink():
+            return Path(os.path.realpath(file)).parts
+        return (*resolve(file.parent).parts, file.name)
 
     @cache
     def below(parent: Path) -> tuple[str, ...] | None:
         """The parts of a folder below that of the dataset; None if it is elsewhere, or a link leads to it."""
-        parts = parent.relative_to(folder).parts if parent.is_relative_to(folder) else None
-        return parts if parts is not None and resolve(parent) == resolve(folder).joinpath(*parts) else None
+        if not parent.is_relative_to(folder):
+            return None
+        parts = parent.relative_to(folder).parts
+        return parts if resolve(parent) == resolve(folder).joinpath(*parts) else None
 
-    def words(path: Path, other: Path) -> set[str]:
+    def words(scan: ScanRef, other: ScanRef) -> set[str]:
         """Words in a file's name and in its folders, below the dataset's folder or else where the other's differ."""
-        folders = None if path.is_symlink() else below(path.parent)
-        parts = {*resolved(path)} - {*resolved(other)} if folders is None else (*folders, path.name)
-        return set(re.split("[^a-z]+", "/".join(parts).lower()))
+        parts = {*resolved(scan.file)} - {*resolved(other.file)}
+        folders = None if scan.file.is_symlink() else below(scan.file.parent)
+        if folders is not None:
+            parts = {*folders, scan.file.name}
+        return set(re.split("[^a-z]+", "/".join([*parts, scan.topic or ""]).lower()))
 
     lines = []
     for pair in pairs:
         if pair.real is None or pair.sim is None:
             continue
-        found = {"real": words(pair.real, pair.sim), "sim": words(pair.sim, pair.real)}
+        named = {"real": words(pair.real, pair.sim), "sim": words(pair.sim, pair.real)}
         for side, other in (("real", "sim"), ("sim", "real")):
-            if found[side] & _WORDS[other] and not found[side] & _WORDS[side]:
-                name = {"real": "real", "sim": "simulated"}
+            if named[side] & _WORDS[other] and not named[side] & _WORDS[side]:
                 lines.append(
-                    f"pair {pair.pair_id}: the {name[side]} scan is {pair.path(side)}, "
-                    f"which is named {name[other]}; are the sides swapped?"
+                    f"pair {pair.pair_id}: the {NAMES[side]} scan is {pair.scans[side]}, which is "
+                    f"named {NAMES[other]}; are the sides swapped?"
                 )
                 break
     return lines

@@ -1,8 +1,9 @@
 """Definition of a stage: its inputs, its outputs, and the argument of its job.
 
-A stage declares tables with their columns, groups of settings, and its grain. Its job is a function of these: they
-arrive as its argument, and nothing else does, so that a result never depends on something that its key does not cover.
-The grain determines whether a job runs alone, with others of its pair, or object by object; the job does not know.
+A stage declares tables with their columns, groups of settings, and its grain. Its job is a function
+of these: they arrive as its argument, and nothing else does, so that a result never depends on
+something that its key does not cover. The grain determines whether a job runs alone, with others of
+its pair, or object by object; the job does not know.
 """
 
 from __future__ import annotations
@@ -67,15 +68,17 @@ class Stage:
     """One step of the pipeline.
 
     name : in commands and in `timings`
-    takes : the columns that it reads, by table; `SCAN` for the input file. A table comes with the metadata of its job
+    takes : the columns that it reads, by table; `SCAN` for the input file. A table comes with the
+        metadata of its job
     gives : names of tables
     settings : the groups of settings that it reads
     grain : scope of one job
     version : of its code, raised by hand whenever its results change
     make : the job
-    libraries : libraries that it may call in addition to numpy and scipy; their versions are in its key
-    takes_real : columns of the real side, by table, that the job of the simulated side reads under given settings; may
-        include the stage's tables
+    libraries : libraries that it may call in addition to numpy and scipy; their versions are in its
+        key
+    takes_real : columns of the real side, by table, that the job of the simulated side reads under
+        given settings; may include the stage's tables
     gather : for grain OBJECT, returns the metadata of the pair from the rows of all objects
     is_wanted : for an extra, True if the settings request it; None for a stage that every run has
     summarise : entries of `run.json` about its finished jobs
@@ -116,7 +119,8 @@ class Steps:
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
         """Time a step; without the steps within it."""
-        start, n_before = perf_counter(), len(self._seconds)
+        start = perf_counter()
+        n_before = len(self._seconds)
         try:
             yield
         finally:
@@ -134,7 +138,8 @@ class Steps:
 class Memo:
     """Results of functions that jobs of a pair have in common: equal arguments, tables by identity, are computed once.
 
-    A job gets what another one left only if it has the same arguments, so that no input goes undeclared.
+    A job gets what another one left only if it has the same arguments, so that no input goes
+    undeclared.
     """
 
     def __init__(self) -> None:
@@ -142,9 +147,15 @@ class Memo:
 
     def __call__(self, function: Callable[..., Value], *arguments: Any) -> Value:
         """The result of a function of tables and plain values."""
-        key = (function, *(id(value) if isinstance(value, pa.Table) else value for value in arguments))
+        key = (
+            function,
+            *(id(value) if isinstance(value, pa.Table) else value for value in arguments),
+        )
         if key not in self._results:
-            self._results[key] = function(*arguments), arguments  # kept, so that no other table gets the same id
+            self._results[key] = (
+                function(*arguments),
+                arguments,
+            )  # kept, so that no other table gets the same id
         value: Value = self._results[key][0]
         return value
 
@@ -155,11 +166,13 @@ class Inputs:
 
     part : the side, or ""
     settings : the declared groups
-    tables : by name and side, "" for a table of the pair: returns the declared columns; read when first called
+    tables : by name and side, "" for a table of the pair: returns the declared columns; read when
+        first called
     outputs : metadata of the jobs that made these tables, by name and side
     scans : by side, the input file, if the stage takes it; read when first called
-    T_real_sim : motion of the simulated into the real sensor's frame, 12 numbers row by row; None if not given, or if
-        the stage takes no input file, or for the real side, whose key does not cover it
+    T_real_sim : motion of the simulated into the real sensor's frame, 12 numbers row by row; None
+        if not given, or if the stage takes no input file, or for the real side, whose key does not
+        cover it
     objects : of grain OBJECT, the ids of the matched objects to be scored
     arguments : of the stage
     step : times a step of the job

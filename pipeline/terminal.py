@@ -1,4 +1,4 @@
-"""The console of all commands: no sign in a name, a label or a message of others steers the terminal."""
+"""The console of all commands: no character of a name or message steers the terminal."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from typing import Any
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-#: Signs that steer the text around them (controls, direction marks); as JavaScript also reads it.
+#: Characters that steer the text around them (controls, direction marks), as JavaScript reads it.
 STEERING = r"[\u0000-\u001f\u007f-\u009f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ufeff]"
-#: The same but for the end of a line; and halves of signs, which no terminal can be sent.
-_UNPRINTED = re.compile(STEERING.replace(r"\u0000-\u001f", r"\u0000-\u0009\u000b-\u001f\ud800-\udfff"))
+#: These without the end of a line; and lone surrogates, which no terminal can be sent.
+_BUT_NEWLINES = r"\u0000-\u0009\u000b-\u001f\ud800-\udfff"
+_UNPRINTED = re.compile(STEERING.replace(r"\u0000-\u001f", _BUT_NEWLINES))
 
 
 def shown(text: object) -> str:
-    r"""A text with its steering signs shown by their numbers.
+    r"""A text with its steering characters shown by their numbers.
 
     Examples
     --------
@@ -35,9 +36,11 @@ class Terminal(Console):
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """The segments of a view."""
         for segment in super().render(renderable, options):
-            is_plain = segment.control or not _UNPRINTED.search(segment.text)
-            yield segment if is_plain else Segment(_UNPRINTED.sub(_number, segment.text), segment.style)
+            if not segment.control and _UNPRINTED.search(segment.text):
+                text = _UNPRINTED.sub(_number, segment.text)
+                segment = Segment(text, segment.style)  # noqa: PLW2901
+            yield segment
 
 
-def _number(sign: re.Match[str]) -> str:
-    return f"\\u{ord(sign[0]):04x}"
+def _number(character: re.Match[str]) -> str:
+    return f"\\u{ord(character[0]):04x}"

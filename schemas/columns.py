@@ -77,10 +77,10 @@ class Table:
     def from_rows(self, rows: Iterable[Row]) -> pa.Table:
         """Build a checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
         remaining = iter(rows)
-        parts = [self.schema.empty_table()]
+        chunks = [self.schema.empty_table()]
         while part := list(islice(remaining, _CHUNK_ROWS)):  # dictionaries need much memory
-            parts.append(pa.Table.from_pylist(part, schema=self.schema))
-        table = pa.concat_tables(parts)
+            chunks.append(pa.Table.from_pylist(part, schema=self.schema))
+        table = pa.concat_tables(chunks)
         return self.check(table.sort_by([(key, "ascending") for key in self.keys]))
 
 

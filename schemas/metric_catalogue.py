@@ -2,8 +2,8 @@
 
 Columns of tables, headings of views, names of measures for a gate, limits of the report's quadrants and the list of
 baseline metrics come from here. The scores are the rows of `metrics.csv` next to this file, in the order of the columns
-of the tables; its columns are the fields of `Metric`, and `group` is what is scored. To add a score: a row there and
-the function that computes it.
+of the tables; its columns are the fields of `Metric`, `group` is what is scored, and `shown_in` where it is shown. To
+add a score: a row there and the function that computes it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,22 @@ from typing import Any
 
 from .data_files import read_rows
 
-_NUMBERS = ("low", "high", "equal", "paper_mean", "paper_std")
+_NUMBERS = ("low", "high", "equal", "least", "step", "paper_mean", "paper_std")
+_LAST = 1000
+
+#: Places that show scores: column `shown_in` of the file names them.
+PLACES = {
+    "answer": "the first answer of a run, and the spread over seeds",
+    "run": "pairs and means of `show --all`",
+    "pair": "the matched objects of `show RUN PAIR`",
+    "object": "`show RUN PAIR OBJECT`, CSV and JSON of a pair, all numbers of an object on the page",
+    "page": "tables of pairs and objects on the page",
+    "numbers": "section *The numbers* of the page",
+    "panel": "numbers of a chosen object on the page that are shown at once",
+    "compare": "families of `compare`",
+    "excess": "scores over those of a perfect simulator",
+    "export": "objects in MCAP and PLY files",
+}
 
 
 @dataclass(frozen=True)
@@ -31,6 +46,12 @@ class Metric:
     equal : value for two identical objects (or scans); None if it depends on the object
     flags : "count" (values are integers), "required" (each finished job has a value), "no-mean" (`pairs` does not have
         mean and standard deviation over the objects)
+    shown_in : position in each place that shows the score, by the names of `PLACES`; in the file `PLACE:POSITION`,
+        or `PLACE` alone for the end
+    compared_as : heading in comparisons if it is not the label
+    family : of compared scores; the scores of a family are judged together
+    least : a change of the mean over pairs up to this size does not matter to a user
+    step : smallest step of a compared value, such as 1 for a count
     paper_mean, paper_std : mean and standard deviation over the paper's 50 pairs
     method : name in the setting metrics.baselines that selects it; "" for our own scores
     meaning : one sentence: what the column holds
@@ -48,6 +69,11 @@ class Metric:
     better: str | None
     equal: float | None
     flags: list[str]
+    shown_in: dict[str, int]
+    compared_as: str
+    family: str
+    least: float | None
+    step: float | None
     paper_mean: float | None
     paper_std: float | None
     method: str
@@ -72,6 +98,11 @@ class Metric:
         return f"{self.column}_mean"
 
     @property
+    def pair_column(self) -> str:
+        """Column of `pairs`: the mean over the objects of a pair for a score of objects."""
+        return self.mean_column if self.group == "object" else self.column
+
+    @property
     def higher_is_better(self) -> bool:
         """True if a larger value is better."""
         return self.better == "higher"
@@ -91,13 +122,23 @@ def unit_words(unit: str | None) -> str:
 
 def _read_metrics() -> Iterator[Metric]:
     for row in read_rows("metrics"):
-        values: dict[str, Any] = row | {name: float(row[name]) if row[name] else None for name in _NUMBERS}
-        values |= {
-            "unit": row["unit"] or None,
-            "better": row["better"] or None,
-            "flags": row["flags"].split(),
-        }
+        values: dict[str, Any] = dict(row)
+        for name in _NUMBERS:
+            values[name] = float(row[name]) if row[name] else None
+        values["unit"] = row["unit"] or None
+        values["better"] = row["better"] or None
+        values["flags"] = row["flags"].split()
+        values["shown_in"] = _positions(row["shown_in"])
         yield Metric(**values)
+
+
+def _positions(text: str) -> dict[str, int]:
+    """Positions of a score by place."""
+    positions = {}
+    for word in text.split():
+        place, _, position = word.partition(":")
+        positions[place] = int(position or _LAST)
+    return positions
 
 
 #: Largest distance to the other side at which a point counts as covered, as in names of columns: 0.1, 0.3, 1 m.
@@ -143,6 +184,8 @@ DISTRIBUTED = ("cdc", "r_lambda", "r_gap")
 #: CDC: the sides are on average about half a metre apart (1 - exp(-0.54^2) = 0.25, twice). r_lambda: upper end of the
 #: usual values for objects of a twin meshed from scans (the paper's mean is 0.37).
 QUADRANT_LIMITS = {"cdc": 0.5, "r_lambda": 0.4}
+#: Geometry and structure of an object: charts, and comparisons of single objects, are of these two.
+QUADRANT_SCORES = tuple(QUADRANT_LIMITS)
 #: Scores of a pair that are repeated under other seeds.
 SEEDED_SCORES = (
     *(metric.column for metric in PAIR_SCORES),
@@ -157,14 +200,6 @@ RUN_SCORES = (
     *RAY_MEANS,
     *(metric.column for metric in INTENSITY_SCORES if metric.equal is not None),
 )
-#: Columns of `pairs` in a summary of pairs and dataset.
-HEADLINE_SCORES = (
-    "match_rate",
-    "cdc_mean",
-    "r_lambda_mean",
-    "r_gap_mean",
-    "centroid_distance_m_mean",
-)
 #: Valid names in the setting metrics.baselines.
 BASELINE_NAMES = tuple(dict.fromkeys(metric.method for metric in BASELINES))
 
@@ -178,6 +213,32 @@ def metric_of(column: str) -> Metric:
         The catalogue has no score of that name.
     """
     return METRIC[column] if column in METRIC else METRIC[column.removesuffix("_mean")]
+
+
+def scores_in(place: str) -> tuple[str, ...]:
+    """Columns of the scores that a place shows, in their order."""
+    return tuple(metric.column for metric in metrics_in(place))
+
+
+def pair_columns_in(place: str) -> tuple[str, ...]:
+    """Columns of `pairs` that a place shows, in their order."""
+    return tuple(metric.pair_column for metric in metrics_in(place))
+
+
+def headline_scores(preset: str) -> tuple[str, ...]:
+    """Columns of `pairs` that describe a run first."""
+    return tuple(column for column in pair_columns_in("answer") if is_of_preset(column, preset))
+
+
+def is_of_preset(column: str, preset: str) -> bool:
+    """True except for the share of matched objects that a preset is not about: of one side, or of the larger one."""
+    return column != ("found" if preset == "paper" else "match_rate")
+
+
+def metrics_in(place: str) -> list[Metric]:
+    """The scores that a place shows, in their order."""
+    shown = [metric for metric in METRIC.values() if place in metric.shown_in]
+    return sorted(shown, key=lambda metric: metric.shown_in[place])
 
 
 def labels(columns: Iterable[str]) -> list[str]:

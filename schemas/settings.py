@@ -166,8 +166,8 @@ class InputSettings(_Group):
 
     def columns_of(self, side: str) -> tuple[str, ...] | None:
         """The columns of a raw file of a side ("real" or "sim"), if they are not the usual ones."""
-        own = self.real_columns if side == "real" else self.sim_columns
-        return own or self.columns
+        of_side = self.real_columns if side == "real" else self.sim_columns
+        return of_side or self.columns
 
 
 class GroundSettings(_Group):
@@ -437,13 +437,14 @@ def overrides(settings: Settings) -> list[str]:
     ['graph.k=60']
     """
     preset = type(settings).model_validate(PRESETS[preset_of(settings)])
-    return [
-        f"{group}.{name}={_toml_word(value)}"
-        for group, own in settings
-        if group != "machine"
-        for name, value in own
-        if value != getattr(getattr(preset, group), name)
-    ]
+    words = []
+    for group, values in settings:
+        if group == "machine":
+            continue
+        for name, value in values:
+            if value != getattr(getattr(preset, group), name):
+                words.append(f"{group}.{name}={_toml_word(value)}")
+    return words
 
 
 def load(
@@ -474,13 +475,13 @@ def load(
     assignments = list(assignments)
     for word in assignments:
         name, equals, text = word.partition("=")
-        parts = name.strip().split(".")
-        if not equals or len(parts) != 2 or not all(parts):
+        group, _, setting = name.strip().partition(".")
+        if not equals or not group or not setting or "." in setting:
             raise SettingsError(f"--set {word!r}: expected GROUP.NAME=VALUE, such as graph.k=60")
-        group = values.setdefault(parts[0], {})
-        if not isinstance(group, dict):
-            raise SettingsError(f"setting {parts[0]}: expected a table of settings, got {group!r}")
-        group[parts[1]] = _toml_value(text.strip())
+        table = values.setdefault(group, {})
+        if not isinstance(table, dict):
+            raise SettingsError(f"setting {group}: expected a table of settings, got {table!r}")
+        table[setting] = _toml_value(text.strip())
     try:
         return parse(values)
     except SettingsError as error:
@@ -503,9 +504,9 @@ def parse(values: Mapping[str, Any]) -> Settings:
     preset = values.pop("preset", "paper")
     if preset not in PRESETS:
         raise SettingsError(f"preset {preset!r}: no such preset; {suggestion(preset, PRESETS)}")
-    for group, own in PRESETS[preset].items():
+    for group, departures in PRESETS[preset].items():
         given = values.get(group, {})
-        values[group] = own | given if isinstance(given, dict) else given
+        values[group] = departures | given if isinstance(given, dict) else given
     try:
         return Settings.model_validate(values)
     except ValidationError as error:
@@ -523,7 +524,7 @@ def _toml_value(text: str) -> Any:
 def _toml_word(value: Any) -> str:
     """A value as `--set` takes it."""
     if isinstance(value, tuple):
-        return ",".join(str(own) for own in value)
+        return ",".join(map(str, value))
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 

@@ -6,7 +6,7 @@ By default it does nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
@@ -20,6 +20,11 @@ IndexArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
 
 Watch = Callable[[str], AbstractContextManager[None]]
+
+
+def transform_of(numbers: Sequence[float] | None) -> FloatArray | None:
+    """The rigid motion [R | t] of 12 numbers, row by row, (3, 4); None without numbers."""
+    return np.array(numbers, dtype=np.float64).reshape(3, 4) if numbers else None
 
 
 def sums_by_id(values: FloatArray, ids: NDArray[np.integer[Any]], n_ids: int) -> FloatArray:

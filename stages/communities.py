@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..schemas.settings import CommunitySettings
 from .arrays import IntArray
-from .linalg.subgraph import Edges, connected_pieces, upper_half
+from .linalg.subgraph import Edges, connected_nodes, upper_half
 
 #: Smallest gain of modularity for another pass over a level, and for another level; of scikit-network.
 TOLERANCE_OPTIMISATION = 1e-3
@@ -47,7 +47,7 @@ def find_communities(
     [0, 0, 1, 1]
     """
     if not edges.length_m.any():
-        return canonical_ids(connected_pieces(n_nodes, edges), order)
+        return canonical_ids(connected_nodes(n_nodes, edges.src, edges.dst), order)
     find = _scikit_network if settings.backend == "scikit-network" else _python_louvain
     return canonical_ids(find(n_nodes, edges, settings.seed, order), order)
 

@@ -89,33 +89,31 @@ def fit_displacement(
         cKDTree(sim),
         sim,
     )
-    found = _fit_coarsely(fit)
-    if found is None:
-        return None
-    values, seam_deg = found
+    values, seam_deg = _fit_coarsely(fit)
     for reach_m in (*_REACHES_M, *[_FINE_REACH_M] * _FINE_STEPS):
-        step = fit.step(values, seam_deg, reach_m)
-        if step is None:
-            return None
-        values = step
+        if values is not None:
+            values = fit.step(values, seam_deg, reach_m)
+    if values is None:
+        return None
     return Displacement(np.where(_IS_ANGLE, np.degrees(values), values), seam_deg)
 
 
-def _fit_coarsely(fit: _Fit) -> tuple[FloatArray, float] | None:
+def _fit_coarsely(fit: _Fit) -> tuple[FloatArray | None, float]:
     """Parameters after two steps, and the seam that fits best; None without enough planes in common."""
-    found = []
+    least = np.inf
+    best: tuple[FloatArray | None, float] = (None, BEHIND_DEG)
     for seam_deg in SEAMS_DEG:
         values: FloatArray | None = np.zeros(len(PARAMETERS))
         for _ in range(_COARSE_STEPS):
-            values = None if values is None else fit.step(values, seam_deg, _REACHES_M[0])
-        if values is not None:
-            found.append((fit.misfit(values, seam_deg), seam_deg, values))
-    if not found:
-        return None
-    misfit, seam_deg, values = min(found, key=lambda candidate: candidate[0])
-    if found[0][1] == BEHIND_DEG and misfit > _CLEARLY * found[0][0]:
-        _, seam_deg, values = found[0]
-    return values, seam_deg
+            if values is not None:
+                values = fit.step(values, seam_deg, _REACHES_M[0])
+        if values is None:
+            continue
+        misfit = fit.misfit(values, seam_deg)
+        if misfit < least:
+            best = (values, seam_deg)
+            least = _CLEARLY * misfit if seam_deg == BEHIND_DEG else misfit
+    return best
 
 
 @dataclass(frozen=True)

@@ -104,24 +104,13 @@ def _nearest(
     is_open = nearest[:, 0] != np.arange(len(points))  # another point at the same place comes first
     if nearest.shape[1] > k + 1:
         is_open |= distance[:, k + 1] <= distance[:, k] * (1 + _SLACK)  # a tie at the k-th place
-    for i in np.flatnonzero(is_open):
-        neighbours[i] = _nearest_of_one(tree, points, int(i), float(distance[i, k]), k, precedence)
+    for i in np.flatnonzero(is_open):  # again, from all points within the distance of the k-th
+        within_m = distance[i, k] * (1 + _SLACK)
+        ball = np.array(tree.query_ball_point(points[i], within_m), dtype=np.intp)
+        ball = ball[ball != i]
+        apart_m = _distance(points, np.full(len(ball), i), ball)
+        neighbours[i] = ball[np.lexsort((precedence[ball], apart_m))[:k]]
     return neighbours
-
-
-def _nearest_of_one(
-    tree: scipy.spatial.cKDTree,
-    points: FloatArray,
-    i: int,
-    radius: float,
-    k: int,
-    precedence: IndexArray,
-) -> IndexArray:
-    """The k nearest neighbours of point i, (k,), ties by smaller precedence, from all points within the radius."""
-    ball = np.array(tree.query_ball_point(points[i], radius * (1 + _SLACK)), dtype=np.intp)
-    ball = ball[ball != i]
-    distance = _distance(points, np.full(len(ball), i), ball)
-    return ball[np.lexsort((precedence[ball], distance))[:k]]
 
 
 def _within(points: FloatArray, tau_m: float) -> IndexArray:

@@ -93,39 +93,15 @@ def remove_ground(
                 f"fewer than {MIN_COMMON_CELLS} cells within {NEAR_M:.0f} m have points of both sides; "
                 "the road's peak is that of this side only"
             )
-    if shared is not None:
-        axis, tilt_deg = shared.axis, shared.tilt_deg
+    if shared is None:
+        axis, tilt_deg = _vertical_axis(points, notes)
         height = points @ axis
-        peak_m = shared.peak_m
+        peak_m = _find_peak(points, height, notes)
     else:
-        axis, tilt_deg = _up_axis(points)
-        if tilt_deg > MAX_TILT_DEG:
-            notes.append(
-                f"the PCA axis is tilted by {tilt_deg:.1f} degrees (at most {MAX_TILT_DEG:.0f}); heights are along +Z"
-            )
-            axis = np.array([0.0, 0.0, 1.0])
+        axis, tilt_deg, peak_m = shared.axis, shared.tilt_deg, shared.peak_m
         height = points @ axis
-        near = height[np.linalg.norm(points, axis=1) <= NEAR_M]
-        if not len(near):
-            notes.append(f"no point within {NEAR_M:.0f} m; the road's peak is that of all points")
-            near = height
-        peak_m = _fullest_window_median(near)
 
-    threshold_m: float | None = None
-    loss: float | None = None
-    iterations: int | None = None
-    if settings.method == "none":
-        is_ground = np.zeros(len(points), dtype=np.bool_)
-    elif settings.method == "patchwork":
-        is_ground = _patchwork(points, peak_m)
-    elif shared is not None and shared.threshold_m is not None:
-        threshold_m, iterations = shared.threshold_m, shared.iterations
-        is_ground = height < threshold_m
-        loss = _variance_loss(points, height, is_ground, peak_m, settings)
-    else:
-        threshold_m, loss, iterations = _lower_threshold(points, height, peak_m, settings)
-        is_ground = height < threshold_m
-
+    is_ground, threshold_m, loss, iterations = _cut(points, height, peak_m, settings, shared)
     n_left = len(points) - int(np.count_nonzero(is_ground))
     if n_left < MIN_OBJECT_POINTS:
         raise StageError(
@@ -144,6 +120,44 @@ def remove_ground(
         iterations,
         tuple(notes),
     )
+
+
+def _cut(
+    points: FloatArray,
+    height: FloatArray,
+    peak_m: float,
+    settings: GroundSettings,
+    shared: GroundResult | None,
+) -> tuple[BoolArray, float | None, float | None, int | None]:
+    """Ground flags, threshold, its loss, and number of times it was lowered; see `GroundResult`."""
+    if settings.method == "none":
+        return np.zeros(len(points), dtype=np.bool_), None, None, None
+    if settings.method == "patchwork":
+        return _patchwork(points, peak_m), None, None, None
+    if shared is None or shared.threshold_m is None:
+        threshold_m, loss, iterations = _lower_threshold(points, height, peak_m, settings)
+        return height < threshold_m, threshold_m, loss, iterations
+    is_ground = height < shared.threshold_m
+    loss = _variance_loss(points, height, is_ground, peak_m, settings)
+    return is_ground, shared.threshold_m, loss, shared.iterations
+
+
+def _vertical_axis(points: FloatArray, notes: list[str]) -> tuple[FloatArray, float]:
+    """Axis of the heights, and the angle of the principal axis to +Z; +Z instead of one that is tilted too much."""
+    axis, tilt_deg = _up_axis(points)
+    if tilt_deg <= MAX_TILT_DEG:
+        return axis, tilt_deg
+    notes.append(f"the PCA axis is tilted by {tilt_deg:.1f} degrees (at most {MAX_TILT_DEG:.0f}); heights are along +Z")
+    return np.array([0.0, 0.0, 1.0]), tilt_deg
+
+
+def _find_peak(points: FloatArray, height: FloatArray, notes: list[str]) -> float:
+    """Height of the road."""
+    near = height[np.linalg.norm(points, axis=1) <= NEAR_M]
+    if not len(near):
+        notes.append(f"no point within {NEAR_M:.0f} m; the road's peak is that of all points")
+        near = height
+    return _fullest_window_median(near)
 
 
 def peaks_note(real_peak_m: float, sim_peak_m: float, settings: GroundSettings) -> str:

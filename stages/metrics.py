@@ -80,19 +80,29 @@ def score_object(
         spectrum_sim = spectrum_real  # of equal matrices, exactly equal
         if change > 0:
             spectrum_sim = eigenvalues(laplacian_sim)
-    shift = min(MAX_CHANGE, float(np.max(np.abs(spectrum_sim - spectrum_real))))
-    gap_real = float(spectrum_real[1] - spectrum_real[0])
-    gap_sim = float(spectrum_sim[1] - spectrum_sim[0])
-    is_identical = change <= IDENTICAL_CHANGE
+    return _compare_spectra(cdc, rms_m, change, spectrum_real, spectrum_sim)
+
+
+def _compare_spectra(cdc: float, rms_m: float, change: float, real: FloatArray, sim: FloatArray) -> Scores:
+    """Scores of an object from the change of its Laplacian and the spectra of both sides."""
+    shift = min(MAX_CHANGE, float(np.max(np.abs(sim - real))))
+    gap_real = float(real[1] - real[0])
+    gap_sim = float(sim[1] - sim[0])
+    status = "identical"
+    r_lambda = r_gap = 0.0
+    if change > IDENTICAL_CHANGE:
+        status = "scored"
+        r_lambda = min(1.0, shift / change)
+        r_gap = min(0.5, abs(gap_sim - gap_real) / (2 * change))
     return Scores(
         cdc=cdc,
         alignment_rms_m=rms_m,
-        status="identical" if is_identical else "scored",
-        r_lambda=0.0 if is_identical else min(1.0, shift / change),
-        r_gap=0.0 if is_identical else min(0.5, abs(gap_sim - gap_real) / (2 * change)),
+        status=status,
+        r_lambda=r_lambda,
+        r_gap=r_gap,
         max_eigenvalue_shift=shift,
         laplacian_change=change,
-        eigenspectrum_distance=float(np.linalg.norm(spectrum_sim - spectrum_real)),
+        eigenspectrum_distance=float(np.linalg.norm(sim - real)),
         gap_real=gap_real,
         gap_sim=gap_sim,
     )

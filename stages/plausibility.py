@@ -45,12 +45,13 @@ def inspect_points(points: FloatArray, side: str, settings: InputSettings) -> Sc
     side : "real" or "sim"
     """
     is_finite = np.isfinite(points).all(axis=1)
-    own = as_ros(points[is_finite & points.any(axis=1)], settings.frame_of(side))
-    warnings = implausible(own, side, settings.min_range_m)
-    if len(points) and (share := 1.0 - float(is_finite.mean())) > _MAX_NOT_FINITE:
+    measured = as_ros(points[is_finite & points.any(axis=1)], settings.frame_of(side))
+    warnings = implausible(measured, side, settings.min_range_m)
+    share = 1.0 - float(is_finite.mean()) if len(points) else 0.0
+    if share > _MAX_NOT_FINITE:
         dropped = f"{share:.0%} of the points are not finite (NaN or infinite) and are dropped"
         warnings.append(f"{dropped}; is the export complete?")
-    return ScanInspection(widest_azimuth_gap_deg(own), tuple(warnings))
+    return ScanInspection(widest_azimuth_gap_deg(measured), tuple(warnings))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # distances may be infinite
@@ -98,14 +99,19 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     near = float(np.mean(range_m < EGO_RANGE_M))
     if near > 0.5:
         left = float(np.mean((range_m >= min_range_m) & (range_m < EGO_RANGE_M)))
-        setting = f"input.min_range_m={min_range_m:g}"
-        advice = f"they are already dropped by {setting}"
-        if left >= 0.0005:
-            advice = (
-                f"{left:.1%} are kept by {setting}; input.min_range_m={EGO_RANGE_M:g} or input.exclude_box drops them"
-            )
-        odd.append(f"{near:.0%} of the points are within {EGO_RANGE_M:g} m; hits on the ego vehicle? {advice}")
+        odd.append(
+            f"{near:.0%} of the points are within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
+            + _advice_on_near_points(left, min_range_m)
+        )
     return odd
+
+
+def _advice_on_near_points(left: float, min_range_m: float) -> str:
+    """What to do about points on the ego vehicle, by the share that is kept."""
+    setting = f"input.min_range_m={min_range_m:g}"
+    if left < 0.0005:
+        return f"they are already dropped by {setting}"
+    return f"{left:.1%} are kept by {setting}; input.min_range_m={EGO_RANGE_M:g} or input.exclude_box drops them"
 
 
 def _axes_question(points: FloatArray, spread: FloatArray, side: str) -> str:

@@ -150,15 +150,10 @@ def compare_rays(
     limits, rows = _rows_of(real_grid, sim_grid)
     real_side = _Side(real, real_grid, step, limits, rows)
     sim_side = _Side(sim, sim_grid, step, limits, rows)
-    partner = _partners(real_side, sim_side)
-    both = np.flatnonzero(partner >= 0)
-    both_sim = partner[both]
     lowest, highest = np.interp(real_grid.elevation_deg[[0, -1]], limits, rows)
-    row = sim_side.place[:, 1]
-    is_single = (row >= lowest - REACH) & (row <= highest + REACH)
-    is_single[both_sim] = False
-    only_real = _without_finer(np.flatnonzero(partner < 0), real_side, sim_side)
-    only_sim = _without_finer(np.flatnonzero(is_single), sim_side, real_side)
+    sim_rows = sim_side.place[:, 1]
+    is_between = (sim_rows >= lowest - REACH) & (sim_rows <= highest + REACH)
+    both, both_sim, only_real, only_sim = _sort_returns(real_side, sim_side, is_between)
 
     normal = sim_side.normals(both_sim)
     directions = real[both] / real_side.range_m[both, None]
@@ -188,6 +183,27 @@ def compare_rays(
         outcome=np.concatenate(outcomes),
         incidence_deg=np.concatenate(incidences_deg),
     )
+
+
+def _sort_returns(
+    real: _Side,
+    sim: _Side,
+    is_between: BoolArray,
+) -> tuple[IndexArray, IntArray, IndexArray, IndexArray]:
+    """Rows of the real and simulated returns of one ray, of real ones alone and of simulated ones alone.
+
+    Parameters
+    ----------
+    is_between : (m,) bool, simulated returns between the lowest and the highest real beam
+    """
+    partner = _partners(real, sim)
+    both = np.flatnonzero(partner >= 0)
+    both_sim = partner[both]
+    is_single = is_between.copy()
+    is_single[both_sim] = False
+    only_real = _without_finer(np.flatnonzero(partner < 0), real, sim)
+    only_sim = _without_finer(np.flatnonzero(is_single), sim, real)
+    return both, both_sim, only_real, only_sim
 
 
 def _agreement(difference_m: FloatArray, noise_m: float) -> IndexArray:

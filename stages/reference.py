@@ -16,7 +16,7 @@ from ..schemas.errors import StageError
 from ..schemas.settings import CommunitySettings
 from .arrays import FloatArray, IndexArray, IntArray
 from .communities import canonical_ids, find_communities
-from .linalg.subgraph import Edges, connected_pieces, connected_points
+from .linalg.subgraph import Edges, connected_nodes, connected_points
 
 #: Sources of the annotations that the settings may request.
 _SOURCES = {
@@ -171,7 +171,7 @@ def visiting_order(points: FloatArray, seed: int) -> IntArray:
 def _components(n_nodes: int, edges: Edges, codes: IndexArray, reach_m: float) -> IndexArray:
     """Connected components of points with the same code, (n,), connected by edges of at most the reach."""
     kept = (codes[edges.src] == codes[edges.dst]) & (edges.length_m <= np.float32(reach_m))
-    return connected_pieces(n_nodes, Edges(edges.src[kept], edges.dst[kept], edges.length_m[kept]))
+    return connected_nodes(n_nodes, edges.src[kept], edges.dst[kept])
 
 
 def _merge_small(

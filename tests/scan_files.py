@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 from pypcd4 import Encoding, PointCloud
 
-from fidpipe.pipeline.datasets.readers import frames_of, holds_frames, read_scan
+from fidpipe.pipeline.datasets.pairs import scans_of
+from fidpipe.pipeline.datasets.readers import read_scan
 from recordings import cloud, write_bag, write_las, write_pcap
 
 COLUMNS = ("x", "y", "z", "intensity")
@@ -92,4 +93,4 @@ def write_packets(path):
 
 def read(path):
     """The points of a scan file, or of the first frame of a recording."""
-    return read_scan(frames_of(path)[0] if holds_frames(path) else path)
+    return read_scan(scans_of(path)[0])

@@ -8,11 +8,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
 
 from fidpipe.pipeline.report.figures import style
-from fidpipe.pipeline.report.figures.pair_plots import draw_distances, draw_objects, object_points
+from fidpipe.pipeline.report.figures.pair_plots import draw_distances, draw_objects
 from fidpipe.pipeline.report.look import FATE_COLOURS, QUADRANT_COLOURS, SIDE_COLOURS
 from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from fidpipe.pipeline.results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT
@@ -67,7 +68,8 @@ class PairView:
 
     def centroids(self, side):
         """By object, the mean of its points from above, (n, 2)."""
-        return object_points(self.run, self.pair_id)[side].groupby("community_id")[["x", "y"]].mean().to_numpy()
+        cloud = self.tables.clouds[side]
+        return pd.DataFrame(cloud.points[:, :2]).groupby(cloud.community).mean().to_numpy()
 
 
 def ground(axis, view):
@@ -171,9 +173,9 @@ def draw_graph(view, path):
 
 def communities(axis, view, side="real"):
     """The objects of a side from above, each in a colour."""
-    points = object_points(view.run, view.pair_id)[side]
-    draw_objects(points, axis)
-    axis.set_title(f"{points.community_id.nunique()} {WORDS[side]} objects")
+    cloud = view.tables.clouds[side]
+    draw_objects(cloud.points, cloud.community, axis)
+    axis.set_title(f"{len(np.unique(cloud.community))} {WORDS[side]} objects")
     style.from_above(axis, view.frame)
 
 
@@ -227,8 +229,7 @@ def draw_matching(view, path):
 def coverage(axis, view, side="real"):
     """The points of a side from above by their distance to the other side, far ones on top."""
     distance_m = view.tables.distances_m[side]
-    points = object_points(view.run, view.pair_id)[side]
-    coloured = draw_distances(points.assign(distance_m=distance_m), axis)
+    coloured = draw_distances(view.points[side], distance_m, axis)
     shares = " / ".join(f"{100 * np.mean(distance_m <= reach_m):.0f}" for reach_m in COVERAGE_DISTANCES_M)
     axis.set_title(f"{WORDS[side]}: {shares} % covered\nwithin 0.1 / 0.3 / 1 m")
     style.from_above(axis, view.frame)

@@ -1,7 +1,7 @@
 """Shell completion: runs, their pairs and stages, presets, settings and measures.
 
-Each answers at once: nothing but names is imported, and only the record of a run is read. If a record cannot be read,
-the shell completes files.
+Each answers at once: nothing but names is imported, and only the record of a run is read. If a
+record cannot be read, the shell completes files.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ def run_folders(incomplete: str) -> list[str]:
     """Folders of runs that begin with this text, up to two folders down."""
     above = Path(incomplete if incomplete.endswith("/") else Path(incomplete).parent)
     try:
-        found = {str(path.parent) for below in ("*", "*/*") for path in above.glob(f"{below}/{_RECORD}")}
+        runs = {
+            str(path.parent) for below in ("*", "*/*") for path in above.glob(f"{below}/{_RECORD}")
+        }
     except OSError:
         return []
-    return _beginning(sorted(found), incomplete)
+    return _beginning(sorted(runs), incomplete)
 
 
 def pairs(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -33,8 +35,10 @@ def pairs(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def stages(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Stages of the run that would be resumed: that of `--out`, or of the dataset's folder in runs."""
-    dataset = next(iter(ctx.args), None)  # an option without its value ends the parsing: arguments are not named yet
+    """Stages of the run that would be resumed: that of `--out`, or that of the dataset."""
+    dataset = next(
+        iter(ctx.args), None
+    )  # an option without its value ends the parsing: arguments are not named yet
     folder = ctx.params.get("out") or (dataset and Path("runs") / Path(dataset).absolute().name)
     return _beginning(_recorded(folder, "stages"), incomplete)
 
@@ -50,7 +54,9 @@ def assignments(incomplete: str) -> list[str]:
     """The settings, as `--set` takes them: `graph.k=`."""
     from ...schemas.settings import Settings
 
-    return _beginning([f"{group}.{name}=" for group, values in Settings() for name, _ in values], incomplete)
+    return _beginning(
+        [f"{group}.{name}=" for group, values in Settings() for name, _ in values], incomplete
+    )
 
 
 def criteria(incomplete: str) -> list[str]:

@@ -23,8 +23,9 @@ def synth(
 ) -> None:
     """Make a dataset: scans of ray-cast streets, and of a flawed digital twin of each.
 
-    The same seed produces the same bytes. Run again to resume after an interruption, or with a larger --pairs to add
-    pairs. Finished pairs of another seed, sensor or number of points are replaced only with --replace.
+    The same seed produces the same bytes. Run again to resume after an interruption, or with a
+    larger --pairs to add pairs. Finished pairs of another seed, sensor or number of points are
+    replaced only with --replace.
 
     Parameters
     ----------
@@ -47,7 +48,9 @@ def synth(
     from ..generate.synth import make_dataset
 
     if sensor not in SENSORS:
-        raise typer.BadParameter(f"expected one of {', '.join(SENSORS)}; got {sensor!r}", param_hint="--sensor")
+        raise typer.BadParameter(
+            f"expected one of {', '.join(SENSORS)}; got {sensor!r}", param_hint="--sensor"
+        )
     make_dataset(
         out,
         Reporter(),
@@ -58,7 +61,7 @@ def synth(
         workers=workers,
         replace=replace,
     )
-    print_line(f"{pairs} pairs in {out}; evaluate them with: fidpipe run {shlex.quote(str(out))} --preset reference")
+    _print_made(pairs, out)
 
 
 def twin(
@@ -66,31 +69,41 @@ def twin(
     out: Path,
     flaw: Annotated[list[str] | None, typer.Option(metavar="NAME=AMOUNT[:METRES]")] = None,
     sensor: str = "recorded",
-    range_noise: Annotated[float | None, typer.Option(min=0, max=10, show_default="the sensor's")] = None,
-    dropout: Annotated[float | None, typer.Option(min=0, max=1, show_default="the sensor's")] = None,
-    poses: Annotated[Path | None, typer.Option(show_default="pairs.csv, poses.tum or poses.txt")] = None,
+    range_noise: Annotated[
+        float | None, typer.Option(min=0, max=10, show_default="the sensor's")
+    ] = None,
+    dropout: Annotated[
+        float | None, typer.Option(min=0, max=1, show_default="the sensor's")
+    ] = None,
+    poses: Annotated[
+        Path | None, typer.Option(show_default="pairs.csv, poses.tum or poses.txt")
+    ] = None,
     calib: Annotated[Path | None, typer.Option(show_default="calib.txt")] = None,
     others: Annotated[int, typer.Option(min=2)] = 4,
-    foliage: Annotated[str | None, typer.Option(metavar="LABEL[,LABEL]", show_default="scattered points")] = None,
+    foliage: Annotated[
+        str | None, typer.Option(metavar="LABEL[,LABEL]", show_default="scattered points")
+    ] = None,
     pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
     seed: Seed = 0,
     assignments: Assignments = None,
     workers: LocalWorkers = 1,
     replace: Replace = False,
 ) -> None:
-    """Make a dataset: posed real scans, and a simulated scan of each place in a model built from the other scans.
+    """Make a dataset: posed real scans, and simulated scans in a model built from other scans.
 
-    A simulator whose flaws are known: it casts rays onto surfels of the other frames and adds the flaws that --flaw
-    names: foliage, holes, far-dropout, dropout, density, beams, blur, noise, ghosts, yaw, offset, mirrored,
-    intensity-constant, intensity-range, intensity-scale (amounts: docs/twin.md). twin.toml next to the scans is the
-    recipe; the same recipe produces the same bytes. Run again to resume after an interruption.
+    A simulator whose flaws are known: it casts rays onto surfels of the other frames and adds the
+    flaws that --flaw names: foliage, holes, far-dropout, dropout, density, beams, blur, noise,
+    ghosts, yaw, offset, mirrored, intensity-constant, intensity-range, intensity-scale (amounts:
+    docs/twin.md). twin.toml next to the scans is the recipe; the same recipe produces the same
+    bytes. Run again to resume after an interruption.
 
     Parameters
     ----------
     sequence : Folder of a recording: scans and the poses of the sensor.
     out : Folder of the dataset; new, empty, or made by twin.
     flaw : Known flaw of all twins; repeatable.
-    sensor : recorded (beams as in the recording), vlp32c, hdl64, os1-64, carla, or a table of elevations (.csv, .toml).
+    sensor : recorded (beams as in the recording), vlp32c, hdl64, os1-64, carla, or a table of
+        elevations (.csv, .toml).
     range_noise : Standard deviation of the range noise, metres.
     dropout : Share of lost pulses.
     poses : TUM or KITTI poses.
@@ -136,10 +149,15 @@ def twin(
         workers=workers,
         replace=replace,
     )
-    print_line(
-        f"{outcome.n_pairs} pairs in {out}; evaluate them with: fidpipe run {shlex.quote(str(out))} --preset reference"
-    )
+    _print_made(outcome.n_pairs, out)
     raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+
+
+def _print_made(n_pairs: int, out: Path) -> None:
+    from ..report.view import count
+
+    command = f"fidpipe run {shlex.quote(str(out))} --preset reference"
+    print_line(f"{count(n_pairs, 'pair')} in {out}; evaluate with: {command}")
 
 
 def pair(
@@ -147,13 +165,15 @@ def pair(
     sim: Path,
     out: Annotated[Path, typer.Option("--out", "-o", show_default=False)],
     tolerance: Annotated[float, typer.Option(min=1e-6)] = 0.05,
-    offset: Annotated[float | None, typer.Option(show_default="the one that pairs most frames")] = None,
+    offset: Annotated[
+        float | None, typer.Option(show_default="the one that pairs most frames")
+    ] = None,
     every: Count = 1,
     start: Annotated[float, typer.Option("--from")] = 0.0,
     stop: Annotated[float | None, typer.Option("--to", show_default="all")] = None,
     replace: bool = False,
 ) -> None:
-    """Make a dataset from the frames of two recordings that were taken at the same time; nothing is copied.
+    """Make a dataset from simultaneous frames of two recordings; nothing is copied.
 
     Its pairs.csv points into the recordings; unpaired.csv lists the frames without a partner.
 
@@ -176,22 +196,25 @@ def pair(
     fidpipe pair drive.bag#/top/points carla/ -o dataset/ --offset 12.3 --every 10
     """
     from ..datasets.pairing import pair_times, read_timeline, write_dataset
+    from ..report.view import count
 
     lines = read_timeline(real), read_timeline(sim)
     pairing = pair_times(lines[0].times_s, lines[1].times_s, tolerance, offset)
     times_s = lines[0].times_s[pairing.real_ids]
     since_s = times_s - lines[0].times_s[0]
-    kept = ((since_s >= start) & (since_s <= (float("inf") if stop is None else stop))).nonzero()[0][::every]
+    last = float("inf") if stop is None else stop
+    kept = ((since_s >= start) & (since_s <= last)).nonzero()[0][::every]
     n_unpaired = write_dataset(out, *lines, pairing, kept, replace=replace)
-    gaps_s = abs(pairing.gaps_s[kept])
+    gap_s = abs(pairing.gaps_s[kept]).max()
     how = "given" if offset is not None else "found"
     print_line(
-        f"{len(kept)} pairs in {out / 'pairs.csv'}, at most {gaps_s.max():.4f} s apart; simulated times "
-        f"{pairing.offset_s:+.4f} s ({how})"
+        f"{count(len(kept), 'pair')} in {out / 'pairs.csv'}, at most {gap_s:.4f} s apart; "
+        f"simulated times {pairing.offset_s:+.4f} s ({how})"
     )
     if pairing.others_s:
+        n_others = len(pairing.others_s)
         print_line(
-            f"{len(pairing.others_s)} other offsets pair as many, such as {pairing.others_s[0]:+.4f} s: "
+            f"{n_others} other offsets pair as many, such as {pairing.others_s[0]:+.4f} s: "
             "if this is not the right one, set it with --offset"
         )
     if n_unpaired:

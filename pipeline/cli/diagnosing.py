@@ -24,10 +24,14 @@ from .output import print_as
 
 
 def diagnose(
-    sources: Annotated[list[Path], typer.Argument(metavar="RUN | REAL SIM", autocompletion=completion.run_folders)],
+    sources: Annotated[
+        list[Path], typer.Argument(metavar="RUN | REAL SIM", autocompletion=completion.run_folders)
+    ],
     workers: Workers = None,
     scheduler: Scheduler = None,
-    since: Annotated[Path | None, typer.Option(metavar="RUN", autocompletion=completion.run_folders)] = None,
+    since: Annotated[
+        Path | None, typer.Option(metavar="RUN", autocompletion=completion.run_folders)
+    ] = None,
     tell_apart: bool = False,
     best_case: BestCase = None,
     picture: Annotated[Path | None, typer.Option(metavar="PNG")] = None,
@@ -39,17 +43,20 @@ def diagnose(
 ) -> None:
     """Measure what fixing each cause of a run would gain, and what no cause explains.
 
-    The gain of a cause is the share of the distance between the surfaces, beyond that of a second measurement, that
-    disappears if the simulated points are corrected for it. run, show, report and compare then list causes by gain.
-    An interrupted diagnosis resumes. With --since also what has changed from an earlier build, as compare shows it.
+    The gain of a cause is the share of the distance between the surfaces, beyond that of a second
+    measurement, that disappears if the simulated points are corrected for it. run, show, report and
+    compare then list causes by gain. An interrupted diagnosis resumes. With --since also what has
+    changed from an earlier build, as compare shows it.
 
-    With --tell-apart instead: a classifier learns to recognise simulated points by their neighbourhood (shape,
-    roughness, spacing, rays, intensity) and is tested on other places. AUC 0.5: it cannot; 1: it always can. Position
-    has no influence. --settings and --set are for two folders.
+    With --tell-apart instead: a classifier learns to recognise simulated points by their
+    neighbourhood (shape, roughness, spacing, rays, intensity) and is tested on other places. AUC
+    0.5: it cannot; 1: it always can. Position has no influence. --settings and --set are for two
+    folders.
 
     Parameters
     ----------
-    sources : Folder of a run; with --tell-apart also two folders of scans (or recordings), which need no pairs.
+    sources : Folder of a run; with --tell-apart also two folders of scans (or recordings), which
+        need no pairs.
     since : Run of an earlier build on the same real scans.
     tell_apart : Test if a classifier can distinguish real and simulated points.
     best_case : With --tell-apart: best case whose second measurements are compared.
@@ -70,7 +77,9 @@ def diagnose(
     output = format_of(as_json, as_markdown, as_csv)
     check_machines(workers, scheduler)
     if len(sources) > 1 and (best_case or not tell_apart or len(sources) > 2):
-        raise typer.BadParameter("expected one run, or two folders of scans with --tell-apart, without --best-case")
+        raise typer.BadParameter(
+            "expected one run, or two folders of scans with --tell-apart, without --best-case"
+        )
     if len(sources) == 1 and (settings or assignments):
         raise typer.BadParameter("--settings and --set are for two folders; a run has its settings")
     if tell_apart and as_csv:
@@ -88,7 +97,12 @@ def diagnose(
 
     diagnosis = diagnose_run(sources[0], Reporter(), Machines(workers, scheduler))
     if since is None:
-        print_as(output, lambda: diagnosis_view(diagnosis), lambda: diagnosis_records(diagnosis), diagnosis.as_dict)
+        print_as(
+            output,
+            lambda: diagnosis_view(diagnosis),
+            lambda: diagnosis_records(diagnosis),
+            diagnosis.as_dict,
+        )
         return None
     from ..report.views.compare_view import changed_since
     from ..results.compare import compare_runs
@@ -98,7 +112,9 @@ def diagnose(
         output,
         lambda: [*diagnosis_view(diagnosis), *changed_since(comparison)],
         lambda: diagnosis_records(diagnosis),
-        lambda: diagnosis.as_dict() | {"since": str(since), "changes": comparison.as_dict()["causes"]},
+        lambda: (
+            diagnosis.as_dict() | {"since": str(since), "changes": comparison.as_dict()["causes"]}
+        ),
     )
     return None
 
@@ -120,8 +136,12 @@ def _tell_apart(
     if len(sources) == 2:
         found = tell_apart_folders(sources[0], sources[1], load(settings, assignments))
     else:
-        found = tell_apart_run(FinishedRun(sources[0]), FinishedRun(best_case) if best_case else None)
+        found = tell_apart_run(
+            FinishedRun(sources[0]), FinishedRun(best_case) if best_case else None
+        )
     if picture:
         draw_map(found, picture)
     view = tell_apart_view(found)
-    print_as(output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": found.as_dict()})
+    print_as(
+        output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": found.as_dict()}
+    )

@@ -38,11 +38,11 @@ def perturb(
     pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
     replace: Replace = False,
 ) -> None:
-    """Alter a real scan in known ways and see how the scores respond: the paper's Table I and its figure.
+    """Alter a real scan in known ways and see how the scores respond: the paper's Table I.
 
-    Kinds: noise, dropout, rigid (motion), hallucination (spurious clusters) and density, on the whole scan and on
-    single objects (by default vegetation, car, tree and wall, or without labels one of each shape). Of a dataset, the
-    real side of the first pair is used. Run again to resume.
+    Kinds: noise, dropout, rigid (motion), hallucination (spurious clusters) and density, on the
+    whole scan and on single objects (by default vegetation, car, tree and wall, or without labels
+    one of each shape). Of a dataset, the real side of the first pair is used. Run again to resume.
 
     Parameters
     ----------
@@ -108,11 +108,11 @@ def ablate(
     pairs: Pairs = None,
     replace: Replace = False,
 ) -> None:
-    """See how match rate and r_lambda depend on k, tau, delta and t, and which setting the data prefer, if any.
+    """See how match rate and r_lambda depend on k, tau, delta and t, and what the data prefer.
 
-    One setting is varied at a time, around the effective ones (--settings, --set), on all pairs. Graphs are computed
-    once for each k and tau. Run again to resume; other values of a finished ablation require --replace or another
-    --out. --k with a single value keeps k fixed.
+    One setting is varied at a time, around the effective ones (--settings, --set), on all pairs.
+    Graphs are computed once for each k and tau. Run again to resume; other values of a finished
+    ablation require --replace or another --out. --k with a single value keeps k fixed.
 
     Parameters
     ----------
@@ -137,13 +137,22 @@ def ablate(
     from ..paper.experiment_figures import draw_ablation
     from ..paper.experiment_views import ablate_view
 
-    asked = {"k": ("--k", k), "tau_m": ("--tau", tau), "delta_m": ("--delta", delta), "t": ("--t", t)}
+    asked = {
+        "k": ("--k", k),
+        "tau_m": ("--tau", tau),
+        "delta_m": ("--delta", delta),
+        "t": ("--t", t),
+    }
     outcome = ablate_dataset(
         dataset,
         out or _experiment_folder(dataset, "ablate"),
         load(settings, assignments or [], preset=preset),
         Reporter(),
-        values={name: _numbers(option, text) for name, (option, text) in asked.items() if text is not None},
+        values={
+            name: _numbers(option, text)
+            for name, (option, text) in asked.items()
+            if text is not None
+        },
         grid=grid,
         pattern=pairs,
         n_workers=workers,
@@ -157,11 +166,14 @@ def _numbers(option: str, text: str) -> tuple[float, ...]:
     try:
         return tuple(float(word) for word in text.split(","))
     except ValueError:
-        raise typer.BadParameter(f"expected numbers with commas, got {text!r}", param_hint=option) from None
+        raise typer.BadParameter(
+            f"expected numbers with commas, got {text!r}", param_hint=option
+        ) from None
 
 
 def _experiment_folder(source: Path, experiment: str) -> Path:
-    from ..datasets.readers import is_scan_path, stem_of
+    from ..datasets.readers.scan_ref import scan_ref
 
     path = Path(os.path.realpath(source))
-    return Path("runs") / f"{stem_of(path) if is_scan_path(source) else path.name}-{experiment}"
+    name = scan_ref(path).stem if scan_ref(source).exists else path.name
+    return Path("runs") / f"{name}-{experiment}"

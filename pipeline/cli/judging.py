@@ -34,18 +34,21 @@ def gate(
     criteria: Path | None = None,
     best_case: BestCase = None,
     junit: Annotated[Path | None, typer.Option(show_default="RUN/gate.xml")] = None,
-    json_: Annotated[Path | None, typer.Option("--json-file", "--json", show_default="RUN/gate.json")] = None,
+    json_: Annotated[
+        Path | None, typer.Option("--json-file", "--json", show_default="RUN/gate.json")
+    ] = None,
     out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
 ) -> None:
-    """Check a finished run against acceptance criteria; exits with 0 if all are met, with 4 if one is not.
+    """Check a run against acceptance criteria; exits with 0 if all are met, with 4 if not.
 
-    A criterion on a measure that could not be computed fails. So does a run with failed pairs, an unfinished run, and
-    one whose scans have changed, unless pairs.failed, pairs.to_do and pairs.changed have other bounds. If the
-    run's folder is read-only, the result is only printed.
+    A criterion on a measure that could not be computed fails. So does a run with failed pairs, an
+    unfinished run, and one whose scans have changed, unless pairs.failed, pairs.to_do and
+    pairs.changed have other bounds. If the run's folder is read-only, the result is only printed.
 
-    Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over objects),
-    missing.within_20m, hallucinated.share, class.car.r_lambda.mean, class.car.missing.total, causes.height (its size;
-    spaces are underscores); with --best-case also excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
+    Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over
+    objects), missing.within_20m, hallucinated.share, class.car.r_lambda.mean,
+    class.car.missing.total, causes.height (its size; spaces are underscores); with --best-case also
+    excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
 
     Parameters
     ----------
@@ -79,14 +82,21 @@ def gate(
         raise typer.BadParameter("no criterion given; expected --max, --min or --criteria")
     result = judge_run(run, wanted, best_case)
     folder = out or run
-    _write_for_ci(junit, folder / "gate.xml", junit_xml("gate", {str(run): gate_checks(result)}), is_asked=bool(out))
+    _write_for_ci(
+        junit,
+        folder / "gate.xml",
+        junit_xml("gate", {str(run): gate_checks(result)}),
+        is_asked=bool(out),
+    )
     _write_for_ci(json_, folder / "gate.json", dumps(result.as_dict()), is_asked=bool(out))
     print_view(gate_view(result))
     raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
 
 
 def compare(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN_A RUN_B", autocompletion=completion.run_folders)],
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN_A RUN_B", autocompletion=completion.run_folders)
+    ],
     html: OutFile = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
     best_case: BestCase = None,
@@ -107,16 +117,18 @@ def compare(
 ) -> None:
     """Compare simulator versions on the same real scans: better, worse or mixed, and in what.
 
-    Causes and families of scores are decided, the families with at most 5 % false alarms over all; see
-    docs/compare.md. Datasets and scans are evaluated first, with --preset, --settings, --set and --workers. --fail-on
-    worse exits with 4 if a cause or a family is worse or mixed, if a pair that the base has scored failed or is not
-    compared, and if the comparison is undecided for lack of places (unless --undecided-ok); --fail-on undecided also
-    if nothing is decided. It writes compare.xml and compare.json into the last run unless --junit, --json-file or
-    --out say otherwise.
+    Causes and families of scores are decided, the families with at most 5 % false alarms over all;
+    see docs/compare.md. Datasets and scans are evaluated first, with --preset, --settings, --set
+    and --workers. --fail-on worse exits with 4 if a cause or a family is worse or mixed, if a pair
+    that the base has scored failed or is not compared, and if the comparison is undecided for lack
+    of places (unless --undecided-ok); --fail-on undecided also if nothing is decided. It writes
+    compare.xml and compare.json into the last run unless --junit, --json-file or --out say
+    otherwise.
 
     Parameters
     ----------
-    runs : Up to eight runs, the first is the base; or datasets, or real scans and several simulated folders.
+    runs : Up to eight runs, the first is the base; or datasets, or real scans and several simulated
+        folders.
     html : Write a web page.
     out : Folder for compare.html, .xml, .json.
     fail_on : Exit with 4 on worse, or also on undecided.
@@ -158,11 +170,15 @@ def compare(
     if fail_on is not None and fail_on not in FAIL_ON:
         raise typer.BadParameter(f"--fail-on: expected {' or '.join(FAIL_ON)}, got {fail_on!r}")
     if fail_on is None and (junit or json_file):
-        raise typer.BadParameter("--junit and --json-file are what --fail-on writes; give it as well")
+        raise typer.BadParameter(
+            "--junit and --json-file are what --fail-on writes; give it as well"
+        )
     if undecided_ok and fail_on != "worse":
         raise typer.BadParameter("--undecided-ok is for --fail-on worse")
     page = html or (out and out / "compare.html")
-    runs = runs_of(runs, load(settings, assignments or [], preset=preset), Reporter(), Machines(workers))
+    runs = runs_of(
+        runs, load(settings, assignments or [], preset=preset), Reporter(), Machines(workers)
+    )
     comparisons = compare_runs(
         runs,
         allow_different_settings=allow_different_settings,
@@ -176,7 +192,9 @@ def compare(
         write_whole(page, compare_page(comparisons, page.parent).encode())
     results = []
     if fail_on:
-        results = [judge_comparison(each, [fail_on], undecided_ok=undecided_ok) for each in comparisons]
+        results = [
+            judge_comparison(each, [fail_on], undecided_ok=undecided_ok) for each in comparisons
+        ]
     views = (compare_view(each, with_all=all_ or output == "markdown") for each in comparisons)
     print_as(
         output,
@@ -185,16 +203,20 @@ def compare(
         values=lambda: [each.as_dict() for each in results or comparisons],
     )
     if results:
-        suites = {f"{one.comparison.other} against {one.comparison.base}": one.checks for one in results}
+        suites = {
+            f"{one.comparison.other} against {one.comparison.base}": one.checks for one in results
+        }
         folder = out or runs[-1]
-        _write_for_ci(junit, folder / "compare.xml", junit_xml("compare", suites), is_asked=bool(out))
+        _write_for_ci(
+            junit, folder / "compare.xml", junit_xml("compare", suites), is_asked=bool(out)
+        )
         content = dumps({"comparisons": [one.as_dict() for one in results]})
         _write_for_ci(json_file, folder / "compare.json", content, is_asked=bool(out))
         raise typer.Exit(EXIT_GATE_FAILED if any(one.failed for one in results) else 0)
 
 
 def _write_for_ci(asked: Path | None, default: Path, content: bytes, *, is_asked: bool) -> None:
-    """Write a file for CI; failing to write to a default path is only a warning, as the result is printed too."""
+    """Write a file for CI; a default path that cannot be written is only a warning."""
     from ...schemas.errors import RunError
     from ..engine.progress import Reporter
     from ..storage.files import write_whole

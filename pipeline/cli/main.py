@@ -1,7 +1,7 @@
 """The command: its entry, and the one place where known errors become exit codes.
 
-Each file holds a family of commands. A command parses, calls and prints: no arithmetic, and heavy imports only after
-the options are checked, so that `fidpipe --help` answers at once.
+Each file holds a family of commands. A command parses, calls and prints: no arithmetic, and heavy
+imports only after the options are checked, so that `fidpipe --help` answers at once.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from .running import best_case, check, run, settings, status
 from .show_report_export import export, report, show
 
-_OBJECTS_BETWEEN_COLLECTIONS = 100_000  # Python's 700 cost the imports of a small command 5 % of its time
+#: Python's 700 cost the imports of a small command 5 % of its time.
+_OBJECTS_BETWEEN_COLLECTIONS = 100_000
 _SECONDS_TO_STOP = 10.0
 _SECONDS_UNTIL_AGAIN = 0.01
 #: A batch system that ends a job means what Ctrl-C means; the alarm is of `_stop_again`.
@@ -47,19 +48,19 @@ class _ShortTypes:
 
     def get_params(self, ctx: Any) -> Any:
         """The parameters."""
-        found = super().get_params(ctx)  # type: ignore[misc]
-        for param in found:
-            if (
-                isinstance(param, TyperOption)
-                and param.metavar is None
-                and (param.is_flag or param.type_descriptor.is_ranged)
-            ):
-                param.metavar = "" if param.is_flag else "NUMBER"
-        return found
+        params = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if not isinstance(param, TyperOption) or param.metavar is not None:
+                continue
+            if param.is_flag:
+                param.metavar = ""
+            elif param.type_descriptor.is_ranged:
+                param.metavar = "NUMBER"
+        return params
 
 
 class _Command(_ShortTypes, TyperCommand):
-    """A command whose docstring has the meaning of its parameters; no empty lines between examples."""
+    """A command whose docstring describes its parameters; no empty lines between examples."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -80,18 +81,19 @@ def main() -> None:
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     _open_streams()
     from ...schemas.errors import FidpipeError
+    from ..storage.scratch import scratch_folder
 
     for number in _STOPPING:
         signal.signal(number, _Stop())
     sys.unraisablehook = _stop_again
     try:
-        with _local_arguments():
+        with scratch_folder(), _local_arguments():
             code = _application(*sys.argv[1:2])(standalone_mode=False)
         _ignore_interrupts()
     except FidpipeError as error:
         _complain(f"error: {error}")
         code = EXIT_WRONG_INPUT
-    except OSError as error:  # a folder without the right to search it, a read-only medium, a full disk
+    except OSError as error:  # a folder that may not be searched, a read-only medium, a full disk
         if not (refusal := _refusal(error)):
             raise
         _complain(f"error: {refusal}")
@@ -101,7 +103,8 @@ def main() -> None:
         _complain(f"error: the name {name!a} is not UTF-8; rename the file or folder")
         code = EXIT_WRONG_INPUT
     except MemoryError as error:
-        _complain(f"error: not enough memory ({error or 'none left'}); free some, or raise ulimit -v")
+        reason = str(error) or "none left"
+        _complain(f"error: not enough memory ({reason}); free some, or raise ulimit -v")
         code = EXIT_WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         code = EXIT_INTERRUPTED
@@ -120,16 +123,17 @@ def _local_arguments() -> AbstractContextManager[None]:
     """Replaces the URLs among the arguments by local paths while the command runs."""
     if not any("://" in word for word in sys.argv):
         return nullcontext()
-    from ..remote.remote_run import local_arguments
+    from ..storage.remote_run import local_arguments
 
     return local_arguments(sys.argv)
 
 
 def _open_streams() -> None:
-    """Redirect closed standard streams to the null device: otherwise files would get their descriptors."""
+    """Redirect closed standard streams to the null device; files would get their descriptors."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            stream = Path(os.devnull).open(mode, encoding="utf-8")  # noqa: SIM115, until the process ends
+            null = Path(os.devnull)
+            stream = null.open(mode, encoding="utf-8")
             os.set_inheritable(stream.fileno(), True)
             setattr(sys, name, stream)
 
@@ -140,15 +144,17 @@ def _flushed(code: int | None) -> int | None:
         sys.stdout.flush()
         return code
     except OSError as error:
-        if error.errno != errno.EPIPE and not code:  # who reads from a pipe may stop whenever he likes
+        if error.errno != errno.EPIPE and not code:  # who reads from a pipe may stop at any time
             _complain(f"error: {_refusal(error) or error}")
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python tries again, and complains
+        # or Python tries again, and complains
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return code or EXIT_WRONG_INPUT
 
 
 def _usage_words(error: Any) -> str:
     """One line on wrong usage with the next step; without a command, the help."""
-    text, context = error.format_message(), getattr(error, "ctx", None)
+    text = error.format_message()
+    context = getattr(error, "ctx", None)
     if context is None or not sys.argv[1:]:
         return str(text)
     text = text.removeprefix("Invalid value: ").rstrip(".").replace(". Did", "; did")
@@ -161,11 +167,11 @@ def _refusal(error: OSError) -> str:
         return "the folder in which the command was started is gone; change to another one"
     if error.errno in _FILES:
         return f"{error.strerror}; raise ulimit -n, or take fewer --workers"
-    if error.filename is None and error.errno in _REFUSALS:
+    if error.errno not in _REFUSALS:
+        return ""
+    if error.filename is None:
         return f"standard output: {error.strerror}; files that were written are intact"
-    return (
-        f"{error.filename}: {error.strerror}; allow it there, or name another place" if error.errno in _REFUSALS else ""
-    )
+    return f"{error.filename}: {error.strerror}; allow it there, or name another place"
 
 
 def _has_working_folder() -> bool:
@@ -176,7 +182,7 @@ def _has_working_folder() -> bool:
 
 
 class _Stop:
-    """Ends the command at the first Ctrl-C; more of them do nothing while that is done in order, some seconds long."""
+    """Ends the command at the first Ctrl-C; for some seconds, more of them do nothing."""
 
     last = -_SECONDS_TO_STOP
 
@@ -188,7 +194,7 @@ class _Stop:
 
 
 def _stop_again(unraisable: Any) -> None:
-    """Raise Ctrl-C again if it came while Python collected garbage, where it would be printed and forgotten."""
+    """Raise Ctrl-C again if it came in a garbage collection, where Python only prints it."""
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         _Stop.last = -_SECONDS_TO_STOP
         signal.setitimer(signal.ITIMER_REAL, _SECONDS_UNTIL_AGAIN)
@@ -197,7 +203,7 @@ def _stop_again(unraisable: Any) -> None:
 
 
 def _ignore_interrupts() -> None:
-    """All is done and only the process has to end: Python takes our handlers away before that, and not these."""
+    """Ignore signals until the process ends: Python removes our handlers before, but not these."""
     for number in _STOPPING:
         signal.signal(number, signal.SIG_IGN)
 
@@ -223,13 +229,14 @@ def _root(
 ) -> None:
     """Measure how faithful simulated LiDAR is, and where it fails.
 
-    fidpipe compares real and simulated scans object by object: what is missing, what is invented, and how far the
-    geometry (CDC) and the structure (r_lambda, r_gap) of each common object have drifted.
+    fidpipe compares real and simulated scans object by object: what is missing, what is invented,
+    and how far the geometry (CDC) and the structure (r_lambda, r_gap) of each common object have
+    drifted.
 
     Begin with check, run, show and compare.
 
-    Example: fidpipe run dataset/ --preset reference, where dataset/real and dataset/sim hold files of the same
-    names
+    Example: fidpipe run dataset/ --preset reference, where dataset/real and dataset/sim hold files
+    of the same names
     """
 
 
@@ -243,7 +250,7 @@ _COMMANDS = {
 
 
 def _application(name: str = "") -> typer.Typer:
-    """The command of this name, or all if there is none: each takes some milliseconds to be set up."""
+    """The command of this name, or all if there is none: each takes milliseconds to set up."""
     application = typer.Typer(
         name="fidpipe",
         cls=_Group,
@@ -253,7 +260,9 @@ def _application(name: str = "") -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     application.callback()(_root)
-    commands = [(command, heading) for heading, own in _COMMANDS.items() for command in own]
+    commands = []
+    for heading, of_heading in _COMMANDS.items():
+        commands += [(command, heading) for command in of_heading]
     wanted = [entry for entry in commands if entry[0].__name__ == name.replace("-", "_")]
     for command, heading in wanted or commands:
         application.command(cls=_Command, rich_help_panel=heading)(command)

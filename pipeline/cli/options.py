@@ -14,7 +14,9 @@ Count = Annotated[int, typer.Option(min=1)]
 Seed = Annotated[int, typer.Option(min=0)]
 HiddenSeed = Annotated[int, typer.Option("--seed", min=0, show_default=False)]
 OutFile = Annotated[Path | None, typer.Option(metavar="FILE")]
-SettingsFile = Annotated[Path | None, typer.Option("--settings", metavar="FILE", help="TOML file of settings.")]
+SettingsFile = Annotated[
+    Path | None, typer.Option("--settings", metavar="FILE", help="TOML file of settings.")
+]
 Assignments = Annotated[
     list[str] | None,
     typer.Option(
@@ -42,22 +44,35 @@ ComparePreset = Annotated[
         help="Preset of what is evaluated first.",
     ),
 ]
-DatasetFolder = Annotated[Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.")]
+DatasetFolder = Annotated[
+    Path, typer.Argument(help="Folder with real/ and sim/, or with pairs.csv.")
+]
 SimFolder = Annotated[
     Path | None,
     typer.Argument(
         metavar="[SIM]",
-        help="With the folder of the real scans before it: that of the simulated ones; paired by name or by time.",
+        help="Simulated scans, after the folder of the real ones; paired by name or by time.",
         show_default=False,
     ),
 ]
 RunFolder = Annotated[
-    Path, typer.Argument(help="Folder of a run, such as runs/dataset.", autocompletion=completion.run_folders)
+    Path,
+    typer.Argument(
+        help="Folder of a run, such as runs/dataset.", autocompletion=completion.run_folders
+    ),
 ]
-Pairs = Annotated[str | None, typer.Option(metavar="PATTERN", help="Only these pairs, such as '00*'.")]
-Workers = Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes, else one per core.")]
-LocalWorkers = Annotated[int, typer.Option(min=1, help="Processes on this machine; results do not depend on it.")]
-Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler to work on.")]
+Pairs = Annotated[
+    str | None, typer.Option(metavar="PATTERN", help="Only these pairs, such as '00*'.")
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Processes, else one per core.")
+]
+LocalWorkers = Annotated[
+    int, typer.Option(min=1, help="Processes on this machine; results do not depend on it.")
+]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler to work on.")
+]
 PairTimeout = Annotated[
     float | None, typer.Option(metavar="SECONDS", min=0.001, help="A pair that takes longer fails.")
 ]
@@ -70,7 +85,9 @@ BestCase = Annotated[
     ),
 ]
 Replace = Annotated[bool, typer.Option(help="Replace finished results.")]
-AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Markdown, to paste into a merge request.")]
+AsMarkdown = Annotated[
+    bool, typer.Option("--markdown", help="Markdown, to paste into a merge request.")
+]
 AsCsv = Annotated[bool, typer.Option("--csv", help="CSV, for a spreadsheet.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON, nothing else.")]
 
@@ -87,13 +104,19 @@ EXIT_INTERRUPTED = 130
 
 
 def format_of(as_json: bool, as_markdown: bool, as_csv: bool) -> str:
-    """Format of the output, "" for people; raises `typer.BadParameter` if more than one is requested."""
-    if as_json + as_markdown + as_csv > 1:
-        raise typer.BadParameter("--json, --markdown and --csv exclude each other; give one of them")
-    return "json" if as_json else "markdown" if as_markdown else "csv" if as_csv else ""
+    """Format of the output, "" for people; `typer.BadParameter` if more than one is given."""
+    requested = {"json": as_json, "markdown": as_markdown, "csv": as_csv}
+    formats = [name for name, is_requested in requested.items() if is_requested]
+    if len(formats) > 1:
+        raise typer.BadParameter(
+            "--json, --markdown and --csv exclude each other; give one of them"
+        )
+    return formats[0] if formats else ""
 
 
 def check_machines(workers: int | None, scheduler: str | None) -> None:
     """Raise `typer.BadParameter` if both a number of workers and a cluster are given."""
     if scheduler is not None and workers is not None:
-        raise typer.BadParameter("--workers is for this machine, --scheduler for a cluster; give one of the two")
+        raise typer.BadParameter(
+            "--workers is for this machine, --scheduler for a cluster; give one of the two"
+        )

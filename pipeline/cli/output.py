@@ -29,7 +29,10 @@ def print_view(view: View) -> None:
 
 
 def print_as(
-    output: str, view: Callable[[], View], records: Callable[[], Table], values: Callable[[], JsonValue]
+    output: str,
+    view: Callable[[], View],
+    records: Callable[[], Table],
+    values: Callable[[], JsonValue],
 ) -> None:
     """Print a result as "json", "csv" or "markdown", or for people ("")."""
     from ..report.render import csv_table, markdown
@@ -43,7 +46,7 @@ def print_as(
 
 
 def print_outcome(result: View | JsonObject, failures: Mapping[str, str]) -> None:
-    """Print the result of a command and raise `typer.Exit`, with the code for failed pairs if there are any.
+    """Print the result of a command and raise `typer.Exit`, with its own code if pairs failed.
 
     Parameters
     ----------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -76,8 +75,9 @@ def check(
 ) -> None:
     """Show what a run would read from a dataset, and what is wrong with it.
 
-    Lengths are metres, angles degrees; scans have x forward, y left, z up unless input.real_frame or input.sim_frame
-    says otherwise. Exits with 1 if there is an error; warnings alone exit with 0.
+    Lengths are metres, angles degrees; scans have x forward, y left, z up unless input.real_frame
+    or input.sim_frame says otherwise. Exits with 1 if there is an error; warnings alone exit with
+    0.
 
     Examples
     --------
@@ -91,17 +91,25 @@ def check(
     from ..inspect.check_view import check_json, check_view
     from ..inspect.scan_checks import check_dataset
 
-    options = [("--preset", preset), ("--settings", settings), *(("--set", own) for own in assignments or [])]
     if preset is None and settings is None:
         preset = "reference"
-        options[0] = ("--preset", preset)
-    words = [*filter(None, (dataset, sim)), *chain.from_iterable(own for own in options if own[1])]
-    run_command = shlex.join(["fidpipe", "run", *map(str, words)])
+    words: list[object] = ["fidpipe", "run", dataset]
+    if sim is not None:
+        words.append(sim)
+    if preset is not None:
+        words += ["--preset", preset]
+    if settings is not None:
+        words += ["--settings", settings]
+    for assignment in assignments or []:
+        words += ["--set", assignment]
     if sim is not None:
         dataset = paired(dataset, sim, side_run_folder(sim))
-    found = check_dataset(dataset, load(settings, assignments or [], preset=preset))
-    print_json(check_json(found)) if as_json else print_view(check_view(found, run_command))
-    raise typer.Exit(EXIT_WRONG_INPUT if found.faults or found.doubts else 0)
+    result = check_dataset(dataset, load(settings, assignments or [], preset=preset))
+    if as_json:
+        print_json(check_json(result))
+    else:
+        print_view(check_view(result, shlex.join(map(str, words))))
+    raise typer.Exit(EXIT_WRONG_INPUT if result.faults or result.doubts else 0)
 
 
 def run(
@@ -114,7 +122,9 @@ def run(
     workers: Workers = None,
     scheduler: Scheduler = None,
     pair_timeout: PairTimeout = None,
-    from_stage: Annotated[str | None, typer.Option("--from", metavar="STAGE", autocompletion=completion.stages)] = None,
+    from_stage: Annotated[
+        str | None, typer.Option("--from", metavar="STAGE", autocompletion=completion.stages)
+    ] = None,
     pairs: Pairs = None,
     seeds: Annotated[int | None, typer.Option(min=1)] = None,
     replace: Replace = False,
@@ -122,37 +132,39 @@ def run(
 ) -> None:
     """Evaluate a dataset, stage by stage; run again to resume.
 
-    Up-to-date results are reused. To replace the results of a finished run with those of other settings, use --replace
-    or another --out. The summary has the share of the surface that is simulated, missing and invented pieces, what to
-    fix first, the worst places and the object scores. Exits with 0 if all pairs are scored, 3 if some failed.
+    Up-to-date results are reused. To replace the results of a finished run with those of other
+    settings, use --replace or another --out. The summary has the share of the surface that is
+    simulated, missing and invented pieces, what to fix first, the worst places and the object
+    scores. Exits with 0 if all pairs are scored, 3 if some failed.
 
     Parameters
     ----------
     out : Folder of the run.
     from_stage : Recompute this stage and all later stages.
-    seeds : Number of seeds for which communities to metrics are repeated, to see how stable the scores are.
+    seeds : Number of seeds for which communities to metrics are repeated, to see how stable the
+        scores are.
 
     Examples
     --------
     fidpipe run dataset/                         results go to runs/dataset
 
-    fidpipe run drive/ build42/lidar/            real and simulated scans (or bags), paired by name or by time
+    fidpipe run drive/ build42/lidar/            real and simulated scans, paired by name or time
 
     fidpipe run dataset/ --set matching.delta_m=3 --out runs/delta3
 
-    fidpipe run dataset/ --set matching.delta_m=3 --replace    recompute matching and later stages only
+    fidpipe run dataset/ --set matching.delta_m=3 --replace    matching and later stages only
 
     fidpipe run dataset/ --from metrics --pairs '0001*' --workers 8
 
     fidpipe run dataset/ --preset reference --out runs/dataset-reference    for comparing simulators
 
-    fidpipe run dataset/ --set metrics.baselines=chamfer,emd    also compute baseline metrics; "all" for all of them
+    fidpipe run dataset/ --set metrics.baselines=chamfer,emd    also baseline metrics, or "all"
 
     fidpipe run dataset/ --json | jq '.record.overview.causes'    progress goes to standard error
 
     fidpipe run dataset/ --scheduler tcp://host:8786    on a cluster: docs/cluster.md
 
-    fidpipe run dataset/ --pair-timeout 600      a pair that takes more than 10 minutes fails, the others continue
+    fidpipe run dataset/ --pair-timeout 600      a pair that takes more than 10 minutes fails
     """
     from ...schemas.settings import load
     from ..engine import prefork
@@ -166,7 +178,9 @@ def run(
         out = out or side_run_folder(sim)
         dataset = paired(dataset, sim, out)
     if scheduler is None and workers != 1 and dataset.is_dir() and not out.exists():
-        prefork.start(["fidpipe.pipeline.jobs"])  # a new run needs workers as soon as all else is imported
+        prefork.start(
+            ["fidpipe.pipeline.jobs"]
+        )  # a new run needs workers as soon as all else is imported
 
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
@@ -176,7 +190,9 @@ def run(
 
     stage_names = [stage.name for stage in stages_under(in_force)]
     if from_stage is not None and from_stage not in stage_names:
-        raise typer.BadParameter(f"expected one of {', '.join(stage_names)}; got {from_stage!r}", param_hint="--from")
+        raise typer.BadParameter(
+            f"expected one of {', '.join(stage_names)}; got {from_stage!r}", param_hint="--from"
+        )
     outcome = run_dataset(
         dataset,
         out,
@@ -191,7 +207,9 @@ def run(
 
 
 def best_case(
-    source: Annotated[Path, typer.Argument(metavar="RUN | DATASET", help="Folder of a run, or of a dataset.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="RUN | DATASET", help="Folder of a run, or of a dataset.")
+    ],
     out: Annotated[Path | None, typer.Option(show_default="runs/NAME-best-case")] = None,
     preset: Preset = None,
     settings: SettingsFile = None,
@@ -206,12 +224,13 @@ def best_case(
     pair_timeout: PairTimeout = None,
     replace: Replace = False,
 ) -> None:
-    """Evaluate a perfect simulator: each real scan of a run against a simulated second measurement of itself.
+    """Evaluate a perfect simulator: each real scan against a second measurement of itself.
 
-    The result is a run with the same settings, which show, report, gate and compare take as --best-case. The second
-    measurement is the scan with range noise and losses, by default those that it shows (else 3 cm and 3 %), or with
-    --neighbours the next scan, by T_world_sensor in pairs.csv. Of a dataset without a run, give the settings of the
-    run that it is for. How to read it: docs/fidelity.md.
+    The result is a run with the same settings, which show, report, gate and compare take as
+    --best-case. The second measurement is the scan with range noise and losses, by default those
+    that it shows (else 3 cm and 3 %), or with --neighbours the next scan, by T_world_sensor in
+    pairs.csv. Of a dataset without a run, give the settings of the run that it is for. How to read
+    it: docs/fidelity.md.
 
     Parameters
     ----------
@@ -237,7 +256,8 @@ def best_case(
     check_machines(workers, scheduler)
     if neighbours and (noise_m is not None or dropout is not None):
         raise typer.BadParameter(
-            "--neighbours takes neither --noise-m nor --dropout: its second measurement is a real scan"
+            "--neighbours takes neither --noise-m nor --dropout: its second measurement is a real "
+            "scan"
         )
     is_run = path_exists(source / "run.json")
     if is_run and (preset or settings or assignments):
@@ -252,7 +272,8 @@ def best_case(
         dataset, in_force = source_of_run(source)
         default = source.with_name(f"{source.resolve().name}-best-case")
     else:
-        dataset, in_force = source, load(settings, assignments or [], preset=preset)
+        dataset = source
+        in_force = load(settings, assignments or [], preset=preset)
         default = Path("runs") / f"{source.resolve().name or 'dataset'}-best-case"
     outcome = run_best_case(
         dataset,
@@ -271,7 +292,7 @@ def best_case(
 
 
 def status(run: RunFolder) -> None:
-    """Show the progress of a run: pairs done, stale, failed and to do, by stage; name damaged tables.
+    """Show the progress of a run: pairs done, stale, failed and to do, by stage; damaged tables.
 
     Examples
     --------

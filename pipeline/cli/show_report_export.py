@@ -32,13 +32,13 @@ def show(
 
     Examples
     --------
-    fidpipe show runs/dataset                  the summary that the run ended with; --all for every table
+    fidpipe show runs/dataset                  the summary of the run; --all for every table
 
     fidpipe show runs/dataset 0007             the objects of a pair, worst first
 
-    fidpipe show runs/dataset 0007 12          real object 12 and its simulated partner; sim:3 for a simulated one
+    fidpipe show runs/dataset 0007 12          real object 12; sim:3 for a simulated one
 
-    fidpipe show runs/dataset --best-case runs/dataset-best-case    each score minus that of a perfect simulator
+    fidpipe show runs/dataset --best-case runs/dataset-best-case    minus a perfect simulator
 
     fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
 
@@ -50,10 +50,13 @@ def show(
     if all_ and object_ is not None:
         raise typer.BadParameter("--all is about a run or a pair; leave out the object")
     if best_case is not None and object_ is not None:
-        raise typer.BadParameter("--best-case is about the scores of a run or of a pair; leave out the object")
+        raise typer.BadParameter(
+            "--best-case is about the scores of a run or of a pair; leave out the object"
+        )
     if (as_markdown or as_csv) and (all_ or best_case is not None):
         raise typer.BadParameter(
-            "--markdown and --csv are of a run, a pair or an object; leave out --all and --best-case"
+            "--markdown and --csv are of a run, a pair or an object; leave out --all and "
+            "--best-case"
         )
 
     from ..report.views.show_view import show_json, show_records, show_view
@@ -61,7 +64,8 @@ def show(
     from ..results.finished import FinishedRun
 
     finished = FinishedRun(run)
-    excess = None if best_case is None else excess_over(finished, best_case, None if pair is None else [pair])
+    pairs = None if pair is None else [pair]
+    excess = None if best_case is None else excess_over(finished, best_case, pairs)
     print_as(
         output,
         view=lambda: show_view(finished, pair, object_, excess, with_all=all_),
@@ -82,8 +86,9 @@ def report(
 ) -> None:
     """Make a self-contained web page of a finished run, and with --figures the paper's figures.
 
-    RUN/report.html: surface, what to fix first, worst places, scores, tables, points of some pairs in 3D (the worst,
-    the middle and the best ones, or those of --pairs). RUN/figures: each figure as PNG, SVG and PDF.
+    RUN/report.html: surface, what to fix first, worst places, scores, tables, points of some pairs
+    in 3D (the worst, the middle and the best ones, or those of --pairs). RUN/figures: each figure
+    as PNG, SVG and PDF.
 
     An address that ends in #pair=0007&object=real%203 opens the page at that object.
 
@@ -116,7 +121,7 @@ def report(
     from ..engine.progress import Reporter
     from ..report.page.run_page import write_report
 
-    made = write_report(
+    files = write_report(
         run,
         pairs,
         one_page_a_pair=folder,
@@ -126,13 +131,13 @@ def report(
         with_figures=figures,
         reporter=Reporter(),
     )
-    pages = f" and {made.n_pages - 1} more" if made.n_pages > 1 else ""
-    print_line(f"page:    {made.page}{pages} ({made.n_views} of {made.n_pairs} pairs in 3D)")
-    names = ", ".join(dict.fromkeys(path.stem for path in made.figures))
+    pages = f" and {files.n_pages - 1} more" if files.n_pages > 1 else ""
+    print_line(f"page:    {files.page}{pages} ({files.n_views} of {files.n_pairs} pairs in 3D)")
+    names = ", ".join(dict.fromkeys(path.stem for path in files.figures))
     if names:
-        print_line(f"figures: {made.figures[0].parent} ({names}; PNG, SVG and PDF)")
-    if opens and not webbrowser.open(made.page.resolve().as_uri()):
-        Reporter().warn(f"no browser could be started; open {made.page} in one")
+        print_line(f"figures: {files.figures[0].parent} ({names}; PNG, SVG and PDF)")
+    if opens and not webbrowser.open(files.page.resolve().as_uri()):
+        Reporter().warn(f"no browser could be started; open {files.page} in one")
 
 
 def export(
@@ -143,14 +148,16 @@ def export(
     out: Annotated[Path | None, typer.Option(show_default="RUN/export")] = None,
     replace: bool = False,
 ) -> None:
-    """Write the points of a finished run with their scores for Foxglove, Lichtblick, rerun or CloudCompare.
+    """Write points with their scores for Foxglove, Lichtblick, rerun or CloudCompare.
 
-    Each clean point has x, y, z, community (its object, -1: ground), r_lambda, cdc, distance_m (to the other side; NaN
-    if it has no points) and status: 0 ground, 1 scored, 2 identical, 3 too_small, 4 missing, 5 hallucinated.
+    Each clean point has x, y, z, community (its object, -1: ground), r_lambda, cdc, distance_m (to
+    the other side; NaN if it has no points) and status: 0 ground, 1 scored, 2 identical, 3
+    too_small, 4 missing, 5 hallucinated.
 
-    MCAP topics: /fidpipe/real and /fidpipe/sim, /fidpipe/real_objects and /fidpipe/sim_objects (a point per object, at
-    its centroid), all sensor_msgs/msg/PointCloud2, and /fidpipe/scores (a pair's scores as JSON). Stamps are those of
-    the dataset if every pair has one, otherwise a second apart.
+    MCAP topics: /fidpipe/real and /fidpipe/sim, /fidpipe/real_objects and /fidpipe/sim_objects (a
+    point per object, at its centroid), all sensor_msgs/msg/PointCloud2, and /fidpipe/scores (a
+    pair's scores as JSON). Stamps are those of the dataset if every pair has one, otherwise a
+    second apart.
 
     Parameters
     ----------
@@ -161,9 +168,9 @@ def export(
 
     Examples
     --------
-    fidpipe export runs/dataset --mcap                       runs/dataset/export/dataset.mcap, for Foxglove
+    fidpipe export runs/dataset --mcap                     one file for Foxglove
 
-    fidpipe export runs/dataset --ply --pairs '0007'         0007.real.ply and 0007.sim.ply, for CloudCompare
+    fidpipe export runs/dataset --ply --pairs '0007'       two files for CloudCompare
 
     fidpipe export runs/dataset --mcap --ply --out viewers/
     """
@@ -176,14 +183,19 @@ def export(
     if not (mcap or ply):
         raise typer.BadParameter("no format given; expected --mcap, --ply or both")
     reporter = Reporter()
-    finished, folder = FinishedRun(run), out or run / "export"
+    finished = FinishedRun(run)
+    folder = out or run / "export"
     with counting(reporter) as pair_done:
-        made = export_run(finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, pair_done=pair_done)
-    if n_failed := finished.record.pairs.failed:
+        files = export_run(
+            finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, pair_done=pair_done
+        )
+    n_failed = finished.record.pairs.failed
+    if n_failed:
         reporter.warn(f"{n_failed} pairs of the run failed and have no points to export")
-    if made.mcap:
-        print_line(f"MCAP:   {made.mcap}, stamps {'of the dataset' if made.has_times else 'one second apart'}")
-    if made.ply:
-        print_line(f"PLY:    {len(made.ply)} files in {folder}")
-    print_line(f"pairs:  {made.n_pairs}, {megabytes(made.n_bytes)}")
+    if files.mcap:
+        stamps = "of the dataset" if files.has_times else "one second apart"
+        print_line(f"MCAP:   {files.mcap}, stamps {stamps}")
+    if files.ply:
+        print_line(f"PLY:    {len(files.ply)} files in {folder}")
+    print_line(f"pairs:  {files.n_pairs}, {megabytes(files.n_bytes)}")
     print_line(f"status: {LEGEND}")

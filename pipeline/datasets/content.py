@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from ...schemas.columns import SIDES
 from ...schemas.errors import ScanError
 from ..storage.files import file_marks, hash_file, key_of
 from ..storage.urls import n_bytes_of
 from .pairs import ScanPair
-from .readers import files_of, format_of, stem_of
-from .readers.frame_address import address_of
-from .readers.scan import label_path_of
+from .readers.scan_ref import ScanRef, scan_ref
 
 _BYTES_PER_POINT = 16
 _MOST_POINTS_PER_FRAME = 250_000
@@ -35,7 +32,8 @@ class ScanContent:
 
     def key(self, label_names: Mapping[int, str], motion: tuple[float, ...] | None) -> str:
         """A hash of all that the scan is read from; class names count only if it may have labels."""
-        return key_of(self.sha256, self.label_sha256, sorted(label_names.items()) if self.label_sha256 else [], motion)
+        names = sorted(label_names.items()) if self.label_sha256 else []
+        return key_of(self.sha256, self.label_sha256, names, motion)
 
 
 def file_hash(path: Path) -> str:
@@ -43,7 +41,7 @@ def file_hash(path: Path) -> str:
     return _hash_once(path, file_marks(path))
 
 
-def scan_content(path: Path, hash_of: Callable[[Path], str] = file_hash) -> ScanContent:
+def scan_content(source: ScanRef | Path, hash_of: Callable[[Path], str] = file_hash) -> ScanContent:
     """The content of a scan file, or of one frame of a recording.
 
     A frame counts as changed whenever its recording has.
@@ -57,28 +55,28 @@ def scan_content(path: Path, hash_of: Callable[[Path], str] = file_hash) -> Scan
     ScanError
         The file is missing, empty or cannot be opened.
     """
-    address, known = address_of(path), format_of(path)
+    scan = scan_ref(source)
     try:
-        files = files_of(path)
-        n_bytes = sum(map(n_bytes_of, files))
+        n_bytes = sum(n_bytes_of(file) for file in scan.files)
         if not n_bytes:
-            raise ScanError(f"{path}: the file is empty; expected points")
-        hashes = [hash_of(file) for file in files]
-        label_path = label_path_of(address.file, stem_of(path))
-        label_sha256 = hash_of(label_path) if label_path.exists() else ""
+            raise ScanError(f"{scan}: the file is empty; expected points")
+        hashes = [hash_of(file) for file in scan.files]
+        label_sha256 = hash_of(scan.labels) if scan.labels.exists() else ""
     except OSError as error:
-        raise ScanError(f"{path}: cannot be read ({error.strerror})") from error
-    if not label_sha256 and known.module and not known.columns:
+        raise ScanError(f"{scan}: cannot be read ({error.strerror})") from error
+    if not label_sha256 and scan.format.module and not scan.format.columns:
         label_sha256 = "column"
     n_points = n_bytes // _BYTES_PER_POINT
-    if known.holds_frames:
-        sha256 = key_of(hashes, address.topic, address.frame)
+    if scan.format.holds_frames:
+        sha256 = key_of(hashes, scan.topic, scan.frame)
         return ScanContent(sha256, label_sha256, min(n_points, _MOST_POINTS_PER_FRAME))
     return ScanContent(hashes[0], label_sha256, n_points)
 
 
 def input_hashes(
-    pair: ScanPair, label_names: Mapping[int, str], contents: Mapping[str, ScanContent] | None = None
+    pair: ScanPair,
+    label_names: Mapping[int, str],
+    contents: Mapping[str, ScanContent] | None = None,
 ) -> dict[str, str]:
     """Hashes of the inputs of a pair: each scan's by side, and `content` of all inputs.
 
@@ -94,9 +92,13 @@ def input_hashes(
         A file cannot be hashed.
     """
     if contents is None:
-        contents = {side: scan_content(path) for side in SIDES if (path := pair.path(side)) is not None}
-    content = key_of({side: scan.key(label_names, pair.motion(side)) for side, scan in contents.items()})
-    return {side: scan.sha256 for side, scan in contents.items()} | {"content": content}
+        contents = {side: scan_content(scan) for side, scan in pair.scans.items()}
+    keys = {}
+    hashes = {}
+    for side, content in contents.items():
+        keys[side] = content.key(label_names, pair.motion(side))
+        hashes[side] = content.sha256
+    return hashes | {"content": key_of(keys)}
 
 
 @lru_cache(maxsize=256)

@@ -6,9 +6,10 @@ import os
 import re
 import shlex
 import warnings
-from collections.abc import Sequence
-from contextlib import suppress
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from dataclasses import replace as with_values
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,10 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray, IntArray
 from ..storage.files import csv_bytes, write_whole
-from .pairs import LIST_NAMES, MANIFEST, NO_PARTNER, UNPAIRED, Dataset, read_manifest
-from .readers import formats, frames_of, holds_frames, stem_of, suffix_of
-from .readers.frame_address import address_of
+from .pairs import LIST_NAMES, MANIFEST, NO_PARTNER, UNPAIRED, Dataset, folders_of_scans, read_manifest, scans_in
+from .readers import frames_of
+from .readers.formats import known_formats
+from .readers.scan_ref import ScanRef, scan_ref
 
 _TIMES = ("times.txt", "poses.tum")
 #: Largest time between the two frames of a pair, seconds.
@@ -32,12 +34,12 @@ class Timeline:
     """The frames of one side.
 
     source : what the user named
-    frames : scan files, or what names a frame in one; in the order of time
+    frames : in the order of time
     times_s : (n,) float64, seconds, rising; NaN if unknown, where names pair the frames
     """
 
     source: Path
-    frames: tuple[Path, ...]
+    frames: tuple[ScanRef, ...]
     times_s: FloatArray
 
 
@@ -78,47 +80,76 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
         A side cannot be read, nothing pairs them, or `out` has the pairs of other sides.
     """
     for source in (real, sim):
-        if not (source.is_dir() or holds_frames(source)):
+        if not (source.is_dir() or scan_ref(source).format.holds_frames):
             raise DatasetError(f"{source}: expected a folder of scans or a recording (bag, capture)")
     real, sim = _side(real), _side(sim)
     if _are_a_dataset(real, sim):
         return real.parent, ""
-    is_recording = holds_frames(real) or holds_frames(sim)
-    if by_name := None if is_recording else _paired_by_name(real, sim):
-        lines, pairing = by_name
-    else:
-        try:
-            lines = read_timeline(real), read_timeline(sim)
-        except DatasetError as error:
-            if is_recording:
-                raise
-            by_time = f" (by time: {error})" if all(map(scans_in, (real, sim))) else ""
-            raise DatasetError(f"{_no_partner(real, sim)}{by_time}") from error
-        pairing = pair_times(lines[0].times_s, lines[1].times_s, TOLERANCE_S)
-    before = read_manifest(out / MANIFEST, []) if (out / MANIFEST).exists() else []
-    for source, path in ((real, before[0].real), (sim, before[0].sim)) if before else ():
-        file = address_of(path).file.resolve() if path else out
-        if address_of(source).file.resolve() not in (file, file.parent):
-            raise DatasetError(f"{out}: has the pairs of other scans ({file.parent}); give another --out")
-    n_unpaired = write_dataset(out, *lines, pairing, np.arange(len(pairing.real_ids), dtype=np.int32), replace=True)
-    others = f"; {len(pairing.others_s)} other offsets pair as many, see fidpipe pair" if pairing.others_s else ""
-    how = "name" if pairing.by_name else f"time (simulated times {pairing.offset_s:+.4f} s{others})"
-    return out, f"{len(pairing.real_ids)} pairs by {how}, {n_unpaired} frames without a partner: {out / MANIFEST}"
+    real_line, sim_line, pairing = _paired(real, sim)
+    _require_same_sides(real, sim, out)
+    n_pairs = len(pairing.real_ids)
+    kept = np.arange(n_pairs, dtype=np.int32)
+    n_unpaired = write_dataset(out, real_line, sim_line, pairing, kept, replace=True)
+    how = "name"
+    if not pairing.by_name:
+        how = f"time (simulated times {pairing.offset_s:+.4f} s"
+        if pairing.others_s:
+            how += f"; {len(pairing.others_s)} other offsets pair as many, see fidpipe pair"
+        how += ")"
+    return out, f"{n_pairs} pairs by {how}, {n_unpaired} frames without a partner: {out / MANIFEST}"
+
+
+def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
+    """The frames of both sides, paired by name if both are folders, else by time."""
+    is_recording = any(scan_ref(side).format.holds_frames for side in (real, sim))
+    by_name = None if is_recording else _paired_by_name(real, sim)
+    if by_name is not None:
+        return by_name
+    try:
+        real_line = read_timeline(real)
+        sim_line = read_timeline(sim)
+    except DatasetError as error:
+        if is_recording:
+            raise
+        message = _no_partner(real, sim)
+        if scans_in(real) and scans_in(sim):
+            message += f" (by time: {error})"
+        raise DatasetError(message) from error
+    return real_line, sim_line, pair_times(real_line.times_s, sim_line.times_s, TOLERANCE_S)
+
+
+def _require_same_sides(real: Path, sim: Path, out: Path) -> None:
+    """Raise `DatasetError` if a folder has the pairs of other sides."""
+    if not (out / MANIFEST).exists():
+        return
+    before = read_manifest(out / MANIFEST, [])
+    if not before:
+        return
+    for source, scan in ((real, before[0].real), (sim, before[0].sim)):
+        file = scan.file.resolve() if scan else out
+        if scan_ref(source).file.resolve() not in (file, file.parent):
+            raise DatasetError(
+                f"{out}: has the pairs of other scans ({file.parent}); give another --out",
+            )
 
 
 def require_partners(dataset: Dataset) -> None:
     """Raise `DatasetError` if no scan of a dataset has a partner."""
     if all(NO_PARTNER in (pair.fault or "") for pair in dataset.pairs):
-        raise DatasetError(f"dataset {dataset.folder}: {_no_partner(*(dataset.folder / side for side in SIDES))}")
+        raise DatasetError(
+            f"dataset {dataset.folder}: {_no_partner(*(dataset.folder / side for side in SIDES))}",
+        )
 
 
 def _are_a_dataset(real: Path, sim: Path) -> bool:
     """True if the folders are `real/` and `sim/` of one dataset that has a manifest or scans of the same name."""
-    own, other = real.resolve(), sim.resolve()
-    if (own.name, other.name) != SIDES or own.parent != other.parent:
+    folders = (real.resolve(), sim.resolve())
+    if tuple(folder.name for folder in folders) != SIDES or folders[0].parent != folders[1].parent:
         return False
-    names = ({stem_of(frame) for frame in scans_in(side)} for side in (real, sim))
-    return (own.parent / MANIFEST).exists() or bool(set.intersection(*names))
+    if (folders[0].parent / MANIFEST).exists():
+        return True
+    stems = {scan.stem for scan in scans_in(real)}
+    return any(scan.stem in stems for scan in scans_in(sim))
 
 
 def _no_partner(real: Path, sim: Path) -> str:
@@ -127,10 +158,10 @@ def _no_partner(real: Path, sim: Path) -> str:
     for side, other in ((real, sim), (sim, real)):
         if not frames[side]:
             return (
-                f"no scans found in {side}; expected one of the same name for each of the {len(frames[other])} in "
-                f"{other}; known formats are {', '.join(formats())}"
+                f"no scans found in {side}; expected one of the same name for each of the "
+                f"{len(frames[other])} in {other}; known formats are {', '.join(known_formats())}"
             )
-    first = " and ".join(str(own[0]) for own in frames.values())
+    first = f"{frames[real][0]} and {frames[sim][0]}"
     counts = f"none of {len(frames[real])} real and {len(frames[sim])} simulated scans has a partner of the same name"
     if _paired_by_name(real, sim):
         advice = f"their numbers pair them: {shlex.join(['fidpipe', 'run', str(real), str(sim)])}"
@@ -150,60 +181,90 @@ def read_timeline(source: Path) -> Timeline:
     FidpipeError
         It cannot be read, or its times are not known.
     """
-    if holds_frames(source):
-        frames = frames_of(source)
-        times_ns = [address_of(frame).time_ns for frame in frames]
-        return _in_order(source, frames, np.array([(ns or 0) // 1000 for ns in times_ns]) / 1e6)
+    recording = scan_ref(source)
+    if recording.format.holds_frames:
+        frames = frames_of(recording)
+        times_us = np.array([(frame.time_ns or 0) // 1000 for frame in frames])
+        return _in_order(source, frames, times_us / 1e6)
     if not source.is_dir():
         raise DatasetError(f"{source}: expected a recording (bag, capture) or a folder of scans")
     frames = scans_in(source)
-    times = next((source / name for name in _TIMES if (source / name).is_file()), None)
-    if times is not None:
-        seconds = read_numbers(times, (1, 8))[:, 0]
-        if len(seconds) != len(frames):
-            raise DatasetError(f"{times}: expected one time per scan, got {len(seconds)} for {len(frames)} scans")
-        return _in_order(source, frames, seconds)
-    names = [stem_of(frame) for frame in frames]
-    if not all(map(_SECONDS.fullmatch, names)):
+    for path in (source / name for name in _TIMES):
+        if path.is_file():
+            return _in_order(source, frames, read_times(path, len(frames)))
+    names = [frame.stem for frame in frames]
+    if not all(_SECONDS.fullmatch(name) for name in names):
         raise DatasetError(
-            f"{source}: no times found; expected {' or '.join(_TIMES)} with a line for each scan, or names such as "
-            "12.100.ply"
+            f"{source}: no times found; expected {' or '.join(_TIMES)} with a line for each scan, "
+            "or names such as 12.100.ply"
         )
     return _in_order(source, frames, np.array(names, dtype=np.float64))
 
 
-def _in_order(source: Path, frames: Sequence[Path], times_s: FloatArray) -> Timeline:
+def read_times(path: Path, n_scans: int) -> FloatArray:
+    """(n_scans,) float64, seconds, the first numbers of the lines of times or of poses."""
+    times_s = read_numbers(path, (1, 8))[:, 0]
+    if len(times_s) != n_scans:
+        raise DatasetError(
+            f"{path}: expected one time per scan, got {len(times_s)} for {n_scans} scans",
+        )
+    return times_s
+
+
+def _in_order(source: Path, frames: Sequence[ScanRef], times_s: FloatArray) -> Timeline:
     if not frames:
         raise DatasetError(f"{source}: no frames found; expected at least one")
     order = np.argsort(times_s, kind="stable")
     return Timeline(source, tuple(frames[i] for i in order), times_s[order])
 
 
-def _paired_by_name(real: Path, sim: Path) -> tuple[tuple[Timeline, Timeline], Pairing] | None:
+def _paired_by_name(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing] | None:
     """The files of two folders that have the same name, or the same number in it; None without any."""
-    frames = scans_in(real), scans_in(sim)
-    for name_of in (stem_of, _only_number):
-        names, others = ([name_of(frame) for frame in own] for own in frames)
-        place = {name: i for i, name in enumerate(others) if name and others.count(name) == 1}
-        ids = np.array([(i, place[name]) for i, name in enumerate(names) if name in place and names.count(name) == 1])
-        if len(ids):
-            times_s = [np.full(len(own), np.nan) for own in frames]
-            with suppress(DatasetError):
-                line = read_timeline(real)
-                time_of = dict(zip(line.frames, line.times_s.tolist(), strict=True))
-                times_s[0] = np.array([time_of[frame] for frame in frames[0]])
-            lines = Timeline(real, tuple(frames[0]), times_s[0]), Timeline(sim, tuple(frames[1]), times_s[1])
-            return lines, Pairing(ids[:, 0], ids[:, 1], np.zeros(len(ids)), 0.0, by_name=True)
+    real_frames = scans_in(real)
+    sim_frames = scans_in(sim)
+    for name_of in (str, _only_number):
+        real_places = _unique_places(real_frames, name_of)
+        sim_places = _unique_places(sim_frames, name_of)
+        names = [name for name in real_places if name in sim_places]
+        if names:
+            real_ids = np.array([real_places[name] for name in names])
+            sim_ids = np.array([sim_places[name] for name in names])
+            real_line = Timeline(real, tuple(real_frames), _known_times(real, real_frames))
+            sim_line = Timeline(sim, tuple(sim_frames), np.full(len(sim_frames), np.nan))
+            pairing = Pairing(real_ids, sim_ids, np.zeros(len(names)), 0.0, by_name=True)
+            return real_line, sim_line, pairing
     return None
 
 
-def _only_number(frame: Path) -> str:
+def _unique_places(frames: Sequence[ScanRef], name_of: Callable[[str], str]) -> dict[str, int]:
+    """Positions of the frames by name, which is made of their stems; without those that share one."""
+    names = [name_of(frame.stem) for frame in frames]
+    counts = Counter(names)
+    return {name: i for i, name in enumerate(names) if name and counts[name] == 1}
+
+
+def _known_times(folder: Path, frames: Sequence[ScanRef]) -> FloatArray:
+    """The times of the frames of a folder, seconds; NaN if they are unknown."""
+    try:
+        line = read_timeline(folder)
+    except DatasetError:
+        return np.full(len(frames), np.nan)
+    time_of = dict(zip(line.frames, line.times_s.tolist(), strict=True))
+    return np.array([time_of[frame] for frame in frames])
+
+
+def _only_number(stem: str) -> str:
     """The number in the name of a file, without leading zeros; "" if it has none or several."""
-    numbers = re.findall("[0-9]+", stem_of(frame))
+    numbers = re.findall("[0-9]+", stem)
     return str(int(numbers[0])) if len(numbers) == 1 else ""
 
 
-def pair_times(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float, offset_s: float | None = None) -> Pairing:
+def pair_times(
+    real_s: FloatArray,
+    sim_s: FloatArray,
+    tolerance_s: float,
+    offset_s: float | None = None,
+) -> Pairing:
     """Frames that are each other's nearest in time, at most the tolerance apart.
 
     Without an offset that is taken by which most frames pair; of several such 0, or else the one of the smallest gaps;
@@ -223,23 +284,31 @@ def pair_times(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float, offset
     """
     if offset_s is not None:
         return Pairing(*_nearest(real_s, sim_s + offset_s, tolerance_s), offset_s)
-    tried = np.concatenate([[0.0], real_s - sim_s[0], real_s[0] - sim_s])
+    offsets_s = np.concatenate([[0.0], real_s - sim_s[0], real_s[0] - sim_s])
     step = tolerance_s / 100
-    tried = tried[np.sort(np.unique(np.round(tried / step), return_index=True)[1])]
-    found = [_nearest(real_s, sim_s + offset, tolerance_s) for offset in tried]
-    most = max(len(gaps) for *_, gaps in found)
-    spread = [float(np.abs(gaps).mean()) if len(gaps) == most and most else np.inf for *_, gaps in found]
-    if np.isfinite(spread[0]) or not most:
-        return Pairing(*found[0], 0.0)
-    best = int(np.argmin(np.round(np.array(spread) / step)))
-    limit_s = spread[best] + tolerance_s / 10
-    alike = [float(offset) for i, offset in enumerate(tried) if i != best and spread[i] <= limit_s]
-    return Pairing(*found[best], float(tried[best]), tuple(alike))
+    _, first = np.unique(np.round(offsets_s / step), return_index=True)
+    offsets_s = offsets_s[np.sort(first)]
+    matches = [_nearest(real_s, sim_s + offset_s, tolerance_s) for offset_s in offsets_s]
+    most = max(len(gaps) for _, _, gaps in matches)
+    if not most:
+        return Pairing(*matches[0], 0.0)
+    mean_gaps = [np.abs(gaps).mean() if len(gaps) == most else np.inf for _, _, gaps in matches]
+    if np.isfinite(mean_gaps[0]):
+        return Pairing(*matches[0], 0.0)
+    best = int(np.argmin(np.round(np.array(mean_gaps) / step)))
+    limit_s = mean_gaps[best] + tolerance_s / 10
+    others_s = [float(offsets_s[i]) for i, gap in enumerate(mean_gaps) if i != best and gap <= limit_s]
+    return Pairing(*matches[best], float(offsets_s[best]), tuple(others_s))
 
 
-def _nearest(real_s: FloatArray, sim_s: FloatArray, tolerance_s: float) -> tuple[IntArray, IntArray, FloatArray]:
+def _nearest(
+    real_s: FloatArray,
+    sim_s: FloatArray,
+    tolerance_s: float,
+) -> tuple[IntArray, IntArray, FloatArray]:
     """Positions of frames that are each other's nearest, and their gaps."""
-    to_sim, to_real = _nearest_ids(real_s, sim_s), _nearest_ids(sim_s, real_s)
+    to_sim = _nearest_ids(real_s, sim_s)
+    to_real = _nearest_ids(sim_s, real_s)
     real_ids = np.arange(len(real_s))
     gaps_s = sim_s[to_sim] - real_s
     kept = (to_real[to_sim] == real_ids) & (np.abs(gaps_s) <= tolerance_s)
@@ -254,17 +323,9 @@ def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IntArray:
     return np.where(of_s - among_s[before] <= among_s[after] - of_s, before, after)
 
 
-def folders_of_scans(folder: Path) -> list[Path]:
-    """The folder itself if it holds scans, else those one level down that do."""
-    if scans_in(folder):
-        return [folder]
-    inner = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
-    return [path for path in inner if scans_in(path)]
-
-
 def _side(source: Path) -> Path:
     """The recording or folder of scans that the user means: the only folder with scans, also one level down."""
-    if holds_frames(source) or not source.is_dir():
+    if scan_ref(source).format.holds_frames or not source.is_dir():
         return source
     folders = folders_of_scans(source)
     if len(folders) > 1:
@@ -273,38 +334,31 @@ def _side(source: Path) -> Path:
     return folders[0] if folders else source
 
 
-def scans_in(folder: Path) -> list[Path]:
-    """The scan files of a folder, in the order of their names; recordings of many scans are left out."""
-    return sorted(
-        path
-        for path in folder.iterdir()
-        if path.is_file()
-        and not path.name.startswith(".")
-        and path.name not in (MANIFEST, UNPAIRED)
-        and suffix_of(path) is not None
-        and not holds_frames(path)
-    )
-
-
 def read_numbers(path: Path, widths: tuple[int, ...]) -> FloatArray:
     """(n, width) float64, the lines of a file; those that begin with # are left out."""
-    wanted = " or ".join(map(str, widths))
+    expected = f"expected lines of {' or '.join(map(str, widths))} numbers"
     try:
         with warnings.catch_warnings(action="ignore"):  # of a file without lines
             rows = np.loadtxt(path, ndmin=2, encoding="utf-8")
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror or error})") from error
     except ValueError as error:
-        raise DatasetError(f"{path}: expected lines of {wanted} numbers ({error})") from error
-    if not len(rows) or rows.shape[1] not in widths:
-        raise DatasetError(
-            f"{path}: expected lines of {wanted} numbers, got lines of {rows.shape[1] if len(rows) else 'no'}"
-        )
+        raise DatasetError(f"{path}: {expected} ({error})") from error
+    if not len(rows):
+        raise DatasetError(f"{path}: {expected}, got lines of no")
+    if rows.shape[1] not in widths:
+        raise DatasetError(f"{path}: {expected}, got lines of {rows.shape[1]}")
     return rows
 
 
 def write_dataset(
-    out: Path, real: Timeline, sim: Timeline, pairing: Pairing, kept: IntArray, *, replace: bool = False
+    out: Path,
+    real: Timeline,
+    sim: Timeline,
+    pairing: Pairing,
+    kept: IntArray,
+    *,
+    replace: bool = False,
 ) -> int:
     """Write `pairs.csv`, and `unpaired.csv` with the frames without a partner; return the number of these.
 
@@ -323,30 +377,48 @@ def write_dataset(
         raise DatasetError(f"{manifest}: already exists; use --replace to overwrite it")
     if not len(kept):
         raise DatasetError(
-            f"{real.source} and {sim.source}: no two frames at one time; real are {_span(real)}, simulated "
-            f"{_span(sim)} s (offset {pairing.offset_s:+.3f}); give another --offset or --tolerance"
+            f"{real.source} and {sim.source}: no two frames at one time; real are {_span(real)}, "
+            f"simulated {_span(sim)} s (offset {pairing.offset_s:+.3f}); give another --offset or "
+            "--tolerance"
         )
     rows = []
     for number, i in enumerate(kept.tolist()):
-        frame, time_s = real.frames[pairing.real_ids[i]], real.times_s[pairing.real_ids[i]]
-        name = stem_of(frame) if pairing.by_name else f"{number:06}"
-        rows.append((name, _relative(frame, out), _relative(sim.frames[pairing.sim_ids[i]], out), _seconds(time_s)))
-    lonely = []
-    for side, line, ids in zip(SIDES, (real, sim), (pairing.real_ids, pairing.sim_ids), strict=True):
-        without = np.setdiff1d(np.arange(len(line.frames)), ids)
-        lonely += [(side, _relative(line.frames[i], out), _seconds(line.times_s[i])) for i in without.tolist()]
-    write_whole(out / UNPAIRED, csv_bytes(("side", "frame", "timestamp_s"), lonely), advice="")
+        real_id = pairing.real_ids[i]
+        frame = real.frames[real_id]
+        name = frame.stem if pairing.by_name else f"{number:06}"
+        sim_frame = sim.frames[pairing.sim_ids[i]]
+        rows.append(
+            (
+                name,
+                _relative(frame, out),
+                _relative(sim_frame, out),
+                _seconds(real.times_s[real_id]),
+            ),
+        )
+    unpaired = []
+    for side, line, ids in (("real", real, pairing.real_ids), ("sim", sim, pairing.sim_ids)):
+        lonely = np.setdiff1d(np.arange(len(line.frames)), ids).tolist()
+        unpaired += [
+            (
+                side,
+                _relative(line.frames[i], out),
+                _seconds(line.times_s[i]),
+            )
+            for i in lonely
+        ]
+    write_whole(out / UNPAIRED, csv_bytes(("side", "frame", "timestamp_s"), unpaired), advice="")
     write_whole(manifest, csv_bytes(("pair_id", *SIDES, "timestamp_s"), rows), advice="")
-    return len(lonely)
+    return len(unpaired)
 
 
 def _seconds(time_s: float) -> str:
     return "" if np.isnan(time_s) else f"{time_s:.6f}"
 
 
-def _relative(frame: Path, folder: Path) -> str:
-    """Address of a frame, relative to a folder."""
-    return os.path.relpath(frame.absolute(), folder.absolute())
+def _relative(frame: ScanRef, folder: Path) -> str:
+    """Name of a frame, relative to a folder."""
+    path = os.path.relpath(frame.file.absolute(), folder.absolute())
+    return str(with_values(frame, file=Path(path)))
 
 
 def _span(line: Timeline) -> str:

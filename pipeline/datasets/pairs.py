@@ -2,16 +2,17 @@
 
 Either folders `real/` and `sim/` with files of the same stem, or a manifest `pairs.csv` with the columns pair_id,
 real, sim and perhaps timestamp_s, T_real_sim and T_world_sensor (12 numbers separated by spaces, [R | t] row by row).
-A scan of a manifest may be one frame of a recording, named as in `readers/frames.py`: `drive.mcap#/points@12`.
+A scan of a manifest may be one frame of a recording, named as in `readers/scan_ref.py`: `drive.mcap#/points@12`.
 """
 
 from __future__ import annotations
 
 import csv
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +21,11 @@ from ...schemas.data_files import parse_toml
 from ...schemas.errors import DatasetError, ScanError, nearest
 from ...stages.arrays import FloatArray
 from ..storage.files import path_exists
-from ..storage.urls import STUB, is_stub, is_url, remote, url_of_cache
-from .readers import formats, holds_frames, is_scan_path, stem_of, suffix_of
+from ..storage.urls import STUB, is_stub, is_url, url_of_cache
+from .readers import frames_of
+from .readers.formats import known_formats
 from .readers.scan import LONGEST_LABEL
+from .readers.scan_ref import ScanRef, scan_ref
 
 MANIFEST = "pairs.csv"
 UNPAIRED = "unpaired.csv"
@@ -32,14 +35,15 @@ _MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_w
 _ROTATION_TOLERANCE = 1e-3
 _IGNORED = "not a known scan format, ignored"
 _FORMATS = "see docs/formats.md"
+_HOLDS_ONE_SIDE = "; it holds scans of one side: fidpipe run {} SIM"
 NO_PARTNER = "no partner"
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class ScanPair:
     """One pair of scans.
 
-    real, sim : the scan files, or addresses of frames in one; None if the partner is missing
+    real, sim : the scans; None if the partner is missing
     timestamp_s : when the real scan was taken, if the manifest says so
     T_real_sim : 12 numbers, [R | t] row by row: maps simulated points into the real sensor's frame; None if they are
         in it already
@@ -48,25 +52,21 @@ class ScanPair:
     """
 
     pair_id: str
-    real: Path | None
-    sim: Path | None
+    real: ScanRef | None
+    sim: ScanRef | None
     timestamp_s: float | None = None
     T_real_sim: tuple[float, ...] | None = None
     fault: str | None = None
     T_world_sensor: tuple[float, ...] | None = None
 
-    def path(self, side: str) -> Path | None:
-        """The scan file of a side ("real" or "sim"), or None."""
-        return self.real if side == "real" else self.sim
+    @property
+    def scans(self) -> dict[str, ScanRef]:
+        """The scans that the pair has, by side."""
+        return {side: scan for side, scan in zip(SIDES, (self.real, self.sim), strict=True) if scan}
 
     def motion(self, side: str) -> tuple[float, ...] | None:
         """The motion of a side's points into the real sensor's frame; None if they are in it."""
         return self.T_real_sim if side == "sim" else None
-
-    @property
-    def paths(self) -> list[Path]:
-        """The scan files that the pair has."""
-        return [path for path in (self.real, self.sim) if path is not None]
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,9 @@ def read_dataset(folder: Path) -> Dataset:
     warnings: list[str] = []
     pairs = read_manifest(manifest, warnings) if manifest.exists() else _from_folders(folder, warnings)
     if not pairs:
-        wanted = f"expected scans in real/ and sim/, or a {MANIFEST}, {_FORMATS}"
-        why = f"{MANIFEST} is empty" if manifest.exists() else wanted
+        why = f"expected scans in real/ and sim/, or a {MANIFEST}, {_FORMATS}"
+        if manifest.exists():
+            why = f"{MANIFEST} is empty"
         raise DatasetError(f"dataset {folder}: no scan pairs found; {why}")
     pairs.sort(key=lambda pair: pair.pair_id)
     return Dataset(folder, tuple(pairs), read_label_names(folder), tuple(warnings))
@@ -126,94 +127,141 @@ def read_label_names(folder: Path) -> dict[int, str]:
         names = {int(number): str(name) for number, name in lines.items()}
     except (OSError, ValueError) as error:  # TOML and unicode errors are ValueErrors
         raise DatasetError(f'{path}: expected lines such as 4 = "tree" ({error})') from error
-    if (longest := max(map(len, names.values()), default=0)) > LONGEST_LABEL:  # each point takes room for the longest
-        raise DatasetError(f"{path}: expected names of at most {LONGEST_LABEL} characters, got one of {longest}")
+    longest = max((len(name) for name in names.values()), default=0)
+    if longest > LONGEST_LABEL:  # each point takes room for the longest
+        raise DatasetError(
+            f"{path}: expected names of at most {LONGEST_LABEL} characters, got one of {longest}",
+        )
     return names
 
 
 def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
-    by_side: dict[str, dict[str, Path]] = {}
+    scans: dict[str, dict[str, ScanRef]] = {}
+    unread: dict[str, dict[str, Path]] = {}
     for side in SIDES:
         if not (folder / side).is_dir():
-            folders = sorted(path.name for path in folder.iterdir() if path.is_dir())
-            near = next((name for name in folders if name.lower().startswith(side)), None) or nearest(side, folders)
-            inner = next((path for path in sorted(folder.iterdir()) if (path / "real").is_dir()), None)
-            hint = f"; did you mean {near}/? rename it {side}/" if near else f"; expected one of the two, {_FORMATS}"
-            other = folder / next(name for name in SIDES if name != side)
-            recordings = [path for path in sorted(folder.iterdir()) if holds_frames(path)]
-            if inner:
-                hint = f"; it is one level below: {inner}"
-            elif recordings and not near:
-                named = [*map(str, recordings)] if len(recordings) == 2 else ["REAL", "SIM"]
-                words = shlex.join(["fidpipe", "pair", *named, "-o", f"{folder.resolve().name}-pairs"])
-                names = ", ".join(path.name for path in recordings[:4])
-                hint = f"; it holds recordings ({names}); to pair them, the real one first: {words}"
-            elif any(suffix_of(path) for path in _files(folder)):
-                hint = f"; it holds scans of one side: fidpipe run {shlex.quote(str(folder))} SIM"
-            elif other.is_dir() and not near:
-                words = shlex.join(
-                    ["fidpipe", "run", *([str(other), "SIM"] if side == "sim" else ["REAL", str(other)])]
-                )
-                hint = f"; expected it next to {other.name}/; if its scans are elsewhere: {words}"
-            elif not near and any(suffix_of(path) for path in _files_below(folder)):
-                hint = f"; it holds scans of one side: fidpipe run {shlex.quote(str(folder))} SIM"
-            elif not any(folder.iterdir()):
-                hint = f"; the folder is empty: expected scans of the same names in real/ and sim/, {_FORMATS}"
+            hint = _missing_folder_hint(folder, side)
             raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found{hint}")
-        by_side[side] = _scans_by_stem(folder / side, warnings)
-    unread = {side: {path.stem: path for path in _files(folder / side) if suffix_of(path) is None} for side in SIDES}
-    orphans = {side: by_side[side].keys() - by_side[other].keys() for side, other in (SIDES, SIDES[::-1])}
+        scans[side], others = _scans_by_stem(folder / side)
+        warnings += [f"{path}: {_IGNORED}" for path in others]
+        unread[side] = {path.stem: path for path in others}
     pairs = []
-    for stem in by_side["real"].keys() | by_side["sim"].keys():
-        real, sim = by_side["real"].get(stem), by_side["sim"].get(stem)
-        absent = "sim" if real else "real"
-        fault = f"{real or sim}: {NO_PARTNER}; expected a scan named {stem} in {folder / absent}"
-        if stem in unread[absent]:
-            fault = f"{unread[absent][stem]}: not readable; known formats are {', '.join(formats())}"
-            if not (real and sim):
-                warnings.remove(f"{unread[absent][stem]}: {_IGNORED}")  # the error says it
-        pairs.append(ScanPair(stem, real, sim, fault=None if real and sim else fault))
-    n_real, n_sim = len(orphans["real"]), len(orphans["sim"])
-    if n_real + n_sim > 1:
+    for stem in scans["real"].keys() | scans["sim"].keys():
+        real = scans["real"].get(stem)
+        sim = scans["sim"].get(stem)
+        fault = None
+        if real is None or sim is None:
+            absent = "real" if real is None else "sim"
+            fault = f"{real or sim}: {NO_PARTNER}; expected a scan named {stem} in {folder / absent}"
+            path = unread[absent].get(stem)
+            if path is not None:
+                fault = f"{path}: not readable; known formats are {', '.join(known_formats())}"
+                warnings.remove(f"{path}: {_IGNORED}")  # the error reports it
+        pairs.append(ScanPair(stem, real, sim, fault=fault))
+    lonely_real = scans["real"].keys() - scans["sim"].keys()
+    lonely_sim = scans["sim"].keys() - scans["real"].keys()
+    if len(lonely_real) + len(lonely_sim) > 1:
         warnings.append(
-            f"{folder}: {n_real} real and {n_sim} simulated scans have no partner of the same name, such as "
-            f"{min(orphans['real'] or orphans['sim'])}; rename them, or {LIST_NAMES}"
+            f"{folder}: {len(lonely_real)} real and {len(lonely_sim)} simulated scans have no partner of "
+            f"the same name, such as {min(lonely_real or lonely_sim)}; rename them, or {LIST_NAMES}"
         )
     return pairs
 
 
+def _missing_folder_hint(folder: Path, side: str) -> str:
+    """The most likely reason why a dataset has no folder of a side, and what to do."""
+    paths = sorted(folder.iterdir())
+    folders = [path for path in paths if path.is_dir()]
+    for inner in folders:
+        if (inner / "real").is_dir():
+            return f"; it is one level below: {inner}"
+    if not paths:
+        return f"; the folder is empty: expected scans of the same names in real/ and sim/, {_FORMATS}"
+    if scans_in(folder):
+        return _HOLDS_ONE_SIDE.format(shlex.quote(str(folder)))
+    names = [path.name for path in folders]
+    alike = [name for name in names if name.lower().startswith(side)]
+    near = alike[0] if alike else nearest(side, names)
+    if near is not None:
+        return f"; did you mean {near}/? rename it {side}/"
+    return _one_side_hint(folder, paths)
+
+
+def _one_side_hint(folder: Path, paths: list[Path]) -> str:
+    """Command for a folder that holds recordings, or only one of the two folders."""
+    recordings = [path for path in paths if scan_ref(path).format.holds_frames]
+    if recordings:
+        sources = [str(path) for path in recordings] if len(recordings) == 2 else ["REAL", "SIM"]
+        command = shlex.join(["fidpipe", "pair", *sources, "-o", f"{folder.resolve().name}-pairs"])
+        listed = ", ".join(path.name for path in recordings[:4])
+        return f"; it holds recordings ({listed}); to pair them, the real one first: {command}"
+    for other, sides in (
+        ("real", [str(folder / "real"), "SIM"]),
+        ("sim", ["REAL", str(folder / "sim")]),
+    ):
+        if (folder / other).is_dir():
+            command = shlex.join(["fidpipe", "run", *sides])
+            return f"; expected it next to {other}/; if its scans are elsewhere: {command}"
+    if folders_of_scans(folder):
+        return _HOLDS_ONE_SIDE.format(shlex.quote(str(folder)))
+    return f"; expected one of the two, {_FORMATS}"
+
+
+def may_crash(pairs: Iterable[ScanPair]) -> bool:
+    """True if reading a scan of some pairs may end the process; see `Format`."""
+    return any(scan.format.may_crash for pair in pairs for scan in pair.scans.values())
+
+
+def scans_of(source: Path) -> list[ScanRef]:
+    """The frames of a recording, the scans of a folder, or the scan of a file."""
+    scan = scan_ref(source)
+    if scan.format.holds_frames:
+        return frames_of(scan)
+    return scans_in(source) if source.is_dir() else [scan]
+
+
+def scans_in(folder: Path) -> list[ScanRef]:
+    """The scan files of a folder, in the order of their names; recordings of many scans are left out."""
+    scans = [scan_ref(path) for path in _files(folder) if path.name not in (MANIFEST, UNPAIRED)]
+    return [scan for scan in scans if scan.format.module and not scan.format.holds_frames]
+
+
+def folders_of_scans(folder: Path) -> list[Path]:
+    """The folder itself if it holds scans, else those one level down that do."""
+    if scans_in(folder):
+        return [folder]
+    inner = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
+    return [path for path in inner if scans_in(path)]
+
+
 def _files(folder: Path) -> list[Path]:
     """Files that may be scans: no hidden files, folders, labels or settings."""
-    return [
-        path
-        for path in sorted(folder.iterdir())
-        if not path.name.startswith(".")
-        and not path.is_dir()
-        and not path.name.removesuffix(STUB).endswith((".label", ".toml"))
-    ]
+    files = []
+    for path in sorted(folder.iterdir()):
+        is_other = path.name.removesuffix(STUB).endswith((".label", ".toml"))
+        if not (path.name.startswith(".") or is_other or path.is_dir()):
+            files.append(path)
+    return files
 
 
-def _files_below(folder: Path) -> list[Path]:
-    """Files that may be scans in the folders of a folder."""
-    inner = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
-    return [path for below in inner for path in _files(below)]
-
-
-def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, Path]:
-    scans: dict[str, Path] = {}
+def _scans_by_stem(folder: Path) -> tuple[dict[str, ScanRef], list[Path]]:
+    """The scans of a folder by stem, and files of unknown formats."""
+    scans: dict[str, ScanRef] = {}
+    unread = []
     for path in _files(folder):
-        if suffix_of(path) is None:
-            warnings.append(f"{path}: {_IGNORED}")
+        scan = scan_ref(path)
+        if not scan.format.module:
+            unread.append(path)
             continue
-        stem = stem_of(path)
-        if not stem or any("\ud800" <= sign <= "\udfff" for sign in stem):  # lone surrogates: bytes that are not UTF-8
+        stem = scan.stem
+        if not stem or any("\ud800" <= character <= "\udfff" for character in stem):  # bytes that are not UTF-8
             raise DatasetError(f"{path}: the name is not UTF-8; rename the file")
         if stem in scans:
             raise DatasetError(
-                f"{folder}: {scans[stem].name} and {path.name} have the same stem {stem}; keep one of them"
+                f"{folder}: {scans[stem].file.name} and {path.name} have the same stem {stem}; keep one of them",
             )
-        scans[stem] = path
-    return scans
+        scans[stem] = scan
+    return scans, unread
 
 
 def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True) -> list[ScanPair]:
@@ -229,43 +277,75 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     DatasetError
         The file is not a CSV table, lacks a column, repeats a pair, or a value is not a number.
     """
-    try:
-        with manifest.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, restval="", skipinitialspace=True, strict=True)
-            rows, columns = list(table), [*(table.fieldnames or ())]
-    except (OSError, ValueError, csv.Error) as error:
-        raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
-    wanted = ("pair_id", "real", "sim") if needs_sim else ("pair_id", "real")
-    if missing := [name for name in wanted if name not in columns]:
+    rows, columns = _manifest_rows(manifest)
+    required = ("pair_id", *SIDES) if needs_sim else ("pair_id", "real")
+    missing = [name for name in required if name not in columns]
+    if missing:
         raise DatasetError(f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}")
     for name in columns:
         if columns.count(name) > 1:
-            raise DatasetError(f"{manifest}: column {name} occurs {columns.count(name)} times; expected it once")
+            raise DatasetError(
+                f"{manifest}: column {name} occurs {columns.count(name)} times; expected it once",
+            )
         if name not in _MANIFEST_COLUMNS:
             meant = nearest(name, _MANIFEST_COLUMNS)
             if meant is not None and meant not in columns:
-                raise DatasetError(f"{manifest}: column {name} is not known; did you mean {meant}?")
+                raise DatasetError(
+                    f"{manifest}: column {name} is not known; did you mean {meant}?",
+                )
             warnings.append(f"{manifest}: column {name} is not known, ignored")
-    pairs = []
-    seen: dict[str, int] = {}
-    stubs = _stubs_of(manifest.parent, [row.get(side, "").strip() for row in rows for side in SIDES])
+    names = []
+    for row in rows:
+        names += [row.get(side, "") for side in SIDES]
+    stubs = _stubs_of(manifest.parent, names)
+    pairs: dict[str, ScanPair] = {}
     for line, row in enumerate(rows, start=2):
         where = f"{manifest}, line {line}"
         if None in row:
-            raise DatasetError(f"{where}: expected {len(columns)} values, got {len(columns) + len(row[None])}")
-        pair_id = row["pair_id"].strip()
-        if not pair_id:
-            raise DatasetError(f"{where}: pair_id is empty; expected a name")
-        if pair_id in seen:
-            raise DatasetError(f"{where}: pair_id {pair_id} is already in line {seen[pair_id]}; expected unique names")
-        seen[pair_id] = line
-        (real, no_real), (sim, no_sim) = (
-            _named_scan(where, manifest.parent, row.get(side, "").strip(), side, stubs) for side in SIDES
-        )
-        time_s = _number(where, "timestamp_s", row.get("timestamp_s", ""))
-        T_real_sim, T_world_sensor = (_transform(where, name, row.get(name, "")) for name in _MANIFEST_COLUMNS[-2:])
-        pairs.append(ScanPair(pair_id, real, sim, time_s, T_real_sim, no_real or no_sim, T_world_sensor))
-    return pairs
+            n_values = len(columns) + len(row[None])
+            raise DatasetError(f"{where}: expected {len(columns)} values, got {n_values}")
+        pair = _pair_of_row(where, manifest.parent, row, stubs)
+        if pair.pair_id in pairs:
+            first = 2 + list(pairs).index(pair.pair_id)
+            raise DatasetError(
+                f"{where}: pair_id {pair.pair_id} is already in line {first}; expected unique names",
+            )
+        pairs[pair.pair_id] = pair
+    return list(pairs.values())
+
+
+def _pair_of_row(where: str, folder: Path, row: Mapping[str, str], stubs: Mapping[str, Path | str]) -> ScanPair:
+    if not row["pair_id"]:
+        raise DatasetError(f"{where}: pair_id is empty; expected a name")
+    scans: dict[str, ScanRef | None] = dict.fromkeys(SIDES)
+    faults = []
+    for side in SIDES:
+        try:
+            scans[side] = _named_scan(folder, row.get(side, ""), side, stubs)
+        except ScanError as error:
+            faults.append(f"{where}: {error}")
+    return ScanPair(
+        row["pair_id"],
+        scans["real"],
+        scans["sim"],
+        timestamp_s=_number(where, "timestamp_s", row.get("timestamp_s", "")),
+        T_real_sim=_transform(where, "T_real_sim", row.get("T_real_sim", "")),
+        fault=faults[0] if faults else None,
+        T_world_sensor=_transform(where, "T_world_sensor", row.get("T_world_sensor", "")),
+    )
+
+
+def _manifest_rows(manifest: Path) -> tuple[list[dict[Any, Any]], list[str]]:
+    """Rows of a manifest as stripped text, and its columns; excess values of a row are under None."""
+    try:
+        with manifest.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.DictReader(file, restval="", skipinitialspace=True, strict=True)
+            rows = list(table)
+    except (OSError, ValueError, csv.Error) as error:
+        raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
+    for row in rows:
+        row.update({name: value.strip() for name, value in row.items() if name is not None})
+    return rows, list(table.fieldnames or ())
 
 
 def local_folder(name: str) -> Path:
@@ -276,41 +356,51 @@ def local_folder(name: str) -> Path:
     DatasetError
         The URL cannot be read.
     """
-    return remote().local_of(name) if is_url(name) else Path(name)
+    if not is_url(name):
+        return Path(name)
+    from ..storage.remote_run import local_of
+
+    return local_of(name)
 
 
 def _stubs_of(folder: Path, names: list[str]) -> dict[str, Path | str]:
     """The stub of each scan of a manifest that is in an object store, or the reason why there is none."""
-    base, urls = url_of_cache(folder), {}
+    base = url_of_cache(folder)
+    urls = {}
     for name in filter(None, names):
         if is_url(name):
             urls[name] = name
-        elif base and not any(path_exists(f"{folder / name}{ending}") for ending in ("", STUB)):
+        elif base and not (path_exists(folder / name) or path_exists(f"{folder / name}{STUB}")):
             urls[name] = f"{base}/{name}"  # of a server that cannot list its objects
-    return remote().stubs_of(urls) if urls else {}
+    if not urls:
+        return {}
+    from ..storage.remote_dataset import stubs_of
+
+    return stubs_of(urls)
 
 
-def _named_scan(
-    where: str, folder: Path, name: str, side: str, stubs: Mapping[str, Path | str]
-) -> tuple[Path | None, str | None]:
-    """The scan file that a line of the manifest names, or the reason why it is missing."""
-    path = folder / name
+def _named_scan(folder: Path, name: str, side: str, stubs: Mapping[str, Path | str]) -> ScanRef:
+    """The scan that a manifest names; `ScanError` if it does not exist."""
     if not name:
-        return None, f"{where}: no {side} scan is named"
+        raise ScanError(f"no {side} scan is named")
     if name in stubs:
-        found = stubs[name]
-        return (found, None) if isinstance(found, Path) else (None, f"{where}: {found}")
+        stub_or_reason = stubs[name]
+        if isinstance(stub_or_reason, str):
+            raise ScanError(stub_or_reason)
+        return scan_ref(stub_or_reason)
+    path = folder / name
+    stub = Path(f"{path}{STUB}")
     try:
-        stub = Path(f"{path}{STUB}")
-        path = stub if is_stub(stub) and stub.exists() else path
-        is_there = is_scan_path(path)
-    except (OSError, ScanError) as error:  # a name that no file can have, or that names no frame
-        return None, f"{where}: {error.strerror or error if isinstance(error, OSError) else error}"
-    return (path, None) if is_there else (None, f"{where}: {path} is not a file; expected the {side} scan")
+        scan = scan_ref(stub if is_stub(stub) and stub.exists() else path)
+        if scan.exists:
+            return scan
+    except OSError as error:  # a name that no file can have
+        raise ScanError(error.strerror or str(error)) from error
+    raise ScanError(f"{path} is not a file; expected the {side} scan")
 
 
 def _number(where: str, name: str, text: str) -> float | None:
-    if not text.strip():
+    if not text:
         return None
     try:
         value = float(text)
@@ -322,10 +412,9 @@ def _number(where: str, name: str, text: str) -> float | None:
 
 
 def _transform(where: str, name: str, text: str) -> tuple[float, ...] | None:
-    words = text.split()
-    if not words:
+    if not text:
         return None
-    numbers = np.array([_number(where, name, word) for word in words], dtype=np.float64)
+    numbers = np.array([_number(where, name, word) for word in text.split()], dtype=np.float64)
     return tuple(check_rigid(where, name, numbers).ravel().tolist())
 
 
@@ -342,23 +431,26 @@ def check_rigid(where: str, name: str, numbers: FloatArray) -> FloatArray:
         The numbers are not 12, R is not a rotation, or t is beyond a million kilometres.
     """
     if len(numbers) != 12:
-        raise DatasetError(f"{where}: {name}: expected 12 numbers ([R | t] row by row), got {len(numbers)}")
+        raise DatasetError(
+            f"{where}: {name}: expected 12 numbers ([R | t] row by row), got {len(numbers)}",
+        )
     motion = numbers.reshape(3, 4)
     rotation = motion[:, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # infinite values are not a rotation
         off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if not (off <= _ROTATION_TOLERANCE and np.isfinite(motion).all()):
         raise DatasetError(
-            f"{where}: {name} is not a rigid motion (R R^T is off the identity by {off:.2g}, "
-            f"at most {_ROTATION_TOLERANCE:g} is taken for rounding)"
+            f"{where}: {name} is not a rigid motion (R R^T is off the identity by {off:.2g}, at "
+            f"most {_ROTATION_TOLERANCE:g} is taken for rounding)"
         )
-    if (shift_m := float(np.abs(motion[:, 3]).max())) > FARTHEST_M:
-        raise DatasetError(f"{where}: {name}: expected a translation of at most {FARTHEST_M:g} m, got {shift_m:g} m")
+    shift_m = float(np.abs(motion[:, 3]).max())
+    if shift_m > FARTHEST_M:
+        raise DatasetError(
+            f"{where}: {name}: expected a translation of at most {FARTHEST_M:g} m, got {shift_m:g} m",
+        )
     if np.linalg.det(rotation) < 0:
-        hint = (
-            'set input.sim_frame = "carla" for a left-handed simulator'
-            if name == "T_real_sim"
-            else "expected det R = 1"
-        )
+        hint = "expected det R = 1"
+        if name == "T_real_sim":
+            hint = 'set input.sim_frame = "carla" for a left-handed simulator'
         raise DatasetError(f"{where}: {name} is a mirror image; {hint}")
     return motion

@@ -8,9 +8,11 @@ from ...schemas.errors import RunError
 from ...schemas.results import Diagnosis
 from ...schemas.settings import Settings, parse
 from ..datasets.pairs import ScanPair
-from ..engine.engine import Machines, RunEngine, Survey
-from ..engine.plan import PairPlan, Planner
+from ..engine.collector import Collector
+from ..engine.engine import Machines, schedule_of, started_pool, working
+from ..engine.plan import OUT_OF_DATE, PairPlan, Planner
 from ..engine.progress import Reporter
+from ..engine.survey import InputFiles, PlanPair, Survey, remove_stale
 from ..jobs import stages_under
 from ..jobs.gains_job import gains_stage
 from ..results.diagnosis import diagnosis_of
@@ -37,16 +39,24 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     groups = {name: values for name, values in run.record.settings.items() if name in Settings.model_fields}
     settings = parse(groups)
     stage = gains_stage({cause.name: cause.estimate for cause in overview.causes})
-    with run.store.locked(), RunEngine(run.store, settings, machines, reporter, (stage,)) as engine:
-        planner = Planner((*stages_under(settings), stage), settings, {})
-        survey = _survey(run, engine, planner, stage)
-        with engine.making(
-            survey, lambda pair: _plan(run, planner, stage, pair), lambda: None, ["the causes changed"]
-        ) as schedule:
-            schedule.run()
-        if engine.failures:
-            reasons = "; ".join(f"pair {name}: {reason}" for name, reason in engine.failures.items())
-            raise RunError(f"run {folder}: {reasons}")
+    planner = Planner((*stages_under(settings), stage), settings, {})
+
+    def plan_pair(pair: ScanPair) -> PairPlan:
+        """The job that measures the gains of a pair, with its other results as they are."""
+        return planner.plan_on_results(pair, run.store.ledger.jobs(pair.pair_id), stage)
+
+    with run.store.locked():
+        survey = _survey(run, plan_pair, stage)
+        collector = Collector(run.store, reporter)
+        with started_pool(survey.todo, run.store, (stage,), settings, collector, machines) as pool:
+            remove_stale(survey, run.store, (stage,), reporter, ["the causes changed"])
+            if survey.todo:
+                files = InputFiles({pair.pair_id: {} for pair in survey.todo})
+                with working(survey, files, collector, machines.policy.costs):
+                    schedule_of(survey, plan_pair, pool, collector, machines).run()
+    if collector.failures:
+        reasons = [f"pair {name}: {reason}" for name, reason in collector.failures.items()]
+        raise RunError(f"run {folder}: {'; '.join(reasons)}")
     diagnosis = diagnosis_of(run.store, run.record, [row["pair_id"] for row in run.scored])
     if diagnosis is None:
         raise RunError(f"run {folder}: the run changed while it was diagnosed; diagnose it again")
@@ -54,24 +64,18 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     return diagnosis.model_copy(update={"notes": (note,)}) if note else diagnosis
 
 
-def _plan(run: FinishedRun, planner: Planner, stage: Stage, pair: ScanPair) -> PairPlan:
-    """The job that measures the gains of a pair, with the other results of the pair as they are."""
-    return planner.plan_on_results(pair, run.store.ledger.jobs(pair.pair_id), stage)
-
-
-def _survey(run: FinishedRun, engine: RunEngine, planner: Planner, stage: Stage) -> Survey:
+def _survey(run: FinishedRun, plan_pair: PlanPair, stage: Stage) -> Survey:
     """The pairs whose gains are missing, and gains of other amounts."""
     survey = Survey()
     for row in run.scored:
         pair = ScanPair(row["pair_id"], None, None)
-        engine.contents[pair.pair_id] = {}
         survey.usable.append(pair)
-        key = _plan(run, planner, stage, pair).keys[stage.name, ""]
+        key = plan_pair(pair).keys[stage.name, ""]
         record = run.store.ledger.jobs(pair.pair_id).get((stage.name, ""))
         if record is not None and record.key == key and not run.store.damaged_files(record):
             continue
         survey.todo.append(pair)
         survey.n_jobs += 1
         if record is not None:
-            survey.stale[record.name] = "out of date"
+            survey.stale[record.name] = OUT_OF_DATE
     return survey

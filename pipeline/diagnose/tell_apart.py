@@ -22,8 +22,9 @@ from ...stages.method import remove_road
 from ...stages.sensor_description import describe_sensor
 from ...stages.statistics.findings import BAND_EDGES_M
 from ...stages.statistics.neighbours import SAME_PLACE, PlaceMap, map_place, overlap
-from ..datasets.pairing import scans_in
-from ..datasets.readers import frames_of, holds_frames, read_scan
+from ..datasets.pairs import scans_of
+from ..datasets.readers import read_scan
+from ..datasets.readers.scan_ref import ScanRef
 from ..jobs.points_job import column
 from ..results.finished import FinishedRun
 
@@ -154,14 +155,10 @@ def tell_apart_folders(real: Path, sim: Path, settings: Settings) -> TellApart:
     """
     sides = []
     for side, source in zip(SIDES, (real, sim), strict=True):
-        paths = []
-        if holds_frames(source):
-            paths = frames_of(source)
-        elif source.is_dir():
-            paths = scans_in(source)
-        if not paths:
+        scans = scans_of(source)
+        if not scans:
             raise DatasetError(f"{source}: no {side} scans found; expected a folder of scans, or a recording")
-        sides.append([partial(_read_clean, path, side, settings) for path in _evenly(paths)])
+        sides.append([partial(_read_clean, scan, side, settings) for scan in _evenly(scans)])
     return _compare(f"{real} and {sim}", sides[0], sides[1], [], is_paired=False)
 
 
@@ -289,12 +286,12 @@ def _read_stored(run: FinishedRun, name: str, side: str) -> Frame:
     return Frame(points, own_points, column(ground, "height_m"), column(ground, "is_ground"), intensity)
 
 
-def _read_clean(path: Path, side: str, settings: Settings) -> Frame:
-    scan = read_scan(path, settings.input.columns_of(side))
+def _read_clean(ref: ScanRef, side: str, settings: Settings) -> Frame:
+    scan = read_scan(ref, settings.input.columns_of(side))
     try:
         clean, cut = remove_road(scan.points, settings, side)
     except StageError as error:
-        raise DatasetError(f"{path}: {error}") from error
+        raise DatasetError(f"{ref}: {error}") from error
     intensity = None if scan.intensity is None else scan.intensity[clean.point_ids]
     return Frame(clean.points, clean.points, cut.height_m, cut.is_ground, intensity)
 

@@ -1,7 +1,7 @@
 """Batches on several processes: on a local dask cluster, or on the cluster behind a scheduler's address.
 
-With `worker_start` the only file that needs dask, and only if there is a cluster (`pool` reads the machine's memory
-from it).
+With `worker_start` the only file that needs dask, and only if there is a cluster (`pool` reads the
+machine's memory from it).
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from time import monotonic
 from typing import Any
 
 from ...schemas.errors import FidpipeError, RunError, StoreError
+from ..storage.object_store import describe_object
 from ..storage.run_record import library_versions
-from ..storage.urls import is_url, remote
+from ..storage.urls import is_url
 from . import prefork
 from .costs import CostModel
 from .pool import (
@@ -50,10 +51,11 @@ _WITHOUT_WORKERS_S = 600.0
 _LEAST_ADDRESS_SPACE = 2 * 2**30
 _BEGINNING_BYTES = 64
 
-#: For a cluster on this machine. A task at which two workers die is given up; `schedule` decides what is tried again. A
-#: silent worker is busy in a library, a busy event loop is not reported, logs of messages would grow with the pairs.
-#: The rows of the objects of a large pair are a large argument. Workers would profile themselves every 10 ms, and all
-#: processes measure the delay of their event loop every 20 ms: 1 ms of CPU per small pair.
+#: For a cluster on this machine. A task at which two workers die is given up; `schedule` decides
+#: what is tried again. A silent worker is busy in a library, a busy event loop is not reported,
+#: logs of messages would grow with the pairs. The rows of the objects of a large pair are a large
+#: argument. Workers would profile themselves every 10 ms, and all processes measure the delay of
+#: their event loop every 20 ms: 1 ms of CPU per small pair.
 _DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
     "distributed.scheduler.worker-ttl": None,
@@ -92,9 +94,13 @@ def _limit_threads() -> Any:
 
 
 def _in_worker(requirements: Requirements | None, function: Callable[..., Any], *args: Any) -> Any:
-    if requirements is not None and requirements not in _CHECKED:  # it may have joined after the first check
+    if (
+        requirements is not None and requirements not in _CHECKED
+    ):  # it may have joined after the first check
         versions = requirements.libraries
-        if fault := other_versions(library_versions(versions), versions) or worker_fault(requirements):
+        if fault := other_versions(library_versions(versions), versions) or worker_fault(
+            requirements
+        ):
             raise RunError(f"a worker on {socket.gethostname()}: {fault}")
         _CHECKED.append(requirements)
     _limit_threads()
@@ -117,7 +123,8 @@ class DaskPool(Pool):
     Raises
     ------
     RunError
-        The scheduler cannot be reached, or a worker does not see the files, has other versions, or lacks a limit.
+        The scheduler cannot be reached, or a worker does not see the files, has other versions, or
+        lacks a limit.
     """
 
     def __init__(
@@ -136,7 +143,8 @@ class DaskPool(Pool):
         import dask
         import distributed
 
-        # dask sets the level of its client separately; asyncio reports workers that were ended while they started
+        # dask sets the level of its client separately; asyncio reports workers that were ended
+        # while they started
         for name in ("distributed", "distributed.client", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         dask.config.set(_DASK_SETTINGS)
@@ -151,8 +159,9 @@ class DaskPool(Pool):
         self._may_end_workers = may_end_workers
         self._requirements: Requirements | None = None
         self._workers: dict[str, dict[str, Any]] = {}
-        self._looked, self._had_workers = -_SECONDS_BETWEEN_LOOKS, monotonic()
-        self._looked_after, self._dead_since = monotonic(), dict[Any, float]()
+        self._looked = -_SECONDS_BETWEEN_LOOKS
+        self._had_workers = self._looked_after = monotonic()
+        self._dead_since: dict[Any, float] = {}
         try:
             self._start(n_workers, address)
             if address is not None:
@@ -161,7 +170,7 @@ class DaskPool(Pool):
                 self._check_versions(self._requirements)
                 self._check_workers(self._requirements)
         except BaseException:
-            self.close(now=True)
+            self.close()
             raise
 
     @property
@@ -174,9 +183,15 @@ class DaskPool(Pool):
         """See `Pool`: of the current workers."""
         if self._memory is not None or self._address is None:
             return super().memory
-        limits = [int(worker["memory_limit"]) for worker in self._workers_now().values() if worker["memory_limit"]]
+        limits = [
+            int(worker["memory_limit"])
+            for worker in self._workers_now().values()
+            if worker["memory_limit"]
+        ]
         if limits:  # while all are gone, those that come again are taken to be like them
-            self._memory_there = Memory(int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits)))
+            self._memory_there = Memory(
+                int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits))
+            )
         return self._memory_there
 
     @property
@@ -206,26 +221,29 @@ class DaskPool(Pool):
             result = future.result()
         except self._killed_worker as error:
             n_deaths = error.allowed_failures + 1
-            return future, WorkerDied(f"{n_deaths} workers each time, the last one {error.last_worker.address}")
+            return future, WorkerDied(
+                f"{n_deaths} workers each time, the last one {error.last_worker.address}"
+            )
         except CancelledError as error:
             raise RunError(self._lost("the connection is lost, or it gave up a task")) from error
         except FidpipeError:
             raise
         except Exception:
             if self._requirements is not None:
-                self._check_versions(self._requirements)  # a worker of another version cannot unpickle the task
+                self._check_versions(
+                    self._requirements
+                )  # a worker of another version cannot unpickle the task
             raise
         future.release()  # or it would be repeated, and its files written again, if the worker that holds it dies
         return future, result
 
-    def close(self, *, now: bool = False) -> None:
+    def close(self) -> None:
         """See `Pool`."""
         if self._client is not None:
             with suppress(TimeoutError):  # a busy machine; what still runs ends with this process
                 self._client.close(timeout=_STOP_S)
         if self._cluster is not None:
-            if now:
-                self._cluster.sync(_end, self._cluster.workers.values())
+            self._cluster.sync(_end, self._cluster.workers.values())
             with suppress(TimeoutError):
                 self._cluster.close(timeout=_STOP_S)
 
@@ -244,7 +262,9 @@ class DaskPool(Pool):
             _task = self._client.submit(os.getpid)  # adaptive clusters start workers for tasks
             self._client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT_S)
         except (OSError, TimeoutError) as error:
-            raise RunError(f"scheduler {address}: no cluster with a worker could be reached ({error})") from error
+            raise RunError(
+                f"scheduler {address}: no cluster with a worker could be reached ({error})"
+            ) from error
 
     def _start_cluster(self, n_workers: int) -> None:
         """Start a cluster on this machine; it is restarted if a worker is killed during the start.
@@ -276,7 +296,9 @@ class DaskPool(Pool):
             except BaseException:
                 if self._cluster is None:
                     prefork.kill_workers()
-                    atexit.unregister(distributed.deploy.spec.close_clusters)  # it asserts that all of it was there
+                    atexit.unregister(
+                        distributed.deploy.spec.close_clusters
+                    )  # it asserts that all of it was there
                 raise
         raise RunError(
             f"no cluster could be started here in {_STARTS} tries ({fault}; was a worker killed, or is memory or "
@@ -350,8 +372,12 @@ class DaskPool(Pool):
         """Raise `RunError` if the scheduler or a worker has other versions; runs no code of ours there."""
         versions = self._client.get_versions(packages=list(required.libraries))
         for name, there in [("", versions["scheduler"]), *versions["workers"].items()]:
-            if isinstance(there, dict) and (fault := other_versions(there["packages"], required.libraries)):
-                raise RunError(f"scheduler {self._address}{f', worker {name}' if name else ''}: {fault}")
+            if isinstance(there, dict) and (
+                fault := other_versions(there["packages"], required.libraries)
+            ):
+                raise RunError(
+                    f"scheduler {self._address}{f', worker {name}' if name else ''}: {fault}"
+                )
 
     def _check_workers(self, required: Requirements) -> None:
         """Raise `RunError` if a run could not be completed on a worker."""
@@ -373,7 +399,8 @@ def start_pool(
 ) -> Pool:
     """A pool in this process for one worker; else a cluster here, or the one behind an address. See `DaskPool`.
 
-    There are no more workers than fit into the memory. Tasks that may end their process never run in this one.
+    There are no more workers than fit into the memory. Tasks that may end their process never run
+    in this one.
     """
     from dask.system import CPU_COUNT
 
@@ -385,7 +412,15 @@ def start_pool(
         return Pool(memory)
     if address is None:
         _check_address_space()
-    return DaskPool(n_workers, address, shared_files, libraries, memory, modules, may_end_workers=may_end_workers)
+    return DaskPool(
+        n_workers,
+        address,
+        shared_files,
+        libraries,
+        memory,
+        modules,
+        may_end_workers=may_end_workers,
+    )
 
 
 async def _end(nannies: Iterable[Any]) -> None:
@@ -399,7 +434,10 @@ def _check_address(address: str) -> None:
     from distributed.comm.addressing import get_address_host_port
     from distributed.security import Security
 
-    if address.startswith("tls://") and Security().get_connection_args("client")["ssl_context"] is None:
+    if (
+        address.startswith("tls://")
+        and Security().get_connection_args("client")["ssl_context"] is None
+    ):
         raise RunError(
             f"scheduler {address!r}: expected dask's settings distributed.comm.tls to name the certificates "
             "(DASK_DISTRIBUTED__COMM__TLS__CA_FILE)"
@@ -409,14 +447,16 @@ def _check_address(address: str) -> None:
     except ValueError:
         is_known = False
     if not is_known:
-        raise RunError(f"scheduler {address!r}: expected an address tcp://HOST:PORT, such as tcp://host:8786")
+        raise RunError(
+            f"scheduler {address!r}: expected an address tcp://HOST:PORT, such as tcp://host:8786"
+        )
 
 
 def _check_address_space() -> None:
     """Raise `RunError` if dask's threads cannot start under the limit on address space; dask would wait for them.
 
-    Tried with two workers: at 1 GB two of three runs never ended, at 2 GiB all did; without a limit the command takes
-    1.8 GB.
+    Tried with two workers: at 1 GB two of three runs never ended, at 2 GiB all did; without a limit
+    the command takes 1.8 GB.
     """
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < _LEAST_ADDRESS_SPACE:
@@ -428,7 +468,8 @@ def _check_address_space() -> None:
 
 def worker_fault(required: Requirements) -> str:
     """Reason why a worker cannot serve a run: it does not see the run's files, or runs other code; "" if it can."""
-    code, same = code_hash(), "workers must see the same files under the same paths"
+    code = code_hash()
+    same = "workers must see the same files under the same paths"
     if code != required.code:
         return f"fidpipe of the same version with other code ({code}, here {required.code}); install the same one there"
     for path, beginning in required.beginnings.items():
@@ -445,7 +486,7 @@ def worker_fault(required: Requirements) -> str:
 def _beginning(path: str) -> bytes:
     """The first bytes of a file, or the etag of an object."""
     if is_url(path):
-        return remote().describe_object(path).etag.encode()
+        return describe_object(path).etag.encode()
     with Path(path).open("rb") as file:
         return file.read(_BEGINNING_BYTES)
 
@@ -466,6 +507,10 @@ def code_hash() -> str:
     root = Path(__file__).parents[2]
     digest = hashlib.sha256()
     for folder in ("pipeline", "schemas", "stages"):
-        for path in sorted(path for ending in ("py", "csv", "toml") for path in (root / folder).rglob(f"*.{ending}")):
+        for path in sorted(
+            path
+            for ending in ("py", "csv", "toml")
+            for path in (root / folder).rglob(f"*.{ending}")
+        ):
             digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:8]

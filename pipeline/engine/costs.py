@@ -1,7 +1,7 @@
 """The cost model of tasks, rough: seconds, to order and to bundle them; bytes, to admit them.
 
-Fitted to runs over 32- and 64-beam scans (`benchmarks/growth.py`). No result depends on these numbers, but that a pair
-whose object cannot fit into the memory fails.
+Fitted to runs over 32- and 64-beam scans (`benchmarks/growth.py`). No result depends on these
+numbers, but that a pair whose object cannot fit into the memory fails.
 """
 
 from __future__ import annotations

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from functools import partial
-from typing import Any
+from collections.abc import Iterable, Mapping
 
 import pyarrow as pa
 
 from ...schemas.errors import StageError
 from ..datasets.readers.scan import Scan
-from ..stage import OBJECTS, Grain, Inputs, Memo, Metadata
-from .plan import Job
+from ..stage import OBJECTS, Grain, Memo, Metadata
+from ..storage.table_files import JobId
+from .inputs import declared_inputs
+from .plan import Job, Source
 from .worker import job_title
 
 #: Tables of a pair by name and side.
@@ -23,8 +23,8 @@ def run_in_memory(
     scans: Mapping[str, Scan],
     pair_id: str,
     T_real_sim: tuple[float, ...] | None = None,
-) -> tuple[PairTables, dict[tuple[str, str], Metadata]]:
-    """Run the jobs of a pair one after the other; returns their tables, and the metadata of the job of each table.
+) -> tuple[PairTables, dict[JobId, Metadata]]:
+    """Run the jobs of a pair one after the other; returns their tables and metadata.
 
     Parameters
     ----------
@@ -38,11 +38,24 @@ def run_in_memory(
         A stage fails; with the name of its job.
     """
     tables: PairTables = {}
-    outputs: dict[tuple[str, str], Metadata] = {}
+    outputs: dict[JobId, Metadata] = {}
     matched: tuple[int, ...] = ()
     memo = Memo()
+
+    def read_table(source: Source) -> pa.Table:
+        return tables[source.table, source.side].select(source.columns)
+
     for job in jobs:
-        inputs = _inputs(job, scans, tables, outputs, pair_id, T_real_sim, memo, matched)
+        inputs = declared_inputs(
+            job,
+            read_table,
+            scans.__getitem__,
+            outputs,
+            T_real_sim,
+            pair_id=pair_id,
+            objects=matched if job.stage.grain is Grain.OBJECT else (),
+            memo=memo,
+        )
         try:
             result = job.stage.make(inputs)
         except StageError as error:
@@ -50,49 +63,9 @@ def run_in_memory(
         metadata = result.metadata
         if job.stage.gather is not None:
             metadata = job.stage.gather(inputs, result.tables)
+        outputs[job.name] = metadata
         for name, table in result.tables.items():
             tables[name, job.part] = table
-            outputs[name, job.part] = metadata
         if OBJECTS in metadata:
             matched = tuple(number for number, _ in metadata[OBJECTS])
     return tables, outputs
-
-
-def _inputs(
-    job: Job,
-    scans: Mapping[str, Scan],
-    tables: PairTables,
-    outputs: Mapping[tuple[str, str], Metadata],
-    pair_id: str,
-    T_real_sim: tuple[float, ...] | None,
-    memo: Memo,
-    matched: tuple[int, ...],
-) -> Inputs:
-    """The argument of a job: its declared inputs."""
-    declared: dict[tuple[str, str], Callable[[], pa.Table]] = {}
-    metadata = {}
-    own_scans = {}
-    for source in job.sources:
-        name = source.table, source.side
-        if source.maker is None:
-            own_scans[source.side] = partial(_same, scans[source.side])
-            continue
-        if source.columns:
-            declared[name] = partial(_same, tables[name].select(source.columns))
-        metadata[name] = outputs[name]
-    return Inputs(
-        pair_id=pair_id,
-        part=job.part,
-        settings=job.settings,
-        tables=declared,
-        outputs=metadata,
-        scans=own_scans,
-        T_real_sim=T_real_sim if "sim" in own_scans else None,
-        objects=matched if job.stage.grain is Grain.OBJECT else (),
-        arguments=job.stage.arguments,
-        memo=memo,
-    )
-
-
-def _same(value: Any) -> Any:
-    return value

@@ -21,7 +21,9 @@ from ..storage.run_record import library_versions
 from ..storage.table_files import JobId, JobName, JobRecord
 from .time_limit import TimeLimit
 
-OUT_OF_DATE = "out of date"  #: reason why a result that was made from or with something else is stale
+OUT_OF_DATE = (
+    "out of date"  #: reason why a result that was made from or with something else is stale
+)
 
 
 class Source(NamedTuple):
@@ -54,6 +56,11 @@ class Job:
     def name(self) -> JobId:
         """Name among the jobs of its pair."""
         return self.stage.name, self.part
+
+    @cached_property
+    def scan_sides(self) -> set[str]:
+        """The sides whose input file it takes."""
+        return {source.side for source in self.sources if source.maker is None}
 
     @cached_property
     def needs(self) -> set[JobId]:
@@ -96,7 +103,9 @@ class PairPlan:
     def n_raw(self) -> int:
         """Points of all files of the pair; of files that no finished job has counted, estimated from their size."""
         counted = self._counted()
-        return sum(counted.get(side, content.approximate_points) for side, content in self.inputs.items())
+        return sum(
+            counted.get(side, content.approximate_points) for side, content in self.inputs.items()
+        )
 
     @property
     def is_counted(self) -> bool:
@@ -105,7 +114,9 @@ class PairPlan:
 
     def _counted(self) -> dict[str, int]:
         records = self.records.values()
-        return {record.part: record.metadata[N_RAW] for record in records if N_RAW in record.metadata}
+        return {
+            record.part: record.metadata[N_RAW] for record in records if N_RAW in record.metadata
+        }
 
     @property
     def todo(self) -> list[Job]:
@@ -115,7 +126,11 @@ class PairPlan:
     @property
     def objects(self) -> list[tuple[int, int]] | None:
         """Id and nodes of each matched object, where a finished job lists them."""
-        lists = [record.metadata[OBJECTS] for record in self.records.values() if OBJECTS in record.metadata]
+        lists = [
+            record.metadata[OBJECTS]
+            for record in self.records.values()
+            if OBJECTS in record.metadata
+        ]
         return [(number, n_keep) for number, n_keep in lists[-1]] if lists else None
 
     def reads(self, job: Job) -> tuple[str, ...]:
@@ -139,10 +154,13 @@ class Planner:
     Raises
     ------
     ValueError
-        A stage takes what none before it gives, or names a table or a column that `schemas.tables` does not have.
+        A stage takes what none before it gives, or names a table or a column that `schemas.tables`
+        does not have.
     """
 
-    def __init__(self, stages: Sequence[Stage], settings: Settings, label_names: Mapping[int, str]) -> None:
+    def __init__(
+        self, stages: Sequence[Stage], settings: Settings, label_names: Mapping[int, str]
+    ) -> None:
         self.stages = tuple(stages)
         self.settings = settings
         self.label_names = label_names
@@ -151,25 +169,34 @@ class Planner:
     def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent]) -> PairPlan:
         """The jobs of a pair with their expected keys, none of them done yet.
 
-        The key of a result is a hash of its stage's name, version, settings and libraries, the columns of the tables
-        that it gives, its arguments and part, and the keys of what it reads; that of an input file hashes its content,
-        its labels with their names, and T_real_sim.
+        The key of a result is a hash of its stage's name, version, settings and libraries, the
+        columns of the tables that it gives, its arguments and part, and the keys of what it reads;
+        that of an input file hashes its content, its labels with their names, and T_real_sim.
 
         Parameters
         ----------
         pair : the pair
         inputs : by side, what its file holds
         """
-        keys = {(SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in SIDES}
-        for name, job in self._jobs.items():  # keys are hexadecimal digits, so that a space ends each
-            keys[name] = hashlib.sha256(" ".join((job.key, *_reads(job, keys))).encode()).hexdigest()
+        keys = {
+            (SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in SIDES
+        }
+        for (
+            name,
+            job,
+        ) in self._jobs.items():  # keys are hexadecimal digits, so that a space ends each
+            keys[name] = hashlib.sha256(
+                " ".join((job.key, *_reads(job, keys))).encode()
+            ).hexdigest()
         return PairPlan(pair, self._jobs, keys, {}, inputs, self.label_names)
 
     def jobs(self) -> tuple[Job, ...]:
         """The jobs of a pair, in their order."""
         return tuple(self._jobs.values())
 
-    def plan_on_results(self, pair: ScanPair, records: Mapping[JobId, JobRecord], stage: Stage) -> PairPlan:
+    def plan_on_results(
+        self, pair: ScanPair, records: Mapping[JobId, JobRecord], stage: Stage
+    ) -> PairPlan:
         """The job of one stage of a pair whose other results are taken as they are, whatever they were made of.
 
         Parameters
@@ -180,7 +207,9 @@ class Planner:
         name = (stage.name, "")
         jobs = {job: self._jobs[job] for job in self._jobs if job in records or job == name}
         keys = {job: record.key for job, record in records.items()}
-        keys[name] = hashlib.sha256(" ".join((jobs[name].key, *_reads(jobs[name], keys))).encode()).hexdigest()
+        keys[name] = hashlib.sha256(
+            " ".join((jobs[name].key, *_reads(jobs[name], keys))).encode()
+        ).hexdigest()
         others = {job: record for job, record in records.items() if job in jobs and job != name}
         return PairPlan(pair, jobs, keys, others, {}, self.label_names)
 
@@ -192,7 +221,9 @@ class Planner:
             known = {table for table, _ in makers}
             missing = [table for table in stage.takes if table not in known]
             if missing:
-                raise ValueError(f"stage {stage.name} takes {', '.join(missing)}, which no earlier stage makes")
+                raise ValueError(
+                    f"stage {stage.name} takes {', '.join(missing)}, which no earlier stage makes"
+                )
             method_key = self._method_key(stage)
             for part in stage.parts:
                 key = key_of(method_key, part, list(stage.arguments))
@@ -248,11 +279,18 @@ def _given_columns(stage: Stage, settings: Settings) -> dict[str, list[str]]:
         if table not in (*TABLES, SCAN):
             raise ValueError(f"stage {stage.name}: schemas.tables has no table {table}")
     if SCAN in stage.takes and "input" not in stage.settings:
-        raise ValueError(f"stage {stage.name}: takes {SCAN}, whose columns are read by the settings input")
+        raise ValueError(
+            f"stage {stage.name}: takes {SCAN}, whose columns are read by the settings input"
+        )
     for table, columns in (*stage.takes.items(), *stage.takes_real(settings).items()):
-        if surplus := [name for name in columns if table == SCAN or name not in TABLES[table].schema.names]:
+        known = () if table == SCAN else TABLES[table].schema.names
+        surplus = [name for name in columns if name not in known]
+        if surplus:
             raise ValueError(f"stage {stage.name}: {table} has no column {', '.join(surplus)}")
-    return {table: [f"{field.name} {field.type}" for field in TABLES[table].schema] for table in stage.gives}
+    given = {}
+    for table in stage.gives:
+        given[table] = [f"{field.name} {field.type}" for field in TABLES[table].schema]
+    return given
 
 
 def with_results(
@@ -271,7 +309,8 @@ def with_results(
     redo : stages to recompute regardless of their keys
     """
     records = folder.ledger.jobs(plan.pair_id)
-    whole, unwanted = [], {}
+    whole = []
+    unwanted = {}
     for name, job in plan.jobs.items():
         record = records.pop(name, None)
         if record is None:
@@ -292,4 +331,6 @@ def with_results(
 
 def _reads(job: Job, keys: Mapping[JobId, str]) -> tuple[str, ...]:
     """The keys of all that a job takes, in its order."""
-    return tuple(dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in job.sources))
+    return tuple(
+        dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in job.sources)
+    )

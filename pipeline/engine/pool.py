@@ -65,8 +65,8 @@ class Pool:
         with one_blas_thread():
             return handle, function(*args)
 
-    def close(self, *, now: bool = False) -> None:
-        """End the pool; `now` does not wait for running tasks."""
+    def close(self) -> None:
+        """End the pool, even if tasks are running."""
 
 
 @contextmanager

@@ -1,7 +1,8 @@
 """The process from which the workers of this machine are forked: it imports the libraries once for all of them.
 
-It is started before the command imports the same modules, so that both are ready at the same time. Without it each
-worker imports them itself, also one that replaces a dead one: 2.5 s of CPU per worker.
+It is started before the command imports the same modules, so that both are ready at the same time.
+Without it each worker imports them itself, also one that replaces a dead one: 2.5 s of CPU per
+worker.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from contextlib import contextmanager
 #: What it imports in any case, and what dask calls in each worker.
 WORKER_START = "fidpipe.pipeline.engine.worker_start"
 
-#: Of the forked processes: one BLAS thread, and an allocator that keeps blocks of up to 32 MiB instead of giving the
-#: pages back and faulting them in again for each array.
+#: Of the forked processes: one BLAS thread, and an allocator that keeps blocks of up to 32 MiB
+#: instead of giving the pages back and faulting them in again for each array.
 _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",

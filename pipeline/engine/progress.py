@@ -24,7 +24,12 @@ class Reporter:
     seconds_between_lines : least time between two lines where stderr is not a terminal
     """
 
-    def __init__(self, console: Console | None = None, *, seconds_between_lines: float = SECONDS_BETWEEN_LINES) -> None:
+    def __init__(
+        self,
+        console: Console | None = None,
+        *,
+        seconds_between_lines: float = SECONDS_BETWEEN_LINES,
+    ) -> None:
         self.console = console or Terminal(stderr=True, soft_wrap=True)
         self._between = seconds_between_lines
         self._bar: Progress | None = None
@@ -39,7 +44,9 @@ class Reporter:
     def warn(self, *texts: str) -> None:
         """Print warnings, one line each; all at once, as each call costs more than its lines."""
         if texts:
-            self.console.print("\n".join(f"warning: {shown(text)}" for text in texts), markup=False, style="yellow")
+            self.console.print(
+                "\n".join(f"warning: {shown(text)}" for text in texts), markup=False, style="yellow"
+            )
 
     def fail(self, name: str, reason: str) -> None:
         """Print one line for each failure."""
@@ -48,9 +55,17 @@ class Reporter:
 
     def start(self, n_pairs: int, n_jobs: int) -> None:
         """Begin to show progress over the jobs of all pairs."""
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import (
+            BarColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
 
-        self._n_pairs, self._n_ended, self._n_failed, self._last_line = n_pairs, 0, 0, self.console.get_time()
+        self._n_pairs = n_pairs
+        self._n_ended = self._n_failed = 0
+        self._last_line = self.console.get_time()
         self._bar = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=12),
@@ -80,8 +95,16 @@ class Reporter:
         if self._bar.disable and now - self._last_line >= self._between:
             self._last_line = now
             task = self._bar.tasks[0]
-            left = f"; about {_in_words(left_s)} left" if (left_s := task.time_remaining) is not None else ""
-            self.say(f"{self._counts()}{left}" if self._n_ended else f"{task.percentage:.0f} % done{self._objects}")
+            left = (
+                f"; about {_in_words(left_s)} left"
+                if (left_s := task.time_remaining) is not None
+                else ""
+            )
+            self.say(
+                f"{self._counts()}{left}"
+                if self._n_ended
+                else f"{task.percentage:.0f} % done{self._objects}"
+            )
 
     def stop(self) -> None:
         """End the progress."""

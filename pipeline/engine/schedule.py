@@ -1,9 +1,10 @@
 """The order of work: when the jobs of each pair are submitted, and the next step when a batch ends.
 
-Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs are one together;
-only when few pairs are left for the workers does a pair fall into batches by side and, largest first, by object. If the
-workers of a batch die, its pairs are tried again, each in a separate batch. A pair whose workers die again is tried
-once more, job by job with nothing else running, so that only the job that causes it fails.
+Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs
+are one together; only when few pairs are left for the workers does a pair fall into batches by side
+and, largest first, by object. If the workers of a batch die, its pairs are tried again, each in a
+separate batch. A pair whose workers die again is tried once more, job by job with nothing else
+running, so that only the job that causes it fails.
 """
 
 from __future__ import annotations
@@ -13,17 +14,15 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...schemas.columns import SIDES
 from ..stage import Grain
+from .collector import Collector
 from .costs import CostModel, largest_object
 from .plan import Job, PairPlan
 from .pool import Handle, Pool, WorkerDied
 from .worker import BatchResult, JobFailure, PairBatch, run_batch, score_objects
-
-if TYPE_CHECKING:
-    from .engine import RunEngine
 
 _FIRST = 1e6  # priority of what others wait for
 _BATCHES_PER_WORKER = 2  # submitted at the same time, so that none waits for the next
@@ -34,8 +33,8 @@ class Policy:
     """Batching policy; no result depends on it.
 
     costs : memory and seconds of batches
-    pairs_per_worker : pairs that are begun for each worker; with no more left than these, pairs fall into smaller
-        batches
+    pairs_per_worker : pairs that are begun for each worker; with no more left than these, pairs
+        fall into smaller batches
     worth_splitting_s : that cost more than this
     batch_s : seconds of objects per batch
     bundle_s : seconds of small pairs per batch
@@ -92,7 +91,8 @@ class _Pair:
 
     def chain(self, grain: Grain, part: str) -> list[Job]:
         """Those of a grain and part that can be done one after the other without waiting for any other job."""
-        done, chain = set(self.plan.records), []
+        done = set(self.plan.records)
+        chain = []
         for job in self.todo:
             if (job.stage.grain, job.part) == (grain, part) and done.issuperset(job.needs):
                 chain.append(job)
@@ -122,17 +122,24 @@ class Schedule:
     pool : where batches run
     plans : of the pairs, each with jobs to be made; taken one by one as they are begun
     n_pairs : number of plans
-    engine : receives the results while the work proceeds
+    collector : receives the results while the work proceeds
     policy : rules for cutting work into batches
     """
 
     def __init__(
-        self, pool: Pool, plans: Iterable[PairPlan], n_pairs: int, engine: RunEngine, policy: Policy | None = None
+        self,
+        pool: Pool,
+        plans: Iterable[PairPlan],
+        n_pairs: int,
+        collector: Collector,
+        policy: Policy,
     ) -> None:
-        self._pool, self._engine = pool, engine
-        self._policy = policy or Policy()
-        self._costs = self._policy.costs
-        self._pending, self._n_pending = iter(plans), n_pairs
+        self._pool = pool
+        self._collector = collector
+        self._policy = policy
+        self._costs = policy.costs
+        self._pending = iter(plans)
+        self._n_pending = n_pairs
         self._active: dict[str, _Pair] = {}
         self._waiting: list[tuple[float, int, _Batch]] = []
         self._running: dict[Handle, _Batch] = {}
@@ -180,16 +187,18 @@ class Schedule:
         if isinstance(result, WorkerDied):
             pair.is_lost = True
             if self._is_alone:
-                again = "the worker process died, and again when the pair ran alone (out of memory?)"
+                again = (
+                    "the worker process died, and again when the pair ran alone (out of memory?)"
+                )
                 pair.failures.append(JobFailure(pair.ready[0].name, f"{again}: {result.detail}"))
         elif isinstance(result, BatchResult):
-            self._engine.batch_done(result)
+            self._collector.batch_done(result)
             pair.plan = pair.plan.with_records(result.records)
             pair.failures.extend(result.failures)
         else:
             pair.scored[handle] = result
             pair.n_scored += len(batch.arguments[2])
-            self._engine.objects_done(pair.plan, pair.n_scored)
+            self._collector.objects_done(pair.plan, pair.n_scored)
 
     def _go_on(self, pair: _Pair) -> None:
         """Submit the next batches of a pair of which nothing is running."""
@@ -199,18 +208,19 @@ class Schedule:
             pair.n_scored = 0
             pair.scored.clear()
         reason = self._why_too_large(pair.plan)
+        readers = [job for job in pair.ready if job.scan_sides]
         while reason and pair.plan.is_counted and pair.todo:
             pair.failures.append(JobFailure(pair.todo[0].name, reason))
         if not pair.todo:
             self._is_alone = False
             del self._active[pair.plan.pair_id]
-            self._engine.pair_done(pair.plan, tuple(pair.failures))
+            self._collector.pair_done(pair.plan, tuple(pair.failures))
         elif self._is_alone:
             self._submit_jobs(pair, pair.ready[:1])
         elif pair.n_losses > 1:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
-        elif reason and (readers := [job for job in pair.ready if any(own.maker is None for own in job.sources)]):
+        elif reason and readers:
             self._submit_jobs(pair, readers)  # the input files may have fewer points than estimated
         elif pair.scored:
             jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
@@ -219,7 +229,8 @@ class Schedule:
             self._submit([pair], run_batch, [batch], self._costs, priority=_FIRST)
         elif self._is_worth_splitting(pair):
             self._split(pair)
-        elif pair.n_losses or pair.plan.limit is not None:  # one that may end its worker takes no other pair along
+        elif pair.n_losses or pair.plan.limit is not None:
+            # one that may end its worker takes no other pair along
             self._submit_together([pair])
         else:
             self._bundle.append(pair)
@@ -246,7 +257,10 @@ class Schedule:
         return self._costs.pair_seconds(pair.plan.n_raw) > self._policy.long_pair_s
 
     def _few_left(self) -> bool:
-        return self._n_pending + len(self._active) <= self._policy.pairs_per_worker * self._pool.n_workers
+        return (
+            self._n_pending + len(self._active)
+            <= self._policy.pairs_per_worker * self._pool.n_workers
+        )
 
     def _split(self, pair: _Pair) -> None:
         """The next layer of a pair in batches that run at the same time: by side, by object, or by job."""
@@ -267,14 +281,15 @@ class Schedule:
         need = self._costs.pair_bytes(pair.plan.n_raw)
         if any(job.stage.grain is not Grain.SIDE for job in jobs):
             need += self._costs.object_bytes(largest_object(pair.plan.objects or [])[1])
-        names, most_bytes = tuple(job.name for job in jobs), None if pair.plan.is_counted else need
-        batch = PairBatch(pair.plan, names, most_bytes)
+        names = tuple(job.name for job in jobs)
+        batch = PairBatch(pair.plan, names, None if pair.plan.is_counted else need)
         self._submit([pair], run_batch, [batch], self._costs, need=need, priority=priority)
 
     def _submit_bundle(self) -> None:
         """The pairs that wait for company, as one batch."""
         if self._bundle:
-            pairs, self._bundle = self._bundle, []
+            pairs = self._bundle
+            self._bundle = []
             self._submit_together(pairs)
 
     def _submit_together(self, pairs: list[_Pair]) -> None:
@@ -283,7 +298,13 @@ class Schedule:
         for pair in pairs:
             need = self._costs.pair_bytes(pair.plan.n_raw) + self._object_share(pair.plan)
             batches.append(PairBatch(pair.plan, tuple(job.name for job in pair.todo), need))
-        self._submit(pairs, run_batch, batches, self._costs, need=max(batch.most_bytes or 0 for batch in batches))
+        self._submit(
+            pairs,
+            run_batch,
+            batches,
+            self._costs,
+            need=max(batch.most_bytes or 0 for batch in batches),
+        )
 
     def _weight(self, pair: _Pair) -> float:
         """The part of a batch that a pair is worth."""
@@ -293,12 +314,19 @@ class Schedule:
     def _submit_objects(self, pair: _Pair) -> None:
         """The stages over a pair's objects: large objects alone, small ones together, largest first.
 
-        Pairs go one after the other, that of the largest object first: workers keep the tables of the last ones.
+        Pairs go one after the other, that of the largest object first: workers keep the tables of
+        the last ones.
         """
         jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
         sizes = sorted(pair.plan.objects or [], key=lambda entry: (-entry[1], entry[0]))
         if not sizes:
-            self._submit([pair], run_batch, [PairBatch(pair.plan, jobs, rows=())], self._costs, priority=_FIRST)
+            self._submit(
+                [pair],
+                run_batch,
+                [PairBatch(pair.plan, jobs, rows=())],
+                self._costs,
+                priority=_FIRST,
+            )
             return
         first = 1000.0 * self._costs.object_seconds(sizes[0][1])
         batch: list[tuple[int, int]] = []
@@ -306,9 +334,19 @@ class Schedule:
             batch.append(entry)
             seconds = sum(self._costs.object_seconds(n) for _, n in batch)
             if seconds >= self._policy.batch_s or i + 1 == len(sizes):
-                need = self._costs.pair_bytes(pair.plan.n_raw) + self._costs.object_bytes(batch[0][1])
+                need = self._costs.pair_bytes(pair.plan.n_raw) + self._costs.object_bytes(
+                    batch[0][1]
+                )
                 numbers = tuple(number for number, _ in batch)
-                self._submit([pair], score_objects, pair.plan, jobs, numbers, need=need, priority=first + seconds)
+                self._submit(
+                    [pair],
+                    score_objects,
+                    pair.plan,
+                    jobs,
+                    numbers,
+                    need=need,
+                    priority=first + seconds,
+                )
                 batch = []
 
     def _submit(

@@ -55,17 +55,21 @@ def map_tasks(
     modules = [function.__module__]
     pool = start_pool(n_workers, None, memory_gib, (), {}, modules, may_end_workers=may_end_workers)
     reporter.start(len(tasks), len(tasks))
-    lost, alone = list[str](), ""
+    lost: list[str] = []
+    alone = ""
     try:
         running = {pool.submit(_call, function, task): name for name, task in tasks.items()}
         while running:
             handle, outcome = pool.next_done()
             name = running.pop(handle)
-            if isinstance(outcome, WorkerDied) and name != alone:
-                lost.append(name)
-            else:
-                died = isinstance(outcome, WorkerDied)
-                result, reason = (None, f"{_DIED}: {outcome.detail}") if died else outcome
+            if isinstance(outcome, WorkerDied):
+                if name == alone:
+                    outcome = None, f"{_DIED}: {outcome.detail}"
+                else:
+                    lost.append(name)
+                    outcome = None
+            if outcome is not None:
+                result, reason = outcome
                 if reason:
                     failures[name] = reason
                     reporter.fail(f"pair {name}", reason)
@@ -77,7 +81,7 @@ def map_tasks(
                 running[pool.submit(_call, function, tasks[alone])] = alone
     finally:
         reporter.stop()
-        pool.close(now=True)
+        pool.close()
     return results, failures
 
 

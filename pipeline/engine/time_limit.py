@@ -1,8 +1,9 @@
 """The time limit of a pair: a worker that works too long on one ends its own process, even inside a library.
 
-Nothing else stops a thread that is inside a library: no exception, no signal, no message of the scheduler. The timer of
-`faulthandler` needs no interpreter. The time of each batch of a pair is written to small files in the run's folder: so
-every worker knows how much is left, and whether another one ended because nothing was.
+Nothing else stops a thread that is inside a library: no exception, no signal, no message of the
+scheduler. The timer of `faulthandler` needs no interpreter. The time of each batch of a pair is
+written to small files in the run's folder: so every worker knows how much is left, and whether
+another one ended because nothing was.
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ def limited(limit: TimeLimit | None) -> Iterator[Callable[[str], object]]:
     left = limit.seconds - _seconds_used(limit)
     if left <= 0:
         raise OutOfTimeError(_used_up(limit))
-    path, begun = limit.folder / secrets.token_hex(8), monotonic()
+    path = limit.folder / secrets.token_hex(8)
+    begun = monotonic()
     with path.open("w", buffering=1, encoding="utf-8") as note:
         _watch(begun + left, note)
         try:
@@ -108,4 +110,6 @@ def _watch(deadline: float | None, note: TextIO) -> None:
         faulthandler.cancel_dump_traceback_later()
         if _DEADLINES:
             first, noted = min(_DEADLINES.values(), key=lambda entry: entry[0])
-            faulthandler.dump_traceback_later(max(_LEAST_S, first - monotonic()), exit=True, file=noted)
+            faulthandler.dump_traceback_later(
+                max(_LEAST_S, first - monotonic()), exit=True, file=noted
+            )

@@ -1,30 +1,30 @@
 """Work of a worker: jobs of a pair one after the other, or some objects of one; and the tables that they work on.
 
-A table that comes from the job before it and one that comes from the run's folder are the same, value for value.
+A table that comes from the job before it and one that comes from the run's folder are the same,
+value for value.
 """
 
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
-from types import SimpleNamespace
-from typing import cast
 
 import pyarrow as pa
 
 from ...schemas.errors import DiskFullError, FidpipeError, StageError
-from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ..datasets.content import scan_content
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
-from ..stage import SCAN, Grain, Inputs, JobResult, Memo, Steps, Tables
-from ..storage.table_files import JobId, JobRecord, TableFolder, plain_metadata, table_name
-from ..storage.urls import remote
+from ..stage import Grain, Inputs, JobResult, Memo, Steps, Tables
+from ..storage.remote_dataset import restored_scan
+from ..storage.scratch import temporary_space
+from ..storage.table_files import JobId, JobRecord, plain_metadata, table_name, tables_of_run
 from .costs import CostModel, largest_object
-from .plan import Job, PairPlan
+from .inputs import declared_inputs
+from .plan import Job, PairPlan, Source
 from .time_limit import OutOfTimeError, limited
 
 
@@ -60,7 +60,8 @@ class PairBatch:
 
     jobs : their names
     most_bytes : a batch ends before a job that may need more than this
-    rows : of all objects, made by `score_objects`, from which the jobs write their tables; None if they are to be made
+    rows : of all objects, made by `score_objects`, from which the jobs write their tables; None if
+        they are to be made
     """
 
     plan: PairPlan
@@ -73,85 +74,124 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
     """Run the jobs of each pair and write their results; a failed job does not stop those that do not need it."""
     results = []
     for batch in batches:
-        jobs = [batch.plan.jobs[name] for name in batch.jobs]
         tables = PairTables(batch.plan)
         records: list[JobRecord] = []
         failures = [part for part in batch.rows or () if isinstance(part, JobFailure)][:1]
-        failed: set[JobId] = set()
         try:
             with limited(batch.plan.limit) as note:
-                for job in [] if failures else jobs:
-                    if failed.intersection(job.needs):
-                        failed.add(job.name)
-                        continue
-                    if batch.most_bytes is not None and tables.bytes_needed(job, costs) > batch.most_bytes:
-                        break
+                for job in _next_jobs(batch, tables, failures, costs):
                     note(job_title(*job.name))
-                    try:
+                    with _caught(job, failures):
                         records.append(make_job(tables, job, batch.rows))
-                    except DiskFullError:
-                        raise  # of every pair that comes after
-                    except Exception as error:  # one broken pair does not stop a dataset
-                        failures.append(_failure(job, error))
-                        failed.add(job.name)
-                        if not job.stage.is_extra:
-                            break
         except OutOfTimeError as error:
             failures.append(JobFailure(batch.jobs[0], str(error)))
         results.append(BatchResult(batch.plan.pair_id, tuple(records), tuple(failures)))
     return results
 
 
-def score_objects(plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...]) -> ObjectRows | JobFailure:
+def _next_jobs(
+    batch: PairBatch, tables: PairTables, failures: Sequence[JobFailure], costs: CostModel
+) -> Iterator[Job]:
+    """The jobs of a batch that do not need one that failed; none after a failure that fails the pair.
+
+    Parameters
+    ----------
+    failures : grows while the jobs run
+    """
+    if failures:
+        return
+    lost: set[JobId] = set()
+    for job in [batch.plan.jobs[name] for name in batch.jobs]:
+        lost |= {failure.job for failure in failures}
+        if lost.intersection(job.needs):
+            lost.add(job.name)
+            continue
+        limit = batch.most_bytes
+        if limit is not None and tables.bytes_needed(job, costs) > limit:
+            return
+        yield job
+        if not job.stage.is_extra and failures and failures[-1].job == job.name:
+            return
+
+
+@contextmanager
+def _caught(job: Job, failures: list[JobFailure]) -> Iterator[None]:
+    """Context of a job whose error fails its pair alone, unless no other pair could go on either."""
+    try:
+        with temporary_space():
+            yield
+    except DiskFullError:
+        raise
+    except Exception as error:
+        failures.append(_failure(job, error))
+
+
+def score_objects(
+    plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...]
+) -> ObjectRows | JobFailure:
     """The rows of some objects, by the requested stages over objects; nothing is written."""
     tables = _kept_tables(plan)
-    made: dict[JobId, Tables] = {}
-    steps: dict[JobId, tuple[tuple[str, float], ...]] = {}
-    rows: dict[tuple[str, str], pa.Table] = {}
-    job = plan.jobs[jobs[0]]
-    try:
-        with limited(plan.limit) as note:
-            for job in (plan.jobs[name] for name in jobs):
-                note(job_title(*job.name))
+    scored = ObjectRows({}, {})
+    rows: Tables = {}
+    failures: list[JobFailure] = []
+    with _caught(plan.jobs[jobs[0]], failures), limited(plan.limit) as note:
+        for job in [plan.jobs[name] for name in jobs]:
+            note(job_title(*job.name))
+            with _caught(job, failures):
                 inputs = tables.inputs(job, objects, rows)
-                made[job.name] = job.stage.make(inputs).tables
-                steps[job.name] = inputs.step.total()
-                rows |= {(table, ""): own for table, own in made[job.name].items()}
-    except Exception as error:  # one broken pair does not stop a dataset
-        return _failure(job, error)
-    return ObjectRows(made, steps)
+                made = job.stage.make(inputs).tables
+                scored.tables[job.name] = made
+                scored.steps[job.name] = inputs.step.total()
+                rows |= made
+            if failures:
+                break
+    return failures[0] if failures else scored
 
 
-def make_job(tables: PairTables, job: Job, rows: tuple[ObjectRows | JobFailure, ...] | None = None) -> JobRecord:
+def make_job(
+    tables: PairTables, job: Job, rows: tuple[ObjectRows | JobFailure, ...] | None = None
+) -> JobRecord:
     """Run one job of a pair and write its results; errors of its stage are raised unchanged.
 
     Parameters
     ----------
     rows : see `PairBatch`
     """
-    if rows is not None:
-        parts = [part for part in rows if isinstance(part, ObjectRows)]
-        inputs = tables.inputs(job, step=Steps(step for part in parts for step in part.steps[job.name]))
-        made = {table: [part.tables[job.name][table] for part in parts] for table in job.stage.gives}
-        return _finish_objects(tables, job, inputs, made)
-    objects = tuple(number for number, _ in tables.plan.objects or ()) if job.stage.grain is Grain.OBJECT else ()
-    inputs = tables.inputs(job, objects)
-    result = job.stage.make(inputs)
+    if rows is None:
+        inputs = tables.inputs(job, tables.objects_of(job))
+        result = job.stage.make(inputs)
+        parts = [result.tables]
+    else:
+        scored = [part for part in rows if isinstance(part, ObjectRows)]
+        steps: list[tuple[str, float]] = []
+        for part in scored:
+            steps += part.steps[job.name]
+        inputs = tables.inputs(job, step=Steps(steps))
+        parts = [part.tables[job.name] for part in scored]
     if job.stage.grain is Grain.OBJECT:
-        return _finish_objects(tables, job, inputs, {name: [own] for name, own in result.tables.items()})
+        result = _gathered(job, inputs, parts)
     return tables.finish(job, inputs, result)
+
+
+def _gathered(job: Job, inputs: Inputs, parts: Sequence[Tables]) -> JobResult:
+    """The rows of all objects, in the order of the table's keys."""
+    tables = {}
+    for name in job.stage.gives:
+        schema = TABLES[name]
+        rows = pa.concat_tables([schema.schema.empty_table(), *(part[name] for part in parts)])
+        tables[name] = rows.sort_by([(key, "ascending") for key in schema.keys]).combine_chunks()
+    metadata = job.stage.gather(inputs, tables) if job.stage.gather is not None else {}
+    return JobResult(tables, metadata)
 
 
 class PairTables:
     """The tables of one pair while jobs run on it: new ones, and those that are read when first requested."""
 
     def __init__(self, plan: PairPlan) -> None:
-        self._folder = TableFolder(plan.folder, plan.token)
-        if plan.url or plan.stubs:
-            self._folder = remote().folder_of_worker(plan.folder, plan.token, plan.url, plan.stubs)
+        self._folder = tables_of_run(plan.folder, plan.token, plan.url)
         self._scans: dict[str, Scan] = {}
         self._tables: dict[tuple[str, str], pa.Table] = {}
-        self._parts: dict[tuple[str, str, tuple[str, ...]], pa.Table] = {}
+        self._parts: dict[Source, pa.Table] = {}
         self._memo = Memo()
         self.plan = plan
 
@@ -162,11 +202,16 @@ class PairTables:
             n_bytes += costs.object_bytes(largest_object(self.plan.objects or [])[1])
         return n_bytes
 
+    def objects_of(self, job: Job) -> tuple[int, ...]:
+        """The matched objects that a job scores, if it scores objects."""
+        objects = self.plan.objects or []
+        return tuple(number for number, _ in objects) if job.stage.grain is Grain.OBJECT else ()
+
     def inputs(
         self,
         job: Job,
         objects: tuple[int, ...] = (),
-        rows: Mapping[tuple[str, str], pa.Table] | None = None,
+        rows: Mapping[str, pa.Table] | None = None,
         step: Steps | None = None,
     ) -> Inputs:
         """The argument of a job: the inputs that its stage declares.
@@ -177,58 +222,60 @@ class PairTables:
         rows : of these objects, in place of tables that are not written yet
         step : times the steps of the job
         """
-        step, rows, stage = step or Steps(), rows or {}, job.stage
-        tables: dict[tuple[str, str], Callable[[], pa.Table]] = {}
-        outputs, scans = {}, {}
-        for source in job.sources:
-            name = source.table, source.side
-            if source.maker is None:
-                scans[source.side] = partial(self._scan, source.side)
-                continue
-            if source.columns:
-                read = partial(self._read, *source[:3], source.maker, step)
-                tables[name] = partial(rows[name].select, source.columns) if name in rows else read
-            is_by_object = self.plan.jobs[source.maker].stage.grain is Grain.OBJECT
-            if not (is_by_object and stage.grain is Grain.OBJECT):  # they are gathered when all objects are done
-                outputs[name] = self.plan.records[source.maker].metadata
-        return Inputs(
+        step = step or Steps()
+        outputs = {}
+        for name, record in self.plan.records.items():
+            is_gathered = (
+                name in self.plan.jobs and self.plan.jobs[name].stage.grain is Grain.OBJECT
+            )
+            if not (is_gathered and job.stage.grain is Grain.OBJECT):
+                outputs[name] = record.metadata
+
+        def read_table(source: Source) -> pa.Table:
+            if rows and source.table in rows:
+                return rows[source.table].select(source.columns)
+            return self._read(source, step)
+
+        return declared_inputs(
+            job,
+            read_table,
+            self._scan,
+            outputs,
+            self.plan.pair.T_real_sim,
             pair_id=self.plan.pair_id,
-            part=job.part,
-            settings=cast(
-                Settings, SimpleNamespace(**{group: getattr(job.settings, group) for group in stage.settings})
-            ),
-            tables=tables,
-            outputs=outputs,
-            scans=scans,
-            T_real_sim=self.plan.pair.T_real_sim if "sim" in scans else None,
             objects=objects,
-            arguments=job.stage.arguments,
             step=step,
             memo=self._memo,
         )
 
-    def _read(self, name: str, side: str, columns: tuple[str, ...], maker: JobId, step: Steps) -> pa.Table:
+    def _read(self, source: Source, step: Steps) -> pa.Table:
         """The declared columns of a table that was made here or is in the run's folder."""
-        if (name, side, columns) not in self._parts:
-            if (name, side) in self._tables:
-                rows = self._tables[name, side].select(columns)
+        if source not in self._parts:
+            made = self._tables.get((source.table, source.side))
+            if made is not None:
+                rows = made.select(source.columns)
             else:
-                path = table_name(name, self.plan.pair_id, side)
+                path = table_name(source.table, self.plan.pair_id, source.side)
+                stored = self.plan.records[source.maker].files[path]  # type: ignore[index]
                 with step("read"):
-                    rows = self._folder.read(name, self.plan.records[maker].files[path], path, list(columns))
-            self._parts[name, side, columns] = rows
-        return self._parts[name, side, columns]
+                    rows = self._folder.read(source.table, stored, path, list(source.columns))
+            self._parts[source] = rows
+        return self._parts[source]
 
     def _scan(self, side: str) -> Scan:
         """The scan of a side, whose file must be the one that the keys were made of."""
         if side not in self._scans:
-            path = self.plan.pair.path(side)
-            if path is None:
+            ref = self.plan.pair.scans.get(side)
+            if ref is None:
                 raise StageError(f"no {side} scan")
+            if self.plan.stubs:
+                ref = replace(ref, file=restored_scan(ref.file, self.plan.stubs))
             columns = next(iter(self.plan.jobs.values())).settings.input.columns_of(side)
-            scan = read_scan(path, columns, dict(self.plan.label_names))
-            if scan_content(path) != self.plan.inputs[side]:
-                raise StageError(f"{path}: the file changed while the run was using it; run the same command again")
+            scan = read_scan(ref, columns, dict(self.plan.label_names))
+            if scan_content(ref) != self.plan.inputs[side]:
+                raise StageError(
+                    f"{ref}: the file changed while the run was using it; run the same command again"
+                )
             self._scans[side] = scan
         return self._scans[side]
 
@@ -241,8 +288,9 @@ class PairTables:
             The tables are not those that the stage declares.
         """
         if set(result.tables) != set(job.stage.gives):
+            found = ", ".join(result.tables)
             raise ValueError(
-                f"stage {job.stage.name}: expected tables {job.stage.gives}, got {', '.join(result.tables)}"
+                f"stage {job.stage.name}: expected tables {job.stage.gives}, got {found}"
             )
         record = JobRecord(
             job.stage.name,
@@ -252,8 +300,7 @@ class PairTables:
             {},
             self.plan.reads(job),
             plain_metadata(result.metadata),
-            inputs.step.total(),
-            self.plan.token,
+            made_by=self.plan.token,
         )
         with inputs.step("write"):
             files = self._folder.write_job(record, result.tables)
@@ -261,21 +308,10 @@ class PairTables:
         self._tables |= {(name, job.part): rows for name, rows in result.tables.items()}
         self.plan = self.plan.with_records([record])
         for side in list(self._scans):
-            readers = {own.name for own in self.plan.jobs.values() for use in own.sources if use[:2] == (SCAN, side)}
+            readers = {job.name for job in self.plan.jobs.values() if side in job.scan_sides}
             if self.plan.records.keys() >= readers:
                 del self._scans[side]  # no later job reads it
         return record
-
-
-def _finish_objects(tables: PairTables, job: Job, inputs: Inputs, made: Mapping[str, list[pa.Table]]) -> JobRecord:
-    """Keep and write the rows of all objects, in the order of the table's keys."""
-    whole = {}
-    for name, parts in made.items():
-        schema = TABLES[name]
-        rows = pa.concat_tables([schema.schema.empty_table(), *parts])
-        whole[name] = rows.sort_by([(key, "ascending") for key in schema.keys]).combine_chunks()
-    metadata = job.stage.gather(inputs, whole) if job.stage.gather is not None else {}
-    return tables.finish(job, inputs, JobResult(whole, metadata))
 
 
 def _kept_tables(plan: PairPlan) -> PairTables:

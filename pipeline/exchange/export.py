@@ -13,6 +13,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from enum import IntEnum
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError, RunError
+from ...schemas.metric_catalogue import QUADRANT_SCORES, scores_in
 from ...stages.coverage import nearest_distances
 from ..storage.files import named_errors, write_whole
 from ..storage.table_files import file_stem
@@ -46,15 +48,16 @@ class Status(IntEnum):
     HALLUCINATED = 5
 
 
+_DRAWN = QUADRANT_SCORES[::-1]
 #: Of a point: metres in the real sensor's frame; object (-1: ground); NaN without a score.
 POINT = np.dtype(
     [
-        *((name, "<f8") for name in ("x", "y", "z", "r_lambda", "cdc", "distance_m")),
+        *((name, "<f8") for name in ("x", "y", "z", *_DRAWN, "distance_m")),
         ("community", "<i4"),
         ("status", "u1"),
     ]
 )
-_SCORES = ("r_lambda", "cdc", "r_gap", "centroid_distance_m", "alignment_rms_m")
+_SCORES = scores_in("export")
 _COVERAGE = ("covered_0p3m", "median_distance_m")
 #: Of an object, at its centroid: the columns of `metrics` and `coverage`; partner is -1 if absent.
 OBJECT = np.dtype(
@@ -119,16 +122,18 @@ def export_run(
     """
     if mcap and find_spec("rosbags") is None:
         raise FidpipeError(
-            'writing MCAP needs rosbags, which is not installed; install it with: pip install "fidpipe[ros]"'
+            'writing MCAP needs rosbags, which is not installed; install it with: pip install "fidpipe[ros]"',
         )
     names = run.select(pattern)
     bag = folder / f"{run.folder.resolve().name}.mcap" if mcap else None
-    plys = {(name, side): folder / f"{file_stem(name)}.{side}.ply" for name in names for side in SIDES} if ply else {}
+    plys = {}
+    for name, side in product(names, SIDES) if ply else ():
+        plys[name, side] = folder / f"{file_stem(name)}.{side}.ply"
     written = [*([bag] if bag else []), *plys.values()]
     for path in [] if replace else written:
         if path.exists() and not _is_ours(path):
             raise RunError(
-                f"{path}: already exists and is not from fidpipe export; add --replace, or choose another --out"
+                f"{path}: already exists and is not from fidpipe export; add --replace, or choose another --out",
             )
     stamps_ns, has_times = message_times(run, names)
     with _bag(bag, run) if bag else nullcontext() as write:
@@ -140,7 +145,11 @@ def export_run(
                     write(f"{TOPIC}/{side}", stamps_ns[name], points)
                     write(f"{TOPIC}/{side}_objects", stamps_ns[name], objects)
             if write:
-                write(f"{TOPIC}/scores", stamps_ns[name], json.dumps(run.row(name), allow_nan=False))
+                write(
+                    f"{TOPIC}/scores",
+                    stamps_ns[name],
+                    json.dumps(run.row(name), allow_nan=False),
+                )
             pair_done(n_done, len(names))
     n_bytes = sum(path.stat().st_size for path in written)
     return Exported(bag, tuple(plys.values()), len(names), n_bytes, has_times)
@@ -155,11 +164,21 @@ def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int
     known_s = run.record.times_s
     times_s = [known_s[name] for name in names if 0 <= known_s.get(name, -1.0) < _LATEST_S]
     if len(set(times_s)) == len(names):
-        return {name: round(time_s * _NS) for name, time_s in zip(names, times_s, strict=True)}, True
+        return {
+            name: round(time_s * _NS)
+            for name, time_s in zip(
+                names,
+                times_s,
+                strict=True,
+            )
+        }, True
     return {row["pair_id"]: second * _NS for second, row in enumerate(run.scored, 1)}, False
 
 
-def pair_clouds(run: FinishedRun, pair_id: str) -> dict[str, tuple[NDArray[np.void], NDArray[np.void]]]:
+def pair_clouds(
+    run: FinishedRun,
+    pair_id: str,
+) -> dict[str, tuple[NDArray[np.void], NDArray[np.void]]]:
     """Points and objects of both sides of a scored pair: by side, (n,) of `POINT` and (c,) of `OBJECT`.
 
     `distance_m` is that of an object point to the nearest one of the other side, as in the table `coverage`. Objects
@@ -170,19 +189,28 @@ def pair_clouds(run: FinishedRun, pair_id: str) -> dict[str, tuple[NDArray[np.vo
     RunError
         A table is damaged or gone.
     """
-    every = run.objects_of([pair_id]).rename(columns={"cx": "x", "cy": "y", "cz": "z", "community_id": "community"})
-    status = every["status"].where(every["fate"] == "matched", every["fate"].replace("remnant", "missing"))
-    every["status"] = [Status[word.upper()].value for word in status]
+    objects = run.objects_of([pair_id]).rename(
+        columns={"cx": "x", "cy": "y", "cz": "z", "community_id": "community"},
+    )
+    status = objects["status"].where(
+        objects["fate"] == "matched",
+        objects["fate"].replace("remnant", "missing"),
+    )
+    objects["status"] = [Status[word.upper()].value for word in status]
     frames = {side: run.points(pair_id, side) for side in SIDES}
     places = [frame.loc[~frame.is_ground, ["x", "y", "z"]].to_numpy() for frame in frames.values()]
     clouds = {}
     for (side, frame), distance_m in zip(frames.items(), nearest_distances(*places), strict=True):
-        objects = every[every["side"] == side]
+        side_objects = objects[objects["side"] == side]
         frame["community"] = frame.community_id.fillna(-1).astype(int)
         frame.loc[frame.community >= 0, "distance_m"] = distance_m
-        points = frame.merge(objects[["community", "r_lambda", "cdc", "status"]], on="community", how="left")
+        points = frame.merge(
+            side_objects[["community", *_DRAWN, "status"]],
+            on="community",
+            how="left",
+        )
         points["status"] = points.status.fillna(Status.GROUND.value)
-        clouds[side] = _rows(points, POINT), _rows(objects[objects["n_points"] > 0], OBJECT)
+        clouds[side] = _rows(points, POINT), _rows(side_objects[side_objects["n_points"] > 0], OBJECT)
     return clouds
 
 
@@ -230,12 +258,16 @@ def _message(types: Any, content: NDArray[np.void] | str, time_ns: int) -> Any:
     if isinstance(content, str):
         return types["std_msgs/msg/String"](content)
     columns: Any = content.dtype.fields
-    field, stamp = types["sensor_msgs/msg/PointField"], types["builtin_interfaces/msg/Time"](*divmod(time_ns, _NS))
+    field = types["sensor_msgs/msg/PointField"]
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(time_ns, _NS))
+    fields = []
+    for name, (dtype, offset) in columns.items():
+        fields.append(field(name, offset, _POINT_FIELDS[dtype.str], 1))
     return types["sensor_msgs/msg/PointCloud2"](
         header=types["std_msgs/msg/Header"](stamp, FRAME),
         height=1,
         width=len(content),
-        fields=[field(name, offset, _POINT_FIELDS[own.str], 1) for name, (own, offset) in columns.items()],
+        fields=fields,
         is_bigendian=False,
         point_step=content.dtype.itemsize,
         row_step=content.nbytes,
@@ -258,13 +290,24 @@ def _bag(path: Path, run: FinishedRun) -> Iterator[_Write]:
             bag = Path(temporary) / "bag"
             writer = Writer(bag, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            writer.set_custom_data("fidpipe", f"{run.record.fidpipe}, preset {run.preset}, status {LEGEND}")
+            writer.set_custom_data(
+                "fidpipe",
+                f"{run.record.fidpipe}, preset {run.preset}, status {LEGEND}",
+            )
 
             def write(topic: str, time_ns: int, content: NDArray[np.void] | str) -> None:
                 message = _message(store.types, content, time_ns)
                 if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, message.__msgtype__, typestore=store)
-                writer.write(connections[topic], time_ns, store.serialize_cdr(message, message.__msgtype__))
+                    connections[topic] = writer.add_connection(
+                        topic,
+                        message.__msgtype__,
+                        typestore=store,
+                    )
+                writer.write(
+                    connections[topic],
+                    time_ns,
+                    store.serialize_cdr(message, message.__msgtype__),
+                )
 
             with writer:
                 yield write

@@ -26,6 +26,7 @@ from ..datasets.content import scan_content
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
+from ..datasets.readers.scan_ref import ScanRef
 from ..engine.engine import Machines
 from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
@@ -234,7 +235,7 @@ def _report_amounts(by_pair: dict[str, dict[bytes, bytes]], folder: Path, report
 def _key(
     recipe: BestCaseRecipe,
     pair_id: str,
-    scan: Path,
+    scan: ScanRef,
     settings: InputSettings,
     label_names: dict[int, str],
     ledger: Ledger,

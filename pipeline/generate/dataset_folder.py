@@ -7,14 +7,13 @@ files.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from ...schemas.columns import SIDES
 from ...schemas.data_files import parse_toml
-from ...schemas.errors import FidpipeError
 from ..datasets.pairs import LABEL_NAMES, MANIFEST
 from ..storage.files import refuse_link, write_whole
 from ..storage.folder import refuse_other_content, refuse_overwrite
@@ -22,15 +21,6 @@ from ..storage.folder import refuse_other_content, refuse_overwrite
 Recipe = dict[str, Any]
 #: Entries of a recipe that do not affect any file.
 _IGNORED = ("recording",)
-
-
-@contextmanager
-def writing(out: Path) -> Iterator[None]:
-    """Convert system errors into a `FidpipeError` that names the dataset."""
-    try:
-        yield
-    except OSError as error:
-        raise FidpipeError(f"dataset {out}: cannot be written ({error.strerror or error})") from error
 
 
 def prepare_folder(
@@ -74,7 +64,8 @@ def prepare_folder(
     if earlier is not None and existing is not None:
         changes = _changes(earlier, tomllib.loads(text))
         lost = existing if changes else existing - files
-        n_lost, n_existing = len(_stems(lost)), len(_stems(existing))
+        n_lost = len(_stems(lost))
+        n_existing = len(_stems(existing))
         if n_lost and not replace and (out / MANIFEST).exists():
             why = changes or [f"pairs was {n_existing}, is {len(_stems(files))}"]
             refuse_overwrite(f"dataset {out}", f"{n_lost} of its {n_existing} pairs", why, "folder")
@@ -91,10 +82,11 @@ def _changes(before: Recipe, now: Recipe) -> list[str]:
     """Human-readable differences between two recipes; only the names of lists and tables."""
     changes = []
     for name in dict.fromkeys([*before, *now]):
-        values = [recipe.get(name, "not given") for recipe in (before, now)]
-        if values[0] != values[1] and name not in _IGNORED:
-            is_long = any(isinstance(value, list | dict) for value in values)
-            changes.append(name if is_long else f"{name} was {values[0]}, is {values[1]}")
+        old = before.get(name, "not given")
+        new = now.get(name, "not given")
+        if old != new and name not in _IGNORED:
+            is_long = isinstance(old, list | dict) or isinstance(new, list | dict)
+            changes.append(name if is_long else f"{name} was {old}, is {new}")
     return changes
 
 

@@ -7,7 +7,7 @@ with its calibration. Opens poses, calibration and manifest, no scan.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,49 +15,43 @@ from numpy.typing import ArrayLike
 
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray
-from ..datasets.pairing import read_numbers, scans_in
-from ..datasets.pairs import LABEL_NAMES, MANIFEST, check_rigid, read_label_names, read_manifest
-from ..datasets.readers import holds_frames, stem_of
+from ..datasets.pairing import read_numbers, read_times
+from ..datasets.pairs import (
+    MANIFEST,
+    Dataset,
+    ScanPair,
+    check_rigid,
+    read_label_names,
+    read_manifest,
+    scans_in,
+)
+from ..datasets.readers.scan_ref import ScanRef
 
 FEWEST_FRAMES = 3
 _SCAN_FOLDERS = ("velodyne", "real", ".")
 _POSE_FILES = ("poses.tum", "poses.txt")
 _CALIBRATION = "calib.txt"
 _TIMES = "times.txt"
+_TRANSFORMS = ("Tr", "Tr_velo_to_cam")
 _QUATERNION_TOLERANCE = 1e-2
 _TUM_NUMBERS, _KITTI_NUMBERS = 8, 12
 
 
-@dataclass(frozen=True)
-class Frame:
-    """One scan of a recording.
+@dataclass(frozen=True, kw_only=True)
+class Recording(Dataset):
+    """Posed real scans in the order in which they were taken, as pairs without a simulated side.
 
-    name : of the frame, and of its pair
-    T_world_sensor : 12 numbers, [R | t] row by row: maps the scan's points into the frame of the recording
-    timestamp_s : when it was taken, if that is known
+    poses : the file of the poses
     """
 
-    name: str
-    path: Path
-    T_world_sensor: tuple[float, ...]
-    timestamp_s: float | None = None
-
-
-@dataclass(frozen=True)
-class Recording:
-    """Posed scans in the order in which they were taken.
-
-    poses : the file that they are posed by
-    label_names : class names by number, {} without a `labels.toml`
-    """
-
-    folder: Path
     poses: Path
-    frames: tuple[Frame, ...]
-    label_names: dict[int, str]
 
 
-def read_recording(folder: Path, poses: Path | None = None, calibration: Path | None = None) -> Recording:
+def read_recording(
+    folder: Path,
+    poses: Path | None = None,
+    calibration: Path | None = None,
+) -> Recording:
     """The frames of a folder, with their poses.
 
     Scans lie in `velodyne/`, `real/` or the folder itself and are taken in the order of their names, one pose each.
@@ -79,73 +73,86 @@ def read_recording(folder: Path, poses: Path | None = None, calibration: Path | 
         raise DatasetError(f"recording {folder}: no such folder; expected one with scans and poses")
     manifest = folder / MANIFEST
     if poses is None and manifest.exists():
-        poses, frames = manifest, _frames_of_manifest(manifest)
+        poses = manifest
+        frames = _frames_of_manifest(manifest)
     else:
         poses = poses or _find_poses(folder)
         frames = _frames_of_poses(folder, poses, calibration)
     if len(frames) < FEWEST_FRAMES:
         raise DatasetError(
-            f"recording {folder}: expected at least {FEWEST_FRAMES} frames, got {len(frames)}: each is re-scanned "
-            "in a model of the others"
+            f"recording {folder}: expected at least {FEWEST_FRAMES} frames, got {len(frames)}: "
+            "each is re-scanned in a model of the others"
         )
-    stem, n_alike = Counter(stem_of(frame.path) for frame in frames).most_common(1)[0]
+    scans = [frame.scans["real"] for frame in frames]
+    stem, n_alike = Counter(scan.stem for scan in scans).most_common(1)[0]
     if n_alike > 1:
-        raise DatasetError(f"recording {folder}: expected unique names; {n_alike} scans are called {stem}")
-    labelled = next((place for place in (folder, frames[0].path.parent) if (place / LABEL_NAMES).exists()), folder)
-    return Recording(folder, poses, tuple(frames), read_label_names(labelled))
+        raise DatasetError(
+            f"recording {folder}: expected unique names; {n_alike} scans are called {stem}",
+        )
+    label_names = read_label_names(folder) or read_label_names(scans[0].file.parent)
+    return Recording(folder, tuple(frames), label_names, poses=poses)
 
 
-def _frames_of_manifest(manifest: Path) -> list[Frame]:
-    pairs = read_manifest(manifest, [], needs_sim=False)
+def _frames_of_manifest(manifest: Path) -> list[ScanPair]:
     frames = []
-    for pair in pairs:
+    for pair in read_manifest(manifest, [], needs_sim=False):
         if pair.T_world_sensor is None:
             raise DatasetError(
-                f"{manifest}: pair {pair.pair_id} has no T_world_sensor; expected 12 numbers ([R | t] row by row), "
-                "or a file of poses (--poses)"
+                f"{manifest}: pair {pair.pair_id} has no T_world_sensor; expected 12 numbers ([R "
+                "| t] row by row), or a file of poses (--poses)"
             )
         if pair.real is None:
             raise DatasetError(f"{manifest}: pair {pair.pair_id} has no real scan ({pair.fault})")
-        if holds_frames(pair.real):
+        if pair.real.format.holds_frames:
             raise DatasetError(
-                f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real.name}; expected a file with "
-                "one scan"
+                f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real}; "
+                "expected a file with one scan",
             )
-        frames.append(Frame(pair.pair_id, pair.real, pair.T_world_sensor, pair.timestamp_s))
+        frames.append(replace(pair, sim=None))
     return frames
 
 
 def _find_poses(folder: Path) -> Path:
-    places = [*(folder / name for name in _POSE_FILES), folder.parent.parent / "poses" / f"{folder.name}.txt"]
-    found = next((place for place in places if place.is_file()), None)
-    if found is None:
-        raise DatasetError(
-            f"recording {folder}: no poses found; expected {', '.join(_POSE_FILES)}, a {MANIFEST} with "
-            "T_world_sensor, or a file named by --poses"
-        )
-    return found
+    for path in (
+        *(folder / name for name in _POSE_FILES),
+        folder.parent.parent / "poses" / f"{folder.name}.txt",
+    ):
+        if path.is_file():
+            return path
+    raise DatasetError(
+        f"recording {folder}: no poses found; expected {', '.join(_POSE_FILES)}, a {MANIFEST} "
+        "with T_world_sensor, or a file named by --poses"
+    )
 
 
-def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> list[Frame]:
+def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> list[ScanPair]:
     places = [folder / name for name in _SCAN_FOLDERS if (folder / name).is_dir()]
-    scans = next(filter(None, map(scans_in, places)), [])
+    scans: list[ScanRef] = []
+    for place in places:
+        scans = scans or scans_in(place)
     if not scans:
-        raise DatasetError(f"recording {folder}: no scans found; expected files in velodyne/, real/ or the folder")
+        raise DatasetError(
+            f"recording {folder}: no scans found; expected files in velodyne/, real/ or the folder",
+        )
     rows = read_numbers(poses, (_TUM_NUMBERS, _KITTI_NUMBERS))
     if len(rows) != len(scans):
         raise DatasetError(
-            f"{poses}: expected one pose per scan in the order of their names, got {len(rows)} poses for "
-            f"{len(scans)} scans ({scans[0].name} to {scans[-1].name})"
+            f"{poses}: expected one pose per scan in the order of their names, got {len(rows)} "
+            f"poses for {len(scans)} scans ({scans[0].file.name} to {scans[-1].file.name})"
         )
     if rows.shape[1] == _TUM_NUMBERS:
-        motions, times = _tum_motions(poses, rows[:, 1:]), rows[:, 0].tolist()
+        motions = _tum_motions(poses, rows[:, 1:])
+        times = rows[:, 0].tolist()
     else:
         motions = _kitti_motions(folder, poses, rows, calibration)
-        times = _kitti_times(folder / _TIMES, len(scans))
-    return [
-        Frame(stem_of(path), path, tuple(motion.ravel().tolist()), time_s)
-        for path, motion, time_s in zip(scans, motions, times, strict=True)
-    ]
+        path = folder / _TIMES
+        times = read_times(path, len(scans)).tolist() if path.is_file() else [None] * len(scans)
+    frames = []
+    for scan, motion, time_s in zip(scans, motions, times, strict=True):
+        frames.append(
+            ScanPair(scan.stem, scan, None, time_s, T_world_sensor=tuple(motion.ravel().tolist())),
+        )
+    return frames
 
 
 def _tum_motions(poses: Path, rows: FloatArray) -> FloatArray:
@@ -153,30 +160,47 @@ def _tum_motions(poses: Path, rows: FloatArray) -> FloatArray:
     from scipy.spatial.transform import Rotation
 
     length = np.sqrt((rows[:, 3:] ** 2).sum(axis=1))
-    wrong = np.flatnonzero(~(np.abs(length - 1) <= _QUATERNION_TOLERANCE) | ~np.isfinite(rows).all(axis=1))
+    wrong = np.flatnonzero(
+        ~(np.abs(length - 1) <= _QUATERNION_TOLERANCE) | ~np.isfinite(rows).all(axis=1),
+    )
     if len(wrong):
         raise DatasetError(
-            f"{poses}, pose {wrong[0] + 1}: not a rigid motion (expected a quaternion of length 1, got "
-            f"{length[wrong[0]]:.3g}); lines are time tx ty tz qx qy qz qw"
+            f"{poses}, pose {wrong[0] + 1}: not a rigid motion (expected a quaternion of length "
+            f"1, got {length[wrong[0]]:.3g}); lines are time tx ty tz qx qy qz qw"
         )
     R = Rotation.from_quat(rows[:, 3:]).as_matrix()
     return np.concatenate([R, rows[:, :3, None]], axis=2)
 
 
-def _kitti_motions(folder: Path, poses: Path, rows: FloatArray, calibration: Path | None) -> FloatArray:
+def _kitti_motions(
+    folder: Path,
+    poses: Path,
+    rows: FloatArray,
+    calibration: Path | None,
+) -> FloatArray:
     """(n, 3, 4) float64, T_world_sensor = Tr^-1 T_world_camera Tr; the world is then the sensor's first frame."""
-    T_world_camera = [check_rigid(f"{poses}, pose {line}", "the pose", row) for line, row in enumerate(rows, start=1)]
+    T_world_camera = [
+        check_rigid(
+            f"{poses}, pose {line}",
+            "the pose",
+            row,
+        )
+        for line, row in enumerate(rows, start=1)
+    ]
     T_camera_sensor = square(_read_calibration(calibration or folder / _CALIBRATION, poses))
     T_sensor_camera = np.linalg.inv(T_camera_sensor)
-    return np.array([(T_sensor_camera @ square(motion) @ T_camera_sensor)[:3] for motion in T_world_camera])
+    return np.array(
+        [(T_sensor_camera @ square(motion) @ T_camera_sensor)[:3] for motion in T_world_camera],
+    )
 
 
 def _read_calibration(path: Path, poses: Path) -> FloatArray:
     """(3, 4) float64, the line `Tr` of KITTI's calibration."""
     if not path.is_file():
         raise DatasetError(
-            f"{path}: no such file; {poses.name} holds 12 numbers per line, KITTI's poses of the camera, which "
-            "need a calibration with the line Tr (--calib); poses of the sensor are read in TUM format"
+            f"{path}: no such file; {poses.name} holds 12 numbers per line, KITTI's poses of the "
+            "camera, which need a calibration with the line Tr (--calib); poses of the sensor "
+            "are read in TUM format"
         )
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -184,22 +208,13 @@ def _read_calibration(path: Path, poses: Path) -> FloatArray:
         raise DatasetError(f"{path}: cannot be read ({error})") from error
     for line in lines:
         name, _, text = line.partition(":")
-        if name.strip() in ("Tr", "Tr_velo_to_cam"):
+        if name.strip() in _TRANSFORMS:
             try:
                 numbers = np.array(text.split(), dtype=np.float64)
             except ValueError as error:
                 raise DatasetError(f"{path}: Tr holds no numbers ({error})") from error
             return check_rigid(str(path), "Tr", numbers)
     raise DatasetError(f"{path}: no line Tr: found; it maps the sensor's frame into the camera's")
-
-
-def _kitti_times(path: Path, n_frames: int) -> list[float] | list[None]:
-    if not path.is_file():
-        return [None] * n_frames
-    times: list[float] = read_numbers(path, (1,))[:, 0].tolist()
-    if len(times) != n_frames:
-        raise DatasetError(f"{path}: expected one time per scan, got {len(times)} for {n_frames} scans")
-    return times
 
 
 def square(motion: ArrayLike) -> FloatArray:

@@ -18,7 +18,14 @@ from ..datasets.readers.scan import cause_of
 
 _TABLES = (".csv", ".toml")
 #: Values that a table may omit.
-_DEFAULTS = replace(SENSORS["hdl64"], name="table", title="", source="", azimuth_step_deg=0.2, range_quantum_m=0.0)
+_DEFAULTS = replace(
+    SENSORS["hdl64"],
+    name="table",
+    title="",
+    source="",
+    azimuth_step_deg=0.2,
+    range_quantum_m=0.0,
+)
 
 _Elevation = Annotated[float, Field(ge=-90, le=90)]
 _Amount = Annotated[float, Field(ge=0, le=1e4)]
@@ -61,9 +68,13 @@ def read_sensor(name: str) -> SensorModel:
         return known[name]
     path = Path(name)
     if path.suffix.lower() not in _TABLES:
-        raise FidpipeError(f"sensor {name!r}: no such sensor; {suggestion(name, [*known, 'a table (.csv, .toml)'])}")
+        raise FidpipeError(
+            f"sensor {name!r}: no such sensor; {suggestion(name, [*known, 'a table (.csv, .toml)'])}",
+        )
     try:
-        table = _Table.model_validate(read_toml(path, "sensor") if path.suffix.lower() == ".toml" else _columns(path))
+        table = _Table.model_validate(
+            read_toml(path, "sensor") if path.suffix.lower() == ".toml" else _columns(path),
+        )
     except ValidationError as error:
         problem = error.errors()[0]
         entry = cause_of(problem["loc"][0])
@@ -71,21 +82,32 @@ def read_sensor(name: str) -> SensorModel:
             raise FidpipeError(
                 f"sensor {path}: unknown entry {entry}; {suggestion(entry, _Table.model_fields)}"
             ) from error
-        raise FidpipeError(f"sensor {path}: {entry}: {cause_of(expected_and_got(problem))}") from error
+        raise FidpipeError(
+            f"sensor {path}: {entry}: {cause_of(expected_and_got(problem))}",
+        ) from error
     values = table.model_dump()
     uniform = [values.pop(name) for name in ("upper_deg", "lower_deg", "channels")]
     elevation = values.pop("elevation_deg")
     if not elevation and None in uniform:
-        raise FidpipeError(f"sensor {path}: expected elevation_deg, or channels, upper_deg, lower_deg")
+        raise FidpipeError(
+            f"sensor {path}: expected elevation_deg, or channels, upper_deg, lower_deg",
+        )
     elevation = elevation or np.linspace(*uniform).tolist()
     offset = values.pop("azimuth_offset_deg") or [0.0] * len(elevation)
     if len(offset) != len(elevation):
         raise FidpipeError(
-            f"sensor {path}: expected {len(elevation)} azimuth offsets, one for each elevation; got {len(offset)}"
+            f"sensor {path}: expected {len(elevation)} azimuth offsets, one for each elevation; got {len(offset)}",
         )
     if table.min_range_m >= table.max_range_m:
-        raise FidpipeError(f"sensor {path}: min_range_m: expected less than max_range_m, got {table.min_range_m:g}")
-    return replace(_DEFAULTS, elevation_deg=tuple(elevation), azimuth_offset_deg=tuple(offset), **values)
+        raise FidpipeError(
+            f"sensor {path}: min_range_m: expected less than max_range_m, got {table.min_range_m:g}",
+        )
+    return replace(
+        _DEFAULTS,
+        elevation_deg=tuple(elevation),
+        azimuth_offset_deg=tuple(offset),
+        **values,
+    )
 
 
 def _columns(path: Path) -> dict[str, Any]:

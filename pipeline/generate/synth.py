@@ -16,8 +16,8 @@ from ...stages.generate.street_scans import make_pair
 from ..datasets.pairs import MANIFEST
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
-from ..storage.files import csv_bytes, write_whole
-from .dataset_folder import Recipe, prepare_folder, writing
+from ..storage.files import csv_bytes, named_errors, write_whole
+from .dataset_folder import Recipe, prepare_folder
 
 RECIPE = "synth.toml"
 RECIPE_VERSION = 2  # increase it when the same recipe results in other scans
@@ -57,9 +57,17 @@ def make_dataset(
     require_ray_caster()
     recipe = recipe_of(seed, sensor, n_points)
     names = [pair_name(index) for index in range(n_pairs)]
-    with writing(out):
+    with named_errors(out):
         files = {path for name in names for path in _files(out, name)}
-        prepare_folder(out, RECIPE, recipe, _own_files, files, dict(enumerate(KINDS)), replace=replace)
+        prepare_folder(
+            out,
+            RECIPE,
+            recipe,
+            _own_files,
+            files,
+            dict(enumerate(KINDS)),
+            replace=replace,
+        )
         tasks = {}
         for index, name in enumerate(names):
             if not all(path.exists() for path in _files(out, name)):

@@ -7,15 +7,16 @@ and the manifest comes last, so that an interrupted command resumes with the mis
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
+from itertools import chain, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...schemas.columns import SIDES
-from ...schemas.errors import DatasetError, FidpipeError, ScanError, StageError, suggestion
+from ...schemas.errors import FidpipeError, ScanError, StageError, suggestion
 from ...schemas.sensor_models import SensorModel
 from ...schemas.settings import FRAME_AXES, InputSettings
 from ...stages.arrays import BoolArray, FloatArray
@@ -23,15 +24,15 @@ from ...stages.clean import clean_scan
 from ...stages.generate.flaws import FLAWS, ChosenFlaw, carried, lose_foliage
 from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, extend_map, recorded_directions, rescan
-from ..datasets.pairs import LABEL_NAMES, MANIFEST
-from ..datasets.readers import read_scan, stem_of
-from ..datasets.readers.scan import label_path_of
+from ..datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
+from ..datasets.readers import read_scan
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
-from ..storage.files import csv_bytes, hash_file, key_of, path_exists, write_whole
+from ..run import select_pairs
+from ..storage.files import csv_bytes, hash_file, key_of, named_errors, path_exists, write_whole
 from ..storage.run_record import library_versions
-from .dataset_folder import Recipe, prepare_folder, writing
-from .recordings import Frame, Recording, square
+from .dataset_folder import Recipe, prepare_folder
+from .recordings import Recording, square
 
 RECIPE = "twin.toml"
 RECIPE_VERSION = 2  # increase it when the same recipe results in other scans
@@ -51,9 +52,9 @@ class TwinOutcome:
 class _Task:
     """One frame to be re-scanned, see `make_twins`; the other frames are sorted by distance in time."""
 
-    frame: Frame
-    others: tuple[Frame, ...]
-    label_names: tuple[tuple[int, str], ...]
+    frame: ScanPair
+    others: tuple[ScanPair, ...]
+    label_names: dict[int, str]
     out: Path
     sensor: SensorModel
     flaws: tuple[ChosenFlaw, ...]
@@ -97,35 +98,28 @@ def make_twins(
         embreex is missing, no frame matches, or the folder holds something else than a dataset of this recipe.
     """
     settings = settings or InputSettings()
-    require_ray_caster()
-    if settings.real_frame != "ros":
-        raise FidpipeError(
-            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a recording require '
-            f"{FRAME_AXES['ros']}; convert its scans and poses first"
-        )
-    known = list(recording.label_names.values())
-    for label in foliage if known else ():
-        if label not in known:
-            raise FidpipeError(f"foliage {label!r}: no such label in {LABEL_NAMES}; {suggestion(label, known)}")
-    frames = _selected(recording.frames, pattern)
-    if out.resolve() == recording.folder.resolve():
-        raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
+    _check_request(recording, out, foliage, settings)
+    frames = select_pairs(recording, pattern)
+    paths = [_files(out, frame) for frame in frames]
     recipe = _inputs(recording) | {
         "seed": seed,
         "others": n_others,
         "foliage": list(foliage),
-        "flaw": [{name: value for name, value in vars(flaw).items() if value is not None} for flaw in flaws],
+        "flaw": [_without_none(vars(flaw)) for flaw in flaws],
         "sensor": vars(sensor),
         "input": settings.model_dump(mode="json", exclude_none=True),
         "libraries": library_versions(_LIBRARIES),
-        "frames": [frame.name for frame in frames],
-        "files": sorted({path.name for frame in frames for path in _files(out, frame)}),
+        "frames": [frame.pair_id for frame in frames],
+        "files": sorted({path.name for path in chain(*paths)}),
     }
-    same = (tuple(recording.label_names.items()), out, sensor, flaws, foliage, seed, settings)
-    with writing(out):
-        files = {out / side / name for side in SIDES for name in recipe["files"]}
-        prepare_folder(out, RECIPE, recipe, _own_files, files, recording.label_names, replace=replace)
-        tasks = {frame.name: _Task(frame, _nearest(recording.frames, frame, n_others), *same) for frame in frames}
+    names = recording.label_names
+    tasks = {}
+    for frame in frames:
+        others = _nearest(recording.pairs, frame, n_others)
+        tasks[frame.pair_id] = _Task(frame, others, names, out, sensor, flaws, foliage, seed, settings)
+    with named_errors(out):
+        files = {out / side / name for side, name in product(SIDES, recipe["files"])}
+        prepare_folder(out, RECIPE, recipe, _own_files, files, names, replace=replace)
         missing = {name: task for name, task in tasks.items() if not _is_done(task)}
         if 0 < len(missing) < len(tasks):
             reporter.say(f"{len(tasks) - len(missing)} of {len(tasks)} twins already exist")
@@ -136,19 +130,37 @@ def make_twins(
     return TwinOutcome(len(done), failures)
 
 
-def _selected(frames: Sequence[Frame], pattern: str | None) -> list[Frame]:
-    selected = [frame for frame in frames if pattern is None or fnmatchcase(frame.name, pattern)]
-    if frames and not selected:
-        names = ", ".join(frame.name for frame in frames[:5])
-        raise DatasetError(f"--pairs {pattern!r} matches none of the {len(frames)} frames ({names} ...)")
-    return selected
+def _check_request(recording: Recording, out: Path, foliage: Sequence[str], settings: InputSettings) -> None:
+    """Raise `FidpipeError` if twins of a recording cannot be made with these arguments."""
+    require_ray_caster()
+    if settings.real_frame != "ros":
+        raise FidpipeError(
+            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a '
+            f"recording require {FRAME_AXES['ros']}; convert its scans and poses first"
+        )
+    known = list(recording.label_names.values())
+    for label in foliage if known else ():
+        if label not in known:
+            raise FidpipeError(
+                f"foliage {label!r}: no such label in {LABEL_NAMES}; {suggestion(label, known)}",
+            )
+    if out.resolve() == recording.folder.resolve():
+        raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
+
+
+def _without_none(values: Mapping[str, Any]) -> Recipe:
+    """The entries that have a value, as TOML has no null."""
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _inputs(recording: Recording) -> Recipe:
     """The entries of a recipe about the recording and fidpipe."""
     from ... import __version__
 
-    inputs = [[frame.path.name, hash_file(frame.path), frame.T_world_sensor] for frame in recording.frames]
+    inputs = []
+    for frame in recording.pairs:
+        file = frame.scans["real"].file
+        inputs.append([file.name, hash_file(file), frame.T_world_sensor])
     return {
         "version": RECIPE_VERSION,
         "fidpipe": __version__,
@@ -164,20 +176,21 @@ def _own_files(out: Path, recipe: Recipe) -> set[Path] | None:
     is_ours = isinstance(names, list) and all(isinstance(name, str) and Path(name).name == name for name in names)
     if not is_ours or not {"version", "seed", "sensor", "inputs_sha256"} <= recipe.keys():
         return None
-    paths = (out / side / name for side in SIDES for name in recipe["files"])
+    paths = [out / side / name for side, name in product(SIDES, recipe["files"])]
     return {path for path in paths if path_exists(path) and not path.is_dir()}
 
 
-def _nearest(frames: Sequence[Frame], frame: Frame, n: int) -> tuple[Frame, ...]:
+def _nearest(frames: Sequence[ScanPair], frame: ScanPair, n: int) -> tuple[ScanPair, ...]:
     """The frames nearest in time to one of them, without it."""
     order = np.argsort(np.abs(np.arange(len(frames)) - frames.index(frame)), kind="stable").tolist()
     return tuple(frames[other] for other in order[1 : n + 1])
 
 
-def _files(out: Path, frame: Frame) -> tuple[Path, Path, Path]:
+def _files(out: Path, frame: ScanPair) -> tuple[Path, Path, Path]:
     """The files of a pair: real scan, simulated scan, labels of the real scan."""
-    real, stem = out / "real" / frame.path.name, stem_of(frame.path)
-    return real, out / "sim" / f"{stem}.bin", label_path_of(real, stem)
+    real = out / "real"
+    scan = frame.scans["real"]
+    return real / scan.file.name, out / "sim" / f"{scan.stem}.bin", real / scan.labels.name
 
 
 def _is_done(task: _Task) -> bool:
@@ -185,11 +198,19 @@ def _is_done(task: _Task) -> bool:
     return real.exists() and sim.exists()
 
 
-def _row(frame: Frame) -> tuple[str, ...]:
+def _row(frame: ScanPair) -> tuple[str, ...]:
     """The row of a pair in the manifest."""
     time_s = "" if frame.timestamp_s is None else repr(frame.timestamp_s)
     real, sim, _ = _files(Path(), frame)
-    return frame.name, str(real), str(sim), time_s, " ".join(map(repr, frame.T_world_sensor))
+    return (
+        frame.pair_id,
+        str(real),
+        str(sim),
+        time_s,
+        " ".join(
+            map(repr, frame.T_world_sensor or ()),
+        ),
+    )
 
 
 def _write_twin(task: _Task) -> None:
@@ -197,10 +218,10 @@ def _write_twin(task: _Task) -> None:
     real, sim, labels = _files(task.out, task.frame)
     points, intensity = _rescan(task)
     gc.collect()  # trimesh surfaces are cyclic: otherwise 80 MB per frame wait for the collector
-    recorded = task.frame.path.with_name(labels.name)
-    if recorded.exists():
-        write_whole(labels, recorded.read_bytes())
-    write_whole(real, task.frame.path.read_bytes())
+    scan = task.frame.scans["real"]
+    if scan.labels.exists():
+        write_whole(labels, scan.labels.read_bytes())
+    write_whole(real, scan.file.read_bytes())
     write_whole(sim, np.column_stack([points, np.nan_to_num(intensity)]).astype("<f4").tobytes())
 
 
@@ -217,28 +238,39 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):  # or the last bits would differ between machines
-        own, _, _ = _read(task, task.frame)
-        T_sensor_world = np.linalg.inv(square(task.frame.T_world_sensor))
-        voxels, others = EMPTY_MAP, []
+        scan, _, _ = _read(task, task.frame)
+        T_sensor_world = np.linalg.inv(square(task.frame.T_world_sensor or ()))
+        voxels = EMPTY_MAP
+        others = []
         for frame in task.others:
             try:
                 points, is_labelled, brightness = _read(task, frame)
             except ScanError:  # its own pair fails
                 continue
-            motion = T_sensor_world @ square(frame.T_world_sensor)
-            voxels = extend_map(voxels, points @ motion[:3, :3].T + motion[:3, 3], is_labelled, brightness)
+            motion = T_sensor_world @ square(frame.T_world_sensor or ())
+            voxels = extend_map(
+                voxels,
+                points @ motion[:3, :3].T + motion[:3, 3],
+                is_labelled,
+                brightness,
+            )
             others.append(points)
         if len(others) < _LEAST_OTHERS:
-            raise StageError(f"expected at least {_LEAST_OTHERS} readable other scans for a model, got {len(others)}")
-        rng = _rng(task, task.frame.name)
+            raise StageError(
+                f"expected at least {_LEAST_OTHERS} readable other scans for a model, got {len(others)}",
+            )
+        rng = _rng(task, task.frame.pair_id)
         if task.sensor.name == RECORDED.name:
-            directions = recorded_directions(own, np.concatenate(others))
+            directions = recorded_directions(scan, np.concatenate(others))
         else:
             directions = fire(task.sensor, rng.uniform(0.0, 360.0)).directions()
         points, is_foliage, intensity = rescan(voxels, directions, task.sensor, rng)
         for flaw in task.flaws:
-            rng = _rng(task, flaw.name if FLAWS[flaw.name].is_systematic else f"{task.frame.name}/{flaw.name}")
             kind = FLAWS[flaw.name]
+            rng = _rng(
+                task,
+                flaw.name if kind.is_systematic else f"{task.frame.pair_id}/{flaw.name}",
+            )
             if flaw.name == "foliage" and task.foliage:  # the first flaw: no rows are lost yet
                 altered = lose_foliage(points, flaw.amount, rng, is_foliage)
             else:
@@ -249,20 +281,22 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
                 intensity = kind.intensity(points, intensity, flaw.amount)
     if not len(points):
         raise StageError(
-            "no points: no ray hits the model, or the flaws remove every point; check the poses and the amounts"
+            "no points: no ray hits the model, or the flaws remove every point; check the poses and the amounts",
         )
     return points, intensity
 
 
-def _read(task: _Task, frame: Frame) -> tuple[FloatArray, BoolArray | None, FloatArray | None]:
+def _read(task: _Task, frame: ScanPair) -> tuple[FloatArray, BoolArray | None, FloatArray | None]:
     """The cleaned points of a frame, a mask of those labelled as foliage if the recipe names such labels, intensity."""
-    scan = read_scan(frame.path, task.settings.columns_of("real"), dict(task.label_names))
+    scan = read_scan(frame.scans["real"], task.settings.columns_of("real"), task.label_names)
     clean = clean_scan(scan.points, task.settings)
     intensity = None if scan.intensity is None else scan.intensity[clean.point_ids]
     if not task.foliage:
         return clean.points, None, intensity
     if scan.labels is None:
-        raise ScanError(f"{frame.path}: has no labels; expected labels for the foliage ({', '.join(task.foliage)})")
+        raise ScanError(
+            f"{frame.real}: has no labels; expected labels for the foliage ({', '.join(task.foliage)})",
+        )
     return clean.points, np.isin(scan.labels[clean.point_ids], task.foliage), intensity
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ...schemas.errors import StageError
 from ...schemas.results import Cause
 from ...schemas.settings import Settings
-from ...stages.arrays import FloatArray
+from ...stages.arrays import FloatArray, transform_of
 from ...stages.causes.estimates import Amount, estimate
 from ...stages.causes.sides import PairScans, recorded_side
 from ...stages.method import remove_road
@@ -44,7 +44,8 @@ class CauseSamples:
     """
 
     def __init__(self, pair_ids: Sequence[str], settings: Settings) -> None:
-        rows = np.unique(np.linspace(0, len(pair_ids) - 1, min(len(pair_ids), MOST_PAIRS)).round().astype(int))
+        n_sampled = min(len(pair_ids), MOST_PAIRS)
+        rows = np.unique(np.linspace(0, len(pair_ids) - 1, n_sampled).round().astype(int))
         self.pair_ids = {pair_ids[row] for row in rows}
         self._settings = settings
         self._pairs: list[ScanPair] = []
@@ -52,7 +53,11 @@ class CauseSamples:
         self._amounts: list[dict[str, Amount]] = []
 
     def add(
-        self, pair: ScanPair, scans: Mapping[str, Scan], sensors: Mapping[str, SensorDescription], content: str
+        self,
+        pair: ScanPair,
+        scans: Mapping[str, Scan],
+        sensors: Mapping[str, SensorDescription],
+        content: str,
     ) -> None:
         """Add a pair; left out if its scans have too little in common.
 
@@ -60,7 +65,7 @@ class CauseSamples:
         ----------
         content : hash of the real scan; copies count once
         """
-        T_real_sim = np.array(pair.T_real_sim).reshape(3, 4) if pair.T_real_sim else None
+        T_real_sim = transform_of(pair.T_real_sim)
         with one_blas_thread():
             try:
                 estimates = estimate(self._pair_scans(scans, sensors, T_real_sim))
@@ -72,7 +77,10 @@ class CauseSamples:
             self._amounts.append(estimates.amounts)
 
     def _pair_scans(
-        self, scans: Mapping[str, Scan], sensors: Mapping[str, SensorDescription], T_real_sim: FloatArray | None
+        self,
+        scans: Mapping[str, Scan],
+        sensors: Mapping[str, SensorDescription],
+        T_real_sim: FloatArray | None,
     ) -> PairScans:
         real, real_cut = remove_road(scans["real"].points, self._settings, "real")
         sim, sim_cut = remove_road(

@@ -12,16 +12,17 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
 from ...schemas.results import JsonObject
 from ...schemas.settings import InputSettings, Settings
-from ...stages.arrays import FloatArray
+from ...stages.arrays import FloatArray, transform_of
 from ...stages.clean import clean_scan, too_few_left
 from ...stages.frame_search import FrameCheck, check_frames
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.plausibility import ScanInspection, inspect_points
 from ..datasets.content import scan_content
 from ..datasets.pairing import require_partners
-from ..datasets.pairs import ScanPair, read_dataset
-from ..datasets.readers import may_crash, read_scan
+from ..datasets.pairs import ScanPair, may_crash, read_dataset
+from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
+from ..datasets.readers.scan_ref import ScanRef
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..pair_checks import pair_warnings, shared_files, swapped_sides
@@ -53,7 +54,16 @@ class ScanCheck:
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON; `azimuth_gap_deg` is 0 if the file cannot be read."""
         gap_deg = self.inspection.azimuth_gap_deg if self.inspection else 0.0
-        numbers = {name: getattr(self, name) for name in ("n_raw", "n_clean", "dropped", "low", "high")}
+        numbers = {
+            name: getattr(self, name)
+            for name in (
+                "n_raw",
+                "n_clean",
+                "dropped",
+                "low",
+                "high",
+            )
+        }
         return numbers | {"azimuth_gap_deg": gap_deg, "fault": self.fault}
 
 
@@ -105,81 +115,111 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     """
     dataset = read_dataset(folder)
     require_partners(dataset)
-    names, own = dataset.label_names, settings.input
-    checks = _check_pairs(dataset.pairs, own, names)
-    samples = SideSamples(dataset.pairs, own)
+    checks = _check_pairs(dataset.pairs, settings.input, dataset.label_names)
+    samples = SideSamples(dataset.pairs, settings.input)
     comparable = [check.pair.pair_id for check in checks if check.frames and not check.frames.is_suspect]
-    causes = CauseSamples([pair_id for pair_id in comparable if pair_id in samples.pair_ids], settings)
+    causes = CauseSamples(
+        [pair_id for pair_id in comparable if pair_id in samples.pair_ids],
+        settings,
+    )
     for check in checks:
         pair_id = check.pair.pair_id
         if pair_id in samples.pair_ids:
-            scans = {side: _read(check, side, own, names) for side in check.sides}
+            scans = _read_again(check, settings.input, dataset.label_names)
             samples.add(check.pair, scans)
             if pair_id in causes.pair_ids:
-                causes.add(check.pair, scans, samples.sensors_of(pair_id), check.sides["real"].sha256)
-    faults, warnings = [], [*dataset.warnings, *swapped_sides(dataset.pairs, folder)]
-    warnings += shared_files(
-        {check.pair.pair_id: {side: scan.sha256 for side, scan in check.sides.items()} for check in checks}
-    )
+                causes.add(
+                    check.pair,
+                    scans,
+                    samples.sensors_of(pair_id),
+                    check.sides["real"].sha256,
+                )
+    warnings = []
+    faults = []
+    hashes = {}
+    counts: dict[str, list[int]] = {side: [] for side in SIDES}
     for check in checks:
-        own_faults = [check.pair.fault, check.fault, *(scan.fault for scan in check.sides.values())]
-        faults += [f"pair {check.pair.pair_id}: {fault}" for fault in own_faults if fault]
-        found = {side: scan.inspection for side, scan in check.sides.items() if scan.inspection}
-        warnings += pair_warnings(check.pair, found, check.frames)
-    counts = {side: [check.sides[side].n_clean for check in checks if side in check.sides] for side in SIDES}
-    warnings += [*samples.doubts(serious=False), *samples.warnings(counts)]
-    doubts = samples.doubts(serious=True)
-    return DatasetCheck(folder, checks, samples.sensors(), causes.named(), samples.notes(), doubts, faults, warnings)
-
-
-def check_scan(
-    path: Path, side: str, T_real_sim: FloatArray | None, settings: InputSettings, label_names: dict[int, str]
-) -> tuple[ScanCheck, Scan]:
-    """Check one scan file; returns the scan too, without points if it cannot be read.
-
-    Parameters
-    ----------
-    side : "real" or "sim"
-    T_real_sim : (3, 4) float64, by which the scan is moved before it is cut by `include_box`, or None
-    """
-    try:
-        content = scan_content(path)
-        scan = read_scan(path, settings.columns_of(side), label_names)
-    except FidpipeError as error:
-        return ScanCheck(fault=str(error)), Scan(np.empty((0, 3)))
-    clean = clean_scan(scan.points, settings, frame=settings.frame_of(side), T_real_sim=T_real_sim)
-    n_left, fault = len(clean.points), None
-    if n_left < MIN_OBJECT_POINTS:
-        fault = f"{path}: {too_few_left(n_left, MIN_OBJECT_POINTS, clean.dropped, settings)}"
-    check = ScanCheck(
-        sha256=content.sha256,
-        n_raw=len(scan.points),
-        n_clean=n_left,
-        dropped=clean.dropped,
-        low=clean.points.min(axis=0).tolist() if n_left else [],
-        high=clean.points.max(axis=0).tolist() if n_left else [],
-        inspection=inspect_points(scan.points, side, settings),
-        fault=fault,
+        reasons = [check.pair.fault, check.fault]
+        inspections = {}
+        for side, scan in check.sides.items():
+            reasons.append(scan.fault)
+            counts[side].append(scan.n_clean)
+            if scan.inspection is not None:
+                inspections[side] = scan.inspection
+        hashes[check.pair.pair_id] = {side: scan.sha256 for side, scan in check.sides.items()}
+        faults += [f"pair {check.pair.pair_id}: {reason}" for reason in reasons if reason]
+        warnings += pair_warnings(check.pair, inspections, check.frames)
+    return DatasetCheck(
+        folder=folder,
+        pairs=checks,
+        sensors=samples.sensors(),
+        causes=causes.named(),
+        notes=samples.notes(),
+        doubts=samples.doubts(serious=True),
+        faults=faults,
+        warnings=[
+            *dataset.warnings,
+            *swapped_sides(dataset.pairs, folder),
+            *shared_files(hashes),
+            *warnings,
+            *samples.doubts(serious=False),
+            *samples.warnings(counts),
+        ],
     )
-    return check, scan
 
 
 def check_pair(task: tuple[ScanPair, InputSettings, dict[int, str]]) -> PairCheck:
     """Check the files of a pair, and the frames of both scans."""
     pair, settings, label_names = task
-    T = np.array(pair.T_real_sim).reshape(3, 4) if pair.T_real_sim else None
-    sides, scans = {}, {}
-    for side in SIDES:
-        if (path := pair.path(side)) is not None:
-            sides[side], scans[side] = check_scan(path, side, T if side == "sim" else None, settings, label_names)
-    if len(sides) < len(SIDES):
-        return PairCheck(pair, sides)
-    return PairCheck(pair, sides, check_frames(scans["real"].points, scans["sim"].points, settings, T))
+    checks = {}
+    points = {}
+    for side, ref in pair.scans.items():
+        T_real_sim = transform_of(pair.motion(side))
+        checks[side], points[side] = _check_scan(ref, side, T_real_sim, settings, label_names)
+    if len(checks) < len(SIDES):
+        return PairCheck(pair, checks)
+    frames = check_frames(points["real"], points["sim"], settings, transform_of(pair.T_real_sim))
+    return PairCheck(pair, checks, frames)
 
 
-def _check_pairs(pairs: tuple[ScanPair, ...], settings: InputSettings, label_names: dict[int, str]) -> list[PairCheck]:
+def _check_scan(
+    ref: ScanRef,
+    side: str,
+    T_real_sim: FloatArray | None,
+    settings: InputSettings,
+    label_names: dict[int, str],
+) -> tuple[ScanCheck, FloatArray]:
+    """Check one scan; returns its points too, none if it cannot be read."""
+    try:
+        content = scan_content(ref)
+        scan = read_scan(ref, settings.columns_of(side), label_names)
+    except FidpipeError as error:
+        return ScanCheck(fault=str(error)), np.empty((0, 3))
+    clean = clean_scan(scan.points, settings, frame=settings.frame_of(side), T_real_sim=T_real_sim)
+    n_clean = len(clean.points)
+    fault = None
+    if n_clean < MIN_OBJECT_POINTS:
+        fault = f"{ref}: {too_few_left(n_clean, MIN_OBJECT_POINTS, clean.dropped, settings)}"
+    check = ScanCheck(
+        sha256=content.sha256,
+        n_raw=len(scan.points),
+        n_clean=n_clean,
+        dropped=clean.dropped,
+        low=clean.points.min(axis=0).tolist() if n_clean else [],
+        high=clean.points.max(axis=0).tolist() if n_clean else [],
+        inspection=inspect_points(scan.points, side, settings),
+        fault=fault,
+    )
+    return check, scan.points
+
+
+def _check_pairs(
+    pairs: tuple[ScanPair, ...],
+    settings: InputSettings,
+    label_names: dict[int, str],
+) -> list[PairCheck]:
     """Check each pair: in this process, unless a reader may end it."""
-    in_workers = any(may_crash(path) for pair in pairs for path in pair.paths)
+    in_workers = may_crash(pairs)
     checks, failures = map_tasks(
         check_pair,
         {pair.pair_id: (pair, settings, label_names) for pair in pairs},
@@ -187,12 +227,25 @@ def _check_pairs(pairs: tuple[ScanPair, ...], settings: InputSettings, label_nam
         n_workers=None if in_workers else 1,
         may_end_workers=in_workers,
     )
-    return [checks.get(pair.pair_id) or PairCheck(pair, fault=failures[pair.pair_id]) for pair in pairs]
+    return [
+        checks.get(pair.pair_id)
+        or PairCheck(
+            pair,
+            fault=failures[pair.pair_id],
+        )
+        for pair in pairs
+    ]
 
 
-def _read(check: PairCheck, side: str, settings: InputSettings, label_names: dict[int, str]) -> Scan:
-    """A scan that was read before without an error; one without points if it cannot be read."""
-    path = check.pair.path(side)
-    if path is None or check.sides[side].inspection is None:
-        return Scan(np.empty((0, 3)))
-    return read_scan(path, settings.columns_of(side), label_names)
+def _read_again(
+    check: PairCheck,
+    settings: InputSettings,
+    label_names: dict[int, str],
+) -> dict[str, Scan]:
+    """The scans of a pair that was checked; one without points if it could not be read."""
+    scans = {}
+    for side, result in check.sides.items():
+        scans[side] = Scan(np.empty((0, 3)))
+        if result.inspection is not None:
+            scans[side] = read_scan(check.pair.scans[side], settings.columns_of(side), label_names)
+    return scans

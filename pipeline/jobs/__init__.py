@@ -1,7 +1,7 @@
 """The pipeline: its stages in their order. One file per stage, with its declaration and the job that makes its tables.
 
-Nothing outside this folder knows a stage by name. To add one: a table in `schemas/tables.csv`, a settings class, a
-function in `stages`, a file here, and its row below.
+Nothing outside this folder knows a stage by name. To add one: a table in `schemas/tables.csv`, a
+settings class, a function in `stages`, a file here, and its row below.
 """
 
 from __future__ import annotations
@@ -47,4 +47,5 @@ EXTRAS = (baselines_job.STAGE, seeds_job.STAGE)
 
 def stages_under(settings: Settings) -> tuple[Stage, ...]:
     """The stages that a run under these settings goes through."""
-    return (*STAGES, *(stage for stage in EXTRAS if stage.is_wanted is not None and stage.is_wanted(settings)))
+    extras = [stage for stage in EXTRAS if stage.is_wanted and stage.is_wanted(settings)]
+    return (*STAGES, *extras)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...schemas.columns import SIDES, Row
+from ...schemas.columns import Row
 from ...schemas.metric_catalogue import BASELINES, METRIC
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
@@ -17,55 +17,80 @@ from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
-from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, coordinates, kept_nodes, matched_objects, object_points
+from .points_job import (
+    MATCHED_OBJECTS,
+    NODE_COLUMNS,
+    coordinates,
+    kept_nodes,
+    matched_objects,
+    object_points,
+)
 
 if TYPE_CHECKING:
     from ...stages.baselines import Baseline
 
 
-def make_baselines(own: Inputs) -> JobResult:
+def make_baselines(inputs: Inputs) -> JobResult:
     """Compare each matched object, and all object points of the two scans; the metadata hold the pair's means."""
     from ...stages.baselines import OF_SCANS, compare_objects, compare_points, nvs
 
-    settings, selection = own.settings, own.table("selection")
+    settings = inputs.settings
+    selection = inputs.table("selection")
     rows: list[Row] = []
-    for match, real, sim in matched_objects(own):
+    for match, real, sim in matched_objects(inputs):
         nodes = kept_nodes(selection, match["real_id"], real, sim)
-        values = compare_objects(real, sim, nodes, settings.selection.t, settings.metrics, watch=own.step)
-        rows += [_row(own, value, match["real_id"], match["sim_id"]) for value in values]
+        values = compare_objects(
+            real, sim, nodes, settings.selection.t, settings.metrics, watch=inputs.step
+        )
+        rows += [_row(inputs, value, match["real_id"], match["sim_id"]) for value in values]
 
     def watch(name: str) -> AbstractContextManager[None]:
-        return own.step(_step(name, OF_SCAN))
+        return inputs.step(_step(name, OF_SCAN))
 
-    real_points, sim_points = (object_points(own, side)[1] for side in SIDES)
+    _, real_points = object_points(inputs, "real")
+    _, sim_points = object_points(inputs, "sim")
     values = compare_points(real_points, sim_points, settings.metrics, watch=watch)
     if OF_SCANS in settings.metrics.baselines:
         with watch(OF_SCANS):
-            values += nvs(*(coordinates(own.table("ground", side)) for side in SIDES))
-    rows += [_row(own, value, None, None) for value in values]
+            real_scan = coordinates(inputs.table("ground", "real"))
+            values += nvs(real_scan, coordinates(inputs.table("ground", "sim")))
+    rows += [_row(inputs, value, None, None) for value in values]
     return JobResult({"baselines": TABLES["baselines"].from_rows(rows)}, {"means": _means(rows)})
 
 
 def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
     """Mean and standard deviation (n - 1) over pairs, and seconds per pair, by baseline and level (objects or scan).
 
-    The value of a pair is the mean over its matched objects, or that of the whole scan. `seconds` is the time of the
-    method; if the method computes several baselines, the first one has it.
+    The value of a pair is the mean over its matched objects, or that of the whole scan. `seconds`
+    is the time of the method; if the method computes several baselines, the first one has it.
     """
-    finished, groups = list(records), dict[tuple[str, str], list[Row]]()
-    for record in finished:
+    records = list(records)
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for record in records:
         for mean in record.metadata["means"]:
             groups.setdefault((mean["level"], mean["baseline"]), []).append(mean)
-    summary, timed = [], set[str]()
+    summary = []
+    timed = set()
     for level, metric in product((OF_OBJECTS, OF_SCAN), BASELINES):
-        if pairs := groups.get((level, metric.column)):
-            n, n_null = (sum(pair[name] for pair in pairs) for name in ("n", "n_null"))
-            step = _step(metric.method, level)
-            seconds = [own[step] for record in finished if step in (own := dict(record.steps)) and step not in timed]
+        pairs = groups.get((level, metric.column))
+        if not pairs:
+            continue
+        n = sum(pair["n"] for pair in pairs)
+        n_null = sum(pair["n_null"] for pair in pairs)
+        row = summary_row(metric.column, level, [pair["mean"] for pair in pairs], n, n_null)
+        step = _step(metric.method, level)
+        if step not in timed:
             timed.add(step)
-            row = summary_row(metric.column, level, [pair["mean"] for pair in pairs], n, n_null)
-            summary.append(row | {"seconds": sum(seconds) / len(seconds) if seconds else None})
+            row["seconds"] = _mean_seconds(records, step)
+        summary.append(row)
     return {"baselines": summary}
+
+
+def _mean_seconds(records: Iterable[JobRecord], step: str) -> float | None:
+    """Mean seconds of a step over the jobs that have it."""
+    steps = [dict(record.steps) for record in records]
+    seconds = [of_job[step] for of_job in steps if step in of_job]
+    return sum(seconds) / len(seconds) if seconds else None
 
 
 def summary_row(name: str, level: str, of_pairs: list[float | None], n: int, n_null: int) -> Row:
@@ -79,8 +104,13 @@ def _is_wanted(settings: Settings) -> bool:
     return bool(settings.metrics.baselines)
 
 
-def _row(own: Inputs, value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
-    named = {"pair_id": own.pair_id, "real_id": real_id, "sim_id": sim_id, "baseline": value.name}
+def _row(inputs: Inputs, value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
+    named = {
+        "pair_id": inputs.pair_id,
+        "real_id": real_id,
+        "sim_id": sim_id,
+        "baseline": value.name,
+    }
     return named | {"value": value.value, "unit": value.unit, "reason": value.reason}
 
 
@@ -91,11 +121,18 @@ def _means(rows: list[Row]) -> list[Row]:
         level = OF_SCAN if row["real_id"] is None else OF_OBJECTS
         groups.setdefault((level, row["baseline"]), []).append(row)
     means = []
-    for (level, name), own in groups.items():
-        known = [row["value"] for row in own if row["value"] is not None]
-        mean, n_null = sum(known) / len(known) if known else None, len(own) - len(known)
-        named = {"level": level, "baseline": name, "unit": own[0]["unit"]}
-        means.append(named | {"mean": mean, "n": len(known), "n_null": n_null})
+    for (level, name), alike in groups.items():
+        known = [row["value"] for row in alike if row["value"] is not None]
+        means.append(
+            {
+                "level": level,
+                "baseline": name,
+                "unit": alike[0]["unit"],
+                "mean": sum(known) / len(known) if known else None,
+                "n": len(known),
+                "n_null": len(alike) - len(known),
+            }
+        )
     return means
 
 

@@ -37,10 +37,14 @@ def make_causes(inputs: Inputs) -> JobResult:
         pose = None
     else:
         amounts = only_known(estimates.amounts | intensity_amounts(inputs), _doubts(inputs))
-        distances = {"surface_distance_m": estimates.distance_m, "surface_best_case_m": estimates.best_case_m}
+        distances = {
+            "surface_distance_m": estimates.distance_m,
+            "surface_best_case_m": estimates.best_case_m,
+        }
         pose = asdict(estimates.pose)
         pose["displacement"]["values"] = estimates.pose.displacement.values.tolist()
-    rows = [_row(inputs.pair_id, name, amounts.get(name, Amount(None, reason="not estimated"))) for name in CAUSES]
+    unknown = Amount(None, reason="not estimated")
+    rows = [_row(inputs.pair_id, name, amounts.get(name, unknown)) for name in CAUSES]
     return JobResult({"causes": TABLES["causes"].from_rows(rows)}, {OF_PAIR: distances, POSE: pose})
 
 
@@ -50,7 +54,7 @@ def _doubts(inputs: Inputs) -> dict[str, str]:
     from ...stages.frame_search import FrameCheck
     from ...stages.trust import FRAME
 
-    doubts = doubts_of(*(SensorDescription(**inputs.metadata("sensor", side)["sensor"]) for side in SIDES))
+    doubts = doubts_of(*(_sensor(inputs, side) for side in SIDES))
     frames = inputs.metadata("sensor", "sim").get(FRAMES)
     if frames and FrameCheck(**frames).is_other_frame:
         doubts[FRAME] = f"the simulated scan is in another frame: {frames['reading']}"
@@ -67,9 +71,7 @@ def pair_scans(inputs: Inputs) -> PairScans:
 
     moved = inputs.metadata("ground", "sim").get("T_real_sim")
     T_real_sim = np.array(moved).reshape(3, 4) if moved else None
-    position = inputs.settings.input.sensor_position
-    real, sim = (_side(inputs, side, T_real_sim if side == "sim" else None, position) for side in SIDES)
-    return PairScans(real, sim)
+    return PairScans(_side(inputs, "real"), _side(inputs, "sim", T_real_sim))
 
 
 def pose_of(metadata: dict[str, Any]) -> Pose | None:
@@ -88,12 +90,13 @@ def pose_of(metadata: dict[str, Any]) -> Pose | None:
     )
 
 
-def _side(
-    inputs: Inputs, side: str, T_real_sim: FloatArray | None, position: tuple[float, float, float] | None
-) -> Side:
-    ground = inputs.table("ground", side)
-    sensor = SensorDescription(**inputs.metadata("sensor", side)["sensor"])
-    return side_of(ground, sensor, T_real_sim, position)
+def _side(inputs: Inputs, side: str, T_real_sim: FloatArray | None = None) -> Side:
+    position = inputs.settings.input.sensor_position
+    return side_of(inputs.table("ground", side), _sensor(inputs, side), T_real_sim, position)
+
+
+def _sensor(inputs: Inputs, side: str) -> SensorDescription:
+    return SensorDescription(**inputs.metadata("sensor", side)["sensor"])
 
 
 def side_of(
@@ -105,7 +108,9 @@ def side_of(
     """A side from its table `ground`, see `recorded_side`."""
     from ...stages.causes.sides import recorded_side
 
-    return recorded_side(coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim, position)
+    return recorded_side(
+        coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim, position
+    )
 
 
 def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
@@ -116,9 +121,10 @@ def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
     reason = scores["rays_reason"] or scores["intensity_note"] or "intensities were not compared"
     unknown = Amount(None, reason=reason)
     amounts = dict.fromkeys(("intensity by range", "intensity ranks", "intensity scale"), unknown)
-    by_range = scores["intensity_real_by_range"], scores["intensity_sim_by_range"]
-    if None not in by_range:
-        amounts["intensity by range"] = Amount(by_range[1] - by_range[0], *by_range)
+    real = scores["intensity_real_by_range"]
+    sim = scores["intensity_sim_by_range"]
+    if real is not None and sim is not None:
+        amounts["intensity by range"] = Amount(sim - real, real, sim)
     if scores["intensity_rank_distance"] is not None:
         amounts["intensity ranks"] = Amount(scores["intensity_rank_distance"])
     if scores["intensity_ratio"] is not None and scores["intensity_rmse"] is not None:

@@ -24,47 +24,59 @@ from .points_job import (
     object_points,
 )
 
-_MEASURES = (
-    *("cx", "cy", "cz", "extent_x", "extent_y", "extent_z"),
-    *("linearity", "planarity", "scattering", "range_m"),
-)
+_CENTROID = ("cx", "cy", "cz")
+_EXTENT = ("extent_x", "extent_y", "extent_z")
+_SHAPE = ("linearity", "planarity", "scattering")
 
 
-def make_communities(own: Inputs) -> JobResult:
+def make_communities(inputs: Inputs) -> JobResult:
     """Find the objects of a side and describe each.
 
-    The real side's come from its graph or its annotation; the simulated side's from its own graph, or from the real
-    side's objects where the settings say so.
+    The real side's come from its graph or its annotation; the simulated side's from its inputs
+    graph, or from the real side's objects where the settings say so.
     """
-    point_ids, points = object_points(own, own.part)
-    noted, reference = annotation(own, own.part), None
-    if ("communities", "real") in own.tables:
-        labels = column(own.table("communities", "real"), "community_id")
-        reference = ReferenceObjects(object_points(own, "real")[1], labels)
+    point_ids, points = object_points(inputs, inputs.part)
+    noted = annotation(inputs, inputs.part)
+    reference = None
+    if ("communities", "real") in inputs.tables:
+        labels = column(inputs.table("communities", "real"), "community_id")
+        reference = ReferenceObjects(object_points(inputs, "real")[1], labels)
     scan = partition(
         points,
-        own.settings,
-        edges=graph_edges(own, own.part),
+        inputs.settings,
+        edges=graph_edges(inputs, inputs.part),
         reference=reference,
         annotation=noted,
-        watch=own.step,
+        watch=inputs.step,
     )
-    return _result(own, point_ids, scan, noted)
+    return _result(inputs, point_ids, scan, noted)
 
 
-def _result(own: Inputs, point_ids: IntArray, scan: PartitionedScan, noted: Annotation) -> JobResult:
+def _result(
+    inputs: Inputs, point_ids: IntArray, scan: PartitionedScan, noted: Annotation
+) -> JobResult:
     """The object of each point, and a row for each object."""
     objects = scan.objects
     names = [None] * len(point_ids) if noted.labels is None else noted.labels.tolist()
     labels = majority_labels(scan.labels, names, len(objects.n_points))
-    both = {"pair_id": own.pair_id, "side": own.part}
-    communities = TABLES["communities"].build(both | {"point_id": point_ids, "community_id": scan.labels})
-    measures = np.column_stack([objects.centroid, objects.extent, objects.shape, objects.range_m])
+    both = {"pair_id": inputs.pair_id, "side": inputs.part}
+    communities = TABLES["communities"].build(
+        both | {"point_id": point_ids, "community_id": scan.labels}
+    )
     columns: dict[str, Any] = {
-        name: nulls_for_nan(values.tolist()) for name, values in zip(_MEASURES, measures.T, strict=True)
+        "community_id": np.arange(len(objects.n_points), dtype=np.int32),
+        "n_points": objects.n_points,
+        "range_m": nulls_for_nan(objects.range_m.tolist()),
+        "label": labels,
     }
-    columns |= {"community_id": np.arange(len(objects.n_points), dtype=np.int32), "n_points": objects.n_points}
-    described = TABLES["objects"].build(both | columns | {"label": labels})
+    for names_of, values in (
+        (_CENTROID, objects.centroid),
+        (_EXTENT, objects.extent),
+        (_SHAPE, objects.shape),
+    ):
+        for name, of_axis in zip(names_of, values.T, strict=True):
+            columns[name] = nulls_for_nan(of_axis.tolist())
+    described = TABLES["objects"].build(both | columns)
     return JobResult({"communities": communities, "objects": described})
 
 

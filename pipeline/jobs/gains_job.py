@@ -1,6 +1,7 @@
 """Stage gains: how much closer the surfaces of a pair come if each cause of the run is corrected.
 
-It is not part of a run: `fidpipe diagnose` requests it, with the mean amounts of the causes that the run names.
+It is not part of a run: `fidpipe diagnose` requests it, with the mean amounts of the causes that
+the run names.
 """
 
 from __future__ import annotations
@@ -15,7 +16,17 @@ from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.causes.curves import curves
 from ...stages.causes.gain import Shares, corrections, shares
-from ..stage import AMOUNTS, CURVES, DISTANCES, OF_PAIR, UNEXPLAINED, Grain, Inputs, JobResult, Stage
+from ..stage import (
+    AMOUNTS,
+    CURVES,
+    DISTANCES,
+    OF_PAIR,
+    UNEXPLAINED,
+    Grain,
+    Inputs,
+    JobResult,
+    Stage,
+)
 from .causes_job import POINT_COLUMNS, pair_scans, pose_of
 
 _SEED = 20240917
@@ -50,15 +61,21 @@ def _rounded(of_sides: Any) -> dict[str, list[float]]:
 
 
 def _result(inputs: Inputs, gains: Shares, drawn: dict[str, dict[str, list[float]]]) -> JobResult:
-    gain_m = dict(sorted((gains.by_cause | {UNEXPLAINED: gains.after_m - gains.best_case_m}).items()))
-    rows = [{"pair_id": inputs.pair_id, "cause": name, "gain_m": value} for name, value in gain_m.items()]
-    metadata = {DISTANCES: [gains.before_m, gains.after_m, gains.best_case_m], CURVES: drawn}
-    return JobResult({"gains": TABLES["gains"].from_rows(rows)}, metadata | {AMOUNTS: dict(inputs.arguments)})
+    gain_m = gains.by_cause | {UNEXPLAINED: gains.after_m - gains.best_case_m}
+    rows = []
+    for name, value in sorted(gain_m.items()):
+        rows.append({"pair_id": inputs.pair_id, "cause": name, "gain_m": value})
+    metadata = {
+        DISTANCES: [gains.before_m, gains.after_m, gains.best_case_m],
+        CURVES: drawn,
+        AMOUNTS: dict(inputs.arguments),
+    }
+    return JobResult({"gains": TABLES["gains"].from_rows(rows)}, metadata)
 
 
 def gains_stage(amounts: dict[str, float]) -> Stage:
     """The stage for causes with these mean amounts."""
-    return replace(STAGE, arguments=tuple((name, float(amount)) for name, amount in sorted(amounts.items())))
+    return replace(STAGE, arguments=tuple(sorted(amounts.items())))
 
 
 def _is_wanted(settings: Settings) -> bool:

@@ -8,13 +8,19 @@ from ..stage import Grain, Inputs, JobResult, Stage
 from .points_job import POINT_COLUMNS, object_points
 
 
-def make_graph(own: Inputs) -> JobResult:
+def make_graph(inputs: Inputs) -> JobResult:
     """Connect near object points; each edge names its points by their ids."""
-    point_ids, points = object_points(own, own.part)
-    with own.step("graph"):
-        edges = build_graph(points, own.settings.graph)
-    columns = {"src": point_ids[edges.src], "dst": point_ids[edges.dst], "length_m": edges.length_m}
-    rows = TABLES["graph"].build({"pair_id": own.pair_id, "side": own.part} | columns, len(edges.src))
+    point_ids, points = object_points(inputs, inputs.part)
+    with inputs.step("graph"):
+        edges = build_graph(points, inputs.settings.graph)
+    columns = {
+        "pair_id": inputs.pair_id,
+        "side": inputs.part,
+        "src": point_ids[edges.src],
+        "dst": point_ids[edges.dst],
+        "length_m": edges.length_m,
+    }
+    rows = TABLES["graph"].build(columns, len(edges.src))
     return JobResult({"graph": rows}, {"n_edges": len(edges.src)})
 
 

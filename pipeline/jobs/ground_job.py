@@ -15,53 +15,65 @@ from ...stages.ground import GroundResult
 from ...stages.method import remove_road
 from ...stages.plausibility import inspect_points
 from ..datasets.readers.scan import Scan
-from ..stage import INSPECTION, N_RAW, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Metadata, Stage
+from ..stage import (
+    INSPECTION,
+    N_RAW,
+    OF_PAIR,
+    SCAN,
+    Columns,
+    Grain,
+    Inputs,
+    JobResult,
+    Metadata,
+    Stage,
+)
 from .points_job import coordinates
 
 _MEASURES = ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")
 
 
-def make_ground(own: Inputs) -> JobResult:
+def make_ground(inputs: Inputs) -> JobResult:
     """Inspect and clean a scan and cut the road away.
 
     Raises
     ------
     StageError
-        Too few points are left; also names what is implausible about the scan, which is the likely cause.
+        Too few points are left; also names what is implausible about the scan, which is the likely
+        cause.
     """
-    with own.step("read"):
-        scan = own.scans[own.part]()
-    with own.step("inspect"):
-        inspection = inspect_points(scan.points, own.part, own.settings.input)
+    with inputs.step("read"):
+        scan = inputs.scans[inputs.part]()
+    with inputs.step("inspect"):
+        inspection = inspect_points(scan.points, inputs.part, inputs.settings.input)
     real_cut = real_points = None
-    if ("ground", "real") in own.outputs:
-        real_cut = _cut(own.metadata("ground", "real"))
-    if ("ground", "real") in own.tables:
-        real_points = coordinates(own.table("ground", "real"))
+    if ("ground", "real") in inputs.outputs:
+        real_cut = _cut(inputs.metadata("ground", "real"))
+    if ("ground", "real") in inputs.tables:
+        real_points = coordinates(inputs.table("ground", "real"))
     try:
         clean, cut = remove_road(
             scan.points,
-            own.settings,
-            own.part,
-            T_real_sim=np.array(own.T_real_sim).reshape(3, 4) if own.T_real_sim else None,
+            inputs.settings,
+            inputs.part,
+            T_real_sim=np.array(inputs.T_real_sim).reshape(3, 4) if inputs.T_real_sim else None,
             real_cut=real_cut,
             real_points=real_points,
-            watch=own.step,
+            watch=inputs.step,
         )
     except StageError as error:
         raise StageError("; ".join((str(error), *inspection.warnings))) from error
-    metadata = _metadata(own.part, scan, clean, cut)
-    metadata |= {INSPECTION: asdict(inspection), "T_real_sim": own.T_real_sim}
-    return JobResult({"ground": _rows(own, scan, clean, cut)}, metadata)
+    metadata = _metadata(inputs.part, scan, clean, cut)
+    metadata |= {INSPECTION: asdict(inspection), "T_real_sim": inputs.T_real_sim}
+    return JobResult({"ground": _rows(inputs, scan, clean, cut)}, metadata)
 
 
-def _rows(own: Inputs, scan: Scan, clean: CleanResult, cut: GroundResult) -> pa.Table:
+def _rows(inputs: Inputs, scan: Scan, clean: CleanResult, cut: GroundResult) -> pa.Table:
     """The clean points with their ground flags."""
     x, y, z = clean.points.T
     return TABLES["ground"].build(
         {
-            "pair_id": own.pair_id,
-            "side": own.part,
+            "pair_id": inputs.pair_id,
+            "side": inputs.part,
             "point_id": clean.point_ids,
             "x": x,
             "y": y,
@@ -98,7 +110,9 @@ def _takes_real(settings: Settings) -> Columns:
 def _cut(metadata: Metadata) -> GroundResult:
     """The real side's cut, for the simulated side."""
     measures = {name: metadata[name] for name in _MEASURES}
-    return GroundResult(np.empty(0, dtype=np.bool_), np.empty(0), np.array(metadata["axis"]), **measures)
+    return GroundResult(
+        np.empty(0, dtype=np.bool_), np.empty(0), np.array(metadata["axis"]), **measures
+    )
 
 
 STAGE = Stage(

@@ -3,33 +3,45 @@
 from __future__ import annotations
 
 import numpy as np
+import pyarrow as pa
 
-from ...schemas.columns import SIDES, Row
+from ...schemas.columns import Row
 from ...schemas.tables import TABLES
+from ...stages.arrays import FloatArray, IntArray
 from ...stages.method import match_objects
 from ..stage import OBJECTS, Grain, Inputs, JobResult, Stage
 from .points_job import column
 
 
-def make_matching(own: Inputs) -> JobResult:
+def make_matching(inputs: Inputs) -> JobResult:
     """Match the objects of both sides, one row for each.
 
     The metadata list the matched ones with the number of nodes that both sides will keep.
     """
-    objects = [own.table("objects", side) for side in SIDES]
-    real, sim = (np.column_stack([column(table, axis) for axis in ("cx", "cy", "cz")]) for table in objects)
-    n_real, n_sim = (column(table, "n_points") for table in objects)
-    with own.step("match"):
-        matching = match_objects(real, sim, n_real, n_sim, own.settings)
-    pairs = zip(matching.real_ids.tolist(), matching.sim_ids.tolist(), matching.distance_m.tolist(), strict=True)
-    rows: list[Row] = [{"real_id": a, "sim_id": b, "centroid_distance_m": d, "status": "matched"} for a, b, d in pairs]
-    rows += [{"real_id": a, "status": "missing"} for a in matching.missing.tolist()]
-    rows += [{"sim_id": b, "status": "hallucinated"} for b in matching.hallucinated.tolist()]
+    real, n_real = _centroids(inputs.table("objects", "real"))
+    sim, n_sim = _centroids(inputs.table("objects", "sim"))
+    with inputs.step("match"):
+        matching = match_objects(real, sim, n_real, n_sim, inputs.settings)
+    real_ids = matching.real_ids.tolist()
+    sim_ids = matching.sim_ids.tolist()
     n_keep = np.minimum(n_real[matching.real_ids], n_sim[matching.sim_ids])
-    table = TABLES["matching"].from_rows({"pair_id": own.pair_id} | row for row in rows)
-    return JobResult(
-        {"matching": table}, {OBJECTS: list(zip(matching.real_ids.tolist(), n_keep.tolist(), strict=True))}
-    )
+    rows: list[Row] = []
+    for real_id, sim_id, distance_m in zip(
+        real_ids, sim_ids, matching.distance_m.tolist(), strict=True
+    ):
+        both = {"real_id": real_id, "sim_id": sim_id}
+        rows.append(both | {"centroid_distance_m": distance_m, "status": "matched"})
+    rows += [{"real_id": i, "status": "missing"} for i in matching.missing.tolist()]
+    rows += [{"sim_id": i, "status": "hallucinated"} for i in matching.hallucinated.tolist()]
+    table = TABLES["matching"].from_rows({"pair_id": inputs.pair_id} | row for row in rows)
+    matched = list(zip(real_ids, n_keep.tolist(), strict=True))
+    return JobResult({"matching": table}, {OBJECTS: matched})
+
+
+def _centroids(objects: pa.Table) -> tuple[FloatArray, IntArray]:
+    """Centroids of objects, (n, 3) float64 metres, and their numbers of points."""
+    centroids = np.column_stack([column(objects, axis) for axis in ("cx", "cy", "cz")])
+    return centroids, column(objects, "n_points")
 
 
 STAGE = Stage(

@@ -17,27 +17,34 @@ from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage, Tables
 from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_objects
 
 
-def make_metrics(own: Inputs) -> JobResult:
+def make_metrics(inputs: Inputs) -> JobResult:
     """Score each object: geometry and structure; one row for each."""
-    selection = own.table("selection")
+    selection = inputs.table("selection")
     rows = []
-    for match, real, sim in matched_objects(own):
+    for match, real, sim in matched_objects(inputs):
         nodes = kept_nodes(selection, match["real_id"], real, sim)
-        row: Row = {"pair_id": own.pair_id}
-        row |= {name: match[name] for name in ("real_id", "sim_id", "centroid_distance_m")}
-        row |= {"n_real": len(real.points), "n_sim": len(sim.points), "n_keep": len(nodes.real_nodes)}
-        rows.append(row | vars(score_object(real, sim, nodes, watch=own.step)))
+        row: Row = {
+            "pair_id": inputs.pair_id,
+            "real_id": match["real_id"],
+            "sim_id": match["sim_id"],
+            "centroid_distance_m": match["centroid_distance_m"],
+            "n_real": len(real.points),
+            "n_sim": len(sim.points),
+            "n_keep": len(nodes.real_nodes),
+        }
+        rows.append(row | vars(score_object(real, sim, nodes, watch=inputs.step)))
     return JobResult({"metrics": TABLES["metrics"].from_rows(rows)})
 
 
-def gather_metrics(own: Inputs, tables: Tables) -> Metadata:
+def gather_metrics(inputs: Inputs, tables: Tables) -> Metadata:
     """The pair's columns of `pairs`: counts, match rate, ranges, means over the objects."""
-    metrics, matching = tables["metrics"], own.table("matching")
+    metrics = tables["metrics"]
+    matching = inputs.table("matching")
     statuses = np.array(matching.column("status").to_pylist(), dtype=object)
 
     def range_of(side: str, status: str) -> FloatArray:
         ids = matching.column(f"{side}_id").filter(pa.array(statuses == status)).to_numpy()
-        range_m: FloatArray = column(own.table("objects", side), "range_m")[ids]
+        range_m: FloatArray = column(inputs.table("objects", side), "range_m")[ids]
         return range_m
 
     summary: dict[str, Number] = summarise_pair(

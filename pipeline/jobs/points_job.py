@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ...stages.reference import Annotation
@@ -40,14 +39,14 @@ def nulls_for_nan(values: Iterable[float]) -> list[float | None]:
     return [None if math.isnan(value) else value for value in values]
 
 
-def object_points(own: Inputs, side: str) -> tuple[IntArray, FloatArray]:
+def object_points(inputs: Inputs, side: str) -> tuple[IntArray, FloatArray]:
     """Ids, (n,) int32, and coordinates, (n, 3) float64 metres, of the points of a side that are not ground."""
-    return own.memo(points_in, own.table("ground", side))
+    return inputs.memo(points_in, inputs.table("ground", side))
 
 
-def annotation(own: Inputs, side: str) -> Annotation:
+def annotation(inputs: Inputs, side: str) -> Annotation:
     """Labels and instances of the object points of a side, where the input has them."""
-    return annotation_in(own.table("ground", side))
+    return annotation_in(inputs.table("ground", side))
 
 
 def annotation_in(ground: pa.Table) -> Annotation:
@@ -61,32 +60,32 @@ def annotation_in(ground: pa.Table) -> Annotation:
     )
 
 
-def graph_edges(own: Inputs, side: str) -> Edges:
+def graph_edges(inputs: Inputs, side: str) -> Edges:
     """The graph of a side by node index, its nodes being the object points in order."""
-    return edges_in(object_points(own, side)[0], own.table("graph", side))
+    return edges_in(object_points(inputs, side)[0], inputs.table("graph", side))
 
 
-def _matched_rows(own: Inputs) -> list[dict[str, Any]]:
-    """The rows of `matching` of the objects that the job is about: of grain OBJECT its own, else all matched ones."""
-    matching = own.table("matching")
+def _matched_rows(inputs: Inputs) -> list[dict[str, Any]]:
+    """The rows of `matching` of the objects that the job is about: for grain OBJECT those of its batch, else all."""
+    matching = inputs.table("matching")
     matched = _matched(matching)
-    if own.objects:
-        matched = matched.filter(pa.array(np.isin(column(matched, "real_id"), own.objects)))
+    if inputs.objects:
+        matched = matched.filter(pa.array(np.isin(column(matched, "real_id"), inputs.objects)))
     rows: list[dict[str, Any]] = matched.to_pylist()
     return rows
 
 
-def matched_subgraphs(own: Inputs, side: str) -> dict[int, Subgraph]:
+def matched_subgraphs(inputs: Inputs, side: str) -> dict[int, Subgraph]:
     """All matched objects of a side, by community id."""
-    tables = [own.table(name, side) for name in ("ground", "graph", "communities")]
-    with own.step("subgraphs"):
-        return own.memo(_matched_subgraphs, *tables, own.table("matching"), f"{side}_id")
+    tables = [inputs.table(name, side) for name in ("ground", "graph", "communities")]
+    with inputs.step("subgraphs"):
+        return inputs.memo(_matched_subgraphs, *tables, inputs.table("matching"), f"{side}_id")
 
 
-def matched_objects(own: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, Subgraph]]:
+def matched_objects(inputs: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, Subgraph]]:
     """The objects that the job is about: each with its row of `matching`, and as a subgraph of both sides."""
-    real, sim = (matched_subgraphs(own, side) for side in SIDES)
-    for match in _matched_rows(own):
+    real, sim = matched_subgraphs(inputs, "real"), matched_subgraphs(inputs, "sim")
+    for match in _matched_rows(inputs):
         yield match, real[match["real_id"]], sim[match["sim_id"]]
 
 
@@ -106,16 +105,19 @@ def edges_in(point_ids: IntArray, graph: pa.Table) -> Edges:
     """See `graph_edges`."""
     index_of = np.zeros(int(point_ids[-1]) + 1, dtype=np.int32)
     index_of[point_ids] = np.arange(len(point_ids), dtype=np.int32)
-    return Edges(index_of[column(graph, "src")], index_of[column(graph, "dst")], column(graph, "length_m"))
+    src = index_of[column(graph, "src")]
+    dst = index_of[column(graph, "dst")]
+    return Edges(src, dst, column(graph, "length_m"))
 
 
 def _matched_subgraphs(
     ground: pa.Table, graph: pa.Table, communities: pa.Table, matching: pa.Table, id_column: str
 ) -> dict[int, Subgraph]:
     point_ids, points = points_in(ground)
-    edges, labels = edges_in(point_ids, graph), column(communities, "community_id")
-    matched = _matched(matching)
-    return split_by_community(point_ids, points, edges, labels, column(matched, id_column).tolist())
+    edges = edges_in(point_ids, graph)
+    labels = column(communities, "community_id")
+    ids = column(_matched(matching), id_column).tolist()
+    return split_by_community(point_ids, points, edges, labels, ids)
 
 
 def _matched(matching: pa.Table) -> pa.Table:
@@ -125,10 +127,10 @@ def _matched(matching: pa.Table) -> pa.Table:
 def kept_nodes(selection: pa.Table, real_id: int, real: Subgraph, sim: Subgraph) -> Selection:
     """The aligned nodes of one object, as the table `selection` has them."""
     start, end = np.searchsorted(column(selection, "real_id"), [real_id, real_id + 1])
-    own = selection.slice(start, end - start)
+    rows = selection.slice(start, end - start)
     return Selection(
-        real_nodes=np.searchsorted(real.point_ids, column(own, "real_point_id")),
-        sim_nodes=np.searchsorted(sim.point_ids, column(own, "sim_point_id")),
-        real_influence=column(own, "real_influence"),
-        sim_influence=column(own, "sim_influence"),
+        real_nodes=np.searchsorted(real.point_ids, column(rows, "real_point_id")),
+        sim_nodes=np.searchsorted(sim.point_ids, column(rows, "sim_point_id")),
+        real_influence=column(rows, "real_influence"),
+        sim_influence=column(rows, "sim_influence"),
     )

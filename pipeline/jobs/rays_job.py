@@ -27,23 +27,25 @@ from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
 
 
-def make_rays(own: Inputs) -> JobResult:
+def make_rays(inputs: Inputs) -> JobResult:
     """Pair the rays of both sides and score them."""
-    tables = [own.table("ground", side) for side in SIDES]
+    tables = [inputs.table("ground", side) for side in SIDES]
     real, sim = map(coordinates, tables)
-    sensors = [own.metadata("sensor", side)["sensor"] for side in SIDES]
-    moved = own.metadata("ground", "sim")["T_real_sim"]
+    sensors = [inputs.metadata("sensor", side)["sensor"] for side in SIDES]
+    moved = inputs.metadata("ground", "sim")["T_real_sim"]
     T_real_sim = np.array(moved).reshape(3, 4) if moved else None
-    position = own.settings.input.sensor_position
+    position = inputs.settings.input.sensor_position
     if position is not None:
-        real, sim, T_real_sim = real - position, sim - position, seen_from(position, T_real_sim)
-    with own.step("rays"):
+        real = real - position
+        sim = sim - position
+        T_real_sim = seen_from(position, T_real_sim)
+    with inputs.step("rays"):
         rays = find_rays(real, sim, (sensors[0], sensors[1]), T_real_sim)
-    with own.step("intensity"):
-        return _result(own, rays, tables)
+    with inputs.step("intensity"):
+        return _result(inputs, rays, tables)
 
 
-def _result(own: Inputs, rays: Rays | str, ground: Sequence[pa.Table]) -> JobResult:
+def _result(inputs: Inputs, rays: Rays | str, ground: Sequence[pa.Table]) -> JobResult:
     """One row per ray, and one of scores for each group of rays; empty tables if there is a reason instead of rays.
 
     Parameters
@@ -56,16 +58,18 @@ def _result(own: Inputs, rays: Rays | str, ground: Sequence[pa.Table]) -> JobRes
     of_pair |= {"rays_reason": None, "intensity_note": None}
     if isinstance(rays, str):
         of_pair |= {"rays_reason": rays}
-        return JobResult({name: TABLES[name].from_rows([]) for name in ("rays", "ray_scores")}, {OF_PAIR: of_pair})
-    returned = [pa.array(rows, mask=rows < 0) for rows in (rays.real_row, rays.sim_row)]
-    ids, labels = (
-        [table.column(name).combine_chunks().take(rows) for table, rows in zip(ground, returned, strict=True)]
-        for name in ("point_id", "label")
-    )
+        tables = {name: TABLES[name].from_rows([]) for name in ("rays", "ray_scores")}
+        return JobResult(tables, {OF_PAIR: of_pair})
+    ids = []
+    labels = []
+    for table, rows in zip(ground, (rays.real_row, rays.sim_row), strict=True):
+        returned = pa.array(rows, mask=rows < 0)
+        ids.append(table.column("point_id").combine_chunks().take(returned))
+        labels.append(table.column("label").combine_chunks().take(returned))
     label = pc.if_else(pa.array(rays.real_row >= 0), *labels).cast(pa.string())
-    table = TABLES["rays"].build(
+    of_rays = TABLES["rays"].build(
         {
-            "pair_id": own.pair_id,
+            "pair_id": inputs.pair_id,
             "beam": rays.beam,
             "column": rays.column,
             "real_point_id": ids[0],
@@ -80,16 +84,21 @@ def _result(own: Inputs, rays: Rays | str, ground: Sequence[pa.Table]) -> JobRes
     )
     scores = []
     for by, band, is_in in _groups(rays, label):
-        scores.append({"pair_id": own.pair_id, "by": by, "band": band} | score_rays(rays, is_in))
-        if by not in ("all", "azimuth"):  # rays without any return have no range, incidence or class
+        scores.append({"pair_id": inputs.pair_id, "by": by, "band": band} | score_rays(rays, is_in))
+        if by not in (
+            "all",
+            "azimuth",
+        ):  # rays without any return have no range, incidence or class
             scores[-1]["rays_drop_f1"] = None
-    intensity = [
-        None if table["intensity"].null_count == len(table) else column(table, "intensity") for table in ground
-    ]
+    intensity = []
+    for table in ground:
+        has_none = table["intensity"].null_count == len(table)
+        intensity.append(None if has_none else column(table, "intensity"))
     classes = np.array(label.dictionary_encode().indices.fill_null(-1))
-    one_scale = own.settings.input.intensity_scale == "same"
+    one_scale = inputs.settings.input.intensity_scale == "same"
     of_pair |= score_rays(rays) | score_intensity(rays, intensity, classes, has_one_scale=one_scale)
-    return JobResult({"rays": table, "ray_scores": TABLES["ray_scores"].from_rows(scores)}, {OF_PAIR: of_pair})
+    of_groups = TABLES["ray_scores"].from_rows(scores)
+    return JobResult({"rays": of_rays, "ray_scores": of_groups}, {OF_PAIR: of_pair})
 
 
 def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]:
@@ -106,7 +115,8 @@ def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]
         for low, high in pairwise(edges):
             is_in = (values >= low) & (values < high)
             if is_in.any():
-                yield by, f"{low:g} to {high:g} {unit}" if high < np.inf else f"over {low:g} {unit}", is_in
+                band = f"{low:g} to {high:g}" if high < np.inf else f"over {low:g}"
+                yield by, f"{band} {unit}", is_in
     for name in sorted(set(label.to_pylist()) - {None}):
         yield "class", name, np.array(pc.equal(label, name).fill_null(False))
 

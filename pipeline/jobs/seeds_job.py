@@ -1,7 +1,7 @@
 """Stage seeds, an extra: a pair repeated under other seeds of the communities, and a summary of the repeats.
 
-Ground and graph have no seed and are shared; communities, matching, selection and scores are recomputed in
-memory, and only the scores are kept.
+Ground and graph have no seed and are shared; communities, matching, selection and scores are
+recomputed in memory, and only the scores are kept.
 """
 
 from __future__ import annotations
@@ -24,38 +24,43 @@ from . import communities_job
 from .points_job import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, graph_edges, object_points
 
 
-def make_seeds(own: Inputs) -> JobResult:
+def make_seeds(inputs: Inputs) -> JobResult:
     """Score the pair under each seed: the configured one, whose tables exist, and those that follow it."""
-    first = own.settings.communities.seed
-    scores = {first: own.metadata("metrics")[OF_PAIR]}
-    for seed in range(first + 1, first + own.settings.stability.seeds):
-        scores[seed] = _repeat(own, seed)
-    rows = [
-        {"pair_id": own.pair_id, "seed": seed} | {name: row[name] for name in SEEDED_SCORES}
-        for seed, row in scores.items()
-    ]
-    by_score = {name: [row[name] for row in rows] for name in SEEDED_SCORES}
+    first = inputs.settings.communities.seed
+    scores = {first: inputs.metadata("metrics")[OF_PAIR]}
+    for seed in range(first + 1, first + inputs.settings.stability.seeds):
+        scores[seed] = _repeat(inputs, seed)
+    rows = []
+    for seed, row in scores.items():
+        values = {name: row[name] for name in SEEDED_SCORES}
+        rows.append({"pair_id": inputs.pair_id, "seed": seed} | values)
+    by_score: Metadata = {}
+    for name in SEEDED_SCORES:
+        by_score[name] = [row[name] for row in rows]
     return JobResult({"seeds": TABLES["seeds"].from_rows(rows)}, {"scores": by_score})
 
 
 def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
     """Spread of each score over seeds and over pairs; mean and standard deviation of each pair over seeds."""
-    repeats = {
-        record.pair_id: {name: np.array(own, dtype=np.float64) for name, own in record.metadata["scores"].items()}
-        for record in records
-    }
-    dataset = {name: vars(spread(np.array([scores[name] for scores in repeats.values()]))) for name in SEEDED_SCORES}
-    pairs = {
-        pair_id: {name: dict(zip(("mean", "std"), mean_and_std(own), strict=True)) for name, own in scores.items()}
-        for pair_id, scores in sorted(repeats.items())
-    }
-    n_seeds, n_pairs = settings.stability.seeds, len(repeats)
-    return {"seeds": {"n_seeds": n_seeds, "n_pairs": n_pairs, "dataset": dataset, "pairs": pairs}}
+    of_pairs = {record.pair_id: record.metadata["scores"] for record in records}
+    dataset = {}
+    pairs: dict[str, Any] = {pair_id: {} for pair_id in sorted(of_pairs)}
+    for name in SEEDED_SCORES:
+        values = {
+            pair_id: np.array(scores[name], dtype=np.float64)
+            for pair_id, scores in of_pairs.items()
+        }
+        dataset[name] = vars(spread(np.array(list(values.values()))))
+        for pair_id, of_seeds in values.items():
+            mean, std = mean_and_std(of_seeds)
+            pairs[pair_id][name] = {"mean": mean, "std": std}
+    counts = {"n_seeds": settings.stability.seeds, "n_pairs": len(of_pairs)}
+    return {"seeds": counts | {"dataset": dataset, "pairs": pairs}}
 
 
-def _repeat(own: Inputs, seed: int) -> Metadata:
+def _repeat(inputs: Inputs, seed: int) -> Metadata:
     """The scores of the pair under another seed."""
-    declared = own.settings
+    declared = inputs.settings
     settings = Settings(
         communities=declared.communities.model_copy(update={"seed": seed}),
         matching=declared.matching,
@@ -64,12 +69,18 @@ def _repeat(own: Inputs, seed: int) -> Metadata:
     )
     scans: dict[str, PartitionedScan] = {}
     for side in SIDES:
-        _, points = object_points(own, side)
-        edges = graph_edges(own, side)
+        _, points = object_points(inputs, side)
+        edges = graph_edges(inputs, side)
         real = scans["real"].reference if side == "sim" else None
-        with own.step("communities"):
-            scans[side] = partition(points, settings, edges=edges, reference=real, annotation=annotation(own, side))
-    with own.step("scores"):
+        with inputs.step("communities"):
+            scans[side] = partition(
+                points,
+                settings,
+                edges=edges,
+                reference=real,
+                annotation=annotation(inputs, side),
+            )
+    with inputs.step("scores"):
         summary = compare(scans["real"], scans["sim"], settings).summary
     return n_communities(summary) | summary
 

@@ -11,11 +11,11 @@ from ..stage import Grain, Inputs, JobResult, Stage
 from .points_job import MATCHED_OBJECTS, matched_objects
 
 
-def make_selection(own: Inputs) -> JobResult:
+def make_selection(inputs: Inputs) -> JobResult:
     """Keep the most influential nodes of each object on both sides, aligned one to one; one row per node."""
     parts = [TABLES["selection"].from_rows([])]
-    for match, real, sim in matched_objects(own):
-        kept = select_nodes(real, sim, own.settings.selection, watch=own.step)
+    for match, real, sim in matched_objects(inputs):
+        kept = select_nodes(real, sim, inputs.settings.selection, watch=inputs.step)
         columns = {
             "rank": np.arange(len(kept.real_nodes), dtype=np.int32),
             "real_point_id": real.point_ids[kept.real_nodes],
@@ -23,8 +23,9 @@ def make_selection(own: Inputs) -> JobResult:
             "real_influence": kept.real_influence,
             "sim_influence": kept.sim_influence,
         }
-        ids = {"pair_id": own.pair_id, "real_id": match["real_id"], "sim_id": match["sim_id"]}
-        parts.append(TABLES["selection"].build(ids | columns, len(kept.real_nodes)))
+        ids = {name: match[name] for name in ("real_id", "sim_id")}
+        columns |= {"pair_id": inputs.pair_id} | ids
+        parts.append(TABLES["selection"].build(columns, len(kept.real_nodes)))
     return JobResult({"selection": pa.concat_tables(parts).combine_chunks()})
 
 

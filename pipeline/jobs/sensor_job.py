@@ -1,4 +1,4 @@
-"""Stage sensor: beams, steps, noise and losses of the sensor of a side, estimated from the file's own points.
+"""Stage sensor: beams, steps, noise and losses of the sensor of a side, estimated from the file's inputs points.
 
 The job of the simulated side also checks whether both scans are in one frame.
 """
@@ -18,27 +18,27 @@ from ..datasets.readers.scan import Scan
 from ..stage import FRAMES, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Metadata, Stage
 
 
-def make_sensor(own: Inputs) -> JobResult:
-    """Estimate the sensor of a side in the side's own frame; the metadata contain the whole description."""
-    with own.step("read"):
-        scan = own.scans[own.part]()
-    points = at_sensor(scan.points, own.part, own.settings.input)
-    with own.step("sensor"):
+def make_sensor(inputs: Inputs) -> JobResult:
+    """Estimate the sensor of a side in the side's inputs frame; the metadata contain the whole description."""
+    with inputs.step("read"):
+        scan = inputs.scans[inputs.part]()
+    points = at_sensor(scan.points, inputs.part, inputs.settings.input)
+    with inputs.step("sensor"):
         sensor = describe_sensor(points, scan.rings, scan.times_s is not None)
-    row = {"pair_id": own.pair_id, "side": own.part} | sensor_row(sensor)
-    metadata: Metadata = {"sensor": asdict(sensor), OF_PAIR: pair_columns(sensor, own.part)}
-    if own.part == "sim" and "real" in own.scans:
-        metadata[FRAMES] = _frame_check(own, scan)
+    row = {"pair_id": inputs.pair_id, "side": inputs.part} | sensor_row(sensor)
+    metadata: Metadata = {"sensor": asdict(sensor), OF_PAIR: pair_columns(sensor, inputs.part)}
+    if inputs.part == "sim" and "real" in inputs.scans:
+        metadata[FRAMES] = _frame_check(inputs, scan)
     return JobResult({"sensor": TABLES["sensor"].build(row, 1)}, metadata)
 
 
-def _frame_check(own: Inputs, sim: Scan) -> Metadata | None:
+def _frame_check(inputs: Inputs, sim: Scan) -> Metadata | None:
     """Comparison of both scans' frames."""
-    with own.step("read"):
-        real = own.scans["real"]()
-    with own.step("frames"):
-        T_real_sim = np.array(own.T_real_sim).reshape(3, 4) if own.T_real_sim else None
-        check = check_frames(real.points, sim.points, own.settings.input, T_real_sim)
+    with inputs.step("read"):
+        real = inputs.scans["real"]()
+    with inputs.step("frames"):
+        T_real_sim = np.array(inputs.T_real_sim).reshape(3, 4) if inputs.T_real_sim else None
+        check = check_frames(real.points, sim.points, inputs.settings.input, T_real_sim)
     return None if check is None else asdict(check)
 
 

@@ -26,8 +26,8 @@ from ...stages.method import Memo, compare, n_communities, partition
 from ...stages.paper.parameter_choice import Choice, ParameterSet, Trial, choose_parameters
 from ...stages.plausibility import ScanInspection
 from ..datasets.pairs import ScanPair
-from ..datasets.readers import is_scan_path
 from ..datasets.readers.scan import Scan
+from ..datasets.readers.scan_ref import scan_ref
 from ..engine.memory import run_in_memory
 from ..engine.plan import Planner
 from ..engine.progress import Reporter
@@ -91,11 +91,15 @@ PARAMETERS = {
 _NAMES = list(PARAMETERS)
 #: The parameters that the rule can choose.
 CHOSEN = ("k", "tau_m", "t")
-_SCORES = ("match_rate", "r_lambda_mean")
 _SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
-def evaluate_pair(pair: ScanPair, scans: Mapping[str, Scan], settings: Settings, request: Request) -> JobResult:
+def evaluate_pair(
+    pair: ScanPair,
+    scans: Mapping[str, Scan],
+    settings: Settings,
+    request: Request,
+) -> JobResult:
     """One row of `ablate` per parameter set of the request.
 
     Graphs and communities of both sides are computed once for each k and tau; an object that is matched under several
@@ -181,10 +185,20 @@ class AblateOutcome(ExperimentOutcome):
     def scores(self, metric: str, tried: Sequence[ParameterSet]) -> FloatArray:
         """(n_pairs, n_sets) values of a column of `ablate`, without pairs where one is missing."""
         wide = self.rows.to_pandas().pivot(index="pair_id", columns=_NAMES, values=metric)
-        values: FloatArray = wide.reindex(columns=pd.MultiIndex.from_tuples(tried)).dropna().to_numpy(dtype=np.float64)
+        values: FloatArray = (
+            wide.reindex(
+                columns=pd.MultiIndex.from_tuples(tried),
+            )
+            .dropna()
+            .to_numpy(dtype=np.float64)
+        )
         return values
 
-    def spreads(self, columns: Sequence[str], tried: Sequence[ParameterSet] | None = None) -> pd.DataFrame:
+    def spreads(
+        self,
+        columns: Sequence[str],
+        tried: Sequence[ParameterSet] | None = None,
+    ) -> pd.DataFrame:
         """Mean and std over pairs of some columns, one row per parameter set; by default all that exist, ascending."""
         spreads: pd.DataFrame = self.rows.to_pandas().groupby(_NAMES)[[*columns]].agg(["mean", "std"])
         return spreads if tried is None else spreads.reindex(pd.MultiIndex.from_tuples(tried))
@@ -223,11 +237,18 @@ def ablate_dataset(
     FidpipeError
         The dataset, a setting or the folder is invalid; raised before any work.
     """
-    base = ParameterSet(settings.graph.k, settings.graph.tau_m, settings.matching.delta_m, settings.selection.t)
+    base = ParameterSet(
+        settings.graph.k,
+        settings.graph.tau_m,
+        settings.matching.delta_m,
+        settings.selection.t,
+    )
     requested = dict(values or {})
     if settings.communities.objects == "reference":
         if {*requested.get("delta_m", ())} - {base.delta_m}:
-            raise SettingsError("--delta: leave it out; objects fixed by the real side are not matched by distance")
+            raise SettingsError(
+                "--delta: leave it out; objects fixed by the real side are not matched by distance",
+            )
         requested["delta_m"] = ()
     tried = {}
     for name, parameter in PARAMETERS.items():
@@ -235,8 +256,10 @@ def ablate_dataset(
     for parameters in parameter_sets(base, tried, grid):
         with_parameters(settings, parameters)  # raises before any work
     source = read_source(dataset, pattern)
-    if is_scan_path(dataset):
-        raise SettingsError(f"{dataset}: is a scan; expected a dataset with real and simulated scans")
+    if scan_ref(dataset).exists:
+        raise SettingsError(
+            f"{dataset}: is a scan; expected a dataset with real and simulated scans",
+        )
     request = {
         "base": list(base),
         "values": {name: list(numbers) for name, numbers in tried.items()},
@@ -262,15 +285,19 @@ def choose(outcome: AblateOutcome) -> list[Choice]:
         rows = outcome.rows.to_pandas()[_NAMES].drop_duplicates()
         rows = rows[rows["delta_m"] == outcome.base.delta_m]
         tried["grid"] = [ParameterSet(*row) for row in rows.itertuples(index=False)]
-    return choose_parameters(
-        [
-            Trial(name, own, own.index(outcome.base), *(outcome.scores(score, own) for score in _SCORES))
-            for name, own in tried.items()
-        ]
-    )
+    trials = []
+    for name, sets in tried.items():
+        match_rate = outcome.scores("match_rate", sets)
+        r_lambda = outcome.scores("r_lambda_mean", sets)
+        trials.append(Trial(name, sets, sets.index(outcome.base), match_rate, r_lambda))
+    return choose_parameters(trials)
 
 
-def parameter_sets(base: ParameterSet, values: dict[str, tuple[float, ...]], grid: bool) -> list[ParameterSet]:
+def parameter_sets(
+    base: ParameterSet,
+    values: dict[str, tuple[float, ...]],
+    grid: bool,
+) -> list[ParameterSet]:
     """The parameter sets to try: one parameter varied at a time, or all combinations.
 
     Examples
@@ -282,7 +309,10 @@ def parameter_sets(base: ParameterSet, values: dict[str, tuple[float, ...]], gri
     """
     if grid:
         return [ParameterSet(int(k), *rest) for k, *rest in product(*values.values())]
-    return sorted({base.with_value(name, value) for name, tried in values.items() for value in tried})
+    sets = set()
+    for name, tried in values.items():
+        sets |= {base.with_value(name, value) for value in tried}
+    return sorted(sets)
 
 
 def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:
@@ -301,8 +331,10 @@ def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:
 
 def _values(name: str, requested: Sequence[float], current: float) -> tuple[float, ...]:
     """The values of a parameter to try including the current one, ascending."""
+    values = sorted({*requested, current})
     if name != "k":
-        return tuple(sorted({*map(float, requested), current}))
-    if any(value != int(value) for value in requested):
-        raise SettingsError(f"--k: expected whole numbers, got {', '.join(f'{value:g}' for value in requested)}")
-    return tuple(sorted({*map(int, requested), int(current)}))
+        return tuple(float(value) for value in values)
+    if any(value != int(value) for value in values):
+        got = ", ".join(f"{value:g}" for value in requested)
+        raise SettingsError(f"--k: expected whole numbers, got {got}")
+    return tuple(int(value) for value in values)

@@ -21,10 +21,10 @@ from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..datasets.content import scan_content
-from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
-from ..datasets.readers import is_scan_path, may_crash, read_scan, stem_of, suffix_of
-from ..datasets.readers.frame_address import address_of
+from ..datasets.pairs import Dataset, ScanPair, may_crash, read_dataset, read_label_names
+from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
+from ..datasets.readers.scan_ref import scan_ref
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..run import select_pairs
@@ -127,15 +127,20 @@ def read_source(path: Path, pattern: str | None = None, *, first_only: bool = Fa
     ScanError
         The format of the file is unknown.
     """
-    if is_scan_path(path):
-        if suffix_of(path) is None:
-            raise ScanError(f"{path}: not a known scan format; expected a scan file or a dataset folder")
+    scan = scan_ref(path)
+    if scan.exists:
+        if not scan.format.module:
+            raise ScanError(
+                f"{path}: not a known scan format; expected a scan file or a dataset folder",
+            )
         if pattern is not None:
-            raise DatasetError(f"--pairs {pattern!r}: {path} is one scan; expected a dataset folder")
-        folder = address_of(path).file.resolve().parent
+            raise DatasetError(
+                f"--pairs {pattern!r}: {path} is one scan; expected a dataset folder",
+            )
+        folder = scan.file.resolve().parent
         names = read_label_names(folder) or read_label_names(folder.parent)
-        return Dataset(path, (ScanPair(stem_of(path), path, None),), names)
-    if not path.exists() and suffix_of(path) is not None:
+        return Dataset(path, (ScanPair(scan.stem, scan, None),), names)
+    if not path.exists() and scan.format.module:
         raise ScanError(f"{path}: no such file; expected a scan file or a dataset folder")
     dataset = read_dataset(path)
     pairs = select_pairs(dataset, pattern)
@@ -193,8 +198,8 @@ def run_experiment(
             write_record(out, settings, header.items(), folder.check_token)
         _remove(stale, folder, reporter, "; ".join(changes) or "out of date")
         missing = {pair_id: task for pair_id, task in tasks.items() if pair_id not in done}
-        failures |= _evaluate_all(missing, folder, reporter, n_workers)
-        if is_scan_path(source.folder) and failures:
+        failures |= _evaluate_all(missing, folder, reporter, settings.machine.memory_gib, n_workers)
+        if scan_ref(source.folder).exists and failures:
             raise ScanError("; ".join(failures.values()))
         records = _finished(tasks, folder)
         metadata = {pair_id: record.metadata for pair_id, record in records.items()}
@@ -223,22 +228,22 @@ def _remove(pair_ids: list[str], folder: RunFolder, reporter: Reporter, why: str
 
 
 def _evaluate_all(
-    tasks: Mapping[str, PairTask], folder: RunFolder, reporter: Reporter, n_workers: int | None
+    tasks: Mapping[str, PairTask],
+    folder: RunFolder,
+    reporter: Reporter,
+    memory_gib: float | None,
+    n_workers: int | None,
 ) -> dict[str, str]:
     """Evaluate pairs, put the results into the ledger, and return the reasons of failures by pair_id."""
-    if not tasks:
-        return {}
-    paths = [path for task in tasks.values() for path in task.pair.paths]
-    settings = next(iter(tasks.values())).settings
-    made, failures = map_tasks(
+    records, failures = map_tasks(
         _evaluate,
         tasks,
         reporter,
         n_workers=n_workers,
-        memory_gib=settings.machine.memory_gib,
-        may_end_workers=any(may_crash(path) for path in paths),
+        memory_gib=memory_gib,
+        may_end_workers=may_crash(task.pair for task in tasks.values()),
     )
-    for record in made.values():
+    for record in records.values():
         folder.ledger.put_job(record)
     return failures
 
@@ -327,14 +332,18 @@ def _tasks(
     return tasks, failures
 
 
-def _content_keys(pair: ScanPair, sides: tuple[str, ...], label_names: Mapping[int, str]) -> tuple[str, ...]:
+def _content_keys(
+    pair: ScanPair,
+    sides: tuple[str, ...],
+    label_names: Mapping[int, str],
+) -> tuple[str, ...]:
     """A hash of the content of the scan of each side; `ScanError` if one cannot be read."""
     keys = []
     for side in sides:
-        path = pair.path(side)
-        if path is None:
+        scan = pair.scans.get(side)
+        if scan is None:
             raise ScanError(pair.fault or f"no {side} scan")
-        keys.append(scan_content(path).key(label_names, pair.motion(side)))
+        keys.append(scan_content(scan).key(label_names, pair.motion(side)))
     return tuple(keys)
 
 
@@ -354,11 +363,8 @@ def _evaluate(task: PairTask) -> JobRecord:
     """Read the scans of a pair, evaluate it and write its tables."""
     scans = {}
     for side in task.experiment.sides:
-        path = task.pair.path(side)
-        if path is None:
-            raise ScanError(f"no {side} scan")
         columns = task.settings.input.columns_of(side)
-        scans[side] = read_scan(path, columns, dict(task.label_names))
+        scans[side] = read_scan(task.pair.scans[side], columns, dict(task.label_names))
     content = _content_keys(task.pair, task.experiment.sides, task.label_names)
     if content != task.record.reads:
         raise ScanError("the file changed while it was used; run the same command again")
@@ -368,7 +374,11 @@ def _evaluate(task: PairTask) -> JobRecord:
     return replace(record, files=folder.write_job(record, result.tables))
 
 
-def _write_tables(experiment: Experiment, folder: RunFolder, records: list[JobRecord]) -> dict[str, pa.Table]:
+def _write_tables(
+    experiment: Experiment,
+    folder: RunFolder,
+    records: list[JobRecord],
+) -> dict[str, pa.Table]:
     """Join the tables of all pairs, summarise them, and write both; returns them by name."""
     tables = {}
     for name in experiment.tables:

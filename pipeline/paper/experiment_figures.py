@@ -25,6 +25,7 @@ from ..report.figures.style import (
     shown_name,
 )
 from ..report.look import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from ..report.view import count
 from .ablate import PARAMETERS, AblateOutcome
 from .perturb import PerturbOutcome, object_points
 
@@ -45,21 +46,25 @@ def draw_perturbations(outcome: PerturbOutcome) -> Path | None:
     scan = outcome.objects[0].pair_id
     shown = [chosen for chosen in outcome.objects if chosen.pair_id == scan][:_MAX_OBJECTS]
     points, community = object_points(outcome.folder, scan)
-    names = list(dict.fromkeys(chosen.name for chosen in outcome.objects))
-    colours = {name: _OBJECT_COLOURS.get(name, _OTHER_COLOURS[i % len(_OTHER_COLOURS)]) for i, name in enumerate(names)}
+    colours: dict[str, str] = {}
+    for name in dict.fromkeys(chosen.name for chosen in outcome.objects):
+        other = _OTHER_COLOURS[len(colours) % len(_OTHER_COLOURS)]
+        colours[name] = _OBJECT_COLOURS.get(name, other)
     n_rows = (len(curves) + 1) // 2
     with new_figure(11, _TOP_IN + _ROW_IN * n_rows) as figure:
         heights = (_TOP_IN, max(_ROW_IN * n_rows, 0.1))
-        halves: Any = figure.subfigures(2, 1, height_ratios=heights)
-        top, bottom = halves
-        top.suptitle(f"scan {shown_name(scan)}, altered; bands: one standard deviation over the repeats")
-        grid = top.add_gridspec(1, 1 + len(shown), width_ratios=(1.3, *[1] * len(shown)))
+        whole: Any = figure
+        top, bottom = whole.subfigures(2, 1, height_ratios=heights)
+        top.suptitle(
+            f"scan {shown_name(scan)}, altered; bands: one standard deviation over the repeats",
+        )
+        grid = top.add_gridspec(1, 1 + len(shown), width_ratios=[1.3] + [1.0] * len(shown))
         chosen_colours = {chosen.community_id: colours[chosen.name] for chosen in shown}
         _draw_scene(top.add_subplot(grid[0]), points, community, chosen_colours)
         for place, chosen in enumerate(shown, start=1):
             axis = top.add_subplot(grid[place], projection="3d", **VIEW)
-            own = points[community == chosen.community_id]
-            draw_object(axis, own, colours[chosen.name], box_of(own), zoom=0.75)
+            members = points[community == chosen.community_id]
+            draw_object(axis, members, colours[chosen.name], box_of(members), zoom=0.75)
             title = f"{shown_name(chosen.name)}: {chosen.n_points:,} points,\n{chosen.range_m:.0f} m away"
             axis.set_title(title, fontsize=8.5)
         if curves:
@@ -74,16 +79,18 @@ def draw_ablation(outcome: AblateOutcome) -> Path | None:
     names = [name for name in PARAMETERS if len(outcome.values[name]) > 1]
     if not names or not outcome.rows.num_rows:
         return None
-    n_pairs = outcome.n_pairs
     has_maps = outcome.grid and len(outcome.values["k"]) > 1 and len(outcome.values["tau_m"]) > 1
-    title = f"mean over {n_pairs} pair{'s' * (n_pairs > 1)}, bands: one standard deviation; dashed: current"
-    with new_figure(2.75 * max(len(names), 2), 2.7 + 2.8 * has_maps, title) as figure:
+    title = f"mean over {count(outcome.n_pairs, 'pair')}, bands: one standard deviation; dashed: current"
+    with new_figure(2.75 * max(len(names), 2), 5.5 if has_maps else 2.7, title) as figure:
         top: Any = figure
         if has_maps:
-            halves: Any = figure.subfigures(2, 1)
-            top, bottom = halves
+            top, bottom = top.subfigures(2, 1)
             _draw_maps(bottom, outcome)
-        for axis, name in zip(top.subplots(1, len(names), sharey=True, squeeze=False)[0], names, strict=True):
+        for axis, name in zip(
+            top.subplots(1, len(names), sharey=True, squeeze=False)[0],
+            names,
+            strict=True,
+        ):
             _draw_scores(axis, outcome, name)
         top.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=2)
         path = outcome.folder / "ablate.png"
@@ -91,40 +98,72 @@ def draw_ablation(outcome: AblateOutcome) -> Path | None:
     return path
 
 
-def _draw_panels(figure: Any, outcome: PerturbOutcome, curves: Sequence[str], colours: dict[str, str]) -> None:
+def _draw_panels(
+    figure: Any,
+    outcome: PerturbOutcome,
+    curves: Sequence[str],
+    colours: dict[str, str],
+) -> None:
     """Two panels for each kind of perturbation; those of one metric share a scale."""
-    means = outcome.means
     panels = [(kind, metric) for kind in curves for metric in ("r_lambda", "r_gap")]
     axes = figure.subplots((len(panels) + 3) // 4, 4, squeeze=False).ravel()
-    for i, (axis, (kind, metric)) in enumerate(zip(axes, panels, strict=False)):
+    for i, (kind, metric) in enumerate(panels):
         if i > 1:
-            axis.sharey(axes[i % 2])
-        _draw_curves(axis, means, [level for level in outcome.levels if level.kind == kind], metric, colours)
-        axis.set_title(f"({'bcdefghi'[i]})", loc="left")
+            axes[i].sharey(axes[i % 2])
+        levels = [level for level in outcome.levels if level.kind == kind]
+        _draw_curves(axes[i], outcome.means, levels, metric, colours)
+        axes[i].set_title(f"({'bcdefghi'[i]})", loc="left")
     for axis in axes[:2]:
         axis.set_ylim(bottom=0)
     for axis in axes[len(panels) :]:
         axis.set_axis_off()
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(colours))
+    figure.legend(
+        *axes[0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=len(colours),
+    )
 
 
-def _draw_scene(axis: Any, points: FloatArray, community: IntArray, colour_of: dict[int, str]) -> None:
+def _draw_scene(
+    axis: Any,
+    points: FloatArray,
+    community: IntArray,
+    colour_of: dict[int, str],
+) -> None:
     """All objects from above, the chosen ones in colour."""
-    greys = 0.62 + 0.25 * (np.arange(int(community.max()) + 1) * 0.618 % 1)  # consecutive numbers differ
+    greys = 0.62 + 0.25 * (
+        np.arange(
+            int(community.max()) + 1,
+        )
+        * 0.618
+        % 1
+    )  # consecutive numbers differ
     dots(axis, points, 0.8, np.repeat(greys[community, None], 3, axis=1))
     for chosen, colour in colour_of.items():
         dots(axis, points[community == chosen], 1.6, colour)
     from_above(axis, frame_of(points))
-    axis.set_title(f"(a) {int(community.max()) + 1} objects from above,\n{len(colour_of)} of them chosen", fontsize=8.5)
+    axis.set_title(
+        f"(a) {int(community.max()) + 1} objects from above,\n{len(colour_of)} of them chosen",
+        fontsize=8.5,
+    )
 
 
-def _draw_curves(axis: Any, means: Means, levels: Sequence[Perturbation], metric: str, colours: dict[str, str]) -> None:
+def _draw_curves(
+    axis: Any,
+    means: Means,
+    levels: Sequence[Perturbation],
+    metric: str,
+    colours: dict[str, str],
+) -> None:
     levels = sorted(levels, key=lambda level: level.amount)
     for marker, (name, colour) in zip(_MARKERS * len(colours), colours.items(), strict=False):
-        curve = [(level.amount, means.get(name, level, metric)) for level in levels]
-        known = [(amount, score.mean, score.std or 0.0) for amount, score in curve if score.mean is not None]
-        if known:
-            draw_band(axis, *np.array(known).T, marker=marker, color=colour, label=shown_name(name))
+        curve = []
+        for level in levels:
+            score = means.get(name, level, metric)
+            if score.mean is not None:
+                curve.append((level.amount, score.mean, score.std or 0.0))
+        if curve:
+            draw_band(axis, *np.array(curve).T, marker=marker, color=colour, label=shown_name(name))
     kind = KINDS[levels[0].kind]
     if kind.base and levels[0].amount > 0:
         axis.set_xscale("log", base=kind.base)
@@ -135,11 +174,26 @@ def _draw_curves(axis: Any, means: Means, levels: Sequence[Perturbation], metric
 def _draw_scores(axis: Any, outcome: AblateOutcome, name: str) -> None:
     """Mean and deviation over pairs of both scores at each value of a parameter."""
     values = np.array(outcome.values[name], dtype=float)
-    own = outcome.spreads([*_SCORES], outcome.along(name))
+    spreads = outcome.spreads([*_SCORES], outcome.along(name))
     for score, (colour, marker) in _SCORES.items():
-        mean, std = own[score, "mean"].to_numpy(), own[score, "std"].fillna(0).to_numpy()
-        draw_band(axis, values, mean, std, marker=marker, color=colour, label=metric_of(score).label)
-    axis.axvline(getattr(outcome.base, name), color="black", linewidth=0.8, linestyle="--", zorder=0)
+        mean = spreads[score, "mean"].to_numpy()
+        std = spreads[score, "std"].fillna(0).to_numpy()
+        draw_band(
+            axis,
+            values,
+            mean,
+            std,
+            marker=marker,
+            color=colour,
+            label=metric_of(score).label,
+        )
+    axis.axvline(
+        getattr(outcome.base, name),
+        color="black",
+        linewidth=0.8,
+        linestyle="--",
+        zorder=0,
+    )
     if values.max() > 10 * values.min() > 0:
         axis.set_xscale("log")
     mark_amounts(axis, values)
@@ -148,15 +202,28 @@ def _draw_scores(axis: Any, outcome: AblateOutcome, name: str) -> None:
 
 def _draw_maps(figure: Any, outcome: AblateOutcome) -> None:
     """Both scores over k and tau at the current delta and t."""
-    own = outcome.spreads([*_SCORES]).xs((outcome.base.delta_m, outcome.base.t), level=("delta_m", "t"))
+    current = (outcome.base.delta_m, outcome.base.t)
+    spreads = outcome.spreads([*_SCORES]).xs(current, level=("delta_m", "t"))
     for axis, score in zip(figure.subplots(1, 2), _SCORES, strict=True):
-        table = own[score, "mean"].unstack("k")
+        table = spreads[score, "mean"].unstack("k")
         picture = axis.imshow(table, origin="lower", aspect="auto", cmap="viridis")
         middle = np.mean(picture.get_clim())
         for (row, column), value in np.ndenumerate(table.to_numpy()):
-            look = {"ha": "center", "va": "center", "fontsize": 7.5, "color": "white" if value < middle else "black"}
-            axis.text(column, row, f"{value:.3f}", **look)
+            colour = "white" if value < middle else "black"
+            axis.text(
+                column,
+                row,
+                f"{value:.3f}",
+                ha="center",
+                va="center",
+                fontsize=7.5,
+                color=colour,
+            )
         axis.set_xticks(range(table.shape[1]), [f"{k:g}" for k in table.columns])
         axis.set_yticks(range(table.shape[0]), [f"{tau_m:g}" for tau_m in table.index])
-        axis.set(xlabel=PARAMETERS["k"].label, ylabel=PARAMETERS["tau_m"].label, title=metric_of(score).label)
+        axis.set(
+            xlabel=PARAMETERS["k"].label,
+            ylabel=PARAMETERS["tau_m"].label,
+            title=metric_of(score).label,
+        )
         figure.colorbar(picture, ax=axis)

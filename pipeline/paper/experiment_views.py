@@ -17,7 +17,13 @@ from .perturb import PerturbOutcome
 _TABLE_I_SCORES = ("match_rate", "centroid_distance_m_mean", "eigenspectrum_distance_mean")
 _ROUNDING = 1e-12
 #: The parts of r_lambda, and other scores.
-_DETAILS = ("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "cdc", "alignment_rms_m")
+_DETAILS = (
+    "max_eigenvalue_shift",
+    "laplacian_change",
+    "eigenspectrum_distance",
+    "cdc",
+    "alignment_rms_m",
+)
 
 _OBJECT_SCORES = ("r_lambda", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m", "cdc")
 #: Means over pairs; the first two also have a standard deviation.
@@ -26,7 +32,8 @@ _ABLATED_SCORES = ("match_rate", *(METRIC[name].mean_column for name in _OBJECT_
 
 def perturb_view(outcome: PerturbOutcome) -> View:
     """Scores of the whole scan (the paper's Table I) and of objects; reactions of the metrics."""
-    means, levels = outcome.means, outcome.levels
+    means = outcome.means
+    levels = outcome.levels
     parts: list[Part] = []
     if outcome.scans:
         if any(means.get(None, level, "match_rate").n for level in levels):
@@ -44,29 +51,44 @@ def ablate_view(outcome: AblateOutcome) -> View:
     """A table for each parameter, and the choice."""
     parts: list[Part] = []
     if outcome.rows.num_rows:
-        parts += [_parameter_table(outcome, name) for name in PARAMETERS if len(outcome.values[name]) > 1]
+        parts += [
+            _parameter_table(outcome, name)
+            for name in PARAMETERS
+            if len(
+                outcome.values[name],
+            )
+            > 1
+        ]
         parts += [Note("The choice", "bold"), Note(f"Rule: {RULE}.")]
-        parts += [Note(f"  {choice.name.removesuffix('_m')}: {choice.text}") for choice in choose(outcome)]
+        parts += [
+            Note(
+                f"  {choice.name.removesuffix('_m')}: {choice.text}",
+            )
+            for choice in choose(outcome)
+        ]
         note = "A small r_lambda can also result from a poor alignment (a large change): compare shift and change."
         parts.append(Note(f"{note}\n"))
-    results = (
-        "ablate_summary.parquet (means over pairs), ablate.parquet (one row per pair and parameter set), ablate.png"
-    )
+    results = "ablate_summary.parquet (means over pairs), ablate.parquet (a row per pair and parameter set), ablate.png"
     return [*parts, *_last_lines(outcome, results)]
 
 
 def _last_lines(outcome: ExperimentOutcome, results: str) -> list[Note]:
     """Number of failures and scans, and the files of the folder."""
-    n_failed = len(outcome.failures)
-    return [
-        *([Note(f"{n_failed} failed, see the messages above and failures in run.json", "red")] if n_failed else []),
-        Note(f"{count(outcome.n_made, 'scan')} evaluated, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"),
-        Note(f"results: {outcome.folder}/{results}"),
-    ]
+    notes = []
+    if outcome.failures:
+        n_failed = len(outcome.failures)
+        notes.append(
+            Note(f"{n_failed} failed, see the messages above and failures in run.json", "red"),
+        )
+    made = f"{count(outcome.n_made, 'scan')} evaluated, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"
+    return [*notes, Note(made), Note(f"results: {outcome.folder}/{results}")]
 
 
 def _level_table(
-    title: str, columns: Sequence[str], outcome: PerturbOutcome, cells: Callable[[Perturbation], Sequence[str]]
+    title: str,
+    columns: Sequence[str],
+    outcome: PerturbOutcome,
+    cells: Callable[[Perturbation], Sequence[str]],
 ) -> Table:
     """One row per level and a line after each kind; only the names of the levels never break into lines."""
     levels = outcome.levels
@@ -86,7 +108,14 @@ def _table_i(outcome: PerturbOutcome, means: Means) -> Table:
 
 def _chosen_table(outcome: PerturbOutcome) -> Table:
     rows = [
-        (chosen.name, chosen.pair_id, chosen.community_id, chosen.n_points, chosen.range_m, chosen.why)
+        (
+            chosen.name,
+            chosen.pair_id,
+            chosen.community_id,
+            chosen.n_points,
+            chosen.range_m,
+            chosen.why,
+        )
         for chosen in outcome.objects
     ]
     columns = ("object", "scan", "id", "points", "range (m)", "chosen as")
@@ -95,7 +124,10 @@ def _chosen_table(outcome: PerturbOutcome) -> Table:
 
 def _object_table(outcome: PerturbOutcome, means: Means, column: str) -> Table:
     names = list(dict.fromkeys(chosen.name for chosen in outcome.objects))
-    n = max((means.get(name, level, column).n for name in names for level in outcome.levels), default=0)
+    n = max(
+        (means.get(name, level, column).n for name in names for level in outcome.levels),
+        default=0,
+    )
     metric = METRIC[column]
     title = f"{metric.label} of single objects ({metric.scale}), mean ± std over {n} repeats"
 
@@ -107,8 +139,7 @@ def _object_table(outcome: PerturbOutcome, means: Means, column: str) -> Table:
 
 def _detail_table(outcome: PerturbOutcome, means: Means) -> Table:
     def cells(level: Perturbation) -> list[str]:
-        values = ([v for name in means.objects for v in means.series(name, [level], metric)] for metric in _DETAILS)
-        return [_number(sum(own) / len(own) if own else None) for own in values]
+        return [_number(means.over_objects(level, metric)) for metric in _DETAILS]
 
     title = "The parts of r_lambda (shift / change) and other scores: means over these objects"
     return _level_table(title, labels(_DETAILS), outcome, cells)
@@ -127,19 +158,27 @@ def _reaction_table(outcome: PerturbOutcome) -> Table:
 
 def _parameter_table(outcome: AblateOutcome, name: str) -> Table:
     """Means over pairs at each value of a parameter, with current values of the others."""
-    points, counts = outcome.along(name), ["n_communities_real", "n_communities_sim"]
-    spreads, n_pairs, cells = outcome.spreads([*counts, *_ABLATED_SCORES], points), outcome.n_pairs, []
-    for point, own in zip(points, spreads.to_dict("records"), strict=True):
-        values: list[object] = [own[column, "mean"] for column in (*counts, *_ABLATED_SCORES)]
-        if n_pairs > 1:
-            values[2:4] = [mean_and_spread(own[score, "mean"], own[score, "std"]) for score in _ABLATED_SCORES[:2]]
-        cells.append((f"{'*' if point == outcome.base else ''}{getattr(point, name):g}", *values))
+    tried = outcome.along(name)
+    columns = ("n_communities_real", "n_communities_sim", *_ABLATED_SCORES)
+    spreads = outcome.spreads(columns, tried)
+    rows = []
+    for parameters, spread in zip(tried, spreads.to_dict("records"), strict=True):
+        cells: list[object] = [spread[column, "mean"] for column in columns]
+        if outcome.n_pairs > 1:
+            for i in (2, 3):
+                cells[i] = mean_and_spread(spread[columns[i], "mean"], spread[columns[i], "std"])
+        mark = "*" if parameters == outcome.base else ""
+        rows.append((f"{mark}{getattr(parameters, name):g}", *cells))
     parameter = PARAMETERS[name]
-    title = f"{parameter.group}.{name}: {parameter.text}; mean ± std over {n_pairs} pairs, * current"
-    columns = (name.removesuffix("_m"), "objects\nreal", "\nsim", *narrow_labels(_ABLATED_SCORES))
-    fixed = (0, *range(3, len(columns)))
-    base = points.index(outcome.base)
-    return Table(title, columns, cells, words=(), digits={1: 0, 2: 0}, fixed=fixed, bold=(base,))
+    return Table(
+        f"{parameter.group}.{name}: {parameter.text}; mean ± std over {outcome.n_pairs} pairs, * current",
+        (name.removesuffix("_m"), "objects\nreal", "\nsim", *narrow_labels(_ABLATED_SCORES)),
+        rows,
+        words=(),
+        digits={1: 0, 2: 0},
+        fixed=(0, *range(3, len(columns) + 1)),
+        bold=(tried.index(outcome.base),),
+    )
 
 
 def _spread(score: Mean) -> str:

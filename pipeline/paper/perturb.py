@@ -148,8 +148,8 @@ def perturb_source(
     source = read_source(path, pattern, first_only=True)
     if objects and any(word.isdigit() for word in objects) and len(source.pairs) > 1:
         raise DatasetError(
-            f"--objects {','.join(objects)}: the number of an object requires one scan, got {len(source.pairs)}; "
-            "select one with --pairs, or give labels"
+            f"--objects {','.join(objects)}: the number of an object requires one scan, got "
+            f"{len(source.pairs)}; select one with --pairs, or give labels"
         )
     request = {
         "seed": seed,
@@ -170,7 +170,12 @@ def perturb_source(
     return PerturbOutcome(**vars(outcome), levels=tuple(levels))
 
 
-def alter_scan(pair: ScanPair, scans: Mapping[str, Scan], settings: Settings, request: Request) -> JobResult:
+def alter_scan(
+    pair: ScanPair,
+    scans: Mapping[str, Scan],
+    settings: Settings,
+    request: Request,
+) -> JobResult:
     """All perturbations of the real scan of a pair and of its chosen objects, with all repeats.
 
     Parameters
@@ -183,12 +188,19 @@ def alter_scan(pair: ScanPair, scans: Mapping[str, Scan], settings: Settings, re
     scan = _partition_of(tables, settings)
     notes: list[str] = []
     names = request["objects"]
-    objects = choose_objects(objects_in(tables, pair.pair_id), names, settings.graph.k, notes.append)
+    objects = choose_objects(
+        objects_in(tables, pair.pair_id),
+        names,
+        settings.graph.k,
+        notes.append,
+    )
     object_rows, baseline_rows = _object_rows(scan, objects, settings, request)
     inspection = ScanInspection(**outputs["ground", "real"][INSPECTION])
     return JobResult(
         {
-            "perturb_global": TABLES["perturb_global"].from_rows(_whole_rows(scan, pair.pair_id, settings, request)),
+            "perturb_global": TABLES["perturb_global"].from_rows(
+                _whole_rows(scan, pair.pair_id, settings, request),
+            ),
             "perturb_objects": TABLES["perturb_objects"].from_rows(object_rows),
             "perturb_baselines": TABLES["perturb_baselines"].from_rows(baseline_rows),
             "ground": tables["ground", "real"],
@@ -206,7 +218,12 @@ def _levels(request: Request) -> list[Perturbation]:
     return [Perturbation(*values) for values in request["levels"]]
 
 
-def _whole_rows(scan: PartitionedScan, scan_id: str, settings: Settings, request: Request) -> list[Row]:
+def _whole_rows(
+    scan: PartitionedScan,
+    scan_id: str,
+    settings: Settings,
+    request: Request,
+) -> list[Row]:
     """One row of `perturb_global` per level and repeat."""
     rows = []
     for level in _levels(request):
@@ -248,7 +265,13 @@ def _partition_of(tables: PairTables, settings: Settings) -> PartitionedScan:
     return PartitionedScan(points, edges_in(point_ids, tables["graph", "real"]), labels, objects)
 
 
-def _repeats(scan: str, scope: int | str, level: Perturbation, n_repeats: int, request: Request) -> list[Row]:
+def _repeats(
+    scan: str,
+    scope: int | str,
+    level: Perturbation,
+    n_repeats: int,
+    request: Request,
+) -> list[Row]:
     """The first columns of the row of each repeat.
 
     The seed is 60 bits of a hash of the request's seed, scan, scope, level and repeat.
@@ -288,7 +311,11 @@ def _altered_scan(scan: PartitionedScan, level: Perturbation, seed: int, setting
     return row
 
 
-def _altered_object(before: Subgraph, altered: FloatArray, settings: Settings) -> tuple[Row, list[Row]]:
+def _altered_object(
+    before: Subgraph,
+    altered: FloatArray,
+    settings: Settings,
+) -> tuple[Row, list[Row]]:
     """Scores of one object with altered points, and a row for each baseline metric.
 
     Parameters
@@ -348,7 +375,9 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
     for word in words:
         kind, equals, amounts = word.partition("=")
         if kind not in KINDS:
-            raise SettingsError(f"--sweep {word!r}: expected one of {', '.join(KINDS)}; got {kind!r}")
+            raise SettingsError(
+                f"--sweep {word!r}: expected one of {', '.join(KINDS)}; got {kind!r}",
+            )
         levels += [_level(word, kind, text) for text in (amounts if equals else _AMOUNTS[kind]).split(",")]
     return tuple(dict.fromkeys(levels))
 
@@ -359,13 +388,17 @@ def _level(word: str, kind: str, text: str) -> Perturbation:
     try:
         level = Perturbation(kind, float(amount), float(shift) if colon else 0.0)
     except ValueError:
-        raise SettingsError(f"--sweep {word!r}: expected a number (rigid: metres:degrees), got {text!r}") from None
+        raise SettingsError(
+            f"--sweep {word!r}: expected a number (rigid: metres:degrees), got {text!r}",
+        ) from None
     if colon and kind != "rigid":
         raise SettingsError(
-            f"--sweep {word!r}: expected one number for {kind}, got {text!r}; metres:degrees is for rigid"
+            f"--sweep {word!r}: expected one number for {kind}, got {text!r}; metres:degrees is for rigid",
         )
     if not low <= level.amount <= high or not 0 <= level.shift_m <= 100:
-        raise SettingsError(f"--sweep {word!r}: expected {low:g} to {high:g} for {kind}, got {text}")
+        raise SettingsError(
+            f"--sweep {word!r}: expected {low:g} to {high:g} for {kind}, got {text}",
+        )
     return level
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import pyarrow as pa
@@ -42,14 +42,20 @@ def choose_objects(
     least = LEAST_POINTS_OVER_K * k
     if names is not None:
         return _by_names(scan, names, least, say)
-    wanted, what = [*CLASSES], "object labelled {}"
-    objects = [chosen for name in CLASSES if (chosen := typical_of_class(scan, name, least)) is not None]
+    candidates = [typical_of_class(scan, name, least) for name in CLASSES]
+    objects = [chosen for chosen in candidates if chosen is not None]
+    expected: Iterable[str] = CLASSES
+    kind = "object labelled {}"
     if not objects:
         why = f"has no object labelled {', '.join(CLASSES)}" if any(scan.labels) else "has no labels"
         say(f"scan {scan.pair_id} {why}: choosing one typical object for each shape instead")
-        wanted, what, objects = [*SHAPES.values()], "further {} object", typical_of_shapes(scan, least)
-    if absent := " or ".join(name for name in wanted if name not in {chosen.name for chosen in objects}):
-        say(f"scan {scan.pair_id} has no {what.format(absent)}")
+        objects = typical_of_shapes(scan, least)
+        expected = SHAPES.values()
+        kind = "further {} object"
+    chosen = {chosen.name for chosen in objects}
+    absent = [name for name in expected if name not in chosen]
+    if absent:
+        say(f"scan {scan.pair_id} has no {kind.format(' or '.join(absent))}")
     return objects
 
 
@@ -79,15 +85,20 @@ def objects_in(tables: PairTables, scan_id: str) -> ScanObjects:
     )
 
 
-def _by_names(scan: ScanObjects, names: Sequence[str], least: int, say: Callable[[str], None]) -> list[ChosenObject]:
+def _by_names(
+    scan: ScanObjects,
+    names: Sequence[str],
+    least: int,
+    say: Callable[[str], None],
+) -> list[ChosenObject]:
     chosen: dict[int, ChosenObject] = {}
     for name in names:
         candidate = _by_name(scan, name, least)
         first = chosen.setdefault(candidate.community_id, candidate)
         if first is not candidate:
             say(
-                f"--objects {name}: object {candidate.community_id} of scan {scan.pair_id} "
-                f"is already chosen as {first.name}; left out"
+                f"--objects {name}: object {candidate.community_id} of scan {scan.pair_id} is "
+                f"already chosen as {first.name}; left out"
             )
     return list(chosen.values())
 
@@ -96,11 +107,18 @@ def _by_name(scan: ScanObjects, name: str, least: int) -> ChosenObject:
     if name.isdigit():
         if int(name) >= len(scan.n_points):
             raise DatasetError(
-                f"--objects {name}: expected an id of scan {scan.pair_id} from 0 to {len(scan.n_points) - 1}"
+                f"--objects {name}: expected an id of scan {scan.pair_id} from 0 to {len(scan.n_points) - 1}",
             )
         return scan.chosen(int(name), f"object {name}", "as requested")
     chosen = typical_of_class(scan, name, least)
     if chosen is None:
-        known = ", ".join(sorted({label for label in scan.labels if label})) or "none: it has no labels"
-        raise DatasetError(f"--objects {name}: no object of scan {scan.pair_id} has this label; its labels are {known}")
+        known = (
+            ", ".join(
+                sorted({label for label in scan.labels if label}),
+            )
+            or "none: it has no labels"
+        )
+        raise DatasetError(
+            f"--objects {name}: no object of scan {scan.pair_id} has this label; its labels are {known}",
+        )
     return chosen

@@ -1,9 +1,12 @@
 """Pictures and pages from finished tables; computes no new score.
 
-views/ describes each subject as plain data (`view`), `render` shows it in the terminal, as Markdown and as CSV. page/
-and figures/ draw. They share run_frames (reads a run), charts and pictures (of the pages), look (colours, names).
+views/ describes each subject as plain data (`view`), `render` shows it in the terminal, as Markdown
+and as CSV. page/ and figures/ draw. They share run_frames (reads a run), charts and pictures (of
+the pages), look (colours, names).
 """
 
 import logging
 
-logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where its cache is, or is not, does not concern our users
+logging.getLogger("matplotlib").setLevel(
+    logging.ERROR
+)  # where its cache is, or is not, does not concern our users

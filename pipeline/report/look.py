@@ -1,29 +1,52 @@
-"""Look shared by pages and figures: colours that colour-blind readers can distinguish, and names of any characters."""
+"""Look shared by pages and figures.
+
+Colours that colour-blind readers can distinguish, and names of any characters.
+"""
 
 from __future__ import annotations
 
 from html import escape
 
-from ..results.object_frame import QUADRANTS, UNKNOWN
+from ..results.object_frame import UNKNOWN
 from ..terminal import shown
 
 #: Okabe and Ito, Color Universal Design (2008). Blue and vermilion are the sides and nothing else.
-BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, GREY = (
-    "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#999999",
-)  # fmt: skip
-OLIVE, CRIMSON = "#9A8500", "#D81B60"
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+GREEN = "#009E73"
+ORANGE = "#E69F00"
+SKY = "#56B4E9"
+PURPLE = "#CC79A7"
+GREY = "#999999"
+OLIVE = "#9A8500"
+CRIMSON = "#D81B60"
 SIDE_COLOURS = {"real": BLUE, "sim": VERMILION}
 SCORE_COLOURS = {"r_lambda": PURPLE, "cdc": GREEN}
 FATE_COLOURS = {"matched": GREY, "missing": BLUE, "hallucinated": VERMILION, "too small": PURPLE}
 #: Outcomes of rays, as `stages.rays` names them.
 OUTCOME_COLOURS = {
-    "same": GREY, "in_front": OLIVE, "behind": PURPLE, "dropped": BLUE, "no_surface": GREEN, "sim_only": VERMILION,
-}  # fmt: skip
+    "same": GREY,
+    "in_front": OLIVE,
+    "behind": PURPLE,
+    "dropped": BLUE,
+    "no_surface": GREEN,
+    "sim_only": VERMILION,
+}
 OUTCOME_WORDS = {
-    "same": "same range", "in_front": "simulated in front", "behind": "simulated behind",
-    "dropped": "lost, surface is simulated", "no_surface": "lost, no surface", "sim_only": "simulated only",
-}  # fmt: skip
-QUADRANT_COLOURS = dict(zip((*QUADRANTS, UNKNOWN), (GREEN, PURPLE, OLIVE, CRIMSON, GREY), strict=True))
+    "same": "same range",
+    "in_front": "simulated in front",
+    "behind": "simulated behind",
+    "dropped": "lost, surface is simulated",
+    "no_surface": "lost, no surface",
+    "sim_only": "simulated only",
+}
+QUADRANT_COLOURS = {
+    "faithful": GREEN,
+    "structure lost": PURPLE,
+    "displaced": OLIVE,
+    "failed": CRIMSON,
+    UNKNOWN: GREY,
+}
 
 #: From 0, faithful, to 1, failed: the parts of plasma that are seen on white and on black.
 RAMPS = {
@@ -31,23 +54,40 @@ RAMPS = {
     "dark": ("#6a00a8", "#9c179e", "#cc4778", "#ed7953", "#fdb42f", "#f0f921"),
 }
 
-#: From behind a surface to in front of it (ColorBrewer's PRGn, its middle grey); its ends are this far away or more.
+#: From behind a surface to in front of it: ColorBrewer's PRGn with a grey middle.
 SIGNED_RAMP_M = 0.25
 SIGNED_RAMP = ("#762a83", "#9970ab", "#c2a5cf", "#9c9c9c", "#a6dba0", "#5aae61", "#1b7837")
 
-#: Properties of a page by theme: each name is a property of its style sheet, such as --ink.
+#: Properties of a page by theme: each name is a property of its style sheet, such as --ink. Text in
+#: any of them has a contrast of at least 4.5 on the ground.
 THEMES = {
     "light": {
-        "ground": "#ffffff", "raised": "#f5f6f8", "ink": "#1b1e24", "soft": "#565d6a", "line": "#d5d9e0",
-        "link": "#005a9c", "focus": "#8a4fd0",
-        "better": "#1b7837", "worse": "#b3123f", "blue": BLUE, "vermilion": VERMILION,
+        "ground": "#ffffff",
+        "raised": "#f5f6f8",
+        "ink": "#1b1e24",
+        "soft": "#565d6a",
+        "line": "#d5d9e0",
+        "link": "#005a9c",
+        "focus": "#8a4fd0",
+        "better": "#1b7837",
+        "worse": "#b3123f",
+        "blue": BLUE,
+        "vermilion": "#b84e00",  # VERMILION has a contrast of 3.9 on white
     },
     "dark": {
-        "ground": "#14171c", "raised": "#1e222a", "ink": "#e8eaee", "soft": "#a9b0bc", "line": "#3a404b",
-        "link": "#7cc4f5", "focus": "#c9a6ff",
-        "better": "#5fc98b", "worse": "#ff7a9c", "blue": SKY, "vermilion": "#F07030",
+        "ground": "#14171c",
+        "raised": "#1e222a",
+        "ink": "#e8eaee",
+        "soft": "#a9b0bc",
+        "line": "#3a404b",
+        "link": "#7cc4f5",
+        "focus": "#c9a6ff",
+        "better": "#5fc98b",
+        "worse": "#ff7a9c",
+        "blue": SKY,
+        "vermilion": "#f07030",
     },
-}  # fmt: skip
+}
 
 
 def of_theme(name: str) -> str:
@@ -56,17 +96,17 @@ def of_theme(name: str) -> str:
 
 
 def on_page(colour: str) -> str:
-    """A colour on a page: those of the sides are brighter on black."""
+    """A colour on a page: those of the sides depend on the theme."""
     return {BLUE: of_theme("blue"), VERMILION: of_theme("vermilion")}.get(colour, colour)
 
 
 def clipped(text: str, most: int = 22) -> str:
-    """A text of at most `most` signs, the last one an ellipsis where something is left out."""
+    """Text truncated to at most `most` characters, ending in an ellipsis."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 def in_chart(name: str, most: int = 22) -> str:
-    """A name for a text of plotly, which reads a little markup: shown, shortened, and without meaning as markup."""
+    """A name for a text of plotly, which reads a little markup: shortened and escaped."""
     return escape(clipped(shown(name), most), quote=False)
 
 
@@ -78,7 +118,8 @@ PAGE_COLOURS = {
     "signed": SIGNED_RAMP,
     "quadrants": QUADRANT_COLOURS,
     "outcomes": {
-        name: {"colour": on_page(colour), "words": OUTCOME_WORDS[name]} for name, colour in OUTCOME_COLOURS.items()
+        name: {"colour": on_page(colour), "words": OUTCOME_WORDS[name]}
+        for name, colour in OUTCOME_COLOURS.items()
     },
     "none": GREY,
 }

@@ -1,12 +1,12 @@
-"""Views in each medium: the terminal, Markdown and CSV; the pages' templates show the same parts."""
+"""Views in the terminal, as Markdown and as CSV; templates of the pages show the same parts."""
 
 from __future__ import annotations
 
 import csv
 import io
 import re
-from collections.abc import Iterator
-from functools import cache, partial
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from textwrap import TextWrapper
 
 from rich.box import SIMPLE_HEAD
@@ -16,18 +16,19 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from ..terminal import shown
-from .view import SHORTEST, Answers, Note, Part, Table, View, shortened
+from .view import SHORTEST, Answers, Item, Note, Part, Table, View, shortened
 
 #: Colours of words that fill a cell.
 _COLOURS = {
-    **dict.fromkeys(("worse", "mixed", "vanished", "FAIL", "NO", "does not hold", "cannot be used"), "red"),
-    **dict.fromkeys(("better", "appeared", "pass", "yes", "holds"), "green"),
-    **dict.fromkeys(("undecided", "not decided"), "yellow"),
+    **dict.fromkeys(("worse", "mixed", "vanished", "FAIL"), "red"),
+    **dict.fromkeys(("better", "appeared", "pass", "yes"), "green"),
+    "undecided": "yellow",
 }
 #: Beginnings of formulas; the full-width ones in East Asian locales.
 _FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 _NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
-_INDENT, _NARROWEST = 14, 40
+_INDENT = 14
+_NARROWEST = 40
 _WRAPPER = partial(TextWrapper, break_long_words=False, break_on_hyphens=False)
 
 
@@ -37,7 +38,7 @@ def terminal(view: View) -> RenderableType:
 
 
 def markdown(view: View) -> str:
-    r"""A view for a merge request: its heading bold, warnings as a list, tables as GitHub and GitLab show them.
+    r"""A view for a merge request, as GitHub and GitLab show it: heading bold, warnings as a list.
 
     Examples
     --------
@@ -47,16 +48,24 @@ def markdown(view: View) -> str:
     | a\|b | 0.500 |
     """
     text = ""
-    for part in filter(None, map(_in_markdown, view)):
-        is_item = part.startswith("- ") and text.rpartition("\n")[2].startswith("- ")
-        text += f"{chr(10) * (1 if is_item else 2) if text else ''}{part}"
+    for part in view:
+        lines = _in_markdown(part)
+        if not lines:
+            continue
+        last_line = text.rpartition("\n")[2]
+        if lines.startswith("- ") and last_line.startswith("- "):
+            text += "\n"
+        elif text:
+            text += "\n\n"
+        text += lines
     return f"{text}\n"
 
 
 def csv_table(table: Table) -> str:
-    """A table as spreadsheets open it (RFC 4180, lines end with a line feed); floats in full, None is an empty cell.
+    """A table as spreadsheets open it (RFC 4180, lines end with a line feed).
 
-    A text that a spreadsheet would take for a formula begins with an apostrophe, unless it is a number.
+    Floats are in full, None is an empty cell. A text that a spreadsheet would take for a formula
+    begins with an apostrophe, unless it is a number.
 
     Examples
     --------
@@ -69,7 +78,8 @@ def csv_table(table: Table) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table.headings)
-    writer.writerows([_in_spreadsheet(cell) for cell in row] for row in table.rows)
+    for row in table.rows:
+        writer.writerow(map(_in_spreadsheet, row))
     return text.getvalue()
 
 
@@ -81,57 +91,73 @@ def _in_terminal(part: Part) -> RenderableType:
 
 def _table(table: Table) -> RichTable:
     """A table without rules; words break into lines at blanks, numbers never."""
-    title = Text(table.title, "bold") if table.title else None
-    made = RichTable(title=title, title_justify="left", title_style="", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    columns = [i for i in range(len(table.headings)) if i not in table.wide]
+    rich_table = RichTable(
+        title=Text(table.title, "bold") if table.title else None,
+        title_justify="left",
+        title_style="",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
     cells = table.cells
+    columns = [i for i in range(len(table.headings)) if i not in table.wide]
+    words_in = {}
+    breaking = set()
     for i in columns:
-        is_words, heading = i in table.words, table.headings[i]
-        longest = max((len(word) for row in (table.headings, *cells) for word in row[i].split()), default=1)
-        made.add_column(
-            heading,
+        words_in[i] = _words_in(row[i] for row in cells)
+        is_words = i in table.words
+        is_fixed = not is_words if table.fixed is None else i in table.fixed
+        heading_words = _words_in([table.headings[i]])
+        if is_words and not is_fixed:
+            breaking.add(i)
+        rich_table.add_column(
+            table.headings[i],
             justify="left" if is_words else "right",
             overflow="fold" if is_words else "ellipsis",
-            no_wrap=not is_words if table.fixed is None else i in table.fixed,
-            min_width=max(map(len, heading.split()), default=1) if is_words else None,
-            width=longest if i in table.whole else None,
+            no_wrap=is_fixed,
+            min_width=_longest(heading_words) if is_words else None,
+            width=_longest(heading_words | words_in[i]) if i in table.whole else None,
         )
-    breaking = [i for i, column in zip(columns, made.columns, strict=True) if i in table.words and not column.no_wrap]
-    among = {i: frozenset(word for row in cells for word in row[i].split()) for i in breaking}
     for place, row in enumerate(cells):
-        texts = {i: Text(row[i], _COLOURS.get(row[i], "")) for i in columns}
-        made.add_row(
-            *(_Words(text, among[i]) if i in among else text for i, text in texts.items()),
-            style="bold" if place in table.bold else None,
-            end_section=place in table.ruled,
-        )
-    return made
+        row_cells: list[RenderableType] = []
+        for i in columns:
+            text = Text(row[i], _COLOURS.get(row[i], ""))
+            row_cells.append(_Words(text, words_in[i]) if i in breaking else text)
+        style = "bold" if place in table.bold else None
+        rich_table.add_row(*row_cells, style=style, end_section=place in table.ruled)
+    return rich_table
+
+
+def _words_in(texts: Iterable[str]) -> set[str]:
+    return set(" ".join(texts).split())
+
+
+def _longest(words: Iterable[str]) -> int:
+    return max(map(len, words), default=1)
 
 
 class _Words:
-    """A cell of words: breaks into lines at blanks, and shortens words that are too long for its column.
+    """A cell of words: breaks into lines at blanks, shortens words too long for its column.
 
     among : all words of the column, so that different ones stay different
     """
 
-    def __init__(self, text: Text, among: frozenset[str]) -> None:
-        self._text, self._among = text, among
+    def __init__(self, text: Text, among: set[str]) -> None:
+        self._text = text
+        self._among = among
 
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
-        lines, words = self._text.plain.splitlines(), self._text.plain.split()
-        longest = max(map(len, words), default=0)
-        return Measurement(min(longest, SHORTEST), max(map(len, lines), default=0))
+        text = self._text.plain
+        longest_line = max(map(len, text.splitlines()), default=0)
+        return Measurement(min(_longest(text.split()), SHORTEST), longest_line)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        width = options.max_width
-        if all(len(word) <= width for word in self._text.plain.split()):
+        words = self._text.plain.split()
+        if _longest(words) <= options.max_width:
             yield self._text
-        else:
-            short = _shortened(self._among, width)
-            yield Text(" ".join(short[word] for word in self._text.plain.split()), self._text.style, overflow="fold")
-
-
-_shortened = cache(shortened)
+            return
+        short = shortened(self._among, options.max_width)
+        text = " ".join(short[word] for word in words)
+        yield Text(text, self._text.style, overflow="ellipsis")
 
 
 class _AnswerLines:
@@ -141,41 +167,63 @@ class _AnswerLines:
         self._sections = answers.sections
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        width = max(options.max_width, _NARROWEST)
+        width = max(options.max_width, _NARROWEST) - _INDENT
         for heading, items in self._sections:
-            lines = [line for item in items for line in _lines(item, width - _INDENT)]
-            for i, line in enumerate(lines):
-                title = (heading if i == 0 else "").ljust(_INDENT)
-                yield Text.assemble((title, "bold" if heading[0].isupper() else ""), line)
+            title = heading.ljust(_INDENT)
+            style = "bold" if heading[0].isupper() else ""
+            for item in items:
+                for line in _lines(item, width):
+                    yield Text.assemble((title, style), line)
+                    title = " " * _INDENT
 
 
-def _lines(item: tuple[str, str, str], width: int) -> Iterator[str]:
-    """An item in lines: words, detail, and at the end of the first line the setting; the rest is wrapped below."""
+def _lines(item: Item, width: int) -> Iterator[str]:
+    """An item in lines: words, detail, and the setting at the end of the first line if it fits."""
     words, detail, setting = item
-    hang = " " * 3 * (words[1:3] == "  ")
+    hang = "   " if words[1:3] == "  " else ""  # "1  cause" of a numbered list
     if detail and len(words) + len(detail) + len(setting) + 5 <= width:
-        words, detail = f"{words}   {detail}", ""
+        words = f"{words}   {detail}"
+        detail = ""
     if setting and len(words) + len(setting) + 2 <= width:
-        words, setting = words.ljust(width - len(setting)) + setting, ""
-    for text, indent in ((words, ""), ("   ".join(filter(None, (detail, setting))), hang)):
-        yield from _WRAPPER(width=width, initial_indent=indent, subsequent_indent=hang).wrap(text)
+        words = words.ljust(width - len(setting)) + setting
+        setting = ""
+    yield from _WRAPPER(width=width, subsequent_indent=hang).wrap(words)
+    below = "   ".join(filter(None, (detail, setting)))
+    yield from _WRAPPER(width=width, initial_indent=hang, subsequent_indent=hang).wrap(below)
 
 
 def _in_markdown(part: Part) -> str:
     if isinstance(part, Note):
-        text = _escaped(part.text.strip().removeprefix("note: "))
-        return f"**{text}**" if "bold" in part.style else f"- {text}" if part.style and text else text
+        return _note_in_markdown(part)
     if isinstance(part, Answers):
-        return "\n\n".join(
-            f"{heading.strip()}: {lines[0]}" if len(lines) == 1 else "\n".join([f"{heading.strip()}:\n", *lines])
-            for heading, items in part.sections
-            for lines in [["- " * (len(items) > 1) + _escaped("; ".join(filter(None, item))) for item in items]]
-        )
+        return "\n\n".join(_section_in_markdown(*section) for section in part.sections)
     rule = [":---" if i in part.words else "---:" for i in range(len(part.headings))]
-    headings = [_escaped(" ".join(heading.split())) for heading in part.headings]
-    rows = [[_escaped(cell) for cell in row] for row in part.cells]
-    lines = [f"| {' | '.join(row)} |" for row in (headings, rule, *rows)]
-    return "\n".join([f"**{_escaped(part.title)}**\n"] * bool(part.title) + lines)
+    lines = [
+        _row_in_markdown(" ".join(heading.split()) for heading in part.headings),
+        f"| {' | '.join(rule)} |",
+        *map(_row_in_markdown, part.cells),
+    ]
+    if part.title:
+        lines.insert(0, f"**{_escaped(part.title)}**\n")
+    return "\n".join(lines)
+
+
+def _note_in_markdown(note: Note) -> str:
+    text = _escaped(note.text.strip().removeprefix("note: "))
+    if "bold" in note.style:
+        return f"**{text}**"
+    return f"- {text}" if note.style and text else text
+
+
+def _section_in_markdown(heading: str, items: Sequence[Item]) -> str:
+    texts = [_escaped("; ".join(filter(None, item))) for item in items]
+    if len(texts) == 1:
+        return f"{heading.strip()}: {texts[0]}"
+    return "\n".join([f"{heading.strip()}:\n", *(f"- {text}" for text in texts)])
+
+
+def _row_in_markdown(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(map(_escaped, cells))} |"
 
 
 def _escaped(text: str) -> str:
@@ -188,4 +236,5 @@ def _in_spreadsheet(value: object) -> object:
     if not isinstance(value, str):
         return value
     text = shown(value)
-    return f"'{text}" if text.startswith(_FORMULA) and not _NUMBER.fullmatch(text) else text
+    is_formula = text.startswith(_FORMULA) and not _NUMBER.fullmatch(text)
+    return f"'{text}" if is_formula else text

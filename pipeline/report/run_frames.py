@@ -1,7 +1,7 @@
 """A finished run as a report reads it: its tables in one frozen object, and the points of one pair.
 
-Everything is checked before anything is drawn. Recomputed are the distance of each point to the other side, and which
-points are in a piece.
+Everything is checked before anything is drawn. Recomputed are the distance of each point to the
+other side, and which points are in a piece.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
-from ...schemas.metric_catalogue import METRIC
+from ...schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ...schemas.settings import PieceSettings
 from ...stages.arrays import BoolArray, FloatArray, IntArray
 from ...stages.coverage import nearest_distances
@@ -29,12 +29,13 @@ from ..results.overview import NO_LABEL
 from .look import OUTCOME_COLOURS
 
 #: The two scores that are drawn side by side.
-SCORES = ("r_lambda", "cdc")
+SCORES = QUADRANT_SCORES[::-1]
+_NONE = -1  # no object has this number
 #: Fewer objects have no quartiles.
 FEWEST_IN_BOX = 3
-#: How much of an object the other side has, as objects show it: of the real one, and of the simulated one.
+#: Columns of the share of a real and of a simulated object that the other side has.
 OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
-#: How much of an object is road to the other side (below its ground cut): of the real one, and of the simulated one.
+#: Columns of the share of an object that is below the ground cut of the other side.
 OBJECT_ROAD = tuple(f"road_share_{side}" for side in SIDES)
 
 
@@ -44,8 +45,8 @@ class RunResults:
 
     run : its folder, its record (`run.json`), and where single tables are read from
     pairs : `pairs.parquet`, the scored pairs only, worst first
-    objects : matched objects once, with the place of the real one, worst first; then those that only one side has,
-        largest first
+    objects : matched objects once, with the place of the real one, worst first; then those that
+        only one side has, largest first
     class_is : "class" where the scans are labelled, else "shape"
 
     Objects have the columns of `object_frame`, and
@@ -55,7 +56,7 @@ class RunResults:
     - real_id, sim_id : -1 for a side that does not have the object
     - status : that of the scores if matched, else missing or hallucinated
     - group : class or shape
-    - n_real, n_sim, `OBJECT_COVERAGE`, `OBJECT_ROAD` : null for a side that does not have the object
+    - n_real, n_sim, `OBJECT_COVERAGE`, `OBJECT_ROAD` : null for a side without the object
     - n_keep, quadrant : null if it is not matched
     """
 
@@ -92,17 +93,21 @@ def axis_title(score: str) -> str:
 
 
 def quadrants(results: RunResults) -> dict[str, dict[str, Any]]:
-    """By quadrant, and of the objects without a score: number (n) and share of the matched objects."""
+    """By quadrant, and of the objects without a score: number (n) and share of matched objects."""
     counts = results.matched.quadrant.value_counts()
-    numbers = {key: int(counts.get(key, 0)) for key in (*QUADRANTS, UNKNOWN)}
-    return {key: {"n": n, "share": n / max(1, len(results.matched))} for key, n in numbers.items()}
+    by_quadrant = {}
+    for key in (*QUADRANTS, UNKNOWN):
+        n = int(counts.get(key, 0))
+        by_quadrant[key] = {"n": n, "share": n / max(1, len(results.matched))}
+    return by_quadrant
 
 
 def read_results(folder: Path) -> RunResults:
     """The tables of a run that has ended, checked against its index.
 
-    Pairs are ordered by the mean of their ranks in match rate, CDC and r_lambda, matched objects by the mean of their
-    ranks in CDC and r_lambda (those without r_lambda last): an order to look at, no score.
+    Pairs are ordered by the mean of their ranks in match rate, CDC and r_lambda, matched objects by
+    the mean of their ranks in CDC and r_lambda (those without r_lambda last): an order to look at,
+    not a score.
 
     Raises
     ------
@@ -112,8 +117,12 @@ def read_results(folder: Path) -> RunResults:
     run = FinishedRun(folder)
     scored = run.pairs.query("status == 'scored'")
     if scored.empty:
-        raise RunError(f"run {folder}: none of its {len(run.rows)} pairs is scored, so there is nothing to report")
-    pairs = _worst_first(scored, ("match_rate", "cdc_mean", "r_lambda_mean"))
+        raise RunError(
+            f"run {folder}: none of its {len(run.rows)} pairs is scored, so there is nothing to "
+            "report"
+        )
+    means = [METRIC[score].mean_column for score in QUADRANT_SCORES]
+    pairs = _worst_first(scored, ("match_rate", *means))
     names = pairs.pair_id.tolist()
     for name in names:
         run.check_tables(name)
@@ -126,21 +135,28 @@ def read_results(folder: Path) -> RunResults:
 def _both_sides(objects: pd.DataFrame) -> pd.DataFrame:
     """One row per object, with the columns of either side."""
     is_matched = objects["partner"] >= 0
-    of_sides = objects.set_index(["pair", "side", "community_id"])[["covered_0p3m", "road_share"]]
-    other = objects["side"].map(dict(zip(SIDES, SIDES[::-1], strict=True)))
-    partners = of_sides.reindex(pd.MultiIndex.from_arrays([objects["pair"], other, objects["partner"]]))
-    for side, covered, road in zip(SIDES, OBJECT_COVERAGE, OBJECT_ROAD, strict=True):
-        is_own, n_points = objects["side"] == side, f"n_{side}"
-        objects[f"{side}_id"] = objects["community_id"].where(is_own, objects["partner"])
-        objects[n_points] = objects[n_points].where(is_matched, objects["n_points"].where(is_own)).astype("Int64")
-        for name, source in ((covered, "covered_0p3m"), (road, "road_share")):
-            objects[name] = objects[source].where(is_own, partners[source].to_numpy())
+    by_id = objects.set_index(["pair", "side", "community_id"])
+    other = objects["side"].map({"real": "sim", "sim": "real"})
+    partner_ids = pd.MultiIndex.from_arrays([objects["pair"], other, objects["partner"]])
+    for side in SIDES:
+        is_of_side = objects["side"] == side
+        objects[f"{side}_id"] = objects["community_id"].where(is_of_side, objects["partner"])
+        n_points = objects["n_points"].where(is_of_side)
+        n_side = objects[f"n_{side}"].where(is_matched, n_points)
+        objects[f"n_{side}"] = n_side.astype("Int64")
+        for name, source in (
+            (f"covered_{side}_0p3m", "covered_0p3m"),
+            (f"road_share_{side}", "road_share"),
+        ):
+            of_partner = by_id[source].reindex(partner_ids).to_numpy()
+            objects[name] = objects[source].where(is_of_side, of_partner)
     objects["n_keep"] = objects["n_keep"].where(is_matched).astype("Int64")
     objects["quadrant"] = objects["quadrant"].where(is_matched)
     objects["status"] = objects["status"].where(is_matched, objects["fate"])
     objects["name"] = objects["side"] + " " + objects["community_id"].astype(str)
-    objects["object"] = objects["name"] + (", sim " + objects["partner"].astype(str)).where(is_matched, "")
-    matched = _worst_first(objects[is_matched & (objects["side"] == "real")], ("cdc", "r_lambda"))
+    partner_names = ", sim " + objects["partner"].astype(str)
+    objects["object"] = objects["name"] + partner_names.where(is_matched, "")
+    matched = _worst_first(objects[is_matched & (objects["side"] == "real")], QUADRANT_SCORES)
     unmatched = objects[~is_matched & (objects["fate"] != "remnant")]
     unmatched = unmatched.sort_values(["n_points", "pair_id"], ascending=[False, True])
     return pd.concat([matched, unmatched], ignore_index=True)
@@ -149,9 +165,9 @@ def _both_sides(objects: pd.DataFrame) -> pd.DataFrame:
 def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
     """Rows by the mean of their ranks, worst first; a null in any of the columns goes last."""
     ranks = [rows[column].rank(ascending=column == "match_rate", pct=True) for column in by]
-    ordered = rows.assign(_order=sum(ranks)).sort_values(["_order", "pair_id"], na_position="last", kind="stable")
-    plain: pd.DataFrame = ordered.drop(columns="_order").reset_index(drop=True)
-    return plain
+    ranked = rows.assign(_order=sum(ranks))
+    ordered = ranked.sort_values(["_order", "pair_id"], na_position="last", kind="stable")
+    return ordered.drop(columns="_order").reset_index(drop=True)
 
 
 @dataclass(frozen=True)
@@ -169,14 +185,29 @@ class Cloud:
     community: IntArray
     road: FloatArray
 
+    def split(self, community: int | None) -> tuple[FloatArray, FloatArray]:
+        """The points of an object, and the object points of all others; None has no points."""
+        is_member = self.community == (_NONE if community is None else community)
+        return self.points[is_member], self.points[~is_member]
+
 
 def read_cloud(run: FinishedRun, pair_id: str, side: str) -> Cloud:
     """The points of a side; `RunError` if a table is damaged or gone."""
     ground = run.read_table("ground", pair_id, side, ["point_id", "x", "y", "z", "is_ground"])
-    community = run.read_table("communities", pair_id, side, ["community_id"])["community_id"].to_numpy()
+    communities = run.read_table("communities", pair_id, side, ["community_id"])
     is_ground = ground["is_ground"].to_numpy()
     points = np.column_stack([ground[axis] for axis in "xyz"])
-    return Cloud(ground["point_id"].to_numpy()[~is_ground], points[~is_ground], community, points[is_ground])
+    return Cloud(
+        point_ids=ground["point_id"].to_numpy()[~is_ground],
+        points=points[~is_ground],
+        community=communities["community_id"].to_numpy(),
+        road=points[is_ground],
+    )
+
+
+def read_clouds(run: FinishedRun, pair_id: str) -> dict[str, Cloud]:
+    """The points of a pair by side; `RunError` if a table is damaged or gone."""
+    return {side: read_cloud(run, pair_id, side) for side in SIDES}
 
 
 class PairFrames:
@@ -190,61 +221,71 @@ class PairFrames:
 
     def __init__(self, results: RunResults, pair_id: str) -> None:
         self.objects = results.objects[results.objects.pair_id == pair_id]
-        self._run, self._pair_id = results.run, pair_id
+        self._run = results.run
+        self._pair_id = pair_id
 
     @cached_property
     def clouds(self) -> dict[str, Cloud]:
         """The points by side."""
-        return {side: read_cloud(self._run, self._pair_id, side) for side in SIDES}
+        return read_clouds(self._run, self._pair_id)
 
     @cached_property
     def sensors(self) -> dict[str, SensorDescription]:
         """The sensor of each side, as stage `sensor` describes it."""
         jobs = self._run.store.ledger.jobs(self._pair_id)
-        return {side: SensorDescription(**jobs["sensor", side].metadata["sensor"]) for side in SIDES}
+        return {
+            side: SensorDescription(**jobs["sensor", side].metadata["sensor"]) for side in SIDES
+        }
 
     @cached_property
     def ray_image(self) -> NDArray[np.uint8]:
-        """(beams, columns) place in `OUTCOME_COLOURS`, 255 for none; left on the left, the highest beam on top."""
-        rays = self._run.read_table("rays", self._pair_id, columns=["beam", "column", "outcome"]).to_pandas()
+        """(beams, columns) place in `OUTCOME_COLOURS`, 255 for none; see `ray_image`."""
+        columns = ["beam", "column", "outcome"]
+        rays = self._run.read_table("rays", self._pair_id, columns=columns).to_pandas()
         return ray_image(rays, outcome_places(rays), 255)
 
     @cached_property
     def distances_m(self) -> dict[str, FloatArray]:
-        """The distance of each object point of a side to the nearest one of the other side, (n,), by side."""
-        real, sim = (self.clouds[side].points for side in SIDES)
-        return dict(zip(SIDES, nearest_distances(real, sim), strict=True))
+        """By side the distance of each object point to the nearest one of the other side, (n,)."""
+        real, sim = nearest_distances(self.clouds["real"].points, self.clouds["sim"].points)
+        return {"real": real, "sim": sim}
 
     @cached_property
     def is_piece(self) -> dict[str, BoolArray]:
-        """Mask of the object points that are in a missing (real side) or an invented piece, (n,), by side."""
+        """By side the mask of the object points in a missing (real) or an invented piece, (n,)."""
         settings = PieceSettings.model_validate(self._run.record.settings["pieces"])
-        scans = []
-        for cloud in self.clouds.values():
+        scans = {}
+        for side, cloud in self.clouds.items():
             points = np.concatenate([cloud.points, cloud.road])
-            scans.append(CutScan(points, np.arange(len(points)) >= len(cloud.points), np.empty(0)))
-        labels = [label_pieces(own, other, settings) for own, other in zip(scans, scans[::-1], strict=True)]
-        return {side: own[: len(self.clouds[side].points)] >= 0 for side, own in zip(SIDES, labels, strict=True)}
+            is_road = np.arange(len(points)) >= len(cloud.points)
+            scans[side] = CutScan(points, is_road, np.empty(0))
+        missing = label_pieces(scans["real"], scans["sim"], settings) >= 0
+        invented = label_pieces(scans["sim"], scans["real"], settings) >= 0
+        return {
+            "real": missing[: len(self.clouds["real"].points)],
+            "sim": invented[: len(self.clouds["sim"].points)],
+        }
 
     @cached_property
     def alignment_moves(self) -> dict[int, FloatArray]:
-        """Motion of the simulated object onto the real one, by real id: mean of kept real less simulated nodes, (3,).
+        """Motion of the simulated object onto the real one, (3,) metres, by real id.
 
-        The nodes are aligned with both sides centred so (`stages.selection`), and `alignment_rms_m` is of it.
+        It is the mean of the kept real minus simulated nodes: these are aligned with both sides
+        centred (`stages.selection`), and `alignment_rms_m` is that of the centred nodes.
         """
-        real, sim = (
-            cloud.points[np.searchsorted(cloud.point_ids, self.selection[f"{side}_point_id"])]
-            for side, cloud in self.clouds.items()
-        )
-        moves = pd.DataFrame(real - sim).groupby(self.selection.real_id.to_numpy()).mean()
-        return {int(real_id): move for real_id, move in zip(moves.index, moves.to_numpy(), strict=True)}
+        nodes = {}
+        for side, cloud in self.clouds.items():
+            places = np.searchsorted(cloud.point_ids, self.selection[f"{side}_point_id"])
+            nodes[side] = cloud.points[places]
+        differences = pd.DataFrame(nodes["real"] - nodes["sim"])
+        moves = differences.groupby(self.selection.real_id.to_numpy()).mean()
+        return dict(zip(moves.index.tolist(), moves.to_numpy(), strict=True))
 
     @cached_property
     def selection(self) -> pd.DataFrame:
-        """The kept nodes of each matched object, in aligned pairs: real_id, real_point_id, sim_point_id."""
+        """Kept nodes of the matched objects, in aligned pairs: real_id, real_ and sim_point_id."""
         columns = ["real_id", "real_point_id", "sim_point_id"]
-        rows: pd.DataFrame = self._run.read_table("selection", self._pair_id, columns=columns).to_pandas()
-        return rows
+        return self._run.read_table("selection", self._pair_id, columns=columns).to_pandas()
 
 
 #: The tables of a pair, kept for a while: pictures of its pieces and its view read the same ones.
@@ -252,12 +293,14 @@ frames_of = lru_cache(maxsize=8)(PairFrames)
 
 
 def ray_image(rays: pd.DataFrame, values: NDArray[Any], empty: float) -> NDArray[Any]:
-    """(beams, columns) the value of each ray, `empty` for none; left on the left, the highest beam on top.
+    """(beams, columns) the value of each ray, `empty` for none.
 
-    Beams with more returns than firings in a turn have more columns than most; these are left out.
+    Left is on the left, the highest beam on top. Beams with more returns than firings in a turn
+    have more columns than most; these columns are left out.
     """
     last = rays.groupby("beam").column.max()
-    image = np.full((len(last), int(last.median()) + 1 if len(last) else 0), empty, dtype=values.dtype)
+    n_columns = int(last.median()) + 1 if len(last) else 0
+    image = np.full((len(last), n_columns), empty, dtype=values.dtype)
     shown = (rays.column < image.shape[1]).to_numpy()
     image[rays.beam[shown], rays.column[shown]] = values[shown]
     return image[::-1, ::-1]
@@ -266,5 +309,5 @@ def ray_image(rays: pd.DataFrame, values: NDArray[Any], empty: float) -> NDArray
 def outcome_places(rays: pd.DataFrame) -> NDArray[np.uint8]:
     """(n,) place of the outcome of each ray in `OUTCOME_COLOURS`, 255 for none."""
     places = {name: place for place, name in enumerate(OUTCOME_COLOURS)}
-    found: NDArray[np.uint8] = np.array(rays.outcome.map(places).fillna(255), dtype=np.uint8)
-    return found
+    known = rays.outcome.map(places)
+    return known.fillna(255).to_numpy().astype(np.uint8)

@@ -1,10 +1,11 @@
-"""Views as plain data: a view is a list of lines and tables; `render` renders it for each medium."""
+"""Views as plain data: lists of lines and tables, which `render` renders for each medium."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 #: Least number of characters of a shortened name.
 SHORTEST = 8
@@ -14,7 +15,8 @@ SHORTEST = 8
 class Note:
     """A line of text.
 
-    style : "bold" for the heading of a view, a colour such as "yellow" for a warning, as rich names them
+    style : "bold" for the heading of a view, a colour such as "yellow" for a warning, as rich names
+        them
     """
 
     text: str
@@ -25,7 +27,8 @@ class Note:
 class Table:
     """A table of words and numbers; None is shown as a dash.
 
-    words : indices of the columns that hold words, which may break into lines; the others hold numbers
+    words : indices of the columns that hold words, which may break into lines; the others hold
+        numbers
     digits : by index of a column, the digits of its floats; by default three
     wide : indices of columns that a terminal has no room for
     fixed : indices of the columns that never break into lines; None for all that hold numbers
@@ -48,18 +51,56 @@ class Table:
     @property
     def cells(self) -> list[list[str]]:
         """The rows as text."""
-        return [[_text(value, self.digits.get(i, 3)) for i, value in enumerate(row)] for row in self.rows]
+        return [self._texts(row) for row in self.rows]
+
+    def _texts(self, row: Sequence[object]) -> list[str]:
+        return [_text(value, self.digits.get(i, 3)) for i, value in enumerate(row)]
+
+
+#: An answer as text, a detail and a setting, which may be empty.
+Item = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
 class Answers:
-    """Headings with their answers as text, each with a detail and a setting, which may be empty."""
+    """Headings with their answers."""
 
-    sections: Sequence[tuple[str, Sequence[tuple[str, str, str]]]]
+    sections: Sequence[tuple[str, Sequence[Item]]]
+
+
+def items_of(*texts: str) -> list[Item]:
+    """Answers without details and settings; empty texts are left out."""
+    return [(text, "", "") for text in texts if text]
 
 
 Part = Note | Table | Answers
 View = Sequence[Part]
+
+
+def warnings(texts: Iterable[str]) -> list[Note]:
+    """Remarks that qualify what a view shows."""
+    return [Note(f"note: {text}", "yellow") for text in texts]
+
+
+def columns_of(rows: Iterable[Mapping[str, Any]], names: Sequence[str]) -> list[list[Any]]:
+    """Rows of a table: the values of these columns."""
+    cells = []
+    for row in rows:
+        cells.append([row[name] for name in names])
+    return cells
+
+
+def first_of(lines: Sequence[str], most: int, more: str) -> list[str]:
+    """At most so many lines; the number of the others is inserted into the last one.
+
+    Examples
+    --------
+    >>> first_of(["a", "b", "c"], 1, "{} more")
+    ['a', '2 more']
+    """
+    if len(lines) <= most:
+        return list(lines)
+    return [*lines[:most], more.format(len(lines) - most)]
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -82,37 +123,6 @@ def mean_and_spread(mean: float | None, std: float | None, digits: int = 3) -> s
     return f"{number(mean, digits)} ± {number(std, digits)}"
 
 
-def shortened(names: Iterable[str], width: int) -> dict[str, str]:
-    """Each name in at most `width` characters with an ellipsis in the middle; longer where two would become the same.
-
-    Of a long name more of the end is kept, where the numbers of scans stand.
-
-    Examples
-    --------
-    >>> list(shortened(["n008__LIDAR_TOP__1533151603597909", "n008__LIDAR_TOP__1533151603647909"], 12).values())
-    ['n00…03597909', 'n00…03647909']
-    """
-    names = list(names)
-    for own in range(max(width, SHORTEST), max(map(len, names), default=0) + 1):
-        head = (own - 1) * 3 // 11
-        short = {
-            name: name if len(name) <= own else f"{name[:head]}…{name[len(name) - (own - 1 - head) :]}"
-            for name in names
-        }
-        if len(set(short.values())) == len(short):
-            return short
-    return {name: name for name in names}
-
-
-def sentence(text: str) -> str:
-    """A line as a sentence; r_lambda and the like keep their names."""
-    return f"{text if text.startswith('r_') else text[:1].upper() + text[1:]}{'' if text.endswith('.') else '.'}"
-
-
-def _text(value: object, digits: int) -> str:
-    return number(value, digits) if value is None or isinstance(value, float) else str(value)
-
-
 def count(n: int, noun: str) -> str:
     """A number with its noun.
 
@@ -122,3 +132,43 @@ def count(n: int, noun: str) -> str:
     ('1 pair', '5 independent places')
     """
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def shortened(names: Iterable[str], width: int) -> dict[str, str]:
+    """Each name in at most `width` characters with an ellipsis in the middle.
+
+    Names stay longer where two would become the same. Of a long name more of the end is kept, which
+    has the numbers of scans.
+
+    Examples
+    --------
+    >>> names = ["n008__LIDAR_TOP__1533151603597909", "n008__LIDAR_TOP__1533151603647909"]
+    >>> list(shortened(names, 12).values())
+    ['n00…03597909', 'n00…03647909']
+    """
+    names = list(names)
+    longest = max(map(len, names), default=0)
+    for length in range(max(width, SHORTEST), longest):
+        short = {name: _middle_cut(name, length) for name in names}
+        if len(set(short.values())) == len(short):
+            return short
+    return {name: name for name in names}
+
+
+def _middle_cut(name: str, length: int) -> str:
+    if len(name) <= length:
+        return name
+    n_head = (length - 1) * 3 // 11
+    n_tail = length - 1 - n_head
+    return f"{name[:n_head]}…{name[-n_tail:]}"
+
+
+def sentence(text: str) -> str:
+    """A line as a sentence; r_lambda and the like keep their names."""
+    start = text[:1] if text.startswith("r_") else text[:1].upper()
+    end = "" if text.endswith(".") else "."
+    return f"{start}{text[1:]}{end}"
+
+
+def _text(value: object, digits: int) -> str:
+    return number(value, digits) if value is None or isinstance(value, float) else str(value)

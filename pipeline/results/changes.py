@@ -16,14 +16,16 @@ import numpy as np
 from ...schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS
 from ...schemas.columns import Row
 from ...schemas.results import Cause
-from ...stages.arrays import FloatArray, IntArray
+from ...stages.arrays import FloatArray, IntArray, transform_of
 from ...stages.causes.estimates import estimate_between, fit_pose
 from ...stages.causes.gain import Shares, changes
 from ...stages.causes.sides import Side
+from ...stages.frame_search import FrameCheck
 from ...stages.sensor_description import SensorDescription
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..jobs.causes_job import POINT_COLUMNS, side_of
+from ..stage import FRAMES
 from ..storage.folder import RunFolder
 from ..storage.run_record import read_run
 from .causes import (
@@ -154,8 +156,14 @@ def _measure_between(
 
 
 def measure_between(task: _PairTask) -> dict[str, float]:
-    """Amounts between the simulated scans of a pair; empty without enough surface in common."""
-    found = estimate_between(_sim_side(task.base, task.pair_id), _sim_side(task.other, task.pair_id))
+    """Amounts between the simulated scans of a pair; empty without enough surface in common, or in another frame."""
+    sides = []
+    for folder in (task.base, task.other):
+        frames = RunFolder(folder).ledger.jobs(task.pair_id)["sensor", "sim"].metadata.get(FRAMES)
+        if frames and FrameCheck(**frames).is_other_frame:
+            return {}
+        sides.append(_sim_side(folder, task.pair_id))
+    found = estimate_between(*sides)
     return {} if found is None else found[1]
 
 
@@ -167,7 +175,7 @@ def _sim_side(folder: Path, pair_id: str) -> Side:
     sensor = SensorDescription(**jobs["sensor", "sim"].metadata["sensor"])
     moved = jobs["ground", "sim"].metadata["T_real_sim"]
     position = read_run(folder)["settings"]["input"].get("sensor_position")
-    return side_of(ground, sensor, np.array(moved).reshape(3, 4) if moved else None, position)
+    return side_of(ground, sensor, transform_of(moved), position)
 
 
 def _undo(

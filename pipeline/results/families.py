@@ -9,14 +9,13 @@ an improvement that lost or invented surface, or a worse sensor, explains is sho
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...schemas.columns import Row
-from ...schemas.data_files import read_rows
-from ...schemas.metric_catalogue import COVERAGE_REACHES, metric_of
+from ...schemas.metric_catalogue import COVERAGE_REACHES, is_of_preset, metrics_in
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import (
     ALIKE,
@@ -54,10 +53,9 @@ class Columns(dict[str, FloatArray]):
 
 @dataclass(frozen=True)
 class ComparedScore:
-    """One score of pairs, a row of `schemas/compared_scores.csv`.
+    """One score of pairs.
 
     column : of `pairs`
-    preset : whose runs have it; "" for all
     heading : with the unit
     best : "high" or "low"
     least : a change of the mean up to this size does not matter to a user
@@ -65,28 +63,11 @@ class ComparedScore:
     """
 
     family: str
-    preset: str
     heading: str
     column: str
     best: str
     least: float
     step: float
-
-
-def _read_scores() -> Iterator[ComparedScore]:
-    for row in read_rows("compared_scores"):
-        yield ComparedScore(
-            family=row["family"],
-            preset=row["preset"],
-            heading=row["heading"] or metric_of(row["column"]).label,
-            column=row["column"],
-            best=row["best"],
-            least=float(row["least"]),
-            step=float(row["step"] or 0),
-        )
-
-
-_SCORES = tuple(_read_scores())
 
 
 def families(preset: str) -> dict[str, list[ComparedScore]]:
@@ -97,9 +78,18 @@ def families(preset: str) -> dict[str, list[ComparedScore]]:
     preset : of both runs; "paper" compares the match rate in place of the share of real objects that are found
     """
     chosen: dict[str, list[ComparedScore]] = {}
-    for score in _SCORES:
-        if score.preset in ("", "paper" if preset == "paper" else "reference"):
-            chosen.setdefault(score.family, []).append(score)
+    for metric in metrics_in("compare"):
+        if not is_of_preset(metric.pair_column, preset):
+            continue
+        score = ComparedScore(
+            family=metric.family,
+            heading=metric.compared_as or metric.label,
+            column=metric.pair_column,
+            best="high" if metric.higher_is_better else "low",
+            least=metric.least or 0.0,
+            step=metric.step or 0.0,
+        )
+        chosen.setdefault(metric.family, []).append(score)
     return chosen
 
 

@@ -22,7 +22,7 @@ import pyarrow as pa
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
-from ...schemas.metric_catalogue import metric_of
+from ...schemas.metric_catalogue import METRIC, QUADRANT_SCORES, metric_of
 from ...schemas.record import RunRecord
 from ...schemas.results import Cause, Diagnosis, JsonObject, Overview, Unknown
 from ...schemas.tables import PAIR_TABLES, TABLES
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 #: Tables of the whole run, in one file each.
 _OF_RUN = ("pairs", "timings")
 #: Scores that are shown with their spread over partitions.
-_BY_CHANCE = ("match_rate", "cdc_mean", "r_lambda_mean")
+_BY_CHANCE = ("match_rate", *(METRIC[score].mean_column for score in QUADRANT_SCORES))
 
 
 def record_of_run(folder: Path) -> dict[str, Any]:

@@ -12,20 +12,19 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.columns import Row
+from ...schemas.metric_catalogue import QUADRANT_SCORES
 from ...stages.statistics.comparison import KINDS, kinds_of_change
 from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from .object_frame import plain_rows
 
-#: Scores that are followed, columns of `metrics`.
-SHARED_SCORES = ("cdc", "r_lambda")
 _PLACE = ("n_points", "cx", "cy", "cz")
 #: Columns of the frame of objects that `follow` reads.
-FOLLOWED_COLUMNS = (*_PLACE[1:], *SHARED_SCORES, "label", "shape", "range_m")
+FOLLOWED_COLUMNS = (*_PLACE[1:], *QUADRANT_SCORES, "label", "shape", "range_m")
 #: Columns of the frame that it returns. Scores and simulated objects (`sim_before`, `sim_after`) are null if it is
 #: missing; an object without a label is called by its shape.
 CHANGE_COLUMNS = (
     *("pair_id", "real_id", "label", "shape", "range_m", "n_points", "kind"),
-    *(f"{name}_{when}" for name in (*SHARED_SCORES, "sim") for when in ("before", "after")),
+    *(f"{name}_{when}" for name in (*QUADRANT_SCORES, "sim") for when in ("before", "after")),
 )
 
 
@@ -53,7 +52,7 @@ def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, lis
     columns |= {"real_id": both["community_id"], "n_points": both["n_points_before"].astype(int)}
     columns |= {"kind": kinds_of_change(was_matched, is_matched, cdc, r_lambda)}
     for when in ("before", "after"):
-        columns |= {f"{name}_{when}": both[f"{name}_{when}"] for name in SHARED_SCORES}
+        columns |= {f"{name}_{when}": both[f"{name}_{when}"] for name in QUADRANT_SCORES}
         columns[f"sim_{when}"] = both[f"partner_{when}"].where(both[f"partner_{when}"] >= 0).astype("Int32")
     return pd.DataFrame(columns)[[*CHANGE_COLUMNS]], differing
 
@@ -78,7 +77,7 @@ def by_range(objects: pd.DataFrame) -> list[Row]:
 
 def by_change(objects: pd.DataFrame) -> pd.DataFrame:
     """The objects in the order of the largest rise of a score, or fall where none rose; of equal ones the largest."""
-    steps = [(objects[f"{s}_after"] - objects[f"{s}_before"]).fillna(0.0).abs() for s in SHARED_SCORES]
+    steps = [(objects[f"{s}_after"] - objects[f"{s}_before"]).fillna(0.0).abs() for s in QUADRANT_SCORES]
     keys = {"size": -pd.concat(steps, axis=1).max(axis=1), "points": -objects["n_points"]}
     return objects.assign(**keys).sort_values([*keys, "pair_id", "real_id"]).drop(columns=[*keys])
 
@@ -92,7 +91,9 @@ def worst_changes(objects: pd.DataFrame, most: int = 5) -> list[Row]:
 
 def _grouped(objects: pd.DataFrame, names: Any) -> Iterator[Row]:
     for name, own in objects.groupby(names):
-        steps = {s: (own[f"{s}_after"] - own[f"{s}_before"]).dropna().to_numpy(dtype=np.float64) for s in SHARED_SCORES}
+        steps = {
+            s: (own[f"{s}_after"] - own[f"{s}_before"]).dropna().to_numpy(dtype=np.float64) for s in QUADRANT_SCORES
+        }
         yield {
             "name": name,
             "n": len(own),

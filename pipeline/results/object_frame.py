@@ -14,7 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import QUADRANT_LIMITS
+from ...schemas.metric_catalogue import DISTRIBUTED, QUADRANT_LIMITS
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.findings import BAND_EDGES_M, Objects
@@ -190,7 +190,7 @@ def _array(table: pa.Table, name: str) -> NDArray[Any]:
 
 
 #: Columns of the frame that the statistics over all objects use.
-STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", "cdc", "r_lambda", "r_gap")
+STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", *DISTRIBUTED)
 
 
 def arrays_of(objects: pd.DataFrame) -> tuple[Objects, Objects]:

@@ -13,14 +13,16 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import COVERAGE_REACHES, METRIC
+from ...schemas.metric_catalogue import COVERAGE_REACHES, METRIC, metrics_in
 from ...stages.arrays import FloatArray, IndexArray
 from .finished import FinishedRun
 from .object_frame import PAIRS_AT_ONCE, object_parts
 
 #: Number of sectors of direction, the first one from straight ahead to the left.
 N_SECTORS = 8
-_COLUMNS = ("cx", "cy", *(f"covered_{reach}" for reach in COVERAGE_REACHES), "cdc", "r_lambda", "r_gap")
+#: Compared scores of objects.
+_SCORES = tuple(metric.column for metric in metrics_in("compare") if metric.group == "object")
+_COLUMNS = ("cx", "cy", *(f"covered_{reach}" for reach in COVERAGE_REACHES), *_SCORES)
 _PIECES = ["side", "n_points", "cx", "cy"]
 
 
@@ -72,7 +74,7 @@ def _object_parts(objects: pd.DataFrame, rows: Sequence[Row]) -> dict[str, Float
     n_pairs = len(rows)
     found = {}
     matched = objects[(objects["side"] == "real") & (objects["partner"] >= 0)]
-    for name in ("cdc", "r_lambda", "r_gap"):
+    for name in _SCORES:
         known = matched.dropna(subset=name)
         n_known = np.bincount(known["pair"], minlength=n_pairs)
         found[METRIC[name].mean_column] = _parts(known, known[name] / n_known[known["pair"]], n_pairs)

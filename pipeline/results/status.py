@@ -7,14 +7,11 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
 from ...schemas.errors import RunError
 from ...schemas.settings import parse
 from ..datasets.pairs import local_folder, read_dataset
-from ..engine.engine import Machines, RunEngine
 from ..engine.plan import PairPlan, Planner, with_results
-from ..engine.progress import Reporter
+from ..engine.survey import hash_files
 from ..jobs import stages_under
 from ..stage import Stage
 from ..storage.folder import RunFolder
@@ -66,24 +63,24 @@ def run_status(folder: Path) -> RunStatus:
     states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
     failures: dict[str, str] = {}
     damaged: list[str] = []
-    with RunEngine(run_folder, settings, Machines(workers=1), Reporter(Console(quiet=True))) as engine:
-        engine.hash_files(dataset.pairs)
-        for pair in dataset.pairs:
-            failure = engine.failures.get(pair.pair_id)
-            if failure is not None or pair.pair_id not in engine.contents:
-                failures[pair.pair_id] = failure or "the input cannot be used"
-                for counts in states.values():
-                    counts["failed"] += 1
-                continue
-            plan, unwanted = with_results(planner.plan(pair, engine.contents[pair.pair_id]), run_folder)
-            if past := ledger.failure(pair.pair_id, [plan.keys[job.name] for job in plan.todo]):
-                failures[pair.pair_id] = past
-            for stage in stages:
-                state = _stage_state(stage, plan, unwanted, has_failed=pair.pair_id in failures)
-                states[stage.name][state] += 1
-            for job in ledger.jobs(pair.pair_id).values():
-                if job.name in unwanted:
-                    damaged += run_folder.damaged_files(job)
+    files = hash_files(dataset.pairs, run_folder)
+    for pair in dataset.pairs:
+        fault = files.faults.get(pair.pair_id)
+        if fault is not None or pair.pair_id not in files.contents:
+            failures[pair.pair_id] = fault or "the input cannot be used"
+            for counts in states.values():
+                counts["failed"] += 1
+            continue
+        plan, unwanted = with_results(planner.plan(pair, files.contents[pair.pair_id]), run_folder)
+        past = ledger.failure(pair.pair_id, [plan.keys[job.name] for job in plan.todo])
+        if past:
+            failures[pair.pair_id] = past
+        for stage in stages:
+            state = _stage_state(stage, plan, unwanted, has_failed=pair.pair_id in failures)
+            states[stage.name][state] += 1
+        for job in ledger.jobs(pair.pair_id).values():
+            if job.name in unwanted:
+                damaged += run_folder.damaged_files(job)
     for job in ledger.jobs("").values():
         damaged += run_folder.damaged_files(job)
     return RunStatus(

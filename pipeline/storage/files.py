@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import errno
+import fcntl
 import hashlib
 import io
 import json
@@ -43,7 +44,8 @@ def write_whole(
     content : everything, or its parts one after the other, which are then never in memory together
     before_rename : may raise, and the file in place stays
     advice : ends the message of the error
-    outlasts_power : wait until it is on the disk, a millisecond or more; False for a file whose readers check its hash
+    outlasts_power : wait until it is on the disk, a millisecond or more; False for a file whose
+        readers check its hash
 
     Raises
     ------
@@ -99,9 +101,15 @@ def free_bytes(path: Path) -> int | None:
 
 def disk_full(path: Path, reason: object) -> DiskFullError:
     """The error of a file for which no space is left, with the free space and the next step."""
+    return DiskFullError(
+        f"{path}: {reason}, {free_text(path)}; make room, then run the same command again"
+    )
+
+
+def free_text(path: Path) -> str:
+    """Free space at the path of a future file or folder, as text."""
     free = free_bytes(path)
-    space = "what is free is not known" if free is None else f"{megabytes(free)} free"
-    return DiskFullError(f"{path}: {reason}, {space}; make room, then run the same command again")
+    return "what is free is not known" if free is None else f"{megabytes(free)} free"
 
 
 def megabytes(n_bytes: int) -> str:
@@ -128,7 +136,19 @@ def remove_stale(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise RunError(f"{path}: out of date, but cannot be removed ({error.strerror}); remove it") from error
+        raise RunError(
+            f"{path}: out of date, but cannot be removed ({error.strerror}); remove it"
+        ) from error
+
+
+def is_locked(path: Path) -> bool:
+    """True if a process holds the lock of a file; False if there is no file, or its file system has no locks."""
+    try:
+        with path.open() as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return isinstance(error, BlockingIOError)
+    return False
 
 
 def refuse_link(path: Path) -> None:

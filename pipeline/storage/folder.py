@@ -16,9 +16,10 @@ import pyarrow as pa
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
+from .files import is_locked
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, read_run
-from .table_files import AT_URL, JobId, JobRecord, TableFolder, read_footer, table_name
+from .table_files import AT_URL, JobId, JobRecord, StoredFile, TableFolder, read_footer, table_name
 from .urls import is_url, name_in_records, url_of_cache
 
 _LOCK = ".lock"
@@ -29,7 +30,9 @@ class RunFolder(TableFolder):
     """A run's folder; to be read, or, while `locked`, to be written."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(folder, secrets.token_hex(8), url_of_cache(folder) if (folder / AT_URL).exists() else "")
+        super().__init__(
+            folder, secrets.token_hex(8), url_of_cache(folder) if (folder / AT_URL).exists() else ""
+        )
         self._ledger: Ledger | None = None
 
     @property
@@ -42,12 +45,7 @@ class RunFolder(TableFolder):
     @property
     def is_locked(self) -> bool:
         """True if a command is working on the folder."""
-        try:
-            with (self.folder / _LOCK).open() as file:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError as error:  # no lock file, or a file system without locks: no lock is known
-            return isinstance(error, BlockingIOError)
-        return False
+        return is_locked(self.folder / _LOCK)
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -72,8 +70,11 @@ class RunFolder(TableFolder):
                     f"run {self.folder}: another fidpipe is writing here; wait for it, or give another --out"
                 ) from None
             except OSError as error:
-                fault = "its file system has no locks" if error.errno in _NO_LOCKS else "cannot be written"
-                raise RunError(f"run {self.folder}: {fault} ({error.strerror}); give another --out") from error
+                has_locks = error.errno not in _NO_LOCKS
+                fault = "cannot be written" if has_locks else "its file system has no locks"
+                raise RunError(
+                    f"run {self.folder}: {fault} ({error.strerror}); give another --out"
+                ) from error
             if self._ledger is not None:
                 self._ledger.close()
             self._ledger = self._open_ledger(is_writable=True)
@@ -89,9 +90,13 @@ class RunFolder(TableFolder):
         with os.scandir(self.folder) as entries:
             link = next((entry.name for entry in entries if entry.is_symlink()), None)
         if link is not None:
-            raise RunError(f"run {self.folder}: expected a file, got the symbolic link {link}; remove the link")
+            raise RunError(
+                f"run {self.folder}: expected a file, got the symbolic link {link}; remove the link"
+            )
 
-    def read_table(self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None) -> pa.Table:
+    def read_table(
+        self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None
+    ) -> pa.Table:
         """A table of one pair (of one side where each side has its own), or of the whole run if `pair_id` is "".
 
         Parameters
@@ -123,25 +128,26 @@ class RunFolder(TableFolder):
         RunError
             A file is damaged or gone.
         """
-        parts: dict[tuple[str, str], list[pa.Table]] = {own: [] for own in columns}
+        parts: dict[tuple[str, str], list[pa.Table]] = {source: [] for source in columns}
         for pair_id in pair_ids:
-            files = {name: file for job in self.ledger.jobs(pair_id).values() for name, file in job.files.items()}
+            files: dict[str, StoredFile] = {}
+            for job in self.ledger.jobs(pair_id).values():
+                files |= job.files
             for (table, side), names in columns.items():
                 name = table_name(table, pair_id, side)
                 if name not in files:
                     raise self.damaged(name)
                 parts[table, side].append(self.read(table, files[name], name, names))
-        return {
-            own: (pa.concat_tables(tables).combine_chunks(), np.array([len(table) for table in tables], dtype=np.int32))
-            for own, tables in parts.items()
-        }
+        joined = {}
+        for source, tables in parts.items():
+            n_rows = np.array([len(table) for table in tables], dtype=np.int32)
+            joined[source] = pa.concat_tables(tables).combine_chunks(), n_rows
+        return joined
 
-    def damaged(self, name: str, cause: str = "") -> RunError:
-        """Error about a damaged file, with the command that recomputes it."""
-        again = command_again(self.folder, read_run(self.folder).get("dataset", "DATASET"))
-        return RunError(
-            f"run {self.folder}: {name} is damaged or gone{cause and f' ({cause})'}; run it again with: {again}"
-        )
+    def again(self) -> str:
+        """The command that recomputes what is damaged."""
+        dataset = read_run(self.folder).get("dataset", "DATASET")
+        return f"it again with: {command_again(self.folder, dataset)}"
 
     def damaged_files(self, record: JobRecord) -> list[str]:
         """Names of the files of a job that are not as they were written; files at the URL alone are not checked."""
@@ -156,9 +162,12 @@ class RunFolder(TableFolder):
 
     def forget(self, pair_id: str, jobs: Container[JobId] | None = None) -> list[JobRecord]:
         """Remove some jobs of a pair, by default all, and their files; returns them."""
-        records = [own for own in self.ledger.jobs(pair_id).values() if jobs is None or own.job in jobs]
-        for name in (name for record in records for name in record.files):
-            (self.folder / name).unlink(missing_ok=True)
+        records = []
+        for record in self.ledger.jobs(pair_id).values():
+            if jobs is None or record.job in jobs:
+                records.append(record)
+                for name in record.files:
+                    (self.folder / name).unlink(missing_ok=True)
         self.ledger.drop_jobs(pair_id, records)
         return records
 
@@ -178,10 +187,10 @@ class RunFolder(TableFolder):
             return ledger
         parts: dict[tuple[str, str, str, str], JobRecord] = {}
         for name in self._unknown_files(ledger):
-            told = read_footer(self.folder, name)
-            if told is None:
+            footer = read_footer(self.folder, name)
+            if footer is None:
                 continue
-            record, names = told
+            record, names = footer
             known = parts.setdefault((*record.name, record.key), record)
             known.files.update(record.files)
             if set(known.files) == set(names):
@@ -208,14 +217,25 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
     record = read_run(out) if out.is_dir() else {}
     is_run = (out / LEDGER).exists() or bool(record.get("dataset"))
     refuse_other_content(f"run {out}", out, "a run", is_own=is_run)
-    before, made_by = record.get("dataset"), record.get("experiment", "run")
-    if before and made_by != experiment:
-        raise RunError(f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; give another --out")
-    if before and before != name_in_records(dataset) and (is_url(before) or os.path.lexists(before)):
-        raise RunError(f"run {out}: holds the results of {before}, not of {dataset}; give another --out")
+    made_by = record.get("experiment", "run")
+    before = record.get("dataset")
+    if not before:
+        return
+    if made_by != experiment:
+        raise RunError(
+            f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; "
+            "give another --out"
+        )
+    is_there = is_url(before) or os.path.lexists(before)
+    if before != name_in_records(dataset) and is_there:
+        raise RunError(
+            f"run {out}: holds the results of {before}, not of {dataset}; give another --out"
+        )
 
 
-def refuse_other_content(name: str, out: Path, kind: str, *, is_own: bool, other: str = "--out") -> None:
+def refuse_other_content(
+    name: str, out: Path, kind: str, *, is_own: bool, other: str = "--out"
+) -> None:
     """Raise `RunError` if results would be written to a file, or to a folder that holds something else.
 
     Parameters

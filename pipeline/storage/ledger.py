@@ -1,8 +1,8 @@
 """A run's ledger: finished jobs, hashes of input files, and why pairs failed. In SQLite.
 
-A cache that only the command writes: the footers of the tables hold the same. It is trusted if it has the hash that was
-stored when it was closed properly; else it is deleted and rebuilt from the footers. Nothing of it is kept in memory, so
-that a command over ten thousand pairs stays small.
+A cache that only the command writes: the footers of the tables hold the same. It is trusted if it
+has the hash that was stored when it was closed properly; else it is deleted and rebuilt from the
+footers. Nothing of it is kept in memory, so that a command over ten thousand pairs stays small.
 """
 
 from __future__ import annotations
@@ -100,8 +100,14 @@ class Ledger:
         row = self._db.execute("SELECT entry FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()
         try:
             records = [] if row is None else [job_record(values) for values in orjson.loads(row[0])]
-        except (ValueError, TypeError, AttributeError) as error:  # of a run that was not closed in order
-            raise RunError(f"{self._path}: damaged; remove it, it is rebuilt from the tables") from error
+        except (
+            ValueError,
+            TypeError,
+            AttributeError,
+        ) as error:  # of a run that was not closed in order
+            raise RunError(
+                f"{self._path}: damaged; remove it, it is rebuilt from the tables"
+            ) from error
         return {record.job: record for record in records}
 
     def job_of_file(self, name: str) -> JobRecord | None:
@@ -113,20 +119,30 @@ class Ledger:
     def files(self, folder: str) -> set[str]:
         """Names of the files of finished jobs in a folder of the run; those outside of folders for ""."""
         if not folder:
-            return {name for (name,) in self._db.execute("SELECT name FROM files WHERE instr(name, '/') = 0")}
+            return {
+                name
+                for (name,) in self._db.execute("SELECT name FROM files WHERE instr(name, '/') = 0")
+            }
         span = f"{folder}/", f"{folder}0"  # 0 follows / in ASCII
-        return {name for (name,) in self._db.execute("SELECT name FROM files WHERE name >= ? AND name < ?", span)}
+        return {
+            name
+            for (name,) in self._db.execute(
+                "SELECT name FROM files WHERE name >= ? AND name < ?", span
+            )
+        }
 
     def pair_ids(self) -> Iterator[str]:
         """The pairs with finished jobs, by name."""
-        for (pair_id,) in self._db.execute("SELECT pair_id FROM jobs WHERE pair_id != '' ORDER BY pair_id"):
+        for (pair_id,) in self._db.execute(
+            "SELECT pair_id FROM jobs WHERE pair_id != '' ORDER BY pair_id"
+        ):
             yield pair_id
 
     def put_jobs(self, pair_id: str, records: Collection[JobRecord]) -> None:
         """Adds finished jobs of a pair, in place of those of the same names; those of the whole run under ""."""
         jobs = self.jobs(pair_id) | {record.job: record for record in records}
         self._put_records(pair_id, jobs.values())
-        for name in (name for record in records for name in record.files):
+        for name in [name for record in records for name in record.files]:
             self._change("INSERT OR REPLACE INTO files VALUES (?, ?)", name, pair_id)
 
     def put_job(self, record: JobRecord) -> None:
@@ -136,21 +152,28 @@ class Ledger:
     def drop_jobs(self, pair_id: str, records: Collection[JobRecord]) -> None:
         """Forgets finished jobs of a pair."""
         dropped = {record.job for record in records}
-        self._put_records(pair_id, [own for job, own in self.jobs(pair_id).items() if job not in dropped])
-        for name in (name for record in records for name in record.files):
-            self._change("DELETE FROM files WHERE name = ?", name)
+        left = [record for job, record in self.jobs(pair_id).items() if job not in dropped]
+        self._put_records(pair_id, left)
+        for record in records:
+            for name in record.files:
+                self._change("DELETE FROM files WHERE name = ?", name)
 
     def _put_records(self, pair_id: str, records: Collection[JobRecord]) -> None:
         if records:
-            entry = orjson.dumps([plain_record(record) for record in records], option=orjson.OPT_SERIALIZE_NUMPY)
+            entry = orjson.dumps(
+                [plain_record(record) for record in records], option=orjson.OPT_SERIALIZE_NUMPY
+            )
             self._change("INSERT OR REPLACE INTO jobs VALUES (?, ?)", pair_id, entry)
         else:
             self._change("DELETE FROM jobs WHERE pair_id = ?", pair_id)
 
     def input_hash(self, path: Path) -> str:
         """SHA-256 of an input file; computed again only if its length, times or inode have changed."""
-        name, marks = os.fsencode(path.absolute()), file_marks(path)
-        row = self._db.execute("SELECT sha256 FROM hashes WHERE path = ? AND marks = ?", (name, marks)).fetchone()
+        name = os.fsencode(path.absolute())
+        marks = file_marks(path)
+        row = self._db.execute(
+            "SELECT sha256 FROM hashes WHERE path = ? AND marks = ?", (name, marks)
+        ).fetchone()
         if row is not None:
             return str(row[0])
         sha256 = hash_file(path)
@@ -160,12 +183,17 @@ class Ledger:
 
     def failure(self, pair_id: str, keys: Container[str]) -> str | None:
         """Reason why a pair failed, if the failed job has one of these keys."""
-        row = self._db.execute("SELECT key, reason FROM failures WHERE pair_id = ?", (pair_id,)).fetchone()
+        row = self._db.execute(
+            "SELECT key, reason FROM failures WHERE pair_id = ?", (pair_id,)
+        ).fetchone()
         return str(row[1]) if row is not None and row[0] in keys else None
 
     def failed_pairs(self) -> list[str]:
         """The pairs that failed, by name."""
-        return [pair_id for (pair_id,) in self._db.execute("SELECT pair_id FROM failures ORDER BY pair_id")]
+        return [
+            pair_id
+            for (pair_id,) in self._db.execute("SELECT pair_id FROM failures ORDER BY pair_id")
+        ]
 
     def put_failure(self, pair_id: str, key: str, reason: str) -> None:
         """Adds the key of the failed job of a pair, and the reason."""
@@ -198,7 +226,11 @@ class Ledger:
             db = _connect(self._path, timeout=_SECONDS_FOR_READERS)
         except sqlite3.OperationalError as error:
             n = len(str(self._path.absolute()))
-            why = f"a path of {n} characters, SQLite takes {_LONGEST_PATH}" if n > _LONGEST_PATH else str(error)
+            why = (
+                f"a path of {n} characters, SQLite takes {_LONGEST_PATH}"
+                if n > _LONGEST_PATH
+                else str(error)
+            )
             raise RunError(f"{self._path}: cannot be opened ({why}); give another --out") from error
         try:
             names = {name for (name,) in db.execute("SELECT name FROM sqlite_master")}
@@ -206,11 +238,15 @@ class Ledger:
                 _make_tables(db)
             elif _layout(db) != _LAYOUT:
                 raise sqlite3.DatabaseError("the ledger has other tables")
-        except sqlite3.OperationalError as error:  # locked by another program, no permission, a full disk
+        except (
+            sqlite3.OperationalError
+        ) as error:  # locked by another program, no permission, a full disk
             db.close()
             if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
                 raise disk_full(self._path, error) from error
-            raise RunError(f"{self._path}: cannot be written ({error}); give another --out") from error
+            raise RunError(
+                f"{self._path}: cannot be written ({error}); give another --out"
+            ) from error
         except sqlite3.DatabaseError:
             db.close()
             raise
@@ -224,12 +260,16 @@ class Ledger:
             self._begun = None
             if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
                 raise disk_full(self._path, error) from error
-            raise RunError(f"{self._path}: cannot be written ({error}); run the same command again") from error
+            raise RunError(
+                f"{self._path}: cannot be written ({error}); run the same command again"
+            ) from error
 
 
 def _connect(path: Path | str, **options: Any) -> sqlite3.Connection:
     """A connection without implicit transactions that any thread may close."""
-    db: sqlite3.Connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, **options)
+    db: sqlite3.Connection = sqlite3.connect(
+        path, isolation_level=None, check_same_thread=False, **options
+    )
     return db
 
 

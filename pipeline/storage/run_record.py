@@ -34,7 +34,9 @@ if TYPE_CHECKING:
     from ...schemas.settings import Settings
 
 RUN_JSON = "run.json"
-_SEAL = re.compile(rb',\n  "sha256": "([0-9a-f]{64})"\n}\n\Z')  # records written by others have none
+_SEAL = re.compile(
+    rb',\n  "sha256": "([0-9a-f]{64})"\n}\n\Z'
+)  # records written by others have none
 SETTINGS_TOML = "settings.toml"
 
 #: Everything whose version can change a number or a file.
@@ -106,7 +108,9 @@ def read_run(folder: Path) -> dict[str, Any]:
         _AnyRecord.model_validate(record)
     except ValidationError as error:
         where = ".".join(map(str, error.errors()[0]["loc"])) or RUN_JSON
-        raise RunError(f"run {folder}: {RUN_JSON} is damaged at {where}; remove it, or give another --out") from error
+        raise RunError(
+            f"run {folder}: {RUN_JSON} is damaged at {where}; remove it, or give another --out"
+        ) from error
     record.pop("sha256", None)
     return record
 
@@ -120,7 +124,9 @@ def finished_record(folder: Path) -> dict[str, Any]:
         It is not, or is damaged.
     """
     if folder.is_file():
-        wanted = str(folder.parent) if folder.name == RUN_JSON else "a folder written by fidpipe run"
+        wanted = (
+            str(folder.parent) if folder.name == RUN_JSON else "a folder written by fidpipe run"
+        )
         raise RunError(f"run {folder}: expected {wanted}, got a file")
     record = read_run(folder)
     if not record and (folder / RUN_JSON).exists():
@@ -129,18 +135,24 @@ def finished_record(folder: Path) -> dict[str, Any]:
             "(intact results are reused)"
         )
     if not record:
-        raise RunError(f"run {folder}: expected a folder written by fidpipe run, found no run.json of one")
+        raise RunError(
+            f"run {folder}: expected a folder written by fidpipe run, found no run.json of one"
+        )
     return record
 
 
 def write_record(
-    folder: Path, settings: Settings, entries: Iterable[tuple[str, Any]], before_rename: Callable[[], None]
+    folder: Path,
+    settings: Settings,
+    entries: Iterable[tuple[str, Any]],
+    before_rename: Callable[[], None],
 ) -> None:
     """Write `settings.toml` and `run.json`, whose last entry is the hash of the text before it.
 
     Parameters
     ----------
-    entries : of the record, written one by one: the text of ten thousand pairs is never in memory as a whole
+    entries : of the record, written one by one: the text of ten thousand pairs is never in memory
+        as a whole
     """
     from ...schemas.settings_text import to_toml  # not needed to read a record
 
@@ -150,7 +162,8 @@ def write_record(
 
 def _sealed(entries: Iterable[tuple[str, Any]]) -> Iterator[bytes | memoryview]:
     """The text of a record in parts, each hashed, and the hash."""
-    digest, before = hashlib.sha256(), b"{"
+    digest = hashlib.sha256()
+    before = b"{"
     for name, value in entries:
         for part in (before, memoryview(dumps({name: value}))[1:-3]):
             digest.update(part)
@@ -165,7 +178,10 @@ def dumps(record: Mapping[str, Any]) -> bytes:
 
 
 def run_header(
-    dataset: Path, settings: Settings, stages: Mapping[str, int], previous: PreviousRun | None = None
+    dataset: Path,
+    settings: Settings,
+    stages: Mapping[str, int],
+    previous: PreviousRun | None = None,
 ) -> RunHeader:
     """Fields of `run.json` from the start of a run: inputs, settings and versions.
 
@@ -187,7 +203,10 @@ def run_header(
         stages=dict(stages),
         libraries=dict(library_versions(LIBRARIES)),
         machine=Machine(
-            python=platform.python_version(), system=platform.platform(), processor=_processor(), cores=os.cpu_count()
+            python=platform.python_version(),
+            system=platform.platform(),
+            processor=_processor(),
+            cores=os.cpu_count(),
         ),
         **({} if previous is None else {"previous": previous}),
     )
@@ -201,7 +220,9 @@ def last_results(before: Mapping[str, Any]) -> RunRecord | None:
         return None
 
 
-def replaced_results(before: Mapping[str, Any], last: RunRecord | None, *, is_same: bool) -> PreviousRun | None:
+def replaced_results(
+    before: Mapping[str, Any], last: RunRecord | None, *, is_same: bool
+) -> PreviousRun | None:
     """The last results, in short; if they are the same, or their run has not ended, those that they replaced.
 
     Parameters
@@ -225,8 +246,12 @@ def summarise_pairs(scored: pa.Table) -> dict[str, ScoreSummary]:
     ----------
     scored : of `pairs`
     """
-    scores = {name: np.array(scored[name].to_pylist(), dtype=np.float64) for name in RUN_SCORES}
-    return summarise_dataset(scores | {unmatched_worst(name): _with_unmatched(scored, name) for name in DISTRIBUTED})
+    scores: dict[str, Any] = {}
+    for name in RUN_SCORES:
+        scores[name] = np.array(scored[name].to_pylist(), dtype=np.float64)
+    for name in DISTRIBUTED:
+        scores[unmatched_worst(name)] = _with_unmatched(scored, name)
+    return summarise_dataset(scores)
 
 
 def unmatched_worst(metric: str) -> str:
@@ -243,7 +268,9 @@ def _with_unmatched(scored: pa.Table, name: str) -> list[float | None]:
     columns = [scored[name].to_pylist() for name in names]
     is_left_out = "required" not in METRIC[name].flags
     return [
-        with_unmatched_as_worst(mean, n_matched - is_left_out * n_too_small, n_missing + n_extra, worst)
+        with_unmatched_as_worst(
+            mean, n_matched - is_left_out * n_too_small, n_missing + n_extra, worst
+        )
         for mean, n_matched, n_too_small, n_missing, n_extra in zip(*columns, strict=True)
     ]
 
@@ -263,7 +290,8 @@ class StageSeconds:
         if not record.steps:
             return
         stage = sys.intern(record.stage)  # one string for all pairs
-        total, of_pair = self._steps.setdefault(stage, {}), self._pairs.setdefault(record.pair_id, {})
+        total = self._steps.setdefault(stage, {})
+        of_pair = self._pairs.setdefault(record.pair_id, {})
         of_pair.setdefault(stage, 0.0)
         for step, seconds in record.steps:
             total[step] = total.get(step, 0.0) + seconds
@@ -272,25 +300,37 @@ class StageSeconds:
     def mean(self) -> dict[str, dict[str, float]]:
         """By stage and step, the mean over the pairs that have the stage."""
         n_pairs = Counter(stage for of_pair in self._pairs.values() for stage in of_pair)
-        return {stage: {step: s / n_pairs[stage] for step, s in of.items()} for stage, of in self._steps.items()}
+        means = {}
+        for stage, steps in self._steps.items():
+            means[stage] = {step: seconds / n_pairs[stage] for step, seconds in steps.items()}
+        return means
 
     def result(self) -> Seconds:
         """`mean`, and seconds by pair and stage, rounded to microseconds."""
-        for own in self._pairs.values():
-            own |= {stage: round(seconds, 6) for stage, seconds in own.items()}
-        return Seconds.model_construct(mean=self.mean(), pairs=dict(sorted(self._pairs.items())))  # without a copy
+        for of_pair in self._pairs.values():
+            for stage, seconds in of_pair.items():
+                of_pair[stage] = round(seconds, 6)
+        pairs = dict(sorted(self._pairs.items()))
+        return Seconds.model_construct(mean=self.mean(), pairs=pairs)  # without a copy
 
 
-def what_changed(before: Mapping[str, Any], settings: Settings, stages: Mapping[str, int]) -> list[str]:
+def what_changed(
+    before: Mapping[str, Any], settings: Settings, stages: Mapping[str, int]
+) -> list[str]:
     """Differences from the record of the last run, as text: settings, library versions, stage code."""
     if not before:
         return []
-    changes = [text for texts in changed_settings(before, settings).values() for text in texts]
-    libraries, old_stages = before.get("libraries", {}), before.get("stages", {})
-    for name, found in library_versions(libraries).items():
-        if found != libraries[name]:
-            changes.append(f"{name} was {libraries[name]}, is {found}")
-    changes += [f"code of stage {stage} is new" for stage, own in stages.items() if old_stages.get(stage, own) != own]
+    changes = []
+    for texts in changed_settings(before, settings).values():
+        changes += texts
+    libraries = before.get("libraries", {})
+    for name, version_now in library_versions(libraries).items():
+        if version_now != libraries[name]:
+            changes.append(f"{name} was {libraries[name]}, is {version_now}")
+    old_stages = before.get("stages", {})
+    for stage, stage_version in stages.items():
+        if old_stages.get(stage, stage_version) != stage_version:
+            changes.append(f"code of stage {stage} is new")
     return changes
 
 
@@ -316,8 +356,8 @@ def has_ended(record: Mapping[str, Any]) -> bool:
 
 def command_again(folder: Path, dataset: object) -> str:
     """Command that resumes a run with its settings."""
-    own = folder / SETTINGS_TOML
-    settings = ["--settings", str(own)] if own.exists() else []
+    path = folder / SETTINGS_TOML
+    settings = ["--settings", str(path)] if path.exists() else []
     return shlex.join(["fidpipe", "run", str(dataset), "--out", url_or_path(folder), *settings])
 
 

@@ -1,7 +1,8 @@
 """The tables of a run's folder: paths, writing and reading, and the job record in each footer.
 
-A table is written under a name that begins with a dot, flushed and renamed. Its footer holds the job that made it: the
-expected key and small metadata, so that the tables are the truth and the ledger next to them a cache.
+A table is written under a name that begins with a dot, flushed and renamed. Its footer holds the
+job that made it: the expected key and small metadata, so that the tables are the truth and the
+ledger next to them a cache.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from time import monotonic
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
@@ -26,14 +28,21 @@ import pyarrow.parquet as pq
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from .files import key_of, write_whole
-from .urls import remote
+from .object_store import read_object, write_object
 
 TOKEN = ".writer"  #: the file that names the run which may write
-AT_URL = ".at_url"  #: a file of this name in a folder of the cache: tables that it lacks are at its URL
-_READ_NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # without waiting for the writer of a named pipe
+AT_URL = (
+    ".at_url"  #: a file of this name in a folder of the cache: tables that it lacks are at its URL
+)
+_READ_NO_LINK = (
+    os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
+)  # without waiting for the writer of a named pipe
 _LONGEST_NAME_BYTES = 120
+_IN_FOOTER = ("stage", "pair_id", "part", "reads", "metadata", "files")
+_SECONDS_BETWEEN_CHECKS = 10.0
 
-#: Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by plane.
+#: Parquet encodings by type: sorted ids are small differences, float bytes compress better plane by
+#: plane.
 _ENCODINGS = {
     pa.int32(): "DELTA_BINARY_PACKED",
     pa.float64(): "BYTE_STREAM_SPLIT",
@@ -41,7 +50,8 @@ _ENCODINGS = {
     pa.bool_(): "PLAIN",
 }
 
-#: What a table of a run may be called: `TABLE.parquet`, or `TABLE/FILE.parquet`; nothing that leads out of the folder.
+#: What a table of a run may be called: `TABLE.parquet`, or `TABLE/FILE.parquet`; nothing that leads
+#: out of the folder.
 _TABLE_NAME = re.compile(r"[a-z0-9_]+(\.parquet|/[A-Za-z0-9][^/\0]*)")
 
 JobName = tuple[str, str, str]  #: stage, pair_id, part (a side, or "" for one job of a pair)
@@ -59,7 +69,9 @@ class StoredFile(NamedTuple):
         """True if the file at a path is as it was written, and not a link; hashed only if length or time differ."""
         try:
             status = os.lstat(path)
-            if (status.st_size, status.st_mtime_ns) == (self.size, self.mtime_ns) and stat.S_ISREG(status.st_mode):
+            if (status.st_size, status.st_mtime_ns) == (self.size, self.mtime_ns) and stat.S_ISREG(
+                status.st_mode
+            ):
                 return True
             return self.read(path) is not None
         except OSError:  # missing, or the disk or the user's rights do not allow to read it: it can be recomputed
@@ -81,7 +93,9 @@ class StoredFile(NamedTuple):
             raise
         try:
             content = os.read(file, self.size + 1)
-            while len(content) < self.size and (more := os.read(file, self.size + 1 - len(content))):
+            while len(content) < self.size and (
+                more := os.read(file, self.size + 1 - len(content))
+            ):
                 content += more
         finally:
             os.close(file)
@@ -153,8 +167,9 @@ def table_name(table: str, pair_id: str, part: str = "") -> str:
 class TableFolder:
     """The tables of a run, as a job sees them: paths, atomic writes, checked reads. Holds no lock and no ledger.
 
-    `token` names the run that may write here; a job whose run has ended (killed, and another one started) finds
-    another token in the folder and writes nothing. Tables that the folder lacks are read from `url`, if there is one.
+    `token` names the run that may write here; a job whose run has ended (killed, and another one
+    started) finds another token in the folder and writes nothing. Tables that the folder lacks are
+    read from `url`, if there is one.
     """
 
     def __init__(self, folder: Path, token: str, url: str = "") -> None:
@@ -188,7 +203,12 @@ class TableFolder:
         }
 
     def write_at(
-        self, path: Path, table: str, rows: pa.Table | Iterable[pa.Table], key: str, job: str | None = None
+        self,
+        path: Path,
+        table: str,
+        rows: pa.Table | Iterable[pa.Table],
+        key: str,
+        job: str | None = None,
     ) -> StoredFile:
         """Write a table to a path of this run atomically.
 
@@ -196,22 +216,30 @@ class TableFolder:
         ----------
         rows : checked against the table's schema; or parts of them, in their order
         key : of the result, for the footer
-        job : the job as JSON, for the footer; None for a table of the whole run, which nothing else belongs to
+        job : the job as JSON, for the footer; None for a table of the whole run, which nothing else
+            belongs to
         """
         schema = TABLES[table]
         parts = [rows] if isinstance(rows, pa.Table) else rows
         job = job or _job_in_footer(JobRecord(table, "", "", key, {}), [path.name])
-        own = {"fidpipe.table": table, "fidpipe.schema_version": str(schema.version), "fidpipe.key": key}
-        own |= {"fidpipe.job": job, "fidpipe.check": key_of(key, job)}
+        footer = {
+            "fidpipe.table": table,
+            "fidpipe.schema_version": str(schema.version),
+            "fidpipe.key": key,
+            "fidpipe.job": job,
+            "fidpipe.check": key_of(key, job),
+        }
         sink = pa.BufferOutputStream()
         with pq.ParquetWriter(sink, schema.schema, **_writer_options(schema.schema)) as writer:
             for part in parts:
                 writer.write_table(schema.check(part))
-            writer.add_key_value_metadata(own)
+            writer.add_key_value_metadata(footer)
         content = memoryview(sink.getvalue())
         return self._store(path, content, hashlib.sha256(content).hexdigest())
 
-    def read(self, table: str, stored: StoredFile, name: str, columns: list[str] | None = None) -> pa.Table:
+    def read(
+        self, table: str, stored: StoredFile, name: str, columns: list[str] | None = None
+    ) -> pa.Table:
         """The rows of a table of this run, which must be as it was stored and have the columns of its schema.
 
         Parameters
@@ -225,12 +253,15 @@ class TableFolder:
         RunError
             The file is damaged or gone.
         """
-        schema, content = TABLES[table], self.content(stored, name)
+        schema = TABLES[table]
+        content = self.content(stored, name)
         try:
             rows = read_content(content, columns)
             if columns is None:
                 return schema.check(rows)
-            if not rows.schema.equals(pa.schema([schema.schema.field(column) for column in columns])):
+            if not rows.schema.equals(
+                pa.schema([schema.schema.field(column) for column in columns])
+            ):
                 raise ValueError(f"expected the columns {', '.join(columns)}")
             return rows
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
@@ -242,8 +273,8 @@ class TableFolder:
         Raises
         ------
         RunError
-            It is damaged or gone. If its time does not show it, as on a failing disk, it gets another one, so
-            that the next run recomputes it.
+            It is damaged or gone. If its time does not show it, as on a failing disk, it gets
+            another one, so that the next run recomputes it.
         StoreError
             It cannot be read there.
         """
@@ -253,7 +284,7 @@ class TableFolder:
         except OSError as error:
             raise self.damaged(name, error.strerror or str(error)) from error
         if content is None and self.url:
-            content = remote().read_object(f"{self.url}/{name}")
+            content = read_object(f"{self.url}/{name}")
             content = content if hashlib.sha256(content).hexdigest() == stored.sha256 else None
         if content is None:
             with suppress(OSError):
@@ -267,9 +298,12 @@ class TableFolder:
 
     def damaged(self, name: str, cause: str = "") -> RunError:
         """The error of a file that is not as it was stored."""
-        return RunError(
-            f"run {self.folder}: {name} is damaged or gone{cause and f' ({cause})'}; run the same command again"
-        )
+        why = f" ({cause})" if cause else ""
+        return RunError(f"run {self.folder}: {name} is damaged or gone{why}; run {self.again()}")
+
+    def again(self) -> str:
+        """How to recompute what is damaged."""
+        return "the same command again"
 
     def check_token(self) -> None:
         """Raises `RunError` where another run has taken over the folder."""
@@ -281,7 +315,35 @@ class TableFolder:
 
     def _compare(self, token: str) -> None:
         if token != self.token:
-            raise RunError(f"run {self.folder}: another run has taken over this folder; this one writes nothing more")
+            raise RunError(
+                f"run {self.folder}: another run has taken over this folder; this one writes nothing more"
+            )
+
+
+class TablesAtUrl(TableFolder):
+    """The tables of a run for a worker that does not share its folder: each is one object, read and written whole."""
+
+    def check_token(self) -> None:
+        """See `TableFolder`; a process asks every ten seconds."""
+        if (
+            monotonic() - _CHECKED.get(self.token, -_SECONDS_BETWEEN_CHECKS)
+            >= _SECONDS_BETWEEN_CHECKS
+        ):
+            self._compare(read_object(f"{self.url}/{TOKEN}").decode())
+            _CHECKED[self.token] = monotonic()
+
+    def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
+        self.check_token()
+        write_object(f"{self.url}/{path.relative_to(self.folder).as_posix()}", bytes(content))
+        return StoredFile(len(content), sha256, 0)
+
+
+_CHECKED: dict[str, float] = {}
+
+
+def tables_of_run(folder: Path, token: str, url: str) -> TableFolder:
+    """The tables of a run for a worker: in its folder, or at its URL if workers do not share the folder."""
+    return TablesAtUrl(folder, token, url) if url else TableFolder(folder, token)
 
 
 @cache
@@ -312,8 +374,9 @@ def read_content(content: bytes, columns: list[str] | None = None, **options: An
 def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | None:
     """The job that made a table, from its footer, and the names of all its files; None if it is damaged.
 
-    A file is intact if its job agrees with the hash next to it, every page with its checksum, the columns with the
-    table's schema, and all counts of rows with each other. `files` of the record holds this file alone.
+    A file is intact if its job agrees with the hash next to it, every page with its checksum, the
+    columns with the table's schema, and all counts of rows with each other. `files` of the record
+    holds this file alone.
 
     Parameters
     ----------
@@ -327,26 +390,28 @@ def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | 
         content = path.read_bytes()
         metadata = pq.read_metadata(pa.BufferReader(content))
         footer = metadata.metadata or {}
-        job, key, table = (footer.get(f"fidpipe.{what}".encode(), b"").decode() for what in ("job", "key", "table"))
+        job = footer.get(b"fidpipe.job", b"").decode()
+        key = footer.get(b"fidpipe.key", b"").decode()
+        table = footer.get(b"fidpipe.table", b"").decode()
         if footer.get(b"fidpipe.check") != key_of(key, job).encode():
             return None
         rows = read_content(content, page_checksum_verification=True)
         TABLES[table].check(rows)
         if _row_counts(metadata) != {rows.num_rows}:
             return None
-        own = orjson.loads(job)
-        names = tuple(own["files"])
-        stored = StoredFile(len(content), hashlib.sha256(content).hexdigest(), status.st_mtime_ns)
-        job_id = own["stage"], own["pair_id"], own["part"]
-        record = job_record([*job_id, key, {name: stored}, own["reads"], own["metadata"], (), ""])
+        stage, pair_id, part, reads, job_metadata, names = _from_footer(job)
+        sha256 = hashlib.sha256(content).hexdigest()
+        stored = StoredFile(len(content), sha256, status.st_mtime_ns)
+        record = job_record([stage, pair_id, part, key, {name: stored}, reads, job_metadata])
     except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
         return None
-    return (record, names) if name in names else None
+    return (record, tuple(names)) if name in names else None
 
 
 def plain_record(record: JobRecord) -> list[Any]:
     """The values of a finished job, for JSON."""
-    return [*(vars(record) | {"files": {name: [*stored] for name, stored in record.files.items()}}).values()]
+    files = {name: list(stored) for name, stored in record.files.items()}
+    return list((vars(record) | {"files": files}).values())
 
 
 def job_record(values: list[Any]) -> JobRecord:
@@ -362,14 +427,21 @@ def job_record(values: list[Any]) -> JobRecord:
         if not _TABLE_NAME.fullmatch(name):
             raise ValueError(f"{name!r} is not the name of a table of a run")
         record.files[name] = StoredFile(*stored)
-    record.reads, record.steps = tuple(record.reads), tuple([(name, seconds) for name, seconds in record.steps])
+    record.reads = tuple(record.reads)
+    record.steps = tuple([(name, seconds) for name, seconds in record.steps])
     return record
 
 
 def _job_in_footer(record: JobRecord, names: Iterable[str]) -> str:
     """A job as the footers of its files have it: without seconds, so that files of equal content are equal."""
-    own = {name: getattr(record, name) for name in ("stage", "pair_id", "part", "reads", "metadata")}
-    return orjson.dumps(own | {"files": list(names)}).decode()
+    entries = {name: getattr(record, name) for name in _IN_FOOTER[:-1]}
+    return orjson.dumps(entries | {"files": list(names)}).decode()
+
+
+def _from_footer(job: str) -> list[Any]:
+    """The entries of a job in a footer; `KeyError` if one is missing."""
+    entries = orjson.loads(job)
+    return [entries[name] for name in _IN_FOOTER]
 
 
 def _row_counts(metadata: pq.FileMetaData) -> set[int]:

@@ -1,6 +1,7 @@
-"""URLs and the cache, the folder whose parts mirror them. Only the package `remote` reads and writes objects.
+"""URLs and the cache, the folder whose parts mirror them. Only `object_store` reads and writes objects.
 
-A remote scan is a stub in the cache: a small file NAME.url with the URL of its object, etag and size.
+A remote scan is a stub in the cache: a small file NAME.url with the URL of its object, etag and
+size.
 """
 
 from __future__ import annotations
@@ -10,15 +11,13 @@ import re
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
-from types import ModuleType
 from urllib.parse import urlsplit
 
 from ...schemas.errors import StoreError
 
 SCHEMES = ("s3", "gs", "az", "http", "https")
 STUB = ".url"
-#: Stubs that a command sent to this process of a worker, whose cache may be elsewhere.
-RESTORED: set[Path] = set()
+TEMPORARY_CACHE = "fidpipe-cache-"
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 
 
@@ -27,15 +26,11 @@ def is_url(text: str) -> bool:
     return bool(_URL.match(text))
 
 
-def remote() -> ModuleType:
-    """The package that reads and writes objects at URLs; the core imports it only here, when it meets a URL."""
-    from .. import remote as package
-
-    return package
-
-
 def cache_of(url: str) -> Path:
     """The local folder that mirrors a URL; all URLs of the user pass here.
+
+    The number of names in a URL comes before them, so that the folder of one URL is never inside
+    that of another.
 
     Raises
     ------
@@ -45,25 +40,28 @@ def cache_of(url: str) -> Path:
     parts = urlsplit(url)
     if parts.scheme not in SCHEMES:
         why = "; processes share no memory" if parts.scheme == "memory" else ""
-        raise StoreError(f"{parts.scheme}://: expected a URL of {', '.join(SCHEMES)}, or a local path{why}")
+        raise StoreError(
+            f"{parts.scheme}://: expected a URL of {', '.join(SCHEMES)}, or a local path{why}"
+        )
     if "@" in parts.netloc or parts.query:
         clean = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
         raise StoreError(
             f"{clean}: expected a URL without credentials or a query; credentials come from the environment"
         )
-    names = parts.path.strip("/").split("/")
+    names = [name for name in (parts.netloc, *parts.path.split("/")) if name]
     if ".." in names:
         raise StoreError(f"{url}: expected no .. in it")
-    return _cache().joinpath(parts.scheme, parts.netloc, *names)
+    return cache_folder().joinpath(parts.scheme, str(len(names)), *names)
 
 
 def url_of_cache(folder: Path) -> str:
     """The URL that a folder mirrors; "" outside of the cache."""
-    folder, base = folder.absolute(), _cache()
-    if base not in folder.parents:
+    folder = folder.absolute()
+    cache = cache_folder()
+    if cache not in folder.parents:
         return ""
-    scheme, *names = folder.relative_to(base).parts
-    return f"{scheme}://{'/'.join(names)}" if scheme in SCHEMES else ""
+    scheme, _, *names = folder.relative_to(cache).parts
+    return f"{scheme}://{'/'.join(names)}" if scheme in SCHEMES and names else ""
 
 
 def name_in_records(folder: Path) -> str:
@@ -83,7 +81,7 @@ def recorded_path(name: str) -> Path:
 
 def is_stub(path: Path) -> bool:
     """True for a stub in the cache. Elsewhere it is ignored: a dataset of others could name any address."""
-    return path.suffix == STUB and (path in RESTORED or path.absolute().parts[: len(_cache().parts)] == _cache().parts)
+    return path.suffix == STUB and cache_folder() in path.absolute().parents
 
 
 def read_stub(stub: Path) -> list[str]:
@@ -98,14 +96,22 @@ def n_bytes_of(path: Path) -> int:
 
 def stub_texts(paths: Iterable[Path]) -> dict[Path, str]:
     """The stubs among some files, for a worker that does not see the cache."""
-    return {path: path.read_text(encoding="utf-8") for path in paths if is_stub(path) and path.exists()}
+    stubs = [path for path in paths if is_stub(path) and path.exists()]
+    return {path: path.read_text(encoding="utf-8") for path in stubs}
 
 
-def _cache() -> Path:
-    """FIDPIPE_CACHE, by default ~/.cache/fidpipe."""
+def cache_folder() -> Path:
+    """FIDPIPE_CACHE, by default ~/.cache/fidpipe; in the folder for temporary files if the user has no home."""
     return _cache_at(os.environ.get("FIDPIPE_CACHE"), os.environ.get("HOME"))
 
 
 @lru_cache(maxsize=4)
 def _cache_at(named: str | None, home: str | None) -> Path:
-    return Path(named or Path.home() / ".cache" / "fidpipe").absolute()
+    if named:
+        return Path(named).absolute()
+    try:
+        return Path(home or Path.home(), ".cache", "fidpipe").absolute()
+    except RuntimeError:  # a user id without an entry, as in containers
+        from tempfile import gettempdir
+
+        return Path(gettempdir(), f"{TEMPORARY_CACHE}{os.getuid()}").absolute()

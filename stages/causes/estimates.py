@@ -168,7 +168,8 @@ def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | N
     """Pose and beams of a simulated side against another one of the same place, such as of an earlier version.
 
     Most of the surface is the same on both, so that these amounts are far more accurate than differences of two amounts
-    against the real scan. None if the scans have too little surface in common.
+    against the real scan. Amounts that need what is in doubt of either scan are left out. None if the scans have too
+    little surface in common.
     """
     if min(len(base.points), len(sim.points)) < LEAST_POINTS:
         return None
@@ -188,7 +189,8 @@ def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | N
         ):
             if amount.amount is not None:
                 amounts[name] = amount.amount
-    return pose, amounts
+    doubts = doubts_of(base.sensor, sim.sensor)
+    return pose, {name: amount for name, amount in amounts.items() if doubts.keys().isdisjoint(CAUSES[name].needs)}
 
 
 def _difference(real: float, sim: float, share: float | None = None) -> Amount:

@@ -43,6 +43,8 @@ _INTENSITY = ("intensity", "intensity", "intensity contrast")
 #: Features by family. Each is also tested alone: a single regular ray pattern is enough to recognise every point.
 FAMILIES = {"surface": _SURFACE, "rays": _RAYS, "intensity": _INTENSITY}
 
+Fold = tuple[IndexArray, IndexArray]  #: rows to train on and to test on
+
 
 @dataclass(frozen=True)
 class Separation:
@@ -144,12 +146,7 @@ def separate(
         Fewer than two folds have points of both sides.
     """
     rng = np.random.default_rng(0)
-    splits = []
-    for train, test in folds(place, azimuth_deg):
-        if _has_both(is_sim[train]) and _has_both(is_sim[test]):
-            splits.append((train, test))
-    if len(splits) < 2:
-        raise StageError(f"points of both sides in {len(splits)} of the places or sectors; at least 2 are needed")
+    splits = _testable_folds(place, azimuth_deg, is_sim)
     columns: dict[str, IndexArray] = {}
     if by_feature:
         columns = {name: np.flatnonzero(np.array(names) == name) for name in names}
@@ -186,7 +183,7 @@ def auc_of(is_sim: BoolArray, probability: FloatArray) -> float | None:
     return _auc(is_sim, probability) if _has_both(is_sim) else None
 
 
-def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[tuple[IndexArray, IndexArray]]:
+def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[Fold]:
     """Rows to train on and to test on: places; with fewer than five of them, sectors of equal size.
 
     Neither the places before and after a tested place nor the 10 degrees next to a tested sector are trained on.
@@ -209,6 +206,17 @@ def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[tuple[IndexArray
             off = np.abs((values - (low + high) / 2 + 180) % 360 - 180)
             is_apart = ~is_tested & (off > (high - low) / 2 + GUARD_DEG)
         yield np.flatnonzero(is_apart), np.flatnonzero(is_tested)
+
+
+def _testable_folds(place: IntArray, azimuth_deg: FloatArray, is_sim: BoolArray) -> list[Fold]:
+    """The folds that have points of both sides to train on and to test on."""
+    testable = []
+    for train, test in folds(place, azimuth_deg):
+        if _has_both(is_sim[train]) and _has_both(is_sim[test]):
+            testable.append((train, test))
+    if len(testable) < 2:
+        raise StageError(f"points of both sides in {len(testable)} of the places or sectors; at least 2 are needed")
+    return testable
 
 
 def _has_both(is_sim: BoolArray) -> bool:

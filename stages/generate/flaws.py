@@ -33,8 +33,9 @@ class Flaw:
 
     name : name in the command
     amount : description of the amount
-    low, high : bounds of the amount
-    alter : function of points, amount, random generator and, if it has one, `at_m`, that returns the altered points
+    high, low : bounds of the amount
+    alter : function of points, amount, random generator and, if it has one, `at_m`, that returns the altered points;
+        by default their coordinates stay
     is_systematic : all scans of a simulator have the same flaw, so that they share one seed
     at_m : default second parameter in metres, or None
     at : description of the second parameter
@@ -44,16 +45,22 @@ class Flaw:
 
     name: str
     amount: str
-    low: float
     high: float
-    alter: Callable[..., FloatArray]
+    alter: Callable[..., FloatArray] = lambda points, amount, rng: points.copy()
+    low: float = 0
     is_systematic: bool = False
     at_m: float | None = None
     at: str = ""
     is_whole: bool = False
     intensity: Callable[[FloatArray, FloatArray, float], FloatArray] | None = None
 
-    def __call__(self, points: FloatArray, amount: float, rng: Generator, at_m: float | None = None) -> FloatArray:
+    def __call__(
+        self,
+        points: FloatArray,
+        amount: float,
+        rng: Generator,
+        at_m: float | None = None,
+    ) -> FloatArray:
         """Return the altered points, (m, 3): the kept points in their order, then new ones. No points remain no points.
 
         Parameters
@@ -71,8 +78,9 @@ class Flaw:
         self.check(amount, at_m)
         if not len(points):
             return points.copy()
-        second = () if self.at_m is None else (self.at_m if at_m is None else at_m,)
-        return self.alter(points, amount, rng, *second)
+        if self.at_m is None:
+            return self.alter(points, amount, rng)
+        return self.alter(points, amount, rng, self.at_m if at_m is None else at_m)
 
     def check(self, amount: float, at_m: float | None = None) -> None:
         """Raise `FidpipeError` if an amount or a second parameter is out of bounds."""
@@ -126,7 +134,12 @@ def is_foliage(points: FloatArray) -> BoolArray:
     return fit_planes(points, points, _NEIGHBOURS).scattering >= SCATTERED
 
 
-def lose_foliage(points: FloatArray, share: float, rng: Generator, where: BoolArray | None = None) -> FloatArray:
+def lose_foliage(
+    points: FloatArray,
+    share: float,
+    rng: Generator,
+    where: BoolArray | None = None,
+) -> FloatArray:
     """Remove a share of the foliage, in clumps of 2 m instead of single leaves.
 
     Parameters
@@ -144,7 +157,7 @@ def lose_foliage(points: FloatArray, share: float, rng: Generator, where: BoolAr
 
 def _lose_far(points: FloatArray, share: float, rng: Generator, beyond_m: float) -> FloatArray:
     """Remove a share of the points with a range above `beyond_m`, each independently."""
-    is_far = np.sqrt((points**2).sum(axis=1)) > beyond_m
+    is_far = np.linalg.norm(points, axis=1) > beyond_m
     return points[~(is_far & (rng.random(len(points)) < share))]
 
 
@@ -166,7 +179,12 @@ def _blur(points: FloatArray, radius_m: float, rng: Generator) -> FloatArray:
     """
     if radius_m == 0:
         return points.copy()
-    planes = fit_planes(voxel_means(points, radius_m / _BLUR_VOXELS), points, _BLUR_NEIGHBOURS, radius_m)
+    planes = fit_planes(
+        voxel_means(points, radius_m / _BLUR_VOXELS),
+        points,
+        _BLUR_NEIGHBOURS,
+        radius_m,
+    )
     off_m = ((planes.mean - points) * planes.normal).sum(axis=1)
     return points + np.where(planes.n_neighbours >= 3, off_m, 0.0)[:, None] * planes.normal
 
@@ -178,14 +196,16 @@ def _misalign_beams(points: FloatArray, std_deg: float, rng: Generator) -> Float
     local plane n . x = n . p into the direction u' of its beam: x = u' (n . p) / (n . u'). If that changes its range by
     more than a tenth (grazing rays, edges), or if the neighbours are on a line, the range does not change.
     """
-    range_m = np.maximum(np.sqrt((points**2).sum(axis=1)), 1e-9)
+    range_m = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
     level_m = np.hypot(points[:, 0], points[:, 1])
     elevation = np.arctan2(points[:, 2], level_m)
     bands = np.floor((np.degrees(elevation) + 90.0) / _BEAM_DEG).astype(np.intp)
     errors = np.radians(rng.normal(0.0, std_deg, round(180.0 / _BEAM_DEG) + 1))
     altered_elevation = elevation + errors[bands]
     heading = points[:, :2] / np.maximum(level_m, 1e-9)[:, None]
-    directions = np.column_stack([np.cos(altered_elevation)[:, None] * heading, np.sin(altered_elevation)])
+    directions = np.column_stack(
+        [np.cos(altered_elevation)[:, None] * heading, np.sin(altered_elevation)],
+    )
     planes = fit_planes(points, points, _NEIGHBOURS)
     with np.errstate(divide="ignore", invalid="ignore"):
         slid_m = (planes.normal * points).sum(axis=1) / (planes.normal * directions).sum(axis=1)
@@ -194,46 +214,84 @@ def _misalign_beams(points: FloatArray, std_deg: float, rng: Generator) -> Float
     return directions * np.where(slides, slid_m, range_m)[:, None]
 
 
-def _shift(points: FloatArray, shift_m: float, rng: Generator) -> FloatArray:
-    return move_rigidly(points, 0.0, rng, shift_m)
-
-
-def _mirror(points: FloatArray, is_mirrored: float, rng: Generator) -> FloatArray:
-    return points * np.array([1.0, -1.0 if is_mirrored else 1.0, 1.0])
-
-
-def _keep(points: FloatArray, _: float, rng: Generator) -> FloatArray:
-    return points.copy()
-
-
-def _constant(points: FloatArray, _: FloatArray, amount: float) -> FloatArray:
-    return np.full(len(points), amount)
-
-
-def _attenuated(points: FloatArray, _: FloatArray, per_m: float) -> FloatArray:
-    return np.exp(-per_m * np.linalg.norm(points, axis=1))
-
-
-def _scaled(_: FloatArray, intensity: FloatArray, factor: float) -> FloatArray:
-    return factor * intensity
-
-
+_INTENSITY_MAX = 65_535
 _KINDS = (
-    Flaw("foliage", "share of the foliage lost, in clumps of 2 m", 0, 1, lose_foliage),
-    Flaw("holes", "number of holes", 0, 10_000, _cut_holes, at_m=1.5, at="radius of a hole, metres", is_whole=True),
-    Flaw("far-dropout", "share lost beyond a range", 0, 1, _lose_far, at_m=25.0, at="range, metres"),
-    Flaw("dropout", "share of the points lost", 0, 1, drop_points),
-    Flaw("density", "factor of the density in regions that hold 30 % of the points", 0, 8, change_density),
-    Flaw("beams", "std of each beam's elevation error, degrees", 0, 10, _misalign_beams, is_systematic=True),
-    Flaw("blur", "radius within which surfaces are smoothed, metres", 0, 5, _blur),
-    Flaw("noise", "std of the noise on each coordinate, metres", 0, 10, add_noise),
-    Flaw("ghosts", "points in ghost clusters of 20, per point", 0, 8, add_clusters),
-    Flaw("yaw", "turn about the vertical, degrees", -180, 180, move_rigidly, is_systematic=True),
-    Flaw("offset", "shift in a random horizontal direction, metres", 0, 100, _shift, is_systematic=True),
-    Flaw("mirrored", "1: y is negated; 0: it is not", 0, 1, _mirror, is_systematic=True, is_whole=True),
-    Flaw("intensity-constant", "intensity of all points", 0, 65_535, _keep, intensity=_constant),
-    Flaw("intensity-range", "a of exp(-a d), 1/m, as in CARLA", 0, 10, _keep, intensity=_attenuated),
-    Flaw("intensity-scale", "factor of the intensity", 0, 65_535, _keep, intensity=_scaled),
+    Flaw("foliage", "share of the foliage lost, in clumps of 2 m", 1, lose_foliage),
+    Flaw(
+        name="holes",
+        amount="number of holes",
+        high=10_000,
+        alter=_cut_holes,
+        at_m=1.5,
+        at="radius of a hole, metres",
+        is_whole=True,
+    ),
+    Flaw(
+        name="far-dropout",
+        amount="share lost beyond a range",
+        high=1,
+        alter=_lose_far,
+        at_m=25.0,
+        at="range, metres",
+    ),
+    Flaw("dropout", "share of the points lost", 1, drop_points),
+    Flaw(
+        name="density",
+        amount="factor of the density in regions that hold 30 % of the points",
+        high=8,
+        alter=change_density,
+    ),
+    Flaw(
+        name="beams",
+        amount="std of each beam's elevation error, degrees",
+        high=10,
+        alter=_misalign_beams,
+        is_systematic=True,
+    ),
+    Flaw("blur", "radius within which surfaces are smoothed, metres", 5, _blur),
+    Flaw("noise", "std of the noise on each coordinate, metres", 10, add_noise),
+    Flaw("ghosts", "points in ghost clusters of 20, per point", 8, add_clusters),
+    Flaw(
+        name="yaw",
+        amount="turn about the vertical, degrees",
+        low=-180,
+        high=180,
+        alter=move_rigidly,
+        is_systematic=True,
+    ),
+    Flaw(
+        name="offset",
+        amount="shift in a random horizontal direction, metres",
+        high=100,
+        alter=lambda points, shift_m, rng: move_rigidly(points, 0.0, rng, shift_m),
+        is_systematic=True,
+    ),
+    Flaw(
+        name="mirrored",
+        amount="1: y is negated; 0: it is not",
+        high=1,
+        alter=lambda points, is_mirrored, rng: points * [1.0, -1.0 if is_mirrored else 1.0, 1.0],
+        is_systematic=True,
+        is_whole=True,
+    ),
+    Flaw(
+        name="intensity-constant",
+        amount="intensity of all points",
+        high=_INTENSITY_MAX,
+        intensity=lambda points, intensity, amount: np.full(len(points), amount),
+    ),
+    Flaw(
+        name="intensity-range",
+        amount="a of exp(-a d), 1/m, as in CARLA",
+        high=10,
+        intensity=lambda points, intensity, per_m: np.exp(-per_m * np.linalg.norm(points, axis=1)),
+    ),
+    Flaw(
+        name="intensity-scale",
+        amount="factor of the intensity",
+        high=_INTENSITY_MAX,
+        intensity=lambda points, intensity, factor: factor * intensity,
+    ),
 )
 #: Flaws by name, in the order in which they are applied to a scan: losses, distortions, additions, then rigid motions.
 FLAWS: dict[str, Flaw] = {flaw.name: flaw for flaw in _KINDS}
@@ -267,7 +325,7 @@ def parse_flaws(words: Sequence[str]) -> tuple[ChosenFlaw, ...]:
         except ValueError:
             second = f", and {FLAWS[name].at} after a colon" if FLAWS[name].at_m is not None else ""
             raise FidpipeError(
-                f"flaw {word!r}: expected {name}=AMOUNT with a number ({FLAWS[name].amount}{second})"
+                f"flaw {word!r}: expected {name}=AMOUNT with a number ({FLAWS[name].amount}{second})",
             ) from None
         FLAWS[name].check(flaw.amount, flaw.at_m)
         chosen[name] = flaw

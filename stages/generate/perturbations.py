@@ -76,8 +76,10 @@ def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> F
     >>> len(perturb(line, Perturbation("dropout", 0.4), np.random.default_rng(0)))
     7
     """
-    second = (perturbation.shift_m,) if perturbation.kind == "rigid" else ()
-    return KINDS[perturbation.kind].alter(points, perturbation.amount, rng, *second)
+    alter = KINDS[perturbation.kind].alter
+    if perturbation.kind == "rigid":
+        return alter(points, perturbation.amount, rng, perturbation.shift_m)
+    return alter(points, perturbation.amount, rng)
 
 
 def reorder(points: FloatArray, n_lost: float, rng: Generator) -> FloatArray:
@@ -95,7 +97,12 @@ def drop_points(points: FloatArray, share: float, rng: Generator) -> FloatArray:
     return points[rng.random(len(points)) >= share]
 
 
-def remeasure(points: FloatArray, noise_m: float, lost_share: float, rng: Generator) -> tuple[FloatArray, IndexArray]:
+def remeasure(
+    points: FloatArray,
+    noise_m: float,
+    lost_share: float,
+    rng: Generator,
+) -> tuple[FloatArray, IndexArray]:
     """A simulated second measurement of the points by the same beams.
 
     p' = p (1 + e / |p|) with e ~ N(0, noise_m): noise along the ray alone; then each is lost independently with the
@@ -121,13 +128,17 @@ def remeasure(points: FloatArray, noise_m: float, lost_share: float, rng: Genera
     >>> bool(np.isclose(again[0, 1] / again[0, 0], 4 / 3)), rows.tolist()
     (True, [0])
     """
-    range_m = np.sqrt((points**2).sum(axis=1))
+    range_m = np.linalg.norm(points, axis=1)
     again = points * (1.0 + noise_m * rng.standard_normal(len(points)) / range_m)[:, None]
     rows = np.flatnonzero(rng.random(len(points)) >= lost_share)
     return again[rows], rows
 
 
-def fill_gaps(points: FloatArray, rows: IndexArray, n_lost: IndexArray) -> tuple[FloatArray, IndexArray]:
+def fill_gaps(
+    points: FloatArray,
+    rows: IndexArray,
+    n_lost: IndexArray,
+) -> tuple[FloatArray, IndexArray]:
     """The returns of lost pulses, evenly spaced in direction and range between two returns of one beam.
 
     Parameters
@@ -151,17 +162,26 @@ def fill_gaps(points: FloatArray, rows: IndexArray, n_lost: IndexArray) -> tuple
     gap = np.repeat(np.arange(len(rows)), n_lost)
     number = np.arange(len(gap)) - np.repeat(np.cumsum(n_lost) - n_lost, n_lost)
     share = ((number + 1) / (n_lost[gap] + 1))[:, None]
-    range_m = np.sqrt((points[rows] ** 2).sum(axis=2, keepdims=True))
-    direction, range_m = (points[rows] / range_m)[gap], range_m[gap]
-    middle, middle_m = ((1 - share) * each[:, 0] + share * each[:, 1] for each in (direction, range_m))
-    filled: FloatArray = middle / np.sqrt((middle**2).sum(axis=1))[:, None] * middle_m
+    range_m = np.linalg.norm(points[rows], axis=2, keepdims=True)
+    direction = (points[rows] / range_m)[gap]
+    range_m = range_m[gap]
+    middle = (1 - share) * direction[:, 0] + share * direction[:, 1]
+    middle_m = (1 - share) * range_m[:, 0] + share * range_m[:, 1]
+    filled: FloatArray = middle / np.linalg.norm(middle, axis=1)[:, None] * middle_m
     return filled, rows[gap, (share[:, 0] >= 0.5).astype(np.intp)]
 
 
-def move_rigidly(points: FloatArray, angle_deg: float, rng: Generator, shift_m: float = 0.0) -> FloatArray:
+def move_rigidly(
+    points: FloatArray,
+    angle_deg: float,
+    rng: Generator,
+    shift_m: float = 0.0,
+) -> FloatArray:
     """Points rotated about +Z through the sensor, then moved in a random horizontal direction."""
-    angle, heading = np.radians(angle_deg), rng.uniform(0.0, 2 * np.pi)
-    cos, sin = np.cos(angle), np.sin(angle)
+    angle = np.radians(angle_deg)
+    heading = rng.uniform(0.0, 2 * np.pi)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
     R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return points @ R.T + shift_m * np.array([np.cos(heading), np.sin(heading), 0.0])
 
@@ -201,7 +221,9 @@ def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatAr
     n_near = min(SURFACE_NEIGHBOURS, len(points) - 1)
     _, near = cKDTree(points).query(points[start], k=n_near + 1)
     end = near[np.arange(n_new), rng.integers(1, n_near + 1, size=n_new)]
-    return np.vstack([points, points[start] + rng.random((n_new, 1)) * (points[end] - points[start])])
+    return np.vstack(
+        [points, points[start] + rng.random((n_new, 1)) * (points[end] - points[start])],
+    )
 
 
 def grow_regions(points: FloatArray, n_chosen: int, rng: Generator) -> BoolArray:
@@ -223,18 +245,51 @@ def grow_regions(points: FloatArray, n_chosen: int, rng: Generator) -> BoolArray
 #: Kinds of perturbations by name.
 KINDS = {
     "noise": PerturbationKind(
-        add_noise, 0, 10, "noise {0.amount:g} m", "noise\n{:g} m", "noise, standard deviation (m)", base=10
+        alter=add_noise,
+        low=0,
+        high=10,
+        text="noise {0.amount:g} m",
+        heading="noise\n{:g} m",
+        axis="noise, standard deviation (m)",
+        base=10,
     ),
     "dropout": PerturbationKind(
-        drop_points, 0, 0.99, "dropout {0.amount:.0%}", "drop\n{:.0%}", "dropout, share of points lost"
+        alter=drop_points,
+        low=0,
+        high=0.99,
+        text="dropout {0.amount:.0%}",
+        heading="drop\n{:.0%}",
+        axis="dropout, share of points lost",
     ),
-    "rigid": PerturbationKind(move_rigidly, -180, 180, "rigid {0.shift_m:g} m, {0.amount:g}°", "rigid\n{:g}°"),
+    "rigid": PerturbationKind(
+        alter=move_rigidly,
+        low=-180,
+        high=180,
+        text="rigid {0.shift_m:g} m, {0.amount:g}°",
+        heading="rigid\n{:g}°",
+    ),
     "hallucination": PerturbationKind(
-        *(add_clusters, 0, 10, "hallucination +{0.amount:.0%}", "added\n{:.0%}"),
-        "hallucination, share of points added",
+        alter=add_clusters,
+        low=0,
+        high=10,
+        text="hallucination +{0.amount:.0%}",
+        heading="added\n{:.0%}",
+        axis="hallucination, share of points added",
     ),
     "density": PerturbationKind(
-        change_density, 0, 20, "density x {0.amount:g}", "dens.\nx {:g}", "local density, factor", base=2
+        alter=change_density,
+        low=0,
+        high=20,
+        text="density x {0.amount:g}",
+        heading="dens.\nx {:g}",
+        axis="local density, factor",
+        base=2,
     ),
-    "null": PerturbationKind(reorder, 0, 100, "null, {0.amount:g} point less", "null\n-{:g}"),
+    "null": PerturbationKind(
+        alter=reorder,
+        low=0,
+        high=100,
+        text="null, {0.amount:g} point less",
+        heading="null\n-{:g}",
+    ),
 }

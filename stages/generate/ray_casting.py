@@ -30,7 +30,11 @@ class Beams:
         """(n, 3) float64, unit vectors."""
         level = np.cos(self.elevation_rad)
         return np.column_stack(
-            [level * np.cos(self.azimuth_rad), level * np.sin(self.azimuth_rad), np.sin(self.elevation_rad)]
+            [
+                level * np.cos(self.azimuth_rad),
+                level * np.sin(self.azimuth_rad),
+                np.sin(self.elevation_rad),
+            ],
         )
 
 
@@ -85,7 +89,7 @@ def require_ray_caster() -> None:
     """
     if find_spec("embreex") is None:
         raise FidpipeError(
-            'ray casting requires embreex, which is not installed; install it with: pip install "fidpipe[synth]"'
+            'ray casting requires embreex, which is not installed; install it with: pip install "fidpipe[synth]"',
         )
 
 
@@ -123,12 +127,19 @@ class RayTarget:
         directions : (n, 3) float64, unit vectors
         """
         if not len(directions) or not len(self._mesh.faces):
-            return Hits(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp), np.empty(0), np.empty(0))
+            return Hits(
+                np.empty(0, dtype=np.intp),
+                np.empty(0, dtype=np.intp),
+                np.empty(0),
+                np.empty(0),
+            )
         places, ray_ids, face_ids = self._mesh.ray.intersects_location(
             np.zeros_like(directions), directions, multiple_hits=False
         )
-        range_m = np.sqrt((places**2).sum(axis=1))
-        cos_incidence = np.abs((self._mesh.face_normals[face_ids] * directions[ray_ids]).sum(axis=1))
+        range_m = np.linalg.norm(places, axis=1)
+        cos_incidence = np.abs(
+            (self._mesh.face_normals[face_ids] * directions[ray_ids]).sum(axis=1),
+        )
         return Hits(ray_ids.astype(np.intp), face_ids.astype(np.intp), range_m, cos_incidence)
 
 
@@ -146,12 +157,25 @@ def return_probability(
     range_m, cos_incidence, reflectivity : (n,) float64
     """
     signal = (
-        reflectivity * np.sqrt(cos_incidence) * (sensor.signal_range_m / np.maximum(range_m, sensor.min_range_m)) ** 2
+        reflectivity
+        * np.sqrt(cos_incidence)
+        * (
+            sensor.signal_range_m
+            / np.maximum(
+                range_m,
+                sensor.min_range_m,
+            )
+        )
+        ** 2
     )
     return (1.0 - sensor.lost_share) * -np.expm1(-signal)
 
 
-def measure_ranges(sensor: SensorModel, range_m: FloatArray, rng: np.random.Generator) -> FloatArray:
+def measure_ranges(
+    sensor: SensorModel,
+    range_m: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
     """Measured ranges: with Gaussian noise along the ray, then rounded to the sensor's quantum, if it has one.
 
     Parameters

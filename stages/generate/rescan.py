@@ -80,17 +80,25 @@ def extend_map(
     """
     merged = np.concatenate([voxels.points, points])
     weight = np.concatenate([voxels.n_points, np.ones(len(points))])
-    foliage = np.concatenate([voxels.foliage, np.zeros(len(points)) if is_foliage is None else is_foliage])
-    bright = np.concatenate([voxels.intensity, np.full(len(points), np.nan) if intensity is None else intensity])
+    foliage = np.concatenate(
+        [voxels.foliage, np.zeros(len(points)) if is_foliage is None else is_foliage],
+    )
+    bright = np.concatenate(
+        [voxels.intensity, np.full(len(points), np.nan) if intensity is None else intensity],
+    )
     band = _bands(merged)
     parts = []
     for number in range(_BANDS):
         rows = np.flatnonzero(band == number)
         _, ids = np.unique(voxel_ids(merged[rows], VOXEL_M * 2.0**number), return_inverse=True)
-        own = weight[rows]
-        total = np.bincount(ids, own)
+        weights = weight[rows]
+        total = np.bincount(ids, weights)
         columns = np.column_stack([merged[rows], foliage[rows], bright[rows]])
-        parts.append(np.column_stack([sums_by_id(own[:, None] * columns, ids, len(total)) / total[:, None], total]))
+        parts.append(
+            np.column_stack(
+                [sums_by_id(weights[:, None] * columns, ids, len(total)) / total[:, None], total],
+            ),
+        )
     means = np.concatenate(parts)
     return VoxelMap(means[:, :3], means[:, 5], means[:, 3], means[:, 4])
 
@@ -125,11 +133,15 @@ def rescan(
     widest_m = (_WIDEST * VOXEL_M * 2.0 ** _bands(points)).astype(np.float64)
     planes = fit_planes(points, points, _PLANE_NEIGHBOURS)
     apart, _ = cKDTree(points).query(points, k=[min(_RADIUS_NEIGHBOUR + 1, len(points))])
-    radius_m = np.minimum(apart[:, 0], widest_m) * np.where(planes.scattering >= SCATTERED, _LEAF, 1.0)
+    radius_m = np.minimum(
+        apart[:, 0],
+        widest_m,
+    ) * np.where(planes.scattering >= SCATTERED, _LEAF, 1.0)
     off_m = ((planes.mean - points) * planes.normal).sum(axis=1)[:, None]
     target = RayTarget(*_discs(points + off_m * planes.normal, planes.normal, radius_m))
     hits = target.first_hits(directions)
-    rays, surfels = directions[hits.ray_ids], hits.face_ids // 2
+    rays = directions[hits.ray_ids]
+    surfels = hits.face_ids // 2
     range_m = _onto_planes(points, rays, hits.range_m, widest_m[surfels])
     is_detected = rng.random(len(range_m)) >= sensor.lost_share
     range_m = measure_ranges(sensor, range_m, rng)
@@ -138,7 +150,12 @@ def rescan(
     return (rays * range_m[:, None])[is_detected], voxels.foliage[seen] > 0.5, voxels.intensity[seen]
 
 
-def _onto_planes(points: FloatArray, rays: FloatArray, range_m: FloatArray, widest_m: FloatArray) -> FloatArray:
+def _onto_planes(
+    points: FloatArray,
+    rays: FloatArray,
+    range_m: FloatArray,
+    widest_m: FloatArray,
+) -> FloatArray:
     """Ranges on the local planes of the map: x = u (n . m) / (n . u), with m and n mean and normal."""
     planes = fit_planes(points, rays * range_m[:, None], _PLANE_NEIGHBOURS)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -146,7 +163,7 @@ def _onto_planes(points: FloatArray, rays: FloatArray, range_m: FloatArray, wide
     return np.where(np.abs(plane_m - range_m) <= widest_m, plane_m, range_m)
 
 
-def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
+def recorded_directions(scan: FloatArray, others: FloatArray) -> FloatArray:
     """The beams of a recorded scan, (n, 3) unit vectors.
 
     The directions of all its returns, and those of returns of other scans of the same sensor in directions without a
@@ -156,7 +173,7 @@ def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    own, others : (n, 3), (m, 3) float64, returns, each in the sensor's frame at its time; none at the origin
+    scan, others : (n, 3), (m, 3) float64, returns, each in the sensor's frame at its time; none at the origin
 
     Examples
     --------
@@ -165,13 +182,13 @@ def recorded_directions(own: FloatArray, others: FloatArray) -> FloatArray:
     [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     """
     is_seen = np.zeros(_DIRECTION_CELLS, dtype=np.bool_)
-    is_seen[_direction_cells(own)] = True
+    is_seen[_direction_cells(scan)] = True
     is_near = binary_dilation(np.pad(is_seen, ((1, 1), (0, 0)), mode="wrap"), np.ones((3, 3)))[1:-1]
     columns, rows = _direction_cells(others)
     _, first = np.unique(columns * _DIRECTION_CELLS[1] + rows, return_index=True)
     added = np.sort(first[~is_near[columns[first], rows[first]]])
-    returns = np.concatenate([own, others[added]])
-    return returns / np.sqrt((returns**2).sum(axis=1))[:, None]
+    returns = np.concatenate([scan, others[added]])
+    return returns / np.linalg.norm(returns, axis=1)[:, None]
 
 
 def _direction_cells(points: FloatArray) -> tuple[IndexArray, IndexArray]:
@@ -184,16 +201,20 @@ def _direction_cells(points: FloatArray) -> tuple[IndexArray, IndexArray]:
 
 def _bands(points: FloatArray) -> IndexArray:
     """The band of range of each point, (n,) intp: 0 within 15 m, 1 to 30 m, 2 to 60 m, 3 beyond."""
-    range_m = np.sqrt((points**2).sum(axis=1))
+    range_m = np.linalg.norm(points, axis=1)
     limits = _FULL_DETAIL_M * 2.0 ** np.arange(_BANDS - 1)
     return np.searchsorted(limits, range_m, side="left")
 
 
-def _discs(centre: FloatArray, normal: FloatArray, radius_m: FloatArray) -> tuple[FloatArray, IndexArray]:
+def _discs(
+    centre: FloatArray,
+    normal: FloatArray,
+    radius_m: FloatArray,
+) -> tuple[FloatArray, IndexArray]:
     """Vertices and faces of squares, two triangles each, of the area of a disc."""
     upright = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     u = np.cross(normal, upright)
-    u /= np.sqrt((u**2).sum(axis=1))[:, None]
+    u /= np.linalg.norm(u, axis=1)[:, None]
     v = np.cross(normal, u)
     half_m = (np.sqrt(np.pi) / 2 * radius_m)[:, None]
     corners = [centre + half_m * (a * u + b * v) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]

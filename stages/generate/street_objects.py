@@ -103,7 +103,7 @@ def build_grid(points: FloatArray, reflectivity: float) -> Mesh:
     """
     ids = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
     corners = [ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]]
-    p, q, r, s = (corner.ravel() for corner in corners)
+    p, q, r, s = np.reshape(corners, (4, -1))
     faces = np.concatenate([np.column_stack([p, q, r]), np.column_stack([p, r, s])])
     return Mesh(points.reshape(-1, 3), faces, np.full(len(faces), reflectivity))
 
@@ -140,7 +140,12 @@ def build_box(foot: FloatArray, size_m: FloatArray, reflectivity: float) -> Mesh
     return build_prism(outline - along / 2, along, reflectivity)
 
 
-def build_house(foot: FloatArray, size_m: FloatArray, street_side: int, reflectivity: float) -> Mesh:
+def build_house(
+    foot: FloatArray,
+    size_m: FloatArray,
+    street_side: int,
+    reflectivity: float,
+) -> Mesh:
     """A house with a gable roof, and windows in the front.
 
     Parameters

@@ -94,7 +94,12 @@ def _step_for(n_points: int, street: _Surface, sensor: SensorModel) -> float:
     return sensor.n_beams * 360.0 * max(share, 0.01) / n_points
 
 
-def _scan_street(street: _Surface, sensor: SensorModel, step_deg: float, rng: np.random.Generator) -> SynthScan:
+def _scan_street(
+    street: _Surface,
+    sensor: SensorModel,
+    step_deg: float,
+    rng: np.random.Generator,
+) -> SynthScan:
     """The real scan, with undetected hits, range noise and quantum; intensity is reflectivity, 0-255."""
     directions = fire(sensor, rng.uniform(0.0, 360.0), step_deg).directions()
     hits = street.target.first_hits(directions)
@@ -119,16 +124,16 @@ def _scan_twin(
     """
     surface = _Surface([part.mesh for part in twin])
     beams = fire(sensor, rng.uniform(0.0, 360.0), step_deg)
-    own_hits = surface.target.first_hits(beams.directions())
-    own_parts = surface.mesh_of_face[own_hits.face_ids]
-    density = np.array([part.density for part in twin])[own_parts]
+    beam_hits = surface.target.first_hits(beams.directions())
+    hit_parts = surface.mesh_of_face[beam_hits.face_ids]
+    density = np.array([part.density for part in twin])[hit_parts]
     is_kept = rng.uniform(size=len(density)) < density
     n_further = rng.poisson(np.maximum(density - 1.0, 0.0))
 
-    own = beams.directions()[own_hits.ray_ids[is_kept]]
-    further = _between(beams, np.repeat(own_hits.ray_ids, n_further), sensor, step_deg, rng)
-    directions = np.concatenate([own, further])
-    aimed_at = np.concatenate([own_parts[is_kept], np.repeat(own_parts, n_further)])
+    kept = beams.directions()[beam_hits.ray_ids[is_kept]]
+    further = _between(beams, np.repeat(beam_hits.ray_ids, n_further), sensor, step_deg, rng)
+    directions = np.concatenate([kept, further])
+    aimed_at = np.concatenate([hit_parts[is_kept], np.repeat(hit_parts, n_further)])
     hits = surface.target.first_hits(directions)
     parts = surface.mesh_of_face[hits.face_ids]
     range_m = hits.range_m + rng.normal(0.0, _SIM_NOISE_M, len(hits.range_m))
@@ -142,7 +147,11 @@ def _scan_twin(
 
 
 def _between(
-    beams: Beams, ray_ids: IndexArray, sensor: SensorModel, step_deg: float, rng: np.random.Generator
+    beams: Beams,
+    ray_ids: IndexArray,
+    sensor: SensorModel,
+    step_deg: float,
+    rng: np.random.Generator,
 ) -> FloatArray:
     """(n, 3) float64, unit vectors: random beams around the given ones, up to half way to their neighbours."""
     elevation_rad = np.sort(np.radians(sensor.elevation_deg))

@@ -75,7 +75,14 @@ def build_scene(rng: np.random.Generator) -> tuple[StreetObject, ...]:
             width_m = street.plot_m * rng.uniform(0.8, 1.25)
             objects += _build_plot(street, side, edge_m, width_m, rng)
             edge_m += width_m
-    return tuple(StreetObject(item.kind, street.bend(item.solid), street.bend(item.leaves)) for item in objects)
+    return tuple(
+        StreetObject(
+            item.kind,
+            street.bend(item.solid),
+            street.bend(item.leaves),
+        )
+        for item in objects
+    )
 
 
 def _draw_street(rng: np.random.Generator) -> Street:
@@ -148,7 +155,11 @@ def _build_plot(
         yield _draw_car(edge_m + 1.7, side * (boundary_m + 2.8), np.pi / 2, rng)
     yield from _bound_garden(middle_m + 1.7, side * boundary_m, width_m - 3.7, street.planting, rng)
     front = Bed(middle_m + 1.7, width_m - 3.4, side, boundary_m + 1.2, front_m - 0.6)
-    yield from front.plant(rng.poisson(0.3 * street.planting), rng.poisson(1.2 * street.planting), rng)
+    yield from front.plant(
+        rng.poisson(0.3 * street.planting),
+        rng.poisson(1.2 * street.planting),
+        rng,
+    )
     back = Bed(middle_m, width_m, side, back_m + 3.0, back_m + 14.0)
     yield from back.plant(rng.poisson(1.0), 0, rng)
 
@@ -181,7 +192,12 @@ class Bed:
     near_m: float
     far_m: float
 
-    def plant(self, n_trees: int, n_bushes: int, rng: np.random.Generator) -> Iterator[StreetObject]:
+    def plant(
+        self,
+        n_trees: int,
+        n_bushes: int,
+        rng: np.random.Generator,
+    ) -> Iterator[StreetObject]:
         """Trees and bushes at random places."""
         for _ in range(n_trees):
             yield build_tree(self._draw_place(rng), rng.uniform(4.0, 11.0), rng)

@@ -40,7 +40,10 @@ class TwinSurface:
     density: float
 
 
-def build_twin(objects: Sequence[StreetObject], rng: np.random.Generator) -> tuple[TwinSurface, ...]:
+def build_twin(
+    objects: Sequence[StreetObject],
+    rng: np.random.Generator,
+) -> tuple[TwinSurface, ...]:
     """The flawed surfaces of a scene's objects; objects missing in the twin have none.
 
     Parameters
@@ -90,7 +93,10 @@ def _remesh(item: StreetObject, range_m: float, rng: np.random.Generator) -> Mes
     return mesh
 
 
-def _invent_sheets(surfaces: Sequence[TwinSurface], rng: np.random.Generator) -> Iterator[TwinSurface]:
+def _invent_sheets(
+    surfaces: Sequence[TwinSurface],
+    rng: np.random.Generator,
+) -> Iterator[TwinSurface]:
     """Sheets within foliage, and sheets between neighbours far from the sensor."""
     upright = [surface for surface in surfaces if surface.kind != "ground"]
     middles = np.array([surface.mesh.vertices.mean(axis=0) for surface in upright]).reshape(-1, 3)

@@ -14,23 +14,27 @@ from ..frame_search import ground_height
 from ..linalg.subgraph import connected_points
 from ..surfels import voxel_ids
 
-_COMPARED_M = (3.0, 40.0)
+_NEAREST_M = 3.0
+_FARTHEST_M = 40.0
 _VOXEL_M = 0.5
 _ABOVE_GROUND_M = 0.5
 _SAMPLED_POINTS = 800
 _MIN_SAMPLED = 50
-_FARTHEST_M = 1.0
+_MAX_MISFIT_M = 1.0
 
 _STILL_M = 0.15  # misfit of scans of one place, including a dense one with noise of 10 cm
 _MOVING_M = 0.25
 
 MAX_FRAMES_LATE = 3
-_MIN_GAIN_M, _MIN_GAIN = 0.05, 0.15
-_MIN_COMPARISONS, _AGREEING = 3, 0.8
+_MIN_GAIN_M = 0.05
+_MIN_GAIN = 0.15
+_MIN_COMPARISONS = 3
+_AGREEING = 0.8
 
 _EMPTY = 0.05
 
-_EGO_M, _AROUND_M = 5.0, 6.5
+_EGO_M = 5.0
+_AROUND_M = 6.5
 _EGO_GROUND_M = 0.35
 _SAME_PLACE_M = 0.1
 _LINK_M = 0.5
@@ -47,11 +51,13 @@ class SequenceScan:
 
     def __init__(self, points: FloatArray) -> None:
         level = np.hypot(points[:, 0], points[:, 1])
-        points = points[(level > _COMPARED_M[0]) & (level < _COMPARED_M[1])]
-        thinned = points[np.sort(np.unique(voxel_ids(points, _VOXEL_M), return_index=True)[1])]
+        points = points[(level > _NEAREST_M) & (level < _FARTHEST_M)]
+        _, first = np.unique(voxel_ids(points, _VOXEL_M), return_index=True)
+        thinned = points[np.sort(first)]
         self.ground_m = ground_height(thinned)
         above = thinned[thinned[:, 2] > self.ground_m + _ABOVE_GROUND_M]
-        self.sample: FloatArray = above[np.random.default_rng(0).permutation(len(above))[:_SAMPLED_POINTS]]
+        order = np.random.default_rng(0).permutation(len(above))
+        self.sample: FloatArray = above[order[:_SAMPLED_POINTS]]
         self.tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
 
     def misfit_m(self, other: SequenceScan) -> float:
@@ -59,11 +65,11 @@ class SequenceScan:
 
         0 for the same scan; on recordings about 0.03 for a static sensor, 0.4 for one 0.8 m ahead.
         """
-        means = [
-            np.minimum(scan.tree.query(own, distance_upper_bound=_FARTHEST_M)[0], _FARTHEST_M).mean()
-            for own, scan in ((self.sample, other), (other.sample, self))
-            if len(own) >= _MIN_SAMPLED
-        ]
+        means = []
+        for scan, sample in ((self, other.sample), (other, self.sample)):
+            if len(sample) >= _MIN_SAMPLED:
+                apart_m, _ = scan.tree.query(sample, distance_upper_bound=_MAX_MISFIT_M)
+                means.append(np.minimum(apart_m, _MAX_MISFIT_M).mean())
         return float(np.mean(means or [np.nan]))
 
 
@@ -101,7 +107,9 @@ class EgoHits:
     others_in_box: float
 
 
-def find_time_offset(sequences: Sequence[tuple[Sequence[SequenceScan], Sequence[SequenceScan]]]) -> TimeOffset | None:
+def find_time_offset(
+    sequences: Sequence[tuple[Sequence[SequenceScan], Sequence[SequenceScan]]],
+) -> TimeOffset | None:
     """Find by how many frames the simulated side is late, if scans of other pairs fit clearly better; else None.
 
     The misfit m(i, j) of real scan i and simulated scan j is compared with m(i, i), for j = i + k and |k| <= 3. The k
@@ -113,23 +121,28 @@ def find_time_offset(sequences: Sequence[tuple[Sequence[SequenceScan], Sequence[
     ----------
     sequences : of each stretch of neighbouring frames, the real and the simulated scans in order of time
     """
-    gains: dict[int, list[tuple[float, float]]] = {}
+    misfits: dict[int, list[tuple[float, float]]] = {}  # as paired and shifted, by number of frames
     for real, sim in sequences:
         paired = [a.misfit_m(b) for a, b in zip(real, sim, strict=True)]
-        for late in range(-MAX_FRAMES_LATE, MAX_FRAMES_LATE + 1):
-            for i in range(max(0, -late), min(len(real), len(real) - late)) if late else ():
-                gains.setdefault(late, []).append((paired[i], real[i].misfit_m(sim[i + late])))
+        for i, scan in enumerate(real):
+            for j in range(max(0, i - MAX_FRAMES_LATE), min(len(sim), i + MAX_FRAMES_LATE + 1)):
+                if j != i:
+                    misfits.setdefault(j - i, []).append((paired[i], scan.misfit_m(sim[j])))
     best: TimeOffset | None = None
-    for late, values in gains.items():
-        both = np.array(values)
+    for late in sorted(misfits):
+        both = np.array(misfits[late])
         both = both[np.isfinite(both).all(axis=1)]
         if len(both) < _MIN_COMPARISONS:
             continue
-        as_paired, other = both.mean(axis=0).tolist()
+        as_paired_m, misfit_m = both.mean(axis=0).tolist()
+        gain_m = as_paired_m - misfit_m
         n_better = int((both[:, 1] < both[:, 0]).sum())
-        is_clear = as_paired - other > max(_MIN_GAIN_M, _MIN_GAIN * as_paired) and n_better >= _AGREEING * len(both)
-        if is_clear and (best is None or other - as_paired < best.misfit_m - best.as_paired_m):
-            best = TimeOffset(late, other, as_paired, n_better, len(both))
+        is_clear = gain_m > max(
+            _MIN_GAIN_M,
+            _MIN_GAIN * as_paired_m,
+        ) and n_better >= _AGREEING * len(both)
+        if is_clear and (best is None or gain_m > best.as_paired_m - best.misfit_m):
+            best = TimeOffset(late, misfit_m, as_paired_m, n_better, len(both))
     return best
 
 
@@ -140,7 +153,9 @@ def moved_m(sequences: Sequence[Sequence[SequenceScan]]) -> float:
     ----------
     sequences : the scans of each stretch of neighbouring frames, in order of time
     """
-    misfits = [a.misfit_m(b) for scans in sequences for a, b in pairwise(scans)]
+    misfits = []
+    for scans in sequences:
+        misfits += [a.misfit_m(b) for a, b in pairwise(scans)]
     finite = [misfit for misfit in misfits if np.isfinite(misfit)]
     return float(np.median(finite)) if finite else float("nan")
 
@@ -157,8 +172,11 @@ def find_static_side(real_moved_m: float, sim_moved_m: float) -> str | None:
     ----------
     real_moved_m, sim_moved_m : see `moved_m`
     """
-    for side, own, other in (("real", real_moved_m, sim_moved_m), ("sim", sim_moved_m, real_moved_m)):
-        if own < _STILL_M and is_moving(other) and other > 2.5 * own:
+    for side, side_m, other_m in (
+        ("real", real_moved_m, sim_moved_m),
+        ("sim", sim_moved_m, real_moved_m),
+    ):
+        if side_m < _STILL_M and is_moving(other_m) and other_m > 2.5 * side_m:
             return side
     return None
 
@@ -170,9 +188,11 @@ def find_empty_side(n_real: IndexArray, n_sim: IndexArray) -> str | None:
     ----------
     n_real, n_sim : (n,), (m,) intp, points of each scan after cleaning; the medians are compared
     """
-    for side, own, other in (("real", n_real, n_sim), ("sim", n_sim, n_real)):
-        if len(own) and len(other) and np.median(own) < _EMPTY * np.median(other):
-            return side
+    if len(n_real) and len(n_sim):
+        if np.median(n_real) < _EMPTY * np.median(n_sim):
+            return "real"
+        if np.median(n_sim) < _EMPTY * np.median(n_real):
+            return "sim"
     return None
 
 
@@ -190,22 +210,25 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
     """
     if len(scans) < _MIN_SCANS:
         return None
-    near = [
-        points[(np.hypot(points[:, 0], points[:, 1]) < _AROUND_M) & (np.abs(points[:, 2] - ground_m) > _EGO_GROUND_M)]
-        for points in scans
-    ]
-    trees = [cKDTree(own) for own in near]
-    hits = [_staying(own, [*trees[:i], *trees[i + 1 :]]) for i, own in enumerate(near)]
-    share = float(np.mean([len(own) / max(len(points), 1) for own, points in zip(hits, scans, strict=True)]))
-    every = np.concatenate(hits)
-    if share < _MIN_SHARE or len(every) < _MIN_NEAR:
+    near = []
+    for points in scans:
+        is_around = np.hypot(points[:, 0], points[:, 1]) < _AROUND_M
+        near.append(points[is_around & (np.abs(points[:, 2] - ground_m) > _EGO_GROUND_M)])
+    trees = [cKDTree(points) for points in near]
+    hits = [_staying(points, [*trees[:i], *trees[i + 1 :]]) for i, points in enumerate(near)]
+    n_points = np.array([max(len(points), 1) for points in scans])
+    n_hits = np.array([len(points) for points in hits])
+    share = float(np.mean(n_hits / n_points))
+    all_hits = np.concatenate(hits)
+    if share < _MIN_SHARE or len(all_hits) < _MIN_NEAR:
         return None
-    low, high = np.floor(10 * every.min(axis=0)) / 10, np.ceil(10 * every.max(axis=0)) / 10
-    farthest_m = float(np.ceil(10 * np.sqrt((every**2).sum(axis=1)).max()) / 10)
+    low = np.floor(10 * all_hits.min(axis=0)) / 10
+    high = np.ceil(10 * all_hits.max(axis=0)) / 10
+    farthest_m = float(np.ceil(10 * np.linalg.norm(all_hits, axis=1).max()) / 10)
 
     def others(is_in: Callable[[FloatArray], BoolArray]) -> float:
-        n_in = [int(is_in(points).sum()) - len(own) for points, own in zip(scans, hits, strict=True)]
-        return max(0.0, float(np.mean([n / max(len(points), 1) for n, points in zip(n_in, scans, strict=True)])))
+        n_in = np.array([int(is_in(points).sum()) for points in scans])
+        return max(0.0, float(np.mean((n_in - n_hits) / n_points)))
 
     return EgoHits(
         share=share,
@@ -217,18 +240,22 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
     )
 
 
-def _staying(own: FloatArray, others: Sequence[cKDTree]) -> FloatArray:
+def _staying(points: FloatArray, others: Sequence[cKDTree]) -> FloatArray:
     """Near points of a scan that most other scans have too, and that belong to no component beyond 5 m."""
-    if not len(own):
-        return own
-    n_seen = np.zeros(len(own))
+    n_seen = np.zeros(len(points))
     for other in others:
-        n_seen += np.isfinite(other.query(own, distance_upper_bound=_SAME_PLACE_M)[0]) if other.n else 0
-    own = own[n_seen >= _AGREEING * len(others)]
-    if not len(own):
-        return own
-    _, first, cell = np.unique(voxel_ids(own, _LINK_M / 2), return_index=True, return_inverse=True)
-    piece = connected_points(own[first], _LINK_M)[cell]
-    reach = np.zeros(piece.max() + 1)
-    np.maximum.at(reach, piece, np.hypot(own[:, 0], own[:, 1]))
-    return own[reach[piece] < _EGO_M]
+        if other.n:
+            apart_m, _ = other.query(points, distance_upper_bound=_SAME_PLACE_M)
+            n_seen += np.isfinite(apart_m)
+    points = points[n_seen >= _AGREEING * len(others)]
+    if not len(points):
+        return points
+    _, first, cell = np.unique(
+        voxel_ids(points, _LINK_M / 2),
+        return_index=True,
+        return_inverse=True,
+    )
+    component = connected_points(points[first], _LINK_M)[cell]
+    reach = np.zeros(component.max() + 1)
+    np.maximum.at(reach, component, np.hypot(points[:, 0], points[:, 1]))
+    return points[reach[component] < _EGO_M]

@@ -13,7 +13,8 @@ Place = Literal["first", "middle", "last"]
 
 _MAX_MISSING = 0.02
 _MAX_EQUAL_SHARE = 0.25
-_REVOLUTION_S = (0.01, 2.0)  # 100 to 0.5 revolutions per second
+_FASTEST_S = 0.01  # of a revolution
+_SLOWEST_S = 2.0
 _UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 _BINS = 24
 _MIN_IN_BIN = 20
@@ -21,6 +22,7 @@ _MIN_POINTS = 500
 _MIN_CONCENTRATION = 0.8
 _PLACES: dict[Place, float] = {"first": 0.0, "middle": 0.5, "last": 1.0}
 _PLACE_TOLERANCE = 0.1  # share of the duration of a scan
+_DAY_S = 86_400
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,11 @@ class StampCheck:
     faults: tuple[str, ...] = ()
 
 
-def describe_stamps(times_s: FloatArray, points: FloatArray, stamp_s: float | None = None) -> StampCheck:
+def describe_stamps(
+    times_s: FloatArray,
+    points: FloatArray,
+    stamp_s: float | None = None,
+) -> StampCheck:
     """Check the point times of one scan.
 
     A time is missing if it is NaN, or if a quarter of all returns share it while others differ (such as 0). A
@@ -55,43 +61,56 @@ def describe_stamps(times_s: FloatArray, points: FloatArray, stamp_s: float | No
     stamp_s : time of the scan (the header of its message), seconds; times below one day are relative to it
     """
     if len(times_s) != len(points):
-        return StampCheck(0.0, faults=(f"expected {len(points)} times, one per point, got {len(times_s)}",))
+        return StampCheck(
+            0.0,
+            faults=(f"expected {len(points)} times, one per point, got {len(times_s)}",),
+        )
     is_return = np.isfinite(points).all(axis=1) & points.any(axis=1)
-    points, times = points[is_return], times_s[is_return]
+    points = points[is_return]
+    times = times_s[is_return]
     if not len(points):
         return StampCheck(0.0)
     is_missing = ~np.isfinite(times)
     values, counts = np.unique(times[~is_missing], return_counts=True)
     if len(values) == 1 and not is_missing.any():
-        return StampCheck(0.0, faults=("all points have one time; motion during a revolution cannot be compensated",))
+        return StampCheck(
+            0.0,
+            faults=("all points have one time; motion during a revolution cannot be compensated",),
+        )
     faults = []
     if len(values) > 1 and counts.max() > _MAX_EQUAL_SHARE * len(times):
         is_missing |= times == values[counts.argmax()]
     if is_missing.mean() > _MAX_MISSING:
-        faults.append(f"{is_missing.mean():.0%} of the points have no time (NaN, or one value for all of them)")
+        faults.append(
+            f"{is_missing.mean():.0%} of the points have no time (NaN, or one value for all of them)",
+        )
     if (~is_missing).sum() < _MIN_POINTS:
         return StampCheck(0.0, faults=tuple(faults))
-    points, times = points[~is_missing], times[~is_missing]
+    points = points[~is_missing]
+    times = times[~is_missing]
     span_s = float(np.ptp(times))
-    if not _REVOLUTION_S[0] <= span_s <= _REVOLUTION_S[1]:
-        units = [name for name, unit in _UNITS.items() if _REVOLUTION_S[0] <= unit * span_s <= _REVOLUTION_S[1]]
-        hint = f"are they in {' or '.join(units)}?" if units else "are they in seconds?"
+    if not _is_revolution(span_s):
+        units = [name for name, unit_s in _UNITS.items() if _is_revolution(unit_s * span_s)] or ["seconds"]
         faults.append(
-            f"times span {span_s:.3g} s; a revolution takes {_REVOLUTION_S[0]:g} to {_REVOLUTION_S[1]:g} s; {hint}"
+            f"times span {span_s:.3g} s; a revolution takes {_FASTEST_S:g} to {_SLOWEST_S:g} s; "
+            f"are they in {' or '.join(units)}?"
         )
     rotation = _rotation(points, times)
     if rotation is None:
         faults.append("times do not follow the azimuth; do they belong to other points?")
-    place = None
-    if stamp_s is not None and not faults:
-        before = stamp_s - times.min() if times.min() > 86_400 else -times.min()
-        place = next((name for name, at in _PLACES.items() if abs(before / span_s - at) < _PLACE_TOLERANCE), None)
-        if not -_PLACE_TOLERANCE < before / span_s < 1 + _PLACE_TOLERANCE:
-            faults.append(
-                f"the scan's own time is {before:+.3f} s after its first point, outside of the {span_s:.3f} s of its "
-                "points; are both from one clock?"
-            )
-    return StampCheck(span_s, place, rotation or 0, tuple(faults))
+    if stamp_s is None or faults:
+        return StampCheck(span_s, None, rotation or 0, tuple(faults))
+    after_s = -times.min()
+    if times.min() > _DAY_S:
+        after_s += stamp_s
+    share = after_s / span_s
+    if not -_PLACE_TOLERANCE < share < 1 + _PLACE_TOLERANCE:
+        faults.append(
+            f"the scan's own time is {after_s:+.3f} s after its first point, outside of the "
+            f"{span_s:.3f} s of its points; are both from one clock?"
+        )
+    places = [name for name, at in _PLACES.items() if abs(share - at) < _PLACE_TOLERANCE]
+    return StampCheck(span_s, places[0] if places else None, rotation or 0, tuple(faults))
 
 
 def stamp_differences(real: StampCheck | None, sim: StampCheck | None) -> list[str]:
@@ -103,34 +122,50 @@ def stamp_differences(real: StampCheck | None, sim: StampCheck | None) -> list[s
     """
     if real is None or sim is None:
         return []
-    found = []
+    lines = []
     if real.place and sim.place and real.place != sim.place:
         apart = abs(_PLACES[real.place] - _PLACES[sim.place]) * max(real.span_s, sim.span_s)
-        found.append(
-            f"the time of a real scan is that of its {real.place} point, the time of a simulated scan that of its "
-            f"{sim.place} point: scans with the same time are {apart:.2g} s apart"
+        lines.append(
+            f"the time of a real scan is that of its {real.place} point, the time of a simulated "
+            f"scan that of its {sim.place} point: scans with the same time are {apart:.2g} s apart"
         )
     if real.rotation * sim.rotation < 0:
         ways = {1: "anticlockwise", -1: "clockwise"}
-        own, other = ways[real.rotation], ways[sim.rotation]
-        found.append(f"by the times, the real sensor rotates {own} and the simulated one {other}")
-    return found
+        lines.append(
+            f"by the times, the real sensor rotates {ways[real.rotation]} and the simulated one {ways[sim.rotation]}",
+        )
+    return lines
+
+
+def _is_revolution(span_s: float) -> bool:
+    return _FASTEST_S <= span_s <= _SLOWEST_S
 
 
 def _rotation(points: FloatArray, times: FloatArray) -> int | None:
     """Sense of rotation by time: +1, -1, 0 if there are too few returns; None if there is no rotation."""
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     start, stop = np.quantile(times, (0.005, 0.995))
-    if len(times) < _MIN_POINTS or start == stop or len(np.unique(np.floor(azimuth / (np.pi / 6)))) < 7:
+    if (
+        len(times) < _MIN_POINTS
+        or start == stop
+        or len(
+            np.unique(np.floor(azimuth / (np.pi / 6))),
+        )
+        < 7
+    ):
         return 0
     part = np.floor((times - start) / (stop - start) * _BINS)
     is_used: BoolArray = (part >= 0) & (part < _BINS)
     number = part[is_used].astype(np.intp)
+    azimuth = azimuth[is_used]
     count = np.bincount(number, minlength=_BINS)
-    mean = np.bincount(number, np.cos(azimuth[is_used]), _BINS) + 1j * np.bincount(
-        number, np.sin(azimuth[is_used]), _BINS
-    )
-    mean = mean[count >= _MIN_IN_BIN] / count[count >= _MIN_IN_BIN]
+    total = np.bincount(
+        number,
+        np.cos(azimuth),
+        _BINS,
+    ) + 1j * np.bincount(number, np.sin(azimuth), _BINS)
+    is_full = count >= _MIN_IN_BIN
+    mean = total[is_full] / count[is_full]
     if len(mean) < _BINS / 3:
         return 0
     steps = np.angle(mean[1:] / mean[:-1])

@@ -113,12 +113,12 @@ def _candidate_arcs(a: FloatArray, b: FloatArray, price_b: FloatArray) -> IndexA
 
 def _cheapest(
     nodes: FloatArray,
-    others: FloatArray,
+    other_nodes: FloatArray,
     price: FloatArray,
 ) -> tuple[scipy.sparse.csr_array, FloatArray]:
-    """Cheapest arcs to the others for each node, (n, n), and the smallest cost, (n,); in single precision."""
+    """Cheapest arcs to the other_nodes for each node, (n, n), and the smallest cost, (n,); in single precision."""
     x = nodes.astype(np.float32)
-    y = others.astype(np.float32)
+    y = other_nodes.astype(np.float32)
     price_y = price.astype(np.float32)
     columns = []
     counts = []
@@ -140,11 +140,11 @@ def _cheapest(
     return arcs, np.concatenate(least).astype(np.float64)
 
 
-def _least(nodes: FloatArray, others: FloatArray, price: FloatArray) -> FloatArray:
+def _least(nodes: FloatArray, other_nodes: FloatArray, price: FloatArray) -> FloatArray:
     """min_j (|x_i - y_j| - price_j) for each node i."""
     least = []
-    for rows in _blocks(len(nodes), len(others)):
-        cost = scipy.spatial.distance.cdist(nodes[rows], others) - price
+    for rows in _blocks(len(nodes), len(other_nodes)):
+        cost = scipy.spatial.distance.cdist(nodes[rows], other_nodes) - price
         least.append(cost.min(axis=1))
     return np.concatenate(least)
 

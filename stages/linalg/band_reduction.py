@@ -242,12 +242,12 @@ class _Reduction:
 
     def apply_below(self, block: _Block) -> None:
         """From the right, on the rows C below: C - (C V) T V^T; this makes the bulge."""
-        rows, k, others = map(self.number, (block.n_rows, block.n_columns, block.n_below))
+        rows, k, rows_below = map(self.number, (block.n_rows, block.n_columns, block.n_below))
         below = self.at(block.row + block.n_rows, block.row)
         dgemm = self.call["dgemm"]
-        dgemm(_N, _N, others, k, rows, _ONE, *below, *self.v, _ZERO, *self.x)
-        self.call["dtrmm"](_RIGHT, _UPPER, _N, _N, others, k, _ONE, *self.t, *self.x)
-        dgemm(_N, _T, others, rows, k, _MINUS, *self.x, *self.v, _ONE, *below)
+        dgemm(_N, _N, rows_below, k, rows, _ONE, *below, *self.v, _ZERO, *self.x)
+        self.call["dtrmm"](_RIGHT, _UPPER, _N, _N, rows_below, k, _ONE, *self.t, *self.x)
+        dgemm(_N, _T, rows_below, rows, k, _MINUS, *self.x, *self.v, _ONE, *below)
 
 
 def _numbered(symmetric: scipy.sparse.csr_matrix) -> tuple[scipy.sparse.coo_matrix, IndexArray]:

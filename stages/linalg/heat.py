@@ -6,6 +6,8 @@ than 1, so that no term outgrows its weight; the exponential itself, a dense mat
 
 from __future__ import annotations
 
+from itertools import count
+
 import numpy as np
 import scipy
 
@@ -71,11 +73,10 @@ def heat_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: 
         return _dense_change(real, sim, t)
     similarity_real = scipy.sparse.eye_array(n, format="csr") - real
     similarity_sim = scipy.sparse.eye_array(n, format="csr") - sim
-    n_terms = _n_terms(t)
 
     def apply(vector: FloatArray) -> FloatArray:
-        heat_real = _heat(similarity_real, vector.ravel(), t, n_terms)
-        heat_sim = _heat(similarity_sim, vector.ravel(), t, n_terms)
+        heat_real = _heat(similarity_real, vector.ravel(), t)
+        heat_sim = _heat(similarity_sim, vector.ravel(), t)
         return heat_sim - heat_real
 
     change = scipy.sparse.linalg.LinearOperator((n, n), matvec=apply, dtype=np.float64)
@@ -83,29 +84,18 @@ def heat_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: 
     return _dense_change(real, sim, t) if norm is None else norm
 
 
-def _heat(
-    similarity: scipy.sparse.csr_matrix,
-    vector: FloatArray,
-    t: float,
-    n_terms: int,
-) -> FloatArray:
-    """exp(-tL) v with S = I - L, from the first terms of the series."""
-    term = vector * np.exp(-t)
+def _heat(similarity: scipy.sparse.csr_matrix, vector: FloatArray, t: float) -> FloatArray:
+    """exp(-tL) v with S = I - L, by its series up to weights e^-t t^k / k! below the rounding of their sum, 1."""
+    weight = float(np.exp(-t))
+    term = vector * weight
     total = term.copy()
-    for k in range(1, n_terms):
+    for k in count(1):
+        weight *= t / k
+        if k > t and weight <= np.finfo(np.float64).eps:
+            break
         term = similarity @ term * (t / k)
         total += term
     return np.asarray(total)
-
-
-def _n_terms(t: float) -> int:
-    """Number of terms until the weights e^-t t^k / k! are below the rounding of their sum, which is 1."""
-    k = 0
-    weight = float(np.exp(-t))
-    while k <= t or weight > np.finfo(np.float64).eps:
-        k += 1
-        weight *= t / k
-    return k
 
 
 def _dense_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: float) -> float:

@@ -54,17 +54,22 @@ def upper_half(n_nodes: int, edges: Edges) -> scipy.sparse.csr_matrix:
     return scipy.sparse.csr_matrix((lengths, edges.dst, starts), shape=(n_nodes, n_nodes))
 
 
-def connected_pieces(n_nodes: int, edges: Edges) -> IndexArray:
-    """Connected component of each node, (n,), numbered from 0, regardless of the length of edges.
+def connected_nodes(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]) -> IndexArray:
+    """Connected component of each node, (n,), numbered from 0.
+
+    Parameters
+    ----------
+    src, dst : (m,), nodes of each edge
 
     Examples
     --------
     >>> import numpy as np
-    >>> ends = np.array([0], np.int32), np.array([2], np.int32)
-    >>> connected_pieces(3, Edges(*ends, np.zeros(1, np.float32))).tolist()
+    >>> connected_nodes(3, np.array([0]), np.array([2])).tolist()
     [0, 1, 0]
     """
-    return _components(n_nodes, edges.src, edges.dst)
+    is_linked = np.ones(len(src), dtype=np.bool_)
+    graph = scipy.sparse.coo_matrix((is_linked, (src, dst)), shape=(n_nodes, n_nodes))
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
 def connected_points(points: FloatArray, link_m: float) -> IndexArray:
@@ -92,7 +97,7 @@ def connected_points(points: FloatArray, link_m: float) -> IndexArray:
     k = np.arange(1, min(n, _NEAREST + 1) + 1)  # the point itself is the first
     distance_m, nearest = scipy.spatial.cKDTree(points).query(points, k, distance_upper_bound=bound)
     is_linked = distance_m <= link_m
-    labels = _components(n, np.nonzero(is_linked)[0], nearest[is_linked])
+    labels = connected_nodes(n, np.nonzero(is_linked)[0], nearest[is_linked])
     dense = np.flatnonzero(is_linked[:, -1])
     n_before = -1
     while True:
@@ -109,14 +114,7 @@ def connected_points(points: FloatArray, link_m: float) -> IndexArray:
             is_linked = distance_m <= link_m
             src = labels[zeros[is_linked]]
             dst = labels[ones[nearest[is_linked]]]
-            labels = _components(n, src, dst)[labels]
-
-
-def _components(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]) -> IndexArray:
-    """The connected component of each node, (n,), numbered from 0."""
-    joined = np.ones(len(src), dtype=np.bool_)
-    graph = scipy.sparse.coo_matrix((joined, (src, dst)), shape=(n_nodes, n_nodes))
-    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
+            labels = connected_nodes(n, src, dst)[labels]
 
 
 def split_by_community(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,10 +14,11 @@ from ..arrays import FloatArray
 from ..statistics.comparison import holm
 
 RULE = (
-    "a value replaces the current one if its match rate is clearly higher (of several the highest), or, if no match "
-    "rate is, if its r_lambda is clearly lower and its match rate not clearly lower (of several the lowest r_lambda). "
-    "Clearly: by a paired t-test over the pairs at 5 %, corrected (Holm) for all tests of the experiment: without any "
-    "effect some setting is replaced in under 5 % of the experiments. Delta is left out: the larger it is, the more "
+    "a value replaces the current one if its match rate is clearly higher (of several the "
+    "highest), or, if no match rate is, if its r_lambda is clearly lower and its match rate not "
+    "clearly lower (of several the lowest r_lambda). Clearly: by a paired t-test over the pairs "
+    "at 5 %, corrected (Holm) for all tests of the experiment: without any effect some setting "
+    "is replaced in under 5 % of the experiments. Delta is left out: the larger it is, the more "
     "objects match, regardless of their quality"
 )
 LEVEL = 0.05
@@ -75,43 +77,64 @@ def choose_parameters(trials: Sequence[Trial]) -> list[Choice]:
 
     All are tested together, because each further test is one more chance to find an effect that does not exist.
     """
-    changes = [
-        [values - values[:, [trial.current]] for values in (trial.match_rate, trial.r_lambda)] for trial in trials
-    ]
-    p_values = [_p_value(change) for of_trial in changes for of_score in of_trial for change in of_score.T]
-    is_clear = iter([p is not None and p < LEVEL for p in holm(p_values)])
-    signs = [
-        [[int(np.sign(change.mean())) if next(is_clear) else 0 for change in of_score.T] for of_score in of_trial]
-        for of_trial in changes
-    ]
-    return [_choose(trial, *own) for trial, own in zip(trials, signs, strict=True)]
+    changes = []
+    p_values: list[float | None] = []
+    for trial in trials:
+        for scores in (trial.match_rate, trial.r_lambda):
+            change = scores - scores[:, [trial.current]]
+            changes.append(change)
+            p_values += [_p_value(column) for column in change.T]
+    corrected = iter(holm(p_values))
+    signs = [_clear_signs(change, islice(corrected, change.shape[1])) for change in changes]
+    return [_choose(*signed) for signed in zip(trials, signs[::2], signs[1::2], strict=True)]
+
+
+def _clear_signs(change: FloatArray, p_values: Iterable[float | None]) -> list[int]:
+    """For each value 1 or -1 if the mean change is clear; else 0."""
+    is_clear = [p_value is not None and p_value < LEVEL for p_value in p_values]
+    return np.where(is_clear, np.sign(change.mean(axis=0)), 0).astype(int).tolist()
 
 
 def _choose(trial: Trial, match_rate: Sequence[int], r_lambda: Sequence[int]) -> Choice:
     """The choice of one parameter from the signs of clear changes: 1 if a value has more than the current one."""
-    name, tried, current = trial.name, trial.tried, trial.current
-    n_pairs, here = len(trial.match_rate), _named(name, tried[current])
+    name = trial.name
+    current = trial.tried[trial.current]
+    n_pairs = len(trial.match_rate)
+    here = _named(name, current)
     if n_pairs < LEAST_PAIRS:
         text = f"the data do not decide: expected at least {LEAST_PAIRS} pairs, got {n_pairs}; {here} stays"
-        return Choice(name, tried[current], False, text)
-    others = [i for i in range(len(tried)) if i != current]
-    higher, lower = ([i for i in others if match_rate[i] == sign] for sign in (1, -1))
-    better_r_lambda = [i for i in others if i not in lower and r_lambda[i] == -1]
-    for winners, values, score, sign in (
-        (higher, trial.match_rate, "match rate", 1),
-        (better_r_lambda, trial.r_lambda, "r_lambda", -1),
-    ):
-        if winners:
-            means = values.mean(axis=0)
-            best = winners[int(np.argmax(sign * means[winners]))]
-            text = f"{_named(name, tried[best])} instead of {here}: {score} {means[best]:.3f} against "
-            rest = [tried[i] for i in winners if i != best]
-            also = f" (clearly better too: {_listed(name, rest)})" if rest else ""
-            return Choice(name, tried[best], True, f"{text}{means[current]:.3f}{also}")
+        return Choice(name, current, False, text)
+    others = [i for i in range(len(trial.tried)) if i != trial.current]
+    higher = [i for i in others if match_rate[i] == 1]
+    lower = [i for i in others if match_rate[i] == -1]
+    if higher:
+        means = trial.match_rate.mean(axis=0)
+        return _replaced(trial, "match rate", means, higher, max(higher, key=means.item))
+    lower_r_lambda = [i for i in others if i not in lower and r_lambda[i] == -1]
+    if lower_r_lambda:
+        means = trial.r_lambda.mean(axis=0)
+        return _replaced(
+            trial,
+            "r_lambda",
+            means,
+            lower_r_lambda,
+            min(lower_r_lambda, key=means.item),
+        )
     if all(i in lower or r_lambda[i] == 1 for i in others):
-        return Choice(name, tried[current], True, f"{here} stays: all other values are clearly worse")
+        return Choice(name, current, True, f"{here} stays: all other values are clearly worse")
     text = f"the data do not decide: no other value is clearly better; {here} stays"
-    return Choice(name, tried[current], False, text)
+    return Choice(name, current, False, text)
+
+
+def _replaced(trial: Trial, score: str, means: FloatArray, better: Sequence[int], best: int) -> Choice:
+    """The best value instead of the current one."""
+    name = trial.name
+    text = f"{_named(name, trial.tried[best])} instead of {_named(name, trial.tried[trial.current])}: "
+    text += f"{score} {means[best]:.3f} against {means[trial.current]:.3f}"
+    rest = [trial.tried[i] for i in better if i != best]
+    if rest:
+        text += f" (clearly better too: {_listed(name, rest)})"
+    return Choice(name, trial.tried[best], True, text)
 
 
 def _p_value(change: FloatArray) -> float | None:

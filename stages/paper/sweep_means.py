@@ -53,7 +53,11 @@ class Means:
         self._by_key: dict[tuple[str | None, Perturbation, str], Mean] = {}
         for row in rows:
             level = Perturbation(row["kind"], row["amount"], row["shift_m"])
-            self._by_key[row["object"], level, row["metric"]] = Mean(row["mean"], row["std"], row["n"])
+            self._by_key[row["object"], level, row["metric"]] = Mean(
+                row["mean"],
+                row["std"],
+                row["n"],
+            )
         self.objects = tuple(dict.fromkeys(name for name, _, _ in self._by_key if name is not None))
         self.object_metrics = {metric for name, _, metric in self._by_key if name is not None}
 
@@ -61,10 +65,11 @@ class Means:
         """One mean; that of the whole scan if `object_name` is None."""
         return self._by_key.get((object_name, level, metric), Mean())
 
-    def series(self, object_name: str | None, levels: Sequence[Perturbation], metric: str) -> list[float]:
-        """The means at some levels without those that could not be computed."""
-        means = (self.get(object_name, level, metric).mean for level in levels)
-        return [mean for mean in means if mean is not None]
+    def over_objects(self, level: Perturbation, metric: str) -> float | None:
+        """Mean over the objects; None if it could be computed for none."""
+        means = [self.get(name, level, metric).mean for name in self.objects]
+        known = [mean for mean in means if mean is not None]
+        return sum(known) / len(known) if known else None
 
 
 def react(means: Means, levels: Sequence[Perturbation]) -> list[Reaction]:
@@ -78,12 +83,17 @@ def react(means: Means, levels: Sequence[Perturbation]) -> list[Reaction]:
     strongest = strongest_levels(levels)
     reactions = []
     for metric in (*OWN_METRICS, *sorted(means.object_metrics - set(OBJECT_METRICS))):
-        values = []
-        for level in strongest:
-            by_object = [value for name in means.objects for value in means.series(name, [level], metric)]
-            values.append(sum(by_object) / len(by_object) if by_object else None)
+        values = [means.over_objects(level, metric) for level in strongest]
         equal = METRIC[metric].equal or 0.0
-        moved = {level: abs(v - equal) for level, v in zip(strongest, values, strict=True) if v is not None}
+        moved = {
+            level: abs(v - equal)
+            for level, v in zip(
+                strongest,
+                values,
+                strict=True,
+            )
+            if v is not None
+        }
         most = max(moved, key=lambda level: moved[level]) if any(moved.values()) else None
         reactions.append(Reaction(metric, tuple(values), most))
     return reactions
@@ -93,8 +103,9 @@ def strongest_levels(levels: Sequence[Perturbation]) -> list[Perturbation]:
     """The level of each kind with the largest amount; of density also the one with the smallest."""
     strongest = []
     for kind in dict.fromkeys(level.kind for level in levels):
-        own = sorted((level for level in levels if level.kind == kind), key=lambda level: (level.amount, level.shift_m))
-        if kind == "density" and own[0].amount < 1 < own[-1].amount:
-            strongest.append(own[0])
-        strongest.append(own[-1])
+        of_kind = [level for level in levels if level.kind == kind]
+        of_kind.sort(key=lambda level: (level.amount, level.shift_m))
+        if kind == "density" and of_kind[0].amount < 1 < of_kind[-1].amount:
+            strongest.append(of_kind[0])
+        strongest.append(of_kind[-1])
     return strongest

@@ -4,11 +4,13 @@ A changed file has other times; a bit that a failing disk flips changes none, so
 times of the damaged file.
 """
 
+import json
 import random
 import re
 import sqlite3
 from contextlib import closing
 
+import pyarrow as pa
 import pytest
 
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
@@ -17,7 +19,18 @@ from fidpipe.pipeline.storage.files import hash_file
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.pipeline.storage.ledger import LEDGER, SEAL
 from fidpipe.schemas.errors import RunError
-from runs import FOLDERS, assert_same_tables, changed_files, command, flip, marks, run, some_of, temporary_files
+from runs import (
+    FOLDERS,
+    assert_same_tables,
+    changed_files,
+    command,
+    flip,
+    marks,
+    rewrite,
+    run,
+    some_of,
+    temporary_files,
+)
 from tries import assert_resumes
 
 WHOLE_RUN = ["pairs", "timings"]
@@ -148,3 +161,22 @@ def test_status_names_the_damaged_table_and_the_command_that_recomputes_it(again
     shown = command("status", again, code=0).stdout
     assert "damaged or gone: metrics/000.parquet" in shown
     assert "finish it with: fidpipe run" in shown
+
+
+def test_a_cause_that_the_catalogue_does_not_have_is_ignored(again, finished):
+    """As an edit by hand leaves it: in the tables whose hashes agree, and in the record."""
+
+    def rename(rows):
+        index = rows.schema.get_field_index("cause")
+        names = ["phase of the moon", *rows["cause"].to_pylist()[1:]]
+        return rows.set_column(index, rows.schema.field(index), pa.array(names, rows["cause"].type))
+
+    for path in tables_of(again, "causes"):
+        rewrite(again, f"causes/{path.name}", rename)
+    record = json.loads((again / "run.json").read_text())
+    del record["sha256"]
+    for cause in record["overview"]["causes"]:
+        cause["name"] = "phase of the moon"
+    (again / "run.json").write_text(json.dumps(record))
+    for words in (("show", again), ("show", again, "000"), ("report", again), ("compare", finished, again)):
+        assert "Traceback" not in command(*words, code=0).stderr

@@ -110,7 +110,7 @@ def pool(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
     pool = DaskPool(1, None, (), {})
     yield pool
-    pool.close(now=True)
+    pool.close()
 
 
 def test_a_finished_task_is_not_run_again_when_its_worker_dies(pool, tmp_path):
@@ -142,5 +142,5 @@ def test_a_pool_closes_quietly_though_its_workers_are_slow_to_die(tmp_path, monk
     monkeypatch.setattr(cluster, "_KILL_S", 0.0)
     pool = DaskPool(1, None, (), {})
     pool.submit(time.sleep, 1)
-    pool.close(now=True)
+    pool.close()
     assert pool._cluster.status.name == "closed"

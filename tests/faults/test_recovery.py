@@ -11,10 +11,10 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from fidpipe.pipeline import run as run_module
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.pipeline.run import _Run
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.schemas.errors import RunError, StageError
 from fidpipe.schemas.settings import load
@@ -126,7 +126,7 @@ def test_a_run_with_nothing_to_do_leaves_the_finished_record_until_it_has_the_ne
         seen.append(FinishedRun(again).record)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_Run, "write", dies)
+    monkeypatch.setattr(run_module.Run, "write", dies)
     with pytest.raises(KeyboardInterrupt):
         run(dataset, again)
     assert seen == [FinishedRun(again).record] == [before]
@@ -138,7 +138,7 @@ def test_readers_next_to_a_working_run_say_so_and_then_that_it_has_not_ended(aga
             FinishedRun(again)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_Run, "write", dies)
+    monkeypatch.setattr(run_module.Run, "write", dies)
     with pytest.raises(KeyboardInterrupt):
         run(dataset, again, from_stage="metrics")
     with pytest.raises(RunError, match="the run has not ended"):
@@ -152,7 +152,7 @@ def test_another_table_of_pairs_takes_the_finished_record_away_until_it_has_the_
     run(larger, again)
     for side in ("real", "sim"):
         (larger / side / "more.bin").write_bytes(b"no points")
-    monkeypatch.setattr(_Run, "_timing_parts", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(run_module, "write_timings", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         run(larger, again)
     with pytest.raises(RunError, match="the run has not ended"):

@@ -5,6 +5,7 @@ import re
 import shutil
 import signal
 import subprocess
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -94,3 +95,25 @@ def test_a_file_system_that_becomes_read_only_ends_a_run_with_a_line(dataset, fi
         assert own_process(*words).returncode == 0
     assert remount(file_system, "rw")
     assert_resumes(dataset, out, finished)
+
+
+@pytest.fixture
+def temporary():
+    """A folder for temporary files, whose path is short enough for the sockets in it."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
+
+
+def test_what_a_killed_command_left_among_temporary_files_is_removed_by_the_next(data, finished, tmp_path, temporary):
+    out = tmp_path / "run"
+    started = Started("run", data, "--out", out, "--workers", 2, TMPDIR=str(temporary))
+    assert started.wait_for(lambda: list(out.glob("ground/*.parquet")))
+    left = {path.name.partition("-")[0] for path in temporary.glob("*/*")}
+    assert {"pymp", "dask"} <= left, left
+    for process in started.family():
+        process.kill()
+    started.end()
+    assert list(temporary.iterdir())
+    own_process("run", data, "--out", out, "--workers", 2, code=0, env={**os.environ, "TMPDIR": str(temporary)})
+    assert not list(temporary.iterdir())
+    assert_resumes(data, out, finished)

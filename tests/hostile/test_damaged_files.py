@@ -12,7 +12,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fidpipe.pipeline.datasets.readers import frames_of, holds_frames, may_crash, read_scan
+from fidpipe.pipeline.datasets.pairs import scans_of
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
 from fidpipe.schemas.errors import FidpipeError
 from scan_files import POINTS, WRITERS, write_packets
 
@@ -144,16 +146,15 @@ def outcome(path):
     n_bytes = sum(file.stat().st_size for file in [path, *path.rglob("*")])
     before = peak_memory()
     try:
-        frames = frames_of(path) if holds_frames(path) else [path]
-        for frame in frames[:1]:
-            read_scan(frame)
+        for scan in scans_of(path)[:1]:
+            read_scan(scan)
         result = "points"
     except FidpipeError as error:
         result = "error" if len(str(error).splitlines()) == 1 else f"several lines: {error}"
     except Exception as error:
         return f"{type(error).__name__}: {error}"
     grown = peak_memory() - before
-    is_bounded_by_worker = may_crash(path)
+    is_bounded_by_worker = scan_ref(path).format.may_crash
     if grown > MAX_BYTES + MAX_BYTES_PER_BYTE * n_bytes and not is_bounded_by_worker:
         return f"{grown / 2**20:.0f} MiB for {n_bytes} bytes"
     return result
@@ -179,7 +180,7 @@ def test_a_damaged_file_gives_points_or_one_line_of_error(child, tmp_path_factor
     assert child.read(path) == "points"
     valid = {part: part.read_bytes() for part in [path, *path.glob("*")] if part.is_file()}
     allowed = {"points", "error"}
-    if may_crash(path):  # runs read such files in workers with a limit, and replace a worker that ends
+    if scan_ref(path).format.may_crash:  # runs read such files in workers with a limit, and replace a worker that ends
         allowed.add("ended")
 
     @settings(max_examples=100, derandomize=True, database=None, deadline=None, suppress_health_check=[*HealthCheck])

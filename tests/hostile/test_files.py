@@ -14,8 +14,10 @@ import pandas as pd
 import pytest
 
 import fidpipe
-from fidpipe.pipeline.datasets.pairs import read_dataset, read_label_names
-from fidpipe.pipeline.datasets.readers import FORMATS, frames_of, holds_frames, read_scan, suffix_of
+from fidpipe.pipeline.datasets.pairs import read_dataset, read_label_names, scans_of
+from fidpipe.pipeline.datasets.readers import frames_of, read_scan
+from fidpipe.pipeline.datasets.readers.formats import FORMATS
+from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
 from fidpipe.schemas.errors import DatasetError, ScanError
 from recordings import write_las
 from runs import command
@@ -248,7 +250,7 @@ def test_each_format_is_among_them(tmp_path):
         (tmp_path / name).mkdir()
         write(tmp_path / name / file, np.ones((1, 4), "<f4"))
         files = [tmp_path / name / file, *(tmp_path / name).rglob("*")]
-        written |= {suffix_of(path) for path in files}
+        written |= {scan_ref(path).suffix for path in files}
     assert set(FORMATS) - written == NOT_WRITTEN
 
 
@@ -315,13 +317,12 @@ def test_each_real_scan_is_read(real_data):
     files = [
         path
         for path in sorted(real_data.rglob("*"))
-        if suffix_of(path)
+        if scan_ref(path).suffix
         and not path.parent.name.startswith("rosbag2")
         and path.name != "pairs.csv"
         and path.parent.name != "05_six_columns"
     ]
     assert len(files) > 20
     for path in files:
-        frames = frames_of(path) if holds_frames(path) else [path]
         columns = ("x", "y", "z") if "lumpi" in path.parts else None
-        assert all(len(read_scan(frame, columns).points) > 500 for frame in frames), path
+        assert all(len(read_scan(frame, columns).points) > 500 for frame in scans_of(path)), path

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fidpipe.pipeline.datasets.pairs import check_rigid, read_dataset, read_label_names, read_manifest
-from fidpipe.pipeline.datasets.readers.frame_address import Address, address_of
 from fidpipe.pipeline.datasets.readers.scan import scan_from_columns
+from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
 from fidpipe.pipeline.results.gate import parse_word, read_criteria
 from fidpipe.pipeline.storage.table_files import file_stem, table_name
 from fidpipe.pipeline.terminal import shown
@@ -54,10 +54,9 @@ def test_what_is_shown_steers_nothing_and_stays_as_it_is(text):
 @given(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=80))
 def test_any_path_names_a_file_or_a_frame_or_is_refused(text):
     with suppress(FidpipeError):
-        address = address_of(Path(text))
-        assert isinstance(address, Address)
-        assert str(address.file) in str(Path(text)) or str(address.file) == "."
-        assert address.time_ns is None or address.time_ns >= 0
+        scan = scan_ref(text)
+        assert str(scan.file) in str(Path(text)) or str(scan.file) == "."
+        assert scan.time_ns is None or scan.time_ns >= 0
 
 
 @given(st.dictionaries(TEXT, VALUE, max_size=4))

@@ -38,7 +38,7 @@ TWIN = 'version = 1\nseed = 0\nsensor = "x"\ninputs_sha256 = "00"\nfiles = {}\n'
 
 def twins(out, replace=True):
     """Makes the twins of a recording without a frame."""
-    recording = Recording(out.parent / "posed", Path("poses.tum"), (), {})
+    recording = Recording(out.parent / "posed", (), {}, poses=Path("poses.tum"))
     twin.make_twins(recording, out, QUIET, replace=replace)
 
 

@@ -57,7 +57,7 @@ class StoredPair:
     def scan(self, side):
         """The scan of a side, as it is in its file."""
         columns = self.settings.input.columns_of(side)
-        return read_scan(self.pair.path(side), columns, self.label_names)
+        return read_scan(self.pair.scans[side], columns, self.label_names)
 
     def metadata(self, stage, side=""):
         """The stored metadata of a job."""

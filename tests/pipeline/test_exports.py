@@ -181,7 +181,7 @@ def test_projected_coordinates_are_named_without_a_larger_range(tmp_path):
 def test_foxglove_clouds_are_read_by_frame(tmp_path):
     scans = [street(seed) for seed in range(2)]
     path = write_foxglove(tmp_path / "a.mcap", [rows(scan) for scan in scans])
-    assert [frame.name for frame in frames_of(path)] == ["lidar@5.000000000", "lidar@6.000000000"]
+    assert [str(frame) for frame in frames_of(path)] == [f"{path}#/lidar@{time_s}.000000000" for time_s in (5, 6)]
     for address, scan in zip((f"{path}#0", f"{path}#/lidar@6.0"), scans, strict=True):
         frame = read_scan(address)
         np.testing.assert_array_equal(frame.points, scan.astype(np.float32))

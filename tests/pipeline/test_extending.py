@@ -16,7 +16,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from fidpipe.pipeline.datasets import readers
+from fidpipe.pipeline.datasets.readers import formats
 from fidpipe.schemas.errors import DatasetError
 from runs import JOBS_PER_PAIR, command, own_process
 from scenes import drifted, street, write_bin
@@ -165,6 +165,15 @@ def test_the_score_is_in_every_table_and_nothing_stale_is_kept(again, dataset, t
     pairs = pd.read_parquet(again / "pairs.parquet").set_index("pair_id")
     means = pd.read_parquet(again / "metrics").groupby("pair_id").frobenius_change.mean()
     assert pairs.frobenius_change_mean.to_dict() == pytest.approx(means.to_dict())
+    shutil.copytree(again, tmp_path / "copy")
+    shown = ("show", again, "000", metrics.query("pair_id == '000'").real_id.iloc[0])
+    for words in (("show", again, "--all"), shown, ("compare", tmp_path / "copy", again, "--all")):
+        assert "change, Frobenius" in package.fidpipe(*words).stdout, words
+    assert "frobenius_change" in package.fidpipe("show", again, "000", "--csv").stdout.splitlines()[0].split(",")
+    package.fidpipe("report", again)
+    assert '"title":"change, Frobenius"' in (again / "report.html").read_text(encoding="utf-8")
+    objects = "from fidpipe.pipeline.exchange.export import OBJECT; print(OBJECT.names)"
+    assert "'frobenius_change'" in package.start(sys.executable, "-c", objects).stdout
     assert "replacing results of pair 000" in package.fidpipe(*perturb, "--replace").stderr
     assert "frobenius_change_mean" in pd.read_parquet(tmp_path / "perturb" / "perturb_global.parquet")
     scan = dataset / "real" / "000.bin"
@@ -258,8 +267,8 @@ def test_a_package_of_others_adds_a_format(tmp_path, pts_package):
 
 def test_two_readers_of_one_suffix_are_refused_and_both_named(monkeypatch):
     entries = [EntryPoint("ply", "other_package.ply", "fidpipe.readers")]
-    monkeypatch.setattr(readers, "entry_points", lambda group: entries)
-    readers._other_formats.cache_clear()
+    monkeypatch.setattr(formats, "entry_points", lambda group: entries)
+    formats._other_formats.cache_clear()
     with pytest.raises(DatasetError, match=r"ply and other_package\.ply"):
-        readers.formats()
-    readers._other_formats.cache_clear()
+        formats.known_formats()
+    formats._other_formats.cache_clear()

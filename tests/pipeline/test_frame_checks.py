@@ -17,7 +17,7 @@ from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.pipeline.results.measures import Measures
-from fidpipe.pipeline.run import few_of_each
+from fidpipe.pipeline.run_tables import few_of_each
 from fidpipe.schemas.settings import InputSettings, Settings, load
 from fidpipe.stages.frame_search import check_frames
 from runs import command, run

@@ -324,7 +324,7 @@ def test_folders_are_paired_by_stem_and_scans_without_a_partner_are_counted_and_
     (text,) = dataset.warnings
     assert text.startswith(f"{tmp_path}: 1 real and 1 simulated scans")
     paired, *alone = dataset.pairs
-    assert (paired.pair_id, paired.real.name, paired.fault) == ("a", "a.bin", None)
+    assert (paired.pair_id, paired.real.file.name, paired.fault) == ("a", "a.bin", None)
     for pair, name in zip(alone, "bc", strict=True):
         assert pair.pair_id == name
         assert f"{name}.bin: no partner" in pair.fault

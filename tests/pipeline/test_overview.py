@@ -120,7 +120,7 @@ def test_a_run_that_was_stopped_keeps_the_results_that_it_was_replacing(finished
 
     settings = Settings.model_validate({"matching": {"delta_m": 3.0}})
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(run_module._Run, "write", stop)
+        patch.setattr(run_module.Run, "write", stop)
         run(data, folder, settings)
     assert "wall_s" not in json.loads((folder / "run.json").read_text())
     previous = run(data, folder, settings).record.previous

@@ -124,12 +124,12 @@ def test_two_sides_are_paired_by_name_then_by_number_then_by_time(recordings, tm
     folder, how = dataset_of(tmp_path / "real", tmp_path / "same", tmp_path / "a")
     assert how == f"2 pairs by name, 1 frames without a partner: {tmp_path}/a/pairs.csv"
     pairs = read_dataset(folder).pairs
-    assert [(pair.pair_id, pair.real.name, pair.sim.name) for pair in pairs] == [
+    assert [(pair.pair_id, pair.real.file.name, pair.sim.file.name) for pair in pairs] == [
         ("10", "10.bin", "10.ply"),
         ("2", "2.bin", "2.ply"),
     ]
     pairs = read_dataset(dataset_of(tmp_path / "real", tmp_path / "numbered", tmp_path / "b")[0]).pairs
-    assert [(pair.pair_id, pair.sim.name, pair.timestamp_s) for pair in pairs] == [("10", "f_0010.csv", None)]
+    assert [(pair.pair_id, pair.sim.file.name, pair.timestamp_s) for pair in pairs] == [("10", "f_0010.csv", None)]
     folder, how = dataset_of(*recordings, tmp_path / "c")
     assert "3 pairs by time (simulated times +96.9000 s" in how
     assert dataset_of(*recordings, tmp_path / "c") == (folder, how)  # again, over the same manifest
@@ -163,7 +163,7 @@ def test_a_folder_has_its_times_from_a_file_or_from_its_names(tmp_path):
     assert read_timeline(tmp_path / "listed").times_s.tolist() == [0.5, 0.6, 0.8]
     line = read_timeline(tmp_path / "named")
     assert line.times_s.tolist() == [9.25, 10.25, 11.25]
-    assert [path.name for path in line.frames] == ["9.250.bin", "10.250.bin", "11.250.bin"]
+    assert [scan.file.name for scan in line.frames] == ["9.250.bin", "10.250.bin", "11.250.bin"]
 
 
 def test_a_capture_and_a_bag_of_the_same_turns_are_paired_turn_by_turn(real_data, tmp_path):

@@ -12,8 +12,8 @@ import pytest
 
 from fidpipe.pipeline.datasets.content import scan_content
 from fidpipe.pipeline.datasets.pairs import read_dataset
-from fidpipe.pipeline.datasets.readers import frames_of, read_scan, rosbag, stem_of, suffix_of, velodyne
-from fidpipe.pipeline.datasets.readers.frame_address import address_of
+from fidpipe.pipeline.datasets.readers import frames_of, read_scan, rosbag, velodyne
+from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
 from fidpipe.schemas.errors import ScanError
 from recordings import carla_ply, cloud, columns_of, packets_message, rows, write_bag, write_las, write_pcap
 from runs import command, run
@@ -44,12 +44,12 @@ def ply(points, fmt, label=False):
         ("000104.bin", ".bin", "000104"),
         ("n008__LIDAR.pcd.bin", ".pcd.bin", "n008__LIDAR"),
         ("a.b.PCD", ".pcd", "a.b"),
-        ("notes.txt", None, "notes.txt"),
+        ("notes.txt", "", "notes.txt"),
     ],
 )
 def test_the_stem_is_the_name_less_its_known_suffix(tmp_path, name, suffix, stem):
-    assert suffix_of(tmp_path / name) == suffix
-    assert stem_of(tmp_path / name) == stem
+    scan = scan_ref(tmp_path / name)
+    assert (scan.suffix, scan.stem) == (suffix, stem)
 
 
 #: File, content and message.
@@ -293,10 +293,10 @@ def bag_of(path, *scans, topic="/points"):
 def test_a_frame_of_a_bag_is_read_by_number_and_by_time(tmp_path, name):
     scans = [street(seed) for seed in range(3)]
     bag = bag_of(tmp_path / name, *scans)
-    assert [path.name for path in frames_of(bag)] == [f"points@5.{i}00000000" for i in range(3)]
+    assert [str(frame) for frame in frames_of(bag)] == [f"{bag}#/points@5.{i}00000000" for i in range(3)]
     for i, scan in enumerate(scans):
         for path in (f"{bag}#{i}", f"{bag}#5.{i}", f"{bag}#/points@{i}", frames_of(bag)[i]):
-            read = read_scan(Path(path))
+            read = read_scan(path)
             np.testing.assert_array_equal(read.points, scan.astype(np.float32))
             assert read.intensity.tolist() == (np.arange(len(scan)) % 256).tolist()
             assert read.rings.tolist() == (np.arange(len(scan)) % 32).tolist()
@@ -386,16 +386,22 @@ def test_a_cloud_shorter_than_it_says_is_refused(tmp_path):
 
 def test_a_file_whose_name_has_a_hash_is_a_file(tmp_path):
     bag = bag_of(tmp_path / "drive#2.bag", street())
-    assert address_of(bag).file == bag
-    assert suffix_of(bag) == ".bag"
+    assert scan_ref(bag).file == bag
+    assert scan_ref(bag).suffix == ".bag"
     assert len(read_scan(bag).points) == len(street())
+
+
+@pytest.mark.parametrize("text", ["a.bin", "a.bag", "a.bag#3", "a.bag#/top", "a.bag#/top@3", "a.bag#/top@5.25"])
+def test_the_text_of_a_scan_names_it(text):
+    assert str(scan_ref(text)) == text
+    assert scan_ref(scan_ref(text)) == scan_ref(text)
 
 
 def test_frames_have_names_for_their_results(tmp_path):
     bag = bag_of(tmp_path / "a.bag", street())
-    assert stem_of(Path(f"{bag}#/lidar/top@3")) == "a-lidar-top-3"
-    assert stem_of(Path(f"{bag}#3")) == "a-3"
-    assert stem_of(bag) == "a"
+    assert scan_ref(f"{bag}#/lidar/top@3").stem == "a-lidar-top-3"
+    assert scan_ref(f"{bag}#3").stem == "a-3"
+    assert scan_ref(bag).stem == "a"
 
 
 def test_frames_of_a_time_are_read_without_the_others(tmp_path, monkeypatch):
@@ -435,7 +441,7 @@ def test_a_run_over_frames_gives_the_numbers_of_a_run_over_files(pointing):
         (files / side).mkdir(parents=True)
     for pair in read_dataset(pointing).pairs:
         for side in ("real", "sim"):
-            np.save(files / side / f"{pair.pair_id}.npy", read_scan(pair.path(side)).points)
+            np.save(files / side / f"{pair.pair_id}.npy", read_scan(pair.scans[side]).points)
     command("run", pointing, "--out", pointing / "frames", "--workers", 2, code=0)
     run(files, pointing / "copies")
     frames, copies = (pd.read_parquet(pointing / out / "metrics") for out in ("frames", "copies"))
@@ -482,9 +488,7 @@ def test_a_capture_that_ends_in_a_packet_keeps_its_whole_turns(real_data, tmp_pa
     short = tmp_path / "short.pcap"
     short.write_bytes(content[: len(content) // 2 + 13])
     whole = frames_of(real_data / "velodyne_vlp32c/sweeps.pcap")
-    assert [path.name.partition("#")[2] for path in frames_of(short)[:2]] == [
-        path.name.partition("#")[2] for path in whole[:2]
-    ]
+    assert [scan.frame for scan in frames_of(short)[:2]] == [scan.frame for scan in whole[:2]]
 
 
 @pytest.mark.parametrize("content", [b"", b"no capture at all, but text", None])

@@ -1,14 +1,18 @@
 """Datasets and runs in an object store, against a server of S3's interface on this machine."""
 
+import errno
 import http.server
 import json
 import os
 import shutil
 import subprocess
+import sys
+import tempfile
 import threading
 import time
 from collections import Counter
 from functools import partial
+from pathlib import Path
 from urllib.request import Request, urlopen
 
 import psutil
@@ -17,13 +21,13 @@ from clusters import Cluster
 
 from fidpipe import open_run
 from fidpipe.pipeline.datasets.pairs import local_folder
-from fidpipe.pipeline.remote.object_store import delete_objects, list_objects, read_object, write_object
-from fidpipe.pipeline.remote.remote_run import LOCK, RemoteRun
 from fidpipe.pipeline.storage.ledger import SEAL
+from fidpipe.pipeline.storage.object_store import delete_objects, list_objects, read_object, write_object
+from fidpipe.pipeline.storage.remote_run import LOCK, RemoteRun
 from fidpipe.pipeline.storage.table_files import TOKEN
-from fidpipe.pipeline.storage.urls import cache_of
+from fidpipe.pipeline.storage.urls import cache_of, url_of_cache
 from fidpipe.schemas.errors import DatasetError, RunError, StoreError
-from runs import assert_same_tables, command, run
+from runs import FIDPIPE, assert_same_tables, command, one_line, run, some_of
 from scenes import write_dataset
 
 SECRET = "a-secret-that-nobody-may-read"
@@ -33,11 +37,12 @@ LOST = "/data/set/sim/001.bin"
 class Faulty(http.server.BaseHTTPRequestHandler):
     """A proxy of the server that answers each 20th request with 503, cuts the next off, and has lost an object.
 
-    The same request never fails three times in a row, however many run at once.
+    The same request never fails three times in a row, however many run at once. `refused` names requests that are
+    answered with 503 the next times, however many.
     """
 
     protocol_version = "HTTP/1.1"
-    n, lost, requests, failed = 0, None, [], Counter()
+    n, lost, requests, failed, refused = 0, None, [], Counter(), Counter()
 
     def relay(self):
         Faulty.n += 1
@@ -55,6 +60,9 @@ class Faulty(http.server.BaseHTTPRequestHandler):
             status, content, found = error.code, error.read(), error.headers
         if fault == 7:
             status, content = 503, b""
+        if Faulty.refused[self.command, self.path] > 0:
+            Faulty.refused[self.command, self.path] -= 1
+            status, content, fault = 503, b"", 7
         if self.path == Faulty.lost and self.command == "GET":
             status, content = 404, b""
         self.send_response(status)
@@ -92,7 +100,7 @@ def proxy():
 @pytest.fixture
 def bucket(proxy, tmp_path, monkeypatch):
     """An empty bucket, whose objects are cached in a folder of this test."""
-    Faulty.n, Faulty.lost, Faulty.requests = 20, None, []
+    Faulty.n, Faulty.lost, Faulty.requests, Faulty.refused = 20, None, [], Counter()
     for name, value in {
         **{"AWS_ENDPOINT_URL": proxy, "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1"},
         **{"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": SECRET, "FIDPIPE_CACHE": str(tmp_path / "cache")},
@@ -158,19 +166,173 @@ def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(bucket, local, t
     assert len(metrics) and not metrics.equals(open_run(local / "run").metrics)
 
 
-def test_two_commands_do_not_write_to_one_run_and_a_dead_one_is_replaced(bucket, local):
+#: A command on another machine, whose clock is wrong by some seconds: it writes to a run until its input ends.
+WRITER = """
+import socket, sys, time
+url, late_s, renew_s = sys.argv[1], float(sys.argv[2]), float(sys.argv[3])
+now = time.time
+time.time = lambda: now() + late_s
+socket.gethostname = lambda: "elsewhere"
+from fidpipe.pipeline.storage import remote_run
+remote_run._PUSH_S = remote_run._RENEW_S = renew_s
+with remote_run.RemoteRun(url).written():
+    print("writes", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("late_s", [-600, 600])
+def test_no_clock_decides_whether_a_command_of_another_machine_still_writes(bucket, local, monkeypatch, late_s):
     upload(local / "set", f"{bucket}/set")
-    lock, words = f"{bucket}/runs/y/{LOCK}", ("run", f"{bucket}/set", "--out", f"{bucket}/runs/y", "--workers", "1")
-    write_object(lock, json.dumps({"host": "elsewhere", "pid": 7, "time": time.time()}).encode())
-    refused = command(*words, code=1)
-    assert "process 7 on elsewhere" in refused.stderr
-    write_object(lock, json.dumps({"host": "elsewhere", "pid": 7, "time": time.time() - 3600}).encode())
-    assert command(*words).returncode == 0
+    monkeypatch.setattr("fidpipe.pipeline.storage.remote_run._DEAD_S", 6.0)
+    url, cache = f"{bucket}/runs/y", os.environ["FIDPIPE_CACHE"]
+    words = ("run", f"{bucket}/set", "--out", url, "--workers", "1")
+    writer = subprocess.Popen(
+        [sys.executable, "-c", WRITER, url, str(late_s), "0.5"],
+        env={**os.environ, "FIDPIPE_CACHE": f"{cache}-elsewhere"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert writer.stdout.readline() == "writes\n"
+        refused = command(*words, code=1)
+        assert f"process {writer.pid} on elsewhere writes there" in refused.stderr
+        assert "Traceback" not in refused.stderr
+    finally:
+        writer.kill()
+        writer.communicate()
+    command(*words, code=0)  # its lock stays the same
+
+
+def test_a_lock_with_other_content_is_named_with_the_way_to_remove_it(bucket, local):
+    upload(local / "set", f"{bucket}/set")
+    lock = f"{bucket}/runs/y/{LOCK}"
+    words = ("run", f"{bucket}/set", "--out", f"{bucket}/runs/y", "--workers", "1")
+    owner = {"host": "elsewhere", "pid": 7, "token": "a"}
+    for content in ("garbage", "[]", "{}", owner | {"pid": "7"}, owner | {"pid": 10**19}, owner | {"host": 7}):
+        text = content if isinstance(content, str) else json.dumps(content)
+        write_object(lock, text.encode())
+        refused = command(*words, code=1)
+        assert one_line(refused.stderr).startswith("error: run ")
+        assert f"{lock} is damaged" in refused.stderr
+        assert "delete it" in refused.stderr
+    delete_objects(f"{bucket}/runs/y", [LOCK])
+    command(*words, code=0)
+
+
+@pytest.mark.parametrize("n_times", [2, 3])
+def test_the_lock_is_written_by_up_to_three_tries(bucket, n_times):
+    Faulty.refused["PUT", f"/data/runs/tries{n_times}/{LOCK}"] = n_times
+    own = RemoteRun(f"{bucket}/runs/tries{n_times}")
+    if n_times < 3:
+        with own.written():
+            assert LOCK in {stored.name for stored in list_objects(own.url)}
+        assert not list_objects(own.url)
+    else:
+        with pytest.raises(StoreError, match="503 .three tries"), own.written():
+            pass
+
+
+def test_caches_of_nested_urls_are_apart_and_one_in_use_is_left_alone(bucket, local):
+    upload(local / "set", f"{bucket}/set")
+    own = RemoteRun(f"{bucket}/runs/nested")
+    with own.written() as folder:
+        (folder / "settings.toml").write_text("new")
+        (folder / "graph").mkdir()
+        (folder / "graph" / "000.real.parquet").write_text("new")
+        command("check", bucket)
+        command("check", own.url)
+        assert (folder / "settings.toml").read_text() == "new"
+        assert (folder / "graph" / "000.real.parquet").read_text() == "new"
+    assert {stored.name for stored in list_objects(own.url)} == {"settings.toml", "graph/000.real.parquet"}
+    assert url_of_cache(cache_of(own.url)) == own.url
+    assert cache_of(bucket) not in cache_of(own.url).parents
+
+
+def test_an_index_of_the_cache_that_was_cut_short_is_rebuilt(bucket, local):
+    upload(local / "set", f"{bucket}/set")
+    url = f"{bucket}/runs/x"
+    words = ("run", f"{bucket}/set", "--workers", "1", "--preset", "paper", "--out", url)
+    command(*words, code=0)
+    index = cache_of(url).with_name(".x.objects.json")
+    for ways in (("show", url), words):
+        index.write_bytes(index.read_bytes()[:40])
+        assert "2 pairs" in command(*ways, code=0).stdout
+    assert_same_tables(cache_of(url), local / "run")
+
+
+def test_a_user_without_home_and_name_reads_urls_and_runs(bucket, local):
+    if os.getuid() or not shutil.which("setpriv"):
+        pytest.skip("this user cannot be another one")
+    upload(local / "set", f"{bucket}/set")
+    environment = {name: value for name, value in os.environ.items() if name not in ("HOME", "FIDPIPE_CACHE")}
+    words = ["setpriv", "--reuid=54321", "--regid=54321", "--clear-groups", FIDPIPE, "run"]
+    with tempfile.TemporaryDirectory() as folder:  # pytest's folders are those of this user alone
+        shutil.copytree(local / "set", f"{folder}/set")
+        Path(folder).chmod(0o777)
+        environment["TMPDIR"] = folder
+        for dataset, n_lines in ((f"{folder}/set", 0), (f"{bucket}/set", 1)):
+            ended = subprocess.run(
+                [*words, dataset, "--out", f"{folder}/{n_lines}", "--workers", "1"],
+                env=environment,
+                cwd=folder,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            assert ended.returncode == 0, ended.stderr
+            assert ended.stderr.count("no home folder") == n_lines
+
+
+def test_a_full_folder_for_temporary_files_ends_a_run_that_resumes(bucket, local, tmp_path, monkeypatch):
+    upload(local / "set", f"{bucket}/set")
+    words = ("run", f"{bucket}/set", "--out", tmp_path / "run", "--workers", "1", "--preset", "paper")
+    write = Path.write_bytes
+
+    def fill(path, content):
+        if path.name == "001.bin":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(path, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", fill)
+        ended = command(*words, code=1)
+    assert "error: TMPDIR: no space left in " in ended.stderr
+    assert "it resumes where it stopped" in ended.stderr
+    assert "Traceback" not in ended.stderr
+    command(*words, code=0)
+    assert_same_tables(tmp_path / "run", local / "run")
+
+
+def fill_bucket(n_pairs):
+    """Pairs below s3://data/many, put into the server at once."""
+    from moto.s3.models import s3_backends
+
+    backends = [backend for account in s3_backends.values() for backend in account.values()]
+    backend = next(backend for backend in backends if "data" in backend.buckets)
+    for i in range(n_pairs):
+        for side in ("real", "sim"):
+            backend.put_object("data", f"many/{side}/{i:06d}.bin", b"0" * 1600)
+
+
+@pytest.mark.parametrize("n_pairs", some_of([500, 5250], [500]))
+def test_many_objects_are_listed_once_with_progress_and_soon(bucket, monkeypatch, n_pairs):
+    fill_bucket(n_pairs)
+    monkeypatch.setattr("fidpipe.pipeline.storage.object_store._SECONDS_BETWEEN_LINES", 0)
+    Faulty.requests = []
+    begun = time.monotonic()
+    ended = command("status", f"{bucket}/many", code=1)
+    assert time.monotonic() - begun < 10 * max(1, 2 * n_pairs / 10_000)
+    assert f"{bucket}/many: of {2 * n_pairs:,} objects: " in ended.stderr
+    assert "it holds a dataset" in ended.stderr
+    lists = [path for verb, path in Faulty.requests if verb == "GET" and "list-type" in path]
+    assert len(set(lists)) == -(-2 * n_pairs // 1000)
 
 
 def test_a_command_whose_lock_was_taken_over_stops_writing_and_leaves_the_lock(bucket, tmp_path, monkeypatch):
-    monkeypatch.setattr("fidpipe.pipeline.remote.remote_run._RENEW_S", 0.0)
-    own, other = RemoteRun(f"{bucket}/runs/z"), b'{"host": "elsewhere", "pid": 7, "time": 0}'
+    monkeypatch.setattr("fidpipe.pipeline.storage.remote_run._RENEW_S", 0.0)
+    own, other = RemoteRun(f"{bucket}/runs/z"), b'{"host": "elsewhere", "pid": 7, "token": "a"}'
     with pytest.raises(RunError, match=own.url), own.written() as folder:
         write_object(f"{own.url}/{LOCK}", other)
         (folder / "settings.toml").write_text("")

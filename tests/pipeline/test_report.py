@@ -190,20 +190,16 @@ def test_a_folder_of_pages_has_safe_file_names_and_drops_pages_of_pairs_that_are
 
 
 @pytest.mark.exhaustive
-def test_a_report_leaves_nothing_of_an_earlier_one_and_keeps_what_is_not_its_own(copied_run, monkeypatch):
+def test_a_report_removes_its_stale_figures_and_keeps_pages_of_the_other_form(copied_run, monkeypatch):
     write_report(copied_run, one_page_a_pair=True, with_figures=True)
-    notes = copied_run / "report" / "notes.txt"
-    notes.write_text("mine")
+    pages = sorted((copied_run / "report").iterdir())
     (copied_run / "figures" / "mine.png").write_bytes(b"")
     monkeypatch.setattr("fidpipe.pipeline.report.figures.run_figures.plot_objects", lambda *_: None)
     write_report(copied_run, with_figures=True)
-    assert [path.name for path in notes.parent.iterdir()] == ["notes.txt"]
+    assert sorted((copied_run / "report").iterdir()) == pages
     assert {path.stem for path in (copied_run / "figures").iterdir()} == FIGURES - {"objects"} | {"mine"}
-    notes.unlink()
-    write_report(copied_run)
-    assert not notes.parent.exists()
     write_report(copied_run, one_page_a_pair=True)
-    assert not (copied_run / "report.html").exists()
+    assert (copied_run / "report.html").exists()
 
 
 def test_a_run_after_a_report_neither_removes_nor_trips_over_it(copied_run, report_run, written):

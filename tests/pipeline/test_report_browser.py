@@ -21,7 +21,7 @@ from fidpipe.pipeline.results.compare import compare_runs
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 
 WIDTHS = (1280, 390)
-BLUE, VERMILION, GREY = (0, 114, 178), (213, 94, 0), (153, 153, 153)
+BLUE, VERMILION, GREY = (0, 114, 178), (184, 78, 0), (153, 153, 153)
 FARTHEST = "rgb(252,166,54)"  # the end of the light ramp
 FIRST_PAIR = HOSTILE_PAIRS[0]
 NO_SCORE = "\N{EN DASH}"

@@ -51,9 +51,9 @@ def motion_of(frame):
 def test_tum_poses_are_those_of_the_sensor(tmp_path):
     tum(scans(tmp_path) / "poses.tum", motions())
     recording = read_recording(tmp_path)
-    assert [frame.name for frame in recording.frames] == ["000", "001", "002", "003"]
-    assert [frame.timestamp_s for frame in recording.frames] == pytest.approx([0.0, 0.1, 0.2, 0.3])
-    for frame, T in zip(recording.frames, motions(), strict=True):
+    assert [frame.pair_id for frame in recording.pairs] == ["000", "001", "002", "003"]
+    assert [frame.timestamp_s for frame in recording.pairs] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    for frame, T in zip(recording.pairs, motions(), strict=True):
         np.testing.assert_allclose(motion_of(frame), T, atol=1e-12)
 
 
@@ -63,9 +63,9 @@ def test_kitti_poses_are_brought_from_the_camera_to_the_sensor(tmp_path):
     write_kitti(tmp_path, motions(), Tr)
     (tmp_path / "times.txt").write_text("0.0\n0.1\n0.2\n0.31\n")
     recording = read_recording(tmp_path)
-    for frame, T in zip(recording.frames, motions(), strict=True):
+    for frame, T in zip(recording.pairs, motions(), strict=True):
         np.testing.assert_allclose(motion_of(frame), T, atol=1e-9)
-    assert recording.frames[3].timestamp_s == 0.31
+    assert recording.pairs[3].timestamp_s == 0.31
 
 
 def test_poses_in_kittis_own_folder_are_found(tmp_path):
@@ -84,8 +84,8 @@ def test_a_manifest_may_hold_the_poses_and_need_not_name_simulated_scans(tmp_pat
     ]
     (tmp_path / "pairs.csv").write_text("pair_id,real,timestamp_s,T_world_sensor\n" + "\n".join(rows))
     recording = read_recording(tmp_path)
-    assert [frame.name for frame in recording.frames] == ["f0", "f1", "f2", "f3"]
-    np.testing.assert_allclose(motion_of(recording.frames[2]), motions()[2])
+    assert [frame.pair_id for frame in recording.pairs] == ["f0", "f1", "f2", "f3"]
+    np.testing.assert_allclose(motion_of(recording.pairs[2]), motions()[2])
     with pytest.raises(DatasetError, match="sim"):
         read_dataset(tmp_path)
 
@@ -107,7 +107,7 @@ def test_a_manifest_with_poses_is_a_dataset_like_any_other(tmp_path):
 def test_poses_may_lie_elsewhere(tmp_path):
     scans(tmp_path / "drive")
     tum(tmp_path / "odometry.txt", motions())
-    assert len(read_recording(tmp_path / "drive", tmp_path / "odometry.txt").frames) == N
+    assert len(read_recording(tmp_path / "drive", tmp_path / "odometry.txt").pairs) == N
 
 
 LEVEL = "0 0 0 0 0 0 0 1\n"

@@ -99,7 +99,7 @@ def test_a_missing_reference_object_shows_what_little_of_it_is_simulated(by_refe
     assert pole.sim["n_points"] == 3
     assert object_facts(run_, "0", f"sim:{pole.sim['community_id']}") == pole
     text = shown(by_reference, "0", pole.real["community_id"])
-    assert "3 points of this object are simulated" in text
+    assert "3 of its points are simulated, too few to match it" in text
     assert "54 % of its points" in text
     invented = [of for of in found if of.status == "hallucinated"]
     assert sorted(of.sim["community_id"] for of in invented) == sorted(matching.query("real_id.isna()").sim_id)

@@ -64,9 +64,9 @@ def test_the_reader_finds_pairs_labels_and_frames_over_a_minute_apart(dataset):
     assert not any(pair.fault for pair in found.pairs)
     assert np.diff([pair.timestamp_s for pair in found.pairs]).min() > 60
     for pair in found.pairs:
-        for path in (pair.real, pair.sim):
+        for path in pair.scans.values():
             scan = read_scan(path, label_names=found.label_names)
-            assert path.with_suffix(".label").stat().st_size == 4 * len(scan.points)
+            assert path.labels.stat().st_size == 4 * len(scan.points)
             assert set(scan.labels) <= set(KINDS)
 
 

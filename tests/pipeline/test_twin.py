@@ -115,14 +115,14 @@ def test_the_dataset_names_times_poses_labels_and_the_recipe(twins, drive):
     dataset = read_dataset(twins)
     assert [pair.pair_id for pair in dataset.pairs] == NAMES
     assert [pair.timestamp_s for pair in dataset.pairs] == pytest.approx([0.0, 0.1, 0.2, 0.3])
-    for pair, frame in zip(dataset.pairs, read_recording(drive).frames, strict=True):
+    for pair, frame in zip(dataset.pairs, read_recording(drive).pairs, strict=True):
         assert pair.T_world_sensor == frame.T_world_sensor
-        assert pair.real.read_bytes() == frame.path.read_bytes()
+        assert pair.real.file.read_bytes() == frame.real.file.read_bytes()
         assert set(read_scan(pair.real, label_names=dataset.label_names).labels) == {"built", "hedge"}
     recipe = tomllib.loads((twins / "twin.toml").read_text())
     assert (recipe["seed"], recipe["flaw"], recipe["sensor"]["name"]) == (0, [], "small")
     assert {"numpy", "scipy", "trimesh", "embreex"} <= recipe["libraries"].keys()
-    assert len(read_recording(twins).frames) == N  # and it is a recording itself
+    assert len(read_recording(twins).pairs) == N  # and it is a recording itself
 
 
 def test_the_same_recipe_gives_the_same_bytes_and_another_seed_gives_others(twins, drive, tmp_path):
@@ -158,7 +158,7 @@ def test_what_was_interrupted_goes_on_with_the_twins_that_are_missing(twins, dri
     (out / "pairs.csv").unlink()
     made = []
     rescan = twin._rescan
-    monkeypatch.setattr(twin, "_rescan", lambda task: made.append(task.frame.name) or rescan(task))
+    monkeypatch.setattr(twin, "_rescan", lambda task: made.append(task.frame.pair_id) or rescan(task))
     make(out, drive)
     assert made == ["001"]
     assert files_in(out) == files_in(twins)
@@ -219,7 +219,7 @@ def test_the_recording_itself_is_left_alone(drive, tmp_path):
         make(drive, drive)
     with pytest.raises(FidpipeError, match='input.real_frame: .*"nuscenes"'):
         make(tmp_path / "turned", drive, settings=InputSettings(real_frame="nuscenes"))
-    with pytest.raises(DatasetError, match="none of the 4 frames"):
+    with pytest.raises(DatasetError, match="none of the 4 pairs"):
         make(tmp_path / "out", drive, pattern="x*")
 
 

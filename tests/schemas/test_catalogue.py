@@ -12,9 +12,12 @@ from fidpipe.schemas.metric_catalogue import (
     OBJECT_SCORES,
     PAIR_SCORES,
     PIECE_SCORES,
+    PLACES,
     RAY_SCORES,
     SURFACE_SCORES,
     metric_of,
+    metrics_in,
+    scores_in,
 )
 from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
 from fidpipe.schemas.tables import TABLES
@@ -52,6 +55,17 @@ def test_a_heading_has_its_unit_and_a_scale_its_better_end_first():
     assert METRIC["match_rate"].scale == "1 best, 0 worst"
     assert METRIC["r_gap"].scale == "0 best, 0.5 worst"
     assert METRIC["gap_real"].scale == ""
+
+
+def test_a_score_is_shown_in_known_places_and_without_a_position_last():
+    assert {place for metric in METRIC.values() for place in metric.shown_in} == set(PLACES)
+    assert set(scores_in("object")) == {metric.column for metric in OBJECT_SCORES}
+    for place in PLACES:
+        positions = [metric.shown_in[place] for metric in metrics_in(place)]
+        assert positions == list(range(1, len(positions) + 1)), place
+    for metric in metrics_in("compare"):
+        assert metric.family, metric.column
+        assert metric.least, metric.column
 
 
 @pytest.fixture(scope="module")

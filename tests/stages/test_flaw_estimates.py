@@ -1,5 +1,7 @@
 """Known flaws of scans: each is estimated with its amount, healthy scans have none, and corrections share the gain."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from fidpipe.stages.causes.sides import PairScans, Side
 from fidpipe.stages.displacement import Displacement, fit_displacement
 from fidpipe.stages.sensor_description import SensorDescription, describe_sensor
 from fidpipe.stages.surfels import fit_planes
+from fidpipe.stages.trust import POSITION
 from runs import some_of
 
 HEALTHY_NOISE_M, HEALTHY_LOSS = 0.01, 0.02
@@ -217,6 +220,9 @@ def test_a_change_of_the_pose_is_measured_between_two_simulated_scans(places):
     _, amounts = estimate_between(base, moved)
     assert amounts["height"] == pytest.approx(0.03, abs=0.01)
     assert amounts["roll"] == pytest.approx(0.0, abs=0.02)
+    moved.sensor = replace(moved.sensor, doubts={POSITION: "the points are not in the sensor's frame"})
+    _, amounts = estimate_between(base, moved)
+    assert "height" not in amounts and "road height" in amounts
 
 
 def test_a_displacement_is_undone(places):

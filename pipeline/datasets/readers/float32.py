@@ -32,15 +32,15 @@ def read(path: Path, columns: tuple[str, ...]) -> Scan:
     if (n_columns := _float64_columns(path, columns)) is not None:
         raise ScanError(
             f"{path}: expected float32, got float64 in rows of {n_columns} columns; convert it: "
-            f"np.fromfile(file, '<f8').astype('<f4').tofile(file)"
+            "np.fromfile(file, '<f8').astype('<f4').tofile(file)"
         )
     if n_bytes % (4 * len(columns)):
         n_columns = _better_width(path, columns)
         hint = _naming(n_columns) if n_columns else f"name them in {_SETTINGS}"
         raise ScanError(
-            f"{path}: expected a multiple of {4 * len(columns)} bytes ({len(columns)} float32 columns: "
-            f"{' '.join(columns)}), got {n_bytes}; the file is truncated, or has other columns: "
-            f"{hint}"
+            f"{path}: expected a multiple of {4 * len(columns)} bytes ({len(columns)} float32 "
+            f"columns: {' '.join(columns)}), got {n_bytes}; the file is truncated, or has other "
+            f"columns: {hint}"
         )
     rows = np.fromfile(path, dtype="<f4").reshape(-1, len(columns))
     return scan_from_columns(path, {name: rows[:, i] for i, name in enumerate(columns)})
@@ -51,8 +51,8 @@ def check_width(path: Path, columns: tuple[str, ...]) -> None:
     n_columns = _better_width(path, columns)
     if n_columns is not None:
         raise ScanError(
-            f"{path}: the values do not fit {len(columns)} float32 columns ({' '.join(columns)}), but "
-            f"{n_columns}: {_naming(n_columns)}"
+            f"{path}: the values do not fit {len(columns)} float32 columns ({' '.join(columns)}), "
+            f"but {n_columns}: {_naming(n_columns)}"
         )
 
 
@@ -70,7 +70,14 @@ def _float64_columns(path: Path, columns: tuple[str, ...]) -> int | None:
     """
     content = np.fromfile(path, dtype=np.uint8, count=_SAMPLE_BYTES)
     content = content[: len(content) // 8 * 8]
-    if not len(content) or _plausible_share(content.view("<f4")) > 0.9 or _plausible_share(content.view("<f8")) < 0.99:
+    if (
+        not len(content)
+        or _plausible_share(
+            content.view("<f4"),
+        )
+        > 0.9
+        or _plausible_share(content.view("<f8")) < 0.99
+    ):
         return None
     return _fitting_width(content.view("<f8"), path.stat().st_size // 8)
 
@@ -82,7 +89,15 @@ def _better_width(path: Path, columns: tuple[str, ...]) -> int | None:
         return None
     values = np.where(np.isfinite(values), values, 0).astype(np.float64)
     width = _fitting_width(values, path.stat().st_size // 4)
-    is_better = width is not None and _spread(values, width) < _spread(values, len(columns)) - _MIN_GAIN
+    is_better = (
+        width is not None
+        and _spread(values, width)
+        < _spread(
+            values,
+            len(columns),
+        )
+        - _MIN_GAIN
+    )
     return width if is_better else None
 
 

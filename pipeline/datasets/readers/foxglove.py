@@ -7,15 +7,24 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
+from .scan import packed_columns
 
 #: The message type of a point cloud.
 CLOUD = "foxglove.PointCloud"
 _ENCODINGS = ("protobuf", "cdr")
-_NUMBERS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}  # foxglove.PackedElementField
+_NUMBERS = {
+    1: "u1",
+    2: "i1",
+    3: "u2",
+    4: "i2",
+    5: "u4",
+    6: "i4",
+    7: "f4",
+    8: "f8",
+}  # foxglove.PackedElementField
 
 
 class Connection(NamedTuple):
@@ -41,7 +50,9 @@ class Recording:
         self._reader = reader
         summary = reader.get_summary()
         if summary is None or summary.statistics is None:
-            raise ScanError(f"{file}: expected a summary at its end, got none; the file is truncated: mcap recover it")
+            raise ScanError(
+                f"{file}: expected a summary at its end, got none; the file is truncated: mcap recover it",
+            )
         self.connections = []
         for channel_id, channel in summary.channels.items():
             schema = summary.schemas.get(channel.schema_id)
@@ -56,7 +67,11 @@ class Recording:
     ) -> Iterator[tuple[Connection, int, bytes]]:
         """Messages of one topic in order of time, from `start` to before `stop`, nanoseconds."""
         topic = connections[0].topic
-        for _, _, message in self._reader.iter_messages(topic, starting_at=start, ending_before=stop):
+        for _, _, message in self._reader.iter_messages(
+            topic,
+            starting_at=start,
+            ending_before=stop,
+        ):
             yield connections[0], message.log_time, message.data
 
 
@@ -69,28 +84,26 @@ def opened(file: Path) -> Iterator[Recording]:
         yield Recording(file, make_reader(stream))
 
 
-def cloud_of(file: Path, connection: Connection, content: bytes) -> tuple[dict[str, NDArray[Any]], float]:
+def cloud_of(
+    file: Path,
+    connection: Connection,
+    content: bytes,
+) -> tuple[dict[str, NDArray[Any]], float]:
     """The fields of a point cloud by name, and its time in seconds; its pose is not applied."""
     from mcap_protobuf.decoder import DecoderFactory
 
     decode = DecoderFactory().decoder_for("protobuf", connection.schema)
     if decode is None:
         raise ScanError(
-            f"{file}: topic {connection.topic}: expected a protobuf schema, got {connection.schema.encoding}"
+            f"{file}: topic {connection.topic}: expected a protobuf schema, got {connection.schema.encoding}",
         )
     cloud = decode(content)
-    fields = [field for field in cloud.fields if field.name and field.type in _NUMBERS]
-    layout = np.dtype(
-        {
-            "names": [field.name for field in fields],
-            "formats": [f"<{_NUMBERS[field.type]}" for field in fields],
-            "offsets": [field.offset for field in fields],
-            "itemsize": cloud.point_stride,
-        }
-    )
-    if len(cloud.data) % cloud.point_stride:
+    stride = cloud.point_stride
+    if len(cloud.data) % stride:
         raise ScanError(
-            f"{file}: expected points of {cloud.point_stride} bytes in a cloud, got {len(cloud.data)} bytes"
+            f"{file}: expected points of {stride} bytes in a cloud, got {len(cloud.data)} bytes",
         )
-    points = np.frombuffer(cloud.data, layout)
-    return {name: points[name] for name in layout.names or ()}, cloud.timestamp.seconds + cloud.timestamp.nanos * 1e-9
+    known = [field for field in cloud.fields if field.type in _NUMBERS]
+    fields = [(field.name, f"<{_NUMBERS[field.type]}", field.offset) for field in known]
+    columns = packed_columns(fields, cloud.data, (len(cloud.data) // stride,), (stride,))
+    return columns, cloud.timestamp.seconds + cloud.timestamp.nanos * 1e-9

@@ -41,7 +41,9 @@ def read(path: Path) -> Scan:
     if np.any(classes := np.asarray(rows["classification"])):
         columns["label"] = classes
     if n_points != header.point_count:
-        raise ScanError(f"{path}: {n_points} points found, the header says {header.point_count}; it is truncated")
+        raise ScanError(
+            f"{path}: {n_points} points found, the header says {header.point_count}; it is truncated",
+        )
     return scan_from_columns(path, columns, CLASSES["las"])
 
 
@@ -52,6 +54,6 @@ def _check_records(path: Path) -> None:
         (n_records,) = struct.unpack("<I", file.read(4))
     if n_records * _RECORD_HEAD_BYTES > (n_bytes := path.stat().st_size):
         raise ScanError(
-            f"{path}: the header says {n_records} variable length records, in {n_bytes} bytes; the file is truncated "
-            "or wrong"
+            f"{path}: the header says {n_records} variable length records, in {n_bytes} bytes; "
+            "the file is truncated or wrong"
         )

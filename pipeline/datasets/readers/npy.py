@@ -21,22 +21,30 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
         The array is not whole, holds objects (pickles, which could run code), or has another shape.
     """
     _check_head(path)
-    np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory, and rejects a file shorter than its array
+    np.load(
+        path,
+        mmap_mode="r",
+        allow_pickle=False,
+    )  # takes no memory, and rejects a file shorter than its array
     array = np.load(path, allow_pickle=False)
     if array.dtype.names:
         return scan_from_columns(path, {name: array[name] for name in array.dtype.names})
-    if array.ndim == 2 and array.dtype.kind in "fiu" and array.shape[1] == len(columns):
-        return scan_from_columns(path, dict(zip(columns, array.T, strict=True)))
-    if array.ndim == 2 and array.shape[0] in (3, 4) and array.shape[1] > 4:
-        raise ScanError(f"{path}: expected one row per point, got an array of shape {array.shape}; save array.T")
-    if array.ndim == 2 and array.shape[1] > 4:
-        raise ScanError(
-            f"{path}: expected an array of shape (n, 3) or (n, 4), got {array.shape}; name its {array.shape[1]} "
-            "columns in input.columns, or of one side alone in input.real_columns or input.sim_columns"
-        )
     if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
         raise ScanError(
-            f"{path}: expected numbers of shape (n, 3) or (n, 4), got a {array.dtype} array of shape {array.shape}"
+            f"{path}: expected numbers of shape (n, 3) or (n, 4), got a {array.dtype} array of shape {array.shape}",
+        )
+    n_rows, n_columns = array.shape
+    if n_columns == len(columns):
+        return scan_from_columns(path, dict(zip(columns, array.T, strict=True)))
+    if n_columns > 4 and n_rows in (3, 4):
+        raise ScanError(
+            f"{path}: expected one row per point, got an array of shape {array.shape}; save array.T",
+        )
+    if n_columns > 4:
+        raise ScanError(
+            f"{path}: expected an array of shape (n, 3) or (n, 4), got {array.shape}; name its "
+            f"{n_columns} columns in input.columns, or of one side alone in input.real_columns or "
+            "input.sim_columns"
         )
     return scan_from_columns(path, dict(zip(_COLUMNS, array.T, strict=False)))
 
@@ -46,6 +54,9 @@ def _check_head(path: Path) -> None:
     with path.open("rb") as file:
         if np.lib.format.read_magic(file) == (1, 0):
             return  # it has two bytes for the length
-        n_head, n_bytes = int.from_bytes(file.read(4), "little"), path.stat().st_size
+        n_head = int.from_bytes(file.read(4), "little")
+    n_bytes = path.stat().st_size
     if n_head > n_bytes:
-        raise ScanError(f"{path}: a head of {n_head} bytes found, in {n_bytes}; the file is truncated or wrong")
+        raise ScanError(
+            f"{path}: a head of {n_head} bytes found, in {n_bytes}; the file is truncated or wrong",
+        )

@@ -21,7 +21,10 @@ def read(path: Path) -> Scan:
     """
     import pyarrow.parquet as pq
 
-    limits = {"thrift_string_size_limit": _MOST_METADATA, "thrift_container_size_limit": _MOST_METADATA}
+    limits = {
+        "thrift_string_size_limit": _MOST_METADATA,
+        "thrift_container_size_limit": _MOST_METADATA,
+    }
     with path.open("rb") as stream:
         file = pq.ParquetFile(stream, pre_buffer=False, **limits)
         names = [field.name for field in file.schema_arrow]

@@ -35,7 +35,7 @@ def read(path: Path) -> Scan:
     rows = np.atleast_1d(cloud.pc_data)
     if len(rows) != cloud.metadata.points:
         raise ScanError(
-            f"{path}: {len(rows)} points found, the header says {cloud.metadata.points}; the file is truncated"
+            f"{path}: {len(rows)} points found, the header says {cloud.metadata.points}; the file is truncated",
         )
     return scan_from_columns(path, {name: rows[name] for name in cloud.fields})
 
@@ -79,7 +79,9 @@ def _check_head(path: Path, lines: list[str], sizes: bytes) -> None:
     n_packed, n_unpacked = np.frombuffer(sizes.ljust(8, b"\0"), "<u4").tolist()
     head = MetaData.parse_header(lines)
     if sum(head.count) > _MOST_COLUMNS:
-        raise ScanError(f"{path}: {sum(head.count)} numbers a point found, at most {_MOST_COLUMNS} are read")
+        raise ScanError(
+            f"{path}: {sum(head.count)} numbers a point found, at most {_MOST_COLUMNS} are read",
+        )
     point_bytes = sum(count * size for count, size in zip(head.count, head.size, strict=True))
     if head.data == "ascii":
         check_promise(path, head.points, 2 * sum(head.count))  # a digit and a blank
@@ -87,7 +89,8 @@ def _check_head(path: Path, lines: list[str], sizes: bytes) -> None:
         check_promise(path, head.points, point_bytes)
     elif n_unpacked != head.points * point_bytes or n_packed > path.stat().st_size:
         raise ScanError(
-            f"{path}: expected {head.points} points of {point_bytes} bytes, got {n_unpacked} bytes packed in {n_packed}"
+            f"{path}: expected {head.points} points of {point_bytes} bytes, got {n_unpacked} "
+            f"bytes packed in {n_packed}",
         )
     else:
         check_unpacked(path, n_unpacked)

@@ -11,19 +11,16 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
 from . import foxglove
-from .frame_address import Address, frame_number
-from .scan import Scan, scan_from_columns
+from .scan import Scan, packed_columns, scan_from_columns
+from .scan_ref import ScanRef, frame_number
 
-_CLOUD, _PACKETS, _PACKET = (
-    "sensor_msgs/msg/PointCloud2",
-    "velodyne_msgs/msg/VelodyneScan",
-    "velodyne_msgs/msg/VelodynePacket",
-)
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+_PACKETS = "velodyne_msgs/msg/VelodyneScan"
+_PACKET = "velodyne_msgs/msg/VelodynePacket"
 _DEFINITIONS = {
     _PACKETS: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n",
     _PACKET: "time stamp\nuint8[1206] data\n",
@@ -32,7 +29,7 @@ _ROS2_PACKET = "builtin_interfaces/Time stamp\nuint8[1206] data\n"
 _NUMBERS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")  # PointField.INT8 is 1, and so on
 
 
-def read(address: Address) -> Scan:
+def read(frame: ScanRef) -> Scan:
     """One frame of a bag.
 
     Raises
@@ -40,50 +37,59 @@ def read(address: Address) -> Scan:
     ScanError
         The bag is damaged, or has no such topic or frame, or several.
     """
-    with _opened(address.file) as bag:
-        topic = _topic(bag, address)
-        connections = [connection for connection in bag.connections if connection.topic == topic]
-        named = Address(address.file, topic, address.frame)
-        start = stop = None
-        if address.frame is not None and (start := address.time_ns) is not None:
-            stop = start + 1
-        messages = list(bag.messages(connections, start, stop)) if stop else []
-        if len(messages) != 1:
-            times_ns = _times_ns(address.file, _marks(address.file), topic)
-            number = frame_number(named, times_ns)
-            time_ns = times_ns[number]
-            messages = list(bag.messages(connections, time_ns, time_ns + 1))
-            messages = messages[number - times_ns.index(time_ns) :]
-        connection, _, content = messages[0]
+    file = frame.file
+    with _opened(file) as bag:
+        connection, content = _message(bag, replace(frame, topic=_topic(bag, frame)))
         if connection.msgtype == foxglove.CLOUD:
-            columns, stamp_s = foxglove.cloud_of(address.file, connection, content)
-            return replace(scan_from_columns(address.file, columns), stamp_s=stamp_s)
-        types = _types(is_ros1 := _is_ros1(address.file))
+            columns, stamp_s = foxglove.cloud_of(file, connection, content)
+            return replace(scan_from_columns(file, columns), stamp_s=stamp_s)
+        is_ros1 = _is_ros1(file)
+        types = _types(is_ros1)
         deserialize = types.deserialize_ros1 if is_ros1 else types.deserialize_cdr
         message = deserialize(content, connection.msgtype)
         if connection.msgtype == _CLOUD:
-            columns = _cloud_columns(address.file, message)
+            columns = _cloud_columns(file, message)
         else:
             from .velodyne import decoded
 
-            packets = [(p.stamp.sec + p.stamp.nanosec * 1e-9, p.data.tobytes()) for p in message.packets]
-            columns = decoded(address.file, packets)
-    stamp = message.header.stamp
-    return replace(scan_from_columns(address.file, columns), stamp_s=stamp.sec + stamp.nanosec * 1e-9)
+            packets = [(_time_s(packet.stamp), packet.data.tobytes()) for packet in message.packets]
+            columns = decoded(file, packets)
+    return replace(scan_from_columns(file, columns), stamp_s=_time_s(message.header.stamp))
 
 
-def frames(address: Address) -> list[Path]:
-    """Addresses of the frames of the topic, in order of time.
+def frames(recording: ScanRef) -> list[ScanRef]:
+    """The frames of the topic, in order of time.
 
     Raises
     ------
     ScanError
         The bag is damaged, or has no such topic, or several.
     """
-    with _opened(address.file) as bag:
-        topic = _topic(bag, address)
-    named = Address(address.file, topic)
-    return [named.at(time_ns) for time_ns in _times_ns(address.file, _marks(address.file), topic)]
+    with _opened(recording.file) as bag:
+        topic = _topic(bag, recording)
+    named = replace(recording, topic=topic)
+    return [named.at(time_ns) for time_ns in _times_ns(named.file, _marks(named.file), topic)]
+
+
+def _message(bag: Any, frame: ScanRef) -> tuple[Any, bytes]:
+    """Connection and content of the message of a frame; the whole bag is read only if its time is not unique."""
+    connections = [connection for connection in bag.connections if connection.topic == frame.topic]
+    time_ns = frame.time_ns
+    messages = []
+    if time_ns is not None:
+        messages = list(bag.messages(connections, time_ns, time_ns + 1))
+    if len(messages) != 1:
+        times_ns = _times_ns(frame.file, _marks(frame.file), frame.topic or "")
+        number = frame_number(frame, times_ns)
+        time_ns = times_ns[number]
+        messages = list(bag.messages(connections, time_ns, time_ns + 1))
+        messages = messages[number - times_ns.index(time_ns) :]
+    connection, _, content = messages[0]
+    return connection, content
+
+
+def _time_s(stamp: Any) -> float:
+    return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
 def topics(file: Path) -> list[str]:
@@ -104,9 +110,12 @@ def _opened(file: Path) -> Any:
     from rosbags.rosbag2 import Reader as Ros2Reader
 
     reader = Ros1Reader if _is_ros1(file) else Ros2Reader
-    files = [str(each.absolute()) for each in (file.iterdir() if file.is_dir() else [file])]
-    if wrong := [name for name in files if name.endswith(".db3") and any(sign in name for sign in "%?#")]:
-        raise ScanError(f"{wrong[0]}: expected a path without %, ? and #, which SQLite reads as parts of an address")
+    for path in file.iterdir() if file.is_dir() else [file]:
+        name = str(path.absolute())
+        if name.endswith(".db3") and not {*"%?#"}.isdisjoint(name):
+            raise ScanError(
+                f"{name}: expected a path without %, ? and #, which SQLite reads as parts of an address",
+            )
     return foxglove.opened(file) if _is_other_mcap(file) else reader(file)
 
 
@@ -123,27 +132,32 @@ def _is_other_mcap(file: Path) -> bool:
     return head.startswith(b"\x89MCAP") and not head.endswith(b"\4\0\0\0ros2")
 
 
-def _topic(bag: Any, address: Address) -> str:
+def _topic(bag: Any, scan: ScanRef) -> str:
     """The topic that is named, or the only one of point clouds, or else of packets."""
-    n_frames: dict[str, dict[str, int]] = {_CLOUD: {}, foxglove.CLOUD: {}, _PACKETS: {}}
+    clouds: dict[str, int] = {}  # number of frames by topic
+    packets: dict[str, int] = {}
     for connection in bag.connections:
-        if connection.msgtype in n_frames:
-            of_type = n_frames[connection.msgtype]
+        of_type = packets if connection.msgtype == _PACKETS else clouds
+        if connection.msgtype in (_CLOUD, foxglove.CLOUD, _PACKETS):
             of_type[connection.topic] = of_type.get(connection.topic, 0) + connection.msgcount
-    clouds = n_frames[_CLOUD] | n_frames[foxglove.CLOUD]
-    known = clouds | n_frames[_PACKETS]
+    known = clouds | packets
     listed = ", ".join(f"{topic} ({n} frames)" for topic, n in sorted(known.items()))
     if not known:
-        others = ", ".join(sorted({f"{one.topic} ({one.msgtype})" for one in bag.connections})) or "no topics"
-        raise ScanError(f"{address.file}: expected a topic of {', '.join(n_frames)}, got {others}")
-    if address.topic is not None:
-        if address.topic not in known:
-            raise ScanError(f"{address.file}: no point clouds on topic {address.topic}; they are on {listed}")
-        return address.topic
-    candidates = clouds or n_frames[_PACKETS]
+        names = {f"{connection.topic} ({connection.msgtype})" for connection in bag.connections}
+        topics = ", ".join(sorted(names)) or "no topics"
+        raise ScanError(
+            f"{scan.file}: expected a topic of {_CLOUD}, {foxglove.CLOUD}, {_PACKETS}, got {topics}",
+        )
+    if scan.topic is not None:
+        if scan.topic not in known:
+            raise ScanError(
+                f"{scan.file}: no point clouds on topic {scan.topic}; they are on {listed}",
+            )
+        return scan.topic
+    candidates = clouds or packets
     if len(candidates) > 1:
-        example = f"{address.file.name}#{min(candidates)}@{address.frame or 0}"
-        raise ScanError(f"{address.file}: point clouds on {listed}; name one topic, such as {example}")
+        example = f"{scan.file.name}#{min(candidates)}@{scan.frame or 0}"
+        raise ScanError(f"{scan.file}: point clouds on {listed}; name one topic, such as {example}")
     return next(iter(candidates))
 
 
@@ -160,7 +174,9 @@ def _times_ns(file: Path, marks: tuple[tuple[int, int], ...], topic: str) -> lis
         connections = [connection for connection in bag.connections if connection.topic == topic]
         times_ns = [time_ns for _, time_ns, _ in bag.messages(connections)]
         if not all(isinstance(time_ns, int) and time_ns >= 0 for time_ns in times_ns):
-            raise ScanError(f"{file}: expected a time in nanoseconds for each frame; a frame has none")
+            raise ScanError(
+                f"{file}: expected a time in nanoseconds for each frame; a frame has none",
+            )
         return times_ns
 
 
@@ -179,21 +195,15 @@ def _types(is_ros1: bool) -> Any:
 def _cloud_columns(file: Path, cloud: Any) -> dict[str, NDArray[Any]]:
     """The fields of a PointCloud2 by name, row by row where it is organised; fields of several numbers are left out."""
     order = ">" if cloud.is_bigendian else "<"
-    fields = [field for field in cloud.fields if field.count <= 1 and field.name and 1 <= field.datatype <= 8]
-    layout = np.dtype(
-        {
-            "names": [field.name for field in fields],
-            "formats": [order + _NUMBERS[field.datatype - 1] for field in fields],
-            "offsets": [field.offset for field in fields],
-            "itemsize": cloud.point_step,
-        }
-    )
-    row_step = cloud.row_step if cloud.height > 1 else cloud.width * cloud.point_step
-    wanted = max(cloud.height - 1, 0) * row_step + cloud.width * cloud.point_step
-    if len(cloud.data) < wanted or row_step < cloud.width * cloud.point_step:
+    known = [field for field in cloud.fields if field.count <= 1 and 1 <= field.datatype <= len(_NUMBERS)]
+    fields = [(field.name, order + _NUMBERS[field.datatype - 1], field.offset) for field in known]
+    row_bytes = cloud.width * cloud.point_step
+    row_step = cloud.row_step if cloud.height > 1 else row_bytes
+    n_bytes = max(cloud.height - 1, 0) * row_step + row_bytes
+    if len(cloud.data) < n_bytes or row_step < row_bytes:
         raise ScanError(
-            f"{file}: expected {wanted} bytes in a cloud, got {len(cloud.data)} in rows of {row_step} "
-            f"({cloud.height} x {cloud.width} points of {cloud.point_step})"
+            f"{file}: expected {n_bytes} bytes in a cloud, got {len(cloud.data)} in rows of "
+            f"{row_step} ({cloud.height} x {cloud.width} points of {cloud.point_step})"
         )
-    points = np.ndarray((cloud.height, cloud.width), layout, cloud.data, strides=(row_step, cloud.point_step))
-    return {name: points[name].ravel() for name in layout.names or ()}
+    shape = (cloud.height, cloud.width)
+    return packed_columns(fields, cloud.data, shape, (row_step, cloud.point_step))

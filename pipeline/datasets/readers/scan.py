@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ....schemas.data_files import read_data
 from ....schemas.errors import ScanError
 from ....stages.arrays import FloatArray, IntArray
+from .scan_ref import ScanRef
 
 # Names of others: CARLA's I, CosAngle, ObjTag, ObjIdx; Ouster's t; Hesai's timestamp; Livox' offset_time, line and
 # Reflectivity; openpylivox' Inten-sity; Autoware's channel and time_stamp; Argoverse's laser_number and offset_ns;
@@ -29,12 +30,23 @@ _LABEL = ("label", "scalar_label", "objtag")
 _INSTANCE = ("instance", "scalar_instance", "objidx")
 _INCIDENCE = ("incidence", "scalar_incidence", "cosangle")
 _RING = ("ring", "scalar_ring", "channel", "laser_number", "laser_id", "line")
-_TIME = ("time", "scalar_time", "t", "timestamp", "time_stamp", "offset_time", "offset_ns", "gps_time")
+_TIME = (
+    "time",
+    "scalar_time",
+    "t",
+    "timestamp",
+    "time_stamp",
+    "offset_time",
+    "offset_ns",
+    "gps_time",
+)
 _ARGOVERSE_BEAMS = 32  # of each of its two sensors
 _MAX_RING_SPREAD_DEG = 1.0
 _NO_NUMBERS = "bcV"  # kinds of NumPy's types: truth values, complex numbers, records
 #: Names of columns that are read, in lower case.
-KNOWN_COLUMNS = frozenset(chain(*_COORDINATES, _INTENSITY, _LABEL, _INSTANCE, _INCIDENCE, _RING, _TIME))
+KNOWN_COLUMNS = frozenset(
+    chain(*_COORDINATES, _INTENSITY, _LABEL, _INSTANCE, _INCIDENCE, _RING, _TIME),
+)
 LONGEST_LABEL = 200  #: characters
 _LONGEST_CAUSE = 300
 
@@ -43,9 +55,9 @@ MOST_UNPACKED_BYTES = 64 * 2**20
 MOST_UNPACKED_A_BYTE = 100
 
 #: Names of classes by number, by format.
-CLASSES = {
-    name: {int(number): label for number, label in labels.items()} for name, labels in read_data("class_names").items()
-}
+CLASSES = {}
+for _format, _labels in read_data("class_names").items():
+    CLASSES[_format] = {int(number): label for number, label in _labels.items()}
 
 
 @dataclass(frozen=True, repr=False)
@@ -101,38 +113,72 @@ def scan_from_columns(
         coordinates and intensity.
     """
     check_names(path, columns)
-    by_name = {name.lower(): np.asarray(column) for name, column in columns.items() if name.lower() in KNOWN_COLUMNS}
+    by_name = {}
+    for name, column in columns.items():
+        if name.lower() in KNOWN_COLUMNS:
+            by_name[name.lower()] = np.asarray(column)
     for name, column in by_name.items():
         if column.ndim != 1:
             kind = f"{column.dtype} values of shape {column.shape}"
             raise ScanError(f"{path}: column {name}: expected one real number per row, got {kind}")
-    if len(lengths := sorted({len(column) for column in by_name.values()})) > 1:
-        raise ScanError(f"{path}: expected columns of equal length, got lengths {lengths}")
+    lengths = {len(column) for column in by_name.values()}
+    if len(lengths) > 1:
+        raise ScanError(f"{path}: expected columns of equal length, got lengths {sorted(lengths)}")
 
     def first(names: tuple[str, ...]) -> NDArray[Any] | None:
         return next((by_name[name] for name in names if name in by_name), None)
 
-    intensity, labels, instances, incidence = map(first, (_INTENSITY, _LABEL, _INSTANCE, _INCIDENCE))
-    rings, times = map(first, (_RING, _TIME))
-    axes = [next(name for name in names if name in by_name) for names in _COORDINATES]
-    points = np.column_stack([_numbers(path, name, by_name[name]) for name in axes])
-    ring_numbers = None if rings is None else _ring_numbers(path, rings)
-    if ring_numbers is not None and rings is by_name.get("line") and not _are_rings(points, ring_numbers):
-        ring_numbers = None
-    integer_unit_s = 1e-6 if "laser_id" in by_name else 1e-9
+    def first_numbers(names: tuple[str, ...]) -> FloatArray | None:
+        column = first(names)
+        return None if column is None else _numbers(path, names[0], column)
+
+    axes = []
+    for names in _COORDINATES:
+        name = next(name for name in names if name in by_name)
+        axes.append(_numbers(path, name, by_name[name]))
+    points = np.column_stack(axes)
+    rings = _ring_numbers(path, first(_RING))
+    if rings is not None and first(_RING) is by_name.get("line") and not _are_rings(points, rings):
+        rings = None
+    times_s = first_numbers(_TIME)
+    times = first(_TIME)
+    if times_s is not None and times is not None and times.dtype.kind in "iu":
+        times_s = times_s * (1e-6 if "laser_id" in by_name else 1e-9)
+    labels = first(_LABEL)
+    if not label_names and labels is not None and labels is by_name.get("objtag"):
+        label_names = CLASSES["carla"]
+    intensity = first_numbers(_INTENSITY)
     return Scan(
         points=points,
-        intensity=None if intensity is None else _numbers(path, "intensity", intensity),
+        intensity=intensity,
         labels=None if labels is None else _label_text(path, labels),
-        instances=None if instances is None else _instance_numbers(path, instances),
-        incidence=None if incidence is None else _numbers(path, "incidence", incidence),
-        rings=ring_numbers,
-        times_s=None
-        if times is None
-        else _numbers(path, "time", times) * (integer_unit_s if times.dtype.kind in "iu" else 1.0),
-        label_names=label_names or (CLASSES["carla"] if labels is not None and labels is by_name.get("objtag") else {}),
-        notes=_notes(columns, intensity is not None, ring_numbers),
+        instances=_instance_numbers(path, first(_INSTANCE)),
+        incidence=first_numbers(_INCIDENCE),
+        rings=rings,
+        times_s=times_s,
+        label_names=label_names or {},
+        notes=_notes(columns, intensity is not None, rings),
     )
+
+
+def packed_columns(
+    fields: Iterable[tuple[str, str, int]],
+    content: bytes,
+    shape: tuple[int, ...],
+    strides: tuple[int, ...],
+) -> dict[str, NDArray[Any]]:
+    """The numbers of points in memory by name, row by row.
+
+    Parameters
+    ----------
+    fields : name, NumPy's type and offset of each number; those without a name are left out
+    shape, strides : of the points, in bytes
+    """
+    columns = {}
+    for name, dtype, offset in fields:
+        if name:
+            columns[name] = np.ndarray(shape, dtype, content, offset, strides).ravel()
+    return columns
 
 
 def check_names(path: Path, names: Iterable[str], remedy: str = "") -> None:
@@ -155,8 +201,9 @@ def check_promise(path: Path, n_points: int, point_bytes: float) -> None:
     n_bytes = path.stat().st_size
     if n_points < 0 or n_points * point_bytes > n_bytes:
         promised = n_points if abs(n_points) < 10**30 else "10^30 and more"
-        fault = f"the header says {promised} points, in {n_bytes} bytes; the file is truncated or wrong"
-        raise ScanError(f"{path}: {fault}")
+        raise ScanError(
+            f"{path}: the header says {promised} points, in {n_bytes} bytes; the file is truncated or wrong",
+        )
 
 
 def check_unpacked(path: Path, n_unpacked: int) -> None:
@@ -167,10 +214,12 @@ def check_unpacked(path: Path, n_unpacked: int) -> None:
     n_unpacked : bytes, as the header has it
     """
     n_bytes = path.stat().st_size
-    if n_unpacked > (most := MOST_UNPACKED_BYTES + MOST_UNPACKED_A_BYTE * n_bytes):
+    most = MOST_UNPACKED_BYTES + MOST_UNPACKED_A_BYTE * n_bytes
+    if n_unpacked > most:
         raise ScanError(
-            f"{path}: {n_bytes} bytes would unpack to {n_unpacked}, at most {most} are read; the file is wrong, or "
-            "made to fill the memory; if it is right, write it without compression and dictionaries"
+            f"{path}: {n_bytes} bytes would unpack to {n_unpacked}, at most {most} are read; the "
+            "file is wrong, or made to fill the memory; if it is right, write it without "
+            "compression and dictionaries"
         )
 
 
@@ -180,7 +229,7 @@ def cause_of(error: object) -> str:
     return text if len(text) <= _LONGEST_CAUSE else f"{text[:_LONGEST_CAUSE]} ..."
 
 
-def with_label_file(scan: Scan, path: Path, stem: str) -> Scan:
+def with_label_file(scan: Scan, ref: ScanRef) -> Scan:
     """The scan with the labels of the `.label` file next to it, if any: uint32 per point.
 
     The low 16 bits are the class, the high 16 bits the instance, 0 for none (SemanticKITTI).
@@ -190,23 +239,22 @@ def with_label_file(scan: Scan, path: Path, stem: str) -> Scan:
     ScanError
         The numbers of labels and points differ.
     """
-    label_path = label_path_of(path, stem)
-    if not label_path.exists():
+    path = ref.labels
+    if not path.exists():
         return scan
-    n_bytes = label_path.stat().st_size
-    if n_bytes != 4 * len(scan.points):
+    n_bytes = path.stat().st_size
+    n_points = len(scan.points)
+    if n_bytes != 4 * n_points:
         raise ScanError(
-            f"{label_path}: expected {4 * len(scan.points)} bytes (one uint32 for each of the "
-            f"{len(scan.points)} points of {path.name}), got {n_bytes}"
+            f"{path}: expected {4 * n_points} bytes (one uint32 for each of the {n_points} points "
+            f"of {ref.file.name}), got {n_bytes}"
         )
-    numbers = np.fromfile(label_path, dtype="<u4")
-    upper = (numbers >> 16).astype(np.int32)
-    return replace(
-        scan,
-        labels=_label_text(label_path, numbers & 0xFFFF),
-        instances=scan.instances if scan.instances is not None and not upper.any() else upper,
-        label_names={},
-    )
+    numbers = np.fromfile(path, dtype="<u4")
+    instances = (numbers >> 16).astype(np.int32)
+    if scan.instances is not None and not instances.any():
+        instances = scan.instances
+    labels = _label_text(path, numbers & 0xFFFF)
+    return replace(scan, labels=labels, instances=instances, label_names={})
 
 
 def with_label_names(scan: Scan, names: Mapping[int, str]) -> Scan:
@@ -215,12 +263,10 @@ def with_label_names(scan: Scan, names: Mapping[int, str]) -> Scan:
     if scan.labels is None or not text:
         return scan
     classes, class_ids = np.unique(scan.labels, return_inverse=True)
-    return replace(scan, labels=np.array([text.get(name, name) for name in classes.tolist()])[class_ids])
-
-
-def label_path_of(path: Path, stem: str) -> Path:
-    """Path of the labels of a scan file, if its format has them; the file may not exist."""
-    return path.with_name(f"{stem}.label{'.url' * (path.suffix == '.url')}")
+    return replace(
+        scan,
+        labels=np.array([text.get(name, name) for name in classes.tolist()])[class_ids],
+    )
 
 
 def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
@@ -234,14 +280,19 @@ def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
     return bool(spreads_deg) and float(np.median(spreads_deg)) <= _MAX_RING_SPREAD_DEG
 
 
-def _notes(columns: Mapping[str, NDArray[Any]], has_intensity: bool, rings: IntArray | None) -> tuple[str, ...]:
+def _notes(
+    columns: Mapping[str, NDArray[Any]],
+    has_intensity: bool,
+    rings: IntArray | None,
+) -> tuple[str, ...]:
     """Notes of a scan, see `Scan`."""
     notes = []
     names = {name.lower() for name in columns}
     if "laser_number" in names and rings is not None and rings.max(initial=-1) >= _ARGOVERSE_BEAMS:
         notes.append(
-            f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams (Argoverse, VLP-32C), "
-            f"in the vehicle's frame; for beams and rays, write numbers below {_ARGOVERSE_BEAMS} alone, in their frame"
+            f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams "
+            "(Argoverse, VLP-32C), in the vehicle's frame; for beams and rays, write numbers "
+            f"below {_ARGOVERSE_BEAMS} alone, in their frame"
         )
     colours = sorted({"rgb", "rgba", "red"}.intersection(names))
     if colours and not has_intensity:
@@ -254,37 +305,49 @@ def _notes(columns: Mapping[str, NDArray[Any]], has_intensity: bool, rings: IntA
 
 def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
     if column.dtype.kind in _NO_NUMBERS:
-        raise ScanError(f"{path}: column {name}: expected one real number per row, got {column.dtype} values")
+        raise ScanError(
+            f"{path}: column {name}: expected one real number per row, got {column.dtype} values",
+        )
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # what float64 does not hold is infinite or NaN
+        with np.errstate(
+            over="ignore",
+            invalid="ignore",
+        ):  # what float64 does not hold is infinite or NaN
             return column.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
         for row, value in enumerate(column.tolist()):
             try:
                 float(value)
             except (TypeError, ValueError, OverflowError):
-                found = cause_of(repr(value))
-                hint = (
-                    "; is it a decimal comma? write decimal points" if re.fullmatch(r"[-\d ]+,\d+", str(value)) else ""
-                )
-                raise ScanError(f"{path}: row {row + 1}, column {name}: expected a number, got {found}{hint}") from None
-        raise ScanError(f"{path}: column {name}: expected numbers, got type {column.dtype}") from None
+                text = cause_of(repr(value))
+                if re.fullmatch(r"[-\d ]+,\d+", str(value)):
+                    text += "; is it a decimal comma? write decimal points"
+                raise ScanError(
+                    f"{path}: row {row + 1}, column {name}: expected a number, got {text}",
+                ) from None
+        raise ScanError(
+            f"{path}: column {name}: expected numbers, got type {column.dtype}",
+        ) from None
 
 
-def _instance_numbers(path: Path, column: NDArray[Any]) -> IntArray:
+def _instance_numbers(path: Path, column: NDArray[Any] | None) -> IntArray | None:
     """Numbers of objects from 1; 0 for none, which files also write as a negative number or leave out."""
+    if column is None:
+        return None
     numbers = _numbers(path, "instance", column)
-    is_thing = numbers > 0  # not where it is NaN
-    things, ids = np.unique(numbers[is_thing], return_inverse=True)
-    if len(things) and (things[-1] >= 2**31 or np.any(things != np.round(things))):
-        things = np.arange(1.0, len(things) + 1)
+    is_object = numbers > 0  # not where it is NaN
+    objects, ids = np.unique(numbers[is_object], return_inverse=True)
+    if len(objects) and (objects[-1] >= 2**31 or np.any(objects != np.round(objects))):
+        objects = np.arange(1.0, len(objects) + 1)
     instances = np.zeros(len(numbers), dtype=np.int32)
-    instances[is_thing] = things[ids].astype(np.int32)
+    instances[is_object] = objects[ids].astype(np.int32)
     return instances
 
 
-def _ring_numbers(path: Path, column: NDArray[Any]) -> IntArray | None:
+def _ring_numbers(path: Path, column: NDArray[Any] | None) -> IntArray | None:
     """Numbers of beams; None if the column holds other than integers."""
+    if column is None:
+        return None
     numbers = np.nan_to_num(_numbers(path, "ring", column), nan=-1.0)
     is_whole = bool(np.all((np.abs(numbers) < 2**31) & (numbers == np.round(numbers))))
     return numbers.astype(np.int32) if is_whole else None
@@ -292,8 +355,12 @@ def _ring_numbers(path: Path, column: NDArray[Any]) -> IntArray | None:
 
 def _label_text(path: Path, column: NDArray[Any]) -> NDArray[np.str_]:
     """Labels as text; all take the room of the longest, so that there is a limit to that."""
-    if column.dtype.kind == "O" and (longest := max(map(len, map(str, column.tolist())), default=0)) > LONGEST_LABEL:
-        raise ScanError(f"{path}: expected labels of at most {LONGEST_LABEL} characters, got one of {longest}")
+    if column.dtype.kind == "O":
+        longest = max((len(str(label)) for label in column.tolist()), default=0)
+        if longest > LONGEST_LABEL:
+            raise ScanError(
+                f"{path}: expected labels of at most {LONGEST_LABEL} characters, got one of {longest}",
+            )
     if column.dtype.kind == "f" and np.all((np.abs(column) < 2**53) & (column == np.round(column))):
         column = column.astype(np.int64)
     return column.astype(np.str_)

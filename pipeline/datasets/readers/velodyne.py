@@ -11,45 +11,54 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
-from .frame_address import Address, frame_number
 from .scan import Scan, scan_from_columns
+from .scan_ref import ScanRef, frame_number
 
 _PACKET_BYTES = 1206
 _LINUX_COOKED = 113
-_PACKETS_TOLD_BY = 5
+_MODEL_PACKETS = 5
 
 
-class _Frame(NamedTuple):
-    """A turn of the sensor in a capture: when its last packet came, and the bytes of the file that hold it."""
+class _Revolution(NamedTuple):
+    """A revolution of the sensor in a capture: when its last packet came, and the bytes of the file that hold it."""
 
     time_ns: int
     start: int
     stop: int
 
 
-def read(address: Address) -> Scan:
-    """One turn of the sensor, from a capture.
+def read(scan: ScanRef) -> Scan:
+    """One revolution of the sensor, from a capture.
 
     Raises
     ------
     ScanError
         The capture is damaged, has no Velodyne packets, or no such revolution, or several.
     """
-    known = _frames(address.file, address.file.stat().st_mtime_ns)
-    frame = known[frame_number(address, [each.time_ns for each in known])]
-    packets = [(stamp, data) for _, stamp, data in _packets(address.file, frame.start, frame.stop)]
-    return scan_from_columns(address.file, decoded(address.file, packets))
+    file = scan.file
+    revolutions = _revolutions(file, file.stat().st_mtime_ns)
+    revolution = revolutions[frame_number(scan, [revolution.time_ns for revolution in revolutions])]
+    packets = [
+        (stamp, data)
+        for _, stamp, data in _packets(
+            file,
+            revolution.start,
+            revolution.stop,
+        )
+    ]
+    return scan_from_columns(file, decoded(file, packets))
 
 
-def frames(address: Address) -> list[Path]:
-    """Addresses of the revolutions of the sensor, in order of time.
+def frames(recording: ScanRef) -> list[ScanRef]:
+    """The revolutions of the sensor, in order of time.
 
     Raises
     ------
     ScanError
         The capture is damaged, or has no Velodyne packets.
     """
-    return [Address(address.file).at(frame.time_ns) for frame in _frames(address.file, address.file.stat().st_mtime_ns)]
+    revolutions = _revolutions(recording.file, recording.file.stat().st_mtime_ns)
+    return [recording.at(revolution.time_ns) for revolution in revolutions]
 
 
 def decoded(path: Path, packets: Sequence[tuple[float, bytes]]) -> dict[str, NDArray[Any]]:
@@ -69,25 +78,33 @@ def decoded(path: Path, packets: Sequence[tuple[float, bytes]]) -> dict[str, NDA
 
 
 @lru_cache(maxsize=16)
-def _frames(file: Path, mtime_ns: int) -> list[_Frame]:
-    """The turns in a capture; reads and decodes it once."""
+def _revolutions(file: Path, mtime_ns: int) -> list[_Revolution]:
+    """The revolutions in a capture; reads and decodes it once."""
     import velodyne_decoder as vd
 
-    found: list[_Frame] = []
-    start, stop = None, 0
+    revolutions: list[_Revolution] = []
+    start: int | None = None
+    stop = 0
+
+    def add(decoded_turn: Any) -> None:
+        if decoded_turn is not None and start is not None:
+            time_ns = round(decoded_turn[0].host * 1e6) * 1000
+            revolutions.append(_Revolution(time_ns, start, stop))
+
     decoder = vd.StreamDecoder(_config(file, mtime_ns))
     for (begin, end), stamp, data in _packets(file):
-        start, stop = begin if start is None else start, end
+        start = begin if start is None else start
+        stop = end
         turn = decoder.decode(stamp, data, False)
+        add(turn)
         if turn is not None:
-            found.append(_Frame(round(turn[0].host * 1e6) * 1000, start, end))
             start = None
-    turn = decoder.finish(False)
-    if turn is not None and start is not None:
-        found.append(_Frame(round(turn[0].host * 1e6) * 1000, start, stop))
-    if not found:
-        raise ScanError(f"{file}: no data packets of a Velodyne sensor ({_PACKET_BYTES} bytes each) found")
-    return found
+    add(decoder.finish(False))
+    if not revolutions:
+        raise ScanError(
+            f"{file}: no data packets of a Velodyne sensor ({_PACKET_BYTES} bytes each) found",
+        )
+    return revolutions
 
 
 def _packets(
@@ -129,12 +146,15 @@ def _config(file: Path, _mtime_ns: int) -> Any:
     config = vd.Config()
     if file.suffix.lower() not in (".pcap", ".pcapng"):
         return config
-    endings = [data[-2:] for _, _, data in islice(_packets(file), _PACKETS_TOLD_BY)]
-    if len(endings) < _PACKETS_TOLD_BY or len(set(endings)) == 1:  # model and return mode: the same in newer sensors
+    endings = [data[-2:] for _, _, data in islice(_packets(file), _MODEL_PACKETS)]
+    if len(endings) < _MODEL_PACKETS or len(set(endings)) == 1:  # model and return mode: the same in newer sensors
         return config
-    found = vd.hdl64e.status_info_to_calib_dict(vd.hdl64e.read_status_info(data for _, _, data in _packets(file)))
-    if found["status"]["Calibration Time"] is None or [one["laser_id"] for one in found["lasers"]] != list(range(64)):
+    status = vd.hdl64e.read_status_info(data for _, _, data in _packets(file))
+    calibration = vd.hdl64e.status_info_to_calib_dict(status)
+    laser_ids = [laser["laser_id"] for laser in calibration["lasers"]]
+    if calibration["status"]["Calibration Time"] is None or laser_ids != list(range(64)):
         raise ValueError("packets of an HDL-64E without its calibration")
-    config.model = vd.Model.HDL64E_S2 if found["status"]["Model"] == "S2" else vd.Model.HDL64E_S3
-    config.calibration = vd.Calibration.from_string(yaml.dump(found))
+    is_s2 = calibration["status"]["Model"] == "S2"
+    config.model = vd.Model.HDL64E_S2 if is_s2 else vd.Model.HDL64E_S3
+    config.calibration = vd.Calibration.from_string(yaml.dump(calibration))
     return config

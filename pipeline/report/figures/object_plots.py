@@ -7,14 +7,13 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from ....schemas.columns import SIDES
-from ....schemas.metric_catalogue import METRIC
-from ....stages.arrays import BoolArray, FloatArray
+from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ...results.finished import FinishedRun, ObjectFacts, object_facts
 from ..look import SIDE_COLOURS
-from ..pictures import box_around, inside
+from ..pictures import box_around, surroundings
+from ..run_frames import read_cloud
 from ..view import number
 from . import style
-from .pair_plots import XYZ, object_points
 
 _CLASSES = ("car", "vegetation", "tree", "wall")
 
@@ -28,21 +27,19 @@ def plot_object(run: FinishedRun, pair_id: str, name: str) -> Figure:
         The pair failed, it has no such object, or a table is damaged.
     """
     facts = object_facts(run, pair_id, name)
-    clouds = {}
-    is_member: dict[str, BoolArray] = {}
-    for side, row in zip(SIDES, (facts.real, facts.sim), strict=True):
-        points = run.points(pair_id, side)
-        clouds[side] = points[XYZ].to_numpy()
-        ids = [row["community_id"]] if row else []
-        is_member[side] = points.community_id.isin(ids).to_numpy(dtype=bool)
-    members = {side: cloud[is_member[side]] for side, cloud in clouds.items()}
-    low, high = box_around(np.concatenate([*members.values()]))
-    box = style.box_of(np.stack([low, high]))
+    members = {}
+    others = {}
+    for side, row in (("real", facts.real), ("sim", facts.sim)):
+        cloud = read_cloud(run, pair_id, side)
+        members[side], points = cloud.split(row["community_id"] if row else None)
+        others[side] = [points, cloud.road]
+    corners = box_around(np.concatenate(list(members.values())))
+    box = style.box_of(np.stack(corners))
     with style.new_figure(7.5, 3.5, _object_title(facts, pair_id)) as figure:
-        for place, (side, cloud) in enumerate(clouds.items(), start=1):
+        for place, side in enumerate(SIDES, start=1):
             axis = figure.add_subplot(1, 2, place, projection="3d", **style.VIEW)
-            others = cloud[~is_member[side] & inside(cloud, low, high)]
-            style.draw_object(axis, others, "#bbbbbb", box)
+            near = surroundings(members.values(), others[side])
+            style.draw_object(axis, near, "#bbbbbb", box)
             style.draw_object(axis, members[side], SIDE_COLOURS[side], box)
             axis.set_title(f"{side}, {len(members[side]):,} points", y=1.0)
     return figure
@@ -51,14 +48,15 @@ def plot_object(run: FinishedRun, pair_id: str, name: str) -> Figure:
 def _object_title(facts: ObjectFacts, pair_id: str) -> str:
     """Pair, class and name of an object, its range, status and scores."""
     row = facts.row
-    words = f"{row['side']} {row['community_id']}"
+    name = f"{row['side']} {row['community_id']}"
     if row["label"]:
-        words = f"{style.shown_name(row['label'])} ({words})"
-    title = f"pair {style.shown_name(pair_id)}, {words}, {row['range_m']:.0f} m away: {facts.status}"
+        name = f"{style.shown_name(row['label'])} ({name})"
+    place = f"pair {style.shown_name(pair_id)}, {name}, {row['range_m']:.0f} m away"
+    words = [f"{place}: {facts.status}"]
     if facts.scores:
-        for score in ("cdc", "r_lambda"):
-            title += f", {METRIC[score].label} {number(facts.scores[score])}"
-    return title
+        for score in QUADRANT_SCORES:
+            words.append(f"{METRIC[score].label} {number(facts.scores[score])}")
+    return ", ".join(words)
 
 
 def plot_objects(run: FinishedRun, matched: pd.DataFrame) -> Figure | None:
@@ -78,8 +76,10 @@ def plot_objects(run: FinishedRun, matched: pd.DataFrame) -> Figure | None:
         figure.set_layout_engine("constrained", rect=(0, 0, 0.975, 1))
         grid = figure.add_gridspec(3, len(chosen), height_ratios=(1, 1, 0.3))
         for place, (_, row) in enumerate(chosen.iterrows()):
-            members = _members(run, row.pair_id, {"real": row.real_id, "sim": row.sim_id})
-            box = style.box_of(np.concatenate([*members.values()]))
+            members = {}
+            for side, community in (("real", row.real_id), ("sim", row.sim_id)):
+                members[side], _ = read_cloud(run, row.pair_id, side).split(community)
+            box = style.box_of(np.concatenate(list(members.values())))
             for level, (side, points) in enumerate(members.items()):
                 axis = figure.add_subplot(grid[level, place], projection="3d", **style.VIEW)
                 style.draw_object(axis, points, SIDE_COLOURS[side], box)
@@ -94,14 +94,6 @@ def plot_objects(run: FinishedRun, matched: pd.DataFrame) -> Figure | None:
             axis.set_axis_off()
             axis.text(0.5, 1, words, ha="center", va="top", fontsize=8.5)
     return figure
-
-
-def _members(run: FinishedRun, pair_id: str, ids: dict[str, int]) -> dict[str, FloatArray]:
-    """By side the points of an object."""
-    members = {}
-    for side, points in object_points(run, pair_id).items():
-        members[side] = points[points.community_id == ids[side]][XYZ].to_numpy()
-    return members
 
 
 def _choose_objects(matched: pd.DataFrame) -> pd.DataFrame:

@@ -17,6 +17,7 @@ from . import style
 
 _MOST_CLASSES = 8
 _MOST_LETTERS = 70  # that fit side by side under the boxes
+_MOST_VECTORS = 2000  # dots of a figure that are not a picture
 
 
 def plot_distributions(matched: pd.DataFrame) -> Figure:
@@ -60,12 +61,13 @@ def draw_quadrants(matched: pd.DataFrame, axis: Any) -> None:
             rows.r_lambda,
             color=QUADRANT_COLOURS[key],
             label=f"{title}: {100 * share:.0f} %",
-            rasterized=len(rows) > 2000,
+            rasterized=len(rows) > _MOST_VECTORS,
             **look,
         )
     axis.axhline(R_LAMBDA_LIMIT, color="black", linewidth=0.7)
     axis.axvline(CDC_LIMIT, color="black", linewidth=0.7)
-    axis.set(xlim=(0, 2), ylim=(0, 1), xlabel=axis_title("cdc"), ylabel=axis_title("r_lambda"))
+    axis.set(xlim=(0, 2), xlabel=axis_title("cdc"))
+    axis.set(ylim=(0, 1), ylabel=axis_title("r_lambda"))
     look = {"ncols": 2, "handletextpad": 0.2, "columnspacing": 0.8, "fontsize": 7}
     axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1), **look)
 
@@ -117,12 +119,15 @@ def draw_boxes(groups: dict[str, pd.DataFrame], axis: Any) -> None:
                 )
         axis.bar(0, 0, edgecolor="black", label=METRIC[score].label, **look)  # for the legend
     names = [style.shown_name(name, most=16) for name in groups]
-    counts = [len(rows) for rows in groups.values()]
-    if len(names) * max(map(len, names), default=0) > _MOST_LETTERS:
-        labels = [f"{name} ({n})" for name, n in zip(names, counts, strict=True)]
-        axis.set_xticks(range(len(names)), labels, rotation=25, ha="right", rotation_mode="anchor")
-    else:
-        labels = [f"{name}\n({n})" for name, n in zip(names, counts, strict=True)]
-        axis.set_xticks(range(len(names)), labels)
+    longest = max(map(len, names), default=0)
+    turned = {}
+    blank = "\n"
+    if len(names) * longest > _MOST_LETTERS:
+        turned = {"rotation": 25, "ha": "right", "rotation_mode": "anchor"}
+        blank = " "
+    labels = []
+    for name, rows in zip(names, groups.values(), strict=True):
+        labels.append(f"{name}{blank}({len(rows)})")
+    axis.set_xticks(range(len(names)), labels, **turned)
     axis.set(xlim=(-0.6, len(groups) - 0.4), ylim=(0, 2.02))
     axis.grid(axis="y")

@@ -1,4 +1,4 @@
-"""Style of the figures: sizes, colours, names that cannot break a drawing; and how figures are saved.
+"""Style of the figures: sizes, colours, names that cannot break a drawing; saving figures.
 
 matplotlib is imported by its first use here, with a backend that needs no display.
 """
@@ -62,8 +62,12 @@ def save(figure: Any, folder: Path, name: str) -> list[Path]:
     for kind, metadata in KINDS.items():
         content = BytesIO()
         with in_our_style():
-            figure.savefig(content, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.08)
-        figure.set_layout_engine("none")  # all is in its place now; finding it took half of the time
+            figure.savefig(
+                content, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.08
+            )
+        figure.set_layout_engine(
+            "none"
+        )  # all is in its place now; finding it took half of the time
         path = folder / f"{name}.{kind}"
         write_whole(path, content.getvalue())
         paths.append(path)
@@ -78,24 +82,30 @@ def fidelity_colours() -> Any:
 
 
 def community_colours(n: int) -> Any:
-    """(n, 3) colours in which neighbours in number differ; they repeat. No grey, which means no object."""
+    """(n, 3) colours in which neighbours in number differ; they repeat, and none is grey."""
     from matplotlib import colormaps
 
-    wheel = np.concatenate([colormaps[name](np.arange(20))[:, :3] for name in ("tab20", "tab20b")])
+    maps = (colormaps["tab20"], colormaps["tab20b"])
+    wheel = np.concatenate([colours(np.arange(20)) for colours in maps])[:, :3]
     wheel = wheel[np.ptp(wheel, axis=1) > 0.1]
     return wheel[np.arange(n) % len(wheel)]
 
 
 def dots(axis: Any, points: FloatArray, size: float, colour: Any, **look: Any) -> Any:
-    """Draws points, (n, 3) metres, from above or in space; in an SVG they are a picture."""
+    """Draw points, (n, 3) metres, from above or in space; in an SVG they are a picture."""
     places = points.T if axis.name == "3d" else points.T[:2]
     return axis.scatter(*places, s=size, c=colour, linewidths=0, rasterized=True, **look)
 
 
 def frame_of(*clouds: FloatArray) -> FloatArray:
-    """(2, 2) corners of the area shown from above: all but the farthest hundredth of the points, and the sensor."""
-    low, high = np.quantile(np.concatenate(clouds)[:, :2], [0.005, 0.995], axis=0)
-    low, high = np.minimum(low, 0), np.maximum(high, 0)
+    """(2, 2) corners of the area shown from above.
+
+    It holds all but the farthest hundredth of the points, and the sensor.
+    """
+    places = np.concatenate(clouds)[:, :2]
+    low, high = np.quantile(places, [0.005, 0.995], axis=0)
+    low = np.minimum(low, 0)
+    high = np.maximum(high, 0)
     margin = 0.04 * (high - low).max()
     return np.stack([low - margin, high + margin])
 
@@ -122,11 +132,12 @@ def new_maps(frame: FloatArray, n_maps: int, title: str) -> Iterator[tuple[Shown
 
 def colour_bar(axis: Any, dots: Any, label: str, extend: str = "neither") -> None:
     """Draw the colours of some dots to the right of a map."""
-    axis.figure.colorbar(dots, cax=axis.inset_axes((1.03, 0, 0.04, 1)), label=label, extend=extend)
+    place = axis.inset_axes((1.03, 0, 0.04, 1))
+    axis.figure.colorbar(dots, cax=place, label=label, extend=extend)
 
 
 def from_above(axis: Any, frame: FloatArray) -> None:
-    """Sets an axis to a frame in metres, with a cross at the sensor, and a legend if the dots have names."""
+    """Set an axis to a frame in metres: a cross at the sensor, a legend if dots have names."""
     axis.set(xlim=frame[:, 0], ylim=frame[:, 1])
     axis.set_aspect("equal")
     axis.plot(0, 0, marker="+", color="black", markersize=8, markeredgewidth=1.2)
@@ -146,8 +157,12 @@ def from_above(axis: Any, frame: FloatArray) -> None:
 
 
 def box_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest corner and size, (3,) each, of a box around all points, no side shorter than a third of the longest."""
-    low, high = points.min(axis=0), points.max(axis=0)
+    """Lowest corner and size, (3,) each, of a box around all points.
+
+    No side is shorter than a third of the longest.
+    """
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     size = np.maximum(high - low, (high - low).max() / 3)
     return (low + high - size) / 2, size
 
@@ -169,9 +184,10 @@ def _metres(axis: Any, size: FloatArray, zoom: float) -> None:
     """Set an axis in space to a box that begins at 0, true to scale."""
     from matplotlib.ticker import MaxNLocator
 
-    axis.set(xlim=(0, size[0]), ylim=(0, size[1]), zlim=(0, size[2]))
     axis.set_box_aspect(tuple(size), zoom=zoom)  # an array would be changed
-    for name, pad, length in zip("xyz", (-4, -6, -4), size, strict=True):
+    label_pads = (-4, -6, -4)
+    for name, pad, length in zip("xyz", label_pads, size, strict=True):
+        getattr(axis, f"set_{name}lim")(0, length)
         ticks = getattr(axis, f"{name}axis")
         ticks.set_major_locator(MaxNLocator(4 if length > 0.6 * size.max() else 2))
         ticks.set_tick_params(labelsize=6, pad=-2)
@@ -180,9 +196,14 @@ def _metres(axis: Any, size: FloatArray, zoom: float) -> None:
 
 
 def draw_band(axis: Any, x: FloatArray, mean: FloatArray, std: FloatArray, **look: Any) -> None:
-    """A line of means with a band of one standard deviation to either side, not below 0; `look` is of the line."""
+    """A line of means with a band of one standard deviation to either side, not below 0.
+
+    look : of the line
+    """
     axis.plot(x, mean, markersize=4, linewidth=1.2, **look)
-    axis.fill_between(x, np.maximum(mean - std, 0), mean + std, color=look["color"], alpha=0.2, linewidth=0)
+    axis.fill_between(
+        x, np.maximum(mean - std, 0), mean + std, color=look["color"], alpha=0.2, linewidth=0
+    )
 
 
 def mark_amounts(axis: Any, amounts: Iterable[float]) -> None:
@@ -193,7 +214,7 @@ def mark_amounts(axis: Any, amounts: Iterable[float]) -> None:
 
 
 def shown_name(name: str, most: int = 28) -> str:
-    r"""A name as a figure can show it: shortened, and with escapes in place of signs that the font does not have.
+    r"""A name as a figure can show it: shortened, characters that the font lacks as escapes.
 
     Examples
     --------
@@ -203,7 +224,8 @@ def shown_name(name: str, most: int = 28) -> str:
     from matplotlib.font_manager import findfont, get_font
 
     known = get_font(findfont("DejaVu Sans")).get_charmap()
-    text = "".join(
-        sign if ord(sign) in known and sign.isprintable() else sign.encode("unicode_escape").decode() for sign in name
-    )
+    text = ""
+    for character in name:
+        is_drawn = ord(character) in known and character.isprintable()
+        text += character if is_drawn else character.encode("unicode_escape").decode()
     return clipped(text, most)

@@ -36,9 +36,15 @@ from ..views.compare_view import (
 from .page_templates import render
 from .run_page import PAGE, PAGES
 
-MOST_OBJECTS, MOST_PAIRS = 300, 200
+MOST_OBJECTS = 300
+MOST_PAIRS = 200
 #: Verdicts that decide.
 DECIDED = ("worse", "mixed", "better")
+_METHOD = (
+    "Changes are after minus before, means over independent pairs. Intervals: 95 %, each of its "
+    "score alone (Student's t). Verdicts: exact sign-flip test per family (maxT over its scores), "
+    f"Holm over the families. {OBJECTS_NOTE}"
+)
 
 
 def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str:
@@ -53,84 +59,90 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
     RunError
         A table that pictures are drawn from is damaged or gone.
     """
-    method = (
-        "Changes are after minus before, means over independent pairs. Intervals: 95 %, each of its score alone "
-        "(Student's t). Verdicts: exact sign-flip test per family (maxT over its scores), Holm over the families. "
-        f"{OBJECTS_NOTE}"
-    )
-    sections = [_section(one, start) for one in comparisons]
+    sections = [_section(comparison, start) for comparison in comparisons]
+    charts = {}
+    places = []
+    for i, section in enumerate(sections):
+        if section["decided"]:
+            charts[f"changes_{i}"] = change_chart(section["decided"])
+        if section["open"]:
+            charts[f"undecided_{i}"] = change_chart(section["open"])
+        places.append([draw_change(change, section["runs"]) for change in section["worst"]])
     data = {
-        "charts": {
-            f"{kind}_{i}": change_chart(scores)
-            for i, section in enumerate(sections)
-            for kind, scores in (("changes", section["decided"]), ("undecided", section["open"]))
-            if scores
-        },
+        "charts": charts,
         "steering": STEERING,
         "colours": PAGE_COLOURS,
-        "places": [[draw_change(one, section["runs"]) for one in section["worst"]] for section in sections],
+        "places": places,
     }
-    return render(
-        "compare.html",
-        data,
-        sections=sections,
-        method=method,
-        arrows=MARKS_NOTE,
-    )
+    return render("compare.html", data, sections=sections, method=_METHOD, arrows=MARKS_NOTE)
 
 
 def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
     """One run against the base: `comparison` itself, its tables, its worst changes, and links."""
     objects = changed(comparison)
-    by_effect = sorted(comparison.scores, key=lambda score: (score.verdict not in DECIDED, -abs(score.clarity)))
-    families = {
-        is_decided: [family for family in comparison.families if (family.verdict in DECIDED) == is_decided]
-        for is_decided in (True, False)
-    }
-    n_decided = sum(score.verdict in DECIDED for score in by_effect)
-    leading = [family.scores[0] for family in comparison.families]
-    pairs = comparison.pairs[:MOST_PAIRS]
+    decided = [score for score in comparison.scores if score.verdict in DECIDED]
+    undecided = [score for score in comparison.scores if score.verdict not in DECIDED]
+    for scores in (decided, undecided):
+        scores.sort(key=lambda score: -abs(score.clarity))
+    families = [family for family in comparison.families if family.verdict in DECIDED]
+    open_families = [family for family in comparison.families if family.verdict not in DECIDED]
     runs = [FinishedRun(folder) for folder in (comparison.base, comparison.other)]
-    links = [[_report_link(run.folder, one, start) for run in runs] for one in objects[:MOST_OBJECTS]]
-    first = f" (the first {MOST_OBJECTS} of {len(objects)})" if len(objects) > MOST_OBJECTS else ""
-    pairs_title = (
-        f"Pairs (the first {MOST_PAIRS} of {len(comparison.pairs)})" if len(comparison.pairs) > MOST_PAIRS else "Pairs"
-    )
+    links = []
+    for change in objects[:MOST_OBJECTS]:
+        links.append([_report_link(run.folder, change, start) for run in runs])
+    without_report = []
+    for place, run in enumerate(runs):
+        if links and not any(of_object[place] for of_object in links):
+            without_report.append(run.folder)
+    objects_title = "Objects that have changed"
+    if len(objects) > MOST_OBJECTS:
+        objects_title += f" (the first {MOST_OBJECTS} of {len(objects)})"
+    more = list(object_view(comparison))
+    if comparison.excess:
+        more.insert(0, both_excesses_table(*comparison.excess))
+    family_title = "Decided, the clearest change first"
     return {
         "comparison": comparison,
         "decision": decision(comparison),
         "chance": chance(comparison),
-        "decided": by_effect[:n_decided],
-        "open": by_effect[n_decided:],
+        "decided": decided,
+        "open": undecided,
         "families": [
-            replace(family_table(comparison, families[True]), title="Decided, the clearest change first"),
-            score_table(comparison, by_effect[:n_decided]),
+            replace(family_table(comparison, families), title=family_title),
+            score_table(comparison, decided),
         ],
-        "undecided": [family_table(comparison, families[False]), score_table(comparison, by_effect[n_decided:])],
-        "n_decided": (len(families[True]), len(families[False])),
+        "undecided": [
+            family_table(comparison, open_families),
+            score_table(comparison, undecided),
+        ],
+        "n_decided": (len(families), len(open_families)),
         "causes": [cause_table(comparison)] if comparison.changes.causes else [],
         "remarks": remarks(comparison),
         "runs": runs,
         "worst": worst_changes(comparison.objects),
-        "without_report": [
-            run.folder for run, own in zip(runs, zip(*links, strict=True), strict=False) if not any(own)
-        ],
-        "more": [
-            *([both_excesses_table(*comparison.excess)] if comparison.excess else ()),
-            *object_view(comparison),
-        ],
-        "objects": object_table(f"Objects that have changed{first}", objects[:MOST_OBJECTS]),
+        "without_report": without_report,
+        "more": more,
+        "objects": object_table(objects_title, objects[:MOST_OBJECTS]),
         "links": links,
-        "pairs": Table(
-            pairs_title,
-            ("pair (change)", *(score.name for score in leading)),
-            [(name, *(signed(score.of_pairs[name]) for score in leading)) for name in pairs],
-        ),
+        "pairs": _pairs_table(comparison),
     }
 
 
+def _pairs_table(comparison: Comparison) -> Table:
+    """Change of the clearest score of each family by pair."""
+    leading = [family.scores[0] for family in comparison.families]
+    title = "Pairs"
+    if len(comparison.pairs) > MOST_PAIRS:
+        title += f" (the first {MOST_PAIRS} of {len(comparison.pairs)})"
+    headings = ("pair (change)", *(score.name for score in leading))
+    rows = []
+    for name in comparison.pairs[:MOST_PAIRS]:
+        rows.append((name, *(signed(score.of_pairs[name]) for score in leading)))
+    return Table(title, headings, rows)
+
+
 def _report_link(run: Path, change: Row, start: Path) -> str:
-    """The address of an object in its run's report, relative to a folder; "" if the run has no report."""
+    """The address of an object in its run's report, relative to a folder; "" without a report."""
     pages = (run / PAGE, run / PAGES / f"pair-{file_stem(change['pair_id'])}.html")
     page = next((page for page in pages if page.exists()), None)
     if page is None:

@@ -1,4 +1,6 @@
-"""Fill the pages' templates: every text is escaped, data for JavaScript is JSON in which no character ends a script.
+"""Fill the pages' templates.
+
+Every text is escaped; data for JavaScript is JSON in which no character ends a script.
 
 Everything is inside the page: style, code, data, and plotly.js as installed.
 """
@@ -31,15 +33,22 @@ def render(template: str, report: dict[str, Any], plotly_source: str = "", **wor
     words : what the template shows
     """
     report = {"template": TEMPLATE, **report}
-    return _environment().get_template(template).render(report=report, plotly_source=plotly_source, **words)
+    return (
+        _environment()
+        .get_template(template)
+        .render(report=report, plotly_source=plotly_source, **words)
+    )
 
 
 @cache
 def _environment() -> Environment:
     environment = Environment(
-        loader=PackageLoader(__package__ or ""), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+        loader=PackageLoader(__package__ or ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     environment.filters |= {
         "shown": shown,
@@ -48,14 +57,20 @@ def _environment() -> Environment:
         "plain": _in_words,
         "with_code": _with_code,
     }
-    environment.globals |= {"quadrant_colours": QUADRANT_COLOURS}
-    environment.globals |= {"themes": THEMES, "asset": _asset, "code": _code, "plotly": lambda: Markup(plotly_js())}
+    environment.globals |= {
+        "quadrant_colours": QUADRANT_COLOURS,
+        "themes": THEMES,
+        "asset": _asset,
+        "code": _code,
+        "plotly": lambda: Markup(plotly_js()),
+    }
     return environment
 
 
 def plotly_js() -> str:
-    """The text of plotly.js as installed, without the rest of plotly, which takes half a second to import."""
-    return resources.files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")
+    """The text of plotly.js as installed; to import the rest of plotly takes half a second."""
+    file = resources.files("plotly").joinpath("package_data", "plotly.min.js")
+    return file.read_text(encoding="utf-8")
 
 
 def _asset(name: str) -> Markup:
@@ -64,7 +79,10 @@ def _asset(name: str) -> Markup:
 
 
 def _code(*names: str) -> Markup:
-    """Modules of `assets`, each after those that it imports, as the text of one: their imports and exports go."""
+    """Modules of `assets` as the text of one, without imports and exports.
+
+    names : each after those that it imports
+    """
     text = "\n".join(_asset(name) for name in names)
     return Markup(re.sub(r"^import [^;]*;\n|^export ", "", text, flags=re.MULTILINE))
 

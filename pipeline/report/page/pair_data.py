@@ -8,6 +8,7 @@ another, which compresses well.
 from __future__ import annotations
 
 import base64
+import math
 import zlib
 from collections.abc import Iterable
 from typing import Any
@@ -17,40 +18,36 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ....schemas.columns import SIDES, Row
+from ....schemas.metric_catalogue import scores_in
 from ....stages.arrays import FloatArray, IndexArray, IntArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.surface import signed_distances
 from ...results.object_frame import plain_rows
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults, frames_of
+from ..view import columns_of
 from ..views.show_view import alone_judgement, judgement
 
-#: Properties shown of a chosen object, the first ones at first sight; an object shows those that it has.
-FACTS = (
-    *(
-        "range_m",
-        "cdc",
-        "r_lambda",
-        *OBJECT_COVERAGE,
-        "centroid_distance_m",
-        "n_real",
-        "n_sim",
-        "bearing_deg",
-    ),
-    *("r_gap", "quadrant", *OBJECT_ROAD, "alignment_rms_m", "n_keep", "group", "status", "reason"),
-    *("max_eigenvalue_shift", "laplacian_change", "eigenspectrum_distance", "gap_real", "gap_sim"),
+#: Properties of a chosen object, the first ones at first sight; an object shows those it has.
+_FACTS = (
+    *("range_m", *scores_in("panel"), *OBJECT_COVERAGE, "n_real", "n_sim", "bearing_deg"),
+    *("quadrant", *OBJECT_ROAD, "n_keep", "group", "status", "reason", *scores_in("object")),
 )
+FACTS = tuple(dict.fromkeys(_FACTS))  # each once
 #: Columns of the objects, in the order of their rows in the page.
 OBJECT_COLUMNS = ("name", "real_id", "sim_id", "cx", "cy", "cz", "sentence", *FACTS)
-#: The distance of a point to the other side is a byte, the largest for this many metres and more.
+#: The distance of a point to the other side is a byte, its largest value for this and more metres.
 FAR_M = COVERAGE_DISTANCES_M[-1]
 _FAR = 255
-#: The signed distance to the planes of the real side is a byte from -SIGNED_M to SIGNED_M, the last one for none.
+#: The signed distance to the planes of the real side is a byte, from -SIGNED_M to SIGNED_M.
 SIGNED_M = 0.5
 _NO_SIGN = 255
-#: Largest number of object points of a page; of an object at most `_MOST_OF_OBJECT`, at least `_FEWEST`.
+#: Largest number of object points of a page.
 MOST_POINTS = 1_000_000
-_MOST_OF_OBJECT, _FEWEST = 20_000, 80
-_MOST_ROAD_POINTS, _ROAD_CELL_M = 4000, 0.4
+#: Of one object.
+_MOST_OF_OBJECT = 20_000
+_FEWEST_OF_OBJECT = 80
+_MOST_ROAD_POINTS = 4000
+_ROAD_CELL_M = 0.4
 _STEPS = 32767
 _RINGS_PER_RADIAN = 400
 
@@ -74,16 +71,20 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
         chosen = thinned(cloud.community, most_points // 2)
         shown[side] = chosen[_ring_by_ring(cloud.points[chosen], cloud.community[chosen])]
     lines = _lines(tables, shown)
-    objects = _with_sentences(tables.objects)
+    sides = {}
+    for side in SIDES:
+        sides[side] = _side_data(tables, side, shown[side], step_m)
+        sides[side]["line"] = _packed(lines[side])
+    moves = {}
+    for real_id, move in tables.alignment_moves.items():
+        moves[str(real_id)] = np.round(move, 4).tolist()
     return {
         "step_m": step_m,
         "n_beams": len(tables.ray_image),
         "rays": _packed(tables.ray_image),
-        "sides": {
-            side: _side_data(tables, side, shown[side], step_m) | {"line": _packed(lines[side])} for side in SIDES
-        },
-        "moves": {str(real_id): np.round(move, 4).tolist() for real_id, move in tables.alignment_moves.items()},
-        "objects": [[row[column] for column in OBJECT_COLUMNS] for row in objects],
+        "sides": sides,
+        "moves": moves,
+        "objects": columns_of(_with_sentences(tables.objects), OBJECT_COLUMNS),
     }
 
 
@@ -99,11 +100,16 @@ def _step_m(tables: PairFrames) -> float:
 def _with_sentences(objects: pd.DataFrame) -> list[Row]:
     """The objects, each with a `sentence` on what is wrong with it."""
     rows = plain_rows(objects)
-    return [row | {"sentence": judgement(row) if row["partner"] >= 0 else alone_judgement(row)} for row in rows]
+    for row in rows:
+        is_matched = row["partner"] >= 0
+        row["sentence"] = judgement(row) if is_matched else alone_judgement(row)
+    return rows
 
 
 def thinned(community: Iterable[int], most: int) -> IndexArray:
-    """Indices of about `most` points, of each object the same share but at least `_FEWEST`; for display only.
+    """Indices of about `most` points, of each object the same share but not too few.
+
+    For display only.
 
     Examples
     --------
@@ -114,9 +120,13 @@ def thinned(community: Iterable[int], most: int) -> IndexArray:
     """
     ids = np.asarray(community)
     share = min(1.0, most / max(1, len(ids)))
-    rng, chosen = np.random.default_rng(0), []
-    for members in np.split(np.argsort(ids, kind="stable"), np.cumsum(np.bincount(ids))[:-1]):
-        n = min(len(members), _MOST_OF_OBJECT, max(_FEWEST, int(np.ceil(share * len(members)))))
+    rng = np.random.default_rng(0)
+    chosen = []
+    by_object = np.argsort(ids, kind="stable")
+    ends = np.cumsum(np.bincount(ids))
+    for members in np.split(by_object, ends[:-1]):
+        n = max(_FEWEST_OF_OBJECT, math.ceil(share * len(members)))
+        n = min(n, len(members), _MOST_OF_OBJECT)
         chosen.append(rng.choice(members, n, replace=False))
     kept: IndexArray = np.sort(np.concatenate(chosen))
     return kept
@@ -124,8 +134,9 @@ def thinned(community: Iterable[int], most: int) -> IndexArray:
 
 def _ring_by_ring(points: FloatArray, first: Any) -> IndexArray:
     """Order of points by `first`, by elevation and by azimuth: neighbours follow one another."""
-    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
-    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    x, y, z = points.T
+    elevation = np.arctan2(z, np.hypot(x, y))
+    azimuth = np.arctan2(y, x)
     order: IndexArray = np.lexsort((azimuth, np.rint(elevation * _RINGS_PER_RADIAN), first))
     return order
 
@@ -170,16 +181,19 @@ def _lines(tables: PairFrames, shown: dict[str, IndexArray]) -> dict[str, IntArr
 
 
 def _some_road(road: FloatArray) -> FloatArray:
-    """Road points evenly over the ground, one a cell and not more than `_MOST_ROAD_POINTS`; for display only."""
-    _, first = np.unique(np.floor(road[:, :2] / _ROAD_CELL_M), axis=0, return_index=True)
+    """Road points evenly over the ground, one per cell; for display only."""
+    cells = np.floor(road[:, :2] / _ROAD_CELL_M)
+    _, first = np.unique(cells, axis=0, return_index=True)
     if len(first) > _MOST_ROAD_POINTS:
         first = np.random.default_rng(0).choice(first, _MOST_ROAD_POINTS, replace=False)
-    return road[first][_ring_by_ring(road[first], np.zeros(len(first)))]
+    points = road[first]
+    return points[_ring_by_ring(points, np.zeros(len(points)))]
 
 
 def _in_bytes(share: FloatArray, whole: int) -> Any:
     """Shares of `whole`, cut off at 0 and 1; NaN is `_NO_SIGN`."""
-    return np.nan_to_num(np.rint(whole * np.clip(share, 0, 1)), nan=_NO_SIGN).astype(np.uint8)
+    steps = np.rint(whole * np.clip(share, 0, 1))
+    return np.nan_to_num(steps, nan=_NO_SIGN).astype(np.uint8)
 
 
 def _packed_points(points: FloatArray, step_m: float) -> str:

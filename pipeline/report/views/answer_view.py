@@ -1,30 +1,39 @@
-"""The first answer of a run: surface, pieces, causes, worst places, scores, trust, and the next step."""
+"""The first answer of a run: surface, pieces, causes, worst places, scores, trust, next step."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
 
-from ....schemas.metric_catalogue import metric_of
+from ....schemas.metric_catalogue import headline_scores, metric_of
 from ....schemas.record import RunHeader, RunRecord
-from ....schemas.results import Cause, Caution, Diagnosis, Overview
+from ....schemas.results import Cause, Diagnosis, Overview
 from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
 from ...results.causes import MOST_SHOWN, interval_words
 from ...results.diagnosis import gain_words, unexplained_words, with_gains
 from ...storage.urls import url_or_path
-from ..view import Answers, Note, View, number, percent, shortened
+from ..view import (
+    Answers,
+    Item,
+    Note,
+    View,
+    count,
+    items_of,
+    number,
+    percent,
+    shortened,
+)
 
-#: Causes, places and cautions that are shown without --all.
-_FEW = MOST_SHOWN, 3, 2
-_PAIR = 16
-_SCORES = ("cdc_mean", "r_lambda_mean", "r_gap_mean")
+#: What is shown without --all.
+_MOST_PLACES = 3
+_MOST_CAUTIONS = 2
+_PAIR_WIDTH = 16
 _COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
 #: Sentence if no cause is named.
 NO_CAUSE = "no cause is larger than the differences between two measurements of one scene"
 _NOT_YET = "the frame of the simulated scans: see the warning above"
-#: Cautions that are shown above the answer.
-_SHOWN_ABOVE = ("failed", "frames")
+_LEAST_MOVE = 5e-3
 
 
 def answer_view(
@@ -45,47 +54,30 @@ def answer_view(
     with_all : all causes, places and cautions
     took : time and reused jobs of a run that just ended
     """
-    run, recipe = url_or_path(folder), read_recipe(folder)
+    recipe = read_recipe(folder)
     line = Note(run_line(record, took, recipe), "bold")
     overview = with_gains(record.overview, diagnosis)
     if overview is None:
         return [line]
-    n_causes, n_places, n_cautions = (None, None, None) if with_all else _FEW
-    first = cause_items(overview.causes[:n_causes])
-    if not first:
-        first = [(_NOT_YET if record.frames else NO_CAUSE, "", "")]
+    causes = overview.causes if with_all else overview.causes[:MOST_SHOWN]
+    first = cause_items(causes) or items_of(_NOT_YET if record.frames else NO_CAUSE)
     if diagnosis is not None:
-        first.append((unexplained_words(diagnosis), "", ""))
-    pieces = overview.pieces[:n_places]
-    names = shortened({own.pair_id for own in pieces}, _PAIR)
-    hidden = {*_SHOWN_ABOVE, *(["best_case"] if excess or recipe else [])}
-    trust = trust_words(folder, [caution for caution in overview.trust if caution.kind not in hidden])[:n_cautions]
-    if overview.unknown:
-        trust.append(unknown_words(overview))
+        first += items_of(unexplained_words(diagnosis))
+    most = None if with_all else _MOST_CAUTIONS
+    trust = trust_words(folder, overview, most, has_best_case=bool(excess or recipe))
     if not with_all:
-        trust.append(f"more: {shlex.join(['fidpipe', 'show', run, '--all'])}")
-    following = [["check", record.dataset, *run_options(record)]] if record.frames else [["report", run, "--open"]]
-    if recipe is not None:
-        following = [["show", run_of_best_case(folder, recipe), "--best-case", run]]
-    elif diagnosis is None and not record.frames:
-        following.insert(0, ["diagnose", run])
+        trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(folder), '--all'])}")
     sections = {
-        "  surface": [(surface_words(record, excess), "", "")],
-        "  pieces": [(pieces_words(record), "", "")],
+        "  surface": items_of(surface_words(record, excess)),
+        "  pieces": items_of(pieces_words(record)),
         "Fix first": first,
-        "Worst places": [(f"{names[own.pair_id]}  {own.words}", "", own.fate_words) for own in pieces],
-        "Objects": [(scores_words(record), "", "")],
-        "Last run": [(change_words(record), "", "")] if record.previous else [],
-        "Trust": [(words, "", "") for words in trust],
-        "Next": [(shlex.join(["fidpipe", *words]), "", "") for words in following],
+        "Worst places": _worst_places(overview, with_all),
+        "Objects": items_of(scores_words(record)),
+        "Last run": items_of(change_words(record)),
+        "Trust": items_of(*trust),
+        "Next": items_of(*_next_commands(folder, record, diagnosis, recipe)),
     }
     return [line, Answers([(heading, items) for heading, items in sections.items() if items])]
-
-
-def trust_words(folder: Path, cautions: Sequence[Caution]) -> list[str]:
-    """The limits to the trust in a run, with its folder in the commands."""
-    command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
-    return [caution.words.replace("fidpipe best-case RUN", command) for caution in cautions]
 
 
 def run_options(record: RunHeader) -> list[str]:
@@ -96,9 +88,58 @@ def run_options(record: RunHeader) -> list[str]:
     return options
 
 
-def cause_items(causes: Sequence[Cause]) -> list[tuple[str, str, str]]:
+def cause_items(causes: Sequence[Cause]) -> list[Item]:
     """Causes as items of an answer: words, interval and gain, and the setting."""
-    return [(f"{i}  {cause.words}", f"95 %: {amount_words(cause)}", cause.setting) for i, cause in enumerate(causes, 1)]
+    items = []
+    for i, cause in enumerate(causes, start=1):
+        items.append((f"{i}  {cause.words}", f"95 %: {amount_words(cause)}", cause.setting))
+    return items
+
+
+def _worst_places(overview: Overview, with_all: bool) -> list[Item]:
+    pieces = overview.pieces if with_all else overview.pieces[:_MOST_PLACES]
+    names = shortened({piece.pair_id for piece in pieces}, _PAIR_WIDTH)
+    return [(f"{names[piece.pair_id]}  {piece.words}", "", piece.fate_words) for piece in pieces]
+
+
+def trust_words(
+    folder: Path, overview: Overview, most: int | None = None, *, has_best_case: bool = False
+) -> list[str]:
+    """What limits the trust in a run, at most so many cautions; then causes that are unknown.
+
+    Commands name the folder of the run.
+    """
+    command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
+    kinds = {caution.kind for caution in overview.trust} - {"failed", "frames"}  # shown above
+    if has_best_case:
+        kinds.discard("best_case")
+    trust = []
+    for words in caution_words(overview, kinds)[:most]:
+        trust.append(words.replace("fidpipe best-case RUN", command))
+    if overview.unknown:
+        groups = [f"{', '.join(group.causes)} ({group.reason})" for group in overview.unknown]
+        trust.append(f"unknown: {'; '.join(groups)}")
+    return trust
+
+
+def caution_words(overview: Overview, kinds: Container[str]) -> list[str]:
+    """The cautions of these kinds."""
+    return [caution.words for caution in overview.trust if caution.kind in kinds]
+
+
+def _next_commands(
+    folder: Path, record: RunRecord, diagnosis: Diagnosis | None, recipe: BestCaseRecipe | None
+) -> list[str]:
+    run = url_or_path(folder)
+    if recipe is not None:
+        commands = [["show", run_of_best_case(folder, recipe), "--best-case", run]]
+    elif record.frames:
+        commands = [["check", record.dataset, *run_options(record)]]
+    else:
+        commands = [["report", run, "--open"]]
+        if diagnosis is None:
+            commands.insert(0, ["diagnose", run])
+    return [shlex.join(["fidpipe", *words]) for words in commands]
 
 
 def amount_words(cause: Cause) -> str:
@@ -107,47 +148,48 @@ def amount_words(cause: Cause) -> str:
     return f"{interval_words(cause)}; {gain}" if gain else interval_words(cause)
 
 
-def unknown_words(overview: Overview) -> str:
-    """The causes that cannot be estimated, by reason."""
-    return "unknown: " + "; ".join(f"{', '.join(group.causes)} ({group.reason})" for group in overview.unknown)
-
-
 def run_line(record: RunRecord, took: str = "", recipe: BestCaseRecipe | None = None) -> str:
     """Dataset, pairs, time and preset of a run, or of a best case if its recipe is given."""
-    pairs = record.pairs
-    n, n_all = pairs.scored, pairs.scored + pairs.failed + pairs.to_do
-    counts = f"{n} of {n_all}" if n < n_all else n
-    scored = " scored" * (n < n_all)
-    differing = f", but {' '.join(record.departures)}" if record.departures else ""
-    name = Path(record.dataset).name if recipe is None else f"best case of {Path(recipe.dataset).name}"
-    return f"{name}: {counts} pair{'s' * (n_all != 1)}{scored}{took}, preset {record.preset}{differing}"
+    n_scored = record.pairs.scored
+    n_all = n_scored + record.pairs.failed + record.pairs.to_do
+    pairs = count(n_all, "pair")
+    if n_scored < n_all:
+        pairs = f"{n_scored} of {pairs} scored"
+    name = Path(record.dataset if recipe is None else recipe.dataset).name
+    if recipe is not None:
+        name = f"best case of {name}"
+    return f"{name}: {pairs}{took}, preset {record.preset}{departures(record)}"
+
+
+def departures(record: RunRecord) -> str:
+    """The settings of a run that differ from its preset."""
+    return f", but {' '.join(record.departures)}" if record.departures else ""
 
 
 def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:
     """Share of each side's surface that the other side has, with the best case's."""
-    real, sim = (percent(record.summary[column].mean) for column in _COVERED)
-    best_case = excess and ", ".join(percent(excess.scores[column].best_case) for column in _COVERED)
-    return (
-        f"{real} of the real surface is simulated within 0.3 m, {sim} of the simulated surface is real"
-        f"{f' (best case {best_case})' if best_case else ''}"
+    real, sim = [percent(record.summary[column].mean) for column in _COVERED]
+    words = (
+        f"{real} of the real surface is simulated within 0.3 m, "
+        f"{sim} of the simulated surface is real"
     )
+    if excess is None:
+        return words
+    best_case = ", ".join(percent(excess.scores[column].best_case) for column in _COVERED)
+    return f"{words} (best case {best_case})"
 
 
 def pieces_words(record: RunRecord) -> str:
     """Missing and invented pieces per pair."""
-    missing, invented = (record.summary[f"n_{kind}_pieces"].mean for kind in ("missing", "invented"))
-    return f"{number(missing, 1)} missing and {number(invented, 1)} invented per pair"
-
-
-def headline_scores(record: RunRecord) -> tuple[str, ...]:
-    """Columns of `pairs`: the object scores that a run is described by; *found* if the real side fixes the objects."""
-    return ("match_rate" if record.preset == "paper" else "found", *_SCORES)
+    missing = number(record.summary["n_missing_pieces"].mean, 1)
+    invented = number(record.summary["n_invented_pieces"].mean, 1)
+    return f"{missing} missing and {invented} invented per pair"
 
 
 def scores_words(record: RunRecord) -> str:
     """The object scores; those of the paper next to them under its preset."""
     words = []
-    for column in headline_scores(record):
+    for column in headline_scores(record.preset):
         metric = metric_of(column)
         word = f"{metric.label} {number(record.summary[column].mean, 2)}"
         if record.preset == "paper" and metric.paper_mean is not None:
@@ -161,11 +203,11 @@ def change_words(record: RunRecord) -> str:
     last = record.previous
     if last is None:
         return ""
-    moved = [
-        f"{metric_of(column).label.partition(',')[0]} {now - before:+.2f}"
-        for column in (*_COVERED, *headline_scores(record))
-        if (now := record.summary[column].mean) is not None
-        and (before := last.means.get(column)) is not None
-        and abs(now - before) >= 5e-3
-    ]
-    return f"{', '.join(moved) or 'no score moved'} since {last.written}; is it chance? fidpipe compare"
+    moved = []
+    for column in (*_COVERED, *headline_scores(record.preset)):
+        now = record.summary[column].mean
+        before = last.means.get(column)
+        if now is not None and before is not None and abs(now - before) >= _LEAST_MOVE:
+            moved.append(f"{metric_of(column).label.partition(',')[0]} {now - before:+.2f}")
+    changes = ", ".join(moved) or "no score moved"
+    return f"{changes} since {last.written}; is it chance? fidpipe compare"

@@ -1,4 +1,4 @@
-"""Comparisons of two runs: the decision, causes that changed, families, scores, objects and remarks."""
+"""Comparisons of two runs: decision, causes that changed, families, scores, objects, remarks."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ....schemas.columns import Row
-from ....schemas.metric_catalogue import METRIC
+from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS, Difference
 from ...results.causes import interval_words
 from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, score_rows
-from ...results.followed import SHARED_SCORES, by_change, by_class, by_range
+from ...results.followed import by_change, by_class, by_range
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
-from ..view import Note, Part, Table, View, number, percent, signed
+from ..view import Note, Part, Table, View, first_of, number, percent, signed, warnings
 from .best_case_view import both_excesses_table, excess_notes
 
 _MOST_OBJECTS = 5
@@ -25,12 +25,14 @@ _COLOURS = {"worse": "red", "mixed": "red", "better": "green", "undecided": "yel
 #: Fates of an object that are listed; unchanged ones are not.
 _CHANGED = ("vanished", "worse", "mixed", "better", "appeared")
 OBJECTS_NOTE = (
-    f"An object is worse or better if CDC or r_lambda changed by more than {LEAST_CHANGE} and neither the other way. "
-    "Single objects also change where Louvain cuts the simulated side otherwise: trust many, not one."
+    f"An object is worse or better if CDC or r_lambda changed by more than {LEAST_CHANGE} and "
+    "neither the other way. Single objects also change where Louvain cuts the simulated side "
+    "otherwise: trust many, not one."
 )
 GROUPS_NOTE = (
-    "Classes and ranges are described, not tested: some of these changes are due to chance, and of many groups "
-    "some always move. Mean changes are over the objects that both runs have matched; below 0 is better."
+    "Classes and ranges are described, not tested: some of these changes are due to chance, and of "
+    "many groups some always move. Mean changes are over the objects that both runs have matched; "
+    "below 0 is better."
 )
 
 
@@ -80,7 +82,8 @@ def _details(comparison: Comparison) -> list[Part]:
 
 def object_view(comparison: Comparison) -> View:
     """The real objects by fate, by class or shape, and by range."""
-    objects, n_all = comparison.objects, len(comparison.objects)
+    objects = comparison.objects
+    n_all = len(objects)
     if not n_all:
         return []
     rows = [(kind, str(n), percent(n / n_all)) for kind, n in comparison.kinds.items()]
@@ -98,8 +101,9 @@ def decision(comparison: Comparison) -> str:
     parts = []
     if comparison.failed:
         n_base = len(comparison.pairs) + len(comparison.lost)
-        count = f"all {n_base}" if len(comparison.failed) == n_base else f"{len(comparison.failed)} of {n_base}"
-        parts.append(f"{count} pairs that were scored before fail now")
+        n_failed = len(comparison.failed)
+        which = f"all {n_base}" if n_failed == n_base else f"{n_failed} of {n_base}"
+        parts.append(f"{which} pairs that were scored before fail now")
     for verdict in ("worse", "mixed", "better"):
         reasons = _reasons(comparison, verdict)
         if reasons:
@@ -116,21 +120,28 @@ def _reasons(comparison: Comparison, verdict: str) -> list[str]:
     reasons = [f"{change.words} ({change.cause.setting})" for change in causes[:_MOST_CAUSES]]
     if len(causes) > _MOST_CAUSES:
         reasons.append(f"{len(causes) - _MOST_CAUSES} more causes")
-    families = [family for family in comparison.families if family.verdict == verdict and not family.why]
-    return reasons + [_both_ways(family) if verdict == "mixed" else family.name for family in families]
+    for family in comparison.families:
+        if family.verdict == verdict and not family.why:
+            reasons.append(_both_ways(family) if verdict == "mixed" else family.name)
+    return reasons
 
 
 def _both_ways(family: FamilyChange) -> str:
     """A family some scores of which are better and some worse."""
-    counted = [score for score in family.scores if not score.why and score.verdict in ("worse", "better")]
-    return f"{family.name} ({', '.join(f'{score.name} {score.verdict}' for score in counted)})"
+    verdicts = []
+    for score in family.scores:
+        if not score.why and score.verdict in ("worse", "better"):
+            verdicts.append(f"{score.name} {score.verdict}")
+    return f"{family.name} ({', '.join(verdicts)})"
 
 
 def _nothing_decided(comparison: Comparison) -> str:
     """Sentence for a comparison in which nothing is worse or better."""
     if comparison.decision == "same":
         return "no score changed"
-    uncertain = [change.words for change in comparison.changes.causes if change.verdict == "changed"]
+    uncertain = [
+        change.words for change in comparison.changes.causes if change.verdict == "changed"
+    ]
     if uncertain:
         return f"changed, neither better nor worse: {', '.join(uncertain[:_MOST_CAUSES])}"
     counted = pairs_and_places(len(comparison.pairs), comparison.n_places)
@@ -146,20 +157,22 @@ def _nothing_decided(comparison: Comparison) -> str:
 
 
 def _clearly(family: FamilyChange) -> str:
-    """Direction in which the clearest score of a family moved, worse or better; "" if it is not clear."""
+    """Direction of the clearest score of a family, worse or better; "" if it is not clear."""
     return next((score.towards for score in family.scores if score.is_clear), "")
 
 
 def chance(comparison: Comparison) -> str:
-    """The second line: how pairs were counted, and the rate at which equal simulators are called better or worse."""
+    """The second line: how pairs were counted, and the rate of false alarms."""
     counted = comparison.counted
     if comparison.by_direction:
         counted += (
-            f"; changes of the world count if the frames and {N_SECTORS} directions agree (--independent: the frames "
-            "alone)"
+            f"; changes of the world count if the frames and {N_SECTORS} directions agree "
+            "(--independent: the frames alone)"
         )
     if comparison.is_small:
-        return f"{counted}; fewer than {LEAST_PAIRS} pairs: only very large changes of the world count"
+        return (
+            f"{counted}; fewer than {LEAST_PAIRS} pairs: only very large changes of the world count"
+        )
     return f"{counted}; false-alarm rate at most {100 * ERROR_RATE:.0f} %"
 
 
@@ -169,65 +182,77 @@ def remarks(comparison: Comparison) -> list[Note]:
     lines += [f"also differs: {text}" for text in comparison.notes]
     tending = [family.name for family in comparison.families if family.tendency == "worse"]
     if tending:
-        lines.append(f"not decided, but with a tendency to the worse (p below 5 % alone): {', '.join(tending)}")
-    lines += [f"{own.name}: ({own.verdict}) does not count, {own.why}" for own in comparison.families if own.why]
+        lines.append(
+            "not decided, but with a tendency to the worse (p below 5 % alone): "
+            f"{', '.join(tending)}"
+        )
+    for family in comparison.families:
+        if family.why:
+            lines.append(f"{family.name}: ({family.verdict}) does not count, {family.why}")
     if comparison.changes.elsewhere is not None:
         share = percent(comparison.changes.elsewhere)
-        lines.append(f"unexplained: {share} of the flat surface is elsewhere than before, which no cause explains")
+        lines.append(
+            f"unexplained: {share} of the flat surface is elsewhere than before, which no cause "
+            "explains"
+        )
     if comparison.changes.doubtful:
-        lines.append(f"seen, but undoing it brings nothing closer: {'; '.join(comparison.changes.doubtful)}")
+        doubtful = "; ".join(comparison.changes.doubtful)
+        lines.append(f"seen, but undoing it brings nothing closer: {doubtful}")
     lines += _on_chance(comparison)
     n_unfollowed = len(comparison.unfollowed)
     if n_unfollowed:
-        lines.append(f"{n_unfollowed} pairs have different real objects in the two runs: they are not followed")
+        lines.append(
+            f"{n_unfollowed} pairs have different real objects in the two runs: they are not "
+            "followed"
+        )
     left_out = [f"left out: pair {name}: {why}" for name, why in comparison.left_out.items()]
-    lines += left_out[:_MOST_LEFT_OUT]
-    if len(left_out) > _MOST_LEFT_OUT:
-        lines.append(f"left out: {len(left_out) - _MOST_LEFT_OUT} more pairs")
-    return [Note(f"note: {line}", "yellow") for line in lines]
+    lines += first_of(left_out, _MOST_LEFT_OUT, "left out: {} more pairs")
+    return warnings(lines)
 
 
 def _on_chance(comparison: Comparison) -> list[str]:
     """Seeds and best case: which changes are not more than these make."""
     lines = [comparison.on_partition] if comparison.on_partition else []
-    by_seeds = [score.name for score in comparison.scores if score.exceeds(score.seed_noise) is False]
+    by_seeds = []
+    below = []
+    for score in comparison.scores:
+        if score.exceeds(score.seed_noise) is False:
+            by_seeds.append(score.name)
+        if score.exceeds(score.best_case) is False and score.towards:
+            change = signed(score.difference.difference)
+            below.append(f"{score.name} ({change}, best case {number(score.best_case)})")
     if by_seeds:
         lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
-    below = [score for score in comparison.scores if score.exceeds(score.best_case) is False and score.towards]
     if below:
         lines.append(
             "no more than the best case, by which a second measurement of the real scan differs: "
-            + ", ".join(
-                f"{score.name} ({signed(score.difference.difference)}, best case {number(score.best_case)})"
-                for score in below
-            )
+            f"{', '.join(below)}"
         )
-    if comparison.excess:
-        lines += dict.fromkeys(
-            note.text.removeprefix("note: ") for each in comparison.excess for note in excess_notes(each)
-        )
+    for excess in comparison.excess or ():
+        lines += [text for text in excess_notes(excess) if text not in lines]
     return lines
 
 
 def changed(comparison: Comparison) -> list[Row]:
-    """The objects that have changed: vanished ones, then those that got worse, most first, then the others."""
+    """The objects that have changed: vanished ones, worse ones, most first, then the others."""
     objects = by_change(comparison.objects[comparison.objects["kind"].isin(_CHANGED)])
-    return sorted(plain_rows(objects), key=lambda one: _CHANGED.index(one["kind"]))
+    return sorted(plain_rows(objects), key=lambda row: _CHANGED.index(row["kind"]))
 
 
 def family_table(comparison: Comparison, families: Sequence[FamilyChange] | None = None) -> Table:
-    """One row per family, or per family chosen: verdict, and its clearest score before and after."""
+    """One row per family, or per family chosen: verdict, its clearest score before and after."""
     rows = []
     for family in comparison.families if families is None else families:
-        score, own = family.scores[0], family.scores[0].difference
-        numbers = (own.before, own.after, _interval(own), _p(family.p))
+        score = family.scores[0]
+        change = score.difference
+        numbers = (change.before, change.after, _interval(change), _p(family.p))
         rows.append((family.name, family.called, score.name, *numbers))
     headings = ("family", "verdict", "clearest change", "before", "after", "change, 95 %", "p")
     return Table("", headings, rows, words=(0, 1, 2), wide=(6,))
 
 
 def cause_table(comparison: Comparison) -> Table:
-    """One row per cause that changed: what, the interval of the change, its verdict, and the setting."""
+    """One row per cause that changed: interval of the change, verdict, and setting."""
     rows = []
     for change in comparison.changes.causes:
         verdict = change.verdict or "see families"
@@ -237,7 +262,7 @@ def cause_table(comparison: Comparison) -> Table:
 
 
 def changed_since(comparison: Comparison) -> View:
-    """The causes that changed since an earlier build; never to be read as against the real scans."""
+    """The causes that changed since an earlier build; not those against the real scans."""
     title = Note(f"Changed since {comparison.base}", "bold")
     if not comparison.changes.causes:
         return [title, Note("no cause changed by more than the accuracy of its estimate")]
@@ -247,64 +272,80 @@ def changed_since(comparison: Comparison) -> View:
 def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = None) -> Table:
     """One row per score, or per score chosen, with its numbers, and an arrow to where it is better.
 
-    Not in a terminal: the pairs if all have each score; if both runs were repeated under other seeds, whether the
-    change is more than they alone make; with a best case, whether it is more than a second measurement makes.
+    Not in a terminal: the pairs if all have each score; if both runs were repeated under other
+    seeds, whether the change is more than they alone make; with a best case, whether it is more
+    than a second measurement makes.
     """
-    beyond = {None: "-", True: "yes ({})", False: "no ({})"}
-    with_seeds = any(score.seed_noise is not None for score in comparison.scores)
-    with_best_case = any(score.best_case is not None for score in comparison.scores)
-    rows = [
-        (
-            *(family.name, f"{score.name} {score.mark}", score.difference.n_pairs, score.difference.before),
-            *(score.difference.after, _interval(score.difference), _p(score.p)),
+    scores = comparison.scores
+    with_seeds = any(score.seed_noise is not None for score in scores)
+    with_best_case = any(score.best_case is not None for score in scores)
+    have_all = all(score.difference.n_pairs == len(comparison.pairs) for score in scores)
+    headings = ["family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict"]
+    if with_seeds:
+        headings.append("more than seeds make")
+    if with_best_case:
+        headings.append("more than the best case")
+    rows = []
+    for score in scores if chosen is None else chosen:
+        change = score.difference
+        row: list[object] = [
+            *(_family_of(comparison, score), f"{score.name} {score.mark}", change.n_pairs),
+            *(change.before, change.after, _interval(change), _p(score.p)),
             f"({score.verdict})" if score.why else score.verdict,
-            *[beyond[score.exceeds(score.seed_noise)].format(number(score.seed_noise))] * with_seeds,
-            *[beyond[score.exceeds(score.best_case)].format(number(score.best_case))] * with_best_case,
-        )
-        for score in (comparison.scores if chosen is None else chosen)
-        for family in comparison.families
-        if score in family.scores
-    ]
-    have_all = all(score.difference.n_pairs == len(comparison.pairs) for score in comparison.scores)
-    headings = ("family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict")
-    beyonds = ["more than seeds make"] * with_seeds + ["more than the best case"] * with_best_case
+        ]
+        if with_seeds:
+            row.append(_beyond(score, score.seed_noise))
+        if with_best_case:
+            row.append(_beyond(score, score.best_case))
+        rows.append(row)
     title = f"Means over {len(comparison.pairs)} pairs; in brackets: does not count"
-    wide = (0, 8, 9, 2) if have_all else (0, 8, 9)
-    return Table(title, (*headings, *beyonds), rows, words=(0, 1, 7), wide=wide)
+    wide = (0, 2, 8, 9) if have_all else (0, 8, 9)
+    return Table(title, headings, rows, words=(0, 1, 7), wide=wide)
+
+
+def _family_of(comparison: Comparison, score: ScoreChange) -> str:
+    return next(family.name for family in comparison.families if score in family.scores)
+
+
+def _beyond(score: ScoreChange, noise: float | None) -> str:
+    """True if a change is larger than some noise, as text; a dash if the noise is unknown."""
+    is_beyond = score.exceeds(noise)
+    if is_beyond is None:
+        return "-"
+    return f"{'yes' if is_beyond else 'no'} ({number(noise)})"
 
 
 def object_table(title: str, changes: Sequence[Row]) -> Table:
     """One row per real object: pair, fate, class, place, scores before and after."""
-    scores = [f"{name}_{when}" for name in SHARED_SCORES for when in ("before", "after")]
-    headings = [heading for name in SHARED_SCORES for heading in (METRIC[name].label, "after")]
-    rows = [
-        (
-            *(one["pair_id"], one["kind"], f"{one['label'] or one['shape']} {one['real_id']}"),
-            *(one[name] for name in ("range_m", "n_points", *scores)),
-        )
-        for one in changes
-    ]
-    columns = ("pair", "what", "real object", "range\n(m)", "points", *headings)
-    return Table(title, columns, rows, words=(0, 1, 2), digits={3: 1})
+    columns = ["range_m", "n_points"]
+    headings = ["pair", "what", "real object", "range\n(m)", "points"]
+    for score in QUADRANT_SCORES:
+        columns += [f"{score}_before", f"{score}_after"]
+        headings += [METRIC[score].label, "after"]
+    rows = []
+    for change in changes:
+        name = f"{change['label'] or change['shape']} {change['real_id']}"
+        values = [change[column] for column in columns]
+        rows.append((change["pair_id"], change["kind"], name, *values))
+    return Table(title, headings, rows, words=(0, 1, 2), digits={3: 1})
 
 
 def _group_table(what: str, groups: Sequence[Row]) -> Table:
     """One row per class or band of range: number of objects by fate, and changes of scores."""
     kinds = ("vanished", "appeared", "worse", "better")
-    changes = (f"{METRIC[score].label}\nchange" for score in SHARED_SCORES)
-    rows = [
-        (
-            *(group["name"], group["n"], *(group["kinds"][kind] for kind in kinds), group["n_both"]),
-            *(signed(group[score]) for score in SHARED_SCORES),
-        )
-        for group in groups
-    ]
+    changes = [f"{METRIC[score].label}\nchange" for score in QUADRANT_SCORES]
+    rows = []
+    for group in groups:
+        counts = [group["kinds"][kind] for kind in kinds]
+        means = [signed(group[score]) for score in QUADRANT_SCORES]
+        rows.append((group["name"], group["n"], *counts, group["n_both"], *means))
     return Table(f"Real objects by {what}", (what, "count", *kinds, "in\nboth", *changes), rows)
 
 
 def compare_records(comparisons: Sequence[Comparison]) -> Table:
     """One row per run and score, numbers in full."""
-    rows, headings = [], ["base", "run", "places"]
+    rows = []
+    headings = ["base", "run", "places"]
     for comparison in comparisons:
         runs = (str(comparison.base), str(comparison.other), comparison.n_places)
         for row in score_rows(comparison.families):
@@ -317,6 +358,8 @@ def _p(p: float | None) -> str:
     return "<0.001" if p is not None and p < 0.001 else number(p)
 
 
-def _interval(own: Difference) -> str:
+def _interval(change: Difference) -> str:
     """A change with half the width of its interval."""
-    return signed(own.difference) + ("" if own.half_width is None else f" ±{number(own.half_width)}")
+    if change.half_width is None:
+        return signed(change.difference)
+    return f"{signed(change.difference)} ±{number(change.half_width)}"

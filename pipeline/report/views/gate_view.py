@@ -1,33 +1,38 @@
 """Result of a gate on a run or comparison, and JUnit XML for CI.
 
-The XML is written with the standard library: it is three elements deep, and what a library would add is a dependency.
+The XML is written with the standard library: it is three elements deep.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from xml.etree import ElementTree
 
 from ...results.gate import BaseResult, Check, GateResult, Judged
-from ..view import Note, Table, View
+from ..view import Note, Table, View, warnings
 
 #: What XML 1.0 cannot hold, not even escaped.
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def gate_view(result: GateResult) -> View:
-    """Each criterion with value, bound and verdict; then the failed ones with the reason for each criterion."""
-    rows = [
-        (own.name, own.measure, _value(own), _bound(own), "pass" if own.passed else "FAIL") for own in result.judged
-    ]
-    failed = [own for own in result.judged if not own.passed]
-    verdict = f"{len(failed)} of {len(result.judged)} criteria failed" if failed else "all criteria are met"
+    """Each criterion with value, bound and verdict; then the failed ones with their reasons."""
+    rows = []
+    for judged in result.judged:
+        verdict = "pass" if judged.passed else "FAIL"
+        rows.append((judged.name, judged.measure, _value(judged), _bound(judged), verdict))
+    headings = ("criterion", "measure", "value", "bound", "verdict")
+    failed = [judged for judged in result.judged if not judged.passed]
+    outcome = Note("all criteria are met", "green")
+    if failed:
+        outcome = Note(f"{len(failed)} of {len(result.judged)} criteria failed", "red")
     return [
-        Table(f"Gate of {result.run}", ("criterion", "measure", "value", "bound", "verdict"), rows, words=(0, 1)),
-        *(Note(f"note: {note}", "yellow") for note in result.notes),
-        *(Note(f"failed: {_in_words(own)}", "red") for own in failed),
-        Note(verdict, "red" if failed else "green"),
+        Table(f"Gate of {result.run}", headings, rows, words=(0, 1)),
+        *warnings(result.notes),
+        *(Note(f"failed: {_in_words(judged)}", "red") for judged in failed),
+        outcome,
     ]
 
 
@@ -37,31 +42,35 @@ def base_view(result: BaseResult) -> View:
     outcome = f"{len(failed)} of {len(result.checks)} checks failed" if failed else "passed"
     return [
         *(Note(f"failed: {check.name}: {check.found}", "red") for check in failed),
-        *[Note(f"note: {result.note}", "yellow")] * bool(result.note),
+        *warnings([result.note] if result.note else []),
         Note(f"gate on {' or '.join(result.fail_on)}: {outcome}", "red" if failed else "green"),
     ]
 
 
 def gate_checks(result: GateResult) -> list[Check]:
     """The criteria as text, for JUnit."""
-    words = {True: "bound", False: "not computed"}
-    return [
-        Check(judged.name, _in_words(judged), "" if judged.passed else words[judged.value is not None])
-        for judged in result.judged
-    ]
+    checks = []
+    for judged in result.judged:
+        fault = ""
+        if not judged.passed:
+            fault = "not computed" if judged.value is None else "bound"
+        checks.append(Check(judged.name, _in_words(judged), fault))
+    return checks
 
 
 def junit_xml(command: str, suites: Mapping[str, Sequence[Check]]) -> bytes:
     """JUnit test suites by name, of a command of fidpipe: one test case per check."""
-    root = ElementTree.Element("testsuites", _counts([check for checks in suites.values() for check in checks]))
+    root = ElementTree.Element("testsuites", _counts(list(chain(*suites.values()))))
     for name, checks in suites.items():
         about = {"name": _clean(f"fidpipe {command} {name}")} | _counts(checks)
         suite = ElementTree.SubElement(root, "testsuite", about)
         for check in checks:
-            own = {"classname": f"fidpipe.{command}", "name": _clean(check.name), "time": "0"}
-            case, words = ElementTree.SubElement(suite, "testcase", own), _clean(check.found)
+            about = {"classname": f"fidpipe.{command}", "name": _clean(check.name), "time": "0"}
+            case = ElementTree.SubElement(suite, "testcase", about)
+            words = _clean(check.found)
             if check.fault:
-                ElementTree.SubElement(case, "failure", {"message": words, "type": check.fault}).text = words
+                failure = {"message": words, "type": check.fault}
+                ElementTree.SubElement(case, "failure", failure).text = words
             else:
                 ElementTree.SubElement(case, "system-out").text = words
     ElementTree.indent(root)
@@ -70,12 +79,16 @@ def junit_xml(command: str, suites: Mapping[str, Sequence[Check]]) -> bytes:
 
 
 def _counts(checks: Sequence[Check]) -> dict[str, str]:
-    return {"tests": str(len(checks)), "failures": str(sum(bool(check.fault) for check in checks)), "errors": "0"}
+    n_failed = sum(bool(check.fault) for check in checks)
+    return {"tests": str(len(checks)), "failures": str(n_failed), "errors": "0"}
 
 
 def _in_words(judged: Judged) -> str:
-    here = judged.why if judged.value is None else f"{judged.measure} is {_value(judged)}, expected {_bound(judged)}"
-    return f"{judged.name}: {here}{f' ({judged.reason})' if judged.reason else ''}"
+    words = judged.why
+    if judged.value is not None:
+        words = f"{judged.measure} is {_value(judged)}, expected {_bound(judged)}"
+    reason = f" ({judged.reason})" if judged.reason else ""
+    return f"{judged.name}: {words}{reason}"
 
 
 def _value(judged: Judged) -> str:

@@ -54,13 +54,14 @@ const watch = (threshold, rootMargin) =>
     { threshold, rootMargin },
   );
 const views = watch(0, "200px");
-// WebGL takes seconds without a graphics card: it waits until a third of the scene is in view.
+// WebGL takes seconds without a graphics card: a scene is a line high until it is in view.
 const scenes = watch(1 / 3, "0px");
 const observerOf = (place) => (place.matches(".scene") ? scenes : views);
 
 function drawNow(id) {
   observerOf(byId(id)).unobserve(byId(id));
   drawn.add(id);
+  byId(id).classList.add("drawn");
   jobs.get(id)();
 }
 

@@ -1,7 +1,8 @@
 """A remote dataset as a local folder: each scan is a stub, a small file NAME.url with its URL, etag and size.
 
-The listing makes the stubs; a worker that reads one fetches the object, by one GET, into a temporary file of the scan's
-own name. So the content hash of a remote scan is that of its URL, etag and size.
+The listing makes the stubs; a worker that reads one fetches the object, by one GET, into a
+temporary file of the scan's own name. So the content hash of a remote scan is that of its URL, etag
+and size.
 """
 
 from __future__ import annotations
@@ -13,10 +14,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from ...schemas.columns import SIDES
 from ...schemas.errors import ScanError, StoreError
-from ..storage.files import remove_stale, write_whole
-from ..storage.urls import RESTORED, STUB, cache_of, read_stub
-from .object_store import NoSuchObjectError, StoredObject, describe_object, read_object
+from .files import remove_stale, write_whole
+from .object_store import (
+    NoSuchObjectError,
+    StoredObject,
+    counted,
+    describe_object,
+    read_object,
+)
+from .scratch import temporary_space
+from .urls import STUB, cache_of, read_stub
 
 #: Files of a dataset that are read when a run is planned, and so are fetched whole.
 _SMALL = (".csv", ".toml", ".tum", ".txt")
@@ -25,21 +34,26 @@ _LARGEST_SMALL = 100_000_000
 _MANIFEST = "pairs.csv"
 
 
-def mirror_dataset(url: str, found: Sequence[StoredObject]) -> Path:
+def mirror_dataset(url: str, objects: Sequence[StoredObject]) -> Path:
     """Stubs of all objects below a URL, or of one object; those of objects that are gone are removed.
 
     Parameters
     ----------
-    found : objects of the listing; of a server that cannot list, none: it is one object, or has a manifest
+    objects : of the listing; of a server that cannot list, none: it is one object, or has a
+        manifest
     """
-    if not found and "." in urlsplit(url).path.rpartition("/")[2]:
+    if not objects and "." in urlsplit(url).path.rpartition("/")[2]:
         return _mirror(url, cache_of(url), describe_object(url))
     try:
-        found = found or [describe_object(f"{url}/{_MANIFEST}")]
+        objects = objects or [describe_object(f"{url}/{_MANIFEST}")]
     except NoSuchObjectError as error:
-        raise StoreError(f"{url}: expected a run, scans or a {_MANIFEST}, got none ({error})") from error
+        raise StoreError(
+            f"{url}: expected a run, scans or a {_MANIFEST}, got none ({error})"
+        ) from error
     folder = cache_of(url)
-    mirrored = {_mirror(f"{url}/{one.name}", folder / one.name, one) for one in found}
+    mirrored = set()
+    for stored in counted(objects, f"{url}: of {len(objects):,} objects"):
+        mirrored.add(_mirror(f"{url}/{stored.name}", folder / stored.name, stored))
     for path in folder.rglob("*"):
         if path.is_file() and path not in mirrored:
             remove_stale(path)
@@ -59,12 +73,18 @@ def stubs_of(urls: Mapping[str, str]) -> dict[str, Path | str]:
         return dict(zip(urls, pool.map(stub_of, urls.values()), strict=True))
 
 
-def restore_stubs(texts: Mapping[Path, str]) -> None:
-    """Write stubs that the command sent where it has them, on the disk of this machine."""
-    for path, text in texts.items():
-        if not path.exists() or path.read_text(encoding="utf-8") != text:
-            write_whole(path, text.encode(), advice="; give the command a FIDPIPE_CACHE that workers can create")
-        RESTORED.add(path)
+def restored_scan(path: Path, stubs: Mapping[Path, str]) -> Path:
+    """A scan whose stub the command sent, in the cache of this machine, whose user or home may be another."""
+    scan = path
+    for stub, text in stubs.items():
+        url = text.partition("\n")[0]
+        restored = cache_of(url).with_name(stub.name)
+        if not restored.exists() or restored.read_text(encoding="utf-8") != text:
+            advice = "; give workers a FIDPIPE_CACHE that they can create"
+            write_whole(restored, text.encode(), advice=advice, outlasts_power=False)
+        if stub == path:
+            scan = restored
+    return scan
 
 
 @contextmanager
@@ -76,8 +96,9 @@ def fetched_scan(path: Path, labels: Path) -> Iterator[Path]:
     ScanError
         The object, or that of its labels, cannot be fetched whole.
     """
-    with tempfile.TemporaryDirectory(prefix="fidpipe-") as folder:
-        for stub in (path, *[labels] * labels.exists()):
+    stubs = [path, labels] if labels.exists() else [path]
+    with temporary_space(), tempfile.TemporaryDirectory(prefix="fidpipe-") as folder:
+        for stub in stubs:
             url, etag, size = read_stub(stub)
             try:
                 content = read_object(url, etag)
@@ -89,13 +110,14 @@ def fetched_scan(path: Path, labels: Path) -> Iterator[Path]:
         yield Path(folder, path.stem)
 
 
-def _mirror(url: str, path: Path, one: StoredObject) -> Path:
+def _mirror(url: str, path: Path, stored: StoredObject) -> Path:
     """A small file itself, or the stub of an object; written only if it differs."""
-    if path.suffix in _SMALL and path.parent.name not in ("real", "sim") and one.size < _LARGEST_SMALL:
-        content = read_object(url, one.etag)
+    is_scan = url.endswith(tuple(f"/{side}/{path.name}" for side in SIDES))
+    if path.suffix in _SMALL and not is_scan and stored.size < _LARGEST_SMALL:
+        content = read_object(url, stored.etag)
     else:
         path = path.with_name(path.name + STUB)
-        content = f"{url}\n{one.etag}\n{one.size}\n".encode()
+        content = f"{url}\n{stored.etag}\n{stored.size}\n".encode()
     if not path.exists() or path.read_bytes() != content:
-        write_whole(path, content)
+        write_whole(path, content, outlasts_power=False)
     return path

@@ -1,0 +1,88 @@
+"""Formats by suffix. One file per format, each with one `read`; a new format is a file and a row here.
+
+Another package adds one by an entry point of the group `fidpipe.readers`: its name is the suffix without the dot, its
+value the module whose `read(path) -> Scan` reads such files.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import entry_points
+from typing import NamedTuple
+
+from ....schemas.errors import DatasetError
+
+_KITTI = ("x", "y", "z", "intensity")
+_NUSCENES = (*_KITTI, "ring")
+
+
+class Format(NamedTuple):
+    """Reader of the files of one suffix.
+
+    module : whose `read(path) -> Scan` reads them: a file of this folder, with a dot before its name, or a module of
+        another package; it is imported when first used; "" if the format is not known
+    columns : for raw rows, whose files do not name their columns, the usual ones; `read(path, columns)` then takes
+        these, or those of the setting `input.columns`, and `check_width(path, columns)` rejects a file that the usual
+        ones do not fit; () if the shape or a header determines them
+    content : what a file should be, for the error of one that is damaged
+    holds_frames : whether a file is a recording; `read` then takes a `ScanRef`, and `frames` lists those of all frames
+    may_crash : whether a damaged file may end the process that reads it, or fill the memory: formats whose libraries
+        trust a file's declared sizes of its compressed parts, and the readers of other packages
+    """
+
+    module: str
+    columns: tuple[str, ...] | None = None
+    content: str = ""
+    holds_frames: bool = False
+    may_crash: bool = False
+
+
+_BAG = Format(".rosbag", content="a whole recording", holds_frames=True, may_crash=True)
+_CAPTURE = Format(".velodyne", content="a whole capture of Velodyne packets", holds_frames=True)
+
+#: A longer suffix is tried before a shorter one that it ends with. One that begins with / is a file in a folder.
+FORMATS = {
+    ".pcd.bin": Format(".float32", _NUSCENES),
+    ".bin": Format(".float32", _KITTI),
+    ".npy": Format(".npy", (), "a whole .npy array"),
+    ".pcd": Format(".pcd", content="a whole PCD file"),
+    ".ply": Format(".ply", content="a whole PLY file with vertices"),
+    ".csv": Format(".csv", (), "a CSV table"),
+    ".feather": Format(".feather", content="a whole Feather file", may_crash=True),
+    ".parquet": Format(".parquet", content="a whole Parquet file", may_crash=True),
+    ".las": Format(".las", content="a whole LAS file"),
+    ".laz": Format(".las", content="a whole LAS file", may_crash=True),
+    ".bag": _BAG,
+    ".db3": _BAG,
+    ".mcap": _BAG,
+    "/metadata.yaml": _BAG,
+    ".pcap": _CAPTURE,
+    ".pcapng": _CAPTURE,
+}
+
+
+def known_formats() -> dict[str, Format]:
+    """The table of readers: ours, and those of other packages that are installed.
+
+    Raises
+    ------
+    DatasetError
+        Two of them read files of one suffix.
+    """
+    return FORMATS | _other_formats()
+
+
+@cache
+def _other_formats() -> dict[str, Format]:
+    """Readers that other packages declare in the group `fidpipe.readers`, by suffix."""
+    others: dict[str, Format] = {}
+    for entry in entry_points(group="fidpipe.readers"):
+        suffix = f".{entry.name.lower()}"
+        first = others.get(suffix) or FORMATS.get(suffix)
+        if first is not None:
+            raise DatasetError(
+                f"two readers of {suffix} files are installed, {first.module.strip('.')} and "
+                f"{entry.value}; uninstall the package of {entry.value}"
+            )
+        others[suffix] = Format(entry.value, may_crash=True)
+    return others

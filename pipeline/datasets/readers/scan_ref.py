@@ -1,0 +1,170 @@
+"""A scan by its name: `FILE`, or a frame of a recording, `FILE#FRAME`, `FILE#TOPIC` or `FILE#TOPIC@FRAME`.
+
+FRAME is a number from 0, in the order of time, or a time in seconds with its decimal point, as it is listed. A time is
+found by the recording's own index; a number requires the times of all frames, read once per process.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ....schemas.errors import ScanError
+from ...storage.urls import STUB, is_stub
+from .formats import Format, known_formats
+
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+_NANOSECONDS = 10**9
+_UNKNOWN = Format("")
+
+
+@dataclass(frozen=True, slots=True)
+class ScanRef:
+    """A scan: a file, or one frame of it. Its text names it to users and in manifests.
+
+    file : the file; the folder of a bag; the stub of a remote scan
+    suffix : the known suffix in lower case; "" if the format is not known
+    topic : of a bag; None for the only one with point clouds
+    frame : number or time in seconds, as written; None for the only one
+    is_remote : True if the file is a stub, which names an object
+    """
+
+    file: Path
+    suffix: str = ""
+    format: Format = _UNKNOWN
+    topic: str | None = None
+    frame: str | None = None
+    is_remote: bool = False
+
+    def __str__(self) -> str:
+        address = "@".join(filter(None, (self.topic, self.frame)))
+        return f"{self.file}#{address}" if address else str(self.file)
+
+    @property
+    def stem(self) -> str:
+        """The file name without its known suffix, by which scans are paired; of a frame with topic and frame."""
+        name = self.file.stem if self.is_remote else self.file.name
+        if not self.suffix.startswith("/"):
+            name = name[: len(name) - len(self.suffix)]
+        topics = (self.topic or "").split("/")
+        return "-".join(filter(None, [name, *topics, self.frame]))
+
+    @property
+    def labels(self) -> Path:
+        """Path of the labels next to the file; they may not exist."""
+        return self.file.with_name(f"{self.stem}.label{STUB if self.is_remote else ''}")
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that the scan is read from."""
+        if not self.file.is_dir():
+            return [self.file]
+        return sorted(path for path in self.file.iterdir() if path.is_file())
+
+    @property
+    def exists(self) -> bool:
+        """True if the file, or the folder of a bag, exists."""
+        return self.file.is_file() or self.suffix.startswith("/")
+
+    @property
+    def time_ns(self) -> int | None:
+        """Time of the frame; None if it is named by a number, or not at all."""
+        if self.frame is None or "." not in self.frame:
+            return None
+        seconds, _, rest = self.frame.partition(".")
+        return int(seconds) * _NANOSECONDS + int(rest.ljust(9, "0")[:9])
+
+    def absolute(self) -> ScanRef:
+        """The same scan with an absolute path."""
+        return replace(self, file=self.file.absolute())
+
+    def at(self, time_ns: int) -> ScanRef:
+        """The frame of this time of the same topic."""
+        return replace(self, frame=_seconds(time_ns))
+
+
+def scan_ref(source: ScanRef | Path | str) -> ScanRef:
+    """The scan of a name: a file, which may not exist, or a frame of one.
+
+    Examples
+    --------
+    >>> scan = scan_ref("drive.mcap#/lidar/points@12")
+    >>> scan.file.name, scan.topic, scan.frame, scan.stem
+    ('drive.mcap', '/lidar/points', '12', 'drive-lidar-points-12')
+    >>> scan_ref("sweeps.pcap#1713492677.528578000").time_ns
+    1713492677528578000
+    """
+    if isinstance(source, ScanRef):
+        return source
+    path = Path(source)
+    file, mark, fragment = str(path).rpartition("#")
+    if not mark or path.exists():
+        return _file_ref(path)
+    topic, at, frame = fragment.rpartition("@")
+    if not at and not _NUMBER.fullmatch(frame):
+        topic, frame = fragment, ""
+    if frame and not _NUMBER.fullmatch(frame):
+        raise ScanError(
+            f"{path}: expected a frame number from 0 or a time in seconds, got {frame!r}",
+        )
+    return replace(_file_ref(Path(file)), topic=topic or None, frame=frame or None)
+
+
+def _file_ref(file: Path) -> ScanRef:
+    known = known_formats()
+    is_remote = is_stub(file)
+    name = file.stem if is_remote else file.name
+    suffix = _suffix_of(file, name.lower(), known)
+    return ScanRef(file, suffix, known.get(suffix, _UNKNOWN), is_remote=is_remote)
+
+
+def _suffix_of(file: Path, name: str, known: dict[str, Format]) -> str:
+    for i, character in enumerate(name):
+        if character == "." and name[i:] in known:
+            return name[i:]
+    for suffix in known:
+        if suffix.startswith("/") and (file / suffix[1:]).is_file():
+            return suffix
+    return ""
+
+
+def frame_number(scan: ScanRef, times_ns: Sequence[int]) -> int:
+    """Number of a frame of a recording, from 0.
+
+    Parameters
+    ----------
+    times_ns : of all frames, in order
+
+    Raises
+    ------
+    ScanError
+        No frame has this number or time, or there are several and no frame is given.
+    """
+    name = f"{scan.file.name}#{scan.topic}@" if scan.topic else f"{scan.file.name}#"
+    if not times_ns:
+        raise ScanError(f"{scan.file}: no frames found; expected at least one")
+    if scan.frame is None:
+        if len(times_ns) > 1:
+            raise ScanError(
+                f"{scan.file}: {len(times_ns)} frames found; name one of {name}0 to "
+                f"{name}{len(times_ns) - 1}, in a pairs.csv for instance"
+            )
+        return 0
+    time_ns = scan.time_ns
+    if time_ns is None:
+        if int(scan.frame) >= len(times_ns):
+            raise ScanError(f"{scan.file}: no frame {scan.frame}; the last is {len(times_ns) - 1}")
+        return int(scan.frame)
+    if times_ns.count(time_ns) == 1:
+        return times_ns.index(time_ns)
+    nearest = min(range(len(times_ns)), key=lambda i: abs(times_ns[i] - time_ns))
+    raise ScanError(
+        f"{scan.file}: expected one frame at {scan.frame} s, got {times_ns.count(time_ns)}; the "
+        f"nearest is number {nearest}, {name}{_seconds(times_ns[nearest])}"
+    )
+
+
+def _seconds(time_ns: int) -> str:
+    return f"{time_ns // _NANOSECONDS}.{time_ns % _NANOSECONDS:09}"

@@ -1,0 +1,418 @@
+"""A run in an object store: a local folder that is kept equal to a URL, table by table.
+
+Each finished file is written by one PUT, which is atomic, and never renamed. A copy of the ledger,
+written when a run has ended, serves those who read; without it they rebuild it from the tables. One
+object, written under a condition, says who writes; its owner renews it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext, suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import orjson
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ...schemas.errors import DatasetError, FidpipeError, RunError, StoreError
+from ...schemas.tables import TABLES
+from .files import is_locked, remove_stale, write_whole
+from .folder import RunFolder
+from .ledger import LEDGER, SEAL
+from .object_store import (
+    ObjectChangedError,
+    StoredObject,
+    counted,
+    delete_objects,
+    list_objects,
+    read_object,
+    read_with_etag,
+    say,
+    write_object,
+)
+from .remote_dataset import mirror_dataset
+from .table_files import AT_URL, TOKEN, TableFolder
+from .urls import TEMPORARY_CACHE, cache_folder, cache_of, is_url
+
+LOCK = "_writer.json"
+#: Files of a run that stay on this machine.
+_LOCAL = (LEDGER, f"{LEDGER}-journal", SEAL, "report.html")
+_PUSH_S = 5.0
+_RENEW_S = 15.0
+_DEAD_S = 120.0  # an owner that has not renewed its lock for this long is dead
+_LOOK_S = 1.0
+_REQUESTS_AT_ONCE = 16
+_PAUSES_PER_PUSH = 4.0
+
+Marks = list[object]  #: etag, time and size of a file
+
+
+class _Owner(BaseModel):
+    """The command that writes to a run; the content of its lock.
+
+    token : of the command
+    n_renewed : differs after each renewal, so that a lock that stays the same is that of a dead
+        command
+    """
+
+    model_config = ConfigDict(strict=True)
+
+    host: str
+    pid: int = Field(gt=0, lt=2**31)
+    token: str
+    n_renewed: int = 0
+
+
+def local_of(url: str) -> Path:
+    """The local folder (or file) of a URL: a run, fetched, or a dataset as stubs.
+
+    Raises
+    ------
+    DatasetError
+        The URL cannot be read.
+    """
+    try:
+        _prepare_cache()
+        run = RemoteRun(url)
+        if run.is_in_use:
+            return run.folder
+        objects = [] if run.url.startswith("http") else list_objects(run.url)
+        names = {stored.name for stored in objects}
+        if not names & {"run.json", LOCK}:
+            return mirror_dataset(run.url, objects)
+        run.pull(objects, for_reading=True)
+        return run.folder
+    except StoreError as error:
+        raise DatasetError(str(error)) from error
+
+
+class RemoteRun:
+    """The local folder of a run at a URL, and what is known to be equal at both places."""
+
+    def __init__(self, url: str) -> None:
+        self.url = url.rstrip("/")
+        self.folder = cache_of(url)
+        self._index = self.folder.with_name(f".{self.folder.name}.objects.json")
+        self._in_use = self.folder.with_name(f".{self.folder.name}.lock")
+        self._lock = f"{self.url}/{LOCK}"
+        self._owner = _Owner(host=socket.gethostname(), pid=os.getpid(), token=secrets.token_hex(8))
+        self._etag = ""
+        self._renewed = 0.0
+        self._pushing = threading.Lock()
+
+    @property
+    def is_in_use(self) -> bool:
+        """True if a command of this machine works on the folder: others leave it alone."""
+        return is_locked(self._in_use)
+
+    def pull(self, objects: Sequence[StoredObject], *, for_reading: bool = False) -> None:
+        """Fetch what the URL has and the folder lacks, and remove what the URL has not.
+
+        Parameters
+        ----------
+        objects : at the URL
+        for_reading : leave tables of pairs there, to be fetched when they are read, if the run has
+            ended in order
+        """
+        known = self._known()
+        remote = {stored.name: stored for stored in objects}
+        of_ledger = [remote[name] for name in (SEAL, LEDGER) if name in remote]
+        for name in (SEAL, LEDGER, LOCK, TOKEN):
+            remote.pop(name, None)
+        is_partial = for_reading and len(of_ledger) == 2
+        if is_partial:
+            remote = {name: stored for name, stored in remote.items() if "/" not in name}
+            self._get_all(of_ledger)
+            (self.folder / AT_URL).touch()
+        else:
+            (self.folder / AT_URL).unlink(missing_ok=True)
+        if remote and "run.json" not in remote:  # of a run that was killed, or no run at all
+            if not all(name.endswith((".parquet", "settings.toml")) for name in remote):
+                raise RunError(
+                    f"run {self.url}: the URL holds other things than a run; give another --out"
+                )
+            self.folder.mkdir(parents=True, exist_ok=True)
+            (self.folder / LEDGER).touch()
+        missing = []
+        for name, stored in remote.items():
+            is_same = name in known and known[name][0] == stored.etag
+            if not is_same or not (self.folder / name).exists():
+                missing.append(stored)
+        known |= self._get_all(missing)
+        if is_partial:
+            self._keep(known)
+            return
+        if any("/" in stored.name for stored in missing):  # the ledger is out of date
+            (self.folder / SEAL).unlink(missing_ok=True)
+            (self.folder / LEDGER).write_bytes(b"")
+        gone = (self._files().keys() & known.keys()) - remote.keys()
+        for name in gone:  # others are newer than the last push
+            remove_stale(self.folder / name)
+        self._keep({name: marks for name, marks in known.items() if name in remote})
+
+    def push(self) -> None:
+        """Write what has changed in the folder.
+
+        Raises
+        ------
+        RunError
+            Another command writes there now.
+        """
+        with self._pushing, ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
+            known = self._known()
+            changed = []
+            for name, marks in self._files().items():
+                if name not in known or known[name][1:] != marks:
+                    changed.append(name)
+            if changed:
+                self._claim()
+            else:
+                self._renew()
+            try:
+                for name, marks in zip(changed, pool.map(self._put, changed), strict=True):
+                    known[name] = marks
+                    self._renew()
+            finally:
+                self._keep(known)
+
+    def _get_all(self, objects: Sequence[StoredObject]) -> dict[str, Marks]:
+        """Fetch objects; returns what is known of them, by name."""
+
+        def get(stored: StoredObject) -> Marks:
+            path = self.folder / stored.name
+            content = read_object(f"{self.url}/{stored.name}", stored.etag)
+            write_whole(path, content, outlasts_power=False)
+            return [stored.etag, *_marks(path)]
+
+        names = [stored.name for stored in objects]
+        with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
+            fetched = counted(pool.map(get, objects), f"{self.url}: fetched, of {len(names):,}")
+            return dict(zip(names, fetched, strict=True))
+
+    def _put(self, name: str) -> Marks:
+        marks = _marks(self.folder / name)
+        content = (self.folder / name).read_bytes()
+        return [write_object(f"{self.url}/{name}", content), *marks]
+
+    @contextmanager
+    def written(self) -> Iterator[Path]:
+        """The folder for a command that writes: fetched first, written back every few seconds and at the end.
+
+        Raises
+        ------
+        RunError
+            Another command writes there.
+        """
+        _prepare_cache()
+        self._claim_first()
+        ended = threading.Event()
+        follow = threading.Thread(target=self._follow, args=(ended,), daemon=True)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with self._in_use.open("a") as in_use:
+            fcntl.flock(in_use, fcntl.LOCK_EX)
+            try:
+                self.pull(list_objects(self.url))
+                delete_objects(self.url, [SEAL])
+                _WRITTEN[self.folder] = self
+                follow.start()
+                yield self.folder
+            finally:
+                ended.set()
+                _WRITTEN.pop(self.folder, None)
+                if follow.is_alive():
+                    follow.join()
+                self.push()
+                if (self.folder / SEAL).exists():
+                    self._end()
+                if self._held()[0].token == self._owner.token:
+                    delete_objects(self.url, [TOKEN, LOCK])
+
+    def _end(self) -> None:
+        """Delete what was removed here, or belongs to no finished job; then write the ledger, for those who read."""
+        ledger = RunFolder(self.folder).ledger
+        stored = set(self._known())
+        if (self.folder / AT_URL).exists():  # workers wrote there, and some may have died
+            names = [stored.name for stored in list_objects(self.url)]
+            stored |= {name for name in names if name.partition("/")[0] in TABLES}
+        kept = [_LOCAL, self._files(), *(ledger.files(table) for table in TABLES)]
+        delete_objects(self.url, stored.difference(*kept))
+        for name in (LEDGER, SEAL):
+            self._put(name)
+
+    def _follow(self, ended: threading.Event) -> None:
+        pause_s = _PUSH_S
+        while not ended.wait(pause_s):
+            begun = time.monotonic()
+            # A file may be removed meanwhile; the last push reports what still fails.
+            with suppress(FidpipeError, OSError):
+                self.push()
+            pause_s = max(_PUSH_S, _PAUSES_PER_PUSH * (time.monotonic() - begun))
+
+    def _renew(self) -> None:
+        """Show every few seconds that we are alive; raises `RunError` if our lock was taken over."""
+        if time.monotonic() - self._renewed >= _RENEW_S:
+            self._claim()
+
+    def _claim(self) -> None:
+        """Write our lock in place of ours; raises `RunError` if it was taken over."""
+        if self._other_owner({"e_tag": self._etag}) is not None:
+            raise RunError(
+                f"run {self.url}: another command writes there now; results stay in {self.folder}"
+            )
+
+    def _claim_first(self) -> None:
+        """Write our lock, if there is none or one of a dead command; else raise `RunError`.
+
+        A command of this machine is dead if its process is. One of another machine is, if its lock
+        stays the same for some minutes of our own clock.
+        """
+        other = self._other_owner("create")
+        if other is None:
+            return
+        is_here = other.host == self._owner.host
+        is_dead = is_here and not _is_alive(other.pid)
+        if not is_dead and not is_here:
+            say(
+                f"run {self.url}: process {other.pid} on {other.host} had begun to write there; "
+                f"waiting up to {_DEAD_S:.0f} s to see whether it still does"
+            )
+            is_dead = self._stays_the_same()
+        if not is_dead or self._other_owner({"e_tag": self._etag}) is not None:
+            raise RunError(
+                f"run {self.url}: process {other.pid} on {other.host} writes there; "
+                f"wait for its end, or delete {self._lock} if it is dead"
+            )
+
+    def _stays_the_same(self) -> bool:
+        """True if the lock at the URL is not renewed for `_DEAD_S` seconds."""
+        begun = time.monotonic()
+        while time.monotonic() - begun < _DEAD_S:
+            time.sleep(_LOOK_S)
+            if self._held()[1] != self._etag:
+                return False
+        return True
+
+    def _other_owner(self, mode: Any) -> _Owner | None:
+        """Write our lock under a condition; returns the command whose lock is there instead, or None."""
+        self._owner.n_renewed += 1
+        owner = self._owner
+        try:
+            self._etag = write_object(self._lock, owner.model_dump_json().encode(), mode)
+        except ObjectChangedError:  # or it is ours, and the answer to a try was lost
+            owner, self._etag = self._held()
+        if owner.token != self._owner.token:
+            return owner
+        self._renewed = time.monotonic()
+        return None
+
+    def _held(self) -> tuple[_Owner, str]:
+        """The command whose lock is at the URL, and the etag of the lock."""
+        content, etag = read_with_etag(self._lock)
+        try:
+            return _Owner.model_validate_json(content), etag
+        except ValidationError as error:
+            raise RunError(
+                f"run {self.url}: {self._lock} is damaged, so it is not known who writes there; "
+                "delete it if no command does"
+            ) from error
+
+    def _files(self) -> dict[str, Marks]:
+        """Marks of the finished files of the folder by name; temporary ones and locks begin with a dot."""
+        files = {}
+        for path in self.folder.rglob("*"):
+            name = path.relative_to(self.folder).as_posix()
+            if path.is_file() and "/." not in f"/{name}" and name not in _LOCAL:
+                files[name] = _marks(path)
+        return files
+
+    def _known(self) -> dict[str, Marks]:
+        """Etag and marks of each file, by name, as they were when the two places were equal."""
+        try:
+            known = orjson.loads(self._index.read_bytes())
+        except (FileNotFoundError, ValueError):  # new, or cut short: all is fetched again
+            return {}
+        return known if isinstance(known, dict) else {}
+
+    def _keep(self, known: dict[str, Marks]) -> None:
+        write_whole(self._index, orjson.dumps(known))
+
+
+_WRITTEN: dict[Path, RemoteRun] = {}
+
+
+@cache
+def _prepare_cache() -> None:
+    """Say once if the cache is among temporary files, where no other user may have made it."""
+    folder = cache_folder()
+    if not folder.name.startswith(TEMPORARY_CACHE):
+        return
+    say(f"no home folder: files of URLs are kept in {folder}; FIDPIPE_CACHE names another place")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.lstat().st_uid != os.getuid():
+        raise StoreError(
+            f"{folder}: belongs to another user; set FIDPIPE_CACHE to a folder of yours"
+        )
+
+
+def share_folder(folder: TableFolder) -> None:
+    """Make the URL of a remote run the place of its tables: workers need not see the folder.
+
+    Parameters
+    ----------
+    folder : of the run that may write
+    """
+    if run := _WRITTEN.get(folder.folder.absolute()):
+        (run.folder / AT_URL).touch()
+        run.push()
+        write_object(f"{run.url}/{TOKEN}", folder.token.encode())
+        folder.url = run.url
+
+
+@contextmanager
+def local_arguments(words: list[str]) -> Iterator[None]:
+    """Replace the URLs among the words of a command by local paths; that after --out is written to.
+
+    Raises
+    ------
+    FidpipeError
+        A URL cannot be read, or another command writes to it.
+    """
+    run = None
+    for i, word in enumerate(words):
+        option, is_joined, value = word.partition("=")
+        if not word.startswith("--"):
+            option = words[i - 1]
+            value = word
+            is_joined = ""
+        if not is_url(value) or option == "--scheduler":
+            continue
+        if option in ("--out", "-o"):
+            run = RemoteRun(value)
+            path = run.folder
+        else:
+            path = local_of(value)
+        words[i] = f"{option}={path}" if is_joined else str(path)
+    with run.written() if run else nullcontext():
+        yield
+
+
+def _marks(path: Path) -> list[object]:
+    state = path.stat()
+    return [state.st_mtime_ns, state.st_size]
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except OSError as error:
+        return isinstance(error, PermissionError)  # of another user
+    return True
