@@ -186,7 +186,7 @@ def check_frames(
         return None
     as_given, coverage, best = _search(target, sources, settings, motion)
     if 1 - coverage >= MIN_GAIN and "" in sources:
-        coverage, best = _scaled(target, sources, (real, sim), settings, motion, (coverage, best))
+        coverage, best = _scaled(target, sources, (real, sim), settings, motion, as_given, (coverage, best))
     is_suspect = (
         coverage >= MIN_COVERAGE
         and coverage - as_given >= MIN_GAIN
@@ -255,6 +255,7 @@ def _scaled(
     scans: tuple[FloatArray, FloatArray],
     settings: InputSettings,
     motion: FloatArray,
+    as_given: float,
     best: tuple[float, _Candidate],
 ) -> tuple[float, _Candidate]:
     """The best of a candidate and of the simulated scan in another size, which is added to the sources.
@@ -277,7 +278,7 @@ def _scaled(
             sources[unit] = _Side(points)
             candidate = _Candidate("", motion, unit)
             coverage = _coverage(target, sources[unit], candidate, settings.include_box)
-            if coverage > max(best[0], _MIN_SCALED_COVERAGE):
+            if coverage > max(best[0], as_given + MIN_GAIN, _MIN_SCALED_COVERAGE):
                 best = coverage, candidate
     return best
 
