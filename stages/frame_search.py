@@ -17,7 +17,7 @@ from ..schemas.data_files import read_data
 from ..schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
 from .arrays import BoolArray, FloatArray, IndexArray
 from .clean import as_ros, clean_scan, inside
-from .surfels import voxel_ids
+from .thinning import shares_voxel
 from .trust import is_far_from_origin
 
 AS_GIVEN = "as given"
@@ -389,9 +389,8 @@ def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArr
     """One point per voxel, the first in the order of the scan, of the measurements within reach of the sensor."""
     with np.errstate(over="ignore"):  # infinite distances are out of reach
         near = points[(np.hypot(points[:, 0], points[:, 1]) < REACH_M) & (np.abs(points[:, 2]) < REACH_M)]
-    _, first = np.unique(voxel_ids(near, VOXEL_M), return_index=True)
-    own = settings.model_copy(update={"include_box": None})
-    return clean_scan(near[np.sort(first)], own, frame=settings.frame_of(side)).points
+    own = settings.model_copy(update={"include_box": None, "voxel_m": None})
+    return clean_scan(near[~shares_voxel(near, VOXEL_M)], own, frame=settings.frame_of(side)).points
 
 
 def _units_that_fit(sim: FloatArray, real: FloatArray) -> dict[str, float]:
