@@ -36,6 +36,7 @@ def test_the_first_point_of_each_voxel_is_kept_in_the_real_frame(rng):
     result = clean_scan(scan, settings, T_real_sim=T)
     ids, points = literal_method.clean(scan, settings.model_dump(), "ros", T)
     assert result.point_ids.tolist() == ids
+    np.testing.assert_allclose(result.points, points, atol=1e-12)
     assert result.dropped["thinned"] == len(clean_scan(scan, InputSettings(min_range_m=4.0)).points) - len(ids) > 900
     assert "thinned" not in clean_scan(scan, InputSettings()).dropped
 
