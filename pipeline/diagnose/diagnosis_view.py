@@ -5,8 +5,9 @@ from __future__ import annotations
 from operator import attrgetter
 
 from ...schemas.results import Diagnosis
-from ..report.view import Answers, Note, Table, View, count
-from ..report.views.answer_view import NO_CAUSE, cause_items
+from ..report.view import Answers, Note, Table, View, count, items_of
+from ..report.views.answer_view import cause_items
+from ..results.causes import no_cause_words
 from ..results.diagnosis import unexplained_words
 
 _COLUMNS = (*("name", "words", "estimate", "low", "high", "unit"), *("n_pairs", "gain_m", "gain", "setting"))
@@ -25,7 +26,7 @@ def diagnosis_view(diagnosis: Diagnosis) -> View:
         f"{pairs}: the surfaces are {100 * diagnosis.distance_m:.1f} cm apart, in a second measurement "
         f"{100 * diagnosis.best_case_m:.1f} cm"
     )
-    first = cause_items(diagnosis.causes) or [(NO_CAUSE, "", "")]
+    first = cause_items(diagnosis.causes) or items_of(no_cause_words(diagnosis.unknown))
     first.append((unexplained_words(diagnosis), "", ""))
     sections = [("Fix first", first)]
     if diagnosis.notes:

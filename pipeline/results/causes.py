@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Most causes that are shown at first.
 MOST_SHOWN = 7
+#: From so many unknown causes on it is not said that there is none.
+MANY_UNKNOWN = 8
 #: Intensity that is missing, as a share: over another run, of what that one has.
 SCALE = "intensity scale"
 #: Variance of returns between directions that is still random, and the square of the loss.
@@ -136,6 +138,15 @@ def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:
         if not _is_known(of_cause.amount):
             by_reason.setdefault(of_cause.reason, []).append(name)
     return [Unknown(causes=tuple(names), reason=reason) for reason, names in by_reason.items()]
+
+
+def no_cause_words(unknown: Sequence[Unknown]) -> str:
+    """Sentence if no cause is named: there is none, or too many are unknown."""
+    largest = max(unknown, key=lambda group: len(group.causes), default=None)
+    if largest is None or len(largest.causes) < MANY_UNKNOWN:
+        return "no cause is larger than the differences between two measurements of one scene"
+    n_causes = len(CAUSES.keys() - {UNEVEN})
+    return f"no cause can be named: {len(largest.causes)} of {n_causes} are unknown ({largest.reason})"
 
 
 def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | None:

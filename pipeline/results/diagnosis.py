@@ -99,6 +99,7 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
         unexplained=unexplained_share((before_m, after_m, best_case_m)),
         causes=tuple(shown),
         doubtful=tuple(cause.words for cause in doubtful),
+        unknown=record.overview.unknown,
     )
 
 

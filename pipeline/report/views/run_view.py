@@ -74,8 +74,7 @@ def outcome_view(outcome: RunOutcome) -> View:
     took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     if outcome.n_reused:
         took += f", {outcome.n_made} jobs done, {outcome.n_reused} reused"
-    reported = outcome.reported_failures
-    return summary_view(outcome.folder, rows, record, diagnosis, reported, took=took)
+    return summary_view(outcome.folder, rows, record, diagnosis, outcome.reported, took=took)
 
 
 def summary_view(
