@@ -25,7 +25,7 @@ from pydantic import (
 from .columns import FARTHEST_M
 from .data_files import parse_toml, read_toml
 from .docstrings import split_docstring
-from .errors import SettingsError, suggestion
+from .errors import SettingsError, nearest, suggestion
 from .metric_catalogue import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
@@ -532,7 +532,10 @@ def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
     if problem["type"] == "extra_forbidden":
         name = ".".join(map(str, problem["loc"]))
-        return f"setting {name}: no such setting; known are {_known_beside(problem['loc'])}"
+        known = _known_beside(problem["loc"])
+        near = nearest(name, known)
+        hint = f"; did you mean {near}?" if near else ""
+        return f"setting {name}: no such setting{hint}; known are {', '.join(known)}"
     name = ".".join(part for part in problem["loc"] if isinstance(part, str))
     where = f"setting {name}" if name else "settings"
     text = f"{where}: {expected_and_got(problem)}"
@@ -582,9 +585,9 @@ def expected_and_got(problem: ErrorDetails) -> str:
     return text if " got " in text else f"{text}, got {problem['input']!r}"
 
 
-def _known_beside(location: tuple[int | str, ...]) -> str:
+def _known_beside(location: tuple[int | str, ...]) -> list[str]:
     group: Any = Settings
     for part in location[:-1]:
         group = group.model_fields[part].annotation
     prefix = ".".join(str(part) for part in location[:-1])
-    return ", ".join(f"{prefix}.{field}" if prefix else field for field in group.model_fields)
+    return [f"{prefix}.{field}" if prefix else field for field in group.model_fields]

@@ -360,7 +360,7 @@ def _setting(candidate: _Candidate, settings: InputSettings, motion: FloatArray)
         parts += [f"input.sim_frame={sim_frame}"] if sim_frame != "ros" or not settings.sim_flip_y else []
     if not np.allclose(new_motion, motion, atol=1e-9):
         numbers = " ".join(f"{value + 0.0:.5g}" for value in np.round(new_motion, 5).ravel())
-        parts.append(f'T_real_sim "{numbers}" in the manifest')
+        parts.append(f'T_real_sim "{numbers}" in pairs.csv')
     return " and ".join(parts)
 
 

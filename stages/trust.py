@@ -30,7 +30,10 @@ _FEWEST_GAPS, _MOST_GROUPS, _MOST_SWEEPS = 500, 30_000, 5
 _UNEVEN, _ALIKE, _REPEATED = 0.2, 0.9, 0.06  # sweeps 0.25, 0.94 and 0.09 at least, other scans 0.18, - and 0.05
 _CELL_DEG, _SAME_CELLS = 2.0, 0.6
 _SAMPLE, _NEIGHBOURS, _DENSE_PART, _DENSE_M = 5000, 10, 5, 15.0
-SWEEPS_IN_A_ROW = "two or more sweeps or sensors in one scan? Parts of it have beams, and all of it has not"
+SWEEPS_IN_A_ROW = (
+    "two or more sweeps or sensors in one scan? Parts of it have beams, and all of it has not; export one "
+    "revolution per file"
+)
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
 
 
@@ -65,8 +68,8 @@ def misses_text(share: float, miss_range_m: float) -> str:
     """The doubt, with the setting that drops the points."""
     limit_m = np.floor(10 * (miss_range_m - _SHELL_M)) / 10
     return (
-        f"{share:.0%} of the points lie at {miss_range_m:.1f} m: rays without a return? They are left out, "
-        f"which input.max_range_m={limit_m:g} confirms"
+        f"{share:.0%} of the points lie at {miss_range_m:.1f} m: rays without a return? They are left out; set "
+        f"input.max_range_m={limit_m:g} to confirm"
     )
 
 
@@ -115,7 +118,7 @@ def sweeps_text(gap_deg: FloatArray) -> str | None:
         if unevenness >= _UNEVEN and likeness >= _ALIKE and share * unevenness >= _REPEATED:
             return (
                 "two or more sweeps or sensors in one scan? The steps of a beam alternate, and repeat after "
-                f"{n_sweeps} returns; expected one sweep"
+                f"{n_sweeps} returns; export one revolution per file"
             )
     return None
 
@@ -187,4 +190,7 @@ def position_text(points: FloatArray) -> str | None:
         if place_m < _DENSE_M:
             return None
         why = f"they are densest {place_m:.0f} m from the origin"
-    return f"the points are not in the sensor's frame: {why}, beams not recognised; set input.sensor_position"
+    return (
+        f"the points are not in the sensor's frame: {why}, beams not recognised; set input.sensor_position, x y z of "
+        "the sensor among the points"
+    )
