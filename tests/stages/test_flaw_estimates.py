@@ -8,9 +8,10 @@ import pytest
 from fidpipe.pipeline.results.causes import cause_values, changed_causes, named_causes
 from fidpipe.schemas.cause_catalogue import FLAT, PARAMETERS
 from fidpipe.stages.causes.distance import off_share
-from fidpipe.stages.causes.estimates import estimate, estimate_between, explain_directions, find_unmatched
+from fidpipe.stages.causes.estimates import estimate, estimate_between
 from fidpipe.stages.causes.gain import corrections, shares
 from fidpipe.stages.causes.sides import PairScans, Side
+from fidpipe.stages.causes.unmatched import explain_directions, find_unmatched
 from fidpipe.stages.displacement import Displacement, fit_displacement
 from fidpipe.stages.sensor_description import SensorDescription, describe_sensor
 from fidpipe.stages.surfels import fit_planes
