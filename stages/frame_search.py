@@ -38,7 +38,8 @@ _MAX_LIFT_LEFT_M = 0.05
 _MAX_COVERAGE_LOST = 0.02
 _LIFT_STEPS = 4
 _SCALES = {"centimetres": 0.01, "millimetres": 0.001, "feet": 0.3048}
-_SIMILAR_REACH = {"feet": 1.6}  # ratio of the reach of both sides in a unit; 10 in units that are farther apart
+#: Ratio of the reach of both sides in a unit; 10 in units that are farther apart.
+_SIMILAR_REACH = {"feet": 1.6}
 _GROUND_STEP_M = 0.1
 
 _DIRECTIONS = (("forward", "back"), ("left", "right"), ("up", "down"))
@@ -51,12 +52,14 @@ _FINE_SCALES = np.linspace(0.9, 1.1, 11)
 _LEAST_HEIGHT_M = 0.3
 _MIN_SCALED_COVERAGE = 0.75  # smaller scans cover each other more easily
 
-_FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name in FRAME_AXES}  # p_ros = F p
+#: F of each frame: p_ros = F p.
+_FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name in FRAME_AXES}
 
 
 def _rotations() -> dict[str, FloatArray]:
     """Rotations and mirrors by name: usual mistakes, and those of either scan in one of the known frames."""
-    turns = {name: np.array(rows, dtype=np.float64) for name, rows in read_data("axis_mistakes").items()}
+    mistakes = read_data("axis_mistakes")
+    turns = {name: np.array(rows, dtype=np.float64) for name, rows in mistakes.items()}
     for real, F_real in _FRAMES.items():
         for sim, F_sim in _FRAMES.items():
             turn = F_real.T @ F_sim

@@ -77,8 +77,8 @@ def misses_text(share: float, miss_range_m: float) -> str:
     """The doubt, with the setting that drops the points."""
     limit_m = np.floor(10 * (miss_range_m - _SHELL_M)) / 10
     return (
-        f"{share:.0%} of the points lie at {miss_range_m:.1f} m: rays without a return? They are left out, "
-        f"which input.max_range_m={limit_m:g} confirms"
+        f"{share:.0%} of the points lie at {miss_range_m:.1f} m: rays without a return? "
+        f"They are left out, which input.max_range_m={limit_m:g} confirms"
     )
 
 
@@ -102,8 +102,8 @@ def returns_text(is_later: BoolArray) -> str | None:
     if share < _SAME_SHARE:
         return None
     return (
-        f"{share:.0%} of the points are second returns of a ray (dual return, two sweeps, or written twice): only "
-        "first ones count"
+        f"{share:.0%} of the points are second returns of a ray "
+        "(dual return, two sweeps, or written twice): only first ones count"
     )
 
 
@@ -126,8 +126,8 @@ def sweeps_text(gap_deg: FloatArray) -> str | None:
         share, unevenness, likeness = _repetition(gap_deg, n_sweeps, n_sweeps * two_steps_deg)
         if unevenness >= _UNEVEN and likeness >= _ALIKE and share * unevenness >= _REPEATED:
             return (
-                "two or more sweeps or sensors in one scan? The steps of a beam alternate, and repeat after "
-                f"{n_sweeps} returns; expected one sweep"
+                "two or more sweeps or sensors in one scan? The steps of a beam alternate, "
+                f"and repeat after {n_sweeps} returns; expected one sweep"
             )
     return None
 
