@@ -6,7 +6,6 @@ It refuses where numbers of a stage changed and its code version in `pipeline/jo
 import json
 import sys
 import tempfile
-from dataclasses import asdict
 from pathlib import Path
 
 import pandas as pd
@@ -36,7 +35,7 @@ def measure():
     streets = make_pair(0, 0, SENSORS["vlp16"], 20_000)
     real, sim = (scan.rows[:, :3].astype(float) for scan in (streets.real, streets.sim))
     sensors = [describe_sensor(points) for points in (real, sim)]
-    rays = find_rays(real, sim, tuple(map(asdict, sensors)))
+    rays = find_rays(real, sim, tuple(sensors))
     numbers = {
         "ground": [
             [row[name] for name in row if "ground_" in name or name.endswith(("_raw", "_clean"))] for row in rows

@@ -23,6 +23,7 @@ from ...stages.rays import (
     find_rays,
     score_rays,
 )
+from ...stages.sensor_description import SensorDescription
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
 
@@ -31,7 +32,7 @@ def make_rays(inputs: Inputs) -> JobResult:
     """Pair the rays of both sides and score them."""
     tables = [inputs.table("ground", side) for side in SIDES]
     real, sim = map(coordinates, tables)
-    sensors = [inputs.metadata("sensor", side)["sensor"] for side in SIDES]
+    sensors = [SensorDescription(**inputs.metadata("sensor", side)["sensor"]) for side in SIDES]
     moved = inputs.metadata("ground", "sim")["T_real_sim"]
     T_real_sim = transform_of(moved)
     position = inputs.settings.input.sensor_position
