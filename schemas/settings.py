@@ -106,6 +106,8 @@ class InputSettings(_Group):
     max_range_m : farther points are dropped
     exclude_box : xmin ymin zmin xmax ymax zmax, metres, own frame: points inside are dropped (the ego vehicle)
     include_box : xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped
+    voxel_m : edge of a voxel, metres, real sensor's frame: of each voxel of either side only the first point is kept,
+        which thins clouds of a million points; rays and causes of single returns are then unknown
     sim_flip_y : negate y of the simulated side: the same as sim_frame = "carla"; only with sim_frame "ros"
     sim_frame : axes of the simulated scans, metres; see real_frame
     sensor_position : x y z of the sensor, metres, in the frame of the points, where that is not the sensor's own; of
@@ -120,6 +122,7 @@ class InputSettings(_Group):
     max_range_m: float = Field(100.0, gt=0, le=FARTHEST_M)
     exclude_box: _Box = Field(None, examples=[[-1.5, -1.0, -2.0, 2.5, 1.0, 0.5]])
     include_box: _Box = Field(None, examples=[[-50.0, -20.0, -5.0, 50.0, 20.0, 10.0]])
+    voxel_m: float | None = Field(None, gt=0, le=10, examples=[0.1])
     sim_flip_y: bool = False
     real_frame: FrameName = Field(
         "ros",

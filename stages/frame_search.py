@@ -17,7 +17,7 @@ from ..schemas.data_files import read_data
 from ..schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
 from .arrays import BoolArray, FloatArray, IndexArray
 from .clean import as_ros, clean_scan, inside
-from .surfels import voxel_ids
+from .thinning import shares_voxel
 from .trust import is_far_from_origin
 
 _AS_GIVEN = "as given"
@@ -445,9 +445,9 @@ def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArr
     with np.errstate(over="ignore"):  # infinite distances are out of reach
         is_near = np.hypot(points[:, 0], points[:, 1]) < _REACH_M
         near = points[is_near & (np.abs(points[:, 2]) < _REACH_M)]
-    _, first = np.unique(voxel_ids(near, _VOXEL_M), return_index=True)
-    without_box = settings.model_copy(update={"include_box": None})
-    return clean_scan(near[np.sort(first)], without_box, frame=settings.frame_of(side)).points
+    all_points = settings.model_copy(update={"include_box": None, "voxel_m": None})
+    first = near[~shares_voxel(near, _VOXEL_M)]
+    return clean_scan(first, all_points, frame=settings.frame_of(side)).points
 
 
 def _units_that_fit(sim: FloatArray, real: FloatArray) -> dict[str, float]:

@@ -92,8 +92,14 @@ def pose_of(metadata: dict[str, Any]) -> Pose | None:
 
 
 def _side(inputs: Inputs, side: str, T_real_sim: FloatArray | None = None) -> Side:
-    position = inputs.settings.input.sensor_position
-    return side_of(inputs.table("ground", side), _sensor(inputs, side), T_real_sim, position)
+    settings = inputs.settings.input
+    return side_of(
+        inputs.table("ground", side),
+        _sensor(inputs, side),
+        T_real_sim,
+        settings.sensor_position,
+        settings.voxel_m,
+    )
 
 
 def _sensor(inputs: Inputs, side: str) -> SensorDescription:
@@ -105,12 +111,13 @@ def side_of(
     sensor: SensorDescription,
     T_real_sim: FloatArray | None = None,
     position: tuple[float, float, float] | None = None,
+    voxel_m: float | None = None,
 ) -> Side:
     """A side from its table `ground`, see `recorded_side`."""
     from ...stages.causes.sides import recorded_side
 
     return recorded_side(
-        coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim, position
+        coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim, position, voxel_m
     )
 
 

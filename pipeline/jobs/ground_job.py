@@ -18,7 +18,7 @@ from ...stages.plausibility import inspect_points
 from ..datasets.readers.scan import Scan
 from ..stage import (
     INSPECTION,
-    N_RAW,
+    N_CLEAN,
     OF_PAIR,
     SCAN,
     Columns,
@@ -94,7 +94,7 @@ def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> M
     """Number of dropped points, the cut, and columns of `pairs`."""
     n_clean = len(clean.points)
     n_ground = int(np.count_nonzero(cut.is_ground))
-    counts = {N_RAW: len(scan.points), "n_clean": n_clean, "n_points": n_clean - n_ground}
+    counts = {"n_raw": len(scan.points), N_CLEAN: n_clean, "n_points": n_clean - n_ground}
     measures = {name: getattr(cut, name) for name in _MEASURES}
     measures["removed_share"] = n_ground / n_clean
     of_pair = {f"n_{side}_{name[2:]}": count for name, count in counts.items()}

@@ -175,8 +175,14 @@ def _sim_side(folder: Path, pair_id: str) -> Side:
     jobs = store.ledger.jobs(pair_id)
     sensor = SensorDescription(**jobs["sensor", "sim"].metadata["sensor"])
     moved = jobs["ground", "sim"].metadata["T_real_sim"]
-    position = read_run(folder)["settings"]["input"].get("sensor_position")
-    return side_of(ground, sensor, transform_of(moved), position)
+    settings = read_run(folder)["settings"]["input"]
+    return side_of(
+        ground,
+        sensor,
+        transform_of(moved),
+        settings.get("sensor_position"),
+        settings.get("voxel_m"),
+    )
 
 
 def _undo(

@@ -12,6 +12,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import seen_from
 from ..sensor_description import SensorDescription
 from ..surfels import LocalPlanes, fit_planes
+from ..trust import BEAMS
 
 #: Returns beyond this range are far.
 FAR_M = 25.0
@@ -117,6 +118,7 @@ def recorded_side(
     sensor: SensorDescription,
     T_real_sim: FloatArray | None = None,
     position: tuple[float, float, float] | None = None,
+    voxel_m: float | None = None,
 ) -> Side:
     """A side of clean points, with the sensor at the origin.
 
@@ -126,7 +128,11 @@ def recorded_side(
     ----------
     points, is_ground, sensor, T_real_sim : see `Side`
     position : of the sensor in the frame of the points of both sides; the origin by default
+    voxel_m : voxel by which the points were thinned, so that returns cannot be counted; None if they were not
     """
+    if voxel_m is not None:
+        thinned = f"thinned by input.voxel_m={voxel_m:g}, so that its returns cannot be counted"
+        sensor = replace(sensor, doubts=sensor.doubts | {BEAMS: thinned})
     if position is not None:
         points = points - position
         T_real_sim = seen_from(position, T_real_sim)
