@@ -212,3 +212,8 @@ class RunRecord(RunHeader):
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None
     tasks: tuple[TaskSummary, ...] = ()
+
+    @property
+    def task_gaps(self) -> dict[str, float | None]:
+        """Mean gap of each measure of a task, by names such as `objects.lost`."""
+        return {f"{row.task}.{row.measure}": row.gap for row in self.tasks}

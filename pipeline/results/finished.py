@@ -123,6 +123,13 @@ class FinishedRun:
         """One row per matched object of all scored pairs; its columns are in `schemas/tables.csv`."""
         return _frame(self.table("metrics"))
 
+    @property
+    def tasks(self) -> pd.DataFrame:
+        """One row per pair, task, measure and group of obstacles; raises `RunError` without tasks."""
+        if not self.record.tasks:
+            raise RunError(f"run {self.folder}: it has no tasks; add them with fidpipe run --tasks")
+        return _frame(self.table("tasks"))
+
     def points(self, pair_id: str, side: str) -> pd.DataFrame:
         """The clean points of a side, (x, y, z) in metres in the real sensor's frame, and the object of each.
 

@@ -1,6 +1,7 @@
 """Stages that a run has on demand (baselines, seeds and tasks): their tables, their record, and how long they stay."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import fidpipe
 from fidpipe.pipeline.jobs.baselines_job import summarise_baselines
+from fidpipe.pipeline.results.measure_names import TASK_MEASURES
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.table_files import JobRecord
 from fidpipe.schemas.errors import SettingsError
@@ -203,3 +205,22 @@ def test_only_the_tasks_that_are_asked_for_are_computed(dataset, finished, tmp_p
     result = fidpipe.evaluate_pair(points, points, {"tasks": {"names": "all"}})
     assert set(result.tasks.gap.dropna()) == {0.0}
     assert set(result.task_objects.fate) == {"found"}
+
+
+def test_the_tasks_are_in_the_answer_in_gates_and_in_python(dataset, finished, record, tmp_path):
+    gaps = {f"{row['task']}.{row['measure']}": row["gap"] for row in record["tasks"]}
+    assert tuple(gaps) == TASK_MEASURES
+    answer = command("show", finished, code=0).stdout
+    lost = f"{100 * gaps['objects.lost']:.0f} %"
+    assert re.search(rf"tasks\s+your obstacles: {lost} lost", answer)
+    assert "wrongly_occupied" in command("show", finished, "--all", code=0).stdout
+    limit = f"tasks.objects.lost={gaps['objects.lost'] + 1e-6}"
+    command("gate", finished, "--max", limit, "--out", tmp_path, code=0)
+    command("gate", finished, "--max", "tasks.ground.height_m.max=-1", "--out", tmp_path, code=4)
+    run(dataset, tmp_path / "run", pattern="000")
+    assert "your obstacles" not in command("show", tmp_path / "run", code=0).stdout
+    gate = command("gate", tmp_path / "run", "--max", limit, "--max", "pairs.to_do=1", code=4)
+    assert "fidpipe run --tasks" in gate.stdout
+    with pytest.raises(fidpipe.FidpipeError, match="run --tasks"):
+        _ = fidpipe.open_run(tmp_path / "run").tasks
+    assert set(fidpipe.open_run(finished).tasks.pair_id) == {"000", "001"}
