@@ -298,7 +298,7 @@ def scored(real, points):
     return row
 
 
-def conditions(data, frames):
+def conditions(data, frames, bases, which_amounts):
     """Frame, base, flaw and amount of each condition, and functions that return both scans."""
     sources = sorted((data / "kitti_twin" / "real").glob("*.bin"))
     for number in frames:
@@ -306,15 +306,16 @@ def conditions(data, frames):
         full = read(path)
         car, poles = find_car(full), find_poles(full)
         real = full[::EVERY]
-        bases = {
+        simulated = {
             "good": remeasured(real, random(path.stem, "base")),
             "poor": read(path.parents[1] / "sim" / path.name)[::EVERY],
         }
-        for base, points in bases.items():
+        for base in bases:
+            points = simulated[base]
             scan = Scan(points, car, poles)
             yield (path.stem, base, NONE, 0.0), real, lambda points=points: points
             for flaw, (amounts, make) in FLAWS.items():
-                for amount in amounts:
+                for amount in (amounts[i] for i in which_amounts):
                     rng = random(path.stem, base, flaw)
                     key = (path.stem, base, flaw, float(amount))
                     yield key, real, partial(make(amount), scan, rng)
@@ -360,7 +361,7 @@ def measure(args):
     args.out.parent.mkdir(parents=True, exist_ok=True)
     for name, kind, first, second in real_pairs(args.data):
         add((name, kind, NONE, 0.0), first, lambda second=second: second)
-    for key, real, sim in conditions(args.data, args.frames):
+    for key, real, sim in conditions(args.data, args.frames, args.bases, args.amounts):
         add(key, real, sim)
 
 
@@ -453,6 +454,8 @@ if __name__ == "__main__":
     parser.add_argument("data", type=Path, help="folder with kitti_twin, kitti_sequence and velodyne_vlp32c")
     parser.add_argument("--out", type=Path, default=Path(".cache/tasks.csv"), help="scores and gaps; resumed")
     parser.add_argument("--frames", type=int, nargs="+", default=[0, 4], help="of kitti_twin, from 0")
+    parser.add_argument("--bases", nargs="+", choices=BASES, default=list(BASES))
+    parser.add_argument("--amounts", type=int, nargs="+", default=[0, 1, 2], help="of each flaw, from 0")
     parser.add_argument("--print", action="store_true", help="only print the tables")
     arguments = parser.parse_args()
     if not arguments.print:

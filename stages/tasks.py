@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial import cKDTree
 
 from ..schemas.settings import TaskSettings
 from .arrays import BoolArray, FloatArray, IndexArray, sums_by_id
@@ -117,7 +116,7 @@ def compare_obstacles(real: CutScan, sim: CutScan, settings: TaskSettings) -> Ob
     """
     obstacles = (find_obstacles(real, settings), find_obstacles(sim, settings))
     overlap = box_iou(*obstacles)
-    rows, columns = linear_sum_assignment(overlap, maximize=True)
+    rows, columns = scipy.optimize.linear_sum_assignment(overlap, maximize=True)
     is_found = overlap[rows, columns] >= settings.min_iou
     rows, columns = rows[is_found], columns[is_found]
     values = overlap[rows, columns]
@@ -213,7 +212,7 @@ def compare_ground(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple
                 Gap("ground", "disagreement", None, None, None),
                 Gap("ground", "height_m", None, None, None, "m"),
             )
-        tree = cKDTree(other.points)
+        tree = scipy.spatial.cKDTree(other.points)
         distance_m, nearest = tree.query(scan.points, distance_upper_bound=_SEEN_WITHIN_M)
         is_seen = np.isfinite(distance_m)
         flags = scan.is_ground[is_seen]
