@@ -59,7 +59,8 @@ def match_detections(real: Boxes, sim: Boxes) -> IndexArray:
 def inside(points: FloatArray, boxes: Boxes, number: int) -> BoolArray:
     """True for the points inside a box, (n,)."""
     offset = points - boxes.centre[number]
-    c, s = np.cos(boxes.yaw[number]), np.sin(boxes.yaw[number])
+    c = np.cos(boxes.yaw[number])
+    s = np.sin(boxes.yaw[number])
     along = offset[:, 0] * c + offset[:, 1] * s
     across = offset[:, 1] * c - offset[:, 0] * s
     local = np.abs(np.column_stack([along, across, offset[:, 2]]))

@@ -85,19 +85,26 @@ class Obstacles:
 
 
 @dataclass(frozen=True)
-class ObstacleTask:
-    """Obstacles of both sides, and what became of them.
+class Fates:
+    """Obstacles of a side, and what became of them.
 
-    partner : by side, (m,) matched obstacle of the other side; -1 for a lost or an added one
-    iou : by side, (m,) of the matched boxes seen from above; 0 for none
-    counted : by side, (m,) True if the centre is within range_m
+    partner : (m,) matched obstacle of the other side; -1 for a lost or an added one
+    iou : (m,) overlap with the partner seen from above; 0 for none
+    is_counted : (m,) True if the centre is within range_m
     """
 
-    real: Obstacles
-    sim: Obstacles
-    partner: tuple[IndexArray, IndexArray]
-    iou: tuple[FloatArray, FloatArray]
-    counted: tuple[BoolArray, BoolArray]
+    obstacles: Obstacles
+    partner: IndexArray
+    iou: FloatArray
+    is_counted: BoolArray
+
+
+@dataclass(frozen=True)
+class ObstacleTask:
+    """Obstacles of both sides, and the gaps between them."""
+
+    real: Fates
+    sim: Fates
     gaps: tuple[Gap, ...]
 
 
@@ -114,37 +121,22 @@ def compare_obstacles(real: CutScan, sim: CutScan, settings: TaskSettings) -> Ob
 
     Lost and added are also given by size and by distance of the obstacle.
     """
-    obstacles = (find_obstacles(real, settings), find_obstacles(sim, settings))
-    overlap = box_iou(*obstacles)
+    real_obstacles = find_obstacles(real, settings)
+    sim_obstacles = find_obstacles(sim, settings)
+    overlap = box_iou(real_obstacles, sim_obstacles)
     rows, columns = scipy.optimize.linear_sum_assignment(overlap, maximize=True)
     is_found = overlap[rows, columns] >= settings.min_iou
-    rows, columns = rows[is_found], columns[is_found]
-    values = overlap[rows, columns]
-    partner = (
-        _scattered(len(overlap), rows, columns, -1),
-        _scattered(overlap.shape[1], columns, rows, -1),
+    rows = rows[is_found]
+    columns = columns[is_found]
+    real_fates = _fates(real_obstacles, rows, columns, overlap[rows, columns], settings)
+    sim_fates = _fates(sim_obstacles, columns, rows, overlap[rows, columns], settings)
+    is_counted = real_fates.is_counted[rows]
+    gaps = (
+        *_unmatched("lost", real_fates),
+        *_unmatched("added", sim_fates),
+        *_found(real_obstacles, sim_obstacles, rows[is_counted], columns[is_counted]),
     )
-    iou = (
-        _scattered(len(overlap), rows, values, 0.0),
-        _scattered(overlap.shape[1], columns, values, 0.0),
-    )
-    counted = (
-        obstacles[0].range_m <= settings.range_m,
-        obstacles[1].range_m <= settings.range_m,
-    )
-    gaps = [
-        *_unmatched("lost", obstacles[0], partner[0], counted[0]),
-        *_unmatched("added", obstacles[1], partner[1], counted[1]),
-    ]
-    is_inside = counted[0][rows]
-    sizes = [obstacles[0].size_m[rows[is_inside], :2], obstacles[1].size_m[columns[is_inside], :2]]
-    apart = obstacles[0].centre[rows[is_inside]] - obstacles[1].centre[columns[is_inside]]
-    longest = [_median(size.max(axis=1)) for size in sizes]
-    size_error = np.abs(sizes[0] - sizes[1]).max(axis=1)
-    gaps.append(Gap("objects", "size_m", longest[0], longest[1], _median(size_error), "m"))
-    place_error = np.hypot(apart[:, 0], apart[:, 1])
-    gaps.append(Gap("objects", "place_m", None, None, _median(place_error), "m"))
-    return ObstacleTask(*obstacles, partner, iou, counted, tuple(gaps))
+    return ObstacleTask(real_fates, sim_fates, gaps)
 
 
 def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
@@ -171,8 +163,10 @@ def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
     cluster = dbscan.fit(means, sample_weight=n_in_cell).labels_[cell_of]
     n_points = np.bincount(cluster[cluster >= 0])
     is_large = np.append(n_points >= settings.min_points, False)  # the last is of cluster -1
-    chosen, points, cluster = (values[is_large[cluster]] for values in (chosen, points, cluster))
-    _, cluster = np.unique(cluster, return_inverse=True)
+    is_kept = is_large[cluster]
+    chosen = chosen[is_kept]
+    points = points[is_kept]
+    _, cluster = np.unique(cluster[is_kept], return_inverse=True)
     n_points = np.bincount(cluster)
     low = np.full((len(n_points), 3), np.inf)
     np.minimum.at(low, cluster, points)
@@ -185,11 +179,12 @@ def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
 
 def box_iou(a: Obstacles, b: Obstacles) -> FloatArray:
     """|A n B| / |A u B| of all boxes seen from above, enlarged by 0.1 m, (m, k)."""
-    a_low, a_high = a.low[:, None, :2] - _MARGIN_M, a.high[:, None, :2] + _MARGIN_M
-    b_low, b_high = b.low[None, :, :2] - _MARGIN_M, b.high[None, :, :2] + _MARGIN_M
-    sides = np.minimum(a_high, b_high) - np.maximum(a_low, b_low)
-    common = np.maximum(sides, 0.0).prod(axis=2)
-    union = (a_high - a_low).prod(axis=2) + (b_high - b_low).prod(axis=2) - common
+    low = np.maximum(a.low[:, None, :2], b.low[None, :, :2]) - _MARGIN_M
+    high = np.minimum(a.high[:, None, :2], b.high[None, :, :2]) + _MARGIN_M
+    common = np.maximum(high - low, 0.0).prod(axis=2)
+    a_area = (a.size_m[:, :2] + 2 * _MARGIN_M).prod(axis=1)
+    b_area = (b.size_m[:, :2] + 2 * _MARGIN_M).prod(axis=1)
+    union = a_area[:, None] + b_area[None, :] - common
     overlap: FloatArray = common / union
     return overlap
 
@@ -244,7 +239,8 @@ def compare_occupancy(real: CutScan, sim: CutScan, settings: TaskSettings) -> tu
     sim_occupied, sim_free = _map(sim, settings)
     both = _count(real_occupied & sim_occupied)
     either = _count(real_occupied | sim_occupied)
-    n_real, n_sim = _count(real_occupied), _count(sim_occupied)
+    n_real = _count(real_occupied)
+    n_sim = _count(sim_occupied)
     wrongly_free = _count(real_occupied & sim_free)
     wrongly_occupied = _count(real_free & sim_occupied)
     gaps = {
@@ -265,7 +261,8 @@ def compare_free_space(real: CutScan, sim: CutScan, settings: TaskSettings) -> t
     """
     distances = [_first_obstacle_m(scan, settings) for scan in (real, sim)]
     has_obstacle = np.minimum(*distances) < settings.range_m
-    real_m, sim_m = (distance[has_obstacle] for distance in distances)
+    real_m = distances[0][has_obstacle]
+    sim_m = distances[1][has_obstacle]
     medians = (_median(real_m), _median(sim_m))
     return (
         Gap("free_space", "distance_m", *medians, _median(np.abs(sim_m - real_m)), "m"),
@@ -297,36 +294,54 @@ def _unique_rows(cells: NDArray[np.int64]) -> tuple[IndexArray, IndexArray, Inde
     return first, inverse, n
 
 
-def _scattered(n: int, index: IndexArray, values: NDArray[Any], other: float) -> NDArray[Any]:
-    """An array of n times `other`, with values at some places."""
-    result = np.full(n, other, dtype=values.dtype)
-    result[index] = values
-    return result
-
-
-def _unmatched(
-    measure: str,
+def _fates(
     obstacles: Obstacles,
-    partner: IndexArray,
-    counted: BoolArray,
-) -> list[Gap]:
+    matched: IndexArray,
+    partners: IndexArray,
+    overlap: FloatArray,
+    settings: TaskSettings,
+) -> Fates:
+    """What became of the obstacles of a side, from the matched ones, their partners and their IoU."""
+    n = len(obstacles.n_points)
+    partner = np.full(n, -1)
+    partner[matched] = partners
+    iou = np.zeros(n)
+    iou[matched] = overlap
+    return Fates(obstacles, partner, iou, obstacles.range_m <= settings.range_m)
+
+
+def _unmatched(measure: str, fates: Fates) -> list[Gap]:
     """Share of obstacles without a partner: of all, by size and by distance.
 
     `real` is the number of obstacles and `sim` that of the matched ones, or the reverse if the
     obstacles are the simulated ones.
     """
-    size_of = np.digitize(obstacles.size_m[:, :2].max(axis=1), [*SIZES_M.values()]) - 1
-    distance_of = np.digitize(obstacles.range_m, [*DISTANCES_M.values()]) - 1
-    groups = {ALL: counted}
-    groups |= {name: counted & (size_of == i) for i, name in enumerate(SIZES_M)}
-    groups |= {name: counted & (distance_of == i) for i, name in enumerate(DISTANCES_M)}
+    longer_side_m = fates.obstacles.size_m[:, :2].max(axis=1)
+    size_of = np.digitize(longer_side_m, [*SIZES_M.values()]) - 1
+    distance_of = np.digitize(fates.obstacles.range_m, [*DISTANCES_M.values()]) - 1
+    groups = {ALL: fates.is_counted}
+    groups |= {name: fates.is_counted & (size_of == i) for i, name in enumerate(SIZES_M)}
+    groups |= {name: fates.is_counted & (distance_of == i) for i, name in enumerate(DISTANCES_M)}
     gaps = []
     for group, chosen in groups.items():
         n = _count(chosen)
-        n_found = _count(chosen & (partner >= 0))
+        n_found = _count(chosen & (fates.partner >= 0))
         counts = (n, n_found) if measure == "lost" else (n_found, n)
         gaps.append(Gap("objects", measure, *counts, _ratio(n - n_found, n), group=group))
     return gaps
+
+
+def _found(real: Obstacles, sim: Obstacles, rows: IndexArray, columns: IndexArray) -> list[Gap]:
+    """Errors of size and place of the found obstacles, real `rows` and simulated `columns`."""
+    real_size_m = real.size_m[rows, :2]
+    sim_size_m = sim.size_m[columns, :2]
+    size_error_m = np.abs(real_size_m - sim_size_m).max(axis=1)
+    longer_m = [_median(size_m.max(axis=1)) for size_m in (real_size_m, sim_size_m)]
+    apart_m = np.linalg.norm(real.centre[rows, :2] - sim.centre[columns, :2], axis=1)
+    return [
+        Gap("objects", "size_m", *longer_m, _median(size_error_m), "m"),
+        Gap("objects", "place_m", None, None, _median(apart_m), "m"),
+    ]
 
 
 def _height_error_m(real: CutScan, sim: CutScan) -> float | None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...schemas.columns import SIDES, Row
+from ...schemas.columns import Row
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.arrays import IndexArray, IntArray
@@ -16,8 +16,8 @@ from ...stages.pieces import CutScan
 from ...stages.summary import mean_and_std
 from ...stages.tasks import (
     ALL,
+    Fates,
     Gap,
-    ObstacleTask,
     compare_free_space,
     compare_ground,
     compare_obstacles,
@@ -38,7 +38,8 @@ _TASKS = {
 def make_tasks(inputs: Inputs) -> JobResult:
     """Compare both scans in each requested task; the metadata hold the gaps over everything."""
     settings = inputs.settings.tasks
-    real, sim = (cut_scan(inputs.table("ground", side)) for side in SIDES)
+    real = cut_scan(inputs.table("ground", "real"))
+    sim = cut_scan(inputs.table("ground", "sim"))
     gaps: list[Gap] = []
     objects: list[Row] = []
     for name in settings.names:
@@ -46,8 +47,8 @@ def make_tasks(inputs: Inputs) -> JobResult:
             if name == "objects":
                 task = compare_obstacles(real, sim, settings)
                 gaps += task.gaps
-                for side, scan in zip(SIDES, (real, sim), strict=True):
-                    objects += _obstacle_rows(inputs, side, scan, task)
+                objects += _obstacle_rows(inputs, "real", real, task.real)
+                objects += _obstacle_rows(inputs, "sim", sim, task.sim)
             else:
                 gaps += _TASKS[name](real, sim, settings)
     rows = [{"pair_id": inputs.pair_id} | asdict(gap) for gap in gaps]
@@ -75,15 +76,14 @@ def summarise_tasks(records: Iterable[JobRecord], settings: Settings) -> dict[st
     return {"tasks": summary}
 
 
-def _obstacle_rows(inputs: Inputs, side: str, scan: CutScan, task: ObstacleTask) -> list[Row]:
+def _obstacle_rows(inputs: Inputs, side: str, scan: CutScan, fates: Fates) -> list[Row]:
     """The obstacles of a side within range."""
-    i = SIDES.index(side)
-    obstacles = (task.real, task.sim)[i]
+    obstacles = fates.obstacles
     communities = column(inputs.table("communities", side), "community_id")
     community_of = _communities(obstacles.labels[~scan.is_ground], communities)
     rows = []
-    for number in np.flatnonzero(task.counted[i]).tolist():
-        partner = int(task.partner[i][number])
+    for number in np.flatnonzero(fates.is_counted).tolist():
+        partner = int(fates.partner[number])
         row = {
             "pair_id": inputs.pair_id,
             "side": side,
@@ -93,7 +93,7 @@ def _obstacle_rows(inputs: Inputs, side: str, scan: CutScan, task: ObstacleTask)
             "range_m": float(obstacles.range_m[number]),
             "fate": "found" if partner >= 0 else _WITHOUT_PARTNER[side],
             "partner_id": partner if partner >= 0 else None,
-            "iou": float(task.iou[i][number]),
+            "iou": float(fates.iou[number]),
         }
         for axis, centre, size in zip(
             "xyz", obstacles.centre[number], obstacles.size_m[number], strict=True

@@ -81,9 +81,9 @@ def test_lost_added_resized_and_displaced_obstacles_are_counted():
     assert (found["lost"], found["added"]) == (pytest.approx(1 / 3), pytest.approx(1 / 3))
     assert found["size_m"] == pytest.approx((0 + 1) / 2)
     assert found["place_m"] == pytest.approx((0.5 + 0) / 2)
-    assert task.partner[0].tolist() == [-1, 0, 2]
+    assert task.real.partner.tolist() == [-1, 0, 2]
     common, union = (4.2 - 0.4) * (2.2 - 0.3), 2 * 4.2 * 2.2
-    assert task.iou[0][1] == pytest.approx(common / (union - common))
+    assert task.real.iou[1] == pytest.approx(common / (union - common))
     assert gaps(task, "smaller than 1.5 m") == {"lost": 1.0, "added": 1.0}
     assert gaps(task, "1.5 to 6 m") == {"lost": 0.0, "added": 0.0}
     assert gaps(task, "15 to 30 m") == {"lost": 0.0, "added": 0.0}
