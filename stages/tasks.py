@@ -336,7 +336,7 @@ def _found(real: Obstacles, sim: Obstacles, rows: IndexArray, columns: IndexArra
     real_size_m = real.size_m[rows, :2]
     sim_size_m = sim.size_m[columns, :2]
     size_error_m = np.abs(real_size_m - sim_size_m).max(axis=1)
-    longer_m = [_median(size_m.max(axis=1)) for size_m in (real_size_m, sim_size_m)]
+    longer_m = (_median(real_size_m.max(axis=1)), _median(sim_size_m.max(axis=1)))
     apart_m = np.linalg.norm(real.centre[rows, :2] - sim.centre[columns, :2], axis=1)
     return [
         Gap("objects", "size_m", *longer_m, _median(size_error_m), "m"),
