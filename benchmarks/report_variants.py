@@ -79,6 +79,11 @@ def misses(range_m, share):
     return write
 
 
+def lossy(share):
+    """No fault: a share of the returns is lost at random."""
+    return lambda points, rng: points[rng.random(len(points)) >= share]
+
+
 def sweeps(n_sweeps):
     """Sweeps of a parked sensor in one scan, with random phases."""
 
@@ -185,6 +190,10 @@ def variants():
         "one point repeated, 30 %": Variant("one repeated point", repeated([1.2, 0, 1.8], 0.3)),
         "one point repeated, 10 %": Variant("one repeated point", repeated([-0.4, 0, 2.1], 0.1)),
     }
+    for number in range(12):
+        share = (0.0, 0.1, 0.3, 0.5)[number % 4]
+        allowed = ("lost returns",) if share else ()
+        found[f"healthy {number}, {share:.0%} lost"] = Variant("", lossy(share), allowed=allowed)
     orders = [(o, s) for o in permutations(range(3)) for s in product((1, -1), repeat=3)]
     for number in (5, 13, 22, 29, 38, 46):
         order, signs = orders[number]
@@ -228,6 +237,7 @@ def main(only=""):
             number["all"] += 1
             number["named"] += is_named
             number["wrong"] += bool(wrong)
+            number["warnings of healthy scans"] += "healthy" in name and bool(texts)
             print(f"| {name} | {scan} | {is_named} | {'; '.join(right)} | {'; '.join(wrong)} |", flush=True)
             if not is_named or only:
                 print("    ", texts, flush=True)

@@ -40,8 +40,8 @@ class PairResult:
     preset : whose objects they are, "paper" or "reference"
     summary : the pair's row of `pairs`: counts, match rate, means and standard deviations
     points, sensor, edges, communities, objects : by side, "real" and "sim"
-    matching, coverage, surface, pieces, rays, ray_scores, causes, selection, metrics : of the pair; `causes` has the
-        amount of every flaw, whether it is noticeable or not
+    matching, coverage, surface, pieces, rays, ray_scores, causes, selection, metrics : of the pair;
+        `causes` has the amount of every flaw, whether it is noticeable or not
     baselines : of the pair, where `metrics.baselines` names some
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
     tasks, task_objects : of the pair, where `tasks.names` names some
@@ -69,7 +69,14 @@ class PairResult:
     task_objects: pd.DataFrame | None = None
 
     def __repr__(self) -> str:
-        names = ("n_matched", "n_missing", "n_hallucinated", "match_rate", "cdc_mean", "r_lambda_mean")
+        names = (
+            "n_matched",
+            "n_missing",
+            "n_hallucinated",
+            "match_rate",
+            "cdc_mean",
+            "r_lambda_mean",
+        )
         known = [f"{name} {self.summary[name]:.4g}" for name in names if self.summary[name] is not None]
         return f"<evaluated pair, preset {self.preset}: {', '.join(known)}>"
 
@@ -83,24 +90,26 @@ def evaluate_pair(
 
     Parameters
     ----------
-    real, sim : (n, 3) points, metres, in the real sensor's frame (z up), of any real number type; computed with as
-        float64. NaN and infinite points, and the masked ones of a masked array, are dropped. A fourth column is the
-        intensity, as in KITTI. Also a `Scan`, or the path of a scan file of any format that `read_scan` opens
-    settings : by default those of the paper; or some of them by group, such as {"graph": {"k": 60}};
-        {"preset": "reference"} fixes the objects on the real side
+    real, sim : (n, 3) points, metres, in the real sensor's frame (z up), of any real number type;
+        computed with as float64. NaN and infinite points, and the masked ones of a masked array,
+        are dropped. A fourth column is the intensity, as in KITTI. Also a `Scan`, or the path of a
+        scan file of any format that `read_scan` opens
+    settings : by default those of the paper; or some of them by group, such as {"graph": {"k":
+        60}}; {"preset": "reference"} fixes the objects on the real side
 
     Warns
     -----
     UserWarning
-        The simulated scan seems to be in another frame: mirrored, rotated, shifted (`stages.frame_search`).
-        Or a side holds rays without a return, second returns, two sweeps, or is not in its sensor's frame.
-        If the warning names 12 numbers of `T_real_sim` = [R | t], pass `sim @ R.T + t`.
+        The simulated scan seems to be in another frame: mirrored, rotated, shifted
+        (`stages.frame_search`). Or a side holds rays without a return, second returns, two sweeps,
+        or is not in its sensor's frame. If the warning names 12 numbers of `T_real_sim` = [R | t],
+        pass `sim @ R.T + t`.
 
     Raises
     ------
     ScanError
-        An array is not of shape (n, 3) or (n, 4), or its values are not real numbers (complex, boolean, text, objects);
-        or a file cannot be read.
+        An array is not of shape (n, 3) or (n, 4), or its values are not real numbers (complex,
+        boolean, text, objects); or a file cannot be read.
     StageError
         A stage fails, for example because fewer than 8 object points are left.
 

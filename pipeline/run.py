@@ -58,8 +58,7 @@ class RunOutcome:
     pairs : the table `pairs`
     record : content of `run.json`
     n_made, n_reused : jobs
-    failed_extras : by scored pair, the reason why a baseline or another extra failed
-    reported_failures : pairs whose failure was reported, not only known from an earlier run
+    reported : reasons of this run's failures by pair: why it failed, or a baseline or another extra
     """
 
     folder: Path
@@ -67,8 +66,7 @@ class RunOutcome:
     record: RunRecord
     n_made: int
     n_reused: int
-    failed_extras: dict[str, str]
-    reported_failures: frozenset[str] = frozenset()
+    reported: dict[str, str]
 
     @property
     def rows(self) -> list[Row]:
@@ -81,7 +79,7 @@ class RunOutcome:
         """Reason of each failed pair, and of each scored pair with a failed extra."""
         rows = self.pairs.select(["pair_id", "status", "reason"]).to_pylist()
         failed = [row for row in rows if row["status"] == "failed"]
-        return {row["pair_id"]: row["reason"] for row in failed} | self.failed_extras
+        return {row["pair_id"]: row["reason"] for row in failed} | self.reported
 
     def as_dict(self) -> JsonObject:
         """Plain values for JSON: those of `fidpipe show --json`, with the number of jobs and the failures."""
@@ -303,17 +301,8 @@ class Run:
         )
         self._write_record(record)
         n_made = self.collector.n_made
-        rows = pairs.select(["pair_id", "status"]).to_pylist()
-        scored = {row["pair_id"] for row in rows if row["status"] == "scored"}
-        return RunOutcome(
-            self.folder.folder,
-            pairs,
-            record,
-            n_made,
-            self.jobs.n_jobs - n_made,
-            {name: reason for name, reason in failures.items() if name in scored},
-            frozenset(failures),
-        )
+        n_reused = self.jobs.n_jobs - n_made
+        return RunOutcome(self.folder.folder, pairs, record, n_made, n_reused, failures)
 
     def _add_jobs(self) -> None:
         """Summarise the jobs that were made, and report what inspection found."""

@@ -210,7 +210,6 @@ def summarise(
     is_scored = [status == "scored" for status in pairs["status"].to_pylist()]
     scored = pairs if all(is_scored) else pairs.filter(is_scored)  # which is a copy
     _add_peaks(scored, jobs, settings)
-    scored_ids = scored["pair_id"].to_pylist()
     described: tuple[Any, Any, Any]
     if last is not None and last.overview and last.metrics:
         described = last.findings, last.overview, last.metrics
@@ -218,11 +217,7 @@ def summarise(
         by_reference = preset_of(settings) == "reference"
         described = describe_objects(folder, scored, times_s, hashes, by_reference=by_reference)
     findings, overview, metrics = described
-    extras: dict[str, Any] = {}
-    for stage in stages:
-        if stage.summarise:
-            extras |= stage.summarise(list(records_of(folder, [stage], scored_ids)), settings)
-    known_times_s = {name: times_s[name] for name in scored_ids if times_s[name] is not None}
+    scored_ids = scored["pair_id"].to_pylist()
     record = RunRecord(
         **dict(header),
         workers=workers,
@@ -237,16 +232,25 @@ def summarise(
         metrics=metrics,
         seconds=jobs.seconds.result(),
         inputs=dict(sorted(hashes.items())),
-        times_s=known_times_s,
+        times_s={name: times_s[name] for name in scored_ids if times_s[name] is not None},
         frames=dict(sorted(jobs.suspects.items())),
         notes=dict(sorted(jobs.notes.items())),
-        **extras,
+        **_extras(folder, stages, settings, scored_ids),
     )
     if overview:
         trust = tuple(cautions(overview, record))
         overview = overview.model_copy(update={"trust": trust})
         record = record.model_copy(update={"overview": overview})
     return record
+
+
+def _extras(folder: RunFolder, stages: Sequence[Stage], settings: Settings, pair_ids: Sequence[str]) -> dict[str, Any]:
+    """Entries of the record about stages that summarise their jobs."""
+    extras: dict[str, Any] = {}
+    for stage in stages:
+        if stage.summarise:
+            extras |= stage.summarise(list(records_of(folder, [stage], pair_ids)), settings)
+    return extras
 
 
 def _add_peaks(scored: pa.Table, jobs: JobSummary, settings: Settings) -> None:

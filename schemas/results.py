@@ -353,6 +353,7 @@ class Diagnosis(Result):
     unexplained : share of the distance over `best_case_m` that no correction explains; null if there is hardly any
     causes : those with the largest gain first
     doubtful : seen, but fixing them would not help
+    unknown : causes that cannot be estimated
     notes : on causes that can have several reasons
     """
 
@@ -362,4 +363,5 @@ class Diagnosis(Result):
     unexplained: float | None
     causes: tuple[Cause, ...]
     doubtful: tuple[str, ...] = ()
+    unknown: tuple[Unknown, ...] = ()
     notes: tuple[str, ...] = ()

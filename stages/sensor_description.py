@@ -165,7 +165,9 @@ def describe_with_gaps(
         sweep = sweep.first_returns(is_later)
     if text := sweeps_text(sweep.gap_deg):
         doubts = {ONE_SWEEP: text, **{need: why for need, why in doubts.items() if need != RETURNS}}
-    step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
+        step, untold["azimuth_step_deg"] = None, text
+    else:
+        step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
     noise_low = _least_range_noise(sweep, step, noise)

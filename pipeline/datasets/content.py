@@ -22,7 +22,8 @@ class ScanContent:
     """Content of a scan file.
 
     sha256 : of the file; of a frame also of its address
-    label_sha256 : of the file of its labels; "column" if the scan file may hold them; "" if it cannot have any
+    label_sha256 : of the file of its labels; "column" if the scan file may hold them; "" if it
+        cannot have any
     approximate_points : from the size of the file; right for the rows of .bin files
     """
 

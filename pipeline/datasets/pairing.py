@@ -65,9 +65,9 @@ class Pairing:
 def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     """Folder of the dataset of two sides, and one line on how they were paired; "" if it was a dataset before.
 
-    Scans may be one level down, in the only folder that has any. Files of two folders are paired by equal names, else
-    by equal numbers in their names, else by time, as recordings are. The manifest of an earlier call for the same two
-    sides is replaced.
+    Scans may be one level down, in the only folder that has any. Files of two folders are paired by
+    equal names, else by equal numbers in their names, else by time, as recordings are. The manifest
+    of an earlier call for the same two sides is replaced.
 
     Parameters
     ----------
@@ -81,7 +81,9 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     """
     for source in (real, sim):
         if not (source.is_dir() or scan_ref(source).format.holds_frames):
-            raise DatasetError(f"{source}: expected a folder of scans or a recording (bag, capture)")
+            raise DatasetError(
+                f"{source}: expected a folder of scans or a recording (bag, capture)",
+            )
     real, sim = _side(real), _side(sim)
     if _are_a_dataset(real, sim):
         return real.parent, ""
@@ -173,8 +175,8 @@ def _no_partner(real: Path, sim: Path) -> str:
 def read_timeline(source: Path) -> Timeline:
     """The frames of a recording, or of a folder of scans, with their times.
 
-    The times of a folder are the lines of its `times.txt`, the first numbers in its `poses.tum`, or the names of the
-    files, if these are seconds with a decimal point.
+    The times of a folder are the lines of its `times.txt`, the first numbers in its `poses.tum`, or
+    the names of the files, if these are seconds with a decimal point.
 
     Raises
     ------
@@ -267,9 +269,9 @@ def pair_times(
 ) -> Pairing:
     """Frames that are each other's nearest in time, at most the tolerance apart.
 
-    Without an offset that is taken by which most frames pair; of several such 0, or else the one of the smallest gaps;
-    of equals that which brings both beginnings together. Tried are 0 and all that bring the first frame of one side to
-    a frame of the other.
+    Without an offset that is taken by which most frames pair; of several such 0, or else the one of
+    the smallest gaps; of equals that which brings both beginnings together. Tried are 0 and all
+    that bring the first frame of one side to a frame of the other.
 
     Parameters
     ----------
@@ -330,7 +332,9 @@ def _side(source: Path) -> Path:
     folders = folders_of_scans(source)
     if len(folders) > 1:
         names = ", ".join(path.name for path in folders)
-        raise DatasetError(f"{source}: {len(folders)} folders hold scans ({names}); name one of them")
+        raise DatasetError(
+            f"{source}: {len(folders)} folders hold scans ({names}); name one of them",
+        )
     return folders[0] if folders else source
 
 

@@ -1,8 +1,9 @@
 """A dataset's layout: which files form a pair. Opens the manifest and the label names, no scan.
 
-Either folders `real/` and `sim/` with files of the same stem, or a manifest `pairs.csv` with the columns pair_id,
-real, sim and perhaps timestamp_s, T_real_sim and T_world_sensor (12 numbers separated by spaces, [R | t] row by row).
-A scan of a manifest may be one frame of a recording, named as in `readers/scan_ref.py`: `drive.mcap#/points@12`.
+Either folders `real/` and `sim/` with files of the same stem, or a manifest `pairs.csv` with the
+columns pair_id, real, sim and perhaps timestamp_s, T_real_sim and T_world_sensor (12 numbers
+separated by spaces, [R | t] row by row). A scan of a manifest may be one frame of a recording,
+named as in `readers/scan_ref.py`: `drive.mcap#/points@12`.
 """
 
 from __future__ import annotations
@@ -45,10 +46,11 @@ class ScanPair:
 
     real, sim : the scans; None if the partner is missing
     timestamp_s : when the real scan was taken, if the manifest says so
-    T_real_sim : 12 numbers, [R | t] row by row: maps simulated points into the real sensor's frame; None if they are
-        in it already
+    T_real_sim : 12 numbers, [R | t] row by row: maps simulated points into the real sensor's frame;
+        None if they are in it already
     fault : why the pair cannot be evaluated, or None
-    T_world_sensor : 12 numbers, [R | t] row by row: where the real sensor was, in the frame of the recording
+    T_world_sensor : 12 numbers, [R | t] row by row: where the real sensor was, in the frame of the
+        recording
     """
 
     pair_id: str
@@ -90,7 +92,8 @@ def read_dataset(folder: Path) -> Dataset:
     Raises
     ------
     DatasetError
-        The folder does not exist or holds no pair, the manifest or `labels.toml` is wrong, or two files have one stem.
+        The folder does not exist or holds no pair, the manifest or `labels.toml` is wrong, or two
+        files have one stem.
     """
     if folder.is_file():
         hint = "fidpipe pair REAL SIM makes one of two recordings"
@@ -162,8 +165,9 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
     lonely_sim = scans["sim"].keys() - scans["real"].keys()
     if len(lonely_real) + len(lonely_sim) > 1:
         warnings.append(
-            f"{folder}: {len(lonely_real)} real and {len(lonely_sim)} simulated scans have no partner of "
-            f"the same name, such as {min(lonely_real or lonely_sim)}; rename them, or {LIST_NAMES}"
+            f"{folder}: {len(lonely_real)} real and {len(lonely_sim)} simulated scans have no "
+            f"partner of the same name, such as {min(lonely_real or lonely_sim)}; rename them, or "
+            f"{LIST_NAMES}"
         )
     return pairs
 
@@ -281,7 +285,9 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     required = ("pair_id", *SIDES) if needs_sim else ("pair_id", "real")
     missing = [name for name in required if name not in columns]
     if missing:
-        raise DatasetError(f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}")
+        raise DatasetError(
+            f"{manifest}: missing columns {', '.join(missing)}; got {', '.join(columns)}",
+        )
     for name in columns:
         if columns.count(name) > 1:
             raise DatasetError(
@@ -314,7 +320,12 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     return list(pairs.values())
 
 
-def _pair_of_row(where: str, folder: Path, row: Mapping[str, str], stubs: Mapping[str, Path | str]) -> ScanPair:
+def _pair_of_row(
+    where: str,
+    folder: Path,
+    row: Mapping[str, str],
+    stubs: Mapping[str, Path | str],
+) -> ScanPair:
     if not row["pair_id"]:
         raise DatasetError(f"{where}: pair_id is empty; expected a name")
     scans: dict[str, ScanRef | None] = dict.fromkeys(SIDES)

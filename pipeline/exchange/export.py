@@ -1,7 +1,7 @@
 """A finished run for the viewers of others: points and objects with their scores, as MCAP and as PLY.
 
-MCAP: messages of sensor_msgs/PointCloud2 by ROS 2's names, written by rosbags. PLY: binary, with scalar fields as
-CloudCompare names them. All numbers keep 64 bits.
+MCAP: messages of sensor_msgs/PointCloud2 by ROS 2's names, written by rosbags. PLY: binary, with
+scalar fields as CloudCompare names them. All numbers keep 64 bits.
 """
 
 from __future__ import annotations
@@ -84,7 +84,8 @@ class Exported:
     mcap : the file, or None
     ply : the files
     n_pairs, n_bytes : how many pairs, and how many bytes in all files together
-    has_times : whether the stamps of the messages are those of the dataset; else they are one second apart
+    has_times : whether the stamps of the messages are those of the dataset; else they are one
+        second apart
     """
 
     mcap: Path | None
@@ -110,7 +111,8 @@ def export_run(
     ----------
     folder : that they are written into
     pattern : only pairs whose name matches (shell style)
-    replace : whether files that fidpipe export did not write may be replaced; those that it wrote always are
+    replace : whether files that fidpipe export did not write may be replaced; those that it wrote
+        always are
     pair_done : called after each pair with the number of pairs done and of all
 
     Raises
@@ -158,8 +160,9 @@ def export_run(
 def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int], bool]:
     """The time of each pair in nanoseconds, and whether it is that of the dataset.
 
-    It is that of the real scan (`timestamp_s` of the manifest) if all these pairs have one, each its own, from 0 to
-    2^31 s. Else the pairs of the run are one second apart, the first at 1 s: to ROS, 0 means no time.
+    It is that of the real scan (`timestamp_s` of the manifest) if all these pairs have one, each
+    its own, from 0 to 2^31 s. Else the pairs of the run are one second apart, the first at 1 s: to
+    ROS, 0 means no time.
     """
     known_s = run.record.times_s
     times_s = [known_s[name] for name in names if 0 <= known_s.get(name, -1.0) < _LATEST_S]
@@ -181,8 +184,9 @@ def pair_clouds(
 ) -> dict[str, tuple[NDArray[np.void], NDArray[np.void]]]:
     """Points and objects of both sides of a scored pair: by side, (n,) of `POINT` and (c,) of `OBJECT`.
 
-    `distance_m` is that of an object point to the nearest one of the other side, as in the table `coverage`. Objects
-    without a point, as the reference preset has them on the simulated side, have no place and are left out.
+    `distance_m` is that of an object point to the nearest one of the other side, as in the table
+    `coverage`. Objects without a point, as the reference preset has them on the simulated side,
+    have no place and are left out.
 
     Raises
     ------
@@ -210,7 +214,13 @@ def pair_clouds(
             how="left",
         )
         points["status"] = points.status.fillna(Status.GROUND.value)
-        clouds[side] = _rows(points, POINT), _rows(side_objects[side_objects["n_points"] > 0], OBJECT)
+        clouds[side] = (
+            _rows(points, POINT),
+            _rows(
+                side_objects[side_objects["n_points"] > 0],
+                OBJECT,
+            ),
+        )
     return clouds
 
 

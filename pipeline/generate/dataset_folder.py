@@ -1,7 +1,7 @@
 """The folder of a generated dataset: `real/`, `sim/`, its recipe, and a manifest that is written last.
 
-Each file is written atomically and depends on the recipe alone, so that an interrupted command resumes with the missing
-files.
+Each file is written atomically and depends on the recipe alone, so that an interrupted command
+resumes with the missing files.
 """
 
 from __future__ import annotations
@@ -39,15 +39,16 @@ def prepare_folder(
     ----------
     recipe_name : file name of the recipe
     recipe : everything that the files depend on
-    own_files : returns the existing files of an earlier dataset from `out` and its recipe; None if another command
-        wrote that
+    own_files : returns the existing files of an earlier dataset from `out` and its recipe; None if
+        another command wrote that
     files : scans and labels of the new dataset
     replace : allow files of a finished dataset to be removed
 
     Raises
     ------
     FidpipeError
-        The folder holds something else, or a finished dataset whose files would be removed; nothing is written then.
+        The folder holds something else, or a finished dataset whose files would be removed; nothing
+        is written then.
     """
     import tomli_w
 

@@ -1,7 +1,7 @@
 """Posed recordings: the scans of one drive, and where the sensor was when each was taken.
 
-Three layouts: the manifest `pairs.csv` with a column T_world_sensor; poses in TUM format; KITTI's poses of the camera
-with its calibration. Opens poses, calibration and manifest, no scan.
+Three layouts: the manifest `pairs.csv` with a column T_world_sensor; poses in TUM format; KITTI's
+poses of the camera with its calibration. Opens poses, calibration and manifest, no scan.
 """
 
 from __future__ import annotations
@@ -54,20 +54,23 @@ def read_recording(
 ) -> Recording:
     """The frames of a folder, with their poses.
 
-    Scans lie in `velodyne/`, `real/` or the folder itself and are taken in the order of their names, one pose each.
+    Scans lie in `velodyne/`, `real/` or the folder itself and are taken in the order of their
+    names, one pose each.
 
     Parameters
     ----------
     folder : of the recording
-    poses : file of poses, eight numbers a line (TUM: time tx ty tz qx qy qz qw, of the sensor) or twelve (KITTI:
-        [R | t] row by row, of the camera); by default the manifest, poses.tum, poses.txt, or ../../poses/NAME.txt
-    calibration : KITTI's, whose line Tr maps the sensor's frame into the camera's; by default calib.txt in the folder
+    poses : file of poses, eight numbers a line (TUM: time tx ty tz qx qy qz qw, of the sensor) or
+        twelve (KITTI: [R | t] row by row, of the camera); by default the manifest, poses.tum,
+        poses.txt, or ../../poses/NAME.txt
+    calibration : KITTI's, whose line Tr maps the sensor's frame into the camera's; by default
+        calib.txt in the folder
 
     Raises
     ------
     DatasetError
-        The folder does not exist, poses are missing, are not one per scan or are not rigid motions, or there are
-        fewer than three frames.
+        The folder does not exist, poses are missing, are not one per scan or are not rigid motions,
+        or there are fewer than three frames.
     """
     if not folder.is_dir():
         raise DatasetError(f"recording {folder}: no such folder; expected one with scans and poses")

@@ -54,9 +54,10 @@ class _Table(BaseModel):
 def read_sensor(name: str) -> SensorModel:
     """The sensor of a name in `SENSORS`, `RECORDED`, or the sensor described by a table.
 
-    A `.csv` has a column elevation_deg and optionally azimuth_offset_deg, one row per laser. A `.toml` has
-    elevation_deg (and azimuth_offset_deg) as lists, or channels, upper_deg and lower_deg for uniform ones; and
-    optionally azimuth_step_deg, min_range_m, max_range_m, range_noise_m, range_quantum_m, lost_share.
+    A `.csv` has a column elevation_deg and optionally azimuth_offset_deg, one row per laser. A
+    `.toml` has elevation_deg (and azimuth_offset_deg) as lists, or channels, upper_deg and
+    lower_deg for uniform ones; and optionally azimuth_step_deg, min_range_m, max_range_m,
+    range_noise_m, range_quantum_m, lost_share.
 
     Raises
     ------

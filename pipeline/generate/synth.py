@@ -52,7 +52,8 @@ def make_dataset(
     Raises
     ------
     FidpipeError
-        embreex is missing, or the folder holds something else or a finished dataset whose pairs would be removed.
+        embreex is missing, or the folder holds something else or a finished dataset whose pairs
+        would be removed.
     """
     require_ray_caster()
     recipe = recipe_of(seed, sensor, n_points)

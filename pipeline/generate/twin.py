@@ -1,7 +1,8 @@
 """`fidpipe twin`: a dataset of posed real scans and their twins: each place re-scanned in a model of the other scans.
 
-A scan's own points never enter its model. A twin depends on the recipe and its frame alone. It is written atomically,
-and the manifest comes last, so that an interrupted command resumes with the missing twins.
+A scan's own points never enter its model. A twin depends on the recipe and its frame alone. It is
+written atomically, and the manifest comes last, so that an interrupted command resumes with the
+missing twins.
 """
 
 from __future__ import annotations
@@ -86,7 +87,8 @@ def make_twins(
     flaws : in the order in which they are applied
     n_others : largest number of other frames, the nearest in time, used for the model of a frame
     foliage : labels of foliage for the flaw of that name; by default scattered points
-    pattern : only frames whose name matches (shell style) are re-scanned; all frames are used for models
+    pattern : only frames whose name matches (shell style) are re-scanned; all frames are used for
+        models
     seed : of noise, losses and flaws
     settings : for reading and cleaning scans
     workers : processes; they affect only the time
@@ -95,7 +97,8 @@ def make_twins(
     Raises
     ------
     FidpipeError
-        embreex is missing, no frame matches, or the folder holds something else than a dataset of this recipe.
+        embreex is missing, no frame matches, or the folder holds something else than a dataset of
+        this recipe.
     """
     settings = settings or InputSettings()
     _check_request(recording, out, foliage, settings)
@@ -116,7 +119,17 @@ def make_twins(
     tasks = {}
     for frame in frames:
         others = _nearest(recording.pairs, frame, n_others)
-        tasks[frame.pair_id] = _Task(frame, others, names, out, sensor, flaws, foliage, seed, settings)
+        tasks[frame.pair_id] = _Task(
+            frame,
+            others,
+            names,
+            out,
+            sensor,
+            flaws,
+            foliage,
+            seed,
+            settings,
+        )
     with named_errors(out):
         files = {out / side / name for side, name in product(SIDES, recipe["files"])}
         prepare_folder(out, RECIPE, recipe, _own_files, files, names, replace=replace)
@@ -130,7 +143,12 @@ def make_twins(
     return TwinOutcome(len(done), failures)
 
 
-def _check_request(recording: Recording, out: Path, foliage: Sequence[str], settings: InputSettings) -> None:
+def _check_request(
+    recording: Recording,
+    out: Path,
+    foliage: Sequence[str],
+    settings: InputSettings,
+) -> None:
     """Raise `FidpipeError` if twins of a recording cannot be made with these arguments."""
     require_ray_caster()
     if settings.real_frame != "ros":

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...schemas.errors import StageError
-from ...schemas.results import Cause
+from ...schemas.results import Cause, Unknown
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray, transform_of
 from ...stages.causes.estimates import Amount, estimate
@@ -19,7 +19,7 @@ from ...stages.statistics.comparison import blocks_of
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
 from ..engine.pool import one_blas_thread
-from ..results.causes import cause_values, named_causes
+from ..results.causes import cause_values, named_causes, unknown_causes
 
 #: Most pairs whose causes are estimated: each takes about a second.
 MOST_PAIRS = 3
@@ -31,10 +31,12 @@ class CauseCheck:
 
     pair_ids : pairs that were estimated
     causes : named ones; those that affect most of the surface first
+    unknown : causes that cannot be estimated
     """
 
     pair_ids: tuple[str, ...] = ()
     causes: tuple[Cause, ...] = ()
+    unknown: tuple[Unknown, ...] = ()
 
 
 class CauseSamples:
@@ -102,5 +104,6 @@ class CauseSamples:
         if not self._pairs:
             return CauseCheck()
         blocks = blocks_of(self._contents, [pair.timestamp_s for pair in self._pairs])
-        causes = named_causes(cause_values(self._amounts), blocks)
-        return CauseCheck(tuple(pair.pair_id for pair in self._pairs), tuple(causes))
+        values = cause_values(self._amounts)
+        causes = tuple(named_causes(values, blocks))
+        return CauseCheck(tuple(pair.pair_id for pair in self._pairs), causes, tuple(unknown_causes(values)))

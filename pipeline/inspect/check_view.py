@@ -13,9 +13,9 @@ from ...schemas.results import JsonObject
 from ...stages.sensor_description import sensor_lines
 from ..engine.costs import CostModel
 from ..pair_checks import NAMES
-from ..report.view import Answers, Note, Part, Table, View, count
-from ..report.views.answer_view import NO_CAUSE, cause_items
-from ..results.causes import MOST_SHOWN
+from ..report.view import Answers, Note, Part, Table, View, count, items_of
+from ..report.views.answer_view import cause_items
+from ..results.causes import MOST_SHOWN, no_cause_words
 from ..storage.files import free_bytes, megabytes
 from .cause_checks import CauseCheck
 from .scan_checks import DatasetCheck
@@ -116,7 +116,7 @@ def _causes(check: CauseCheck) -> View:
     if not check.pair_ids:
         return []
     heading = Note(f"Seen in {count(len(check.pair_ids), 'pair')}", "bold")
-    items = cause_items(check.causes[:MOST_SHOWN]) or [(NO_CAUSE, "", "")]
+    items = cause_items(check.causes[:MOST_SHOWN]) or items_of(no_cause_words(check.unknown))
     return [heading, Answers([("Fix first", items)])]
 
 

@@ -1,6 +1,7 @@
 """Checks of a side as a whole: sensor, late, standing still, nearly empty, ego-vehicle hits, times of points.
 
-Based on a few scans: two stretches of five neighbouring pairs, a quarter into the dataset and before its last quarter.
+Based on a few scans: two stretches of five neighbouring pairs, a quarter into the dataset and
+before its last quarter.
 """
 
 from __future__ import annotations

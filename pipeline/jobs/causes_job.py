@@ -11,7 +11,7 @@ import pyarrow as pa
 from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import SIDES
 from ...schemas.tables import TABLES
-from ...stages.arrays import FloatArray
+from ...stages.arrays import FloatArray, transform_of
 from ...stages.sensor_description import SensorDescription
 from ..stage import FRAMES, OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
@@ -70,7 +70,7 @@ def pair_scans(inputs: Inputs) -> PairScans:
     from ...stages.causes.sides import PairScans
 
     moved = inputs.metadata("ground", "sim").get("T_real_sim")
-    T_real_sim = np.array(moved).reshape(3, 4) if moved else None
+    T_real_sim = transform_of(moved)
     return PairScans(_side(inputs, "real"), _side(inputs, "sim", T_real_sim))
 
 

@@ -10,6 +10,7 @@ import pyarrow as pa
 from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
+from ...stages.arrays import transform_of
 from ...stages.clean import CleanResult
 from ...stages.ground import GroundResult
 from ...stages.method import remove_road
@@ -55,7 +56,7 @@ def make_ground(inputs: Inputs) -> JobResult:
             scan.points,
             inputs.settings,
             inputs.part,
-            T_real_sim=np.array(inputs.T_real_sim).reshape(3, 4) if inputs.T_real_sim else None,
+            T_real_sim=transform_of(inputs.T_real_sim),
             real_cut=real_cut,
             real_points=real_points,
             watch=inputs.step,

@@ -11,7 +11,7 @@ import pyarrow as pa
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import INTENSITY_SCORES, RAY_SCORES
 from ...schemas.tables import TABLES
-from ...stages.arrays import BoolArray, FloatArray
+from ...stages.arrays import BoolArray, FloatArray, transform_of
 from ...stages.clean import seen_from
 from ...stages.intensity import score_intensity
 from ...stages.rays import (
@@ -33,7 +33,7 @@ def make_rays(inputs: Inputs) -> JobResult:
     real, sim = map(coordinates, tables)
     sensors = [inputs.metadata("sensor", side)["sensor"] for side in SIDES]
     moved = inputs.metadata("ground", "sim")["T_real_sim"]
-    T_real_sim = np.array(moved).reshape(3, 4) if moved else None
+    T_real_sim = transform_of(moved)
     position = inputs.settings.input.sensor_position
     if position is not None:
         real = real - position
@@ -52,53 +52,55 @@ def _result(inputs: Inputs, rays: Rays | str, ground: Sequence[pa.Table]) -> Job
     ----------
     ground : the table of each side, whose rows the returns are
     """
-    import pyarrow.compute as pc
-
     of_pair: Metadata = {metric.column: None for metric in (*RAY_SCORES, *INTENSITY_SCORES)}
     of_pair |= {"rays_reason": None, "intensity_note": None}
     if isinstance(rays, str):
-        of_pair |= {"rays_reason": rays}
+        of_pair["rays_reason"] = rays
         tables = {name: TABLES[name].from_rows([]) for name in ("rays", "ray_scores")}
         return JobResult(tables, {OF_PAIR: of_pair})
-    ids = []
-    labels = []
-    for table, rows in zip(ground, (rays.real_row, rays.sim_row), strict=True):
-        returned = pa.array(rows, mask=rows < 0)
-        ids.append(table.column("point_id").combine_chunks().take(returned))
-        labels.append(table.column("label").combine_chunks().take(returned))
-    label = pc.if_else(pa.array(rays.real_row >= 0), *labels).cast(pa.string())
-    of_rays = TABLES["rays"].build(
-        {
-            "pair_id": inputs.pair_id,
-            "beam": rays.beam,
-            "column": rays.column,
-            "real_point_id": ids[0],
-            "sim_point_id": ids[1],
-            "real_range_m": _or_null(rays.real_range_m),
-            "sim_range_m": _or_null(rays.sim_range_m),
-            "outcome": pa.array(OUTCOMES).take(pa.array(rays.outcome)),
-            "incidence_deg": _or_null(rays.incidence_deg),
-            "label": label,
-        },
-        len(rays.beam),
-    )
-    scores = []
-    for by, band, is_in in _groups(rays, label):
-        scores.append({"pair_id": inputs.pair_id, "by": by, "band": band} | score_rays(rays, is_in))
-        if by not in (
-            "all",
-            "azimuth",
-        ):  # rays without any return have no range, incidence or class
-            scores[-1]["rays_drop_f1"] = None
+    table = _ray_table(inputs.pair_id, rays, ground)
+    label = table.column("label").combine_chunks()
     intensity = []
-    for table in ground:
-        has_none = table["intensity"].null_count == len(table)
-        intensity.append(None if has_none else column(table, "intensity"))
+    for points in ground:
+        has_none = points["intensity"].null_count == len(points)
+        intensity.append(None if has_none else column(points, "intensity"))
     classes = np.array(label.dictionary_encode().indices.fill_null(-1))
     one_scale = inputs.settings.input.intensity_scale == "same"
-    of_pair |= score_rays(rays) | score_intensity(rays, intensity, classes, has_one_scale=one_scale)
+    of_pair |= score_rays(rays)
+    of_pair |= score_intensity(rays, intensity, classes, has_one_scale=one_scale)
+    scores = []
+    for by, band, is_in in _groups(rays, label):
+        row = {"pair_id": inputs.pair_id, "by": by, "band": band} | score_rays(rays, is_in)
+        if by in ("range", "incidence", "class"):  # which rays without any return do not have
+            row["rays_drop_f1"] = None
+        scores.append(row)
     of_groups = TABLES["ray_scores"].from_rows(scores)
-    return JobResult({"rays": of_rays, "ray_scores": of_groups}, {OF_PAIR: of_pair})
+    return JobResult({"rays": table, "ray_scores": of_groups}, {OF_PAIR: of_pair})
+
+
+def _ray_table(pair_id: str, rays: Rays, ground: Sequence[pa.Table]) -> pa.Table:
+    """One row per ray, with the class of the real return, else of the simulated one."""
+    import pyarrow.compute as pc
+
+    ids = []
+    labels = []
+    for points, rows in zip(ground, (rays.real_row, rays.sim_row), strict=True):
+        returned = pa.array(rows, mask=rows < 0)
+        ids.append(points.column("point_id").combine_chunks().take(returned))
+        labels.append(points.column("label").combine_chunks().take(returned))
+    columns = {
+        "pair_id": pair_id,
+        "beam": rays.beam,
+        "column": rays.column,
+        "real_point_id": ids[0],
+        "sim_point_id": ids[1],
+        "real_range_m": _or_null(rays.real_range_m),
+        "sim_range_m": _or_null(rays.sim_range_m),
+        "outcome": pa.array(OUTCOMES).take(pa.array(rays.outcome)),
+        "incidence_deg": _or_null(rays.incidence_deg),
+        "label": pc.if_else(pa.array(rays.real_row >= 0), *labels).cast(pa.string()),
+    }
+    return TABLES["rays"].build(columns, len(rays.beam))
 
 
 def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]:

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-import numpy as np
-
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
+from ...stages.arrays import transform_of
 from ...stages.clean import at_sensor
 from ...stages.frame_search import check_frames
 from ...stages.sensor_description import describe_sensor, pair_columns, sensor_row
@@ -37,7 +36,7 @@ def _frame_check(inputs: Inputs, sim: Scan) -> Metadata | None:
     with inputs.step("read"):
         real = inputs.scans["real"]()
     with inputs.step("frames"):
-        T_real_sim = np.array(inputs.T_real_sim).reshape(3, 4) if inputs.T_real_sim else None
+        T_real_sim = transform_of(inputs.T_real_sim)
         check = check_frames(real.points, sim.points, inputs.settings.input, T_real_sim)
     return None if check is None else asdict(check)
 

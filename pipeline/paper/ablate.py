@@ -102,8 +102,8 @@ def evaluate_pair(
 ) -> JobResult:
     """One row of `ablate` per parameter set of the request.
 
-    Graphs and communities of both sides are computed once for each k and tau; an object that is matched under several
-    delta is scored once for each t.
+    Graphs and communities of both sides are computed once for each k and tau; an object that is
+    matched under several delta is scored once for each t.
     """
     jobs = Planner((ground_job.STAGE,), settings, {}).jobs()
     tables, outputs = run_in_memory(jobs, scans, pair.pair_id, pair.T_real_sim)
@@ -226,7 +226,8 @@ def ablate_dataset(
     Parameters
     ----------
     settings : current settings, around which parameters are varied
-    values : by parameter, values to try in addition to the current one; by default those of `PARAMETERS`
+    values : by parameter, values to try in addition to the current one; by default those of
+        `PARAMETERS`
     grid : all combinations instead of one at a time
     pattern : only pairs whose name matches (shell style)
     n_workers : processes; None for one per core

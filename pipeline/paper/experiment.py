@@ -55,8 +55,8 @@ class Experiment:
     stages : stages whose code it uses
     tables : its tables over all pairs
     summary : table of means over all pairs
-    evaluate : from a pair, its scans by side, settings and request: the tables of the pair, with metadata; "warnings"
-        and "notes" among it are shown to the user
+    evaluate : from a pair, its scans by side, settings and request: the tables of the pair, with
+        metadata; "warnings" and "notes" among it are shown to the user
     summarise : from `tables` of all pairs by name, the rows of `summary`
     """
 
@@ -172,7 +172,8 @@ def run_experiment(
     Raises
     ------
     RunError
-        The folder holds something else, is in use, or holds a finished experiment of another request.
+        The folder holds something else, is in use, or holds a finished experiment of another
+        request.
     ScanError
         The only scan cannot be evaluated.
     """

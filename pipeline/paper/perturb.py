@@ -1,7 +1,8 @@
 """`fidpipe perturb`: response of the scores to known alterations of a real scan (paper, Table I and Fig. 2).
 
-Object points are altered after cleaning and ground removal. *Global*: all of them, with everything from the graph on
-recomputed. *Object level*: those of one community, with its graph rebuilt from them alone.
+Object points are altered after cleaning and ground removal. *Global*: all of them, with everything
+from the graph on recomputed. *Object level*: those of one community, with its graph rebuilt from
+them alone.
 """
 
 from __future__ import annotations
@@ -132,7 +133,8 @@ def perturb_source(
 
     Parameters
     ----------
-    path : a scan file or the folder of a dataset; without a pattern the real side of its first pair is used
+    path : a scan file or the folder of a dataset; without a pattern the real side of its first pair
+        is used
     levels : kinds and amounts of perturbations
     repeats, global_repeats : number of repeats of each level, per object and for the whole scan
     seed : of the random numbers

@@ -24,9 +24,9 @@ def choose_objects(
 ) -> list[ChosenObject]:
     """One object for each given name; by default for each class of the paper, otherwise for each shape class.
 
-    A number is a community id, a label stands for the typical object of the class. Without objects of these classes the
-    default is one object per shape: linear, planar and scattered. No object is chosen twice: a name or a shape without
-    a further object is left out.
+    A number is a community id, a label stands for the typical object of the class. Without objects
+    of these classes the default is one object per shape: linear, planar and scattered. No object is
+    chosen twice: a name or a shape without a further object is left out.
 
     Parameters
     ----------

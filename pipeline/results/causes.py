@@ -24,14 +24,18 @@ if TYPE_CHECKING:
 
 #: Most causes that are shown at first.
 MOST_SHOWN = 7
+#: From so many unknown causes on it is not said that there is none.
+MANY_UNKNOWN = 8
 #: Intensity that is missing, as a share: over another run, of what that one has.
 SCALE = "intensity scale"
 #: Variance of returns between directions that is still random, and the square of the loss.
 _UNEVEN = 0.01
 #: More of the points in other places, with both of these, are a bent world.
-_BENT, _ALONE = 0.03, ("missing parts", "invented parts")
+_BENT = 0.03
+_ALONE = ("missing parts", "invented parts")
 #: If the road stays where it is while all else is raised, the world is not displaced: part of the height that remains.
-_OF_ROAD, _ROAD_STAYS = ("height", "road height"), 0.3
+_OF_ROAD = ("height", "road height")
+_ROAD_STAYS = 0.3
 #: If more of the curved surface is too flat, more than the shape of some objects is wrong.
 _MELTED = 0.3
 #: Solid foliage also flattens surface, by less than this part of its amount; boxes also stop rays in foliage. So only
@@ -136,6 +140,15 @@ def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:
     return [Unknown(causes=tuple(names), reason=reason) for reason, names in by_reason.items()]
 
 
+def no_cause_words(unknown: Sequence[Unknown]) -> str:
+    """Sentence if no cause is named: there is none, or too many are unknown."""
+    largest = max(unknown, key=lambda group: len(group.causes), default=None)
+    if largest is None or len(largest.causes) < MANY_UNKNOWN:
+        return "no cause is larger than the differences between two measurements of one scene"
+    n_causes = len(CAUSES.keys() - {UNEVEN})
+    return f"no cause can be named: {len(largest.causes)} of {n_causes} are unknown ({largest.reason})"
+
+
 def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | None:
     """A cause with its mean amount over the pairs, also if it is too small to be named; None if it is unknown."""
     if not _is_known(values.amount):
@@ -224,8 +237,8 @@ def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
     """True if a larger flaw of the world, or losses that are not random, feign a cause."""
     mean = means[name]
     if name in _OF_ROAD and all(other in means for other in _OF_ROAD):
-        height, road = (means[other] for other in _OF_ROAD)
-        return abs(height + road) < _ROAD_STAYS * abs(height)
+        height = means["height"]
+        return abs(height + means["road height"]) < _ROAD_STAYS * abs(height)
     if name == "moved parts":
         return mean > _BENT and min(means.get(other, 0.0) for other in _ALONE) > mean / 10
     if name == FLAT:

@@ -60,13 +60,16 @@ def list_objects(url: str) -> list[StoredObject]:
     """All objects below a URL, by name relative to it."""
     obstore, store = _open(url)
 
-    def list_all() -> list[StoredObject]:
-        objects = []
-        for chunk in counted(obstore.list(store, chunk_size=1000), f"{url}: thousands listed"):
-            objects += [_described(entry) for entry in chunk]
-        return objects
+    objects: list[StoredObject] = []
 
-    return sorted(_tried(url, list_all))
+    def list_rest() -> None:
+        last = objects[-1].name if objects else None
+        chunks = obstore.list(store, offset=last, chunk_size=1000)
+        for chunk in counted(chunks, f"{url}: thousands listed"):
+            objects.extend(_described(entry) for entry in chunk)
+
+    _tried(url, list_rest)
+    return sorted(objects)
 
 
 def counted(items: Iterable[Item], text: str) -> Iterator[Item]:

@@ -193,10 +193,13 @@ class RemoteRun:
             write_whole(path, content, outlasts_power=False)
             return [stored.etag, *_marks(path)]
 
-        names = [stored.name for stored in objects]
+        known = {}
         with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
-            fetched = counted(pool.map(get, objects), f"{self.url}: fetched, of {len(names):,}")
-            return dict(zip(names, fetched, strict=True))
+            all_marks = counted(pool.map(get, objects), f"{self.url}: fetched, of {len(objects):,}")
+            for stored, marks in zip(objects, all_marks, strict=True):
+                known[stored.name] = marks
+                self._renew()
+        return known
 
     def _put(self, name: str) -> Marks:
         marks = _marks(self.folder / name)
@@ -258,8 +261,8 @@ class RemoteRun:
             pause_s = max(_PUSH_S, _PAUSES_PER_PUSH * (time.monotonic() - begun))
 
     def _renew(self) -> None:
-        """Show every few seconds that we are alive; raises `RunError` if our lock was taken over."""
-        if time.monotonic() - self._renewed >= _RENEW_S:
+        """If we write, show every few seconds that we are alive; `RunError` if we were replaced."""
+        if self._etag and time.monotonic() - self._renewed >= _RENEW_S:
             self._claim()
 
     def _claim(self) -> None:
@@ -272,15 +275,14 @@ class RemoteRun:
     def _claim_first(self) -> None:
         """Write our lock, if there is none or one of a dead command; else raise `RunError`.
 
-        A command of this machine is dead if its process is. One of another machine is, if its lock
-        stays the same for some minutes of our own clock.
+        A command of this machine is dead if its process is. Any other one is, if its lock stays the
+        same for some minutes of our own clock.
         """
         other = self._other_owner("create")
         if other is None:
             return
-        is_here = other.host == self._owner.host
-        is_dead = is_here and not _is_alive(other.pid)
-        if not is_dead and not is_here:
+        is_dead = other.host == self._owner.host and not _is_alive(other.pid)
+        if not is_dead:
             say(
                 f"run {self.url}: process {other.pid} on {other.host} had begun to write there; "
                 f"waiting up to {_DEAD_S:.0f} s to see whether it still does"

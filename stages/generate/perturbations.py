@@ -1,7 +1,7 @@
 """Perturbations of known kind and amount (paper, section "Controlled Perturbation Analysis").
 
-Noise, dropout and rigid motion are the paper's; it names hallucination and local density change but does not sweep
-them, so their definitions are ours.
+Noise, dropout and rigid motion are the paper's; it names hallucination and local density change but
+does not sweep them, so their definitions are ours.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Perturbation:
     """Kind and amount of a perturbation.
 
     kind : one of `KINDS`
-    amount : null: number of points lost, the others in another order; noise: standard deviation in metres; dropout:
-        share of points lost; rigid: angle in degrees; hallucination: ratio of spurious to true points; density: factor
-        of the local density
+    amount : null: number of points lost, the others in another order; noise: standard deviation in
+        metres; dropout: share of points lost; rigid: angle in degrees; hallucination: ratio of
+        spurious to true points; density: factor of the local density
     shift_m : rigid only, length of the translation
     """
 
@@ -105,9 +105,10 @@ def remeasure(
 ) -> tuple[FloatArray, IndexArray]:
     """A simulated second measurement of the points by the same beams.
 
-    p' = p (1 + e / |p|) with e ~ N(0, noise_m): noise along the ray alone; then each is lost independently with the
-    probability `lost_share`. Under one seed the noise of a point is proportional to `noise_m`, and points lost at a
-    share are lost at each larger one. Without noise the coordinates stay equal to the last bit.
+    p' = p (1 + e / |p|) with e ~ N(0, noise_m): noise along the ray alone; then each is lost
+    independently with the probability `lost_share`. Under one seed the noise of a point is
+    proportional to `noise_m`, and points lost at a share are lost at each larger one. Without noise
+    the coordinates stay equal to the last bit.
 
     Parameters
     ----------
@@ -189,8 +190,9 @@ def move_rigidly(
 def add_clusters(points: FloatArray, share: float, rng: Generator) -> FloatArray:
     """The points and round(share n) spurious ones, in clusters of 20 (the last one smaller).
 
-    The centre of a cluster is 0.5 m from a random point in a random direction, its points are Gaussian about the
-    centre with 0.15 m on each coordinate: a blob of foliage or mesh in empty space.
+    The centre of a cluster is 0.5 m from a random point in a random direction, its points are
+    Gaussian about the centre with 0.15 m on each coordinate: a blob of foliage or mesh in empty
+    space.
     """
     n_new = round(share * len(points))
     if not n_new:
@@ -206,10 +208,10 @@ def add_clusters(points: FloatArray, share: float, rng: Generator) -> FloatArray
 def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatArray:
     """The points with another density in regions that together hold 30 % of them.
 
-    Regions grow about random points: each takes the nearest free points within 2 m until the share is reached.
-    Below 1, a point of a region stays with probability `factor`. Above 1, a region of m points gets
-    round((factor - 1) m) more, each on the line from a random point of the region to a random one of its 5
-    nearest neighbours in the scan, so that they lie on the surface.
+    Regions grow about random points: each takes the nearest free points within 2 m until the share
+    is reached. Below 1, a point of a region stays with probability `factor`. Above 1, a region of m
+    points gets round((factor - 1) m) more, each on the line from a random point of the region to a
+    random one of its 5 nearest neighbours in the scan, so that they lie on the surface.
     """
     chosen = grow_regions(points, round(REGION_SHARE * len(points)), rng)
     if factor <= 1:

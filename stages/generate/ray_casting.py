@@ -56,8 +56,8 @@ class Hits:
 def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = None) -> Beams:
     """The beams of one revolution, clockwise seen from above.
 
-    Firing c has the azimuth start - c step; laser i has that plus its azimuth offset, and its elevation. The number of
-    firings is the largest that fits into 360 degrees.
+    Firing c has the azimuth start - c step; laser i has that plus its azimuth offset, and its
+    elevation. The number of firings is the largest that fits into 360 degrees.
 
     Parameters
     ----------
@@ -148,9 +148,10 @@ def return_probability(
 ) -> FloatArray:
     """The probability that a pulse that hits a surface is detected; it never rises with the range.
 
-    P = (1 - lost_share) (1 - exp(-s)), s = reflectivity sqrt(cos_incidence) (signal_range_m / range_m)^2: the signal of
-    a surface that fills the beam (LiDAR equation) against a threshold that fluctuates exponentially. The root models
-    roughness: a road returns more of a grazing beam than Lambert's law predicts.
+    P = (1 - lost_share) (1 - exp(-s)), s = reflectivity sqrt(cos_incidence) (signal_range_m /
+    range_m)^2: the signal of a surface that fills the beam (LiDAR equation) against a threshold
+    that fluctuates exponentially. The root models roughness: a road returns more of a grazing beam
+    than Lambert's law predicts.
 
     Parameters
     ----------

@@ -69,8 +69,8 @@ def extend_map(
 ) -> VoxelMap:
     """Add the points of a scan to a map; its size is bounded by the surface, not by the number of scans.
 
-    Voxels have an edge of 0.1 m within 15 m of the sensor, twice that to 30 m, and so on: about the distance of
-    neighbouring beams, so that distant rings become as even as near ones.
+    Voxels have an edge of 0.1 m within 15 m of the sensor, twice that to 30 m, and so on: about the
+    distance of neighbouring beams, so that distant rings become as even as near ones.
 
     Parameters
     ----------
@@ -108,11 +108,12 @@ def rescan(
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
     """Scan a map by a sensor at the origin.
 
-    Each point of the map becomes a square in the plane of its 20 nearest points, of the area of a disc out to its
-    fourth nearest one, at most two voxels; in foliage (l3 / l1 of 0.1 or more) half as wide, since leaves leave gaps.
-    The first disc that a ray hits selects the surface; the range is that of the plane through the 20 nearest points
-    of the map, unless it differs by more than two voxels: discs overlap, and the first one is too near. A pulse is
-    then lost with the probability `lost_share`, ranges get noise and quantum, and points outside the sensor's range
+    Each point of the map becomes a square in the plane of its 20 nearest points, of the area of a
+    disc out to its fourth nearest one, at most two voxels; in foliage (l3 / l1 of 0.1 or more) half
+    as wide, since leaves leave gaps. The first disc that a ray hits selects the surface; the range
+    is that of the plane through the 20 nearest points of the map, unless it differs by more than
+    two voxels: discs overlap, and the first one is too near. A pulse is then lost with the
+    probability `lost_share`, ranges get noise and quantum, and points outside the sensor's range
     are dropped.
 
     Parameters
@@ -166,14 +167,15 @@ def _onto_planes(
 def recorded_directions(scan: FloatArray, others: FloatArray) -> FloatArray:
     """The beams of a recorded scan, (n, 3) unit vectors.
 
-    The directions of all its returns, and those of returns of other scans of the same sensor in directions without a
-    return here: beams that hit nothing. Directions are cells of 0.2 degrees of azimuth and 0.4 degrees of elevation; a
-    cell is added if neither it nor one of its eight neighbours holds a return of the scan, with the first return of the
-    other scans in it.
+    The directions of all its returns, and those of returns of other scans of the same sensor in
+    directions without a return here: beams that hit nothing. Directions are cells of 0.2 degrees of
+    azimuth and 0.4 degrees of elevation; a cell is added if neither it nor one of its eight
+    neighbours holds a return of the scan, with the first return of the other scans in it.
 
     Parameters
     ----------
-    scan, others : (n, 3), (m, 3) float64, returns, each in the sensor's frame at its time; none at the origin
+    scan, others : (n, 3), (m, 3) float64, returns, each in the sensor's frame at its time; none at
+        the origin
 
     Examples
     --------

@@ -1,7 +1,8 @@
 """Triangle meshes of the objects of a street: houses, walls, parked cars, poles, trees, bushes and hedges.
 
-Coordinates are those of a straight street: x along it, y to the left, z above the ground, in metres. Opaque surfaces
-are prisms, foliage is loose leaves; they are kept separate because a digital twin treats them differently.
+Coordinates are those of a straight street: x along it, y to the left, z above the ground, in
+metres. Opaque surfaces are prisms, foliage is loose leaves; they are kept separate because a
+digital twin treats them differently.
 """
 
 from __future__ import annotations
@@ -67,7 +68,8 @@ class CarShape:
     """Measures of a car.
 
     size_m : length, width, height
-    cabin : places of the rear window's foot and top and of the windscreen's top and foot, shares of the length
+    cabin : places of the rear window's foot and top and of the windscreen's top and foot, shares of
+        the length
     """
 
     size_m: tuple[float, float, float]

@@ -28,7 +28,8 @@ class SynthScan:
     """One scan with the object of each point.
 
     rows : (n, 4) float32, x, y, z in metres, sensor frame, and intensity
-    object_ids : (n,) intp, index in the scene; for an invented surface, that of the object it hangs on
+    object_ids : (n,) intp, index in the scene; for an invented surface, that of the object it hangs
+        on
     """
 
     rows: Float32Array
@@ -119,8 +120,9 @@ def _scan_twin(
 ) -> SynthScan:
     """The simulated scan: every hit is detected, then each object gets its own density.
 
-    Of the points on an object of density below 1 that share is kept. At an object of higher density further beams are
-    cast between the sensor's own; those that miss it are dropped. Intensity is exp(-a range), as in CARLA.
+    Of the points on an object of density below 1 that share is kept. At an object of higher density
+    further beams are cast between the sensor's own; those that miss it are dropped. Intensity is
+    exp(-a range), as in CARLA.
     """
     surface = _Surface([part.mesh for part in twin])
     beams = fire(sensor, rng.uniform(0.0, 360.0), step_deg)

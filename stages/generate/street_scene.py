@@ -1,7 +1,8 @@
 """A random street around a sensor: its course and the objects along it.
 
-A road that may bend, pavements, plots with houses, gardens and what grows there, parked cars, street trees, lamps
-and signs. Objects are built along a straight street, which is then bent. All of it is drawn from one random generator.
+A road that may bend, pavements, plots with houses, gardens and what grows there, parked cars,
+street trees, lamps and signs. Objects are built along a straight street, which is then bent. All of
+it is drawn from one random generator.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ class Street:
     """Course, profile and building density of a street.
 
     bend_per_m : curvature, positive to the left
-    half_road_m, pavement_m, setback_m : from the middle to the kerb, to the garden boundary, to the house fronts
+    half_road_m, pavement_m, setback_m : from the middle to the kerb, to the garden boundary, to the
+        house fronts
     sensor_height_m : of the sensor above the road
     plot_m : mean width of a plot
     planting, building : probability that gardens and plots are used

@@ -1,9 +1,9 @@
 """A flawed digital twin of a street: the geometry of a simulator, and the density of its points.
 
-The paper's twin (sections "Data Collection" and "Real experiments") is a mesh of the street made from registered scans.
-Its flaws: surfaces displaced and rounded, thin objects thickened, foliage merged into lumps or missing at a distance,
-distant objects missing, surfaces invented near foliage and between distant objects, and densities above or below
-those of the real sensor.
+The paper's twin (sections "Data Collection" and "Real experiments") is a mesh of the street made
+from registered scans. Its flaws: surfaces displaced and rounded, thin objects thickened, foliage
+merged into lumps or missing at a distance, distant objects missing, surfaces invented near foliage
+and between distant objects, and densities above or below those of the real sensor.
 """
 
 from __future__ import annotations
@@ -129,7 +129,8 @@ def _span_sheet(start: FloatArray, end: FloatArray) -> Mesh:
 def _displace(surfaces: Sequence[TwinSurface], rng: np.random.Generator) -> tuple[TwinSurface, ...]:
     """All surfaces shifted by one smooth random field of centimetres near the sensor and decimetres far away.
 
-    The ground, which the scanner has passed over, is displaced by the same few centimetres everywhere.
+    The ground, which the scanner has passed over, is displaced by the same few centimetres
+    everywhere.
     """
     whole = join_meshes([surface.mesh for surface in surfaces])
     field = _smooth_field(whole.vertices, rng) * [1.0, 1.0, 0.25]

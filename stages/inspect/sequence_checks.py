@@ -46,7 +46,8 @@ _MIN_NEAR = 20
 class SequenceScan:
     """Points of a scan for comparisons: all points within 40 m, and a sample of those above the ground.
 
-    points : (n, 3) float64, metres, the real sensor's frame, z up, finite; those nearer than 3 m are left out
+    points : (n, 3) float64, metres, the real sensor's frame, z up, finite; those nearer than 3 m
+        are left out
     """
 
     def __init__(self, points: FloatArray) -> None:
@@ -78,7 +79,8 @@ class TimeOffset:
     """Time offset between the sides, in frames.
 
     frames : number of frames by which the simulated side is late; negative if it is early
-    misfit_m, as_paired_m : mean misfit of the real scans with shifted simulated scans, and with those of their pairs
+    misfit_m, as_paired_m : mean misfit of the real scans with shifted simulated scans, and with
+        those of their pairs
     n_better, n : number of comparisons with a smaller misfit, and of all comparisons
     """
 
@@ -112,14 +114,16 @@ def find_time_offset(
 ) -> TimeOffset | None:
     """Find by how many frames the simulated side is late, if scans of other pairs fit clearly better; else None.
 
-    The misfit m(i, j) of real scan i and simulated scan j is compared with m(i, i), for j = i + k and |k| <= 3. The k
-    of the largest mean gain m(i, i) - m(i, i + k) is late by k if that is at least 0.05 m and 15 % of m(i, i), and
-    positive in 80 % of at least three comparisons. A simulated sensor that is mounted ahead by the distance of one
-    frame has the same effect; static sensors have no offset.
+    The misfit m(i, j) of real scan i and simulated scan j is compared with m(i, i), for j = i + k
+    and |k| <= 3. The k of the largest mean gain m(i, i) - m(i, i + k) is late by k if that is at
+    least 0.05 m and 15 % of m(i, i), and positive in 80 % of at least three comparisons. A
+    simulated sensor that is mounted ahead by the distance of one frame has the same effect; static
+    sensors have no offset.
 
     Parameters
     ----------
-    sequences : of each stretch of neighbouring frames, the real and the simulated scans in order of time
+    sequences : of each stretch of neighbouring frames, the real and the simulated scans in order of
+        time
     """
     misfits: dict[int, list[tuple[float, float]]] = {}  # as paired and shifted, by number of frames
     for real, sim in sequences:
@@ -199,13 +203,15 @@ def find_empty_side(n_real: IndexArray, n_sim: IndexArray) -> str | None:
 def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | None:
     """Find returns near a moving sensor that do not move relative to it, and so are from the ego vehicle; or None.
 
-    They are within 5 m, at least 0.35 m above or below the ground, have a return within 0.1 m in 80 % of the other
-    scans, and are not linked (0.5 m) to static points beyond 5 m, as a wall along the road is. They are reported if
-    they are at least 0.2 % of the points. One or two scans are not enough.
+    They are within 5 m, at least 0.35 m above or below the ground, have a return within 0.1 m in 80
+    % of the other scans, and are not linked (0.5 m) to static points beyond 5 m, as a wall along
+    the road is. They are reported if they are at least 0.2 % of the points. One or two scans are
+    not enough.
 
     Parameters
     ----------
-    scans : (n, 3) float64 each, metres, their own frame, z up, finite; of a moving sensor, see `is_moving`
+    scans : (n, 3) float64 each, metres, their own frame, z up, finite; of a moving sensor, see
+        `is_moving`
     ground_m : z of the ground
     """
     if len(scans) < _MIN_SCANS:

@@ -48,17 +48,19 @@ def describe_stamps(
 ) -> StampCheck:
     """Check the point times of one scan.
 
-    A time is missing if it is NaN, or if a quarter of all returns share it while others differ (such as 0). A
-    revolution takes 0.01 to 2 s. In each of 24 equal parts of that time the azimuths of a spinning sensor are
-    concentrated: the median length of their mean unit vector is at least 0.8, and their directions proceed in one sense
-    of rotation. Times of other points, or in another order, have neither property. This is only checked for scans with
-    returns over more than 180 degrees.
+    A time is missing if it is NaN, or if a quarter of all returns share it while others differ
+    (such as 0). A revolution takes 0.01 to 2 s. In each of 24 equal parts of that time the azimuths
+    of a spinning sensor are concentrated: the median length of their mean unit vector is at least
+    0.8, and their directions proceed in one sense of rotation. Times of other points, or in another
+    order, have neither property. This is only checked for scans with returns over more than 180
+    degrees.
 
     Parameters
     ----------
     times_s : (m,) float64, seconds from any origin; m different from n is reported as a problem
     points : (n, 3) float64, metres, sensor's frame, z up; zero and non-finite points are ignored
-    stamp_s : time of the scan (the header of its message), seconds; times below one day are relative to it
+    stamp_s : time of the scan (the header of its message), seconds; times below one day are
+        relative to it
     """
     if len(times_s) != len(points):
         return StampCheck(

@@ -75,7 +75,8 @@ class Choice:
 def choose_parameters(trials: Sequence[Trial]) -> list[Choice]:
     """The choices by `RULE` of all parameters of an experiment; undecided for fewer than three pairs.
 
-    All are tested together, because each further test is one more chance to find an effect that does not exist.
+    All are tested together, because each further test is one more chance to find an effect that
+    does not exist.
     """
     changes = []
     p_values: list[float | None] = []
@@ -126,7 +127,13 @@ def _choose(trial: Trial, match_rate: Sequence[int], r_lambda: Sequence[int]) ->
     return Choice(name, current, False, text)
 
 
-def _replaced(trial: Trial, score: str, means: FloatArray, better: Sequence[int], best: int) -> Choice:
+def _replaced(
+    trial: Trial,
+    score: str,
+    means: FloatArray,
+    better: Sequence[int],
+    best: int,
+) -> Choice:
     """The best value instead of the current one."""
     name = trial.name
     text = f"{_named(name, trial.tried[best])} instead of {_named(name, trial.tried[trial.current])}: "

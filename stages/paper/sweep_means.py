@@ -33,7 +33,8 @@ class Reaction:
     """A metric at the strongest level of each kind.
 
     values : means over the objects, in the order of the levels; None if nothing could be computed
-    most : the level at which it is farthest from its value for equal objects; None if it never moves
+    most : the level at which it is farthest from its value for equal objects; None if it never
+        moves
     """
 
     metric: str
@@ -46,7 +47,8 @@ class Means:
 
     Parameters
     ----------
-    rows : rows of `perturb_summary`: object (None for the whole scan), kind, amount, shift_m, metric, mean, std, n
+    rows : rows of `perturb_summary`: object (None for the whole scan), kind, amount, shift_m,
+        metric, mean, std, n
     """
 
     def __init__(self, rows: Iterable[Mapping[str, Any]]) -> None:

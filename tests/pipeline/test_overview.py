@@ -11,6 +11,7 @@ import pyarrow as pa
 import pytest
 
 from fidpipe.pipeline import run as run_module
+from fidpipe.pipeline import run_tables
 from fidpipe.pipeline.report.page.run_data import verdict_of
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.report.views.run_view import outcome_view, summary_view
@@ -239,7 +240,7 @@ def test_the_findings_agree_with_the_tables(finished):
 
 def test_a_run_with_nothing_new_reads_no_table_again(finished, monkeypatch):
     data, folder, outcome = finished
-    monkeypatch.setattr(run_module, "describe_objects", lambda *_, **__: pytest.fail("the tables were read"))
+    monkeypatch.setattr(run_tables, "describe_objects", lambda *_, **__: pytest.fail("the tables were read"))
     assert run(data, folder).record.as_dict()["findings"] == outcome.record.as_dict()["findings"]
 
 

@@ -50,4 +50,15 @@ def test_a_run_leaves_out_rays_without_a_return_and_says_so_first(real_data, tmp
         numbers[folder] = open_run(out).pairs.iloc[0]
         assert ("29% of the points lie at 80.0 m" in printed) == (folder == case)
     assert numbers[case].n_sim_clean == pytest.approx(numbers[without].n_sim_clean, rel=0.002)
-    assert numbers[case].cdc == pytest.approx(numbers[without].cdc, abs=0.02)
+    assert numbers[case].cdc_mean == pytest.approx(numbers[without].cdc_mean, abs=0.02)
+
+
+def test_a_run_of_two_sweeps_names_them_and_no_cause(real_data, tmp_path):
+    out = tmp_path / "sweeps"
+    finished = command("run", real_data / "reports" / "18_two_sweeps", "--out", out, "--preset", "reference")
+    printed = " ".join(finished.stdout.split())
+    assert "Check first simulated scans (1 of 1): two or more sweeps" in printed
+    assert "no cause can be named: 30 of 37 are unknown" in printed
+    assert "larger than the differences" not in printed
+    run = open_run(out)
+    assert run.causes.empty and run.pairs.iloc[0].sensor_sim_range_noise_m is None

@@ -113,7 +113,7 @@ def test_a_pair_lists_the_ten_largest_objects_of_one_side_and_with_all_every_one
     few = pair_view(replace(facts, objects=tuple(many)), "fidpipe show RUN PAIR --all")
     rows = next(part for part in few if isinstance(part, Table) and part.title == "Objects that only one side has").rows
     assert [row[2] for row in rows] == [f"sim:{i}" for i in range(76, 66, -1)]
-    assert few[-1].text == "67 more hallucinated, with fewer points: fidpipe show RUN PAIR --all"
+    assert few[-1].text == "67 more extra, with fewer points: fidpipe show RUN PAIR --all"
     assert len(pair_view(replace(facts, objects=tuple(many)))[-1].rows) == 77
 
 
@@ -135,7 +135,7 @@ def test_a_name_that_is_nearly_right_is_suggested(report_run):
 
 def test_a_folder_without_a_finished_run_is_refused(tmp_path):
     for name, advice in (
-        ("", "fidpipe run DATASET --out {0}"),
+        ("", "fidpipe run {0} SIM"),
         ("absent", "fidpipe run DATASET --out {0}"),
         ("data", "fidpipe run {0} --out runs/data"),
         ("runs", "{0}/one"),

@@ -54,15 +54,18 @@ def read_scan(
 
     Parameters
     ----------
-    path : the file; its suffix determines the format; of a recording with the frame, `drive.mcap#/points@12`
-    columns : names of the columns of a raw file (.bin, .pcd.bin), if not the usual ones, or of a table (.npy, .csv)
-        with as many columns; ignored for other formats
-    label_names : class names for labels that are numbers, of a .label file or of a file that names its columns
+    path : the file; its suffix determines the format; of a recording with the frame,
+        `drive.mcap#/points@12`
+    columns : names of the columns of a raw file (.bin, .pcd.bin), if not the usual ones, or of a
+        table (.npy, .csv) with as many columns; ignored for other formats
+    label_names : class names for labels that are numbers, of a .label file or of a file that names
+        its columns
 
     Raises
     ------
     ScanError
-        The file is missing, empty, truncated or of another format; or the library that reads it is missing.
+        The file is missing, empty, truncated or of another format; or the library that reads it is
+        missing.
     """
     ref = scan_ref(path)
     known = ref.format

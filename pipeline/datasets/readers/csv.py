@@ -24,7 +24,8 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     Raises
     ------
     ScanError
-        The file is not a table, has no header, a column is missing, or a coordinate is not a number.
+        The file is not a table, has no header, a column is missing, or a coordinate is not a
+        number.
     """
     import pandas as pd
 

@@ -26,7 +26,8 @@ def read(path: Path, columns: tuple[str, ...]) -> Scan:
     Raises
     ------
     ScanError
-        The file's length is not a multiple of the row length, or x, y or z is not among the columns.
+        The file's length is not a multiple of the row length, or x, y or z is not among the
+        columns.
     """
     n_bytes = path.stat().st_size
     if (n_columns := _float64_columns(path, columns)) is not None:
@@ -66,7 +67,8 @@ def _naming(n_columns: int) -> str:
 def _float64_columns(path: Path, columns: tuple[str, ...]) -> int | None:
     """Number of float64 columns if the values are plausible only as float64; else None.
 
-    The lower half of a float64 is noise when it is read as float32: of all magnitudes, NaN among them.
+    The lower half of a float64 is noise when it is read as float32: of all magnitudes, NaN among
+    them.
     """
     content = np.fromfile(path, dtype=np.uint8, count=_SAMPLE_BYTES)
     content = content[: len(content) // 8 * 8]
@@ -104,7 +106,8 @@ def _better_width(path: Path, columns: tuple[str, ...]) -> int | None:
 def _fitting_width(values: FloatArray, n_values: int) -> int | None:
     """Number of columns that divides the file and fits a sample of its values best; of its multiples the smallest.
 
-    Columns of the right width hold one quantity each, and spread less than those of a wrong one, which mix them.
+    Columns of the right width hold one quantity each, and spread less than those of a wrong one,
+    which mix them.
     """
     spreads = {n: _spread(values, n) for n in _WIDTHS if n_values % n == 0}
     least = min(spreads.values(), default=0.0)

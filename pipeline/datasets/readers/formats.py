@@ -1,7 +1,7 @@
 """Formats by suffix. One file per format, each with one `read`; a new format is a file and a row here.
 
-Another package adds one by an entry point of the group `fidpipe.readers`: its name is the suffix without the dot, its
-value the module whose `read(path) -> Scan` reads such files.
+Another package adds one by an entry point of the group `fidpipe.readers`: its name is the suffix
+without the dot, its value the module whose `read(path) -> Scan` reads such files.
 """
 
 from __future__ import annotations
@@ -19,15 +19,19 @@ _NUSCENES = (*_KITTI, "ring")
 class Format(NamedTuple):
     """Reader of the files of one suffix.
 
-    module : whose `read(path) -> Scan` reads them: a file of this folder, with a dot before its name, or a module of
-        another package; it is imported when first used; "" if the format is not known
-    columns : for raw rows, whose files do not name their columns, the usual ones; `read(path, columns)` then takes
-        these, or those of the setting `input.columns`, and `check_width(path, columns)` rejects a file that the usual
-        ones do not fit; () if the shape or a header determines them
+    module : whose `read(path) -> Scan` reads them: a file of this folder, with a dot before its
+        name, or a module of another package; it is imported when first used; "" if the format is
+        not known
+    columns : for raw rows, whose files do not name their columns, the usual ones; `read(path,
+        columns)` then takes these, or those of the setting `input.columns`, and `check_width(path,
+        columns)` rejects a file that the usual ones do not fit; () if the shape or a header
+        determines them
     content : what a file should be, for the error of one that is damaged
-    holds_frames : whether a file is a recording; `read` then takes a `ScanRef`, and `frames` lists those of all frames
-    may_crash : whether a damaged file may end the process that reads it, or fill the memory: formats whose libraries
-        trust a file's declared sizes of its compressed parts, and the readers of other packages
+    holds_frames : whether a file is a recording; `read` then takes a `ScanRef`, and `frames` lists
+        those of all frames
+    may_crash : whether a damaged file may end the process that reads it, or fill the memory:
+        formats whose libraries trust a file's declared sizes of its compressed parts, and the
+        readers of other packages
     """
 
     module: str

@@ -16,8 +16,8 @@ def read(path: Path) -> Scan:
     Raises
     ------
     ScanError
-        The file is not whole, a column is missing, a coordinate is not a number, or the footer promises far more rows
-        than a scan has.
+        The file is not whole, a column is missing, a coordinate is not a number, or the footer
+        promises far more rows than a scan has.
     """
     import pyarrow.parquet as pq
 

@@ -1,7 +1,7 @@
 """ROS bags: ROS 1 `.bag`; ROS 2 folders with a `metadata.yaml`, `.db3` and `.mcap`; read by rosbags.
 
-A frame is a message of sensor_msgs/PointCloud2, foxglove.PointCloud, or velodyne_msgs/VelodyneScan. Its time is that of
-its recording.
+A frame is a message of sensor_msgs/PointCloud2, foxglove.PointCloud, or velodyne_msgs/VelodyneScan.
+Its time is that of its recording.
 """
 
 from __future__ import annotations

@@ -101,16 +101,16 @@ def scan_from_columns(
     Parameters
     ----------
     path : the file, for errors
-    columns : by name, upper or lower case: (n,) numbers for x, y, z in metres and intensity; label as text or numbers;
-        instance and ring as whole numbers; time in seconds, or in nanoseconds where it is of an integer type
-        (VeloView: microseconds)
+    columns : by name, upper or lower case: (n,) numbers for x, y, z in metres and intensity; label
+        as text or numbers; instance and ring as whole numbers; time in seconds, or in nanoseconds
+        where it is of an integer type (VeloView: microseconds)
     label_names : what the format calls numbers of classes; of a column ObjTag, CARLA's tags
 
     Raises
     ------
     ScanError
-        x, y or z is missing, or a value is not a number (named by row and column). NaN and infinity are kept in
-        coordinates and intensity.
+        x, y or z is missing, or a value is not a number (named by row and column). NaN and infinity
+        are kept in coordinates and intensity.
     """
     check_names(path, columns)
     by_name = {}

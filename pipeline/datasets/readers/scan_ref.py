@@ -1,7 +1,8 @@
 """A scan by its name: `FILE`, or a frame of a recording, `FILE#FRAME`, `FILE#TOPIC` or `FILE#TOPIC@FRAME`.
 
-FRAME is a number from 0, in the order of time, or a time in seconds with its decimal point, as it is listed. A time is
-found by the recording's own index; a number requires the times of all frames, read once per process.
+FRAME is a number from 0, in the order of time, or a time in seconds with its decimal point, as it
+is listed. A time is found by the recording's own index; a number requires the times of all frames,
+read once per process.
 """
 
 from __future__ import annotations

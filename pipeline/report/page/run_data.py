@@ -18,7 +18,7 @@ from ....schemas.metric_catalogue import METRIC, metric_of, pair_columns_in, sco
 from ....schemas.results import Cause, Evidence
 from ....stages.sensor_description import sensor_lines
 from ...results.best_case import RunExcess
-from ...results.causes import MOST_SHOWN
+from ...results.causes import MOST_SHOWN, no_cause_words
 from ...results.diagnosis import unexplained_words
 from ...results.gate import Criterion, judge_run
 from ...results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, plain_rows
@@ -29,7 +29,6 @@ from ..pictures import FRAME, draw_pieces
 from ..run_frames import OBJECT_COVERAGE, SCORES, RunResults, frames_of, quadrants
 from ..view import Note, columns_of, number, percent, sentence
 from ..views.answer_view import (
-    NO_CAUSE,
     amount_words,
     caution_words,
     change_words,
@@ -241,7 +240,8 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "pieces": sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
         "bars": _bars(results, excess),
         "causes": _with_amounts(overview.causes[:MOST_SHOWN]),
-        "no_cause": sentence(NO_CAUSE),
+        "no_cause": sentence(no_cause_words(overview.unknown)),
+        "doubts": [sentence(words) for words in overview.doubts],
         "worst": draw_pieces(results, overview.pieces),
         "is_met": is_met,
         "good_enough": good_enough,

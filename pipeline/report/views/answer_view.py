@@ -10,7 +10,7 @@ from ....schemas.metric_catalogue import headline_scores, metric_of
 from ....schemas.record import RunHeader, RunRecord
 from ....schemas.results import Cause, Diagnosis, Overview
 from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
-from ...results.causes import MOST_SHOWN, interval_words
+from ...results.causes import MANY_UNKNOWN, MOST_SHOWN, interval_words, no_cause_words
 from ...results.diagnosis import gain_words, unexplained_words, with_gains
 from ...storage.urls import url_or_path
 from ..view import (
@@ -37,8 +37,6 @@ _TASK_WORDS = {
     "free_space.too_far": "free space too long in {} of the directions",
     "occupancy.wrongly_free": "{} of the occupied map free",
 }
-#: Sentence if no cause is named.
-NO_CAUSE = "no cause is larger than the differences between two measurements of one scene"
 _NOT_YET = "the frame of the simulated scans: see the warning above"
 _LEAST_MOVE = 5e-3
 
@@ -67,7 +65,9 @@ def answer_view(
     if overview is None:
         return [line]
     causes = overview.causes if with_all else overview.causes[:MOST_SHOWN]
-    first = cause_items(causes) or items_of(_NOT_YET if record.frames else NO_CAUSE)
+    first = cause_items(causes)
+    if not first:
+        first = items_of(_NOT_YET if record.frames else no_cause_words(overview.unknown))
     if diagnosis is not None:
         first += items_of(unexplained_words(diagnosis))
     most = None if with_all else _MOST_CAUTIONS
@@ -78,6 +78,7 @@ def answer_view(
         "  surface": items_of(surface_words(record, excess)),
         "  pieces": items_of(pieces_words(record)),
         "  tasks": items_of(task_words(record, excess)),
+        "Check first": items_of(*overview.doubts),
         "Fix first": first,
         "Worst places": _worst_places(overview, with_all),
         "Objects": items_of(scores_words(record)),
@@ -125,7 +126,11 @@ def trust_words(
     for words in caution_words(overview, kinds)[:most]:
         trust.append(words.replace("fidpipe best-case RUN", command))
     if overview.unknown:
-        groups = [f"{', '.join(group.causes)} ({group.reason})" for group in overview.unknown]
+        groups = []
+        for group in overview.unknown:
+            n_causes = len(group.causes)
+            names = ", ".join(group.causes) if n_causes < MANY_UNKNOWN else f"{n_causes} causes"
+            groups.append(f"{names} ({group.reason})")
         trust.append(f"unknown: {'; '.join(groups)}")
     return trust
 

@@ -75,8 +75,7 @@ def outcome_view(outcome: RunOutcome) -> View:
     took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     if outcome.n_reused:
         took += f", {outcome.n_made} jobs done, {outcome.n_reused} reused"
-    reported = outcome.reported_failures
-    return summary_view(outcome.folder, rows, record, diagnosis, reported, took=took)
+    return summary_view(outcome.folder, rows, record, diagnosis, outcome.reported, took=took)
 
 
 def summary_view(
@@ -334,24 +333,25 @@ def unmatched_lines(record: RunRecord) -> list[str]:
     n_pairs = max(1, record.pairs.scored)
     for status, other in (("missing", "simulated"), ("hallucinated", "real")):
         states: SurfaceStates = getattr(record.metrics.unmatched, status)
+        objects = {"missing": "objects not found", "hallucinated": "extra objects"}[status]
         n_states = [getattr(states, name) for name in SURFACE_STATES]
         there, partly, absent = [n / n_pairs for n in n_states]
         total = there + partly + absent
         near = f"of their points have a {other} one within 0.3 m"
         if there or partly:
             lines.append(
-                f"of {total:.1f} {status} objects per pair, {there:.1f} exist on the other side, "
+                f"of {total:.1f} {objects} per pair, {there:.1f} exist on the other side, "
                 f"partitioned differently (over {100 * THERE:.0f} % {near}), {partly:.1f} partly, "
                 f"{absent:.1f} absent"
             )
         elif absent:
             lines.append(
-                f"the {total:.1f} {status} objects per pair are all absent from the {other} side "
+                f"the {total:.1f} {objects} per pair are all absent from the {other} side "
                 f"(at most {100 * ABSENT:.0f} % {near})"
             )
         if states.road:
             lines.append(
-                f"{states.road} of the {sum(n_states)} {status} objects are road that the ground "
+                f"{states.road} of the {sum(n_states)} {objects} are road that the ground "
                 f"cut of the {other} side removed and that of their side kept (column road_share)"
             )
     if lines:
@@ -407,7 +407,7 @@ def _distributions(findings: Findings) -> Table:
 
 
 def range_table(findings: Findings) -> Table:
-    """Missing and hallucinated objects by range."""
+    """Objects that only one side has, by range."""
     ranges = findings.range_m
     rows = []
     for band in ranges.bands:
@@ -417,7 +417,7 @@ def range_table(findings: Findings) -> Table:
         f"By range (median range of matched objects {number(ranges.median_matched, 1)} m, of "
         f"unmatched ones {number(ranges.median_unmatched, 1)} m)"
     )
-    return Table(title, ("range (m)", "real", "missing", "sim", "hallucinated"), rows)
+    return Table(title, ("range (m)", "real", "not found", "sim", "extra"), rows)
 
 
 def _classes(findings: Findings) -> View:
@@ -439,7 +439,7 @@ def _classes(findings: Findings) -> View:
             if not is_of_all:
                 fewer.append(f"{group.label} {METRIC[score].label} of {mean.n}")
         rows.append((group.label, *_unmatched(group), group.n_matched, *means))
-    headings = ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED))
+    headings = ("class", "real", "not found", "sim", "extra", "both", *labels(DISTRIBUTED))
     parts: list[Part] = [Table(title, headings, rows)]
     if fewer:
         parts.append(Note(f"* some objects are too small for the score: {', '.join(fewer)}\n"))
