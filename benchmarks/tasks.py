@@ -366,26 +366,26 @@ def measure(args):
 
 
 def spearman(a, b):
-    """Rank correlation over the conditions that have both; NaN for fewer than ten."""
+    """Rank correlation over the conditions that have both; NaN for fewer than ten, or if one is constant."""
     is_known = np.isfinite(a) & np.isfinite(b)
-    if is_known.sum() < 10:
+    a, b = rankdata(a[is_known]), rankdata(b[is_known])
+    if len(a) < 10 or not np.ptp(a) or not np.ptp(b):
         return np.nan
-    return np.corrcoef(rankdata(a[is_known]), rankdata(b[is_known]))[0, 1]
+    return np.corrcoef(a, b)[0, 1]
 
 
-def intervals(table, score, task):
-    """Correlation, its 95 % bootstrap interval over flaws, and its range without any one flaw."""
+def correlation(table, score, task):
+    """Correlation, its 95 % bootstrap interval over flaws, and the correlations without any one flaw."""
     flaws = table.flaw.unique()
-    rows_of = {flaw: np.flatnonzero(table.flaw == flaw) for flaw in flaws}
+    rows_of = [np.flatnonzero(table.flaw == flaw) for flaw in flaws]
     a, b = SCORES[score] * table[score].to_numpy(), table[task].to_numpy()
     rng = np.random.default_rng(0)
     drawn = []
     for _ in range(1000):
-        rows = np.concatenate([rows_of[flaw] for flaw in rng.choice(flaws, len(flaws))])
+        rows = np.concatenate([rows_of[i] for i in rng.integers(len(flaws), size=len(flaws))])
         drawn.append(spearman(a[rows], b[rows]))
-    without = [spearman(np.delete(a, rows), np.delete(b, rows)) for rows in rows_of.values()]
-    low, high = np.nanquantile(drawn, [0.025, 0.975])
-    return spearman(a, b), low, high, min(without), max(without)
+    without = [spearman(np.delete(a, rows), np.delete(b, rows)) for rows in rows_of]
+    return spearman(a, b), np.nanquantile(drawn, [0.025, 0.975]), np.array(without)
 
 
 def predicted(a, b, at):
@@ -419,34 +419,68 @@ def threshold(table, score, task, gap):
     return reached(np.full(len(a), True)), np.nanmin(each), np.nanmax(each)
 
 
+def print_row(*cells):
+    print(f"| {' | '.join(map(str, cells))} |")
+
+
+def print_correlations(table, base):
+    """A row for each score; then whether the best score of each task stays the best without any one flaw."""
+    print_row(base, *TASKS)
+    print_row(*["---"] * (len(TASKS) + 1))
+    values, without = {}, {}
+    for score in SCORES:
+        cells = []
+        for task in TASKS:
+            values[score, task], (low, high), without[score, task] = correlation(table, score, task)
+            cells.append(f"{values[score, task]:.2f} ({low:.2f} to {high:.2f})")
+        print_row(score, *cells)
+    print()
+    for task in TASKS:
+        best = max(SCORES, key=lambda score: values[score, task])
+        names = np.array([*SCORES])
+        left = names[np.nanargmax([without[score, task] for score in SCORES], axis=0)]
+        moved = max(np.nanmax(np.abs(without[score, task] - values[score, task])) for score in SCORES)
+        n_same = (left == best).sum()
+        print(f"{task}: best {best}, also without {n_same} of {len(left)} flaws; no value moves by over {moved:.2f}")
+
+
+def print_thresholds(table, real):
+    """The score with the least left-out error of each task, and its values at the gaps of two real measurements."""
+    print_row(
+        "task", "score", "left-out error", "error of the mean", *(f"gap and score, {kind}" for kind in real.index)
+    )
+    print_row(*["---"] * (4 + len(real)))
+    for task in TASKS:
+        errors = {score: left_out_error(table, score, task) for score in SCORES}
+        best = min(errors, key=lambda score: errors[score][0])
+        cells = []
+        for gap in real[task]:
+            score, low, high = threshold(table, best, task, gap)
+            cells.append(f"{gap:.3f}: {score:.3g} ({low:.3g} to {high:.3g})")
+        print_row(task, best, *(f"{error:.3f}" for error in errors[best]), *cells)
+
+
 def print_tables(path):
     """All tables of `docs/good-enough.md`."""
     rows = pd.read_csv(path)
     numbers = [*SCORES, *TASKS]
     real = rows[rows.base.isin(("parked", "driving"))].groupby("base")[numbers].mean()
-    print("Two real measurements (means):\n", real[[*TASKS, *SCORES]].T.round(3).to_markdown(), sep="")
+    print_row("two real measurements", *real.index)
+    print_row(*["---"] * (1 + len(real)))
+    for name in (*TASKS, *SCORES):
+        print_row(name, *(f"{value:.3f}" for value in real[name]))
     for base in BASES:
         of_base = rows[rows.base == base]
+        if of_base.empty:
+            continue
         table = of_base.groupby(["flaw", "amount"])[numbers].mean().reset_index()
-        print(f"\n{base}: {of_base.frame.nunique()} frames, {len(of_base)} evaluations, {len(table)} conditions")
-        print("base:", table[table.flaw == NONE][[*TASKS]].round(3).to_dict("records"))
+        without = table[table.flaw == NONE].iloc[0]
         table = table[table.flaw != NONE]
-        print(f"\n| {base} | {' | '.join(TASKS)} |", "|---" * (len(TASKS) + 1) + "|", sep="\n")
-        for score in SCORES:
-            cells = []
-            for task in TASKS:
-                value, low, high, least, most = intervals(table, score, task)
-                cells.append(f"{value:.2f} ({low:.2f} to {high:.2f}; {least:.2f} to {most:.2f})")
-            print(f"| {score} | {' | '.join(cells)} |")
-        print("\n| task | best score | left-out error | of the mean | gap of two real | score there |")
-        print("|---" * 6 + "|")
-        for task in TASKS:
-            errors = {score: left_out_error(table, score, task) for score in SCORES}
-            best = min(errors, key=lambda score: errors[score][0])
-            cells = [task, best, f"{errors[best][0]:.3f}", f"{errors[best][1]:.3f}"]
-            gap = real[task].max()
-            score, low, high = threshold(table, best, task, gap)
-            print(f"| {' | '.join(cells)} | {gap:.3f} | {score:.3g} ({low:.3g} to {high:.3g}) |")
+        n = f"{of_base.frame.nunique()} frames, {table.flaw.nunique()} flaws, {len(table)} conditions"
+        print(f"\n{base}: {n}; without a flaw:", *(f"{task} {without[task]:.3f}" for task in TASKS), "\n")
+        print_correlations(table, base)
+        print()
+        print_thresholds(table, real)
 
 
 if __name__ == "__main__":

@@ -224,3 +224,11 @@ def test_the_tasks_are_in_the_answer_in_gates_and_in_python(dataset, finished, r
     with pytest.raises(fidpipe.FidpipeError, match="run --tasks"):
         _ = fidpipe.open_run(tmp_path / "run").tasks
     assert set(fidpipe.open_run(finished).tasks.pair_id) == {"000", "001"}
+
+
+def test_the_tasks_are_in_the_report(finished, record, tmp_path):
+    command("report", finished, "--out", tmp_path / "report", code=0)
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    lost = next(row["gap"] for row in record["tasks"] if row["measure"] == "lost")
+    assert f"Your obstacles: {100 * lost:.0f} % lost" in page
+    assert "wrongly_occupied" in page
