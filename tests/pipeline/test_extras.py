@@ -232,3 +232,11 @@ def test_the_tasks_are_in_the_report(finished, record, tmp_path):
     lost = next(row["gap"] for row in record["tasks"] if row["measure"] == "lost")
     assert f"Your obstacles: {100 * lost:.0f} % lost" in page
     assert "wrongly_occupied" in page
+
+
+def test_a_comparison_shows_the_gaps_of_both_runs(dataset, finished, tmp_path):
+    same = command("compare", finished, finished, code=0).stdout
+    assert "tasks, gaps not decided: objects.lost" in " ".join(same.split())
+    run(dataset, tmp_path / "run", load(None, ["tasks.names=ground"]))
+    other = command("compare", finished, tmp_path / "run", code=0).stdout
+    assert "other settings of tasks" in " ".join(other.split())
