@@ -9,7 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import (
     AfterValidator,
@@ -372,6 +372,46 @@ class StabilitySettings(_Group):
     seeds: int = Field(1, ge=1, le=1000)
 
 
+#: Tasks of a perception stack that both scans can be given to.
+TaskName = Literal["objects", "ground", "occupancy", "free_space"]
+TASK_NAMES: tuple[TaskName, ...] = get_args(TaskName)
+
+
+class TaskSettings(_Group):
+    """What a perception stack would do with both scans.
+
+    range_m : places farther away (horizontal) are left out
+    height_m : points higher above the road are no obstacles: crowns, bridges
+    link_m : objects: points within this distance are one obstacle; at the sensor, it grows with range
+    min_points : objects: fewest points of an obstacle
+    min_iou : objects: least overlap of the boxes of an obstacle that is found
+    cell_m : occupancy: width of the cells
+    """
+
+    names: tuple[TaskName, ...] = Field(
+        (),
+        description=f'any of {", ".join(TASK_NAMES)}; "all" for all of them; by default none',
+    )
+    range_m: float = Field(50.0, gt=0, le=200)
+    height_m: float = Field(2.5, gt=0)
+    link_m: float = Field(0.4, gt=0, le=10)
+    min_points: int = Field(10, ge=1)
+    min_iou: float = Field(0.3, gt=0, le=1)
+    cell_m: float = Field(0.2, ge=0.05)
+
+    @field_validator("names", mode="before", json_schema_input_type=tuple[TaskName, ...] | str)
+    @classmethod
+    def _read_names(cls, value: Any) -> Any:
+        """`all` is every one; `objects,ground` is read as a list."""
+        return TASK_NAMES if value == "all" else _split_words(value)
+
+    @field_validator("names")
+    @classmethod
+    def _in_order(cls, value: tuple[TaskName, ...]) -> tuple[TaskName, ...]:
+        """Each name once, in a fixed order, so that the order of the list changes nothing."""
+        return tuple(name for name in TASK_NAMES if name in value)
+
+
 class MachineSettings(_Group):
     """Limits on the machine's resources; no result depends on them.
 
@@ -393,6 +433,7 @@ class Settings(_Group):
     selection: SelectionSettings = SelectionSettings()
     metrics: MetricsSettings = MetricsSettings()
     stability: StabilitySettings = StabilitySettings()
+    tasks: TaskSettings = TaskSettings()
 
     @model_validator(mode="after")
     def _seeds_stay_in_range(self) -> Settings:

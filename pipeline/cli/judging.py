@@ -47,8 +47,9 @@ def gate(
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over
     objects), missing.within_20m, hallucinated.share, class.car.r_lambda.mean,
-    class.car.missing.total, causes.height (its size; spaces are underscores); with --best-case also
-    excess.r_lambda.mean and excess.cdc.area; docs/gate.md has all.
+    class.car.missing.total, causes.height (its size; spaces are underscores),
+    tasks.objects.lost; with --best-case also excess.r_lambda.mean and excess.cdc.area;
+    docs/gate.md has all.
 
     Parameters
     ----------

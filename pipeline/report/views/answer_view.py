@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 
 from ....schemas.metric_catalogue import headline_scores, metric_of
@@ -31,6 +31,13 @@ _MOST_PLACES = 3
 _MOST_CAUTIONS = 2
 _PAIR_WIDTH = 16
 _COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
+#: The measures of tasks that the answer has, and their words.
+_TASK_WORDS = {
+    "objects.lost": "your obstacles: {} lost",
+    "objects.added": "{} added",
+    "free_space.too_far": "free space too long in {} of the directions",
+    "occupancy.wrongly_free": "{} of the occupied map free",
+}
 _NOT_YET = "the frame of the simulated scans: see the warning above"
 _LEAST_MOVE = 5e-3
 
@@ -74,6 +81,7 @@ def answer_view(
     sections = {
         "  surface": items_of(surface_words(record, excess)),
         "  pieces": items_of(pieces_words(record)),
+        "  tasks": items_of(task_words(record, excess)),
         "Check first": items_of(*overview.doubts),
         "Fix first": first,
         "Doubtful": items_of(doubtful),
@@ -197,6 +205,25 @@ def pieces_words(record: RunRecord) -> str:
     missing = number(record.summary["n_missing_pieces"].mean, 1)
     invented = number(record.summary["n_invented_pieces"].mean, 1)
     return f"{missing} missing and {invented} invented per pair"
+
+
+def task_words(record: RunRecord, excess: RunExcess | None = None) -> str:
+    """Obstacles lost and added, and free space, with the best case's; "" without tasks."""
+    words = _gap_words(record.task_gaps)
+    if words and excess is not None:
+        best_case = _gap_words(excess.task_gaps)
+        if best_case:
+            words += f" (best case: {best_case})"
+    return words
+
+
+def _gap_words(gaps: Mapping[str, float | None]) -> str:
+    words = []
+    for measure, text in _TASK_WORDS.items():
+        gap = gaps.get(measure)
+        if gap is not None:
+            words.append(text.format(percent(gap)))
+    return ", ".join(words)
 
 
 def scores_words(record: RunRecord) -> str:
