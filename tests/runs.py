@@ -98,7 +98,8 @@ def command(*words, code=None, cwd=None, **options):
                 signal.signal(number, handler)
     for stream in streams:
         stream.flush()
-    stdout, stderr = (stream.buffer.getvalue().decode() for stream in streams)
+    stdout = streams[0].buffer.getvalue().decode()
+    stderr = streams[1].buffer.getvalue().decode()
     assert code in (None, status), stdout + stderr
     return subprocess.CompletedProcess(words, status, stdout, stderr)
 

@@ -55,7 +55,8 @@ def test_a_sensor_table_is_refused_in_one_short_line(tmp_path, text):
 
 @pytest.mark.parametrize("files", ['["../../victim"]', '["/etc/hostname"]', '[".."]', "[5]", '"0.bin"', "5"])
 def test_a_recipe_that_names_files_elsewhere_is_none_of_ours(tmp_path, files):
-    victim, out = tmp_path / "victim", tmp_path / "out"
+    victim = tmp_path / "victim"
+    out = tmp_path / "out"
     victim.write_text("precious")
     out.mkdir()
     (out / twin.RECIPE).write_text(TWIN.format(files))

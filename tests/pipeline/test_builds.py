@@ -25,12 +25,11 @@ def builds(real_data, tmp_path_factory):
     """Real scans in drive/velodyne, build41/lidar_out in .pcd, and build42/lidar_out in .ply and CARLA's frame."""
     folder = tmp_path_factory.mktemp("builds")
     for i, path in enumerate(sorted((real_data / "kitti_twin/real").iterdir())[:2]):
-        real, sim = (
-            np.fromfile(real_data / "kitti_twin" / side / path.name, np.float32).reshape(-1, 4)[::3]
-            for side in ("real", "sim")
-        )
+        real = np.fromfile(real_data / "kitti_twin" / "real" / path.name, np.float32).reshape(-1, 4)[::3]
+        sim = np.fromfile(real_data / "kitti_twin" / "sim" / path.name, np.float32).reshape(-1, 4)[::3]
         write_bin(folder / "drive" / "velodyne" / f"{i:04}.bin", real[:, :3])
-        first, second = (folder / build / "lidar_out" for build in ("build41", "build42"))
+        first = folder / "build41" / "lidar_out"
+        second = folder / "build42" / "lidar_out"
         for out in (first, second):
             out.mkdir(parents=True, exist_ok=True)
         write_pcd(first / f"frame_{i:04}.pcd", sim, "binary")

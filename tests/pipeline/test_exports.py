@@ -37,7 +37,12 @@ def write_pcd(path, columns, counts, fmt="binary"):
         "DATA": fmt,
     }
     text = "# .PCD v0.7\n" + "".join(f"{name} {value}\n" for name, value in lines.items())
-    rows = [" ".join(str(v) for value in record for v in np.ravel(value)) for record in records.tolist()]
+    rows = []
+    for record in records.tolist():
+        numbers = []
+        for value in record:
+            numbers += np.ravel(value).tolist()
+        rows.append(" ".join(map(str, numbers)))
     content = records.tobytes() if fmt == "binary" else "\n".join(rows).encode()
     path.write_bytes(text.encode() + content)
     return path

@@ -100,7 +100,8 @@ def test_pair_writes_a_manifest_that_points_into_the_recordings(recordings, tmp_
 )
 def test_pairs_can_be_fewer(tmp_path, words, times):
     stamps = [100.0, 100.1, 100.2, 100.3, 100.4]
-    real, sim = (bag_at(tmp_path / name, stamps, street) for name in ("real.bag", "sim.bag"))
+    real = bag_at(tmp_path / "real.bag", stamps, street)
+    sim = bag_at(tmp_path / "sim.bag", stamps, street)
     assert command("pair", real, sim, "-o", tmp_path / "out", *words).returncode == 0
     assert [pair.timestamp_s for pair in read_dataset(tmp_path / "out").pairs] == times
 

@@ -309,7 +309,8 @@ def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
     points, community = object_points(out, "street")
     own = points[community == row.community_id]
     altered = perturb(own, Perturbation("noise", 0.01), np.random.default_rng(row.seed))
-    there, back = cKDTree(altered).query(own)[0], cKDTree(own).query(altered)[0]
+    there = cKDTree(altered).query(own)[0]
+    back = cKDTree(own).query(altered)[0]
     assert row.value == pytest.approx(there.mean() + back.mean())
     reactions = {of.metric: of for of in react(outcome.means, LEVELS)}
     assert reactions["f_score"].most.kind == "rigid"

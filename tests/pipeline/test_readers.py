@@ -444,7 +444,8 @@ def test_a_run_over_frames_gives_the_numbers_of_a_run_over_files(pointing):
             np.save(files / side / f"{pair.pair_id}.npy", read_scan(pair.scans[side]).points)
     command("run", pointing, "--out", pointing / "frames", "--workers", 2, code=0)
     run(files, pointing / "copies")
-    frames, copies = (pd.read_parquet(pointing / out / "metrics") for out in ("frames", "copies"))
+    frames = pd.read_parquet(pointing / "frames" / "metrics")
+    copies = pd.read_parquet(pointing / "copies" / "metrics")
     assert len(frames)
     pd.testing.assert_frame_equal(frames, copies)
     again = command("run", pointing, "--out", pointing / "frames", "--workers", 1)
@@ -505,7 +506,8 @@ def test_the_cloud_of_another_decoder_lies_on_the_same_surfaces(real_data):
     from scipy.spatial import cKDTree
 
     folder = real_data / "velodyne_vlp32c"
-    theirs, ours = (read_scan(folder / name).points for name in ("one_sweep.pcd", Path("sweeps.pcap#0")))
+    theirs = read_scan(folder / "one_sweep.pcd").points
+    ours = read_scan(folder / "sweeps.pcap#0").points
     distance_m, _ = cKDTree(ours).query(theirs)
     assert len(theirs) == 26216
     assert np.median(distance_m) < 0.01

@@ -89,7 +89,8 @@ def test_an_empty_side_is_named_beside_the_faults_of_its_scans(tmp_path):
 def test_ego_hits_are_named_with_settings_that_drop_them(tmp_path, frame, turn):
     bonnet = box([3.2, 0, -0.9], [1, 1.6, 0.3], 600)
     own = [np.vstack([points, bonnet]) for points in drive()]
-    folder, words = write(tmp_path, own, own, turn=turn), [f"input.{side}_frame={frame}" for side in ("real", "sim")]
+    folder = write(tmp_path, own, own, turn=turn)
+    words = [f"input.{side}_frame={frame}" for side in ("real", "sim")]
     real, sim = (text for text in warnings(folder, *words) if "ego vehicle" in text)
     assert real.startswith("real scans: 3.9%") and sim.startswith("simulated scans: 3.9%")
     for setting in re.findall(r"input\.(?:exclude_box|min_range_m)=\S+", real):

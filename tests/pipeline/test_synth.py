@@ -158,7 +158,8 @@ def test_objects_have_from_under_a_quarter_to_over_four_times_the_real_points(pa
     ratios = []
     for pair in pairs:
         n_things = len(pair.kinds)
-        n_real, n_sim = (np.bincount(scan.object_ids, minlength=n_things) for scan in (pair.real, pair.sim))
+        n_real = np.bincount(pair.real.object_ids, minlength=n_things)
+        n_sim = np.bincount(pair.sim.object_ids, minlength=n_things)
         wanted = (np.array(pair.kinds) == kind) & (n_real >= 20) & (n_sim > 0)
         ratios += (n_sim[wanted] / n_real[wanted]).tolist()
     assert min(ratios) < 0.25

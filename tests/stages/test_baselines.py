@@ -85,8 +85,11 @@ def test_icp_fitness_is_the_share_of_simulated_points_that_are_near(car):
 
 
 def test_no_order_of_rows_changes_a_histogram_above_its_sample_or_dcd_at_ties(rng):
-    real, sim = rng.normal(0, 1, (400, 3)), np.round(rng.normal(0, 1, (500, 3)))
-    real[:200], sim = np.round(real[:200]), np.unique(sim, axis=0)  # a grid: many points are equally near
+    real = rng.normal(0, 1, (400, 3))
+    sim = np.round(rng.normal(0, 1, (500, 3)))
+    # a grid: many points are equally near
+    real[:200] = np.round(real[:200])
+    sim = np.unique(sim, axis=0)
     real = np.unique(real, axis=0)
     turned = rng.permutation(len(real)), rng.permutation(len(sim))
     values = [
@@ -181,7 +184,7 @@ SIM = np.array([[0.0, 0, 1], [1, 0, 3]])
 
 
 def test_chamfer_by_hand():
-    mean_m, squared_m2, one_way_sum_m = (baseline.value for baseline in chamfer(REAL, SIM, ALL))
+    mean_m, squared_m2, one_way_sum_m = [baseline.value for baseline in chamfer(REAL, SIM, ALL)]
     assert mean_m == pytest.approx((1 + math.sqrt(2) + math.sqrt(5)) / 3 + (1 + 3) / 2)
     assert squared_m2 == pytest.approx((1 + 2 + 5) / 3 + (1 + 9) / 2)
     assert one_way_sum_m == pytest.approx(1 + math.sqrt(2) + math.sqrt(5))
@@ -296,7 +299,8 @@ def test_the_heat_row_sums_agree_with_the_dense_exponential(rng, t):
 
 def test_heat_traces_of_an_edge_and_of_a_path_by_hand():
     # spectra 0, 2 and 0, 1, 2
-    edge, three = (1 + np.exp(-2 * TIMES)) / 2, (1 + np.exp(-TIMES) + np.exp(-2 * TIMES)) / 3
+    edge = (1 + np.exp(-2 * TIMES)) / 2
+    three = (1 + np.exp(-TIMES) + np.exp(-2 * TIMES)) / 3
     assert heat_trace_distance(path(2), path(3), TIMES) == pytest.approx(np.linalg.norm(edge - three))
 
 

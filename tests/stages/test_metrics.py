@@ -40,8 +40,10 @@ def test_two_paths_of_three_nodes_by_hand():
 @pytest.mark.parametrize("seed", range(10))
 def test_the_largest_change_that_there_is_stays_within_its_bounds(seed):
     # A path has the largest eigenvalue 2, by LAPACK a rounding more; of nodes without edges all are 0.
-    rng, nodes = np.random.default_rng(seed), np.arange(5, dtype=np.int32)
-    weight, points = rng.uniform(0.1, 3, 4), rng.normal(size=(5, 3))
+    rng = np.random.default_rng(seed)
+    nodes = np.arange(5, dtype=np.int32)
+    weight = rng.uniform(0.1, 3, 4)
+    points = rng.normal(size=(5, 3))
     path = Subgraph(nodes, points, sparse.csr_matrix(sparse.diags_array([weight, weight], offsets=[-1, 1])))
     alone = Subgraph(nodes, points, sparse.csr_matrix((5, 5)))
     scores = score_object(alone, path, Selection(nodes, nodes, np.ones(5), np.ones(5)))
@@ -129,7 +131,8 @@ def test_routines_with_other_integers_are_not_called(signature):
 def capsule(signature):
     """A capsule as Cython exports C functions, with this signature."""
     new = ctypes.pythonapi.PyCapsule_New
-    new.restype, new.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+    new.restype = ctypes.py_object
+    new.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
     return new(1, signature, None)
 
 

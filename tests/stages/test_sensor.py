@@ -108,12 +108,16 @@ def test_the_sensor_does_not_depend_on(change):
 
 def test_noise_of_the_angles_is_that_of_elevation_and_of_azimuth():
     points = room(SENSORS["vlp32c"])
-    rng, range_m, (x, y, z) = np.random.default_rng(1), np.linalg.norm(points, axis=1), points.T
-    level, turn = np.arcsin(z / range_m), np.arctan2(y, x)
+    rng = np.random.default_rng(1)
+    range_m = np.linalg.norm(points, axis=1)
+    x, y, z = points.T
+    level = np.arcsin(z / range_m)
+    turn = np.arctan2(y, x)
     sharp = describe_sensor(points)
     assert max(sharp.elevation_noise_deg, sharp.azimuth_noise_deg) < 0.003
     for e_deg, a_deg in ((0.03, 0.0), (0.0, 0.02), (0.05, 0.02)):
-        e, a = level + np.radians(e_deg) * rng.normal(size=len(x)), turn + np.radians(a_deg) * rng.normal(size=len(x))
+        e = level + np.radians(e_deg) * rng.normal(size=len(x))
+        a = turn + np.radians(a_deg) * rng.normal(size=len(x))
         noisy = range_m[:, None] * np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         found = describe_sensor(noisy)
         assert found.elevation_noise_deg == pytest.approx(e_deg, rel=0.1, abs=0.003)
