@@ -109,3 +109,19 @@ def test_the_snippets_of_how_do_i_run(report_run, tmp_path, monkeypatch):
         dict.fromkeys(["build41", "build42"], pairs.cdc_mean.mean())
     )
     assert (tmp_path / "cdc.png").stat().st_size > 0
+
+
+@pytest.mark.exhaustive
+def test_the_intervals_of_the_tutorial_are_as_it_says(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (DOCS / "tutorial.md").read_text("utf-8")
+    assert "The interval of the range bias contains the 10 cm. That of the lost returns ends" in text
+    command("synth", "streets", "--pairs", 8, "--points", 6000, code=0)
+    (change,) = [
+        code for _, code in blocks("tutorial.md", r"\{code-cell\} ipython3") if code.startswith("import shutil")
+    ]
+    exec(change, {})
+    found = fidpipe.compare("streets", "streets-build2", workers=None).causes.set_index("cause")
+    bias, lost = found.loc["range bias"], found.loc["lost returns"]
+    assert bias.low < 0.10 < bias.high
+    assert 0.28 < lost.high < 1 / 3

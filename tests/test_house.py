@@ -38,6 +38,13 @@ def test_a_stage_s_function_is_at_most_seven_calls_from_the_command(tmp_path, mo
     assert all(f"`{name}`" in named or f".{name}`" in named for name in ways[0][:-1])
 
 
+def test_a_newcomer_follows_a_run_in_few_lines():
+    section = PAGE.read_text().split("## Follow `fidpipe run`")[1].split("\n## ")[0]
+    files = re.findall(r"^\| `(\S+\.py)` \|", section, re.MULTILINE)
+    lines = sum(len((ROOT / file).read_text().splitlines()) for file in files)
+    assert len(files) <= 12 and lines <= 3000, (len(files), lines)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_relative_link_of_a_page_leads_to_a_file(page):
     links = re.findall(r"(?<![\"'])\]\((?!\w+:)([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))

@@ -41,7 +41,7 @@ ComparePreset = Annotated[
         "--preset",
         metavar="paper|reference",
         autocompletion=completion.presets,
-        help="Of what is run.",
+        help="Preset of what is evaluated first.",
     ),
 ]
 DatasetFolder = Annotated[

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
+
 from ...schemas.results import Diagnosis
-from ..report.view import Answers, Note, Table, View, items_of
+from ..report.view import Answers, Note, Table, View, count, items_of
 from ..report.views.answer_view import cause_items
 from ..results.causes import no_cause_words
 from ..results.diagnosis import unexplained_words
@@ -13,12 +15,13 @@ _COLUMNS = (*("name", "words", "estimate", "low", "high", "unit"), *("n_pairs", 
 
 def diagnosis_records(diagnosis: Diagnosis) -> Table:
     """One row per cause, for programs."""
-    return Table("", _COLUMNS, [[getattr(cause, name) for name in _COLUMNS] for cause in diagnosis.causes])
+    values_of = attrgetter(*_COLUMNS)
+    return Table("", _COLUMNS, [values_of(cause) for cause in diagnosis.causes])
 
 
 def diagnosis_view(diagnosis: Diagnosis) -> View:
     """The causes, those with the largest gain first, what they do not explain, and doubtful ones."""
-    pairs = "1 pair" if diagnosis.n_pairs == 1 else f"{diagnosis.n_pairs} pairs"
+    pairs = count(diagnosis.n_pairs, "pair")
     title = (
         f"{pairs}: the surfaces are {100 * diagnosis.distance_m:.1f} cm apart, in a second measurement "
         f"{100 * diagnosis.best_case_m:.1f} cm"

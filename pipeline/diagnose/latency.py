@@ -79,7 +79,8 @@ def latency_words(ahead_m: FloatArray, speeds_m_s: FloatArray) -> str:
     ahead_m, speeds_m_s : (n,) by pair; NaN if unknown
     """
     is_known = np.isfinite(speeds_m_s) & np.isfinite(ahead_m)
-    ahead_m, speeds_m_s = ahead_m[is_known], speeds_m_s[is_known]
+    ahead_m = ahead_m[is_known]
+    speeds_m_s = speeds_m_s[is_known]
     if not len(speeds_m_s) or abs(speeds_m_s.mean()) < _LEAST_M_S:
         return ""
     alone_s = float(ahead_m @ speeds_m_s / (speeds_m_s @ speeds_m_s))
@@ -88,7 +89,8 @@ def latency_words(ahead_m: FloatArray, speeds_m_s: FloatArray) -> str:
         return either
     fit = stats.linregress(speeds_m_s, ahead_m)
     reach = float(stats.t.ppf(0.975, len(speeds_m_s) - 2))
-    low_s, high_s = fit.slope - reach * fit.stderr, fit.slope + reach * fit.stderr
+    low_s = fit.slope - reach * fit.stderr
+    high_s = fit.slope + reach * fit.stderr
     if low_s * high_s > 0:
         late = f"{1e3 * fit.slope:.0f} ms of latency ({1e3 * low_s:.0f} to {1e3 * high_s:.0f})"
         grows = f"in proportion to the speed: {late}"

@@ -98,14 +98,12 @@ class TellApart:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
-        families: list[JsonValue] = [
-            _summary(one)
-            | {
-                "name": name,
-                "features": [{"name": own, "auc_alone": auc, "loss": one.loss[own]} for own, auc in one.alone.items()],
-            }
-            for name, one in self.families.items()
-        ]
+        families: list[JsonValue] = []
+        for name, test in self.families.items():
+            features: list[JsonValue] = []
+            for feature, auc in test.alone.items():
+                features.append({"name": feature, "auc_alone": auc, "loss": test.loss[feature]})
+            families.append(_summary(test) | {"name": name, "features": features})
         return _summary(self.test) | {
             "folds": "places" if self.test.by_place else "sectors",
             "n_folds": len(self.test.by_fold),
@@ -135,13 +133,12 @@ def tell_apart_run(run: FinishedRun, best_case: FinishedRun | None = None, patte
         No pair is scored, a table is damaged, or the best case lacks a pair.
     """
     chosen = _evenly(run.select(pattern))
-    sides = [[partial(_read_stored, run, name, side) for name in chosen] for side in SIDES]
-    second = (
-        [partial(_read_stored, best_case, best_case.row(name)["pair_id"], "sim") for name in chosen]
-        if best_case
-        else []
-    )
-    return _compare(str(run.folder), sides[0], sides[1], second, is_paired=True)
+    real = [partial(_read_stored, run, name, "real") for name in chosen]
+    sim = [partial(_read_stored, run, name, "sim") for name in chosen]
+    second = []
+    if best_case is not None:
+        second = [partial(_read_stored, best_case, best_case.row(name)["pair_id"], "sim") for name in chosen]
+    return _compare(str(run.folder), real, sim, second, is_paired=True)
 
 
 def tell_apart_folders(real: Path, sim: Path, settings: Settings) -> TellApart:
@@ -181,19 +178,25 @@ def _compare(
         notes.append("the two folders may show different places; so do the two halves of the real frames")
     if not test.by_place:
         notes.append(f"fewer than {LEAST_PLACES} places, hence cross-validated by sectors: other places are not tested")
-    n, half = np.arange(len(real)), len(real) // 2
-    parts = (n[: 2 * half : 2], n[1::2]) if is_paired else (n[:half], n[half : 2 * half])
-    c, d = (_of_frames(a, part) for part in parts)
+    frames = np.arange(len(real))
+    half = len(real) // 2
     if second:
-        base_of, (c, d) = "second measurements of the best case", (a, draw(second))
-    elif half and (not is_paired or len(np.unique(a.place)) <= half):
-        base_of = "even and odd frames" if is_paired else "first and second half of the frames"
+        base_of = "second measurements of the best case"
+        c, d = a, draw(second)
+    elif half and is_paired and len(np.unique(a.place)) <= half:
+        base_of = "even and odd frames"
+        c, d = _of_frames(a, frames[: 2 * half : 2]), _of_frames(a, frames[1::2])
+    elif half and not is_paired:
+        base_of = "first and second half of the frames"
+        c, d = _of_frames(a, frames[:half]), _of_frames(a, frames[half : 2 * half])
     else:
         base_of = "two random halves of the points of each frame"
         notes.append("no second real frame of the same place: random halves of one frame differ less than two frames")
-        c, d = (draw([partial(_half, source, i, k) for i, source in enumerate(real)]) for k in (0, 1))
+        c = draw([partial(_half, source, i, 0) for i, source in enumerate(real)])
+        d = draw([partial(_half, source, i, 1) for i, source in enumerate(real)])
     base = compare_samples(c, d, is_paired=is_paired)
-    n_points, by_surface = min(len(a.frame), len(b.frame)), families["surface"]
+    n_points = min(len(a.frame), len(b.frame))
+    by_surface = families["surface"]
     is_sim = np.repeat([False, True], [len(a.frame), len(b.frame)])
     maps = (a.points, by_surface.probability[~is_sim]), (b.points, by_surface.probability[is_sim])
     where = dict(_where(a, b, is_sim, by_surface.probability))
@@ -202,7 +205,8 @@ def _compare(
 
 def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: bool) -> Sample:
     """Points of a side. A place begins with the first frame that does not show that of the frames before."""
-    drawn, place = [], -1
+    drawn = []
+    place = -1
     first: PlaceMap | None = None
     for i, source in enumerate(sources):
         own = source()
@@ -213,9 +217,10 @@ def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: boo
         features, names = describe_points(own.points, own.height_m, rows, own_points=rays, intensity=ranks)
         seen = map_place(own.points[~own.is_ground])
         if first is None or overlap(first, seen) < SAME_PLACE:
-            first, place = seen, place + 1
+            first = seen
+            place += 1
         drawn.append((own.points[rows], own.height_m[rows], np.full(n, i), np.full(n, place), features))
-    points, height_m, frame, places, features = (np.concatenate(parts) for parts in zip(*drawn, strict=True))
+    points, height_m, frame, places, features = map(np.concatenate, zip(*drawn, strict=True))
     return Sample(points, height_m, frame.astype(np.int32), places.astype(np.int32), features, names)
 
 

@@ -93,10 +93,14 @@ def run_best_case(
     machines = machines or Machines()
     if machines.scheduler:  # workers of a cluster may run in other folders
         dataset, out = dataset.absolute(), out.absolute()
-    noise, lost = (AS_MEASURED if value is None else value for value in (noise_m, lost_share))
-    amounts = ("neighbours", 0.0, 0.0, 0) if neighbours else ("again", noise, lost, seed)
     source = read_dataset(dataset)
-    recipe = BestCaseRecipe(RECIPE_VERSION, *amounts, name_in_records(dataset))
+    name = name_in_records(dataset)
+    if neighbours:
+        recipe = BestCaseRecipe(RECIPE_VERSION, "neighbours", 0.0, 0.0, 0, name)
+    else:
+        noise = AS_MEASURED if noise_m is None else noise_m
+        lost = AS_MEASURED if lost_share is None else lost_share
+        recipe = BestCaseRecipe(RECIPE_VERSION, "again", noise, lost, seed, name)
     selected = {pair.pair_id for pair in select_pairs(source, pattern)}
     partners = _neighbours(source) if neighbours else {pair.pair_id: pair for pair in source.pairs}
     _refuse_other_recipe(out, recipe, replace=replace)
@@ -210,12 +214,15 @@ def _write_dataset(
 
 def _report_amounts(by_pair: dict[str, dict[bytes, bytes]], folder: Path, reporter: Reporter) -> None:
     """Write and show noise and losses of the second measurements; warn of scans where they cannot be measured."""
-    rows = ([pair_id, *(own[name].decode() for name in _AMOUNTS)] for pair_id, own in by_pair.items())
+    rows = []
+    for pair_id, metadata in by_pair.items():
+        rows.append([pair_id, *(metadata[name].decode() for name in _AMOUNTS)])
     write_whole(folder / BEST_CASE_AMOUNTS, csv_bytes(["pair_id", *(name.decode() for name in _AMOUNTS)], rows))
     amounts = list(by_pair.values())
     if not amounts:
         return
-    noise_m, lost_share = (np.median([float(own[name]) for own in amounts]) for name in (_NOISE_M, _LOST_SHARE))
+    noise_m = np.median([float(metadata[_NOISE_M]) for metadata in amounts])
+    lost_share = np.median([float(metadata[_LOST_SHARE]) for metadata in amounts])
     reporter.say(f"range noise {1e3 * noise_m:.0f} mm, dropout {lost_share:.1%} (median of {len(amounts)} scans)")
     unknown = [own[_REASON].decode() for own in amounts if own[_REASON]]
     if unknown:
@@ -238,8 +245,8 @@ def _key(
     with suppress(ScanError):  # reported by the run that follows
         content = scan_content(scan, ledger.input_hash)
         hashes = content.sha256, content.label_sha256
-    columns, frame = settings.columns_of("real"), settings.frame_of("real")
-    return key_of(RECIPE_VERSION, recipe.words, pair_id, hashes, sorted(label_names.items()), columns, frame)
+    reading = settings.columns_of("real"), settings.frame_of("real")
+    return key_of(RECIPE_VERSION, recipe.words, pair_id, hashes, sorted(label_names.items()), *reading)
 
 
 def _metadata(path: Path) -> dict[bytes, bytes]:

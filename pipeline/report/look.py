@@ -22,6 +22,8 @@ OLIVE = "#9A8500"
 CRIMSON = "#D81B60"
 SIDE_COLOURS = {"real": BLUE, "sim": VERMILION}
 SCORE_COLOURS = {"r_lambda": PURPLE, "cdc": GREEN}
+#: Words for the fate of an object; missing and invented are said of surface and pieces.
+FATE_WORDS = {"matched": "matched", "missing": "not found", "hallucinated": "extra"}
 FATE_COLOURS = {"matched": GREY, "missing": BLUE, "hallucinated": VERMILION, "too small": PURPLE}
 #: Outcomes of rays, as `stages.rays` names them.
 OUTCOME_COLOURS = {

@@ -56,10 +56,8 @@ class BestCaseRecipe:
         """The same for people; equal where the same scans give the same measurements."""
         if self.kind == "neighbours":
             return "the next real scan"
-        noise, lost = (
-            "as measured" if amount == AS_MEASURED else f"{amount:g}{unit}"
-            for amount, unit in ((self.noise_m, " m"), (self.lost_share, ""))
-        )
+        noise = "as measured" if self.noise_m == AS_MEASURED else f"{self.noise_m:g} m"
+        lost = "as measured" if self.lost_share == AS_MEASURED else f"{self.lost_share:g}"
         return f"range noise {noise}, dropout {lost}, seed {self.seed}"
 
     def to_toml(self) -> str:
@@ -179,7 +177,7 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
         raise RunError(
             f"run {run.folder} and best case {best_case}: no pair is scored in both; make one for it: {_command(run)}"
         )
-    of_objects = [_of_objects(own, names) for own in (run, other)]
+    of_objects = [_of_objects(run, names), _of_objects(other, names)]
     versions = differences(run.record.stages, other.record.stages)
     libraries = differences(run.record.libraries, other.record.libraries)
     return RunExcess(
@@ -228,21 +226,22 @@ def _excess(
     names: Sequence[str],
     of_objects: Sequence[dict[str, FloatArray]],
 ) -> ScoreExcess:
-    own, theirs = (
-        np.array([each.row(name)[column] for name in names], dtype=np.float64) for each in (run, best_case)
-    )  # None becomes NaN
-    over = own - theirs
+    of_run, of_best_case = _column(run, names, column), _column(best_case, names, column)
+    over = of_run - of_best_case
     has_both = ~np.isnan(over)
     excess, std = mean_and_std(over)
     metric = metric_of(column).column
     is_of_objects = metric in OBJECT_METRICS
-    values, best_case_values = (each[metric] for each in of_objects) if is_of_objects else (own, theirs)
+    if is_of_objects:
+        values, best_case_values = of_objects[0][metric], of_objects[1][metric]
+    else:
+        values, best_case_values = of_run, of_best_case
     apart = double_validation_metric(real=best_case_values, sim=values)
     return ScoreExcess(
         column=column,
         n_pairs=int(np.count_nonzero(has_both)),
-        mean=mean_and_std(own[has_both])[0],
-        best_case=mean_and_std(theirs[has_both])[0],
+        mean=mean_and_std(of_run[has_both])[0],
+        best_case=mean_and_std(of_best_case[has_both])[0],
         excess=excess,
         std=std,
         of="objects" if is_of_objects else "pairs",
@@ -252,3 +251,8 @@ def _excess(
         n_best_case=apart.n_real,
         of_pairs={name: None if np.isnan(value) else value for name, value in zip(names, over.tolist(), strict=True)},
     )
+
+
+def _column(run: FinishedRun, names: Sequence[str], column: str) -> FloatArray:
+    """A column of `pairs` for some pairs; NaN for null."""
+    return np.array([run.row(name)[column] for name in names], dtype=np.float64)

@@ -31,9 +31,11 @@ SCALE = "intensity scale"
 #: Variance of returns between directions that is still random, and the square of the loss.
 _UNEVEN = 0.01
 #: More of the points in other places, with both of these, are a bent world.
-_BENT, _ALONE = 0.03, ("missing parts", "invented parts")
+_BENT = 0.03
+_ALONE = ("missing parts", "invented parts")
 #: If the road stays where it is while all else is raised, the world is not displaced: part of the height that remains.
-_OF_ROAD, _ROAD_STAYS = ("height", "road height"), 0.3
+_OF_ROAD = ("height", "road height")
+_ROAD_STAYS = 0.3
 #: If more of the curved surface is too flat, more than the shape of some objects is wrong.
 _MELTED = 0.3
 #: Solid foliage also flattens surface, by less than this part of its amount; boxes also stop rays in foliage. So only
@@ -235,8 +237,8 @@ def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
     """True if a larger flaw of the world, or losses that are not random, feign a cause."""
     mean = means[name]
     if name in _OF_ROAD and all(other in means for other in _OF_ROAD):
-        height, road = (means[other] for other in _OF_ROAD)
-        return abs(height + road) < _ROAD_STAYS * abs(height)
+        height = means["height"]
+        return abs(height + means["road height"]) < _ROAD_STAYS * abs(height)
     if name == "moved parts":
         return mean > _BENT and min(means.get(other, 0.0) for other in _ALONE) > mean / 10
     if name == FLAT:

@@ -209,7 +209,8 @@ def confirm_changes(found: Sequence[Cause], gains: Sequence[Shares]) -> tuple[li
     """
     before_m = float(np.mean([pair.before_m for pair in gains]))
     after_m = float(np.mean([pair.after_m for pair in gains]))
-    rank, doubtful = {}, []
+    rank: dict[str, float] = {}
+    doubtful = []
     for cause in found:
         if cause.name not in gains[0].by_cause:
             rank[cause.name] = _LEAST_GAIN

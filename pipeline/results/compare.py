@@ -8,7 +8,7 @@ objects are followed from run to run (`followed`) as a description.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -260,14 +260,19 @@ def _noise_of_seeds(base: FinishedRun, other: FinishedRun, names: Sequence[str])
 
 def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tuple[pd.DataFrame, list[str]]:
     """Fates of the real objects of the pairs, and the pairs whose real objects differ."""
-    parts = (
-        object_parts(run.store, names, FOLLOWED_COLUMNS, by_reference=run.is_by_reference, sides=("real",))
-        for run in (base, other)
-    )
-    found = [follow(before, after) for before, after in zip(*parts, strict=True)]
-    none = pd.DataFrame(columns=CHANGE_COLUMNS)
-    changes = pd.concat([own for own, _ in found], ignore_index=True) if found else none
-    return changes, [names[i] for _, own in found for i in own]
+    parts = zip(_real_objects(base, names), _real_objects(other, names), strict=True)
+    changes, unfollowed = [], []
+    for before, after in parts:
+        followed, differing = follow(before, after)
+        changes.append(followed)
+        unfollowed += [names[i] for i in differing]
+    if not changes:
+        return pd.DataFrame(columns=CHANGE_COLUMNS), []
+    return pd.concat(changes, ignore_index=True), unfollowed
+
+
+def _real_objects(run: FinishedRun, names: Sequence[str]) -> Iterator[pd.DataFrame]:
+    return object_parts(run.store, names, FOLLOWED_COLUMNS, by_reference=run.is_by_reference, sides=("real",))
 
 
 def _counted(base: FinishedRun, names: Sequence[str], n_places: int, *, independent: bool) -> str:
@@ -284,33 +289,41 @@ def _counted(base: FinishedRun, names: Sequence[str], n_places: int, *, independ
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
     """Other things that can change a number: scans that are not in one frame or place, code of stages, libraries."""
+    notes = []
+    for run in (base, other):
+        unfit = list(run.record.frames)
+        if unfit:
+            named = unfit[0] if len(unfit) == 1 else f"{unfit[0]} ..."
+            notes.append(
+                f"{run.folder}: scans are not in one frame or show two places, but count: {len(unfit)} of "
+                f"{len(run.scored)} pairs ({named}); see fidpipe show {run.folder}"
+            )
     a, b = base.record, other.record
-    unfit = [
-        f"{run.folder}: the scans of {n} pair{'s' * (n > 1)} are not in one frame or show two places, but count "
-        f"({next(iter(run.record.frames))}{' ...' * (n > 1)}); see fidpipe show {run.folder}"
-        for run in (base, other)
-        if (n := len(run.record.frames))
-    ]
-    stages = [f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)]
-    libraries = [f"library {name}: {x} and {y}" for name, x, y in differences(a.libraries, b.libraries)]
-    return unfit + stages + libraries
+    notes += [f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)]
+    notes += [f"library {name}: {x} and {y}" for name, x, y in differences(a.libraries, b.libraries)]
+    return notes
 
 
 def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
     """Pairs that cannot be compared, and why."""
-    rows = [{row["pair_id"]: row for row in run.rows} for run in (base, other)]
+    names = {row["pair_id"] for row in (*base.rows, *other.rows)}
     why = {}
-    for name in sorted(rows[0].keys() | rows[1].keys()):
-        for run, own in zip((base, other), rows, strict=True):
-            if name not in own:
-                why[name] = f"not in {run.folder}"
-            elif own[name]["status"] != "scored":
-                why[name] = f"failed in {run.folder} ({own[name]['reason']})"
-        if name not in why:
-            a, b = (run.record.inputs.get(name, {}).get("real") for run in (base, other))
-            if a is None or a != b:
-                why[name] = "the real scans differ"
+    for name in sorted(names):
+        hashes = [run.record.inputs.get(name, {}).get("real") for run in (base, other)]
+        reason = _unscored(other, name) or _unscored(base, name)
+        if reason:
+            why[name] = reason
+        elif hashes[0] is None or hashes[0] != hashes[1]:
+            why[name] = "the real scans differ"
     return why
+
+
+def _unscored(run: FinishedRun, name: str) -> str:
+    """The reason for which a run has no scores of a pair; "" if it has."""
+    row = run.rows_by_name.get(name)
+    if row is None:
+        return f"not in {run.folder}"
+    return "" if row["status"] == "scored" else f"failed in {run.folder} ({row['reason']})"
 
 
 def _seed_noise(run: FinishedRun, names: Sequence[str]) -> dict[str, float]:
@@ -325,9 +338,10 @@ def _seed_noise(run: FinishedRun, names: Sequence[str]) -> dict[str, float]:
             return {}
         for column, scores in repeats.items():
             scores.append(record.metadata["scores"][column])
-    noise = {
-        column: spread(np.array(scores, dtype=np.float64)).least_dataset
-        for column, scores in repeats.items()
-        if len({len(own) for own in scores}) == 1
-    }
-    return {column: least for column, least in noise.items() if least is not None}
+    noise = {}
+    for column, scores in repeats.items():
+        n_seeds = {len(repeated) for repeated in scores}
+        least = spread(np.array(scores, dtype=np.float64)).least_dataset if len(n_seeds) == 1 else None
+        if least is not None:
+            noise[column] = least
+    return noise

@@ -63,10 +63,13 @@ def read_gains(store: RunFolder, pair_ids: Sequence[str], causes: Sequence[Cause
     frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
     by_cause = {str(name): rows["gain_m"].to_numpy() for name, rows in frame.groupby("cause")}
     distances_m = np.array([record.metadata[DISTANCES] for record in records])
-    curves = {}
+    curves: dict[str, dict[str, FloatArray]] = {}
     for kind, sides in records[0].metadata[CURVES].items():
         drawn = [record.metadata[CURVES][kind] for record in records if kind in record.metadata[CURVES]]
-        curves[kind] = {side: np.mean([values[side] for values in drawn], axis=0) for side in sides}
+        curves[kind] = {}
+        for side in sides:
+            of_pairs = [values[side] for values in drawn]
+            curves[kind][side] = np.mean(of_pairs, axis=0)
     return Gains(by_cause, distances_m, curves)
 
 
@@ -115,7 +118,8 @@ def confirm(
     excess_m = _excess(distances_m)
     # within the accuracy of the second measurement the whole distance counts, else small gains would be large parts
     left_m = after_m if excess_m is None else after_m - best_case_m
-    confirmed, doubtful = [], []
+    confirmed: list[Cause] = []
+    doubtful: list[Cause] = []
     for cause in causes:
         diagnosed = _with_gain(cause, gains_m.get(cause.name), excess_m)
         if _is_weak(diagnosed, left_m):

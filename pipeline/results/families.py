@@ -154,6 +154,16 @@ class FamilyChange:
     scores: tuple[ScoreChange, ...]
 
     @property
+    def lowest_p(self) -> float | None:
+        """The smallest p of its scores; None if none can be tested."""
+        return min((score.p for score in self.scores if score.p is not None), default=None)
+
+    @property
+    def verdicts(self) -> set[str]:
+        """Those of its scores."""
+        return {score.verdict for score in self.scores}
+
+    @property
     def called(self) -> str:
         """The verdict as it is shown, in brackets if it does not count."""
         return f"({self.verdict})" if self.why else self.verdict
@@ -183,19 +193,17 @@ def judge_families(
         leave few blocks. A change must then be consistent over the sectors of the places, and over the frames, too
     worse_causes : causes of the sensor that became worse, from which improvements of a family may follow
     """
-    found = [
-        FamilyChange(
-            name, "undecided", None, "", "", _changes(scores, rows, blocks, seed_noise or {}, best_cases or {}, sectors)
-        )
-        for name, scores in families(preset).items()
-    ]
-    found = [family for family in found if family.scores]
-    lowest = [min((score.p for score in family.scores if score.p is not None), default=None) for family in found]
+    found = []
+    for name, compared in families(preset).items():
+        scores = _changes(compared, rows, blocks, seed_noise or {}, best_cases or {}, sectors)
+        if scores:
+            found.append(FamilyChange(name, "undecided", None, "", "", scores))
+    lowest = [family.lowest_p for family in found]
     adjusted = holm(lowest)
     found = [_with_p(family, p, before) for family, p, before in zip(found, adjusted, lowest, strict=True)]
     if len(np.unique(blocks)) < LEAST_PAIRS:
         found = [_without_idle_p(family) for family in found]
-    worse = {family.name for family in found if any(score.verdict == "worse" for score in family.scores)}
+    worse = {family.name for family in found if "worse" in family.verdicts}
     right, invented = _points_change(rows)
     reasons = _Reasons(worse, right > invented / 2, tuple(worse_causes))
     return tuple(_decided(family, reasons) for family in found)

@@ -55,7 +55,7 @@ def record_of_run(folder: Path) -> dict[str, Any]:
     if names & {*SIDES, MANIFEST}:
         hint = f"it holds a dataset, evaluate it: fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
     elif runs:
-        hint = f"it holds runs: {', '.join(runs[:3])}{', ...' * (len(runs) > 3)}"
+        hint = f"it holds runs: {', '.join(runs[:3])}{', ...' if len(runs) > 3 else ''}"
     elif names:
         hint = f"if it holds scans, evaluate them: fidpipe run {shlex.quote(shown)} SIM"
     else:
@@ -93,7 +93,7 @@ class FinishedRun:
                 f"run {folder}: the run has not ended; finish it with: {command_again(folder, record.get('dataset'))}"
             ) from error
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
-        self._row_of: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
+        self.rows_by_name: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
 
     def __repr__(self) -> str:
         counts = self.record.pairs
@@ -175,7 +175,7 @@ class FinishedRun:
 
         columns = [name for name in Cause.model_fields if name not in ("evidence", "limbs")]
         causes = self.overview.causes if self.overview else ()
-        return pd.DataFrame([[getattr(cause, name) for name in columns] for cause in causes], columns=columns)
+        return pd.DataFrame([vars(cause) for cause in causes], columns=columns)
 
     @cached_property
     def diagnosis(self) -> Diagnosis | None:
@@ -222,13 +222,13 @@ class FinishedRun:
 
     def row(self, pair_id: str) -> Row:
         """The row of a pair; `RunError` if the run does not have it."""
-        if pair_id not in self._row_of:
-            near = sorted(get_close_matches(pair_id, self._row_of, 3)) or [*self._row_of][:3]
+        if pair_id not in self.rows_by_name:
+            near = sorted(get_close_matches(pair_id, self.rows_by_name, 3)) or [*self.rows_by_name][:3]
             raise RunError(
                 f"run {self.folder}: no pair {pair_id!r} among its {len(self.rows)}; "
                 f"it has {', '.join(repr(name) for name in near)} ..."
             )
-        return self._row_of[pair_id]
+        return self.rows_by_name[pair_id]
 
     def objects_of(self, pairs: Sequence[str], columns: Collection[str] = ALL_COLUMNS) -> pd.DataFrame:
         """The objects of scored pairs with coverage, fate and scores; see `object_frame.object_parts`.
@@ -294,13 +294,14 @@ def settings_changes(base: FinishedRun, other: FinishedRun, but: Sequence[str] =
     """Settings of the stages that every run has and that differ, as text; `but` names some that may."""
     from ..jobs import STAGES  # with all libraries of the stages
 
-    groups = dict.fromkeys(group for stage in STAGES for group in stage.settings)
-    return [
-        f"{group}.{name} is {a} and {b}"
-        for group in groups
-        for name, a, b in differences(*(run.record.settings.get(group, {}) for run in (base, other)))
-        if f"{group}.{name}" not in but
-    ]
+    groups: dict[str, None] = {}
+    for stage in STAGES:
+        groups |= dict.fromkeys(stage.settings)
+    changes = []
+    for group in groups:
+        before, after = base.record.settings.get(group, {}), other.record.settings.get(group, {})
+        changes += [(f"{group}.{name}", a, b) for name, a, b in differences(before, after)]
+    return [f"{name} is {a} and {b}" for name, a, b in changes if name not in but]
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
@@ -312,13 +313,14 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
     """Spread of the scores over partitions, in one line; "" if the real side fixes the objects."""
     if all(run.preset == "reference" for run in runs):
         return ""
-    by_chance = {name: max(_repeatability(run, name) for run in runs) for name in _BY_CHANCE}
-    moved = ", ".join(f"{metric_of(name).label} by {m:.3g}" for name, m in by_chance.items() if math.isfinite(m))
-    chance = (
-        f"another Louvain seed alone moves {moved} (95 %)"
-        if moved
-        else ("how much scores vary with the partition is unknown here (measure it: fidpipe run --seeds 5)")
-    )
+    moved = []
+    for name in _BY_CHANCE:
+        least = max(_repeatability(run, name) for run in runs)
+        if math.isfinite(least):
+            moved.append(f"{metric_of(name).label} by {least:.3g}")
+    chance = "how much scores vary with the partition is unknown here (measure it: fidpipe run --seeds 5)"
+    if moved:
+        chance = f"another Louvain seed alone moves {', '.join(moved)} (95 %)"
     return (
         f"objects are those of the paper, each side partitioned independently: {chance}; "
         "for comparing simulators: fidpipe run --preset reference"
@@ -425,7 +427,8 @@ def _facts(objects: pd.DataFrame) -> list[ObjectFacts]:
     for (side, i), row in rows.items():
         if row["fate"] == "remnant" or (side == "sim" and row["partner"] >= 0):
             continue
-        sim = row if side == "sim" else rows.get(("sim", row["partner"] if row["partner"] >= 0 else i))
+        partner = row["partner"] if row["partner"] >= 0 else i
+        sim = row if side == "sim" else rows.get(("sim", partner))
         if row["fate"] == "missing" and sim and sim["fate"] != "remnant":
             sim = None
         scores = {name: row[name] for name in COLUMNS_OF["metrics"]} if row["fate"] == "matched" else None

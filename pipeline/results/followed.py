@@ -38,12 +38,16 @@ def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, lis
     before, after : the real objects of both runs in the order of pairs and ids (`objects.object_parts`)
     """
     both = before.merge(after, how="outer", on=["pair", "community_id"], suffixes=("_before", "_after"))
-    places = [both[[f"{name}_{when}" for name in _PLACE]].to_numpy(dtype=np.float64) for when in ("before", "after")]
-    is_other = ~((places[0] == places[1]) | np.isnan(places).all(axis=0)).all(axis=1)
+    before_at = both[[f"{name}_before" for name in _PLACE]].to_numpy(dtype=np.float64)
+    after_at = both[[f"{name}_after" for name in _PLACE]].to_numpy(dtype=np.float64)
+    is_alike = (before_at == after_at) | (np.isnan(before_at) & np.isnan(after_at))
+    is_other = ~is_alike.all(axis=1)
     differing = np.unique(both.loc[is_other, "pair"]).tolist()
     both = both[~both["pair"].isin(differing)]
-    was_matched, is_matched = ((both[f"partner_{when}"] >= 0).to_numpy() for when in ("before", "after"))
-    cdc, r_lambda = ((both[f"{name}_before"].to_numpy(), both[f"{name}_after"].to_numpy()) for name in QUADRANT_SCORES)
+    was_matched = (both["partner_before"] >= 0).to_numpy()
+    is_matched = (both["partner_after"] >= 0).to_numpy()
+    cdc = both["cdc_before"].to_numpy(), both["cdc_after"].to_numpy()
+    r_lambda = both["r_lambda_before"].to_numpy(), both["r_lambda_after"].to_numpy()
     columns: dict[str, Any] = {name: both[f"{name}_before"] for name in ("pair_id", "label", "shape", "range_m")}
     columns |= {"real_id": both["community_id"], "n_points": both["n_points_before"].astype(int)}
     columns |= {"kind": kinds_of_change(was_matched, is_matched, cdc, r_lambda)}

@@ -219,7 +219,8 @@ def parse_word(word: str, bound: Bound) -> Criterion:
     >>> parse_word("r_lambda.mean=0.4", "max").name
     'r_lambda.mean <= 0.4'
     """
-    measure, _, text = (part.strip() for part in word.rpartition("="))
+    measure, _, text = word.rpartition("=")
+    measure, text = measure.strip(), text.strip()
     try:
         limit = float(text)
     except ValueError:

@@ -6,6 +6,7 @@ Everything that describes many objects reads this frame: findings, overview, mea
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,12 +32,13 @@ _KEYS = {
     "metrics": ("real_id", "sim_id"),
 }
 #: Stored columns of the frame, by their table. Scores are those of the matched object on both sides.
-COLUMNS_OF = {
-    table: tuple(name for name in TABLES[table].schema.names if name not in {"pair_id", "side", *keys, "n_points"})
-    for table, keys in _KEYS.items()
-}
+COLUMNS_OF: dict[str, tuple[str, ...]] = {}
+for _table, _keys in _KEYS.items():
+    _known = {"pair_id", "side", "n_points", *_keys}
+    COLUMNS_OF[_table] = tuple(name for name in TABLES[_table].schema.names if name not in _known)
 
-CDC_LIMIT, R_LAMBDA_LIMIT = QUADRANT_LIMITS["cdc"], QUADRANT_LIMITS["r_lambda"]
+CDC_LIMIT = QUADRANT_LIMITS["cdc"]
+R_LAMBDA_LIMIT = QUADRANT_LIMITS["r_lambda"]
 
 #: Keys of the quadrants by geometry and structure, best first, and how they are called. The paper names their meaning
 #: and gives examples, no limits: these are fidpipe's, fixed so that runs compare, with reasons in the metric catalogue.
@@ -127,8 +129,11 @@ def object_parts(
     """
     import pandas as pd
 
-    needed = {*columns, *(source for name in columns if name in _COMPUTED for source in _COMPUTED[name][0])}
-    stored = {table: [name for name in names if name in needed] for table, names in COLUMNS_OF.items()}
+    computed = {name: sources for name, (sources, _) in _COMPUTED.items() if name in columns}
+    needed = {*columns, *chain.from_iterable(computed.values())}
+    stored = {}
+    for table, known in COLUMNS_OF.items():
+        stored[table] = [name for name in known if name in needed]
     wanted = {("objects", side): [*_KEYS["objects"], *stored["objects"]] for side in sides}
     wanted["metrics", ""] = [*_KEYS["metrics"], *stored["metrics"]]
     if stored["coverage"]:
@@ -140,15 +145,14 @@ def object_parts(
         frames = []
         for side in sides:
             found = _side_columns(side, tables, stored)
-            pair, is_matched = found["pair"], found["partner"] >= 0
+            pair = found["pair"]
+            is_matched = found["partner"] >= 0
             found["fate"] = np.where(is_matched, "matched", "missing" if side == "real" else "hallucinated")
             if by_reference and side == "sim":
                 found["fate"][~is_matched & (found["community_id"] < n_real[pair])] = "remnant"
-            found |= {
-                name: compute(*(found[source] for source in sources))
-                for name, (sources, compute) in _COMPUTED.items()
-                if name in columns
-            }
+            for name, sources in computed.items():
+                inputs = [found[source] for source in sources]
+                found[name] = _COMPUTED[name][1](*inputs)
             frames.append(pd.DataFrame({"pair_id": np.array(names, dtype=object)[pair], "side": side} | found))
         part = pd.concat(frames, ignore_index=True)
         part["pair"] += first
@@ -161,10 +165,12 @@ def _side_columns(
     """The stored columns of the objects of one side of some pairs, with `pair` and `partner`."""
     objects, n = tables["objects", side]
     metrics, n_matched = tables["metrics", ""]
-    first, pair = np.cumsum(n) - n, np.repeat(np.arange(len(n), dtype=np.int32), n)
+    first = np.cumsum(n) - n
+    pair = np.repeat(np.arange(len(n), dtype=np.int32), n)
     found = {name: _array(objects, name) for name in objects.column_names}
     pair_of_match = np.repeat(np.arange(len(n)), n_matched)
-    ids, partners = (_array(metrics, f"{own}_id") for own in (SIDES if side == "real" else SIDES[::-1]))
+    ids = _array(metrics, f"{side}_id")
+    partners = _array(metrics, "sim_id" if side == "real" else "real_id")
     if ("coverage", "") in tables:
         coverage = tables["coverage", ""][0]
         own = (_array(coverage, "side") == side) & ~np.isnan(_array(coverage, "community_id"))
@@ -189,21 +195,23 @@ STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", *DISTRIBUTED)
 
 def arrays_of(objects: pd.DataFrame) -> tuple[Objects, Objects]:
     """The objects of either side for the statistics over all objects; remnants do not count."""
-    real, sim = (
-        Objects(
-            label=objects["label"][own].fillna("").to_numpy(dtype=np.str_),
-            is_matched=(objects["fate"][own] == "matched").to_numpy(),
-            **{name: objects[name][own].to_numpy() for name in ("pair", *STATISTICS_COLUMNS) if name != "label"},
-        )
-        for own in ((objects["side"] == side) & (objects["fate"] != "remnant") for side in SIDES)
-    )
+    counted = objects[objects["fate"] != "remnant"]
+    real = _arrays_of_side(counted[counted["side"] == "real"])
+    sim = _arrays_of_side(counted[counted["side"] == "sim"])
     return real, sim
+
+
+def _arrays_of_side(objects: pd.DataFrame) -> Objects:
+    numbers = [name for name in ("pair", *STATISTICS_COLUMNS) if name != "label"]
+    return Objects(
+        label=objects["label"].fillna("").to_numpy(dtype=np.str_),
+        is_matched=(objects["fate"] == "matched").to_numpy(),
+        **{name: objects[name].to_numpy() for name in numbers},
+    )
 
 
 def plain_rows(rows: pd.DataFrame) -> list[Row]:
     """The rows of a frame as dictionaries of Python's values, None for null."""
     objects = rows.astype(object)
-    return [
-        {str(name): value for name, value in row.items()}
-        for row in objects.where(objects.notna(), None).to_dict("records")
-    ]
+    records: Any = objects.where(objects.notna(), None).to_dict("records")
+    return list(records)

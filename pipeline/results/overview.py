@@ -176,9 +176,8 @@ def _coverage(points: pd.DataFrame, kind: str, groups: pd.Index[Any], n_pairs: i
 def _groups(kind: str, coverage: dict[str, GroupPoints], names: Sequence[str] = ()) -> list[SurfaceGroup]:
     found = []
     for i, name in enumerate(names or coverage["real"][0].columns):
-        (n_real, missing), (n_sim, invented) = (
-            [float(own.to_numpy()[:, i].sum()) for own in coverage[side]] for side in SIDES
-        )
+        n_real, missing = [_total(points, i) for points in coverage["real"]]
+        n_sim, invented = [_total(points, i) for points in coverage["sim"]]
         if name:
             found.append(
                 SurfaceGroup(
@@ -191,6 +190,10 @@ def _groups(kind: str, coverage: dict[str, GroupPoints], names: Sequence[str] = 
                 )
             )
     return found
+
+
+def _total(points: pd.DataFrame, column: int) -> float:
+    return float(points.to_numpy()[:, column].sum())
 
 
 def largest_pieces(store: RunFolder, pair_ids: Sequence[str]) -> list[Piece]:
@@ -211,7 +214,9 @@ def largest_pieces(store: RunFolder, pair_ids: Sequence[str]) -> list[Piece]:
 
 def _piece(row: Row) -> Piece:
     extents = row["extent_x"], row["extent_y"], row["extent_z"]
-    fate = "moved" if row["fate"] == "moved" else "missing" if row["side"] == "real" else "invented"
+    fate = "missing" if row["side"] == "real" else "invented"
+    if row["fate"] == "moved":
+        fate = "moved"
     return Piece(
         **{name: row[name] for name in ("pair_id", "side", "piece_id", "n_points", "range_m", "bearing_deg")},
         fate=fate,
@@ -234,7 +239,7 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
     if suspects := {pair_id: own for pair_id, own in record.frames.items() if pair_id not in elsewhere}:
         yield Caution(kind="frames", words=_frames_summary(suspects, n_pairs))
     if elsewhere:
-        names = ", ".join(elsewhere[:_MOST_NAMED]) + ", ..." * (len(elsewhere) > _MOST_NAMED)
+        names = ", ".join([*elsewhere[:_MOST_NAMED], *(["..."] if len(elsewhere) > _MOST_NAMED else [])])
         words = f"in {len(elsewhere)} of {n_pairs} pairs the two scans do not show the same place, but count ({names})"
         yield Caution(kind="frames", words=words)
     if record.notes:
@@ -273,13 +278,14 @@ def _frames_summary(suspects: Mapping[str, FrameSuspect], n_pairs: int) -> str:
     kinds = [_NUMBER.sub("", suspect.reading) for suspect in suspects.values()]
     kind = max(kinds, key=kinds.count)
     similar = {pair_id: own for (pair_id, own), other in zip(suspects.items(), kinds, strict=True) if other == kind}
-    before, after = (
-        float(np.mean([getattr(own, name) for own in similar.values()])) for name in ("as_it_lies", "coverage")
-    )
+    before = float(np.mean([suspect.as_it_lies for suspect in similar.values()]))
+    after = float(np.mean([suspect.coverage for suspect in similar.values()]))
     pair_id, first = next(iter(similar.items()))
     is_one_setting = all(own.setting == first.setting for own in similar.values())
     where = "" if is_one_setting else f" (in pair {pair_id}; the others are listed under frames in run.json)"
-    others = f"; {len(suspects) - len(similar)} in other ways, see frames in run.json" * (len(similar) < len(suspects))
+    others = ""
+    if len(similar) < len(suspects):
+        others = f"; {len(suspects) - len(similar)} in other ways, see frames in run.json"
     return (
         f"in {len(suspects)} of {n_pairs} pairs the simulated scan seems to lie in another frame: in {len(similar)} it "
         f"covers {before:.2f} of the real one as given and {after:.2f} {first.reading}; set {first.setting}{where} "

@@ -59,7 +59,8 @@ def place_words(label: str | None, extents_m: tuple[float, float, float], range_
     >>> place_words(None, (4.2, 1.8, 1.5), 7.2, 40)
     'car-sized, 4.2 x 1.8 x 1.5 m, 7 m ahead left'
     """
-    length, width, height = *sorted(extents_m[:2], reverse=True), extents_m[2]
+    width, length = sorted(extents_m[:2])
+    height = extents_m[2]
     size = f"{length:.1f} x {width:.1f} x {height:.1f} m"
     what = short_label(label) if label else size_word(length, width, height)
     return f"{what}, {size}, {range_m:.0f} m {direction(bearing_deg)}"

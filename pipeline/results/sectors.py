@@ -58,7 +58,8 @@ def _surface_parts(objects: pd.DataFrame, pieces: pd.DataFrame, n_pairs: int) ->
     """Coverage and pieces by pair and sector."""
     found = {}
     for side, kind in zip(SIDES, ("missing", "invented"), strict=True):
-        own, of_side = objects[objects["side"] == side], pieces[pieces["side"] == side]
+        own = objects[objects["side"] == side]
+        of_side = pieces[pieces["side"] == side]
         n_all = np.maximum(1, np.bincount(own["pair"], own["n_points"], n_pairs))
         for reach in COVERAGE_REACHES:
             covered = own["n_points"] * own[f"covered_{reach}"].fillna(0.0)
@@ -70,15 +71,15 @@ def _surface_parts(objects: pd.DataFrame, pieces: pd.DataFrame, n_pairs: int) ->
 
 def _object_parts(objects: pd.DataFrame, rows: Sequence[Row]) -> dict[str, FloatArray]:
     """Scores of objects, and shares of objects that are matched, by pair and sector."""
-    n_pairs, found = len(rows), {}
+    n_pairs = len(rows)
+    found = {}
     matched = objects[(objects["side"] == "real") & (objects["partner"] >= 0)]
     for name in _SCORES:
         known = matched.dropna(subset=name)
         n_known = np.bincount(known["pair"], minlength=n_pairs)
         found[METRIC[name].mean_column] = _parts(known, known[name] / n_known[known["pair"]], n_pairs)
-    n_real, n_sim = (
-        np.array([row["n_matched"] + row[name] for row in rows]) for name in ("n_missing", "n_hallucinated")
-    )
+    n_real = np.array([row["n_matched"] + row["n_missing"] for row in rows])
+    n_sim = np.array([row["n_matched"] + row["n_hallucinated"] for row in rows])
     found["found"] = _parts(matched, 1 / n_real[matched["pair"]], n_pairs)
     found["match_rate"] = _parts(matched, 1 / np.maximum(n_real, n_sim)[matched["pair"]], n_pairs)
     return found

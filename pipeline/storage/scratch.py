@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import atexit
 import fcntl
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing.util import Finalize
 from pathlib import Path
 
 from ...schemas.errors import DiskFullError
 from .files import NO_SPACE, free_text
 
 _PREFIX = f"fidpipe-{os.getuid()}-"
-_LONGEST_PARENT = (
-    50  # characters; the sockets of worker processes are in the folder, and may have 107
-)
+#: Characters; the sockets of worker processes are in the folder, and may have 107.
+_LONGEST_PARENT = 50
+#: Lower than that of the folder of `multiprocessing` in it.
+_EXIT_PRIORITY = -101
 
 
 @contextmanager
@@ -38,7 +39,7 @@ def scratch_folder() -> Iterator[None]:
     if lock is None:
         yield
         return
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    Finalize(None, shutil.rmtree, (folder,), {"ignore_errors": True}, exitpriority=_EXIT_PRIORITY)
     before = os.environ.get("TMPDIR")
     os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
     try:

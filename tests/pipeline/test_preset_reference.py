@@ -132,7 +132,7 @@ def test_road_that_only_one_cut_left_is_counted_and_said(tmp_path):
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert record["metrics"]["unmatched"]["hallucinated"]["road"] == (invented > 0.5).sum()
     assert record["metrics"]["unmatched"]["missing"]["road"] == 0
-    assert f"{len(invented)} hallucinated objects are road that" in " ".join(
+    assert f"{len(invented)} extra objects are road that" in " ".join(
         command("show", tmp_path / "run", "--all").stdout.split()
     )
 

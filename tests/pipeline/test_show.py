@@ -114,7 +114,7 @@ def test_a_pair_lists_the_ten_largest_objects_of_one_side_and_with_all_every_one
     few = pair_view(replace(facts, objects=tuple(many)), "fidpipe show RUN PAIR --all")
     rows = next(part for part in few if isinstance(part, Table) and part.title == "Objects that only one side has").rows
     assert [row[2] for row in rows] == [f"sim:{i}" for i in range(76, 66, -1)]
-    assert few[-1].text == "67 more hallucinated, with fewer points: fidpipe show RUN PAIR --all"
+    assert few[-1].text == "67 more extra, with fewer points: fidpipe show RUN PAIR --all"
     assert len(pair_view(replace(facts, objects=tuple(many)))[-1].rows) == 77
 
 

@@ -317,24 +317,25 @@ def unmatched_lines(record: RunRecord) -> list[str]:
     n_pairs = max(1, record.pairs.scored)
     for status, other in (("missing", "simulated"), ("hallucinated", "real")):
         states: SurfaceStates = getattr(record.metrics.unmatched, status)
+        objects = {"missing": "objects not found", "hallucinated": "extra objects"}[status]
         n_states = [getattr(states, name) for name in SURFACE_STATES]
         there, partly, absent = [n / n_pairs for n in n_states]
         total = there + partly + absent
         near = f"of their points have a {other} one within 0.3 m"
         if there or partly:
             lines.append(
-                f"of {total:.1f} {status} objects per pair, {there:.1f} exist on the other side, "
+                f"of {total:.1f} {objects} per pair, {there:.1f} exist on the other side, "
                 f"partitioned differently (over {100 * THERE:.0f} % {near}), {partly:.1f} partly, "
                 f"{absent:.1f} absent"
             )
         elif absent:
             lines.append(
-                f"the {total:.1f} {status} objects per pair are all absent from the {other} side "
+                f"the {total:.1f} {objects} per pair are all absent from the {other} side "
                 f"(at most {100 * ABSENT:.0f} % {near})"
             )
         if states.road:
             lines.append(
-                f"{states.road} of the {sum(n_states)} {status} objects are road that the ground "
+                f"{states.road} of the {sum(n_states)} {objects} are road that the ground "
                 f"cut of the {other} side removed and that of their side kept (column road_share)"
             )
     if lines:
@@ -390,7 +391,7 @@ def _distributions(findings: Findings) -> Table:
 
 
 def range_table(findings: Findings) -> Table:
-    """Missing and hallucinated objects by range."""
+    """Objects that only one side has, by range."""
     ranges = findings.range_m
     rows = []
     for band in ranges.bands:
@@ -400,7 +401,7 @@ def range_table(findings: Findings) -> Table:
         f"By range (median range of matched objects {number(ranges.median_matched, 1)} m, of "
         f"unmatched ones {number(ranges.median_unmatched, 1)} m)"
     )
-    return Table(title, ("range (m)", "real", "missing", "sim", "hallucinated"), rows)
+    return Table(title, ("range (m)", "real", "not found", "sim", "extra"), rows)
 
 
 def _classes(findings: Findings) -> View:
@@ -422,7 +423,7 @@ def _classes(findings: Findings) -> View:
             if not is_of_all:
                 fewer.append(f"{group.label} {METRIC[score].label} of {mean.n}")
         rows.append((group.label, *_unmatched(group), group.n_matched, *means))
-    headings = ("class", "real", "missing", "sim", "hallucinated", "both", *labels(DISTRIBUTED))
+    headings = ("class", "real", "not found", "sim", "extra", "both", *labels(DISTRIBUTED))
     parts: list[Part] = [Table(title, headings, rows)]
     if fewer:
         parts.append(Note(f"* some objects are too small for the score: {', '.join(fewer)}\n"))

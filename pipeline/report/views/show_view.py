@@ -30,6 +30,7 @@ from ...results.finished import (
 from ...results.object_frame import UNKNOWN
 from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad
 from ...storage.urls import url_or_path
+from ..look import FATE_WORDS
 from ..view import Note, Part, Table, View, columns_of, number, percent, warnings
 from .best_case_view import pair_excess_table
 from .run_view import summary_view
@@ -148,7 +149,7 @@ def _counts_table(row: Row) -> Table:
     title = (
         f"Pair {row['pair_id']}: match rate {number(row['match_rate'])} (of the side with more "
         f"objects), found {number(row['found'])} of the real objects; {row['n_matched']} objects "
-        f"on both sides, {row['n_missing']} missing, {row['n_hallucinated']} hallucinated"
+        f"on both sides, {row['n_missing']} not found, {row['n_hallucinated']} extra"
     )
     headings = ("side", "points read", "clean", "not ground", "ground below (m)", "objects")
     columns = ("n_{}_raw", "n_{}_clean", "n_{}_points", "ground_{}_threshold_m", "n_communities_{}")
@@ -219,7 +220,7 @@ def _matched_table(matched: Sequence[_Matched]) -> Table:
 
 
 def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
-    """The unmatched objects, missing ones first; only the largest if a command shows the others."""
+    """The unmatched objects, real ones first; only the largest if a command shows the others."""
     rows = []
     left_out = []
     for status in ("missing", "hallucinated"):
@@ -230,7 +231,7 @@ def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
             rows.append(
                 (
                     row["label"],
-                    row["fate"],
+                    FATE_WORDS[row["fate"]],
                     f"{row['side']}:{row['community_id']}",
                     row["range_m"],
                     row["n_points"],
@@ -240,7 +241,7 @@ def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
                 )
             )
         if len(of_status) > n_shown:
-            left_out.append(f"{len(of_status) - n_shown} more {status}")
+            left_out.append(f"{len(of_status) - n_shown} more {FATE_WORDS[status]}")
     headings = (
         *("class", "status", "object", "range\n(m)", "points", "centroid\nz (m)"),
         *("within\n0.3 m", "surface"),
