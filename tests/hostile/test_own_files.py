@@ -94,7 +94,7 @@ def test_a_recipe_of_a_best_case_with_other_values_is_none(tmp_path, change):
     path.parent.mkdir()
     lines = ["version = 1", 'kind = "again"', "noise_m = 0.02", "lost_share = 0.05", "seed = 0", 'dataset = "a"']
     path.write_text("\n".join(lines))
-    assert read_recipe(tmp_path).words == "range noise 0.02 m, dropout 0.05, seed 0"
+    assert "0.02 m" in read_recipe(tmp_path).words
     name = change.strip("[]").partition(" ")[0]
     path.write_text("\n".join([*(line for line in lines if not line.startswith(name)), change]))
     assert read_recipe(tmp_path) is None

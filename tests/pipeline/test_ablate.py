@@ -1,7 +1,6 @@
 """`fidpipe ablate`: what is tried, that work is shared, and which setting is chosen."""
 
 import json
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -88,12 +87,6 @@ def test_a_row_has_the_numbers_of_an_evaluation_under_its_settings(done, dataset
         assert row.n_communities_sim == summary["n_communities_sim"]
         for metric in OBJECT_METRICS:
             assert row[f"{metric}_mean"] == pytest.approx(summary[f"{metric}_mean"], rel=1e-12), (metric, words)
-
-
-def test_another_run_reuses_everything(done, dataset, tmp_path):
-    again = ablated(dataset, shutil.copytree(done.folder, tmp_path / "run"))
-    assert (again.n_made, again.n_reused) == (0, 2)
-    assert again.rows.equals(done.rows)
 
 
 def test_two_workers_give_the_same_rows(done, dataset, tmp_path):

@@ -69,7 +69,8 @@ def test_a_folder_of_scans_is_no_run_and_the_advice_does_not_write_into_it(tmp_p
     with pytest.raises(RunError, match="if it holds scans, evaluate them: fidpipe run .*drive SIM"):
         record_of_run(tmp_path / "drive")
     for name in ("run", "check"):
-        refused = command(name, tmp_path / "drive", *["--workers", 1][: 2 * (name == "run")], code=1)
+        words = ("--workers", 1) if name == "run" else ()
+        refused = command(name, tmp_path / "drive", *words, code=1)
         assert f"fidpipe run {tmp_path}/drive SIM" in " ".join((refused.stderr + refused.stdout).split())
 
 

@@ -240,13 +240,6 @@ def test_an_export_that_stops_midway_leaves_the_file_of_before(run, tmp_path):
     assert (tmp_path / "out" / "streets.mcap").read_bytes() == before
 
 
-def test_a_folder_that_cannot_be_written_is_named(run, tmp_path):
-    (tmp_path / "file").write_text("")
-    for options in ({"mcap": True}, {"ply": True}):
-        with pytest.raises(RunError, match="file/.*--out"):
-            export_run(run, tmp_path / "file", **options)
-
-
 def test_without_rosbags_the_install_command_is_said_and_ply_is_written(run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(FidpipeError, match=r'pip install "fidpipe\[ros\]"'):

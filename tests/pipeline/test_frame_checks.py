@@ -74,14 +74,6 @@ def test_a_run_ends_with_a_warning_and_notes_the_suspects(finished):
     assert frames["0"]["coverage"] > frames["0"]["as_it_lies"] + 0.15
 
 
-def test_show_and_report_repeat_the_warning_of_the_run(finished, tmp_path):
-    out, done = finished
-    assert warning_of(command("show", out)) == warning_of(done)
-    page = write_report(out, out=tmp_path).page.read_text()
-    said = html.unescape(re.search('<p id="frames" class="note worse">(.*?)</p>', page)[1])
-    assert said == warning_of(done).replace("warning", "Warning")
-
-
 def test_a_pair_of_two_places_is_named_wherever_the_run_is_read(mirrored, tmp_path):
     data = shutil.copytree(mirrored, tmp_path / "streets")
     for i in range(2):

@@ -37,20 +37,6 @@ def shuffled(points, seed):
     return np.random.default_rng(seed).permutation(points)
 
 
-def joined(points, **words):
-    """The edges of a graph, each as the coordinates of both ends and its length."""
-    edges = build_graph(points, GraphSettings(**words))
-    ends = zip(points[edges.src].tolist(), points[edges.dst].tolist(), edges.length_m.tolist(), strict=True)
-    return {(frozenset((tuple(a), tuple(b))), length) for a, b, length in ends}
-
-
-@tried(150)
-@given(points=lattices, k=st.integers(1, 12), tau_m=st.sampled_from([0, 0.1, 0.25]), seed=seeds)
-def test_with_ties_by_coordinates_the_order_of_rows_changes_no_edge(points, k, tau_m, seed):
-    words = {"k": k, "tau_m": tau_m, "ties": "coordinates"}
-    assert joined(points, **words) == joined(shuffled(points, seed), **words)
-
-
 @tried(150)
 @given(
     points=lattices,

