@@ -57,6 +57,7 @@ _SECTOR_DEG, _FINE_SECTOR_DEG, _SECTOR_POINTS = 5.0, 1.0, 10
 _BLIND = 0.1  # of the usual number of returns, in fine sectors
 _DENSE_DEG = 0.35  # azimuth step up to which sectors are fine
 _FAR_SURFACE_M, _FEWEST_FAR = 20.0, 50
+_FEWEST_BEYOND = 10  # returns; fewer may be lost by chance
 
 
 @dataclass(frozen=True)
@@ -478,8 +479,13 @@ def _share_of(is_concerned: BoolArray) -> Amount:
 
 
 def _maximum_range(real: Side, sim: Side, missing: Unmatched, invented: Unmatched) -> Amount:
+    """Difference of the farthest returns, 0 if one side has only a few beyond the farthest of the other."""
     share = float(missing.is_beyond.mean() + invented.is_beyond.mean())
-    return _difference(float(real.range_m.max()), float(sim.range_m.max()), share)
+    real_m, sim_m = float(real.range_m.max()), float(sim.range_m.max())
+    n_beyond = int((real.range_m > sim_m).sum() + (sim.range_m > real_m).sum())
+    if n_beyond < _FEWEST_BEYOND:
+        return Amount(0.0, real_m, sim_m, 0.0)
+    return _difference(real_m, sim_m, share)
 
 
 def _stray_amount(real: Side, sim: Side) -> Amount:

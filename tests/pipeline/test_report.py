@@ -128,10 +128,11 @@ def test_the_verdict_says_of_unmatched_objects_whether_their_surface_is_there(ei
         absent = own["absent"] / record["pairs"]["scored"]
         total = there + partly + absent
         assert total > 0
+        objects = {"missing": "objects not found", "hallucinated": "extra objects"}[status]
         if absent == total:
-            assert f"the {total:.1f} {status} objects per pair are all absent" in said
+            assert f"the {total:.1f} {objects} per pair are all absent" in said
         else:
-            assert f"of {total:.1f} {status} objects per pair, {there:.1f} exist" in said
+            assert f"of {total:.1f} {objects} per pair, {there:.1f} exist" in said
             assert f"{partly:.1f} partly, {absent:.1f} absent" in said
 
 
