@@ -135,14 +135,6 @@ def test_they_stay_while_they_are_true_and_go_when_the_results_change(again, dat
     assert not extras(again)
 
 
-@pytest.mark.parametrize("stage", EXTRAS)
-def test_a_damaged_table_is_made_again(again, dataset, finished, stage):
-    path = again / stage / "001.parquet"
-    path.write_bytes(path.read_bytes()[:-9])
-    assert run(dataset, again, ALL).n_made == 1
-    assert extras(again) == extras(finished)
-
-
 def test_asking_for_one_pair_keeps_the_scores_of_all(finished, dataset, tmp_path):
     out = shutil.copytree(finished, tmp_path / "run")
     shutil.rmtree(out / "baselines")

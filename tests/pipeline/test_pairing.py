@@ -143,13 +143,11 @@ def test_two_sides_are_paired_by_name_then_by_number_then_by_time(recordings, tm
     assert dataset_of(tmp_path / "real", tmp_path / "sim", tmp_path / "d")[0] == tmp_path / "d"
 
 
-def test_a_folder_of_recordings_or_of_one_side_is_answered_with_the_command_that_works(recordings, tmp_path):
+def test_a_folder_of_recordings_is_answered_with_the_command_that_works(recordings, tmp_path):
     shown = command("check", tmp_path)
     words = f"fidpipe pair {tmp_path}/real.bag {tmp_path}/sim_mcap -o {tmp_path.name}-pairs"
     assert shown.stderr.rstrip().endswith(words)
     assert command(*shlex.split(words)[1:], cwd=tmp_path).returncode == 0
-    write_bin(tmp_path / "side" / "0.bin", street())
-    assert command("run", tmp_path / "side").stderr.rstrip().endswith(f"fidpipe run {tmp_path}/side SIM")
 
 
 def test_a_folder_has_its_times_from_a_file_or_from_its_names(tmp_path):
