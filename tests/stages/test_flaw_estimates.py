@@ -285,8 +285,10 @@ def with_balls_or_boxes(real, n):
 
 def test_boxes_instead_of_shapes_are_flat(places):
     real, _, sensor = places[0]
-    balls, boxes = with_balls_or_boxes(real, 5)
-    pair = PairScans(Side(balls, balls[:, 2] < -1.4, sensor), Side(boxes, boxes[:, 2] < -1.4, sensor))
+    with_balls, with_boxes = with_balls_or_boxes(real, 5)
+    balls = Side(with_balls, with_balls[:, 2] < -1.4, sensor)
+    boxes = Side(with_boxes, with_boxes[:, 2] < -1.4, sensor)
+    pair = PairScans(balls, boxes)
     own = estimate(pair)
     assert own.amounts[FLAT].amount > 0.05
     assert estimate(PairScans(balls, balls)).amounts[FLAT].amount < 0.01
