@@ -106,7 +106,7 @@ def test_what_was_interrupted_goes_on_where_it_stopped_and_ends_with_the_same_by
     (tmp_path / "out" / "sim" / ".0001.bin.0badcafe").write_bytes(b"half a file")
     lines = make_dataset(tmp_path / "out", **request)
     assert made == [0, None, 1]
-    (line,) = lines
+    line = lines[0]  # and progress, where it takes long
     assert line.startswith("1 of 2 pairs ")
     assert files_in(tmp_path / "out") == files_in(dataset)
 
