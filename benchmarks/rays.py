@@ -58,11 +58,14 @@ def main():
     parser.add_argument("datasets", type=Path, nargs="+", help="folders with real/ and sim/")
     parser.add_argument("--flaws", nargs="*", default=list(FLAWS))
     args = parser.parse_args()
-    scores, bands = {}, {"twin": [], "best case": []}
+    scores = {}
+    bands = {"twin": [], "best case": []}
     for path in (path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))):
         name = f"{path.parent.parent.name}-{path.stem}"
         real, sim = read(path), read(path.parent.with_name("sim") / path.name)
-        sensor, car, poles = describe_sensor(real), find_car(real), find_poles(real)
+        sensor = describe_sensor(real)
+        car = find_car(real)
+        poles = find_poles(real)
         base = find_rays(real, sim, (sensor, describe_sensor(sim)))
         scores[name, ""] = score_rays(base)
         kept = real[random(name, "loss").random(len(real)) >= 0.03]

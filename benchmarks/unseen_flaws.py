@@ -51,12 +51,14 @@ def remeasured(points, rng):
 
 
 def rolled(angle_deg):
-    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    c = np.cos(np.radians(angle_deg))
+    s = np.sin(np.radians(angle_deg))
     return lambda points, rng: points @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]).T
 
 
 def turned(angle_deg):
-    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    c = np.cos(np.radians(angle_deg))
+    s = np.sin(np.radians(angle_deg))
     return lambda points, rng: points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T
 
 

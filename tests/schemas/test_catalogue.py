@@ -29,7 +29,8 @@ from scenes import box, subgraph
 
 
 def test_no_column_stands_in_the_catalogue_twice():
-    of_objects, of_surfaces = (*OBJECT_SCORES, *PAIR_SCORES), (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)
+    of_objects = (*OBJECT_SCORES, *PAIR_SCORES)
+    of_surfaces = (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)
     assert len(METRIC) == len((*of_objects, *of_surfaces, *RAY_SCORES, *INTENSITY_SCORES, *BASELINES))
 
 

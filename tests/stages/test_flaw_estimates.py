@@ -238,9 +238,12 @@ def test_a_displacement_is_undone(places):
 
 def test_an_object_next_to_a_missing_one_is_moved_but_not_the_road_behind_it():
     rng = np.random.default_rng(0)
-    road, box = rng.uniform(-9, 9, (2000, 3)) * [1, 1, 0], rng.uniform(7, 8, (300, 3))
-    sensor, is_ground = SensorDescription(300), np.zeros(300, bool)
-    seen, hidden = (Side(points, is_ground, sensor) for points in (box, box + [0.8, 0, 0]))
+    road = rng.uniform(-9, 9, (2000, 3)) * [1, 1, 0]
+    box = rng.uniform(7, 8, (300, 3))
+    sensor = SensorDescription(300)
+    is_ground = np.zeros(300, bool)
+    seen = Side(box, is_ground, sensor)
+    hidden = Side(box + [0.8, 0, 0], is_ground, sensor)
     missing, invented = find_unmatched(seen, hidden, explain_directions(seen, hidden))
     assert missing.is_moved.mean() > 0.2
     assert invented.is_moved.mean() > 0.2
@@ -266,7 +269,9 @@ def test_a_loss_is_corrected_by_as_many_returns(places):
 
 def with_balls_or_boxes(real, n):
     """A scan with balls of 2 m ahead of the sensor, and with the faces of the boxes around them in their place."""
-    rng, balls, boxes = np.random.default_rng(0), [], []
+    rng = np.random.default_rng(0)
+    balls = []
+    boxes = []
     for i in range(n):
         centre = np.array([10.0, 6.0 * i - 6, -0.4])
         own = rng.normal(size=(400, 3))
@@ -281,7 +286,9 @@ def with_balls_or_boxes(real, n):
 
 def test_boxes_instead_of_shapes_are_flat(places):
     real, _, sensor = places[0]
-    balls, boxes = (Side(points, points[:, 2] < -1.4, sensor) for points in with_balls_or_boxes(real, 5))
+    with_balls, with_boxes = with_balls_or_boxes(real, 5)
+    balls = Side(with_balls, with_balls[:, 2] < -1.4, sensor)
+    boxes = Side(with_boxes, with_boxes[:, 2] < -1.4, sensor)
     pair = PairScans(balls, boxes)
     own = estimate(pair)
     assert own.amounts[FLAT].amount > 0.05
