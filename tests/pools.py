@@ -22,7 +22,9 @@ class WatchedPool(Pool):
         self._given = Memory(memory, memory)
         self._costs = costs or CostModel()
         self._needs = {}
-        self.submitted, self.batches, self.at_once = [], [], []
+        self.submitted = []
+        self.batches = []
+        self.at_once = []
 
     @property
     def memory(self):
@@ -52,7 +54,8 @@ class DyingPool(WatchedPool):
     def __init__(self, is_fatal, n_deaths=10**6, **options):
         super().__init__(**options)
         self._is_fatal, self._left = is_fatal, n_deaths
-        self.n_deaths, self._doomed = 0, set()
+        self.n_deaths = 0
+        self._doomed = set()
 
     def submit(self, function, *args, **options):
         handle = super().submit(function, *args, **options)

@@ -17,7 +17,8 @@ from ..stage import FRAMES, OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
 
 if TYPE_CHECKING:
-    from ...stages.causes.estimates import Amount, Pose
+    from ...stages.causes.estimates import Amount
+    from ...stages.causes.pose import Pose
     from ...stages.causes.sides import PairScans, Side
 
 POSE = "pose"  #: metadata: fields of `Pose`, None without enough surface in common
@@ -76,7 +77,7 @@ def pair_scans(inputs: Inputs) -> PairScans:
 
 def pose_of(metadata: dict[str, Any]) -> Pose | None:
     """The pose that the job has left in its metadata."""
-    from ...stages.causes.estimates import Pose
+    from ...stages.causes.pose import Pose
     from ...stages.displacement import Displacement
 
     pose = metadata[POSE]

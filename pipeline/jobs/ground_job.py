@@ -45,7 +45,8 @@ def make_ground(inputs: Inputs) -> JobResult:
     with inputs.step("read"):
         scan = inputs.scans[inputs.part]()
     with inputs.step("inspect"):
-        inspection = inspect_points(scan.points, inputs.part, inputs.settings.input)
+        T_real_sim = transform_of(inputs.T_real_sim)
+        inspection = inspect_points(scan.points, inputs.part, inputs.settings.input, T_real_sim)
     real_cut = real_points = None
     if ("ground", "real") in inputs.outputs:
         real_cut = _cut(inputs.metadata("ground", "real"))
@@ -56,7 +57,7 @@ def make_ground(inputs: Inputs) -> JobResult:
             scan.points,
             inputs.settings,
             inputs.part,
-            T_real_sim=transform_of(inputs.T_real_sim),
+            T_real_sim=T_real_sim,
             real_cut=real_cut,
             real_points=real_points,
             watch=inputs.step,

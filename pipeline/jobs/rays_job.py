@@ -23,6 +23,7 @@ from ...stages.rays import (
     find_rays,
     score_rays,
 )
+from ...stages.sensor_description import SensorDescription
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
 
@@ -34,7 +35,7 @@ def make_rays(inputs: Inputs) -> JobResult:
     if settings.voxel_m is not None:
         return _result(inputs, f"scans thinned by input.voxel_m={settings.voxel_m:g}", tables)
     real, sim = map(coordinates, tables)
-    sensors = [inputs.metadata("sensor", side)["sensor"] for side in SIDES]
+    sensors = [SensorDescription(**inputs.metadata("sensor", side)["sensor"]) for side in SIDES]
     moved = inputs.metadata("ground", "sim")["T_real_sim"]
     T_real_sim = transform_of(moved)
     position = settings.sensor_position

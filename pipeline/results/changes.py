@@ -17,8 +17,9 @@ from ...schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS
 from ...schemas.columns import Row
 from ...schemas.results import Cause
 from ...stages.arrays import FloatArray, IntArray, transform_of
-from ...stages.causes.estimates import estimate_between, fit_pose
+from ...stages.causes.estimates import estimate_between
 from ...stages.causes.gain import Shares, changes
+from ...stages.causes.pose import fit_pose
 from ...stages.causes.sides import Side
 from ...stages.frame_search import FrameCheck
 from ...stages.sensor_description import SensorDescription

@@ -58,7 +58,8 @@ def test_agrees_with_the_textbook_on_a_dirty_scan(rng, frame):
     scan = np.round(rng.normal(0, 4, (800, 3)), 0)  # coarse, so that many points are equal or zero
     scan[rng.random(800) < 0.05, 1] = np.inf
     T = rigid(30, [1, 2, 0.5])
-    box, keep = (2.0, -3.0, -9.0, 5.0, 3.0, 9.0), (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0)
+    box = (2.0, -3.0, -9.0, 5.0, 3.0, 9.0)
+    keep = (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0)
     settings = InputSettings(exclude_box=box, include_box=keep)
     result = clean_scan(scan, settings, frame=frame, T_real_sim=T)
     ids, points = literal_method.clean(scan, settings.model_dump(), frame, T)
