@@ -147,6 +147,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=2,
+    version=3,
     libraries=("scikit-learn",),
 )
