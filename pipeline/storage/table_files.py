@@ -231,10 +231,9 @@ class TableFolder:
             "fidpipe.check": key_of(key, job),
         }
         is_small = isinstance(rows, pa.Table) and rows.num_rows < _FEWEST_COMPRESSED
-        compression = "none" if is_small else "zstd"
-        options = _writer_options(schema.schema)
+        options = _writer_options(schema.schema) | {"compression": "none" if is_small else "zstd"}
         sink = pa.BufferOutputStream()
-        with pq.ParquetWriter(sink, schema.schema, compression=compression, **options) as writer:
+        with pq.ParquetWriter(sink, schema.schema, **options) as writer:
             for part in parts:
                 writer.write_table(schema.check(part))
             writer.add_key_value_metadata(footer)
