@@ -147,7 +147,7 @@ def working(
     survey: Survey,
     files: InputFiles,
     collector: Collector,
-    costs: CostModel,
+    machines: Machines,
     settings: InputSettings,
 ) -> Iterator[None]:
     """Context of the work on all jobs to do: large pairs are announced and progress is shown.
@@ -160,6 +160,7 @@ def working(
         As it came, with the space that the pairs need.
     """
     folder, reporter = collector.folder, collector.reporter
+    costs = machines.policy.costs
     notes = folder.folder / _TIME_NOTES
     rmtree(notes, ignore_errors=True)  # of an earlier run
     n_points = [files.n_points(pair) for pair in survey.todo]
