@@ -13,7 +13,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
 from unittest.mock import patch
 
@@ -85,9 +84,9 @@ def scores(real, sim):
     values |= compare_roughness(*surfaces) | {"shift": measure_offsets(*surfaces).distance_m[0]}
     pieces = find_pieces(*(CutScan(own, cut.is_ground, cut.height_m) for own, cut in both), SETTINGS.pieces)
     values |= {"missing pieces": pieces[0].share, "invented pieces": pieces[1].share}
-    sensors = [asdict(describe_sensor(own)) for own, _ in both]
-    values |= {name: sensors[1][name] for name in SENSOR}
-    values |= {"beams": len(sensors[1]["elevation_deg"])}
+    sensors = [describe_sensor(scan) for scan, _ in both]
+    values |= {name: getattr(sensors[1], name) for name in SENSOR}
+    values |= {"beams": len(sensors[1].elevation_deg)}
     rays = find_rays(real[0], sim[0], sensors)
     return values | ({} if isinstance(rays, str) else score_rays(rays))
 

@@ -24,7 +24,7 @@ from measure import FIDPIPE
 
 from fidpipe.pipeline.diagnose.diagnose import diagnose_run
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.stages.causes.beams import grid_of
+from fidpipe.stages.rays import grid_of
 from fidpipe.stages.sensor_description import describe_sensor
 
 EVERY = 4

@@ -44,6 +44,7 @@ class PairResult:
         `causes` has the amount of every flaw, whether it is noticeable or not
     baselines : of the pair, where `metrics.baselines` names some
     seeds : of the pair, one row per seed, where `stability.seeds` is above 1
+    tasks, task_objects : of the pair, where `tasks.names` names some
     """
 
     preset: str
@@ -64,6 +65,8 @@ class PairResult:
     metrics: pd.DataFrame
     baselines: pd.DataFrame | None = None
     seeds: pd.DataFrame | None = None
+    tasks: pd.DataFrame | None = None
+    task_objects: pd.DataFrame | None = None
 
     def __repr__(self) -> str:
         names = (

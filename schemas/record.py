@@ -63,6 +63,24 @@ class SeedSummary(Result):
     pairs: dict[str, dict[str, MeanStd]]
 
 
+class TaskSummary(Result):
+    """A measure of a task over the pairs; null if no pair has a value.
+
+    real, sim, gap : means of the values of both sides, and of their gap
+    gap_std : standard deviation (n - 1) of the gap
+    n_pairs : pairs that have the gap
+    """
+
+    task: str
+    measure: str
+    unit: str
+    real: float | None
+    sim: float | None
+    gap: float | None
+    gap_std: float | None
+    n_pairs: int
+
+
 class Machine(Result):
     """Machine of a run."""
 
@@ -170,7 +188,7 @@ class RunRecord(RunHeader):
     frames : by pair, those whose simulated scan seems to lie in another frame, or shows another place
     notes : by pair, notes on its ground cut
     metrics : what is behind the unmatched objects
-    baselines, seeds : only if requested
+    baselines, seeds, tasks : only if requested
     """
 
     model_config = ConfigDict(extra="allow")  # what a later version adds is shown as it is
@@ -193,3 +211,9 @@ class RunRecord(RunHeader):
     metrics: MetricsSummary | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None
+    tasks: tuple[TaskSummary, ...] = ()
+
+    @property
+    def task_gaps(self) -> dict[str, float | None]:
+        """Mean gap of each measure of a task, by names such as `objects.lost`."""
+        return {f"{row.task}.{row.measure}": row.gap for row in self.tasks}

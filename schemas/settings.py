@@ -9,7 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import (
     AfterValidator,
@@ -25,7 +25,7 @@ from pydantic import (
 from .columns import FARTHEST_M
 from .data_files import parse_toml, read_toml
 from .docstrings import split_docstring
-from .errors import SettingsError, suggestion
+from .errors import SettingsError, nearest, suggestion
 from .metric_catalogue import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
@@ -106,6 +106,8 @@ class InputSettings(_Group):
     max_range_m : farther points are dropped
     exclude_box : xmin ymin zmin xmax ymax zmax, metres, own frame: points inside are dropped (the ego vehicle)
     include_box : xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped
+    voxel_m : edge of a voxel, metres, real sensor's frame: of each voxel of either side only the first point is kept,
+        which thins clouds of a million points; rays and causes of single returns are then unknown
     sim_flip_y : negate y of the simulated side: the same as sim_frame = "carla"; only with sim_frame "ros"
     sim_frame : axes of the simulated scans, metres; see real_frame
     sensor_position : x y z of the sensor, metres, in the frame of the points, where that is not the sensor's own; of
@@ -120,6 +122,7 @@ class InputSettings(_Group):
     max_range_m: float = Field(100.0, gt=0, le=FARTHEST_M)
     exclude_box: _Box = Field(None, examples=[[-1.5, -1.0, -2.0, 2.5, 1.0, 0.5]])
     include_box: _Box = Field(None, examples=[[-50.0, -20.0, -5.0, 50.0, 20.0, 10.0]])
+    voxel_m: float | None = Field(None, gt=0, le=10, examples=[0.1])
     sim_flip_y: bool = False
     real_frame: FrameName = Field(
         "ros",
@@ -369,6 +372,46 @@ class StabilitySettings(_Group):
     seeds: int = Field(1, ge=1, le=1000)
 
 
+#: Tasks of a perception stack that both scans can be given to.
+TaskName = Literal["objects", "ground", "occupancy", "free_space"]
+TASK_NAMES: tuple[TaskName, ...] = get_args(TaskName)
+
+
+class TaskSettings(_Group):
+    """What a perception stack would do with both scans.
+
+    range_m : places farther away (horizontal) are left out
+    height_m : points higher above the road are no obstacles: crowns, bridges
+    link_m : objects: points within this distance are one obstacle; at the sensor, it grows with range
+    min_points : objects: fewest points of an obstacle
+    min_iou : objects: least overlap of the boxes of an obstacle that is found
+    cell_m : occupancy: width of the cells
+    """
+
+    names: tuple[TaskName, ...] = Field(
+        (),
+        description=f'any of {", ".join(TASK_NAMES)}; "all" for all of them; by default none',
+    )
+    range_m: float = Field(50.0, gt=0, le=200)
+    height_m: float = Field(2.5, gt=0)
+    link_m: float = Field(0.4, gt=0, le=10)
+    min_points: int = Field(10, ge=1)
+    min_iou: float = Field(0.3, gt=0, le=1)
+    cell_m: float = Field(0.2, ge=0.05)
+
+    @field_validator("names", mode="before", json_schema_input_type=tuple[TaskName, ...] | str)
+    @classmethod
+    def _read_names(cls, value: Any) -> Any:
+        """`all` is every one; `objects,ground` is read as a list."""
+        return TASK_NAMES if value == "all" else _split_words(value)
+
+    @field_validator("names")
+    @classmethod
+    def _in_order(cls, value: tuple[TaskName, ...]) -> tuple[TaskName, ...]:
+        """Each name once, in a fixed order, so that the order of the list changes nothing."""
+        return tuple(name for name in TASK_NAMES if name in value)
+
+
 class MachineSettings(_Group):
     """Limits on the machine's resources; no result depends on them.
 
@@ -390,6 +433,7 @@ class Settings(_Group):
     selection: SelectionSettings = SelectionSettings()
     metrics: MetricsSettings = MetricsSettings()
     stability: StabilitySettings = StabilitySettings()
+    tasks: TaskSettings = TaskSettings()
 
     @model_validator(mode="after")
     def _seeds_stay_in_range(self) -> Settings:
@@ -532,7 +576,10 @@ def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
     if problem["type"] == "extra_forbidden":
         name = ".".join(map(str, problem["loc"]))
-        return f"setting {name}: no such setting; known are {_known_beside(problem['loc'])}"
+        known = _known_beside(problem["loc"])
+        near = nearest(name, known)
+        hint = f"; did you mean {near}?" if near else ""
+        return f"setting {name}: no such setting{hint}; known are {', '.join(known)}"
     name = ".".join(part for part in problem["loc"] if isinstance(part, str))
     where = f"setting {name}" if name else "settings"
     text = f"{where}: {expected_and_got(problem)}"
@@ -582,9 +629,9 @@ def expected_and_got(problem: ErrorDetails) -> str:
     return text if " got " in text else f"{text}, got {problem['input']!r}"
 
 
-def _known_beside(location: tuple[int | str, ...]) -> str:
+def _known_beside(location: tuple[int | str, ...]) -> list[str]:
     group: Any = Settings
     for part in location[:-1]:
         group = group.model_fields[part].annotation
     prefix = ".".join(str(part) for part in location[:-1])
-    return ", ".join(f"{prefix}.{field}" if prefix else field for field in group.model_fields)
+    return [f"{prefix}.{field}" if prefix else field for field in group.model_fields]

@@ -89,11 +89,11 @@ def bytes_needed(function, args, costs):
     if function.__name__ == "score_objects":
         plan, _, wanted = args
         nodes = [n_keep for number, n_keep in plan.objects if number in wanted]
-        return costs.pair_bytes(plan.n_raw) + costs.object_bytes(max(nodes))
+        return costs.pair_bytes(plan.n_points) + costs.object_bytes(max(nodes))
     return 0
 
 
 def _bytes_of_batch(batch, costs):
     if batch.most_bytes is not None:
         return batch.most_bytes
-    return costs.pair_bytes(batch.plan.n_raw) + costs.object_bytes(largest_object(batch.plan.objects or [])[1])
+    return costs.pair_bytes(batch.plan.n_points) + costs.object_bytes(largest_object(batch.plan.objects or [])[1])

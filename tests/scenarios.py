@@ -58,8 +58,8 @@ def failed(folder):
 
 
 def extras(folder):
-    """Two pairs with all baselines and further seeds."""
-    words = ["metrics.baselines=all", "stability.seeds=2"]
+    """Two pairs with all baselines, further seeds and all tasks."""
+    words = ["metrics.baselines=all", "stability.seeds=2", "tasks.names=all"]
     run(write_dataset(folder / "streets", 2), folder / "run", load(None, words))
 
 

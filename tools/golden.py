@@ -6,7 +6,6 @@ It refuses where numbers of a stage changed and its code version in `pipeline/jo
 import json
 import sys
 import tempfile
-from dataclasses import asdict
 from pathlib import Path
 
 import pandas as pd
@@ -38,7 +37,7 @@ def measure():
     real = streets.real.rows[:, :3].astype(float)
     sim = streets.sim.rows[:, :3].astype(float)
     sensors = [describe_sensor(points) for points in (real, sim)]
-    rays = find_rays(real, sim, tuple(map(asdict, sensors)))
+    rays = find_rays(real, sim, tuple(sensors))
     numbers = {
         "ground": [
             [row[name] for name in row if "ground_" in name or name.endswith(("_raw", "_clean"))] for row in rows

@@ -1,4 +1,4 @@
-"""The command that explains the difference between real and simulated scans: diagnose."""
+"""The commands that explain a difference and its effect: diagnose and tasks."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from .options import (
     AsMarkdown,
     Assignments,
     BestCase,
+    RunFolder,
     Scheduler,
     SettingsFile,
     Workers,
@@ -145,3 +146,55 @@ def _tell_apart(
     print_as(
         output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": found.as_dict()}
     )
+
+
+def tasks(
+    run: RunFolder,
+    predictions: Annotated[
+        tuple[Path, Path] | None, typer.Option(metavar="REAL_DIR SIM_DIR")
+    ] = None,
+    as_json: AsJson = False,
+    as_markdown: AsMarkdown = False,
+    as_csv: AsCsv = False,
+) -> None:
+    """Show what a perception stack gets from both scans: of a run with --tasks, or of your model.
+
+    With --predictions, what your detector or segmenter said on both sides, as files named after the
+    pairs: PAIR.label (a class for each point of the scan file) or PAIR.txt (boxes, KITTI's label
+    files). Shows agreement by class, the objects that are lost, and which scores go with a loss.
+
+    Parameters
+    ----------
+    predictions : Folders of predictions on the real and on the simulated scans.
+
+    Examples
+    --------
+    fidpipe tasks runs/dataset
+
+    fidpipe tasks runs/dataset --predictions labels/real labels/sim
+
+    fidpipe tasks runs/dataset --predictions boxes/real boxes/sim --csv > objects.csv
+    """
+    from ..diagnose.predictions import compare_predictions
+    from ..diagnose.predictions_view import agreement_view, object_records, task_records
+    from ..report.views.run_view import tasks_view
+    from ..results.finished import FinishedRun
+
+    output = format_of(as_json, as_markdown, as_csv)
+    finished = FinishedRun(run)
+    if predictions is None:
+        summaries = finished.task_summaries
+        print_as(
+            output,
+            lambda: tasks_view(summaries),
+            lambda: task_records(summaries),
+            lambda: [summary.as_dict() for summary in summaries],
+        )
+    else:
+        result = compare_predictions(finished, *predictions)
+        print_as(
+            output,
+            lambda: agreement_view(result),
+            lambda: object_records(result),
+            result.as_dict,
+        )

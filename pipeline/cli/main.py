@@ -22,7 +22,7 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from ...schemas.docstrings import split_docstring
 from .datasets import pair, synth, twin
-from .diagnosing import diagnose
+from .diagnosing import diagnose, tasks
 from .experiments import ablate, perturb
 from .judging import compare, gate
 from .options import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
@@ -244,7 +244,7 @@ _COMMANDS = {
     "Evaluate": (check, run, show, report),
     "Compare": (compare, gate, best_case),
     "Data": (pair, synth, twin),
-    "Research": (diagnose, perturb, ablate),
+    "Research": (diagnose, tasks, perturb, ablate),
     "Other": (status, export, settings),
 }
 

@@ -127,6 +127,7 @@ def run(
     ] = None,
     pairs: Pairs = None,
     seeds: Annotated[int | None, typer.Option(min=1)] = None,
+    tasks: bool = False,
     replace: Replace = False,
     as_json: AsJson = False,
 ) -> None:
@@ -143,6 +144,8 @@ def run(
     from_stage : Recompute this stage and all later stages.
     seeds : Number of seeds for which communities to metrics are repeated, to see how stable the
         scores are.
+    tasks : Also what a perception stack gets from both scans: obstacles, ground, occupancy, free
+        space.
 
     Examples
     --------
@@ -160,6 +163,8 @@ def run(
 
     fidpipe run dataset/ --set metrics.baselines=chamfer,emd    also baseline metrics, or "all"
 
+    fidpipe run dataset/ --tasks                 obstacles lost and added, free space, ...
+
     fidpipe run dataset/ --json | jq '.record.overview.causes'    progress goes to standard error
 
     fidpipe run dataset/ --scheduler tcp://host:8786    on a cluster: docs/cluster.md
@@ -170,8 +175,12 @@ def run(
     from ..engine import prefork
 
     check_machines(workers, scheduler)
-    repeats = [] if seeds is None else [f"stability.seeds={seeds}"]
-    in_force = load(settings, [*(assignments or []), *repeats], preset=preset)
+    words = list(assignments or [])
+    if seeds is not None:
+        words.append(f"stability.seeds={seeds}")
+    if tasks:
+        words.append("tasks.names=all")
+    in_force = load(settings, words, preset=preset)
     if sim is None:
         out = out or run_folder(dataset)
     else:

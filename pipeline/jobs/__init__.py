@@ -23,6 +23,7 @@ from . import (
     selection_job,
     sensor_job,
     surface_job,
+    tasks_job,
 )
 
 #: The stages of a run in their order: the method on one screen, and what runs.
@@ -42,7 +43,7 @@ STAGES = (
 )
 
 #: Additional stages that the settings may request; no stage above depends on them.
-EXTRAS = (baselines_job.STAGE, seeds_job.STAGE)
+EXTRAS = (baselines_job.STAGE, seeds_job.STAGE, tasks_job.STAGE)
 
 
 def stages_under(settings: Settings) -> tuple[Stage, ...]:

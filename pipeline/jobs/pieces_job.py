@@ -8,9 +8,9 @@ import pyarrow as pa
 from ...schemas.columns import SIDES, Row
 from ...schemas.tables import TABLES
 from ...stages.objects import majority_labels
-from ...stages.pieces import CutScan, Pieces, count_pieces, find_pieces
+from ...stages.pieces import Pieces, count_pieces, find_pieces
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
-from .points_job import column, coordinates, nulls_for_nan
+from .points_job import CUT_COLUMNS, cut_scan, nulls_for_nan
 
 _PLACE = (
     "cx",
@@ -29,7 +29,7 @@ _MOVED = ("moved_x_m", "moved_y_m", "moved_z_m")
 def make_pieces(inputs: Inputs) -> JobResult:
     """Find the missing and the invented pieces, one row for each."""
     tables = [inputs.table("ground", side) for side in SIDES]
-    real, sim = map(_cut_scan, tables)
+    real, sim = map(cut_scan, tables)
     with inputs.step("pieces"):
         both = find_pieces(real, sim, inputs.settings.pieces)
     rows: list[Row] = []
@@ -40,10 +40,6 @@ def make_pieces(inputs: Inputs) -> JobResult:
         for row, label in zip(_rows(pieces), labels, strict=True):
             rows.append({"pair_id": inputs.pair_id, "side": side} | row | {"label": label})
     return JobResult({"pieces": TABLES["pieces"].from_rows(rows)}, {OF_PAIR: count_pieces(*both)})
-
-
-def _cut_scan(ground: pa.Table) -> CutScan:
-    return CutScan(coordinates(ground), column(ground, "is_ground"), column(ground, "height_m"))
 
 
 def _rows(pieces: Pieces) -> list[Row]:
@@ -77,7 +73,7 @@ def _rows(pieces: Pieces) -> list[Row]:
 
 STAGE = Stage(
     name="pieces",
-    takes={"ground": ("x", "y", "z", "height_m", "is_ground", "label")},
+    takes={"ground": (*CUT_COLUMNS, "label")},
     gives=("pieces",),
     settings=("pieces",),
     grain=Grain.PAIR,

@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
+from ...stages.pieces import CutScan
 from ...stages.reference import Annotation
 from ...stages.selection import Selection
 from ..stage import Inputs
@@ -18,6 +19,7 @@ from ..stage import Inputs
 #: The columns that these functions read, for the declarations of stages that call them.
 POINT_COLUMNS = ("point_id", "x", "y", "z", "is_ground")
 ANNOTATED_COLUMNS = (*POINT_COLUMNS, "label", "instance")
+CUT_COLUMNS = ("x", "y", "z", "height_m", "is_ground")
 EDGE_COLUMNS = ("src", "dst", "length_m")
 MATCH_COLUMNS = ("real_id", "sim_id", "centroid_distance_m", "status")
 NODE_COLUMNS = ("real_id", "real_point_id", "sim_point_id", "real_influence", "sim_influence")
@@ -92,6 +94,11 @@ def matched_objects(inputs: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, 
 def coordinates(table: pa.Table) -> FloatArray:
     """The coordinates of points, (n, 3) float64 metres."""
     return np.column_stack([column(table, axis) for axis in "xyz"])
+
+
+def cut_scan(ground: pa.Table) -> CutScan:
+    """All clean points of a side, and which of them are ground."""
+    return CutScan(coordinates(ground), column(ground, "is_ground"), column(ground, "height_m"))
 
 
 def points_in(ground: pa.Table) -> tuple[IntArray, FloatArray]:

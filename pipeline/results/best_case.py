@@ -107,6 +107,7 @@ class RunExcess:
     pairs : that both have; `left_out` are scored in the run alone
     notes : what else differs and can change a number
     scores : by column of `pairs`
+    task_gaps : of the best case, by names such as `objects.lost`
     """
 
     run: Path
@@ -116,6 +117,7 @@ class RunExcess:
     left_out: tuple[str, ...]
     notes: tuple[str, ...]
     scores: dict[str, ScoreExcess]
+    task_gaps: dict[str, float | None]
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
@@ -188,6 +190,7 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
         left_out=tuple(name for name in wanted if name not in scored),
         notes=tuple(f"{name}: {a} in the run and {b} in its best case" for name, a, b in [*versions, *libraries]),
         scores={column: _excess(column, run, other, names, of_objects) for column in SCORES},
+        task_gaps=other.record.task_gaps,
     )
 
 

@@ -199,7 +199,7 @@ def compare_two(
         failed=failed,
         unfollowed=tuple(unfollowed),
         settings=tuple(differing),
-        notes=tuple(_notes(base, other)),
+        notes=(*_notes(base, other), *_task_notes(base, other)),
         changes=changes,
         families=_families(base, other, names, blocks, by_direction, excess, changes) if names else (),
         objects=objects,
@@ -302,6 +302,20 @@ def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
     notes += [f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)]
     notes += [f"library {name}: {x} and {y}" for name, x, y in differences(a.libraries, b.libraries)]
     return notes
+
+
+def _task_notes(base: FinishedRun, other: FinishedRun) -> list[str]:
+    """Mean gaps of the tasks that both runs have, over all their pairs; no verdict depends on them."""
+    gaps = base.record.task_gaps
+    other_gaps = other.record.task_gaps
+    if base.record.settings.get("tasks") != other.record.settings.get("tasks"):
+        return ["the runs have other settings of tasks: these are not compared"] if gaps and other_gaps else []
+    changes = []
+    for measure, gap in gaps.items():
+        other_gap = other_gaps.get(measure)
+        if gap is not None and other_gap is not None:
+            changes.append(f"{measure} {gap:.2g} to {other_gap:.2g}")
+    return [f"tasks, gaps not decided: {', '.join(changes)}"] if changes else []
 
 
 def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:

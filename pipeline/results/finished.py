@@ -20,10 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
+from ...schemas.cause_catalogue import UNEVEN
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import METRIC, QUADRANT_SCORES, metric_of
-from ...schemas.record import RunRecord
+from ...schemas.record import RunRecord, TaskSummary
 from ...schemas.results import Cause, Diagnosis, JsonObject, Overview, Unknown
 from ...schemas.tables import PAIR_TABLES, TABLES
 from ...stages.arrays import IntArray
@@ -123,6 +124,22 @@ class FinishedRun:
         """One row per matched object of all scored pairs; its columns are in `schemas/tables.csv`."""
         return _frame(self.table("metrics"))
 
+    @property
+    def tasks(self) -> pd.DataFrame:
+        """One row per pair, task, measure and group of obstacles; raises `RunError` without tasks."""
+        self._refuse_without_tasks()
+        return _frame(self.table("tasks"))
+
+    @property
+    def task_summaries(self) -> tuple[TaskSummary, ...]:
+        """Means over pairs of the measures of the tasks; raises `RunError` without tasks."""
+        self._refuse_without_tasks()
+        return self.record.tasks
+
+    def _refuse_without_tasks(self) -> None:
+        if not self.record.tasks:
+            raise RunError(f"run {self.folder}: it has no tasks; add them with fidpipe run --tasks")
+
     def points(self, pair_id: str, side: str) -> pd.DataFrame:
         """The clean points of a side, (x, y, z) in metres in the real sensor's frame, and the object of each.
 
@@ -195,6 +212,8 @@ class FinishedRun:
         blocks = self.places(names)
         amounts: dict[str, Cause | Unknown] = {}
         for name, of_cause in values.items():
+            if name == UNEVEN:
+                continue
             amount = mean_amount(name, of_cause, blocks)
             amounts[name] = amount or Unknown(causes=(name,), reason=of_cause.reason)
         return amounts

@@ -33,6 +33,14 @@ OF_DISTRIBUTIONS = ("bias", "area")
 
 STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
 
+#: Measures of tasks: `tasks.objects.lost` is the mean of their gap, `tasks.objects.lost.max` its largest value.
+TASK_MEASURES = (
+    *("objects.lost", "objects.added", "objects.size_m", "objects.place_m"),
+    *("ground.disagreement", "ground.height_m"),
+    *("occupancy.mismatch", "occupancy.wrongly_free", "occupancy.wrongly_occupied"),
+    *("free_space.distance_m", "free_space.too_far"),
+)
+
 #: Names of causes by that of the catalogue.
 CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES}
 #: Ends of the 95 % interval of a cause.
@@ -46,5 +54,6 @@ PLAIN_NAMES = (
     *(f"matched.{count}" for count in ("total", "mean", "min")),
     *(f"pairs.{state}" for state in STATES),
     *(f"causes.{name}" for name in CAUSE_NAMES),
+    *(f"tasks.{measure}" for measure in TASK_MEASURES),
     *(f"excess.{score}.{stat}" for score in (*PAIR_SCORES, *DOTTED) for stat in (*OF_PAIRS, *OF_DISTRIBUTIONS)),
 )

@@ -31,6 +31,7 @@ from .measure_names import (
     PLAIN_NAMES,
     SENSOR_VALUES,
     STATES,
+    TASK_MEASURES,
 )
 
 if TYPE_CHECKING:
@@ -134,6 +135,16 @@ class Measures:
             raise _AbsentError("no pair is scored")
         return self.run.mean_amounts
 
+    def _task(self, measure: str, stat: str | None) -> float:
+        """A statistic over pairs of the gap of a task, by default the mean."""
+        task, _, name = measure.partition(".")
+        if not any(row.task == task for row in self.run.record.tasks):
+            raise _AbsentError(f"the run has no task {task}; add it with fidpipe run --tasks")
+        rows = self.run.tasks
+        is_measure = (rows["task"] == task) & (rows["measure"] == name) & (rows["group"] == "all")
+        gaps = rows.loc[is_measure, "gap"].to_numpy(dtype=np.float64)
+        return _statistic(gaps, stat or "mean", "pair", f"gap {measure}")
+
     def _both(self, count: str) -> float:
         return _counted(np.array([row["n_matched"] for row in self._scored]), count)
 
@@ -219,5 +230,6 @@ _MEASURES: dict[str, Callable[..., float]] = {
     ),
     rf"matched\.{_either('count', ('total', 'mean', 'min'))}": Measures._both,
     rf"pairs\.{_either('state', STATES)}": Measures._pairs,
+    rf"tasks\.{_either('measure', map(re.escape, TASK_MEASURES))}(?:\.{_either('stat', OF_PAIRS)})?": Measures._task,
     rf"causes\.{_either('cause', CAUSE_NAMES)}(?:\.{_either('end', INTERVAL_ENDS)})?": Measures._cause,
 }

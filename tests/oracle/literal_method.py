@@ -61,6 +61,7 @@ def clean(
             range_of[p] = math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
     miss_range_m = _miss_range(list(range_of.values()))
     seen = set()
+    voxels = set()
     rows = []
     kept = []
     for i, p in enumerate(points.tolist()):
@@ -79,6 +80,11 @@ def clean(
             q = [sum(T[r, c] * q[c] for c in range(3)) + T[r, 3] for r in range(3)]
         if include_box and not all(include_box[a] <= q[a] <= include_box[a + 3] for a in range(3)):
             continue
+        if settings["voxel_m"]:
+            voxel = tuple(math.floor(c / settings["voxel_m"]) for c in q)
+            if voxel in voxels:
+                continue
+            voxels.add(voxel)
         rows.append(i)
         kept.append(q)
     return rows, np.array(kept).reshape(-1, 3)

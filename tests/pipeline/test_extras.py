@@ -1,6 +1,7 @@
-"""Stages that a run has on demand (baselines and seeds): their tables, their record, and how long they stay."""
+"""Stages that a run has on demand (baselines, seeds and tasks): their tables, their record, and how long they stay."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import fidpipe
 from fidpipe.pipeline.jobs.baselines_job import summarise_baselines
+from fidpipe.pipeline.results.measure_names import TASK_MEASURES
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.table_files import JobRecord
 from fidpipe.schemas.errors import SettingsError
@@ -19,8 +21,8 @@ from fidpipe.schemas.tables import TABLES
 from runs import JOBS_PER_PAIR, assert_same_tables, changed_tables, command, marks, run
 
 BASELINE_WORD, SEED_WORD = "metrics.baselines=all", "stability.seeds=2"
-ALL = load(None, [BASELINE_WORD, SEED_WORD])
-EXTRAS = ("baselines", "seeds")
+ALL = load(None, [BASELINE_WORD, SEED_WORD, "tasks.names=all"])
+EXTRAS = ("baselines", "seeds", "tasks")
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +58,7 @@ def test_a_run_to_which_they_are_added_later_reuses_everything_else(dataset, fin
     before = marks(out)
     outcome = run(dataset, out, ALL)
     assert (outcome.n_made, outcome.n_reused) == (2 * len(EXTRAS), 2 * JOBS_PER_PAIR)
-    assert changed_tables(out, before) == set(EXTRAS)
+    assert changed_tables(out, before) == {*EXTRAS, "task_objects"}
     assert_same_tables(out, finished)
     assert extras(out) == extras(finished)
     assert run(dataset, out, ALL).n_made == 0
@@ -170,3 +172,66 @@ def test_a_baseline_that_is_null_in_every_object_has_no_mean():
     job = JobRecord("baselines", "a", "", "key", {}, metadata={"means": means}, steps=(("netlsd", 0.5),))
     (row,) = summarise_baselines([job], load(None, ["metrics.baselines=netlsd"]))["baselines"]
     assert (row["mean"], row["std"], row["n"], row["n_null"], row["seconds"]) == (None, None, 0, 4, 0.5)
+
+
+def test_the_obstacles_of_a_pair_are_those_of_its_gaps_and_join_its_objects(finished, record):
+    gaps = pd.read_parquet(finished / "tasks").query("group == 'all'").set_index(["pair_id", "task", "measure"])
+    obstacles = pd.read_parquet(finished / "task_objects")
+    objects = pd.read_parquet(finished / "objects")
+    keys = ["pair_id", "side", "community_id"]
+    assert len(obstacles) == len(obstacles.merge(objects, on=keys, validate="m:1")) > 0
+    for pair_id, of_pair in obstacles.groupby("pair_id"):
+        for measure, side in (("lost", "real"), ("added", "sim")):
+            fates = of_pair.loc[of_pair.side == side, "fate"]
+            assert gaps.gap[pair_id, "objects", measure] == pytest.approx((fates == measure).mean())
+    summary = {(row["task"], row["measure"]): row for row in record["tasks"]}
+    assert {task for task, _ in summary} == {"objects", "ground", "occupancy", "free_space"}
+    lost = summary["objects", "lost"]
+    assert lost["n_pairs"] == 2
+    assert lost["gap"] == pytest.approx(gaps.gap[:, "objects", "lost"].mean())
+
+
+def test_only_the_tasks_that_are_asked_for_are_computed(dataset, finished, tmp_path):
+    out = tmp_path / "run"
+    run(dataset, out, load(None, ["tasks.names=ground"]), pattern="000")
+    assert set(pd.read_parquet(out / "tasks").task) == {"ground"}
+    assert pd.read_parquet(out / "task_objects").empty
+    points = fidpipe.open_run(finished).points("000", "real")[["x", "y", "z"]].to_numpy()
+    result = fidpipe.evaluate_pair(points, points, {"tasks": {"names": "all"}})
+    assert set(result.tasks.gap.dropna()) == {0.0}
+    assert set(result.task_objects.fate) == {"found"}
+
+
+def test_the_tasks_are_in_the_answer_in_gates_and_in_python(dataset, finished, record, tmp_path):
+    gaps = {f"{row['task']}.{row['measure']}": row["gap"] for row in record["tasks"]}
+    assert tuple(gaps) == TASK_MEASURES
+    answer = command("show", finished, code=0).stdout
+    lost = f"{100 * gaps['objects.lost']:.0f} %"
+    assert re.search(rf"tasks\s+your obstacles: {lost} lost", answer)
+    assert "wrongly_occupied" in command("show", finished, "--all", code=0).stdout
+    limit = f"tasks.objects.lost={gaps['objects.lost'] + 1e-6}"
+    command("gate", finished, "--max", limit, "--out", tmp_path, code=0)
+    command("gate", finished, "--max", "tasks.ground.height_m.max=-1", "--out", tmp_path, code=4)
+    run(dataset, tmp_path / "run", pattern="000")
+    assert "your obstacles" not in command("show", tmp_path / "run", code=0).stdout
+    gate = command("gate", tmp_path / "run", "--max", limit, "--max", "pairs.to_do=1", code=4)
+    assert "fidpipe run --tasks" in gate.stdout
+    with pytest.raises(fidpipe.FidpipeError, match="run --tasks"):
+        _ = fidpipe.open_run(tmp_path / "run").tasks
+    assert set(fidpipe.open_run(finished).tasks.pair_id) == {"000", "001"}
+
+
+def test_the_tasks_are_in_the_report(finished, record, tmp_path):
+    command("report", finished, "--out", tmp_path / "report", code=0)
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    lost = next(row["gap"] for row in record["tasks"] if row["measure"] == "lost")
+    assert f"Your obstacles: {100 * lost:.0f} % lost" in page
+    assert "wrongly_occupied" in page
+
+
+def test_a_comparison_shows_the_gaps_of_both_runs(dataset, finished, tmp_path):
+    same = command("compare", finished, finished, code=0).stdout
+    assert "tasks, gaps not decided: objects.lost" in " ".join(same.split())
+    run(dataset, tmp_path / "run", load(None, ["tasks.names=ground"]))
+    other = command("compare", finished, tmp_path / "run", code=0).stdout
+    assert "other settings of tasks" in " ".join(other.split())

@@ -194,7 +194,7 @@ def test_a_failed_extra_does_not_stop_another(dataset, finished, tmp_path):
     assert outcome.failures == dict.fromkeys(("000", "001", "002"), "stage baselines: no such thing")
     assert {row["status"] for row in outcome.rows} == {"scored"}
     assert outcome.record.seeds.n_pairs == 3
-    assert outcome.n_made == N_JOBS + 1 * 3  # the other extra of each pair
+    assert outcome.n_made == N_JOBS + 2 * 3  # the other extras of each pair
     mended = run(dataset, tmp_path / "run", EXTRA)
     assert (mended.failures, mended.n_made) == ({}, 3)
     assert_same_tables(tmp_path / "run", finished)

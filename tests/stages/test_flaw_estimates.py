@@ -8,9 +8,10 @@ import pytest
 from fidpipe.pipeline.results.causes import cause_values, changed_causes, named_causes
 from fidpipe.schemas.cause_catalogue import FLAT, PARAMETERS
 from fidpipe.stages.causes.distance import off_share
-from fidpipe.stages.causes.estimates import estimate, estimate_between, explain_directions, find_unmatched
+from fidpipe.stages.causes.estimates import estimate, estimate_between
 from fidpipe.stages.causes.gain import corrections, shares
 from fidpipe.stages.causes.sides import PairScans, Side
+from fidpipe.stages.causes.unmatched import explain_directions, find_unmatched
 from fidpipe.stages.displacement import Displacement, fit_displacement
 from fidpipe.stages.sensor_description import SensorDescription, describe_sensor
 from fidpipe.stages.surfels import fit_planes
@@ -220,8 +221,8 @@ def test_a_change_of_the_pose_is_measured_between_two_simulated_scans(places):
     _, amounts = estimate_between(base, moved)
     assert amounts["height"] == pytest.approx(0.03, abs=0.01)
     assert amounts["roll"] == pytest.approx(0.0, abs=0.02)
-    moved.sensor = replace(moved.sensor, doubts={POSITION: "the points are not in the sensor's frame"})
-    _, amounts = estimate_between(base, moved)
+    doubtful = replace(moved.sensor, doubts={POSITION: "the points are not in the sensor's frame"})
+    _, amounts = estimate_between(base, replace(moved, sensor=doubtful))
     assert "height" not in amounts and "road height" in amounts
 
 

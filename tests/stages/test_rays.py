@@ -1,15 +1,13 @@
 """Rays and intensities of two scans of a room whose walls, losses and materials are known, and of real recordings."""
 
-from dataclasses import asdict
-
 import numpy as np
 import pytest
 
 from fidpipe.schemas.sensor_models import SENSORS
-from fidpipe.stages import sensor_description
 from fidpipe.stages.generate.ray_casting import fire
 from fidpipe.stages.intensity import explained_share, intensity_law, score_intensity
 from fidpipe.stages.rays import OUTCOMES, RayGrid, Rays, compare_rays, find_rays, score_rays
+from fidpipe.stages.sensor_description import describe_sensor
 
 STEP_DEG = 0.4
 CORNERS_M = np.array([[-18.0, -12.0, -1.8], [31.0, 9.0, 6.0]])
@@ -28,10 +26,6 @@ def room(name="vlp16", step_deg=STEP_DEG, turned_deg=0.0, corners_m=CORNERS_M):
     steep = np.where(np.abs(directions) < 1e-9, 1e-9, directions)
     range_m = (np.where(steep > 0, corners_m[1], corners_m[0]) / steep).min(axis=1)
     return directions * range_m[:, None]
-
-
-def describe_sensor(scan):
-    return asdict(sensor_description.describe_sensor(scan))
 
 
 def counts(rays):

@@ -34,6 +34,7 @@ from ..views.answer_view import (
     change_words,
     pieces_words,
     surface_words,
+    task_words,
     trust_words,
 )
 from ..views.best_case_view import excess_view
@@ -44,6 +45,7 @@ from ..views.run_view import (
     range_table,
     surface_line,
     surface_table,
+    tasks_view,
     unmatched_lines,
 )
 from .pair_data import FACTS, FAR_M, OBJECT_COLUMNS, SIGNED_M
@@ -233,11 +235,13 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
         raise RunError(
             f"run {results.run.folder}: no pair is scored, so there is nothing to report"
         )
+    tasks = task_words(record, excess)
     is_met, good_enough = _good_enough(results, excess)
     warning = [f"Warning: {words}" for words in caution_words(overview, ("frames",))]
     return {
         "sentence": sentence(surface_words(record, excess)),
         "pieces": sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
+        "tasks": sentence(tasks) if tasks else "",
         "bars": _bars(results, excess),
         "causes": _with_amounts(overview.causes[:MOST_SHOWN]),
         "no_cause": sentence(no_cause_words(overview.unknown)),
@@ -254,6 +258,7 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
                 "Unmatched as worst: each missing and each invented object counted with the worst "
                 "value."
             ),
+            *tasks_view(record.tasks),
             coverage_table(record),
             surface_table(overview),
             Note(

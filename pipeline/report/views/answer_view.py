@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 
 from ....schemas.metric_catalogue import headline_scores, metric_of
 from ....schemas.record import RunHeader, RunRecord
 from ....schemas.results import Cause, Diagnosis, Overview
+from ....stages.statistics.comparison import LEAST_FOR_INTERVAL
 from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
 from ...results.causes import MANY_UNKNOWN, MOST_SHOWN, interval_words, no_cause_words
 from ...results.diagnosis import gain_words, unexplained_words, with_gains
@@ -30,6 +31,13 @@ _MOST_PLACES = 3
 _MOST_CAUTIONS = 2
 _PAIR_WIDTH = 16
 _COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
+#: The measures of tasks that the answer has, and their words.
+_TASK_WORDS = {
+    "objects.lost": "your obstacles: {} lost",
+    "objects.added": "{} added",
+    "free_space.too_far": "free space too long in {} of the directions",
+    "occupancy.wrongly_free": "{} of the occupied map free",
+}
 _NOT_YET = "the frame of the simulated scans: see the warning above"
 _LEAST_MOVE = 5e-3
 
@@ -63,6 +71,9 @@ def answer_view(
         first = items_of(_NOT_YET if record.frames else no_cause_words(overview.unknown))
     if diagnosis is not None:
         first += items_of(unexplained_words(diagnosis))
+    doubtful = ""
+    if overview.small:
+        doubtful = f"seen, but a small part of the distance: {'; '.join(overview.small)}"
     most = None if with_all else _MOST_CAUTIONS
     trust = trust_words(folder, overview, most, has_best_case=bool(excess or recipe))
     if not with_all:
@@ -70,8 +81,10 @@ def answer_view(
     sections = {
         "  surface": items_of(surface_words(record, excess)),
         "  pieces": items_of(pieces_words(record)),
+        "  tasks": items_of(task_words(record, excess)),
         "Check first": items_of(*overview.doubts),
         "Fix first": first,
+        "Doubtful": items_of(doubtful),
         "Worst places": _worst_places(overview, with_all),
         "Objects": items_of(scores_words(record)),
         "Last run": items_of(change_words(record)),
@@ -93,7 +106,7 @@ def cause_items(causes: Sequence[Cause]) -> list[Item]:
     """Causes as items of an answer: words, interval and gain, and the setting."""
     items = []
     for i, cause in enumerate(causes, start=1):
-        items.append((f"{i}  {cause.words}", f"95 %: {amount_words(cause)}", cause.setting))
+        items.append((f"{i}  {cause.words}", amount_words(cause), cause.setting))
     return items
 
 
@@ -149,8 +162,11 @@ def _next_commands(
 
 def amount_words(cause: Cause) -> str:
     """The 95 % interval of a cause, and its gain if it was measured."""
+    words = f"95 %: {interval_words(cause)}"
+    if cause.n_pairs < LEAST_FOR_INTERVAL:  # the differences between pairs are unknown
+        words = f"within {count(cause.n_pairs, 'pair')}: {interval_words(cause)}"
     gain = gain_words(cause)
-    return f"{interval_words(cause)}; {gain}" if gain else interval_words(cause)
+    return f"{words}; {gain}" if gain else words
 
 
 def run_line(record: RunRecord, took: str = "", recipe: BestCaseRecipe | None = None) -> str:
@@ -189,6 +205,25 @@ def pieces_words(record: RunRecord) -> str:
     missing = number(record.summary["n_missing_pieces"].mean, 1)
     invented = number(record.summary["n_invented_pieces"].mean, 1)
     return f"{missing} missing and {invented} invented per pair"
+
+
+def task_words(record: RunRecord, excess: RunExcess | None = None) -> str:
+    """Obstacles lost and added, and free space, with the best case's; "" without tasks."""
+    words = _gap_words(record.task_gaps)
+    if words and excess is not None:
+        best_case = _gap_words(excess.task_gaps)
+        if best_case:
+            words += f" (best case: {best_case})"
+    return words
+
+
+def _gap_words(gaps: Mapping[str, float | None]) -> str:
+    words = []
+    for measure, text in _TASK_WORDS.items():
+        gap = gaps.get(measure)
+        if gap is not None:
+            words.append(text.format(percent(gap)))
+    return ", ".join(words)
 
 
 def scores_words(record: RunRecord) -> str:

@@ -29,6 +29,7 @@ from ....schemas.record import (
     RunRecord,
     SeedSummary,
     SurfaceStates,
+    TaskSummary,
 )
 from ....schemas.results import Diagnosis, Findings, Overview, Unmatched
 from ....stages.coverage import ABSENT, THERE
@@ -118,6 +119,7 @@ def _all_tables(rows: Sequence[Row], record: RunRecord) -> View:
     if record.findings is None:
         return []
     parts: list[Part] = [
+        *tasks_view(record.tasks),
         Note(preset_line(record)),
         _pairs_table([row for row in rows if row["status"] == "scored"]),
         dataset_table(record, ("found", *_SCORES)),
@@ -237,6 +239,20 @@ def seeds_view(seeds: SeedSummary) -> View:
         ),
         Table(pairs_title, ("pair", *labels(_SEED_SCORES)), rows),
     ]
+
+
+def tasks_view(summaries: Sequence[TaskSummary]) -> View:
+    """Mean of each measure of the tasks on both sides, and of its gap; nothing without tasks."""
+    rows = []
+    for summary in summaries:
+        gap = mean_and_spread(summary.gap, summary.gap_std)
+        names = (summary.task, summary.measure, summary.unit)
+        rows.append((*names, number(summary.real, 2), number(summary.sim, 2), gap))
+    if not rows:
+        return []
+    headings = ("task", "measure", "unit", "real", "simulated", "gap")
+    title = "Tasks (means over pairs; gap 0: a perception stack would notice nothing)"
+    return [Table(title, headings, rows, words=(0, 1, 2))]
 
 
 def _pairs_table(scored: Sequence[Row]) -> Table:

@@ -1,0 +1,506 @@
+"""Which score predicts what a perception stack would notice, and how good is good enough?
+
+    python benchmarks/tasks.py ../shared/data
+
+Thirty-three flaws in three amounts and a control, applied to the simulated side of KITTI scans on two bases: *good*
+(the real scan re-measured, 2 cm of noise along the ray and 3 % lost) and *poor* (the twin). Both sides are first
+reduced to every fourth row. The scores and the gaps of all tasks of each condition are kept in a CSV file. Then prints,
+for each base, Spearman's rank correlation of every score with every gap over the conditions (means over the frames),
+its 95 % interval from 1,000 bootstraps over flaws, its range when any one flaw is left out, the error of a monotone
+prediction of the gap of a flaw that was left out, the gaps between two real measurements (neighbouring sweeps of a
+parked and of a driving car), and the scores at which the predicted gap reaches these. Stopped, it resumes; `--print`
+only prints.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import argparse
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from flawed_scans import (
+    Scan,
+    along_ray,
+    belongs_to_car,
+    drop,
+    find_car,
+    find_poles,
+    is_ground,
+    random,
+    range_limit,
+    ranges,
+    ray_noise,
+    read,
+    solid_foliage,
+)
+from scipy.spatial import cKDTree
+from scipy.stats import rankdata
+from sklearn.isotonic import IsotonicRegression
+from unseen_flaws import (
+    beams_of,
+    biased,
+    blind,
+    cartesian,
+    dead,
+    jittering,
+    remeasured,
+    rolled,
+    spherical,
+    stretched,
+    turned,
+    with_second_returns,
+)
+
+from fidpipe import FidpipeError
+from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.schemas.settings import load
+from fidpipe.stages.baselines import compare_points
+from fidpipe.stages.coverage import nearest_distances
+from fidpipe.stages.ground import GroundResult
+from fidpipe.stages.method import PartitionedScan, compare, partition, remove_road
+from fidpipe.stages.pieces import CutScan
+from fidpipe.stages.tasks import ALL, compare_free_space, compare_ground, compare_obstacles, compare_occupancy
+
+EVERY = 4
+BASES = ("good", "poor")
+NONE = "none"
+CONTROL = "control: range noise, m"
+SETTINGS = load(None, ["tasks.names=all", "metrics.baselines=chamfer,f_score,dcd"], preset="reference")
+#: Scores by column, and 1 if a larger one is worse, -1 if it is better.
+SCORES = {
+    "r_lambda_mean": 1,
+    "eigenspectrum_distance_mean": 1,
+    "r_gap_mean": 1,
+    "cdc_mean": 1,
+    "found": -1,
+    "covered_real_0p1m": -1,
+    "covered_sim_0p1m": -1,
+    "dcd": 1,
+    "f_score": -1,
+    "chamfer_mean_m": 1,
+    "log_points": 1,
+}
+TASKS = (
+    "objects.lost",
+    "objects.lost.1.5 to 6 m",
+    "objects.added",
+    "occupancy.mismatch",
+    "occupancy.wrongly_free",
+    "free_space.distance_m",
+    "free_space.too_far",
+    "ground.disagreement",
+    "ground.height_m",
+)
+
+
+def pitched(angle_deg):
+    c = np.cos(np.radians(angle_deg))
+    s = np.sin(np.radians(angle_deg))
+    return lambda scan, rng: scan.points @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
+
+
+def moved(x_m, z_m):
+    return lambda scan, rng: scan.points + np.array([x_m, 0, z_m])
+
+
+def keep(condition):
+    """Keeps the points for which a function of scan and random numbers is True."""
+    return lambda scan, rng: scan.points[condition(scan, rng)]
+
+
+def by_chance(share, concerns):
+    """Loses a share of the points that a function of the scan names."""
+    return keep(lambda scan, rng: ~(concerns(scan) & (rng.random(len(scan.points)) < share)))
+
+
+def holes(n):
+    def cut(scan, rng):
+        centres = scan.points[rng.choice(len(scan.points), n, replace=False)]
+        return scan.points[cKDTree(centres).query(scan.points)[0] > 1.5]
+
+    return cut
+
+
+def ghosts(share):
+    """Clusters of 20 points in front of surfaces, 1.5 m from every point."""
+
+    def add(scan, rng):
+        tree = cKDTree(scan.points)
+        clusters = []
+        while len(clusters) < share * len(scan.points) / 20:
+            centre = scan.points[rng.integers(len(scan.points))] * rng.uniform(0.2, 0.9)
+            if tree.query(centre)[0] > 1.5 and np.hypot(*centre[:2]) > 4:
+                clusters.append(centre + rng.normal(0, 0.2, (20, 3)))
+        return np.vstack([scan.points, *clusters])
+
+    return add
+
+
+def quantised(step_m):
+    return lambda scan, rng: along_ray(scan.points, np.round(ranges(scan.points) / step_m) * step_m)
+
+
+def car_moved(distance_m):
+    return lambda scan, rng: scan.points + belongs_to_car(scan)[:, None] * [0, distance_m, 0]
+
+
+def is_pole(scan):
+    return (cKDTree(scan.poles).query(scan.points[:, :2])[0] < 0.4) & ~is_ground(scan.points)
+
+
+def ground_raised(height_m):
+    return lambda scan, rng: scan.points + is_ground(scan.points)[:, None] * [0, 0, height_m]
+
+
+def in_motion(speed_m_s):
+    def distort(scan, rng):
+        turn = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi)
+        return scan.points - turn[:, None] * [speed_m_s * 0.1, 0, 0]
+
+    return distort
+
+
+def rain(n):
+    def fall(scan, rng):
+        points = scan.points.copy()
+        rows = rng.choice(np.flatnonzero(ranges(points) > 5), n, replace=False)
+        points[rows] = along_ray(points[rows], rng.uniform(2.5, 5, n))
+        return points
+
+    return fall
+
+
+def mixed(share, *, at_edges):
+    def mix(scan, rng):
+        range_m = ranges(scan.points)
+        rows = np.arange(len(range_m))
+        if at_edges:
+            step_m = np.diff(range_m, prepend=range_m[0], append=range_m[-1])
+            rows = np.flatnonzero((step_m[1:] > 0.5) | (step_m[:-1] < -0.5))
+        rows = rng.choice(rows, min(len(rows), round(share * len(range_m))), replace=False)
+        range_m[rows] += rng.uniform(0.2, 1.5, len(rows))
+        return along_ray(scan.points, range_m)
+
+    return mix
+
+
+def solid(share):
+    def close(scan, rng):
+        is_closed = rng.random(len(scan.points)) < share
+        return np.where(is_closed[:, None], solid_foliage(scan, rng), scan.points)
+
+    return close
+
+
+def beams_exchanged(n):
+    def exchange(scan, rng):
+        beam, elevation_deg = beams_of(scan.points)
+        range_m, azimuth, elevation = spherical(scan.points)
+        for a in range(8, 8 + 2 * n, 2):
+            apart = np.radians(elevation_deg[a + 1] - elevation_deg[a])
+            elevation[beam == a] += apart
+            elevation[beam == a + 1] -= apart
+        return cartesian(range_m, azimuth, elevation)
+
+    return exchange
+
+
+def elevation_deg(scan):
+    return np.degrees(spherical(scan.points)[2])
+
+
+def of_points(flaw):
+    """A flaw of `unseen_flaws`, which takes points, as one of a scan."""
+    return lambda scan, rng: flaw(scan.points, rng)
+
+
+#: Three amounts of each flaw, and the flaw of that amount.
+FLAWS = {
+    CONTROL: ((0.005, 0.01, 0.02), ray_noise),
+    "lost points, share": ((0.1, 0.3, 0.6), drop),
+    "lost beyond 25 m, share": ((0.3, 0.6, 0.9), lambda a: by_chance(a, lambda scan: ranges(scan.points) > 25)),
+    "lost road, share": ((0.3, 0.6, 0.9), lambda a: by_chance(a, lambda scan: is_ground(scan.points))),
+    "holes of 1.5 m": ((6, 12, 24), holes),
+    "ghosts in free air, share": ((0.02, 0.05, 0.1), ghosts),
+    "noise along the ray, m": ((0.05, 0.1, 0.2), ray_noise),
+    "offset forward, m": ((0.1, 0.2, 0.4), lambda a: moved(a, 0)),
+    "offset upward, m": ((0.05, 0.1, 0.2), lambda a: moved(0, a)),
+    "pitch, degrees": ((0.5, 1, 2), pitched),
+    "roll, degrees": ((0.5, 1, 2), lambda a: of_points(rolled(a))),
+    "yaw, degrees": ((0.4, 0.8, 1.6), lambda a: of_points(turned(a))),
+    "range scale": ((0.01, 0.03, 0.06), lambda a: lambda scan, rng: scan.points * (1 + a)),
+    "range bias, m": ((0.06, 0.12, 0.25), lambda a: of_points(biased(a))),
+    "range quantum, m": ((0.05, 0.1, 0.3), quantised),
+    "car lost, share": ((0.3, 0.6, 1), lambda a: by_chance(a, belongs_to_car)),
+    "car moved, m": ((0.25, 0.5, 1), car_moved),
+    "thin poles lost, share": ((0.3, 0.6, 1), lambda a: by_chance(a, is_pole)),
+    "azimuths, each n-th": ((2, 3, 4), lambda a: lambda scan, rng: scan.points[::a]),
+    "road raised, m": ((0.05, 0.1, 0.2), ground_raised),
+    "motion distortion, m/s": ((5, 10, 20), in_motion),
+    "rain, points": ((50, 100, 200), rain),
+    "maximum range, m": ((50, 30, 20), range_limit),
+    "minimum range, m": ((5, 8, 12), lambda a: keep(lambda scan, rng: ranges(scan.points) >= a)),
+    "highest elevation, degrees": ((0, -2, -5), lambda a: keep(lambda scan, rng: elevation_deg(scan) <= a)),
+    "mixed pixels, share": ((0.01, 0.03, 0.1), lambda a: mixed(a, at_edges=False)),
+    "mixed pixels at edges, share": ((0.01, 0.03, 0.1), lambda a: mixed(a, at_edges=True)),
+    "solid foliage, share": ((0.3, 0.6, 1), solid),
+    "blind sector, degrees": ((20, 57, 114), lambda a: of_points(blind(40, 40 + a))),
+    "second returns, share": ((0.05, 0.1, 0.2), lambda a: of_points(with_second_returns(a, 1, 3))),
+    "jitter of angles, degrees": ((0.05, 0.15, 0.3), lambda a: of_points(jittering(a))),
+    "elevations too large, share": ((0.01, 0.02, 0.05), lambda a: of_points(stretched(a))),
+    "dead beams": ((2, 6, 12), lambda a: of_points(dead(a))),
+    "beams exchanged, pairs": ((1, 2, 4), beams_exchanged),
+}
+
+
+@dataclass
+class Side:
+    """A scan, cut and partitioned: what does not change while the other side does is computed once."""
+
+    scan: CutScan
+    cut: GroundResult
+    objects: PartitionedScan
+
+
+def prepare(points, real=None):
+    """The real side, or the simulated one of a real side."""
+    if real is None:
+        clean, cut = remove_road(points, SETTINGS, "real")
+    else:
+        clean, cut = remove_road(points, SETTINGS, "sim", real_cut=real.cut, real_points=real.scan.points)
+    reference = None if real is None else real.objects.reference
+    objects = partition(clean.points[~cut.is_ground], SETTINGS, reference=reference)
+    return Side(CutScan(clean.points, cut.is_ground, cut.height_m), cut, objects)
+
+
+def scored(real, points):
+    """Scores and gaps of a simulated scan: the numbers of `fidpipe run`, without the stages that are not needed."""
+    sim = prepare(points, real)
+    summary = compare(real.objects, sim.objects, SETTINGS).summary
+    row = {name: summary[name] for name in SCORES if name in summary}
+    row["found"] = summary["n_matched"] / (summary["n_matched"] + summary["n_missing"])
+    both = (real.objects.points, sim.objects.points)
+    for side, distance_m in zip(("real", "sim"), nearest_distances(*both), strict=True):
+        row[f"covered_{side}_0p1m"] = (distance_m <= 0.1).mean()
+    row |= {value.name: value.value for value in compare_points(*both, SETTINGS.metrics) if value.name in SCORES}
+    row["log_points"] = abs(np.log(len(sim.scan.points) / len(real.scan.points)))
+    gaps = [*compare_obstacles(real.scan, sim.scan, SETTINGS.tasks).gaps]
+    for task in (compare_ground, compare_occupancy, compare_free_space):
+        gaps += task(real.scan, sim.scan, SETTINGS.tasks)
+    for gap in gaps:
+        name = f"{gap.task}.{gap.measure}"
+        row[name if gap.group == ALL else f"{name}.{gap.group}"] = gap.gap
+    return row
+
+
+def conditions(data, frames, bases, which_amounts):
+    """Frame, base, flaw and amount of each condition, and functions that return both scans."""
+    sources = sorted((data / "kitti_twin" / "real").glob("*.bin"))
+    for number in frames:
+        path = sources[number]
+        full = read(path)
+        car = find_car(full)
+        poles = find_poles(full)
+        real = full[::EVERY]
+        simulated = {
+            "good": remeasured(real, random(path.stem, "base")),
+            "poor": read(path.parents[1] / "sim" / path.name)[::EVERY],
+        }
+        for base in bases:
+            points = simulated[base]
+            scan = Scan(points, car, poles)
+            yield (path.stem, base, NONE, 0.0), real, lambda points=points: points
+            for flaw, (amounts, make) in FLAWS.items():
+                for amount in (amounts[i] for i in which_amounts):
+                    rng = random(path.stem, base, flaw)
+                    key = (path.stem, base, flaw, float(amount))
+                    yield key, real, partial(make(amount), scan, rng)
+
+
+def real_pairs(data):
+    """Two real measurements of one scene: name, kind, first and second scan in the frame of the first."""
+    from scipy.spatial.transform import Rotation
+
+    sweeps = [read_scan(f"{data}/velodyne_vlp32c/sweeps.pcap#{i}").points for i in range(4)]
+    for i, (first, second) in enumerate(pairwise(sweeps)):
+        yield f"parked {i}", "parked", first, second
+    paths = sorted((data / "kitti_sequence").glob("*.bin"))
+    rows = np.loadtxt(data / "kitti_sequence" / "poses.tum")
+    poses = [(Rotation.from_quat(row[4:8]).as_matrix(), row[1:4]) for row in rows]
+    for i in (0, 3, 6):
+        r, t = poses[i]
+        r_next, t_next = poses[i + 1]
+        second = ((read(paths[i + 1]) @ r_next.T + t_next) - t) @ r
+        yield f"driving {i}", "driving", read(paths[i])[::EVERY], second[::EVERY]
+
+
+def measure(args):
+    """Evaluates what the CSV file does not have yet."""
+    rows = pd.read_csv(args.out).to_dict("records") if args.out.exists() else []
+    done = {(str(row["frame"]), row["base"], row["flaw"], row["amount"]) for row in rows}
+
+    prepared = {}
+
+    def add(key, points, sim):
+        if key in done:
+            return
+        if prepared.get("frame") != key[0]:
+            prepared.update(frame=key[0], real=prepare(points))
+        row = dict(zip(("frame", "base", "flaw", "amount"), key, strict=True))
+        try:
+            row |= scored(prepared["real"], sim())
+        except FidpipeError as error:
+            print(*key, error, flush=True)
+        rows.append(row)
+        pd.DataFrame(rows).to_csv(args.out, index=False)
+        print(len(rows), *key, flush=True)
+
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    for name, kind, first, second in real_pairs(args.data):
+        add((name, kind, NONE, 0.0), first, lambda second=second: second)
+    for key, real, sim in conditions(args.data, args.frames, args.bases, args.amounts):
+        add(key, real, sim)
+
+
+def spearman(a, b):
+    """Rank correlation over the conditions that have both; NaN for fewer than ten, or if one is constant."""
+    is_known = np.isfinite(a) & np.isfinite(b)
+    a, b = rankdata(a[is_known]), rankdata(b[is_known])
+    if len(a) < 10 or not np.ptp(a) or not np.ptp(b):
+        return np.nan
+    return np.corrcoef(a, b)[0, 1]
+
+
+def correlation(table, score, task):
+    """Correlation, its 95 % bootstrap interval over flaws, and the correlations without any one flaw."""
+    flaws = table.flaw.unique()
+    rows_of = [np.flatnonzero(table.flaw == flaw) for flaw in flaws]
+    a = SCORES[score] * table[score].to_numpy()
+    b = table[task].to_numpy()
+    rng = np.random.default_rng(0)
+    drawn = []
+    for _ in range(1000):
+        rows = np.concatenate([rows_of[i] for i in rng.integers(len(flaws), size=len(flaws))])
+        drawn.append(spearman(a[rows], b[rows]))
+    without = [spearman(np.delete(a, rows), np.delete(b, rows)) for rows in rows_of]
+    return spearman(a, b), np.nanquantile(drawn, [0.025, 0.975]), np.array(without)
+
+
+def predicted(a, b, at):
+    """Gap predicted at scores, by isotonic regression on others."""
+    return IsotonicRegression(out_of_bounds="clip").fit(a, b).predict(at)
+
+
+def left_out_error(table, score, task):
+    """Mean error of the predicted gap of a flaw that was left out, and that of the mean gap of the others."""
+    known = table[np.isfinite(table[score]) & np.isfinite(table[task])]
+    a = SCORES[score] * known[score].to_numpy()
+    b = known[task].to_numpy()
+    errors = []
+    of_mean = []
+    for flaw in known.flaw.unique():
+        is_out = (known.flaw == flaw).to_numpy()
+        errors += list(np.abs(predicted(a[~is_out], b[~is_out], a[is_out]) - b[is_out]))
+        of_mean += list(np.abs(b[~is_out].mean() - b[is_out]))
+    return np.mean(errors), np.mean(of_mean)
+
+
+def threshold(table, score, task, gap):
+    """Worst score whose predicted gap is at most the gap, and its range without any one flaw."""
+    known = table[np.isfinite(table[score]) & np.isfinite(table[task])]
+    a = SCORES[score] * known[score].to_numpy()
+    b = known[task].to_numpy()
+    grid = np.linspace(a.min(), a.max(), 2000)
+
+    def reached(rows):
+        good = grid[predicted(a[rows], b[rows], grid) <= gap]
+        return SCORES[score] * good[-1] if len(good) else np.nan
+
+    each = [reached((known.flaw != flaw).to_numpy()) for flaw in known.flaw.unique()]
+    return reached(np.full(len(a), True)), np.nanmin(each), np.nanmax(each)
+
+
+def print_row(*cells):
+    print(f"| {' | '.join(map(str, cells))} |")
+
+
+def print_correlations(table, base):
+    """A row for each score; then whether the best score of each task stays the best without any one flaw."""
+    print_row(base, *TASKS)
+    print_row(*["---"] * (len(TASKS) + 1))
+    values = {}
+    without = {}
+    for score in SCORES:
+        cells = []
+        for task in TASKS:
+            values[score, task], (low, high), without[score, task] = correlation(table, score, task)
+            cells.append(f"{values[score, task]:.2f} ({low:.2f} to {high:.2f})")
+        print_row(score, *cells)
+    print()
+    for task in TASKS:
+        best = max(SCORES, key=lambda score: values[score, task])
+        names = np.array([*SCORES])
+        left = names[np.nanargmax([without[score, task] for score in SCORES], axis=0)]
+        moved = max(np.nanmax(np.abs(without[score, task] - values[score, task])) for score in SCORES)
+        n_same = (left == best).sum()
+        print(f"{task}: best {best}, also without {n_same} of {len(left)} flaws; no value moves by over {moved:.2f}")
+
+
+def print_thresholds(table, real):
+    """The score with the least left-out error of each task, and its values at the gaps of two real measurements."""
+    print_row(
+        "task", "score", "left-out error", "error of the mean", *(f"gap and score, {kind}" for kind in real.index)
+    )
+    print_row(*["---"] * (4 + len(real)))
+    for task in TASKS:
+        errors = {score: left_out_error(table, score, task) for score in SCORES}
+        best = min(errors, key=lambda score: errors[score][0])
+        cells = []
+        for gap in real[task]:
+            score, low, high = threshold(table, best, task, gap)
+            cells.append(f"{gap:.3f}: {score:.3g} ({low:.3g} to {high:.3g})")
+        print_row(task, best, *(f"{error:.3f}" for error in errors[best]), *cells)
+
+
+def print_tables(path):
+    """All tables of `docs/good-enough.md`."""
+    rows = pd.read_csv(path)
+    numbers = [*SCORES, *TASKS]
+    real = rows[rows.base.isin(("parked", "driving"))].groupby("base")[numbers].mean()
+    print_row("two real measurements", *real.index)
+    print_row(*["---"] * (1 + len(real)))
+    for name in (*TASKS, *SCORES):
+        print_row(name, *(f"{value:.3f}" for value in real[name]))
+    for base in BASES:
+        of_base = rows[rows.base == base]
+        if of_base.empty:
+            continue
+        table = of_base.groupby(["flaw", "amount"])[numbers].mean().reset_index()
+        without = table[table.flaw == NONE].iloc[0]
+        table = table[table.flaw != NONE]
+        n = f"{of_base.frame.nunique()} frames, {table.flaw.nunique()} flaws, {len(table)} conditions"
+        print(f"\n{base}: {n}; without a flaw:", *(f"{task} {without[task]:.3f}" for task in TASKS), "\n")
+        print_correlations(table, base)
+        print()
+        print_thresholds(table, real)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path, help="folder with kitti_twin, kitti_sequence and velodyne_vlp32c")
+    parser.add_argument("--out", type=Path, default=Path(".cache/tasks.csv"), help="scores and gaps; resumed")
+    parser.add_argument("--frames", type=int, nargs="+", default=[0, 4], help="of kitti_twin, from 0")
+    parser.add_argument("--bases", nargs="+", choices=BASES, default=list(BASES))
+    parser.add_argument("--amounts", type=int, nargs="+", default=[0, 1, 2], help="of each flaw, from 0")
+    parser.add_argument("--print", action="store_true", help="only print the tables")
+    arguments = parser.parse_args()
+    if not arguments.print:
+        measure(arguments)
+    print_tables(arguments.out)

@@ -1,0 +1,136 @@
+"""Stage tasks, an extra: what a perception stack gets from both scans."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from ...schemas.columns import Row
+from ...schemas.settings import Settings
+from ...schemas.tables import TABLES
+from ...stages.arrays import IndexArray, IntArray
+from ...stages.pieces import CutScan
+from ...stages.summary import mean_and_std
+from ...stages.tasks import (
+    ALL,
+    Fates,
+    Gap,
+    compare_free_space,
+    compare_ground,
+    compare_obstacles,
+    compare_occupancy,
+)
+from ..stage import Grain, Inputs, JobResult, Stage
+from ..storage.table_files import JobRecord
+from .points_job import CUT_COLUMNS, column, cut_scan
+
+_WITHOUT_PARTNER = {"real": "lost", "sim": "added"}
+_TASKS = {
+    "ground": compare_ground,
+    "occupancy": compare_occupancy,
+    "free_space": compare_free_space,
+}
+
+
+def make_tasks(inputs: Inputs) -> JobResult:
+    """Compare both scans in each requested task; the metadata hold the gaps over everything."""
+    settings = inputs.settings.tasks
+    real = cut_scan(inputs.table("ground", "real"))
+    sim = cut_scan(inputs.table("ground", "sim"))
+    gaps: list[Gap] = []
+    objects: list[Row] = []
+    for name in settings.names:
+        with inputs.step(name):
+            if name == "objects":
+                task = compare_obstacles(real, sim, settings)
+                gaps += task.gaps
+                objects += _obstacle_rows(inputs, "real", real, task.real)
+                objects += _obstacle_rows(inputs, "sim", sim, task.sim)
+            else:
+                gaps += _TASKS[name](real, sim, settings)
+    rows = [{"pair_id": inputs.pair_id} | asdict(gap) for gap in gaps]
+    tables = {
+        "tasks": TABLES["tasks"].from_rows(rows),
+        "task_objects": TABLES["task_objects"].from_rows(objects),
+    }
+    return JobResult(tables, {"gaps": [asdict(gap) for gap in gaps if gap.group == ALL]})
+
+
+def summarise_tasks(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
+    """Means over pairs of each measure over everything, and the standard deviation of its gap."""
+    by_measure: dict[tuple[str, str], list[Row]] = {}
+    for record in records:
+        for gap in record.metadata["gaps"]:
+            by_measure.setdefault((gap["task"], gap["measure"]), []).append(gap)
+    summary = []
+    for (task, measure), gaps in by_measure.items():
+        row: Row = {"task": task, "measure": measure, "unit": gaps[0]["unit"]}
+        for name in ("real", "sim", "gap"):
+            values = np.array([gap[name] for gap in gaps], dtype=np.float64)
+            row[name], std = mean_and_std(values)
+        n_pairs = sum(gap["gap"] is not None for gap in gaps)
+        summary.append(row | {"gap_std": std, "n_pairs": n_pairs})
+    return {"tasks": summary}
+
+
+def _obstacle_rows(inputs: Inputs, side: str, scan: CutScan, fates: Fates) -> list[Row]:
+    """The obstacles of a side within range."""
+    obstacles = fates.obstacles
+    communities = column(inputs.table("communities", side), "community_id")
+    community_of = _communities(obstacles.labels[~scan.is_ground], communities)
+    rows = []
+    for number in np.flatnonzero(fates.is_counted).tolist():
+        partner = int(fates.partner[number])
+        row = {
+            "pair_id": inputs.pair_id,
+            "side": side,
+            "obstacle_id": number,
+            "community_id": community_of[number],
+            "n_points": int(obstacles.n_points[number]),
+            "range_m": float(obstacles.range_m[number]),
+            "fate": "found" if partner >= 0 else _WITHOUT_PARTNER[side],
+            "partner_id": partner if partner >= 0 else None,
+            "iou": float(fates.iou[number]),
+        }
+        for axis, centre, size in zip(
+            "xyz", obstacles.centre[number], obstacles.size_m[number], strict=True
+        ):
+            row |= {f"c{axis}": float(centre), f"extent_{axis}": float(size)}
+        rows.append(row)
+    return rows
+
+
+def _communities(labels: IndexArray, communities: IntArray) -> list[int]:
+    """The object that has the most points of each obstacle; of equals the one of smaller id.
+
+    Parameters
+    ----------
+    labels, communities : (n,) obstacle (-1 for none) and object of each object point
+    """
+    is_inside = labels >= 0
+    both = np.column_stack([labels[is_inside], communities[is_inside]])
+    unique, n = np.unique(both, axis=0, return_counts=True)
+    order = np.lexsort((unique[:, 1], -n, unique[:, 0]))
+    _, first = np.unique(unique[order, 0], return_index=True)
+    largest: list[int] = unique[order[first], 1].tolist()
+    return largest
+
+
+def _is_wanted(settings: Settings) -> bool:
+    return bool(settings.tasks.names)
+
+
+STAGE = Stage(
+    name="tasks",
+    takes={"ground": CUT_COLUMNS, "communities": ("community_id",)},
+    gives=("tasks", "task_objects"),
+    settings=("tasks",),
+    grain=Grain.PAIR,
+    make=make_tasks,
+    libraries=("scikit-learn",),
+    is_wanted=_is_wanted,
+    summarise=summarise_tasks,
+)

@@ -1,0 +1,106 @@
+"""Agreement of a model's predictions on both sides of a pair: classes of points, and boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from .arrays import BoolArray, FloatArray, IndexArray
+
+SEEN_WITHIN_M = 0.3  #: points are compared where the other side has one within this distance
+SAME_WITHIN_M = 2.0  #: boxes of one class are the same at this distance of their centres, or nearer
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Detections of one side.
+
+    names : (m,) class of each
+    centre : (m, 3) metres, in the real sensor's frame
+    size : (m, 3) length, width and height, metres
+    yaw : (m,) direction of the length, radians, 0 along x, counter-clockwise
+    """
+
+    names: NDArray[np.str_]
+    centre: FloatArray
+    size: FloatArray
+    yaw: FloatArray
+
+
+def counterparts(real: FloatArray, sim: FloatArray) -> IndexArray:
+    """The nearest simulated point of each real point, (n,); -1 if none is within 0.3 m."""
+    if not len(sim):
+        return np.full(len(real), -1)
+    distance_m, nearest = scipy.spatial.cKDTree(sim).query(real, distance_upper_bound=SEEN_WITHIN_M)
+    return np.where(np.isfinite(distance_m), nearest, -1)
+
+
+def match_detections(real: Boxes, sim: Boxes) -> IndexArray:
+    """The simulated box of each real box, (m,); -1 for none.
+
+    One to one, of equal classes, with horizontal distances of the centres of at most 2 m, as in the
+    detection benchmark of nuScenes (Caesar et al., CVPR 2020); as many as possible at the least
+    total distance.
+    """
+    offset = real.centre[:, None, :2] - sim.centre[None, :, :2]
+    distance_m = np.hypot(offset[..., 0], offset[..., 1])
+    is_same = (distance_m <= SAME_WITHIN_M) & (real.names[:, None] == sim.names[None, :])
+    too_far_m = SAME_WITHIN_M * (1 + min(is_same.shape))
+    rows, columns = scipy.optimize.linear_sum_assignment(np.where(is_same, distance_m, too_far_m))
+    is_matched = is_same[rows, columns]
+    partner = np.full(len(real.names), -1)
+    partner[rows[is_matched]] = columns[is_matched]
+    return partner
+
+
+def inside(points: FloatArray, boxes: Boxes, number: int) -> BoolArray:
+    """True for the points inside a box, (n,)."""
+    offset = points - boxes.centre[number]
+    c = np.cos(boxes.yaw[number])
+    s = np.sin(boxes.yaw[number])
+    along = offset[:, 0] * c + offset[:, 1] * s
+    across = offset[:, 1] * c - offset[:, 0] * s
+    local = np.abs(np.column_stack([along, across, offset[:, 2]]))
+    is_inside: BoolArray = (local <= boxes.size[number] / 2).all(axis=1)
+    return is_inside
+
+
+def lost_auc(scores: FloatArray, is_lost: BoolArray) -> float | None:
+    """Probability that a lost object has a larger score than one that is kept; ties count half.
+
+    None if no object, or every object, is lost.
+
+    Examples
+    --------
+    >>> lost_auc(np.array([0.1, 0.4, 0.2]), np.array([False, True, False]))
+    1.0
+    """
+    n_lost = int(np.count_nonzero(is_lost))
+    n_kept = len(is_lost) - n_lost
+    if not n_lost or not n_kept:
+        return None
+    ranks = scipy.stats.rankdata(scores)[is_lost].sum()
+    return float((ranks - n_lost * (n_lost + 1) / 2) / (n_lost * n_kept))
+
+
+def jackknife_interval(scores: FloatArray, is_lost: BoolArray, scan_of: IndexArray) -> tuple[float, float] | None:
+    """95 % interval of `lost_auc` by leaving out one scan at a time; None for fewer than three.
+
+    se^2 = (k - 1) / k sum (a_i - mean a)^2, a_i without scan i (Efron 1979), k scans.
+    """
+    auc = lost_auc(scores, is_lost)
+    without = []
+    for scan in np.unique(scan_of):
+        is_in = scan_of != scan
+        value = lost_auc(scores[is_in], is_lost[is_in])
+        if value is not None:
+            without.append(value)
+    k = len(without)
+    if auc is None or k < 3:
+        return None
+    values = np.array(without)
+    se = float(np.sqrt((k - 1) / k * np.square(values - values.mean()).sum()))
+    return max(auc - 1.96 * se, 0.0), min(auc + 1.96 * se, 1.0)

@@ -1,0 +1,422 @@
+"""What a perception stack gets from both scans: obstacles, ground, occupancy and free space.
+
+Textbook methods without networks. Each takes both scans, cut into road and objects, and returns
+gaps: 0 if the stack would not notice the simulator. All definitions are fidpipe's; clusters follow
+the usual pipeline of ground removal, Euclidean clustering and boxes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..schemas.settings import TaskSettings
+from .arrays import BoolArray, FloatArray, IndexArray, sums_by_id
+from .pieces import CutScan
+
+ALL = "all"  #: group of a gap over everything
+N_DIRECTIONS = 360
+#: Obstacles by their longer side seen from above, and by distance: lower ends of each group.
+SIZES_M = {"smaller than 1.5 m": 0.0, "1.5 to 6 m": 1.5, "larger than 6 m": 6.0}
+DISTANCES_M = {"nearer than 15 m": 0.0, "15 to 30 m": 15.0, "30 m and farther": 30.0}
+#: Range at which clusters link points at twice the distance at the sensor.
+_DOUBLE_AT_M = 40.0
+_CELLS_PER_LINK = 2  #: points are clustered by cells of this part of the link distance
+_CORE_POINTS = 5  #: points within the link distance that make a point a core of DBSCAN
+_BORDER_M = 5.0  #: obstacles are found so far beyond range_m, so that none is lost at the limit
+_MARGIN_M = 0.1  #: boxes are enlarged by this on all sides: returns lie inside of what they hit
+_SEEN_WITHIN_M = 0.3  #: both sides see a surface where they have points within this distance
+_GROUND_CELL_M = 1.0
+_GROUND_POINTS = 3
+_TOO_FAR_M = 0.5  #: free space that is longer than the real one by more than this is dangerous
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A measure of a task on both sides.
+
+    real, sim : values of the sides; None if they have none of their own
+    gap : difference of the sides as the measure defines it, 0 for equal ones; None if unknown
+    unit : m, or "" for a share
+    group : `ALL`, or one of `SIZES_M` or `DISTANCES_M`
+    """
+
+    task: str
+    measure: str
+    real: float | None
+    sim: float | None
+    gap: float | None
+    unit: str = ""
+    group: str = ALL
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """Clusters of one side, nearest first.
+
+    labels : (n,) obstacle of each point of the scan, -1 for none
+    low, high : (m, 3) corners of the boxes, metres, axes of the real sensor
+    n_points : (m,)
+    """
+
+    labels: IndexArray
+    low: FloatArray
+    high: FloatArray
+    n_points: IndexArray
+
+    @property
+    def size_m(self) -> FloatArray:
+        """Extents of the boxes, (m, 3)."""
+        return self.high - self.low
+
+    @property
+    def centre(self) -> FloatArray:
+        """Centres of the boxes, (m, 3)."""
+        return (self.low + self.high) / 2
+
+    @property
+    def range_m(self) -> FloatArray:
+        """Horizontal distance of the centres, (m,)."""
+        return np.hypot(self.centre[:, 0], self.centre[:, 1])
+
+
+@dataclass(frozen=True)
+class Fates:
+    """Obstacles of a side, and what became of them.
+
+    partner : (m,) matched obstacle of the other side; -1 for a lost or an added one
+    iou : (m,) overlap with the partner seen from above; 0 for none
+    is_counted : (m,) True if the centre is within range_m
+    """
+
+    obstacles: Obstacles
+    partner: IndexArray
+    iou: FloatArray
+    is_counted: BoolArray
+
+
+@dataclass(frozen=True)
+class ObstacleTask:
+    """Obstacles of both sides, and the gaps between them."""
+
+    real: Fates
+    sim: Fates
+    gaps: tuple[Gap, ...]
+
+
+def compare_obstacles(real: CutScan, sim: CutScan, settings: TaskSettings) -> ObstacleTask:
+    """Obstacles that the simulated scan loses, adds, resizes and displaces.
+
+    Boxes are matched one to one with the largest sum of their IoU seen from above, and count as
+    found from min_iou on. With R and S the obstacles of both sides within range_m, and F the found
+    ones:
+
+    - lost: gap = 1 - |F| / |R|; added: gap = 1 - |F'| / |S|
+    - size_m, place_m: medians over F of the largest difference of the horizontal extents, and of
+      the horizontal distance of the centres
+
+    Lost and added are also given by size and by distance of the obstacle.
+    """
+    real_obstacles = find_obstacles(real, settings)
+    sim_obstacles = find_obstacles(sim, settings)
+    overlap = box_iou(real_obstacles, sim_obstacles)
+    rows, columns = scipy.optimize.linear_sum_assignment(overlap, maximize=True)
+    is_found = overlap[rows, columns] >= settings.min_iou
+    rows = rows[is_found]
+    columns = columns[is_found]
+    real_fates = _fates(real_obstacles, rows, columns, overlap[rows, columns], settings)
+    sim_fates = _fates(sim_obstacles, columns, rows, overlap[rows, columns], settings)
+    is_counted = real_fates.is_counted[rows]
+    gaps = (
+        *_unmatched("lost", real_fates),
+        *_unmatched("added", sim_fates),
+        *_found(real_obstacles, sim_obstacles, rows[is_counted], columns[is_counted]),
+    )
+    return ObstacleTask(real_fates, sim_fates, gaps)
+
+
+def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
+    """Clusters of the points above the road, by DBSCAN with a distance that grows with range.
+
+    Points p at range r are clustered as p / (1 + r / 40 m) with radius link_m. So points are
+    linked up to link_m (1 + r / 40 m) across the ray, and up to link_m (1 + r / 40 m)^2 along it,
+    as the spacing of returns on a surface grows. Clusters of fewer than min_points are left out.
+    """
+    from sklearn.cluster import DBSCAN
+
+    labels = np.full(len(scan.points), -1)
+    is_near = np.hypot(*scan.points.T[:2]) <= settings.range_m + _BORDER_M
+    chosen = np.flatnonzero(is_near & _is_obstacle(scan, settings))
+    if not len(chosen):
+        return Obstacles(labels, np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=np.intp))
+    points = scan.points[chosen]
+    range_m = np.linalg.norm(points, axis=1)
+    scaled = points / (1 + range_m / _DOUBLE_AT_M)[:, None]
+    cell = np.floor(scaled * (_CELLS_PER_LINK / settings.link_m)).astype(np.int64)
+    _, cell_of, n_in_cell = _unique_rows(cell)
+    means = sums_by_id(scaled, cell_of, len(n_in_cell)) / n_in_cell[:, None]
+    dbscan = DBSCAN(eps=settings.link_m, min_samples=_CORE_POINTS)
+    cluster = dbscan.fit(means, sample_weight=n_in_cell).labels_[cell_of]
+    n_points = np.bincount(cluster[cluster >= 0])
+    is_large = np.append(n_points >= settings.min_points, False)  # the last is of cluster -1
+    is_kept = is_large[cluster]
+    chosen = chosen[is_kept]
+    points = points[is_kept]
+    _, cluster = np.unique(cluster[is_kept], return_inverse=True)
+    n_points = np.bincount(cluster)
+    low = np.full((len(n_points), 3), np.inf)
+    np.minimum.at(low, cluster, points)
+    high = np.full((len(n_points), 3), -np.inf)
+    np.maximum.at(high, cluster, points)
+    order = np.argsort(np.hypot(*(low + high).T[:2]), kind="stable")
+    labels[chosen] = np.argsort(order)[cluster]
+    return Obstacles(labels, low[order], high[order], n_points[order])
+
+
+def box_iou(a: Obstacles, b: Obstacles) -> FloatArray:
+    """|A n B| / |A u B| of all boxes seen from above, enlarged by 0.1 m, (m, k)."""
+    low = np.maximum(a.low[:, None, :2], b.low[None, :, :2]) - _MARGIN_M
+    high = np.minimum(a.high[:, None, :2], b.high[None, :, :2]) + _MARGIN_M
+    common = np.maximum(high - low, 0.0).prod(axis=2)
+    a_area = (a.size_m[:, :2] + 2 * _MARGIN_M).prod(axis=1)
+    b_area = (b.size_m[:, :2] + 2 * _MARGIN_M).prod(axis=1)
+    union = a_area[:, None] + b_area[None, :] - common
+    overlap: FloatArray = common / union
+    return overlap
+
+
+def compare_ground(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple[Gap, ...]:
+    """Agreement of the two ground cuts on surface that both sides see, and of the road's height.
+
+    - disagreement: share of the points with a point of the other side within 0.3 m whose nearest
+      one is ground where they are not, or the reverse; mean of both directions. `real` and `sim`
+      are the shares of ground among these points
+    - height_m: median over cells of 1 m with at least three ground points of both sides of
+      |z_sim - z_real|, z being the mean height of the ground points of the cell
+    """
+    near = [_within(scan, settings.range_m) for scan in (real, sim)]
+    shares = []
+    disagreements = []
+    for scan, other in (near, near[::-1]):
+        if not len(scan.points) or not len(other.points):
+            return (
+                Gap("ground", "disagreement", None, None, None),
+                Gap("ground", "height_m", None, None, None, "m"),
+            )
+        tree = scipy.spatial.cKDTree(other.points)
+        distance_m, nearest = tree.query(scan.points, distance_upper_bound=_SEEN_WITHIN_M)
+        is_seen = np.isfinite(distance_m)
+        flags = scan.is_ground[is_seen]
+        shares.append(_mean(flags))
+        disagreements.append(_mean(flags != other.is_ground[nearest[is_seen]]))
+    is_known = None not in disagreements
+    gap = _mean(np.array(disagreements, dtype=np.float64)) if is_known else None
+    return (
+        Gap("ground", "disagreement", shares[0], shares[1], gap),
+        Gap("ground", "height_m", None, None, _height_error_m(near[0], near[1]), "m"),
+    )
+
+
+def compare_occupancy(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple[Gap, ...]:
+    """Agreement of the two occupancy maps of a planner, square cells of cell_m seen from above.
+
+    A cell is occupied with a point of an obstacle (above the road, at most height_m). It is free
+    if it is not occupied and holds ground, or lies in front of the first obstacle of its direction
+    (of 360), or of the farthest return if there is no obstacle. All other cells are unknown. With
+    O and F the occupied and the free cells within range_m:
+
+    - mismatch: 1 - |O_real n O_sim| / |O_real u O_sim|
+    - wrongly_free: |O_real n F_sim| / |O_real|
+    - wrongly_occupied: |F_real n O_sim| / |O_sim|
+
+    `real` and `sim` are the occupied area of the sides, m^2.
+    """
+    real_occupied, real_free = _map(real, settings)
+    sim_occupied, sim_free = _map(sim, settings)
+    both = _count(real_occupied & sim_occupied)
+    either = _count(real_occupied | sim_occupied)
+    n_real = _count(real_occupied)
+    n_sim = _count(sim_occupied)
+    wrongly_free = _count(real_occupied & sim_free)
+    wrongly_occupied = _count(real_free & sim_occupied)
+    gaps = {
+        "mismatch": _ratio(either - both, either),
+        "wrongly_free": _ratio(wrongly_free, n_real),
+        "wrongly_occupied": _ratio(wrongly_occupied, n_sim),
+    }
+    areas = (n_real * settings.cell_m**2, n_sim * settings.cell_m**2)
+    return tuple(Gap("occupancy", measure, *areas, gap) for measure, gap in gaps.items())
+
+
+def compare_free_space(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple[Gap, ...]:
+    """Distance to the first obstacle in each of 360 directions; range_m if there is none nearer.
+
+    - distance_m: median of |d_sim - d_real|; too_far: share with d_sim > d_real + 0.5 m
+
+    over the directions in which a side has an obstacle. `real` and `sim` are the median distances.
+    """
+    distances = [_first_obstacle_m(scan, settings) for scan in (real, sim)]
+    has_obstacle = np.minimum(*distances) < settings.range_m
+    real_m = distances[0][has_obstacle]
+    sim_m = distances[1][has_obstacle]
+    medians = (_median(real_m), _median(sim_m))
+    return (
+        Gap("free_space", "distance_m", *medians, _median(np.abs(sim_m - real_m)), "m"),
+        Gap("free_space", "too_far", None, None, _mean(sim_m > real_m + _TOO_FAR_M)),
+    )
+
+
+def _is_obstacle(scan: CutScan, settings: TaskSettings) -> BoolArray:
+    """True for points above the road, and at most height_m above it, (n,)."""
+    chosen: BoolArray = ~scan.is_ground & (scan.height_m <= settings.height_m)
+    return chosen
+
+
+def _within(scan: CutScan, range_m: float) -> CutScan:
+    is_near = np.hypot(*scan.points.T[:2]) <= range_m
+    return CutScan(scan.points[is_near], scan.is_ground[is_near], scan.height_m[is_near])
+
+
+def _unique_rows(cells: NDArray[np.int64]) -> tuple[IndexArray, IndexArray, IndexArray]:
+    """Index of the first of equal rows, (m,); the unique row of each row, (n,); their numbers."""
+    cells = cells - cells.min(axis=0)
+    code = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    _, first, inverse, n = np.unique(
+        code,
+        return_index=True,
+        return_inverse=True,
+        return_counts=True,
+    )
+    return first, inverse, n
+
+
+def _fates(
+    obstacles: Obstacles,
+    matched: IndexArray,
+    partners: IndexArray,
+    overlap: FloatArray,
+    settings: TaskSettings,
+) -> Fates:
+    """What became of the obstacles of a side, from the matched ones, their partners and their IoU."""
+    n = len(obstacles.n_points)
+    partner = np.full(n, -1)
+    partner[matched] = partners
+    iou = np.zeros(n)
+    iou[matched] = overlap
+    return Fates(obstacles, partner, iou, obstacles.range_m <= settings.range_m)
+
+
+def _unmatched(measure: str, fates: Fates) -> list[Gap]:
+    """Share of obstacles without a partner: of all, by size and by distance.
+
+    `real` is the number of obstacles and `sim` that of the matched ones, or the reverse if the
+    obstacles are the simulated ones.
+    """
+    longer_side_m = fates.obstacles.size_m[:, :2].max(axis=1)
+    size_of = np.digitize(longer_side_m, [*SIZES_M.values()]) - 1
+    distance_of = np.digitize(fates.obstacles.range_m, [*DISTANCES_M.values()]) - 1
+    groups = {ALL: fates.is_counted}
+    groups |= {name: fates.is_counted & (size_of == i) for i, name in enumerate(SIZES_M)}
+    groups |= {name: fates.is_counted & (distance_of == i) for i, name in enumerate(DISTANCES_M)}
+    gaps = []
+    for group, chosen in groups.items():
+        n = _count(chosen)
+        n_found = _count(chosen & (fates.partner >= 0))
+        counts = (n, n_found) if measure == "lost" else (n_found, n)
+        gaps.append(Gap("objects", measure, *counts, _ratio(n - n_found, n), group=group))
+    return gaps
+
+
+def _found(real: Obstacles, sim: Obstacles, rows: IndexArray, columns: IndexArray) -> list[Gap]:
+    """Errors of size and place of the found obstacles, real `rows` and simulated `columns`."""
+    real_size_m = real.size_m[rows, :2]
+    sim_size_m = sim.size_m[columns, :2]
+    size_error_m = np.abs(real_size_m - sim_size_m).max(axis=1)
+    longer_m = (_median(real_size_m.max(axis=1)), _median(sim_size_m.max(axis=1)))
+    apart_m = np.linalg.norm(real.centre[rows, :2] - sim.centre[columns, :2], axis=1)
+    return [
+        Gap("objects", "size_m", *longer_m, _median(size_error_m), "m"),
+        Gap("objects", "place_m", None, None, _median(apart_m), "m"),
+    ]
+
+
+def _height_error_m(real: CutScan, sim: CutScan) -> float | None:
+    """Median difference of the ground's height over cells that both sides have."""
+    ground = [scan.points[scan.is_ground] for scan in (real, sim)]
+    points = np.vstack(ground)
+    if not len(points):
+        return None
+    first, cell, _ = _unique_rows(np.floor(points[:, :2] / _GROUND_CELL_M).astype(np.int64))
+    heights = []
+    for of_side, z in zip(np.split(cell, [len(ground[0])]), ground, strict=True):
+        n = np.bincount(of_side, minlength=len(first))
+        total = np.bincount(of_side, z[:, 2], len(first))
+        heights.append(np.where(n >= _GROUND_POINTS, total / np.maximum(n, 1), np.nan))
+    difference = np.abs(heights[1] - heights[0])
+    return _median(difference[~np.isnan(difference)])
+
+
+def _map(scan: CutScan, settings: TaskSettings) -> tuple[BoolArray, BoolArray]:
+    """Occupied and free cells of a side, (c, c) bool each."""
+    half = int(np.ceil(settings.range_m / settings.cell_m))
+    near = _within(scan, settings.range_m)
+    is_occupied = _cells(near.points[_is_obstacle(near, settings)], half, settings)
+    is_road = _cells(near.points[near.is_ground], half, settings)
+    centre_m = (np.arange(-half, half) + 0.5) * settings.cell_m
+    x, y = np.meshgrid(centre_m, centre_m, indexing="ij")
+    range_m = np.hypot(x, y)
+    visible_m = np.minimum(_first_obstacle_m(scan, settings), _farthest_m(scan))
+    is_visible = range_m + settings.cell_m < visible_m[_direction(x, y)]
+    is_near = range_m <= settings.range_m
+    is_occupied &= is_near
+    return is_occupied, (is_road | is_visible) & is_near & ~is_occupied
+
+
+def _first_obstacle_m(scan: CutScan, settings: TaskSettings) -> FloatArray:
+    """Horizontal distance of the first obstacle in each direction, (360,); at most range_m."""
+    points = scan.points[_is_obstacle(scan, settings)]
+    first_m = np.full(N_DIRECTIONS, settings.range_m)
+    np.minimum.at(first_m, _direction(*points.T[:2]), np.hypot(*points.T[:2]))
+    return first_m
+
+
+def _farthest_m(scan: CutScan) -> FloatArray:
+    """Horizontal distance of the farthest return in each direction, (360,); 0 without any."""
+    farthest_m = np.zeros(N_DIRECTIONS)
+    np.maximum.at(farthest_m, _direction(*scan.points.T[:2]), np.hypot(*scan.points.T[:2]))
+    return farthest_m
+
+
+def _direction(x: FloatArray, y: FloatArray) -> IndexArray:
+    """Direction of each place, 0 to 359, one per degree from straight behind on."""
+    share = np.arctan2(y, x) / (2 * np.pi) + 0.5
+    return np.minimum((share * N_DIRECTIONS).astype(np.intp), N_DIRECTIONS - 1)
+
+
+def _cells(points: FloatArray, half: int, settings: TaskSettings) -> BoolArray:
+    """Cells of the map, (2 half, 2 half), that hold a point."""
+    is_filled = np.zeros((2 * half, 2 * half), dtype=np.bool_)
+    cell = np.floor(points[:, :2] / settings.cell_m).astype(np.intp) + half
+    cell = np.clip(cell, 0, 2 * half - 1)
+    is_filled[cell[:, 0], cell[:, 1]] = True
+    return is_filled
+
+
+def _mean(values: NDArray[Any]) -> float | None:
+    return float(values.mean()) if len(values) else None
+
+
+def _median(values: FloatArray) -> float | None:
+    return float(np.median(values)) if len(values) else None
+
+
+def _count(flags: BoolArray) -> int:
+    return int(np.count_nonzero(flags))
+
+
+def _ratio(part: float, whole: float) -> float | None:
+    return float(part / whole) if whole else None
