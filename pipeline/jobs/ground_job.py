@@ -39,8 +39,7 @@ def make_ground(inputs: Inputs) -> JobResult:
     Raises
     ------
     StageError
-        Too few points are left; also names what is implausible about the scan, which is the likely
-        cause.
+        Too few points are left; also names what is implausible about the scan.
     """
     with inputs.step("read"):
         scan = inputs.scans[inputs.part]()
