@@ -82,10 +82,9 @@ def points_of(paths):
 
 def streets(seed, n, sensor):
     pairs = [make_pair(seed, i, SENSORS[sensor]) for i in range(n)]
-    return tuple(
-        [pair_side.rows[:, :3].astype(float) for pair_side in side]
-        for side in ([pair.real for pair in pairs], [pair.sim for pair in pairs])
-    )
+    real = [pair.real.rows[:, :3].astype(float) for pair in pairs]
+    sim = [pair.sim.rows[:, :3].astype(float) for pair in pairs]
+    return real, sim
 
 
 def with_copies(scans):
@@ -107,25 +106,29 @@ def sequences(data):
     }
 
 
+def cleaned_counts(scans):
+    """Number of points of each scan after cleaning."""
+    return [len(clean_scan(points, SETTINGS).points) for points in scans]
+
+
 def seen(real, sim):
     """The faults that are named of two sides, and the seconds that this took."""
     pairs = [ScanPair(f"{i:03}", Path("real"), Path("sim"), 0.1 * i) for i in range(len(real))]
     start = time.process_time()
     samples = SideSamples(pairs, SETTINGS)
-    for pair, *scans in zip(pairs, real, sim, strict=True):
+    for pair, real_points, sim_points in zip(pairs, real, sim, strict=True):
         if pair.pair_id in samples.pair_ids:
-            samples.add(pair, {side: Scan(points) for side, points in zip(("real", "sim"), scans, strict=True)})
-    counts = {
-        side: [len(clean_scan(points, SETTINGS).points) for points in scans]
-        for side, scans in zip(("real", "sim"), (real, sim), strict=True)
-    }
+            samples.add(pair, {"real": Scan(real_points), "sim": Scan(sim_points)})
+    counts = {"real": cleaned_counts(real), "sim": cleaned_counts(sim)}
     lines = samples.warnings(counts)
     seconds = time.process_time() - start
     return {name for name, pattern in SEEN.items() for line in lines if re.search(pattern, line)}, lines, seconds
 
 
 def sides(data):
-    found, seconds, odd = sequences(data), [], []
+    found = sequences(data)
+    seconds = []
+    odd = []
     print("| fault | " + " | ".join(found) + " |\n" + "|---" * (len(found) + 1) + "|")
     for fault, (change, wanted) in FAULTS.items():
         cells = []
@@ -136,10 +139,10 @@ def sides(data):
                 continue
             names, lines, own_s = seen(own_real, own_sim)
             seconds.append(own_s / len(own_real))
-            cells.append(
-                ("seen" if wanted in names else "not seen" if wanted else "nothing")
-                + (f", and {', '.join(sorted(names - {wanted}))}" if names - {wanted} else "")
-            )
+            words = ["nothing"]
+            if wanted:
+                words = ["seen" if wanted in names else "not seen"]
+            cells.append(", ".join(words + [f"and {other}" for other in sorted(names - {wanted})]))
             odd += [(fault, name, line) for line in lines] if names != {wanted} - {None} else []
         print(f"| {fault} | " + " | ".join(cells) + " |", flush=True)
     print("\nNot as wanted:")
@@ -199,7 +202,8 @@ def stamps(data):
         for own in named.values():
             rng = np.random.default_rng(0)
             told = [describe_stamps(change(times, rng), points).faults for points, times in own]
-            hits = sum(any(words in text for text in each) if words else bool(each) for each in told)
+            texts = [" ".join(faults) for faults in told]
+            hits = sum(words in text if words else bool(text) for text in texts)
             cells.append(f"{hits} of {len(own)}")
         print(f"| {fault} | " + " | ".join(cells) + " |", flush=True)
     places = {}
@@ -255,7 +259,8 @@ def camera(data):
     scans = points_of(path for name in names for path in sorted(data.glob(name))) + streets(0, 4, "vlp32c")[1]
     scans = [points[np.isfinite(points).all(axis=1) & points.any(axis=1)] for points in scans]
     for name, turn in (("as they are", np.eye(3)), ("in camera axes", as_ros(np.eye(3), "kitti-cam").T)):
-        n_told = sum(any("camera axes" in text for text in implausible(points @ turn, "real", 2.5)) for points in scans)
+        texts = [" ".join(implausible(points @ turn, "real", 2.5)) for points in scans]
+        n_told = sum("camera axes" in text for text in texts)
         print(f"\n{name}: {n_told} of {len(scans)} scans are said to be in camera axes")
 
 

@@ -42,9 +42,12 @@ def make_datasets(args):
     sources = [path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))]
     cars = {}
     for path in sources[:: args.every_pair]:
-        name, full = f"{path.parent.parent.name}-{path.stem}", read(path)
-        cars[name], poles = find_car(full), find_poles(full)
-        real, twin = full[::EVERY], read(path.parent.with_name("sim") / path.name)[::EVERY]
+        name = f"{path.parent.parent.name}-{path.stem}"
+        full = read(path)
+        cars[name] = find_car(full)
+        poles = find_poles(full)
+        real = full[::EVERY]
+        twin = read(path.parent.with_name("sim") / path.name)[::EVERY]
         kept = real[random(name, "loss").random(len(real)) >= 0.03]
         remeasured = ray_noise(0.02)(Scan(kept, cars[name], poles), random(name, "noise"))
         write(args.out / "real" / f"{name}.bin", real)
@@ -114,7 +117,8 @@ def pairs_with_car_missing(args, campaign, flaw, cars):
     pieces = pd.read_parquet(run_of(args, campaign, flaw) / "pieces").query("side == 'real'")
     n = 0
     for name, car in cars.items():
-        low, high = car.min(axis=0) - 0.5, car.max(axis=0) + 0.5
+        low = car.min(axis=0) - 0.5
+        high = car.max(axis=0) + 0.5
         centres = pieces.loc[pieces.pair_id == name, ["cx", "cy", "cz"]].to_numpy()
         n += bool(((centres >= low) & (centres <= high)).all(axis=1).any())
     return n
@@ -126,7 +130,8 @@ def decision_table(args, campaign, cars):
         "| flaw | decision | with `--independent` | families | first cause of the run | causes that changed |",
         "|---|---|---|---|---|---|",
     ]
-    decisions, independent = {}, {}
+    decisions = {}
+    independent = {}
     for flaw in args.flaws:
         decisions[flaw], families, causes = decide(args, campaign, flaw)
         independent[flaw] = decide(args, campaign, flaw, independent=True)[0]
@@ -155,7 +160,9 @@ def changes(args, campaign):
         for column in after.select_dtypes("number"):
             change = (after[column] - before[column]).dropna().astype(float)
             error = change.std(ddof=1) / np.sqrt(len(change))
-            t = change.mean() / error if error else np.sign(change.mean()) * np.inf if change.any() else 0.0
+            t = 0.0
+            if change.any():
+                t = change.mean() / error if error else np.sign(change.mean()) * np.inf
             rows.append((campaign, flaw, column, before[column].mean(), change.mean(), t, len(change)))
     return pd.DataFrame(rows, columns=["campaign", "flaw", "column", "before", "change", "t", "pairs"])
 
@@ -164,10 +171,9 @@ def pieces_table(found, campaign):
     columns = ("n_missing_pieces", "n_invented_pieces", "cdc_mean")
     t = found[found.campaign == campaign].pivot(index="flaw", columns="column", values="t")
     lines = [f"`{campaign}`, t over pairs:", "| flaw | missing pieces | invented pieces | CDC |", "|---|---|---|---|"]
-    lines += [
-        f"| {flaw} | {' | '.join(f'{t.loc[flaw, column]:.1f}' for column in columns)} |"
-        for flaw in dict.fromkeys(found.flaw)
-    ]
+    for flaw in dict.fromkeys(found.flaw):
+        cells = [f"{t.loc[flaw, column]:.1f}" for column in columns]
+        lines.append(f"| {flaw} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -45,7 +45,9 @@ STEPS = (0.5, 1.0, 2.0)
 def correlated(rng, n):
     """(families, scores, n) normal changes, correlated within a family and less over families."""
     shape = (N_FAMILIES, N_SCORES, n)
-    shared, own_family, own = (rng.normal(size=size) for size in ((1, 1, n), (N_FAMILIES, 1, n), shape))
+    shared = rng.normal(size=(1, 1, n))
+    own_family = rng.normal(size=(N_FAMILIES, 1, n))
+    own = rng.normal(size=shape)
     return np.sqrt(0.2) * shared + np.sqrt(0.4) * own_family + np.sqrt(0.4) * own
 
 
@@ -69,7 +71,8 @@ def lowest_p(changes, step):
 
 def rates(make, step, n, repeats, seed=0):
     """Share of comparisons with a false alarm, and with the first family decided at each step of its first score."""
-    rng, found = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    found = []
     for _ in range(repeats):
         changes = make(rng, n)
         alone = [lowest_p(own, step) for own in changes]
@@ -86,7 +89,10 @@ def of_compare(repeats):
     print("|---" * (len(SIZES) + 1) + "|")
     for name, (make, step) in DISTRIBUTIONS.items():
         found = [rates(make, step, n, repeats) for n in SIZES]
-        cells = [f"{100 * own[0]:.1f} %; " + ", ".join(f"{100 * power:.0f}" for power in own[1:]) for own in found]
+        cells = []
+        for alarms, *powers in found:
+            percents = [f"{100 * power:.0f}" for power in powers]
+            cells.append(f"{100 * alarms:.1f} %; {', '.join(percents)}")
         print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
 
 
@@ -107,7 +113,8 @@ def in_world(points, pose, seed):
     ghosts = rng.uniform([-20, -20, -0.5], [35, 20, 2.0], (8, 3))
     clouds = (ghosts[:, None] + rng.normal(0, 0.3, (8, 40, 3))).reshape(-1, 3)
     to_sensor = np.linalg.inv(pose)
-    holes, clouds = (own @ to_sensor[:3, :3].T + to_sensor[:3, 3] for own in (holes, clouds))
+    holes = holes @ to_sensor[:3, :3].T + to_sensor[:3, 3]
+    clouds = clouds @ to_sensor[:3, :3].T + to_sensor[:3, 3]
     kept = (np.linalg.norm(points[:, None] - holes, axis=2) > 1.5).all(axis=1)
     return np.vstack([points[kept], clouds])
 
@@ -123,7 +130,8 @@ def poses_of(folder):
 
     for row in np.loadtxt(folder / "poses.tum"):
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = Rotation.from_quat(row[4:8]).as_matrix(), row[1:4]
+        pose[:3, :3] = Rotation.from_quat(row[4:8]).as_matrix()
+        pose[:3, 3] = row[1:4]
         yield pose
 
 
@@ -166,10 +174,15 @@ def of_runs(args):
     print("| equal simulators | comparisons | better, worse or mixed |")
     print("|---|---|---|")
     if args.draws:
-        rows, rng, decisions = measure_draws(args), np.random.default_rng(0), []
+        rows = measure_draws(args)
+        rng = np.random.default_rng(0)
+        decisions = []
         names = sorted({pair for pair, _ in rows})
         for _ in range(args.repeats):
-            chosen = {name: tuple(rows[name, i] for i in rng.choice(DRAWS, 2, replace=False)) for name in names}
+            chosen = {}
+            for name in names:
+                first, second = rng.choice(DRAWS, 2, replace=False)
+                chosen[name] = (rows[name, first], rows[name, second])
             families = judge_families("reference", chosen, np.arange(len(names), dtype=np.int32))
             decisions.append(overall({family.verdict for family in families if not family.why}))
         print_rate(f"independent draws of {len(names)} pairs", decisions)

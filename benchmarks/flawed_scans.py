@@ -13,7 +13,10 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-CAR_LENGTH_M, CAR_WIDTH_M, CAR_TOP_M, CAR_RANGE_M = (3.0, 5.5), (1.0, 2.3), (1.3, 2.2), (4.0, 15.0)
+CAR_LENGTH_M = (3.0, 5.5)
+CAR_WIDTH_M = (1.0, 2.3)
+CAR_TOP_M = (1.3, 2.2)
+CAR_RANGE_M = (4.0, 15.0)
 
 
 @dataclass
@@ -72,7 +75,8 @@ def is_ground(points):
     cells -= cells.min(axis=0)
     lowest = np.full(cells.max(axis=0) + 1, np.inf)
     np.minimum.at(lowest, tuple(cells.T), points[:, 2])
-    floor_m, road_m = minimum_filter(lowest, 3)[tuple(cells.T)], road_height(points)
+    floor_m = minimum_filter(lowest, 3)[tuple(cells.T)]
+    road_m = road_height(points)
     is_near = np.abs(floor_m - road_m) < 0.3 + 0.03 * ranges(points)
     return points[:, 2] < np.where(is_near, floor_m, road_m) + 0.25
 
@@ -83,7 +87,8 @@ def rectangle(points):
     for angle in np.radians(np.arange(0, 90, 2)):
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         level = points[:, :2] @ turn.T
-        low, high = level.min(axis=0), level.max(axis=0)
+        low = level.min(axis=0)
+        high = level.max(axis=0)
         boxes.append((np.prod(high - low), *np.sort(high - low), (low + high) / 2 @ turn))
     return min(boxes, key=lambda box: box[0])[1:]
 
@@ -118,7 +123,8 @@ def find_poles(points):
         if len(own) < 5 or np.ptp(own[:, 2]) < 1.5:
             continue
         centre = own[:, :2].mean(axis=0)
-        inside, around = (len(tree.query_ball_point(centre, radius)) for radius in (0.3, 0.8))
+        inside = len(tree.query_ball_point(centre, 0.3))
+        around = len(tree.query_ball_point(centre, 0.8))
         if around <= 1.3 * inside and all(np.hypot(*(centre - pole)) > 0.5 for pole in poles):
             poles.append(centre)
     return np.array(poles).reshape(-1, 2)
@@ -148,8 +154,10 @@ def holes(scan, rng):
 
 def ghosts(scan, rng):
     """Clusters of 20 points, 0.2 m std, in the air between the sensor and a surface, 1.5 m from every point."""
-    tree, road_m = cKDTree(scan.points), road_height(scan.points)
-    n_clusters, clusters = round(0.05 * len(scan.points) / 20), []
+    tree = cKDTree(scan.points)
+    road_m = road_height(scan.points)
+    n_clusters = round(0.05 * len(scan.points) / 20)
+    clusters = []
     while len(clusters) < n_clusters:
         surface = scan.points[rng.integers(len(scan.points))]
         centre = surface * rng.uniform(0.2, 0.9)
@@ -168,7 +176,8 @@ def offset(scan, rng):
 
 def solid_foliage(scan, rng):
     """Rays that enter scattered surface stop at the nearest foliage of their neighbourhood (2 degrees, 3 m deep)."""
-    points, range_m = scan.points, ranges(scan.points)
+    points = scan.points
+    range_m = ranges(scan.points)
     distance, near = cKDTree(points).query(points, k=20)
     neighbours = points[near] - points[near].mean(axis=1, keepdims=True)
     spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", neighbours, neighbours))
@@ -184,7 +193,8 @@ def solid_foliage(scan, rng):
 
 
 def pitch(scan, rng):
-    c, s = np.cos(np.radians(1)), np.sin(np.radians(1))
+    c = np.cos(np.radians(1))
+    s = np.sin(np.radians(1))
     return scan.points @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
 
 
@@ -207,7 +217,8 @@ def car_removed(scan, rng):
 
 def car_removed_road_seen(scan, rng):
     """As `car_removed`, but rays that would meet the road at most 6 m behind the car return from there."""
-    is_car, road_m = belongs_to_car(scan), road_height(scan.points)
+    is_car = belongs_to_car(scan)
+    road_m = road_height(scan.points)
     car = scan.points[is_car & (scan.points[:, 2] < -0.1)]
     on_road = car * (road_m / car[:, 2])[:, None]
     return np.vstack([scan.points[~is_car], on_road[np.abs(ranges(on_road) - ranges(car)) < 6]])

@@ -41,7 +41,8 @@ def main(dataset, every):
         size_mb = sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) / 1e6 / len(pairs)
         again = repeated(dataset, repeats * len(pairs), folder / "again")
         more = weigh("run", again, "--out", folder / "more", "--workers", 2, "--from", "ground")
-        timings, timings_of_more = (pd.read_parquet(folder / name / "timings.parquet") for name in ("floor", "more"))
+        timings = pd.read_parquet(folder / "floor" / "timings.parquet")
+        timings_of_more = pd.read_parquet(folder / "more" / "timings.parquet")
     total = sum(floors.values())
     print("floor by pair: " + ", ".join(f"{pair} {value:.1f}" for pair, value in floors.items()))
     print(f"floor {total:.1f} s; the command on two workers:")
@@ -51,7 +52,10 @@ def main(dataset, every):
     start_s = whole.wall_s - pace * len(pairs)
     print(f"  start-up aside: {pace:.2f} s per pair (from {repeats} times as many pairs); start-up {start_s:.1f} s")
     print(f"run directory {size_mb:.1f} MB per pair")
-    inside, files = (b - a for a, b in zip(split(timings), split(timings_of_more), strict=True))
+    inside_once, files_once = split(timings)
+    inside, files = split(timings_of_more)
+    inside -= inside_once
+    files -= files_once
     waiting = 2 * (more.wall_s - whole.wall_s) - inside - files
     print(f"of {(repeats - 1) * len(pairs)} further pairs: stages {inside:.1f} s, tables {files:.1f} s, ", end="")
     print(f"scheduling and waiting {waiting:.1f} s: both together {(files + waiting) / inside:.1%} of the stages")
@@ -68,11 +72,13 @@ def floor(out, pair):
     """CPU seconds that no implementation of these definitions can avoid."""
     metrics = pd.read_parquet(out / "metrics" / f"{pair}.parquet")
     selection = pd.read_parquet(out / "selection" / f"{pair}.parquet")
-    spent, objects = 0.0, {}
+    spent = 0.0
+    objects = {}
     for side in ("real", "sim"):
         ground = pd.read_parquet(out / "ground" / f"{pair}.{side}.parquet")
         ground = ground[~ground.is_ground]
-        ids, points = ground.point_id.to_numpy(), np.ascontiguousarray(ground[["x", "y", "z"]].to_numpy())
+        ids = ground.point_id.to_numpy()
+        points = np.ascontiguousarray(ground[["x", "y", "z"]].to_numpy())
         graph = pd.read_parquet(out / "graph" / f"{pair}.{side}.parquet")
         labels = pd.read_parquet(out / "communities" / f"{pair}.{side}.parquet").community_id.to_numpy()
         edges = Edges(np.searchsorted(ids, graph.src), np.searchsorted(ids, graph.dst), graph.length_m.to_numpy())
@@ -83,7 +89,8 @@ def floor(out, pair):
         tree.query_pairs(0.2, output_type="ndarray")
         spent += time.process_time() - start
     for row in metrics.itertuples():
-        real, sim = objects["real"][row.real_id], objects["sim"][row.sim_id]
+        real = objects["real"][row.real_id]
+        sim = objects["sim"][row.sim_id]
         start = time.process_time()
         cKDTree(sim.points).query(real.points)
         cKDTree(real.points).query(sim.points)

@@ -42,7 +42,8 @@ def main(folder):
     for path in sources(folder):
         known = scan_ref(path)
         frames, to_list = timed(lambda path=path: scans_of(path))
-        counts, seconds = [], []
+        counts = []
+        seconds = []
         for frame in frames:
             read_scan(frame)
             scan, took = timed(lambda frame=frame: read_scan(frame))

@@ -60,6 +60,10 @@ def again(points, seed=0):
     return points + rng.normal(0, 0.05, points.shape)
 
 
+def lumpi(folder):
+    return [np.fromfile(path, "<f4").reshape(-1, 3).astype(float) for path in sorted(folder.iterdir())]
+
+
 def scan(path):
     return read_scan(path, None, {}).points
 
@@ -133,9 +137,12 @@ def finite(points):
 
 def places(data):
     """Lifts: error of the printed height, less the ground's own difference. Places: alarms, and pairs of two places."""
-    settings, rng = InputSettings(), np.random.default_rng(0)
-    twins, (os1, vlp, T) = twin(data), rellis(data)
-    errors, in_feet = [], []
+    settings = InputSettings()
+    rng = np.random.default_rng(0)
+    twins = twin(data)
+    os1, vlp, T = rellis(data)
+    errors = []
+    in_feet = []
     for real, sim in [*twins, *streets(0, 8)[2::5]]:
         own = np.array([_height(check_frames(real, sim + np.array([0, 0, lift]), settings)) + lift for lift in LIFTS_M])
         errors += [*(own - np.median(own))]
@@ -144,10 +151,9 @@ def places(data):
     print(f"in feet: {sum(in_feet)} of {len(in_feet)} recognised")
     same = {name: [(real, flaw(sim, rng)) for real, sim in twins] for name, flaw in FLAWS.items()}
     same["rellis"] = [(finite(os1), finite(vlp) @ T[:, :3].T + T[:, 3])]
-    same["kitti_sequence, neighbours"], same["synth"] = sequence(data, 1), streets(0, 12)
-    lumpi = {side: [np.fromfile(path, "<f4").reshape(-1, 3) for path in sorted((data / "lumpi" / side).iterdir())]
-             for side in ("real", "sim")}  # fmt: skip
-    same["lumpi"] = [(real.astype(float), sim.astype(float)) for real in lumpi["real"] for sim in lumpi["sim"]]
+    same["kitti_sequence, neighbours"] = sequence(data, 1)
+    same["synth"] = streets(0, 12)
+    same["lumpi"] = [(real, sim) for real in lumpi(data / "lumpi/real") for sim in lumpi(data / "lumpi/sim")]
     print("| one place | pairs | alarms | least best coverage |\n|---|---|---|---|")
     for name, pairs in same.items():
         found = [check_frames(finite(real), finite(sim), settings) for real, sim in pairs]
@@ -171,13 +177,18 @@ def inverse(T):
 
 
 def main(data, is_choice):
-    named, settings, seconds, missed = sources(data, is_choice), InputSettings(), [], []
+    named = sources(data, is_choice)
+    settings = InputSettings()
+    seconds = []
+    missed = []
     print("| fault | " + " | ".join(named) + " |")
     print("|---" * (len(named) + 1) + "|")
     for fault in ["none", *FAULTS]:
         cells = []
         for name, pairs in named.items():
-            n, before, after = 0, [], []
+            n = 0
+            before = []
+            after = []
             for real, sim, T in pairs:
                 start = time.process_time()
                 check = check_frames(real, sim if fault == "none" else altered(sim, fault), settings, T)

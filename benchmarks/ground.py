@@ -47,12 +47,16 @@ def main() -> None:
         columns = ("x", "y", "z") if "lumpi" in pattern else None
         scan = clean_scan(read_scan(next(args.data.glob(pattern)), columns).points, settings.input).points
         for name, change in GROUNDS.items():
-            points, errors_m, angles_deg, jumped = change(scan), [], [], None
+            points = change(scan)
+            errors_m = []
+            angles_deg = []
+            jumped = None
             for seed in range(5):
                 rng = np.random.default_rng(seed)
                 again = remeasure(points, 0.03, 0.03, rng)[0]
                 is_first = rng.random(len(points)) < 0.5
-                half, other = points[is_first], remeasure(points[~is_first], 0.03, 0.03, rng)[0]
+                half = points[is_first]
+                other = remeasure(points[~is_first], 0.03, 0.03, rng)[0]
                 pairs = [(points, again, 0.0), *((half, other + np.array([0, 0, lift]), lift) for lift in LIFTS_M)]
                 for real, sim, lift_m in pairs:
                     cut = remove_ground(real, with_peak["own"])

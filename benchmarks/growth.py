@@ -19,7 +19,8 @@ def main(sizes):
     print("points   objects pts  largest   wall s    CPU s   process peak MiB   all MiB")
     with scratch() as folder:
         for size in sizes:
-            data, out = folder / f"points{size}", folder / f"run{size}"
+            data = folder / f"points{size}"
+            out = folder / f"run{size}"
             weigh("synth", data, "--pairs", 1, "--sensor", "hdl64", "--points", size)
             words = ["run", data, "--out", out, "--workers", 2, "--set", f"machine.memory_gib={MEMORY_GIB}"]
             run = weigh(*words, "--from", "ground")

@@ -25,8 +25,8 @@ from flawed_scans import random
 
 from fidpipe.pipeline.datasets import pairs
 from fidpipe.pipeline.datasets.readers import read_scan
-from fidpipe.stages.causes.beams import grid_of
 from fidpipe.stages.causes.sides import PairScans
+from fidpipe.stages.rays import grid_of
 from fidpipe.stages.sensor_description import describe_sensor
 
 N_PAIRS = 5

@@ -69,7 +69,8 @@ def poison(listed):
     kinds = ("cut off", "three points", "crash while files are read", "crash in a stage")
     done = {}
     for i, row in enumerate(range(ONE_IN // 2, len(rows), ONE_IN)):
-        pair_id, kind = rows.pair_id[row], kinds[i % len(kinds)]
+        pair_id = rows.pair_id[row]
+        kind = kinds[i % len(kinds)]
         content = Path(rows.real[row]).read_bytes()
         crashes_at = {kinds[2]: "-1.trap", kinds[3]: "-2.trap"}.get(kind, ".bin")
         path = listed / f"poison-{pair_id}{crashes_at}"
@@ -87,14 +88,16 @@ class Harmed:
     """
 
     def __init__(self, words, seconds_between_kills, errors, environment):
-        self._samples, self.n_killed = [], 0
+        self._samples = []
+        self.n_killed = 0
         self._rng = random.Random(0)
         self._every_s = seconds_between_kills
         with errors.open("w") as file:
             self.process = subprocess.Popen(
                 [FIDPIPE, *map(str, words)], stdout=subprocess.DEVNULL, stderr=file, env=environment
             )
-            self.begun, self._begun = time.time(), time.monotonic()
+            self.begun = time.time()
+            self._begun = time.monotonic()
             watcher = threading.Thread(target=self._watch)
             watcher.start()
             self.code = self.process.wait()
@@ -136,9 +139,9 @@ def judge(out, listed, poisoned):
     scored = pairs[pairs.status == "scored"].drop(columns=["status", "reason"])
     first = scored.groupby(rows.real.reindex(scored.index)).transform("first")
     differs = ~((scored == first) | (scored.isna() & first.isna())).all(axis=1)
-    by_kind = {
-        kind: sorted(p for p, own in poisoned.items() if own == kind) for kind in dict.fromkeys(poisoned.values())
-    }
+    first_of_kind = {}
+    for name in sorted(poisoned):
+        first_of_kind.setdefault(poisoned[name], name)
     return {
         "pairs": len(rows),
         "scored": len(scored),
@@ -147,7 +150,7 @@ def judge(out, listed, poisoned):
         "poison that was scored": sorted(set(poisoned) & set(scored.index)),
         "others that failed": {name: failed[name] for name in failed.index if name not in poisoned},
         "rows unlike their first like": int(differs.sum()),
-        "reasons": {kind: failed.get(names[0]) for kind, names in by_kind.items()},
+        "reasons": {kind: failed.get(name) for kind, name in first_of_kind.items()},
     }
 
 
@@ -180,7 +183,9 @@ def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
     n_pairs = int(n_pairs)
     print(machine(), "load", os.getloadavg())
     with scratch() as folder:
-        data, out, listed = folder / "small", folder / f"load-run{n_pairs}", folder / f"load{n_pairs}"
+        data = folder / "small"
+        out = folder / f"load-run{n_pairs}"
+        listed = folder / f"load{n_pairs}"
         if not data.exists():
             weigh("synth", data, "--pairs", min(N_FILES, n_pairs), "--points", points, "--workers", WORKERS)
         poisoned = poison(repeated(data, n_pairs, listed))
@@ -192,7 +197,8 @@ def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
         if figure:
             harmed.samples.to_csv(Path(figure).with_suffix(".csv"), index=False)
             draw(figure)
-        found, first_s = judge(out, listed, poisoned), reading_s(out, harmed.begun)
+        found = judge(out, listed, poisoned)
+        first_s = reading_s(out, harmed.begun)
         told = (folder / "errors.txt").read_text()
         size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
         left = [str(path) for path in out.rglob(".*") if path.name not in (".lock", ".writer")]

@@ -35,9 +35,11 @@ class Weighed:
 
 def weigh(*words):
     """Runs `fidpipe WORDS` to its end. FIDPIPE_BENCH_COMMAND names another command, to weigh another version of it."""
-    command, start = os.environ.get("FIDPIPE_BENCH_COMMAND", FIDPIPE), time.perf_counter()
+    command = os.environ.get("FIDPIPE_BENCH_COMMAND", FIDPIPE)
+    start = time.perf_counter()
     process = subprocess.Popen([command, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    peaks, seconds = {}, {}
+    peaks = {}
+    seconds = {}
     watcher = threading.Thread(target=_watch, args=(process, peaks, seconds))
     watcher.start()
     output, errors = process.communicate()

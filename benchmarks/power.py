@@ -152,12 +152,12 @@ def table(found):
         right = own[(own.t > 0) | ~own.signed]
         best = right.reindex(right.t.abs().sort_values(ascending=False).index).head(4)
         wrong = own[own.signed & (own.t < -2.3)].sort_values("t").head(3)
-        cells = (
-            ", ".join(f"{row.score} {row.t:.1f} ({_count(row.pairs)})" for row in rows.itertuples())
-            for rows in (best, wrong)
-        )
-        lines.append(f"| {flaw} | {amount:g} | {preset} | {' | '.join(cells)} |")
+        lines.append(f"| {flaw} | {amount:g} | {preset} | {_cell(best)} | {_cell(wrong)} |")
     return "\n".join(lines)
+
+
+def _cell(rows):
+    return ", ".join(f"{row.score} {row.t:.1f} ({_count(row.pairs)})" for row in rows.itertuples())
 
 
 def core_table(found):
@@ -209,7 +209,9 @@ def draw(found, path):
 
 
 def _count(pairs):
-    return "-" if pd.isna(pairs) else f"{int(pairs)}" if pairs < 1000 else "over 999"
+    if pd.isna(pairs):
+        return "-"
+    return f"{int(pairs)}" if pairs < 1000 else "over 999"
 
 
 if __name__ == "__main__":

@@ -49,7 +49,8 @@ def effect_size(change: FloatArray) -> float | None:
     change : (n,) float64, of each pair; NaN are left out
     """
     own = change[~np.isnan(change)]
-    t, degrees = paired_t(own), len(own) - 1
+    t = paired_t(own)
+    degrees = len(own) - 1
     if t is None or degrees < 2:
         return None
     correction = np.exp(gammaln(degrees / 2) - gammaln((degrees - 1) / 2)) / np.sqrt(degrees / 2)

@@ -14,7 +14,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
 import zlib
-from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 
@@ -35,16 +34,12 @@ def read(path):
     return points[(ranges(points) > 2.5) & (ranges(points) < 100)]
 
 
-def sensor_of(points):
-    return asdict(describe_sensor(points))
-
-
 def random(*names):
     return np.random.default_rng(zlib.crc32(" ".join(names).encode()))
 
 
 def scores_of(real, sim, sensor):
-    rays = find_rays(real, sim, (sensor, sensor_of(sim)))
+    rays = find_rays(real, sim, (sensor, describe_sensor(sim)))
     return {} if isinstance(rays, str) else score_rays(rays)
 
 
@@ -63,12 +58,15 @@ def main():
     parser.add_argument("datasets", type=Path, nargs="+", help="folders with real/ and sim/")
     parser.add_argument("--flaws", nargs="*", default=list(FLAWS))
     args = parser.parse_args()
-    scores, bands = {}, {"twin": [], "best case": []}
+    scores = {}
+    bands = {"twin": [], "best case": []}
     for path in (path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))):
         name = f"{path.parent.parent.name}-{path.stem}"
         real, sim = read(path), read(path.parent.with_name("sim") / path.name)
-        sensor, car, poles = sensor_of(real), find_car(real), find_poles(real)
-        base = find_rays(real, sim, (sensor, sensor_of(sim)))
+        sensor = describe_sensor(real)
+        car = find_car(real)
+        poles = find_poles(real)
+        base = find_rays(real, sim, (sensor, describe_sensor(sim)))
         scores[name, ""] = score_rays(base)
         kept = real[random(name, "loss").random(len(real)) >= 0.03]
         best_case = find_rays(real, ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), (sensor, sensor))

@@ -39,7 +39,8 @@ class Server:
     """An S3 server, which logs its requests."""
 
     def __init__(self, folder):
-        self._log, self._process = folder / "requests.log", None
+        self._log = folder / "requests.log"
+        self._process = None
         self._log.touch()
         os.environ.update({"AWS_ALLOW_HTTP": "true", "FIDPIPE_CACHE": str(folder / "cache")})
         if "AWS_ENDPOINT_URL" in os.environ:
@@ -83,9 +84,11 @@ def upload(dataset, url):
 
 def pair_of_runs(server, folder, dataset, url, name):
     """A local run and a remote one, in this order; seconds of both."""
-    before, server_s = server.requests(), server.cpu_s()
+    before = server.requests()
+    server_s = server.cpu_s()
     remote = weigh("run", url, "--out", f"{URL}/runs/{name}", "--workers", WORKERS)
-    used, server_s = server.requests() - before, server.cpu_s() - server_s
+    used = server.requests() - before
+    server_s = server.cpu_s() - server_s
     local = weigh("run", dataset, "--out", folder / name, "--workers", WORKERS)
     print(f"{name}: wall {local.wall_s:.1f} s local, {remote.wall_s:.1f} s remote: {remote.wall_s / local.wall_s:.2f}")
     print(f"  CPU {local.cpu_s:.1f} s local, {remote.cpu_s:.1f} s remote: {remote.cpu_s / local.cpu_s:.2f}", end="")
@@ -106,7 +109,8 @@ def on_a_cluster(server, folder, url):
     words = ("--nworkers", str(WORKERS), "--nthreads", "1", "--memory-limit", "4GiB")
     workers = start([FIDPIPE.with_name("dask"), "worker", *options, *words], folder)
     try:
-        before, address = server.requests(), json.loads(file.read_text())["address"]
+        before = server.requests()
+        address = json.loads(file.read_text())["address"]
         run = weigh("run", url, "--out", f"{URL}/runs/cluster", "--scheduler", address)
         print(f"cluster: wall {run.wall_s:.1f} s; requests {dict(server.requests() - before)}", flush=True)
     finally:

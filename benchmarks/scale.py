@@ -74,13 +74,15 @@ def main(n_pairs=320, seconds=16.0, n_workers=32):
             with distributed.Client(address, set_as_default=False) as client:
                 client.wait_for_workers(n_workers)
             machines = Machines(scheduler=address, policy=Policy(bundle_s=1e-9))  # a pair each
-            begun, own = time.perf_counter(), psutil.Process()
+            begun = time.perf_counter()
+            own = psutil.Process()
             of_command = used([own])[0]
             out = folder / "run"
             ended = run_dataset(
                 listed, out, Settings(), Reporter(Console(quiet=True)), machines=machines, stages=stages
             )
-            wall_s, of_command = time.perf_counter() - begun, used([own])[0] - of_command
+            wall_s = time.perf_counter() - begun
+            of_command = used([own])[0] - of_command
             of_scheduler, scheduler_mib = used([psutil.Process(scheduler.pid)])
             of_workers, worker_mib = used([psutil.Process(workers.pid)])
             memory = used([own])[1]

@@ -136,9 +136,23 @@ OUT_OF_FRAME = {
 def told(points, counts, key, truth):
     """Counts what is said of a scan, and returns it."""
     facts = describe_sensor(points)
-    counts[key]["hit" if facts.model == truth else "miss" if facts.model is None else "false name"] += 1
-    counts[key]["told"] += bool(facts.elevation_deg)
+    count(facts, counts[key], truth)
     return facts
+
+
+def count(facts, counts, truth):
+    """Counts whether a sensor has been recognised, and its beams."""
+    if facts.model == truth:
+        counts["hit"] += 1
+    elif facts.model is None:
+        counts["miss"] += 1
+    else:
+        counts["false name"] += 1
+    counts["told"] += bool(facts.elevation_deg)
+
+
+def no_counts():
+    return defaultdict(lambda: defaultdict(int))
 
 
 def show(title, counts):
@@ -156,15 +170,14 @@ def scans(data, pattern):
 def recordings(data):
     print("| recording | points | beams | step (deg) | quantum (mm) | noise (mm) | lost (%) by range | seconds |")
     print("|---|---|---|---|---|---|---|---|")
-    counts = defaultdict(lambda: defaultdict(int))
+    counts = no_counts()
     for pattern, truth in RECORDINGS.items():
         for path in scans(data, pattern):
             scan = read_scan(path)
             start = time.perf_counter()
             facts = describe_sensor(scan.points, scan.rings, scan.times_s is not None)
             seconds = time.perf_counter() - start
-            counts[pattern]["hit" if facts.model == truth else "miss" if facts.model is None else "false name"] += 1
-            counts[pattern]["told"] += bool(facts.elevation_deg)
+            count(facts, counts[pattern], truth)
             share = " ".join("-" if value is None else f"{100 * value:.0f}" for value in facts.lost_share)
             quantum = "-" if facts.range_quantum_m is None else f"{1e3 * facts.range_quantum_m:g}"
             noise = "-" if facts.range_noise_m is None else f"{1e3 * facts.range_noise_m:.0f}"
@@ -180,7 +193,7 @@ def recordings(data):
 def main(data, seed):
     recordings(data)
     rng = np.random.default_rng(seed)
-    by_sensor, harmless, out_of_frame, unknown = (defaultdict(lambda: defaultdict(int)) for _ in range(4))
+    by_sensor, harmless, out_of_frame, unknown = no_counts(), no_counts(), no_counts(), no_counts()
     measured = defaultdict(list)
     for model in SENSORS.values():
         for index in range(3):

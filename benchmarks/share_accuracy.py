@@ -60,7 +60,8 @@ def share_early(scene, before, after, amount):
 
 def share_cut(scene, before, after, amount):
     """Share of the real points that have a simulated one within 0.25 m, and none afterwards that is as near."""
-    before_m, after_m = (fs.cKDTree(own).query(scene[1].points)[0] for own in (before, after))
+    before_m = fs.cKDTree(before).query(scene[1].points)[0]
+    after_m = fs.cKDTree(after).query(scene[1].points)[0]
     return ((before_m < 0.25) & (after_m > before_m)).mean()
 
 

@@ -59,7 +59,8 @@ def tree_seconds(pid):
 
 def seconds_when_quiet(browser):
     """CPU seconds of the page's main thread, and of all processes of a browser, when it has nothing left to do."""
-    last, now = -1.0, 0.0
+    last = -1.0
+    now = 0.0
     while now - last > QUIET_S:
         last = now
         time.sleep(QUIET_FOR_S)

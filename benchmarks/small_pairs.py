@@ -20,7 +20,8 @@ WORKERS = 2
 def main(n_pairs=10_000, points=2000):
     print(machine())
     with scratch() as folder:
-        data, out = folder / "small", folder / f"small-run{n_pairs}"
+        data = folder / "small"
+        out = folder / f"small-run{n_pairs}"
         n_files = min(N_FILES, n_pairs)
         weigh("synth", data, "--pairs", n_files, "--points", points, "--workers", WORKERS)
         data = repeated(data, n_pairs, folder / "listed")
@@ -29,7 +30,8 @@ def main(n_pairs=10_000, points=2000):
         wall_s = json.loads((out / "run.json").read_text())["wall_s"]
         again = weigh("run", data, "--out", out, "--workers", WORKERS)
     is_file = timings.step.isin(["read", "write"])
-    inside, files = timings.seconds[~is_file].sum(), timings.seconds[is_file].sum()
+    inside = timings.seconds[~is_file].sum()
+    files = timings.seconds[is_file].sum()
     beyond = WORKERS * wall_s["stages"] - inside - files
     print(f"{n_pairs} pairs of about {points} points: {run.wall_s:.0f} s wall, {run.cpu_s:.0f} s CPU")
     print(

@@ -26,7 +26,8 @@ def main(dataset, pair="000000"):
     with scratch() as folder:
         out = folder / "speedup"
         ours = weigh("run", dataset, "--out", out, "--workers", 2, "--pairs", pair, "--from", "ground")
-        points, labels = {}, {}
+        points = {}
+        labels = {}
         for side in ("real", "sim"):
             ground = pd.read_parquet(out / "ground" / f"{pair}.{side}.parquet")
             points[side] = ground.loc[~ground.is_ground, ["x", "y", "z"]].to_numpy()
@@ -47,7 +48,8 @@ def main(dataset, pair="000000"):
 
 
 def largest_difference(a, b):
-    a, b = a.to_numpy(dtype=float), b.to_numpy(dtype=float)
+    a = a.to_numpy(dtype=float)
+    b = b.to_numpy(dtype=float)
     if len(a) != len(b) or (np.isnan(a) != np.isnan(b)).any():
         return np.inf
     return float(np.nanmax(np.abs(a - b), initial=0.0))

@@ -41,7 +41,8 @@ def main(dataset):
         weigh("run", dataset, "--out", out, "--workers", 2)
         pairs = sorted(path.stem for path in (out / "metrics").glob("*.parquet"))
         sides = {pair: {side: read_side(out, pair, side) for side in ("real", "sim")} for pair in pairs}
-        laplacians, aligned = [], []
+        laplacians = []
+        aligned = []
         for pair in pairs:
             large, nodes = read_objects(out, pair, sides[pair])
             laplacians += large
@@ -57,7 +58,8 @@ def read_side(out, pair, side):
     ground = ground[~ground.is_ground]
     ids = ground.point_id.to_numpy()
     graph = pd.read_parquet(out / "graph" / f"{pair}.{side}.parquet")
-    src, dst = (np.searchsorted(ids, graph[end]).astype(np.int32) for end in ("src", "dst"))
+    src = np.searchsorted(ids, graph["src"]).astype(np.int32)
+    dst = np.searchsorted(ids, graph["dst"]).astype(np.int32)
     return ids, np.ascontiguousarray(ground[["x", "y", "z"]].to_numpy()), Edges(src, dst, graph.length_m.to_numpy())
 
 
@@ -69,7 +71,8 @@ def read_objects(out, pair, sides):
     for side, (ids, points, edges) in sides.items():
         labels = pd.read_parquet(out / "communities" / f"{pair}.{side}.parquet").community_id.to_numpy()
         objects[side] = split_by_community(ids, points, edges, labels, metrics[f"{side}_id"])
-    laplacians, aligned = [], []
+    laplacians = []
+    aligned = []
     for row in metrics.itertuples():
         own = selection[selection.real_id == row.real_id]
         points = []
@@ -118,7 +121,8 @@ def compare_alignments(aligned):
 def compare_louvain(sides):
     for tolerance in (TOLERANCE_OPTIMISATION, 1e-7):
         communities.TOLERANCE_OPTIMISATION = tolerance
-        seconds, modularities = 0.0, []
+        seconds = 0.0
+        modularities = []
         for ids, _, edges in sides:
             for seed in SEEDS:
                 settings = CommunitySettings(seed=seed)

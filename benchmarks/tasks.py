@@ -101,7 +101,8 @@ TASKS = (
 
 
 def pitched(angle_deg):
-    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    c = np.cos(np.radians(angle_deg))
+    s = np.sin(np.radians(angle_deg))
     return lambda scan, rng: scan.points @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
 
 
@@ -131,7 +132,8 @@ def ghosts(share):
     """Clusters of 20 points in front of surfaces, 1.5 m from every point."""
 
     def add(scan, rng):
-        tree, clusters = cKDTree(scan.points), []
+        tree = cKDTree(scan.points)
+        clusters = []
         while len(clusters) < share * len(scan.points) / 20:
             centre = scan.points[rng.integers(len(scan.points))] * rng.uniform(0.2, 0.9)
             if tree.query(centre)[0] > 1.5 and np.hypot(*centre[:2]) > 4:
@@ -304,7 +306,8 @@ def conditions(data, frames, bases, which_amounts):
     for number in frames:
         path = sources[number]
         full = read(path)
-        car, poles = find_car(full), find_poles(full)
+        car = find_car(full)
+        poles = find_poles(full)
         real = full[::EVERY]
         simulated = {
             "good": remeasured(real, random(path.stem, "base")),
@@ -332,7 +335,8 @@ def real_pairs(data):
     rows = np.loadtxt(data / "kitti_sequence" / "poses.tum")
     poses = [(Rotation.from_quat(row[4:8]).as_matrix(), row[1:4]) for row in rows]
     for i in (0, 3, 6):
-        (r, t), (r_next, t_next) = poses[i], poses[i + 1]
+        r, t = poses[i]
+        r_next, t_next = poses[i + 1]
         second = ((read(paths[i + 1]) @ r_next.T + t_next) - t) @ r
         yield f"driving {i}", "driving", read(paths[i])[::EVERY], second[::EVERY]
 
@@ -378,7 +382,8 @@ def correlation(table, score, task):
     """Correlation, its 95 % bootstrap interval over flaws, and the correlations without any one flaw."""
     flaws = table.flaw.unique()
     rows_of = [np.flatnonzero(table.flaw == flaw) for flaw in flaws]
-    a, b = SCORES[score] * table[score].to_numpy(), table[task].to_numpy()
+    a = SCORES[score] * table[score].to_numpy()
+    b = table[task].to_numpy()
     rng = np.random.default_rng(0)
     drawn = []
     for _ in range(1000):
@@ -396,8 +401,10 @@ def predicted(a, b, at):
 def left_out_error(table, score, task):
     """Mean error of the predicted gap of a flaw that was left out, and that of the mean gap of the others."""
     known = table[np.isfinite(table[score]) & np.isfinite(table[task])]
-    a, b = SCORES[score] * known[score].to_numpy(), known[task].to_numpy()
-    errors, of_mean = [], []
+    a = SCORES[score] * known[score].to_numpy()
+    b = known[task].to_numpy()
+    errors = []
+    of_mean = []
     for flaw in known.flaw.unique():
         is_out = (known.flaw == flaw).to_numpy()
         errors += list(np.abs(predicted(a[~is_out], b[~is_out], a[is_out]) - b[is_out]))
@@ -408,7 +415,8 @@ def left_out_error(table, score, task):
 def threshold(table, score, task, gap):
     """Worst score whose predicted gap is at most the gap, and its range without any one flaw."""
     known = table[np.isfinite(table[score]) & np.isfinite(table[task])]
-    a, b = SCORES[score] * known[score].to_numpy(), known[task].to_numpy()
+    a = SCORES[score] * known[score].to_numpy()
+    b = known[task].to_numpy()
     grid = np.linspace(a.min(), a.max(), 2000)
 
     def reached(rows):
@@ -427,7 +435,8 @@ def print_correlations(table, base):
     """A row for each score; then whether the best score of each task stays the best without any one flaw."""
     print_row(base, *TASKS)
     print_row(*["---"] * (len(TASKS) + 1))
-    values, without = {}, {}
+    values = {}
+    without = {}
     for score in SCORES:
         cells = []
         for task in TASKS:

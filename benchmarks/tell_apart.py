@@ -13,7 +13,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
 from unittest.mock import patch
 
@@ -62,7 +61,8 @@ def show(name, found):
 
 def real_against_real(name, scans):
     """Even against odd frames, and the first half against the second."""
-    clouds, half = [cleaned(scan) for scan in scans], len(scans) // 2
+    clouds = [cleaned(scan) for scan in scans]
+    half = len(scans) // 2
     for which, a, b in (
         ("even and odd frames", clouds[: 2 * half : 2], clouds[1::2]),
         ("first and second half", clouds[:half], clouds[half : 2 * half]),
@@ -84,9 +84,9 @@ def scores(real, sim):
     values |= compare_roughness(*surfaces) | {"shift": measure_offsets(*surfaces).distance_m[0]}
     pieces = find_pieces(*(CutScan(own, cut.is_ground, cut.height_m) for own, cut in both), SETTINGS.pieces)
     values |= {"missing pieces": pieces[0].share, "invented pieces": pieces[1].share}
-    sensors = [asdict(describe_sensor(own)) for own, _ in both]
-    values |= {name: sensors[1][name] for name in SENSOR}
-    values |= {"beams": len(sensors[1]["elevation_deg"])}
+    sensors = [describe_sensor(scan) for scan, _ in both]
+    values |= {name: getattr(sensors[1], name) for name in SENSOR}
+    values |= {"beams": len(sensors[1].elevation_deg)}
     rays = find_rays(real[0], sim[0], sensors)
     return values | ({} if isinstance(rays, str) else score_rays(rays))
 
@@ -113,10 +113,15 @@ def main():
         ("VLP-32C, parked, four sweeps", frames_of(args.data / "velodyne_vlp32c/sweeps.pcap")[:4]),
     ):
         real_against_real(name, [read_scan(path).points for path in paths])
-    names, scans, full = [], {"real": [], "poor": [], "good": []}, []
+    names = []
+    scans = {"real": [], "poor": [], "good": []}
+    full = []
     for path in (path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))):
-        name, cloud = f"{path.parent.parent.name}-{path.stem}", read(path)
-        car, poles, real = find_car(cloud), find_poles(cloud), cloud[::EVERY]
+        name = f"{path.parent.parent.name}-{path.stem}"
+        cloud = read(path)
+        car = find_car(cloud)
+        poles = find_poles(cloud)
+        real = cloud[::EVERY]
         kept = real[random(name, "loss").random(len(real)) >= 0.03]
         names.append(name)
         full.append(cloud)
@@ -142,7 +147,8 @@ def main():
                 for name, own in zip(names, scans[base], strict=True)
             ]
             drawn = sample(sims)
-            found, surface = (compare_samples(real_sample, drawn, family) for family in ("", "surface"))
+            found = compare_samples(real_sample, drawn, "")
+            surface = compare_samples(real_sample, drawn, "surface")
             table = pd.DataFrame([scores(*pair) for pair in zip(reals, sims, strict=True)]).astype(float)
             row = f"| {flaw} | {found.auc:.3f} | {surface.auc:.3f} |"
             if before is None:

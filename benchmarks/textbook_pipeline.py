@@ -45,13 +45,17 @@ def evaluate(real, sim, labels=None):
     if labels is None:
         labels = {side: communities(graphs[side]) for side in points}
     clock.lap("communities")
-    members = {side: [np.flatnonzero(labels[side] == i) for i in range(labels[side].max() + 1)] for side in points}
-    centroids = {side: [points[side][own].mean(axis=0) for own in members[side]] for side in points}
+    members = {}
+    centroids = {}
+    for side in points:
+        members[side] = [np.flatnonzero(labels[side] == i) for i in range(labels[side].max() + 1)]
+        centroids[side] = [points[side][rows].mean(axis=0) for rows in members[side]]
     rows = []
     for i, j, distance in match(centroids["real"], centroids["sim"]):
         own = {"real": members["real"][i], "sim": members["sim"][j]}
         n_keep = min(len(own["real"]), len(own["sim"]))
-        kept, reduced = {}, {}
+        kept = {}
+        reduced = {}
         for side in points:
             A = nx.to_numpy_array(graphs[side].subgraph(own[side]), nodelist=own[side].tolist(), weight="weight")
             clock.lap("subgraph")
@@ -61,16 +65,20 @@ def evaluate(real, sim, labels=None):
             kept[side] = own[side][order]
             reduced[side] = laplacian(A[np.ix_(order, order)])
             clock.lap("laplacian")
-        a, b = (points[side][kept[side]] for side in points)
-        a_centred, b_centred = a - a.mean(axis=0), b - b.mean(axis=0)
+        a = real[kept["real"]]
+        b = sim[kept["sim"]]
+        a_centred = a - a.mean(axis=0)
+        b_centred = b - b.mean(axis=0)
         _, aligned = linear_sum_assignment(cdist(a_centred, b_centred))
         clock.lap("alignment")
-        L_real, L_sim = reduced["real"], reduced["sim"][np.ix_(aligned, aligned)]
+        L_real = reduced["real"]
+        L_sim = reduced["sim"][np.ix_(aligned, aligned)]
         values = eigvalsh(L_real), eigvalsh(L_sim)
         change = np.abs(eigvalsh(L_sim - L_real)).max() if n_keep else 0.0
         clock.lap("spectra")
         gaps = [of[1] - of[0] if n_keep > 1 else np.nan for of in values]
         shift = np.abs(values[1] - values[0]).max()
+        few = 0.0 if n_keep >= 3 else np.nan  # fewer than three points have no shape
         scored = n_keep >= 3 and change > 1e-5
         cdc = density_aware(points["real"][own["real"]], points["sim"][own["sim"]])
         clock.lap("cdc")
@@ -81,8 +89,8 @@ def evaluate(real, sim, labels=None):
                 "n_keep": n_keep,
                 "centroid_distance_m": distance,
                 "cdc": cdc,
-                "r_lambda": shift / change if scored else (0.0 if n_keep >= 3 else np.nan),
-                "r_gap": abs(gaps[1] - gaps[0]) / (2 * change) if scored else (0.0 if n_keep >= 3 else np.nan),
+                "r_lambda": shift / change if scored else few,
+                "r_gap": abs(gaps[1] - gaps[0]) / (2 * change) if scored else few,
                 "max_eigenvalue_shift": shift if n_keep >= 3 else np.nan,
                 "laplacian_change": change if n_keep >= 3 else np.nan,
                 "eigenspectrum_distance": np.linalg.norm(values[1] - values[0]) if n_keep >= 3 else np.nan,
@@ -136,5 +144,6 @@ def laplacian(A):
 
 
 def density_aware(real, sim):
-    d_real, d_sim = cKDTree(sim).query(real)[0], cKDTree(real).query(sim)[0]
+    d_real = cKDTree(sim).query(real)[0]
+    d_sim = cKDTree(real).query(sim)[0]
     return np.mean(1 - np.exp(-(d_real**2))) + np.mean(1 - np.exp(-(d_sim**2)))

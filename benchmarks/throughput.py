@@ -16,7 +16,8 @@ from measure import machine, repeated, scratch, weigh
 def main(dataset):
     print(machine())
     with scratch() as folder:
-        paces, tables = {}, {}
+        paces = {}
+        tables = {}
         twice = None
         for workers in (1, 2):
             out = folder / f"workers{workers}"
@@ -26,7 +27,7 @@ def main(dataset):
             twice = twice or repeated(dataset, 2 * n, folder / "twice")
             more = weigh("run", twice, "--out", folder / f"twice{workers}", "--workers", workers, "--from", "ground")
             paces[workers] = 60 * n / (more.wall_s - once.wall_s)
-            print(f"{workers} worker{'s' * (workers > 1)}: {paces[workers]:.1f} pairs per minute", flush=True)
+            print(f"workers {workers}: {paces[workers]:.1f} pairs per minute", flush=True)
     if not tables[1].equals(tables[2]):
         sys.exit("the tables differ")
     print(f"{paces[2] / paces[1]:.2f} times on two workers; the same tables")

@@ -24,7 +24,7 @@ from measure import FIDPIPE
 
 from fidpipe.pipeline.diagnose.diagnose import diagnose_run
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.stages.causes.beams import grid_of
+from fidpipe.stages.rays import grid_of
 from fidpipe.stages.sensor_description import describe_sensor
 
 EVERY = 4
@@ -51,12 +51,14 @@ def remeasured(points, rng):
 
 
 def rolled(angle_deg):
-    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    c = np.cos(np.radians(angle_deg))
+    s = np.sin(np.radians(angle_deg))
     return lambda points, rng: points @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]).T
 
 
 def turned(angle_deg):
-    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    c = np.cos(np.radians(angle_deg))
+    s = np.sin(np.radians(angle_deg))
     return lambda points, rng: points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T
 
 

@@ -31,7 +31,8 @@ BOX = np.array([[-40.0, -40.0, -5.0], [40.0, 40.0, 5.0]])
 SAMPLE, SEED = 10_000, 1234
 LIMITS = {"CD": (2.0, 30.0), "MMD": (0.0, 0.5), "EMD": (0.0, 5.0), "FPD": (0.0, 50.0)}
 WORDS = ['input.columns=["x","y","z"]', "input.min_range_m=0", "input.include_box=[-40,-40,-5,40,40,5]"]
-ROAD_M, REACHES_M = 1.0, (0.1, 0.3, 1.0)
+ROAD_M = 1.0
+REACHES_M = (0.1, 0.3, 1.0)
 
 
 def read(folder):
@@ -42,11 +43,10 @@ def read(folder):
 
 def contest(real, sim):
     """The four distances between two clouds, and the realism score."""
-    a, b = (
-        cloud[np.random.default_rng(SEED + i).choice(len(cloud), SAMPLE, replace=False)]
-        for i, cloud in enumerate((real, sim))
-    )
-    to_b, to_a = cKDTree(b).query(a)[0], cKDTree(a).query(b)[0]
+    a = real[np.random.default_rng(SEED).choice(len(real), SAMPLE, replace=False)]
+    b = sim[np.random.default_rng(SEED + 1).choice(len(sim), SAMPLE, replace=False)]
+    to_b = cKDTree(b).query(a)[0]
+    to_a = cKDTree(a).query(b)[0]
     few = a[:4000], b[:4000]
     width = np.median(cdist(*few))
     kernel = {
@@ -71,8 +71,11 @@ def align(real, sim, fixed):
     """
     found = []
     for yaw_deg, x, y in itertools.product(range(-6, 7), (-2.0, 0.0, 2.0), (-2.0, 0.0, 2.0)):
-        start, c, s = np.eye(4), np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
-        start[:2, :2], start[:2, 3] = [[c, -s], [s, c]], (x, y)
+        start = np.eye(4)
+        c = np.cos(np.radians(yaw_deg))
+        s = np.sin(np.radians(yaw_deg))
+        start[:2, :2] = [[c, -s], [s, c]]
+        start[:2, 3] = (x, y)
         options = {"downsampling_resolution": 0.25, "max_correspondence_distance": 4.0}
         T = small_gicp.align(real, sim, init_T_target_source=start, registration_type="GICP", **options).T_target_source
         found.append((covered(fixed, moved(T, [sim]))[1], T))
@@ -81,10 +84,12 @@ def align(real, sim, fixed):
 
 def affine(sim, real, alpha=0.9):
     """The entrant's last step: mean and deviation along each axis moved to those of real frames, by `alpha`."""
-    (mean, std), (mean_real, std_real) = (
-        (np.vstack(side).mean(axis=0), np.vstack(side).std(axis=0)) for side in (sim, real)
-    )
-    return [(own - mean) * (1 + alpha * (std_real / std - 1)) + mean + alpha * (mean_real - mean) for own in sim]
+    sim_points = np.vstack(sim)
+    real_points = np.vstack(real)
+    mean = sim_points.mean(axis=0)
+    scale = 1 + alpha * (real_points.std(axis=0) / sim_points.std(axis=0) - 1)
+    new_mean = mean + alpha * (real_points.mean(axis=0) - mean)
+    return [(points - mean) * scale + new_mean for points in sim]
 
 
 def static(frames, i):
@@ -127,7 +132,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     args = parser.parse_args()
-    real, sim = (list(read(args.folder / side)) for side in ("real", "sim"))
+    real = list(read(args.folder / "real"))
+    sim = list(read(args.folder / "sim"))
     n = range(len(real))
     print("| contest | CD | MMD | EMD | FPD | realism |\n|---|---|---|---|---|---|")
     pairs = list(itertools.combinations(n, 2))
@@ -141,7 +147,8 @@ def main():
     for name, twin in twins.items():
         show(name, [list(contest(real[i], twin[i]).values()) for i in n])
     cloud = np.vstack(real)
-    means, stds = cloud.mean(axis=0), cloud.std(axis=0)
+    means = cloud.mean(axis=0)
+    stds = cloud.std(axis=0)
     blob = [np.random.default_rng(i).normal(means, stds, (len(own), 3)) for i, own in enumerate(sim)]
     show("Gaussian cloud of the real moments", [list(contest(real[i], blob[i]).values()) for i in n])
 

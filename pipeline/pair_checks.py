@@ -101,9 +101,13 @@ def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:
             "the ground of the two scans is at the same height if the simulated scan is "
             f"{suspect.reading}; is the mount height wrong? set {suspect.setting}"
         )
+    condition = ""
+    if "input.real_frame" in suspect.setting:
+        condition = ", if the real scans have these axes: directions, roll and pitch follow from it"
     return (
         f"the simulated scan covers {suspect.as_it_lies:.2f} of the real one as given and "
         f"{suspect.coverage:.2f} {suspect.reading}; is it in another frame? set {suspect.setting}"
+        f"{condition}"
     )
 
 

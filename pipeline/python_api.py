@@ -16,7 +16,7 @@ from .open_run import Run, open_run
 from .results.compare import Comparison, compare_runs
 from .run import run_dataset
 
-#: Settings by group, such as {"graph": {"k": 60}}.
+#: Settings, such as {"graph.k": 60} or, by group, {"graph": {"k": 60}}.
 SomeSettings = Settings | Mapping[str, Any]
 
 
@@ -109,4 +109,11 @@ def diagnose(run: Path | str | Run, *, workers: int | None = 1) -> Run:
 def _settings(preset: str, settings: SomeSettings | None) -> Settings:
     if isinstance(settings, Settings):
         return settings
-    return parse({"preset": preset, **(settings or {})})
+    groups: dict[str, Any] = {"preset": preset}
+    for name, value in (settings or {}).items():
+        group, _, field = name.partition(".")
+        if field:
+            groups[group] = {**groups.get(group, {}), field: value}
+        else:
+            groups[group] = value
+    return parse(groups)

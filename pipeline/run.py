@@ -143,7 +143,8 @@ def run_dataset(
         with started_pool(todo, folder, stages, settings, run.collector, machines) as pool:
             run.replace_stale()
             if todo:
-                with working(run.survey, run.files, run.collector, machines.policy.costs):
+                costs = machines.policy.costs
+                with working(run.survey, run.files, run.collector, costs, settings.input):
                     schedule_of(run.survey, run.plan, pool, run.collector, machines).run()
                 run.n_workers = pool.n_workers
         return run.write()

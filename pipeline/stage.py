@@ -25,7 +25,7 @@ from .storage.table_files import JobRecord
 SCAN = "scan"  #: among the inputs of a stage: the side's input file
 OBJECTS = "objects"  #: metadata: the objects that later stages process one by one
 OF_PAIR = "pairs"  #: metadata: columns of the pair's row in `pairs`
-N_RAW = "n_raw"  #: metadata: number of points in a side's input file
+N_CLEAN = "n_clean"  #: metadata: number of points of a side after cleaning
 INSPECTION = "inspection"  #: metadata: plausibility of a side's scan, see `stages.plausibility`
 FRAMES = "frames"  #: metadata: comparison of both scans' frames, see `stages.frame_search`
 UNEXPLAINED = "unexplained"  #: row of table `gains`: distance that no correction removes

@@ -17,20 +17,6 @@ from .data_files import read_rows
 _NUMBERS = ("low", "high", "equal", "least", "step", "paper_mean", "paper_std")
 _LAST = 1000
 
-#: Places that show scores: column `shown_in` of the file names them.
-PLACES = {
-    "answer": "the first answer of a run, and the spread over seeds",
-    "run": "pairs and means of `show --all`",
-    "pair": "the matched objects of `show RUN PAIR`",
-    "object": "`show RUN PAIR OBJECT`, CSV and JSON of a pair, all numbers of an object on the page",
-    "page": "tables of pairs and objects on the page",
-    "numbers": "section *The numbers* of the page",
-    "panel": "numbers of a chosen object on the page that are shown at once",
-    "compare": "families of `compare`",
-    "excess": "scores over those of a perfect simulator",
-    "export": "objects in MCAP and PLY files",
-}
-
 
 @dataclass(frozen=True)
 class Metric:
@@ -46,7 +32,7 @@ class Metric:
     equal : value for two identical objects (or scans); None if it depends on the object
     flags : "count" (values are integers), "required" (each finished job has a value), "no-mean" (`pairs` does not have
         mean and standard deviation over the objects)
-    shown_in : position in each place that shows the score, by the names of `PLACES`; in the file `PLACE:POSITION`,
+    shown_in : position in each place that shows the score, see `docs/extending.md`; in the file `PLACE:POSITION`,
         or `PLACE` alone for the end
     compared_as : heading in comparisons if it is not the label
     family : of compared scores; the scores of a family are judged together
@@ -111,8 +97,9 @@ class Metric:
     def scale(self) -> str:
         """Best and worst value as far as they exist, such as `0 best, 1 worst`."""
         best, worst = (self.high, self.low) if self.higher_is_better else (self.low, self.high)
-        ends = [f"{value:g} {word}" for value, word in ((best, "best"), (worst, "worst")) if value is not None]
-        return ", ".join(ends) if self.better else ""
+        ends = ((best, "best"), (worst, "worst"))
+        texts = [f"{value:g} {word}" for value, word in ends if value is not None]
+        return ", ".join(texts) if self.better else ""
 
 
 def unit_words(unit: str | None) -> str:
@@ -164,7 +151,8 @@ OBJECT_SCORES = _of_group("object")
 PAIR_SCORES = _of_group("pair")
 #: Coverage of both surfaces of a pair, displacement and roughness, missing and invented pieces and the share of found
 #: objects, rays and intensities: in the order of the columns of `pairs`, those of rays also of `ray_scores`.
-COVERAGE_SCORES, SURFACE_SCORES = _of_group("coverage"), _of_group("surface")
+COVERAGE_SCORES = _of_group("coverage")
+SURFACE_SCORES = _of_group("surface")
 PIECE_SCORES = _of_group("piece")
 RAY_SCORES = _of_group("ray")
 INTENSITY_SCORES = _of_group("intensity")

@@ -316,6 +316,7 @@ class Overview(Result):
 
     causes : what to fix first, most severe first
     unknown : causes that cannot be estimated
+    small : displacements that explain too little of the distance to be named, as sentences
     doubts : why points of the scans cannot be trusted, one line for each side and kind
     pieces : the largest pieces
     surface : coverage by range and by class
@@ -331,6 +332,7 @@ class Overview(Result):
     n_badly_aligned: int
     trust: tuple[Caution, ...] = ()
     doubts: tuple[str, ...] = ()
+    small: tuple[str, ...] = ()
 
 
 class PreviousRun(Result):

@@ -25,7 +25,7 @@ from pydantic import (
 from .columns import FARTHEST_M
 from .data_files import parse_toml, read_toml
 from .docstrings import split_docstring
-from .errors import SettingsError, suggestion
+from .errors import SettingsError, nearest, suggestion
 from .metric_catalogue import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
@@ -106,6 +106,8 @@ class InputSettings(_Group):
     max_range_m : farther points are dropped
     exclude_box : xmin ymin zmin xmax ymax zmax, metres, own frame: points inside are dropped (the ego vehicle)
     include_box : xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped
+    voxel_m : edge of a voxel, metres, real sensor's frame: of each voxel of either side only the first point is kept,
+        which thins clouds of a million points; rays and causes of single returns are then unknown
     sim_flip_y : negate y of the simulated side: the same as sim_frame = "carla"; only with sim_frame "ros"
     sim_frame : axes of the simulated scans, metres; see real_frame
     sensor_position : x y z of the sensor, metres, in the frame of the points, where that is not the sensor's own; of
@@ -120,6 +122,7 @@ class InputSettings(_Group):
     max_range_m: float = Field(100.0, gt=0, le=FARTHEST_M)
     exclude_box: _Box = Field(None, examples=[[-1.5, -1.0, -2.0, 2.5, 1.0, 0.5]])
     include_box: _Box = Field(None, examples=[[-50.0, -20.0, -5.0, 50.0, 20.0, 10.0]])
+    voxel_m: float | None = Field(None, gt=0, le=10, examples=[0.1])
     sim_flip_y: bool = False
     real_frame: FrameName = Field(
         "ros",
@@ -573,7 +576,10 @@ def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
     if problem["type"] == "extra_forbidden":
         name = ".".join(map(str, problem["loc"]))
-        return f"setting {name}: no such setting; known are {_known_beside(problem['loc'])}"
+        known = _known_beside(problem["loc"])
+        near = nearest(name, known)
+        hint = f"; did you mean {near}?" if near else ""
+        return f"setting {name}: no such setting{hint}; known are {', '.join(known)}"
     name = ".".join(part for part in problem["loc"] if isinstance(part, str))
     where = f"setting {name}" if name else "settings"
     text = f"{where}: {expected_and_got(problem)}"
@@ -623,9 +629,9 @@ def expected_and_got(problem: ErrorDetails) -> str:
     return text if " got " in text else f"{text}, got {problem['input']!r}"
 
 
-def _known_beside(location: tuple[int | str, ...]) -> str:
+def _known_beside(location: tuple[int | str, ...]) -> list[str]:
     group: Any = Settings
     for part in location[:-1]:
         group = group.model_fields[part].annotation
     prefix = ".".join(str(part) for part in location[:-1])
-    return ", ".join(f"{prefix}.{field}" if prefix else field for field in group.model_fields)
+    return [f"{prefix}.{field}" if prefix else field for field in group.model_fields]

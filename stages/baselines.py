@@ -18,7 +18,7 @@ import scipy
 
 from ..schemas.metric_catalogue import METRIC
 from ..schemas.settings import MetricsSettings
-from .arrays import FloatArray, Watch, unwatched
+from .arrays import BoolArray, FloatArray, Watch, unwatched
 from .coverage import nearest_distances
 from .linalg.assignment import assign_nodes
 from .linalg.heat import heat_change, heat_trace
@@ -143,8 +143,8 @@ def chamfer(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Bas
     Examples
     --------
     >>> import numpy as np
-    >>> found = chamfer(np.array([[0.0, 0, 0], [4, 0, 0]]), np.array([[1.0, 0, 0]]), MetricsSettings())
-    >>> [baseline.value for baseline in found]
+    >>> baselines = chamfer(np.array([[0.0, 0, 0], [4, 0, 0]]), np.array([[1.0, 0, 0]]), MetricsSettings())
+    >>> [baseline.value for baseline in baselines]
     [3.0, 6.0, 4.0]
     """
     to_sim, to_real = nearest_distances(real, sim)
@@ -191,13 +191,14 @@ def f_score(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Bas
     0.5
     """
     to_sim, to_real = nearest_distances(real, sim)
-    recall = float(np.mean(to_sim < settings.f_score_distance_m))
-    precision = float(np.mean(to_real < settings.f_score_distance_m))
-    return (Baseline("f_score", harmonic_mean(precision, recall)),)
+    score = _f_score(to_sim < settings.f_score_distance_m, to_real < settings.f_score_distance_m)
+    return (Baseline("f_score", score),)
 
 
-def harmonic_mean(precision: float, recall: float) -> float:
-    """2 P R / (P + R), 0 if both are 0."""
+def _f_score(is_real_near: BoolArray, is_sim_near: BoolArray) -> float:
+    """2 P R / (P + R), with the shares P of simulated and R of real points near the other side; 0 if both are 0."""
+    recall = float(np.mean(is_real_near))
+    precision = float(np.mean(is_sim_near))
     return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
 
@@ -317,8 +318,7 @@ def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
     if find_spec("small_gicp") is None:
         return _without_icp('small_gicp is not installed; pip install "fidpipe[icp]"')
     if n_fewest < _ICP_POINTS:
-        needed = f"at least {_ICP_POINTS} are needed for ICP"
-        return _without_icp(f"{n_fewest} points on a side, {needed}")
+        return _without_icp(f"{n_fewest} points on a side, at least {_ICP_POINTS} are needed for ICP")
     import small_gicp
 
     # Rounding of the normal equations grows with the distance from the origin.
@@ -494,7 +494,7 @@ def diffusion_change(
 ) -> float:
     """r_H = |dH_t|_2 / (t |dL|_2), dH_t = exp(-t L_sim) - exp(-t L_real), 0 to 1.
 
-    "Bounded diffusion change" in the source of the paper (equation "rH", commented out there). The bound holds because
+    "Bounded diffusion change" in the source of the paper (equation "rH", commented out there,). The bound holds because
     exp(-t .) changes by no more than t |dL| between matrices without negative eigenvalues (Duhamel's formula). The
     norms are largest absolute eigenvalues by Lanczos iteration; that of dH_t is applied to vectors as a power series.
     If |dL| is at most `IDENTICAL_CHANGE` the result is 0, as for r_lambda.
@@ -513,7 +513,7 @@ def diffusion_change(
 def nvs(real: FloatArray, sim: FloatArray) -> Baselines:
     """Scores of two whole scans as papers on LiDAR synthesis define them, to compare with their tables.
 
-    Both scans become images of 66 x 1030 ranges (fields of view of KITTI-360, nearest return, below 80 m), in which a
+    Both scans become images of 66 x 1030 ranges (fields of view of KITTI-360, nearest return, below 80 m,), in which a
     pixel without a return has the range 0. Over all pixels, so that a dropped ray counts with its whole range:
     nvs_depth_rmse_m and nvs_depth_medae_m, root mean square and median absolute difference in metres;
     nvs_depth_psnr_db = 10 log10(80^2 / mean squared difference). Of the points of the images:
@@ -586,17 +586,12 @@ def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
     """Chamfer distance and F-score of the points of two range images."""
     if not min(len(real), len(sim)):
         reason = "a side has no point in the range image"
-        return Baseline("nvs_chamfer_m2", None, reason), Baseline(
-            "nvs_f_score_0p05m2",
-            None,
-            reason,
-        )
+        names = ("nvs_chamfer_m2", "nvs_f_score_0p05m2")
+        return tuple(Baseline(name, None, reason) for name in names)
     to_sim, to_real = nearest_distances(real, sim)
-    recall = float(np.mean(to_sim**2 < _NEAR_M2))
-    precision = float(np.mean(to_real**2 < _NEAR_M2))
     return (
         Baseline("nvs_chamfer_m2", float((to_sim**2).mean() + (to_real**2).mean())),
-        Baseline("nvs_f_score_0p05m2", harmonic_mean(precision, recall)),
+        Baseline("nvs_f_score_0p05m2", _f_score(to_sim**2 < _NEAR_M2, to_real**2 < _NEAR_M2)),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ _EXACT_DEG = 0.06
 _COUNT_SLACK = 3  # beams more or less
 _STEP_TOLERANCE = 0.015
 _HALVED_FROM = 64  # beams of a sensor of which a scan may have every second one
+_NO_RINGS = "returns do not lie on rings of one elevation each; is the scan moved or tilted out of its sensor's frame?"
 _FIT = 0.25  # of the distance of neighbouring beams
 
 
@@ -57,7 +59,12 @@ class BeamPattern:
     def beam_of(self, points: FloatArray) -> tuple[IndexArray, FloatArray]:
         """Beam of each point, (n,) intp, -1 for none; and the elevation above it, (n,) degrees."""
         level = np.maximum(np.hypot(points[:, 0], points[:, 1]) - self.focal_m, 1e-9)
-        elevation = _elevation(points[:, 2] / level, 1.0 / level, self.origin_height_m, self.block_deg)
+        elevation = _elevation(
+            points[:, 2] / level,
+            1.0 / level,
+            self.origin_height_m,
+            self.block_deg,
+        )
         middle = (self.elevation_deg[1:] + self.elevation_deg[:-1]) / 2
         beam = np.searchsorted(middle, elevation)
         reach = np.minimum(2 * self.width_deg, 0.4 * _spacing(self.elevation_deg))
@@ -84,13 +91,15 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
     ring : (n,) int32, beam number of each point, -1 for none
     """
     pattern = _find_from(0.0, points, ring)
-    if not isinstance(pattern, str) and recognise(pattern).title:
-        return pattern
-    n_found = None if isinstance(pattern, str) else len(pattern.elevation_deg)
-    sensors = [known for known in SENSORS.values() if n_found is None or abs(known.n_beams - n_found) <= _COUNT_SLACK]
+    sensors = list(SENSORS.values())
+    if isinstance(pattern, BeamPattern):
+        if recognise(pattern).title:
+            return pattern
+        n_beams = len(pattern.elevation_deg)
+        sensors = [known for known in sensors if abs(known.n_beams - n_beams) <= _COUNT_SLACK]
     for focal_m in sorted({sensor.focal_m for sensor in sensors} - {0.0}):
         other = _find_from(focal_m, points, ring)
-        if not isinstance(other, str) and recognise(other).title:
+        if isinstance(other, BeamPattern) and recognise(other).title:
             return other
     return pattern
 
@@ -99,10 +108,12 @@ def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> Bea
     """Find beams seen from `focal_m` before the axis; sectors are searched from the axis only."""
     level = np.hypot(points[:, 0], points[:, 1]) - focal_m
     is_used = level > _NEAREST_M
-    level, z = level[is_used], points[is_used, 2]
+    points = points[is_used]
+    level = level[is_used]
     if len(level) < 100:
         return f"{len(level)} returns beyond {_NEAREST_M:g} m"
-    tangent, nearness = z / level, 1.0 / level
+    tangent = points[:, 2] / level
+    nearness = 1.0 / level
     whole = _read(tangent, nearness)
     if ring is not None and (by_ring := _by_ring(tangent, nearness, ring[is_used], whole)):
         return replace(by_ring, focal_m=focal_m)
@@ -110,21 +121,19 @@ def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> Bea
         return replace(whole, focal_m=focal_m)
     if focal_m:
         return "returns do not lie on rings from there"
-    azimuth = np.degrees(np.arctan2(points[is_used, 1], points[is_used, 0]))
-    found = [whole]
+    patterns = [whole]
+    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
     for middle in np.arange(-180.0, 180.0, _SECTOR_DEG / 2):
         is_in = np.abs((azimuth - middle + 180.0) % 360.0 - 180.0) < _SECTOR_DEG / 2
-        found.append(_read(tangent[is_in], nearness[is_in]) if is_in.sum() >= 1000 else None)
-    recognised = [
-        replace(each, is_sharp=False)
-        for each in found
-        if each and each.explained >= _RECOGNISABLE and recognise(each).title
-    ]
-    if not recognised:
-        return (
-            "returns do not lie on rings of one elevation each; is the scan moved or tilted out of its sensor's frame?"
-        )
-    return max(recognised, key=lambda pattern: pattern.explained)
+        if is_in.sum() >= 1000:
+            patterns.append(_read(tangent[is_in], nearness[is_in]))
+    best = None
+    for pattern in patterns:
+        if pattern is None or pattern.explained < _RECOGNISABLE or not recognise(pattern).title:
+            continue
+        if best is None or pattern.explained > best.explained:
+            best = replace(pattern, is_sharp=False)
+    return best or _NO_RINGS
 
 
 class Recognition(NamedTuple):
@@ -135,7 +144,11 @@ class Recognition(NamedTuple):
     n_beams: int | None = None
 
 
-def recognise(pattern: BeamPattern, step_deg: float | None = None, quantum_m: float | None = None) -> Recognition:
+def recognise(
+    pattern: BeamPattern,
+    step_deg: float | None = None,
+    quantum_m: float | None = None,
+) -> Recognition:
     """Recognise the sensor by its beams; azimuth step and range quantum must agree with the scan.
 
     A sensor whose table is valid for every unit fits if 95 % of the beams are within 0.06 degrees, or a quarter of the
@@ -152,23 +165,39 @@ def recognise(pattern: BeamPattern, step_deg: float | None = None, quantum_m: fl
     """
     observed = pattern.elevation_deg
     if len(observed) < _MIN_BEAMS:
-        return Recognition(None, f"{len(observed)} beams, at least {_MIN_BEAMS} are needed to know a sensor by them")
-    fits: dict[str, tuple[float, SensorModel, int]] = {}
+        return Recognition(
+            None,
+            f"{len(observed)} beams, at least {_MIN_BEAMS} are needed to know a sensor by them",
+        )
+    fits: dict[str, _Fit] = {}
     for title, table, sensor in _tables():
-        if pattern.focal_m in (0.0, sensor.focal_m) and (score := _fit(observed, table, sensor.unit_deg, pattern)):
-            fits[title] = max((score, sensor, len(table)), fits.get(title, (0.0, sensor, 0)), key=lambda fit: fit[0])
+        if pattern.focal_m not in (0.0, sensor.focal_m):
+            continue
+        score = _fit(observed, table, sensor.unit_deg, pattern)
+        if score and (title not in fits or score >= fits[title].score):
+            fits[title] = _Fit(score, sensor, len(table))
+    if not fits and pattern.is_even:
+        return Recognition(None, "no known sensor has these; simulators space theirs evenly")
     if not fits:
-        what = "no known sensor has these; simulators space theirs evenly"
-        return Recognition(None, what if pattern.is_even else "no sensor of the table has such beams")
-    best = max(score for score, _, _ in fits.values())
-    closest = {title: fit for title, fit in fits.items() if fit[0] >= best - 0.02}
-    objections = {title: _disagreement(sensor, step_deg, quantum_m) for title, (_, sensor, _) in closest.items()}
+        return Recognition(None, "no sensor of the table has such beams")
+    best = max(fit.score for fit in fits.values())
+    closest = {title: fit for title, fit in fits.items() if fit.score >= best - 0.02}
+    objections = {title: _disagreement(fit.sensor, step_deg, quantum_m) for title, fit in closest.items()}
     agreeing = [title for title in closest if not objections[title]]
     if not agreeing:
-        return Recognition(None, "; ".join(f"the beams of {title}, but {objections[title]}" for title in closest))
+        texts = [f"the beams of {title}, but {objections[title]}" for title in closest]
+        return Recognition(None, "; ".join(texts))
     if len(agreeing) > 2:
         return Recognition(None, f"these beams fit {', '.join(agreeing)} equally well")
-    return Recognition(" or ".join(agreeing), "", closest[agreeing[0]][2])
+    return Recognition(" or ".join(agreeing), "", closest[agreeing[0]].n_beams)
+
+
+class _Fit(NamedTuple):
+    """Quality of the fit of a sensor's table, and the number of beams in it."""
+
+    score: float
+    sensor: SensorModel
+    n_beams: int
 
 
 def _disagreement(sensor: SensorModel, step_deg: float | None, quantum_m: float | None) -> str:
@@ -193,7 +222,8 @@ def _tables() -> Iterator[tuple[str, FloatArray, SensorModel]]:
 
 def _fit(observed: FloatArray, table: FloatArray, unit_deg: float, pattern: BeamPattern) -> float:
     """Quality of fit of beams to a table: mean closeness times the share of the table that is detected; 0 if no fit."""
-    exact = _matched(observed, table, np.minimum(max(_EXACT_DEG, pattern.width_deg), _FIT * _spacing(table)))
+    exact_deg = np.minimum(max(_EXACT_DEG, pattern.width_deg), _FIT * _spacing(table))
+    exact = _matched(observed, table, exact_deg)
     if score := _score(exact, observed, table, 0.95, 0.9):
         return score
     if not unit_deg or pattern.is_even or abs(len(observed) - len(table)) > 0.2 * len(table):
@@ -206,19 +236,23 @@ def _stretched(observed: FloatArray, table: FloatArray, unit_deg: float) -> Floa
     """Shift and stretch each half of a table about its middle so that most beams are observed, without overlap."""
     scale = np.arange(0.95, 1.051, 0.005)[:, None, None]
     shift = np.arange(-unit_deg, unit_deg + 1e-9, 0.02)[None, :, None]
-    tried, score = [], []
-    for part in np.array_split(table, 2):
-        places = part.mean() + scale * (part - part.mean()) + shift
-        closeness = np.maximum(0.0, 1.0 - _distance(places, observed) / (_FIT * scale * _spacing(part))).sum(axis=2)
-        row = closeness.argmax(axis=0)
-        tried.append(places[row, np.arange(len(row))])
-        score.append(closeness.max(axis=0))
-    gap = tried[1][None, :, 0] - tried[0][:, None, -1]
+    halves = []
+    scores = []
+    for half in np.array_split(table, 2):
+        places = half.mean() + scale * (half - half.mean()) + shift
+        tolerance = _FIT * scale * _spacing(half)
+        closeness = np.maximum(0.0, 1.0 - _distance(places, observed) / tolerance).sum(axis=2)
+        best_scale = closeness.argmax(axis=0)
+        halves.append(places[best_scale, np.arange(len(best_scale))])
+        scores.append(closeness.max(axis=0))
+    lower, upper = halves
+    gap = upper[None, :, 0] - lower[:, None, -1]
     first = (len(table) + 1) // 2
     usual = table[first] - table[first - 1]
-    together = np.where((gap > 0.6 * usual) & (gap < 1.6 * usual), score[0][:, None] + score[1], -1.0)
-    low, high = np.unravel_index(together.argmax(), together.shape)
-    return np.concatenate([tried[0][low], tried[1][high]])
+    is_apart = (gap > 0.6 * usual) & (gap < 1.6 * usual)
+    score = np.where(is_apart, scores[0][:, None] + scores[1], -1.0)
+    low, high = np.unravel_index(score.argmax(), score.shape)
+    return np.concatenate([lower[low], upper[high]])
 
 
 def _matched(observed: FloatArray, table: FloatArray, tolerance_deg: FloatArray) -> FloatArray:
@@ -228,7 +262,11 @@ def _matched(observed: FloatArray, table: FloatArray, tolerance_deg: FloatArray)
 
 
 def _score(
-    closeness: FloatArray, observed: FloatArray, table: FloatArray, of_observed: float, of_table: float
+    closeness: FloatArray,
+    observed: FloatArray,
+    table: FloatArray,
+    of_observed: float,
+    of_table: float,
 ) -> float:
     is_seen = closeness >= 0
     is_within = (table >= observed[0] - 0.2) & (table <= observed[-1] + 0.2)
@@ -259,15 +297,23 @@ def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
         return None
     heights, block_deg = _origin_heights(tangent[is_far], nearness[is_far])
     if heights:
-        tangent, nearness = tangent[is_far], nearness[is_far]
+        tangent = tangent[is_far]
+        nearness = nearness[is_far]
     elevation = _elevation(tangent, nearness, heights, block_deg)
-    count = np.bincount(((elevation + 90.0) / _BIN_DEG).astype(np.intp), minlength=int(180 / _BIN_DEG) + 1)
-    found = [(width, peaks) for width in _WIDTHS_DEG if len(peaks := _peaks(count, width)) >= 2]
-    if not found:
+    bins = ((elevation + 90.0) / _BIN_DEG).astype(np.intp)
+    count = np.bincount(bins, minlength=int(180 / _BIN_DEG) + 1)
+    candidates = []
+    for width in _WIDTHS_DEG:
+        peaks = _peaks(count, width)
+        if len(peaks) >= 2:
+            candidates.append((_explained(count, peaks, width), width, peaks))
+    if not candidates:
         return None
-    explained, width, peaks = max(((_explained(count, own[1], own[0]), *own) for own in found), key=lambda own: own[0])
+    explained, width, peaks = max(candidates, key=itemgetter(0))
     ordered = np.sort(elevation)
-    starts, stops = (np.searchsorted(ordered, (peaks + 0.5) * _BIN_DEG - 90.0 + side * width) for side in (-2, 2))
+    peaks_deg = (peaks + 0.5) * _BIN_DEG - 90.0
+    starts = np.searchsorted(ordered, peaks_deg - 2 * width)
+    stops = np.searchsorted(ordered, peaks_deg + 2 * width)
     centre = np.array([np.median(ordered[a:b]) for a, b in zip(starts, stops, strict=True)])
     return BeamPattern(centre, width, _is_even(centre), heights, block_deg, explained)
 
@@ -276,13 +322,19 @@ def _by_ring(
     tangent: FloatArray, nearness: FloatArray, ring: IntArray, whole: BeamPattern | None
 ) -> BeamPattern | None:
     """Beams from rings; None if there are too few, or if rings do not have one elevation each."""
-    heights, block_deg = (whole.origin_height_m, whole.block_deg) if whole else ((), -90.0)
-    elevation, is_far = _elevation(tangent, nearness, heights, block_deg), nearness < 1.0 / _FARTHER_M
-    rings = [ring == number for number in np.unique(ring[ring >= 0])]
-    parts = [elevation[own & is_far] for own in rings]
-    if not heights:  # a beam that only hits the ego vehicle
-        parts = [far if len(far) >= _MIN_RETURNS else elevation[own] for own, far in zip(rings, parts, strict=True)]
-    quartiles = np.array([np.quantile(part, (0.25, 0.5, 0.75)) for part in parts if len(part) >= _MIN_RETURNS])
+    heights = whole.origin_height_m if whole else ()
+    block_deg = whole.block_deg if whole else -90.0
+    elevation = _elevation(tangent, nearness, heights, block_deg)
+    is_far = nearness < 1.0 / _FARTHER_M
+    parts = []
+    for number in np.unique(ring[ring >= 0]):
+        is_ring = ring == number
+        part = elevation[is_ring & is_far]
+        if not heights and len(part) < _MIN_RETURNS:  # a beam that only hits the ego vehicle
+            part = elevation[is_ring]
+        if len(part) >= _MIN_RETURNS:
+            parts.append(part)
+    quartiles = np.array([np.quantile(part, (0.25, 0.5, 0.75)) for part in parts])
     if len(quartiles) < 4:
         return None
     quartiles = quartiles[np.argsort(quartiles[:, 1])]
@@ -290,10 +342,16 @@ def _by_ring(
     if width >= np.median(np.diff(quartiles[:, 1])):  # also where all rings are one
         return None
     centre = quartiles[:, 1]
-    return BeamPattern(centre, max(width, _WIDTHS_DEG[0]), _is_even(centre), heights, block_deg, 1.0)
+    width = max(width, _WIDTHS_DEG[0])
+    return BeamPattern(centre, width, _is_even(centre), heights, block_deg, 1.0)
 
 
-def _elevation(tangent: FloatArray, nearness: FloatArray, heights: tuple[float, ...], block_deg: float) -> FloatArray:
+def _elevation(
+    tangent: FloatArray,
+    nearness: FloatArray,
+    heights: tuple[float, ...],
+    block_deg: float,
+) -> FloatArray:
     """Elevation of each return seen from the origin of its beam, degrees."""
     if not heights:
         return np.degrees(np.arctan(tangent))
@@ -304,36 +362,65 @@ def _elevation(tangent: FloatArray, nearness: FloatArray, heights: tuple[float, 
 
 def _origin_heights(tangent: FloatArray, nearness: FloatArray) -> tuple[tuple[float, ...], float]:
     """Heights of the beams' origin above the frame's origin, () for 0; and the elevation between two blocks."""
-    n_bands, per_band = int(180 / _BAND_DEG), int(_BAND_DEG / _BAND_BIN_DEG)
+    density, below = _densities(tangent, nearness)
+    lower = np.cumsum(density, axis=1) / len(tangent)
+    whole = lower[:, -1]  # of all bands
+    best = int(whole.argmax())
+    of_blocks, heights, block_deg = _block_heights(lower, (below > 0.15) & (below < 0.85))
+    if of_blocks > whole[best] + _GAIN:
+        return heights, block_deg
+    if whole[best] > whole[np.abs(_HEIGHTS_M).argmin()] + _GAIN:
+        return (float(_HEIGHTS_M[best]),), -90.0
+    return (), -90.0
+
+
+def _densities(tangent: FloatArray, nearness: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Log density of the returns in angle, (heights, bands), times their number; and the share up to each band."""
+    n_bands = int(180 / _BAND_DEG)
+    per_band = int(_BAND_DEG / _BAND_BIN_DEG)
+    n_bins = n_bands * per_band
     density = np.zeros((len(_HEIGHTS_M), n_bands))
     for row, height in enumerate(_HEIGHTS_M):
         elevation = np.degrees(np.arctan(tangent - height * nearness))
-        bins = ((elevation + 90.0) / _BAND_BIN_DEG).astype(np.intp).clip(0, n_bands * per_band - 1)
-        count = np.bincount(bins, minlength=n_bands * per_band).reshape(n_bands, per_band).astype(np.float64)
+        bins = ((elevation + 90.0) / _BAND_BIN_DEG).astype(np.intp).clip(0, n_bins - 1)
+        count = np.bincount(bins, minlength=n_bins).reshape(n_bands, per_band).astype(np.float64)
         total = count.sum(axis=1)
-        pairs, most = (count * (count - 1)).sum(axis=1), np.maximum(total * (total - 1), 1.0)
-        density[row] = total * np.log(np.maximum(pairs, 1.0) * per_band / most)
+        pairs = np.maximum((count * (count - 1)).sum(axis=1), 1.0)
+        most = np.maximum(total * (total - 1), 1.0)
+        density[row] = total * np.log(pairs * per_band / most)
         if height == 0:
             below = np.cumsum(total) / total.sum()
-    lower = np.cumsum(density, axis=1) / len(tangent)
-    one = lower[:, -1]
-    best = int(one.argmax())
-    none = float(one[np.abs(_HEIGHTS_M).argmin()])
-    is_split = (below > 0.15) & (below < 0.85)
-    two, chosen = -np.inf, (0.0, 0.0, -90.0)
+    return density, below
+
+
+def _block_heights(
+    lower: FloatArray,
+    is_split: BoolArray,
+) -> tuple[float, tuple[float, float], float]:
+    """Density for the best heights of a lower and an upper block; these heights, and the elevation between both.
+
+    Parameters
+    ----------
+    lower : (heights, bands) density of all bands up to each
+    is_split : (bands,) True where both blocks have enough returns
+    """
+    best = -np.inf
+    heights = (0.0, 0.0)
+    block_deg = -90.0
     for row, height in enumerate(_HEIGHTS_M):
         drop = height - _HEIGHTS_M
-        rows = np.flatnonzero((drop > _BLOCKS_APART_M[0] - 1e-6) & (drop < _BLOCKS_APART_M[1] + 1e-6))
+        is_below = (drop > _BLOCKS_APART_M[0] - 1e-6) & (drop < _BLOCKS_APART_M[1] + 1e-6)
+        rows = np.flatnonzero(is_below)
         if not len(rows) or not is_split.any():
             continue
-        together = np.where(is_split, lower[rows].max(axis=0) + one[row] - lower[row], -np.inf)
-        band = int(together.argmax())
-        if together[band] > two:
-            two = float(together[band])
-            chosen = float(_HEIGHTS_M[rows[lower[rows, band].argmax()]]), float(height), _BAND_DEG * (band + 1) - 90.0
-    if two > max(none, float(one[best])) + _GAIN:
-        return (chosen[0], chosen[1]), chosen[2]
-    return ((float(_HEIGHTS_M[best]),), -90.0) if one[best] > none + _GAIN else ((), -90.0)
+        of_both = lower[rows].max(axis=0) + lower[row, -1] - lower[row]
+        band = int(np.where(is_split, of_both, -np.inf).argmax())
+        if of_both[band] > best:
+            best = float(of_both[band])
+            lowest = rows[lower[rows, band].argmax()]
+            heights = (float(_HEIGHTS_M[lowest]), float(height))
+            block_deg = _BAND_DEG * (band + 1) - 90.0
+    return best, heights, block_deg
 
 
 def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
@@ -341,9 +428,8 @@ def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
     from scipy.signal import find_peaks
 
     sigma = width_deg / _BIN_DEG
-    smooth = (
-        scipy.ndimage.gaussian_filter1d(count.astype(np.float64), sigma, mode="constant") * np.sqrt(2 * np.pi) * sigma
-    )
+    smooth = scipy.ndimage.gaussian_filter1d(count.astype(np.float64), sigma, mode="constant")
+    smooth = smooth * np.sqrt(2 * np.pi) * sigma
     peaks, shape = find_peaks(smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2)
     return peaks[shape["prominences"] > 0.5 * smooth[peaks]]
 

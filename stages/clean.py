@@ -9,6 +9,7 @@ import numpy as np
 
 from ..schemas.settings import Box, FrameName, InputSettings
 from .arrays import BoolArray, FloatArray, IntArray
+from .thinning import repeats_earlier_row, shares_voxel
 from .trust import is_miss, miss_range
 
 #: Column and sign of x forward, y left and z up in each frame.
@@ -47,7 +48,7 @@ def clean_scan(
     duplicates of an earlier row; rays without a return that are written at one range, see `trust.miss_range`; points
     with a range |p| outside [min_range_m, max_range_m]; points inside `exclude_box`. Then the axes are converted to x
     forward, y left, z up, p becomes R p + t if `T_real_sim` = [R | t] is given, and points outside `include_box` are
-    dropped.
+    dropped. With `voxel_m`, only the first row of each voxel is kept, in the real sensor's frame.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def clean_scan(
 
     drop("not_finite", ~_all(np.isfinite(points)))
     drop("zero", _all(points == 0))
-    drop("duplicate", _repeats_an_earlier_row(points))
+    drop("duplicate", repeats_earlier_row(points))
     with np.errstate(over="ignore"):  # an infinite range is too far
         range_m = np.sqrt((points**2).sum(axis=1))
     misses = miss_range(range_m)
@@ -91,6 +92,8 @@ def clean_scan(
     if T_real_sim is not None:
         points = points @ T_real_sim[:, :3].T + T_real_sim[:, 3]
     drop("outside_include_box", ~inside(points, settings.include_box))
+    if settings.voxel_m is not None:
+        drop("thinned", shares_voxel(points, settings.voxel_m))
     return CleanResult(ids, np.ascontiguousarray(points), dropped)
 
 
@@ -164,19 +167,11 @@ def too_few_left(
         "too_far": too_far,
         "in_exclude_box": "shrink input.exclude_box",
         "outside_include_box": "widen input.include_box",
+        "thinned": f"lower input.voxel_m (now {settings.voxel_m:g})" if settings.voxel_m else "",
     }
     worst = max(counts, key=counts.__getitem__, default="")
     remedy = remedies.get(worst, "check that the export is complete")
     return f"expected at least {n_fewest} points after cleaning, got {n_left} ({why}); {remedy}"
-
-
-def _repeats_an_earlier_row(points: FloatArray) -> BoolArray:
-    """True for points with the same coordinates as an earlier row, (n,) bool."""
-    order = np.lexsort(points.T)  # stable, so that of equal rows the first comes first
-    in_order = points[order]
-    repeats = np.zeros(len(points), dtype=np.bool_)
-    repeats[order[1:]] = _all(in_order[1:] == in_order[:-1])
-    return repeats
 
 
 def inside(points: FloatArray, box: Box | None, *, default: bool = True) -> BoolArray:

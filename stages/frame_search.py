@@ -17,55 +17,70 @@ from ..schemas.data_files import read_data
 from ..schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
 from .arrays import BoolArray, FloatArray, IndexArray
 from .clean import as_ros, clean_scan, inside
-from .surfels import voxel_ids
+from .thinning import shares_voxel
 from .trust import is_far_from_origin
 
-AS_GIVEN = "as given"
-VOXEL_M = 0.5
-REACH_M = 40.0
-NEAR_M = 1.0
-GROUND_BAND_M = 0.4
-MAX_POINTS = 1500
-MIN_POINTS = 50
+_AS_GIVEN = "as given"
+_VOXEL_M = 0.5
+_REACH_M = 40.0
+_NEAR_M = 1.0
+_GROUND_BAND_M = 0.4
+_MAX_POINTS = 1500
+_MIN_POINTS = 50
 
-MIN_COVERAGE = 0.6
+_MIN_COVERAGE = 0.6
 MIN_GAIN = 0.15
-MAX_UNCOVERED_RATIO = 0.6
+_MAX_UNCOVERED_RATIO = 0.6
 MIN_SAME_PLACE = 0.58  # best coverage: scans of one place 0.63 to 0.96, of two places 0.29 to 0.55
-MIN_LIFT_M = 0.2
+_MIN_LIFT_M = 0.2
 _MIN_SHIFT_M = 0.8
 _MAX_LIFT_LEFT_M = 0.05
 _MAX_COVERAGE_LOST = 0.02
 _LIFT_STEPS = 4
 _SCALES = {"centimetres": 0.01, "millimetres": 0.001, "feet": 0.3048}
-_SIMILAR_REACH = {"feet": 1.6}  # ratio of the reach of both sides in a unit; 10 in units that are farther apart
+#: Ratio of the reach of both sides in a unit; 10 in units that are farther apart.
+_SIMILAR_REACH = {"feet": 1.6}
 _GROUND_STEP_M = 0.1
 
 _DIRECTIONS = (("forward", "back"), ("left", "right"), ("up", "down"))
-_FEW_POINTS, _MOST_PROMISING = 300, 8  # of a sample, by which candidates are chosen that the whole sample compares
+_FEW_POINTS, _MOST_PROMISING = (
+    300,
+    8,
+)  # of a sample, by which candidates are chosen that the whole sample compares
 _LEAST_SCALE, _MOST_SCALE, _ALIKE = 0.2, 5.0, 0.05
 _FINE_SCALES = np.linspace(0.9, 1.1, 11)
 _LEAST_HEIGHT_M = 0.3
 _MIN_SCALED_COVERAGE = 0.75  # smaller scans cover each other more easily
 
-_FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name in FRAME_AXES}  # p_ros = F p
+#: F of each frame: p_ros = F p.
+_FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name in FRAME_AXES}
 
 
 def _rotations() -> dict[str, FloatArray]:
     """Rotations and mirrors by name: usual mistakes, and those of either scan in one of the known frames."""
-    turns = {name: np.array(rows, dtype=np.float64) for name, rows in read_data("axis_mistakes").items()}
+    mistakes = read_data("axis_mistakes")
+    turns = {name: np.array(rows, dtype=np.float64) for name, rows in mistakes.items()}
     for real, F_real in _FRAMES.items():
         for sim, F_sim in _FRAMES.items():
             turn = F_real.T @ F_sim
             if not any(np.array_equal(turn, known) for known in turns.values()):
-                words = [f"read as {sim}"] * (sim != "ros") + [f"with the real one read as {real}"] * (real != "ros")
-                turns[" and ".join(words)] = turn
+                turns[_frames_words(real, sim)] = turn
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             turn = np.eye(3)[list(order)].T * signs
             if not any(np.array_equal(turn, known) for known in turns.values()):
                 turns[f"read as {_axes_words(turn)}"] = turn
     return turns
+
+
+def _frames_words(real: FrameName, sim: FrameName) -> str:
+    """Frames in which the scans are read, other than the usual one."""
+    words = []
+    if sim != "ros":
+        words.append(f"read as {sim}")
+    if real != "ros":
+        words.append(f"with the real one read as {real}")
+    return " and ".join(words)
 
 
 def _axes_words(turn: FloatArray) -> str:
@@ -128,7 +143,7 @@ class _Candidate:
         """Human-readable description, such as "mirrored in y and shifted by +1.80 m in z, in feet"."""
         lift = f"shifted by {self.lift_m:+.2f} m in z" if self.lift_m else ""
         words = " and ".join(filter(None, (self.words, lift)))
-        return ", ".join(filter(None, (words, self.unit and f"in {self.unit}"))) or AS_GIVEN
+        return ", ".join(filter(None, (words, self.unit and f"in {self.unit}"))) or _AS_GIVEN
 
 
 class _Side:
@@ -137,10 +152,12 @@ class _Side:
     def __init__(self, points: FloatArray) -> None:
         self.points = points
         self.ground_m = ground_height(points)
-        self.is_ground: BoolArray = np.abs(points[:, 2] - self.ground_m) < GROUND_BAND_M
+        self.is_ground: BoolArray = np.abs(points[:, 2] - self.ground_m) < _GROUND_BAND_M
         self.tree = scipy.spatial.cKDTree(points)
         # random, as a regular sample would follow the rings of the scan
-        self.sample: IndexArray = np.sort(np.random.default_rng(0).permutation(len(points))[:MAX_POINTS])
+        self.sample: IndexArray = np.sort(
+            np.random.default_rng(0).permutation(len(points))[:_MAX_POINTS],
+        )
 
 
 def check_frames(
@@ -153,9 +170,9 @@ def check_frames(
     Candidates for the simulated scan: its axes in all 48 orders and signs, which include either scan read in any of
     the frames of the settings; in centimetres, millimetres and feet if it reaches far beyond the real one; each of
     these also shifted by the difference of the ground heights; and if none of them covers 0.85, 0.2 to 5 times as
-    large. A candidate is suspect if it covers at least `MIN_COVERAGE`, at least `MIN_GAIN` more than the scan as given,
-    and leaves uncovered at most `MAX_UNCOVERED_RATIO` of the share that the scan as given leaves. Otherwise a scan is
-    suspect if its ground is `MIN_LIFT_M` or more above or below the real one. Lifts are medians over ground points and
+    large. A candidate is suspect if it covers at least 0.6, at least `MIN_GAIN` more than the scan as given,
+    and leaves uncovered at most 0.6 of the share that the scan as given leaves. Otherwise a scan is
+    suspect if its ground is 0.2 m or more above or below the real one. Lifts are medians over ground points and
     their horizontal neighbours, applied and re-measured before they are reported.
 
     Parameters
@@ -173,35 +190,41 @@ def check_frames(
     ('mirrored in y', 'input.sim_frame=carla', True)
     """
     motion = np.eye(3, 4) if T_real_sim is None else T_real_sim
-    real, sim = (points[np.isfinite(points).all(axis=1)] for points in (real, sim))
+    real = real[np.isfinite(real).all(axis=1)]
+    sim = sim[np.isfinite(sim).all(axis=1)]
     target_points = _thinned(real, settings, "real")
     target_points = target_points[inside(target_points, settings.include_box)]
-    if len(target_points) < MIN_POINTS:
+    if len(target_points) < _MIN_POINTS:
         return None
     target = _Side(target_points)
-    units = {"": 1.0, **_units_that_fit(sim, real)}
-    points = {unit: _thinned(sim * scale, settings, "sim") for unit, scale in units.items()}
-    sources = {unit: _Side(own) for unit, own in points.items() if len(own) >= MIN_POINTS}
+    sources = {}
+    for unit, scale in {"": 1.0, **_units_that_fit(sim, real)}.items():
+        points = _thinned(sim * scale, settings, "sim")
+        if len(points) >= _MIN_POINTS:
+            sources[unit] = _Side(points)
     if not sources:
         return None
-    as_given, coverage, best = _search(target, sources, settings, motion)
-    if 1 - coverage >= MIN_GAIN and "" in sources:
-        coverage, best = _scaled(target, sources, (real, sim), settings, motion, as_given, (coverage, best))
+    as_given, scored = _search(target, sources, settings, motion)
+    if 1 - scored[0] >= MIN_GAIN and "" in sources:
+        scored = _scaled(target, sources, (real, sim), settings, motion, as_given, scored)
+    coverage, best = scored
     is_suspect = (
-        coverage >= MIN_COVERAGE
+        coverage >= _MIN_COVERAGE
         and coverage - as_given >= MIN_GAIN
-        and 1 - coverage <= MAX_UNCOVERED_RATIO * (1 - as_given)
+        and 1 - coverage <= _MAX_UNCOVERED_RATIO * (1 - as_given)
     )
-    start, before = (best, coverage) if is_suspect else (_Candidate("", motion), as_given)
-    source = sources.get(start.unit)
-    if source is None or coverage < MIN_SAME_PLACE:
-        return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
-    if is_far_from_origin(real) or is_far_from_origin(source.points if start.unit else sim):  # in metres
-        return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
-    if levelled := _levelled(target, source, start):
-        after = _coverage(target, source, levelled, settings.include_box)
-        if after >= max(before - _MAX_COVERAGE_LOST, MIN_SAME_PLACE):
-            best, coverage, is_suspect = levelled, after, True
+    if coverage >= MIN_SAME_PLACE:
+        start = best if is_suspect else _Candidate("", motion)
+        before = coverage if is_suspect else as_given
+        source = sources.get(start.unit)
+        in_metres = source.points if source and start.unit else sim
+        if source and not is_far_from_origin(real) and not is_far_from_origin(in_metres):
+            levelled = _levelled(target, source, start)
+            after = _coverage(target, source, levelled, settings.include_box) if levelled else 0.0
+            if levelled and after >= max(before - _MAX_COVERAGE_LOST, MIN_SAME_PLACE):
+                best = levelled
+                coverage = after
+                is_suspect = True
     return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
 
 
@@ -218,15 +241,15 @@ def ground_height(points: FloatArray) -> float:
         return 0.0
     steps = np.floor(points[:, 2] / _GROUND_STEP_M).astype(np.int64)
     counts = np.bincount(steps - steps.min())
-    width = round(2 * GROUND_BAND_M / _GROUND_STEP_M)
+    width = round(2 * _GROUND_BAND_M / _GROUND_STEP_M)
     fullest = int(np.convolve(counts, np.ones(width), "full").argmax())  # the last step of the band
-    return float((steps.min() + fullest + 1) * _GROUND_STEP_M - GROUND_BAND_M)
+    return float((steps.min() + fullest + 1) * _GROUND_STEP_M - _GROUND_BAND_M)
 
 
 def _search(
     target: _Side, sources: dict[str, _Side], settings: InputSettings, motion: FloatArray
-) -> tuple[float, float, _Candidate]:
-    """Coverage of the scan as given, best coverage, and the candidate that reaches it.
+) -> tuple[float, tuple[float, _Candidate]]:
+    """Coverage of the scan as given; best coverage, and the candidate that reaches it.
 
     The search stops early if the scan as given covers so much that no other can be suspect.
     """
@@ -235,10 +258,10 @@ def _search(
     rough: list[tuple[float, _Candidate]] = []
     for unit, source in sources.items():
         for candidate in _candidates(target, source, motion, unit):
-            if candidate.name == AS_GIVEN:
+            if candidate.name == _AS_GIVEN:
                 as_given = _coverage(target, source, candidate, box)
                 if 1 - as_given < MIN_GAIN:
-                    return as_given, as_given, candidate
+                    return as_given, (as_given, candidate)
             rough.append((_coverage(target, source, candidate, box, _FEW_POINTS), candidate))
     rough.sort(key=lambda scored: -scored[0])
     best: tuple[float, _Candidate] = as_given, _Candidate("", motion)
@@ -246,7 +269,7 @@ def _search(
         coverage = _coverage(target, sources[candidate.unit], candidate, box)
         if coverage > best[0]:
             best = coverage, candidate
-    return as_given, *best
+    return as_given, best
 
 
 def _scaled(
@@ -273,7 +296,7 @@ def _scaled(
                 continue
             unit = f"units of {factor:.3g} m"
             points = _thinned(sim * factor, settings, "sim")
-            if unit in sources or len(points) < MIN_POINTS:
+            if unit in sources or len(points) < _MIN_POINTS:
                 continue
             sources[unit] = _Side(points)
             candidate = _Candidate("", motion, unit)
@@ -298,24 +321,29 @@ def _levelled(target: _Side, source: _Side, candidate: _Candidate) -> _Candidate
     for _ in range(_LIFT_STEPS):
         change_m += step_m
         z = placed[:, 2] + change_m
-        is_ground = np.abs(z - target.ground_m) < GROUND_BAND_M
-        apart, row = tree.query(placed[is_ground, :2], distance_upper_bound=VOXEL_M)
+        is_ground = np.abs(z - target.ground_m) < _GROUND_BAND_M
+        apart, row = tree.query(placed[is_ground, :2], distance_upper_bound=_VOXEL_M)
         is_near = np.isfinite(apart)
-        if is_near.sum() < MIN_POINTS:
+        if is_near.sum() < _MIN_POINTS:
             return None
         step_m = float(np.median(ground[row[is_near], 2] - z[is_ground][is_near]))
     lift_m = candidate.lift_m + change_m
-    if abs(step_m) > _MAX_LIFT_LEFT_M or abs(lift_m) < MIN_LIFT_M:
+    if abs(step_m) > _MAX_LIFT_LEFT_M or abs(lift_m) < _MIN_LIFT_M:
         return None
     M = candidate.M.copy()
     M[2, 3] += change_m
     return replace(candidate, M=M, lift_m=lift_m)
 
 
-def _candidates(target: _Side, source: _Side, motion: FloatArray, unit: str) -> Iterator[_Candidate]:
+def _candidates(
+    target: _Side,
+    source: _Side,
+    motion: FloatArray,
+    unit: str,
+) -> Iterator[_Candidate]:
     """All candidates; the scan as given comes first, so that it wins ties."""
     for name, turn in _ROTATIONS.items():
-        words = "" if name == AS_GIVEN else name
+        words = "" if name == _AS_GIVEN else name
         M = np.column_stack([motion[:, :3] @ turn, motion[:, 3]])
         yield _Candidate(words, M, unit)
         lift_m = target.ground_m - ground_height(_placed(source.points, M))
@@ -326,22 +354,32 @@ def _candidates(target: _Side, source: _Side, motion: FloatArray, unit: str) -> 
 
 
 def _coverage(
-    target: _Side, source: _Side, candidate: _Candidate, box: Box | None, n_points: int = MAX_POINTS
+    target: _Side,
+    source: _Side,
+    candidate: _Candidate,
+    box: Box | None,
+    n_points: int = _MAX_POINTS,
 ) -> float:
     """Mean over both directions, and over ground and the rest, of the share of points with another within reach."""
-    R, t = candidate.M[:, :3], candidate.M[:, 3]
     source_rows = source.sample[:: -(-len(source.sample) // n_points)]
     target_rows = target.sample[:: -(-len(target.sample) // n_points)]
     placed = _placed(source.points[source_rows], candidate.M)
     is_inside = inside(placed, box)
-    shares = [*_shares(target.tree, placed[is_inside], source.is_ground[source_rows][is_inside])]
-    back = (target.points[target_rows] - t) @ R  # distances do not change, so the tree is reused
-    shares += _shares(source.tree, back, target.is_ground[target_rows])
+    # distances do not change, so the tree is reused
+    back = (target.points[target_rows] - candidate.M[:, 3]) @ candidate.M[:, :3]
+    shares = [
+        *_shares(target.tree, placed[is_inside], source.is_ground[source_rows][is_inside]),
+        *_shares(source.tree, back, target.is_ground[target_rows]),
+    ]
     return float(np.mean(shares)) if shares else 0.0
 
 
-def _shares(tree: scipy.spatial.cKDTree, points: FloatArray, is_ground: BoolArray) -> Iterator[float]:
-    apart, _ = tree.query(points, distance_upper_bound=NEAR_M)
+def _shares(
+    tree: scipy.spatial.cKDTree,
+    points: FloatArray,
+    is_ground: BoolArray,
+) -> Iterator[float]:
+    apart, _ = tree.query(points, distance_upper_bound=_NEAR_M)
     is_near: BoolArray = np.isfinite(apart)
     for chosen in (is_ground, ~is_ground):
         if chosen.any():
@@ -350,17 +388,27 @@ def _shares(tree: scipy.spatial.cKDTree, points: FloatArray, is_ground: BoolArra
 
 def _setting(candidate: _Candidate, settings: InputSettings, motion: FloatArray) -> str:
     """Text of the settings that select a candidate."""
-    parts = [f"simulated points in metres (they are in {candidate.unit})"] if candidate.unit else []
-    present = settings.frame_of("real"), settings.frame_of("sim")
-    real_frame, sim_frame, new_motion = _frames_and_motion(candidate.M, *present, motion)
-    if real_frame != present[0]:
+    parts = []
+    if candidate.unit:
+        parts.append(f"simulated points in metres (they are in {candidate.unit})")
+    present_real = settings.frame_of("real")
+    present_sim = settings.frame_of("sim")
+    real_frame, sim_frame, new_motion = _frames_and_motion(
+        candidate.M,
+        present_real,
+        present_sim,
+        motion,
+    )
+    if real_frame != present_real:
         parts.append(f"input.real_frame={real_frame}")
-    if sim_frame != present[1]:
-        parts += ["input.sim_flip_y=false"] if settings.sim_flip_y else []
-        parts += [f"input.sim_frame={sim_frame}"] if sim_frame != "ros" or not settings.sim_flip_y else []
+    if sim_frame != present_sim:
+        if settings.sim_flip_y:
+            parts.append("input.sim_flip_y=false")
+        if sim_frame != "ros" or not settings.sim_flip_y:
+            parts.append(f"input.sim_frame={sim_frame}")
     if not np.allclose(new_motion, motion, atol=1e-9):
         numbers = " ".join(f"{value + 0.0:.5g}" for value in np.round(new_motion, 5).ravel())
-        parts.append(f'T_real_sim "{numbers}" in the manifest')
+        parts.append(f'T_real_sim "{numbers}" in pairs.csv')
     return " and ".join(parts)
 
 
@@ -373,12 +421,19 @@ def _frames_and_motion(
     if F'_real F_real^-1 M_R F_sim = R F'_sim, for the present R; the fewest frames are changed.
     """
     R = motion[:, :3]
-    reals = sorted(_FRAMES, key=lambda name: name == "carla")  # real sensors are right-handed, if anything else fits
-    candidates = [(real, sim), *((real, name) for name in _FRAMES), *((name, sim) for name in reals)]
-    for own_real, own_sim in [*candidates, *((a, b) for a in reals for b in _FRAMES)]:
-        change = _FRAMES[own_real] @ _FRAMES[real].T
-        if np.allclose(change @ M[:, :3] @ _FRAMES[sim], R @ _FRAMES[own_sim], atol=1e-9):
-            return own_real, own_sim, np.column_stack([R, change @ M[:, 3]])
+    # real sensors are right-handed, if anything else fits
+    reals = sorted(_FRAMES, key=lambda name: name == "carla")
+    sims = list(_FRAMES)
+    candidates = [
+        (real, sim),
+        *product([real], sims),
+        *product(reals, [sim]),
+        *product(reals, sims),
+    ]
+    for new_real, new_sim in candidates:
+        change = _FRAMES[new_real] @ _FRAMES[real].T
+        if np.allclose(change @ M[:, :3] @ _FRAMES[sim], R @ _FRAMES[new_sim], atol=1e-9):
+            return new_real, new_sim, np.column_stack([R, change @ M[:, 3]])
     if np.linalg.det(M[:, :3]) > 0:
         return real, sim, M
     usual: FrameName = "ros" if sim == "carla" else "carla"
@@ -388,23 +443,28 @@ def _frames_and_motion(
 def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArray:
     """One point per voxel, the first in the order of the scan, of the measurements within reach of the sensor."""
     with np.errstate(over="ignore"):  # infinite distances are out of reach
-        near = points[(np.hypot(points[:, 0], points[:, 1]) < REACH_M) & (np.abs(points[:, 2]) < REACH_M)]
-    _, first = np.unique(voxel_ids(near, VOXEL_M), return_index=True)
-    own = settings.model_copy(update={"include_box": None})
-    return clean_scan(near[np.sort(first)], own, frame=settings.frame_of(side)).points
+        is_near = np.hypot(points[:, 0], points[:, 1]) < _REACH_M
+        near = points[is_near & (np.abs(points[:, 2]) < _REACH_M)]
+    all_points = settings.model_copy(update={"include_box": None, "voxel_m": None})
+    first = near[~shares_voxel(near, _VOXEL_M)]
+    return clean_scan(first, all_points, frame=settings.frame_of(side)).points
 
 
 def _units_that_fit(sim: FloatArray, real: FloatArray) -> dict[str, float]:
     """Units in which a simulated scan far beyond the real one would have about the same extent; metres per unit."""
-    sides = [points[points.any(axis=1)] for points in (sim, real)]  # missing returns are often written as zeros
-    if not all(map(len, sides)):
+    sim = sim[sim.any(axis=1)]  # missing returns are often written as zeros
+    real = real[real.any(axis=1)]
+    if not len(sim) or not len(real):
         return {}
     with np.errstate(over="ignore", invalid="ignore"):  # infinite distances fit no unit
-        sim_m, real_m = (float(np.quantile(np.linalg.norm(points, axis=1), 0.75)) for points in sides)
-    reach = {unit: _SIMILAR_REACH.get(unit, 10.0) for unit in _SCALES}
-    return {
-        unit: scale for unit, scale in _SCALES.items() if real_m / reach[unit] < scale * sim_m < reach[unit] * real_m
-    }
+        sim_m = float(np.quantile(np.linalg.norm(sim, axis=1), 0.75))
+        real_m = float(np.quantile(np.linalg.norm(real, axis=1), 0.75))
+    units = {}
+    for unit, scale in _SCALES.items():
+        reach = _SIMILAR_REACH.get(unit, 10.0)
+        if real_m / reach < scale * sim_m < reach * real_m:
+            units[unit] = scale
+    return units
 
 
 def _placed(points: FloatArray, M: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from ..schemas.errors import StageError
 from ..schemas.settings import GraphSettings
 from .arrays import FloatArray, IndexArray, IntArray
 from .linalg.subgraph import Edges
+from .thinning import smallest_voxel
 
 #: More pairs of points within tau are rejected: their graph would need about 10 GB.
 MAX_CLOSE_PAIRS = 10**8
@@ -78,17 +79,25 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
 
 def _reject_crowd(points: FloatArray, near_m: float, settings: GraphSettings) -> None:
     """Raise a `StageError` if too many pairs of these points are within `near_m`."""
-    n = len(points)
-    if n * (n - 1) // 2 <= MAX_CLOSE_PAIRS:
+    n_pairs = _n_close_pairs(points, near_m)
+    if n_pairs <= MAX_CLOSE_PAIRS:
         return
+    voxel_m = smallest_voxel(points, lambda few: _n_close_pairs(few, near_m) <= MAX_CLOSE_PAIRS)
+    thin = "" if voxel_m is None else f"set input.voxel_m={voxel_m:g}, which thins both sides alike, "
+    raise StageError(
+        f"expected at most {MAX_CLOSE_PAIRS} pairs of points within {near_m:g} m of each other, "
+        f"got {n_pairs}; {thin}lower graph.tau_m (now {settings.tau_m:g}), or raise input.min_range_m"
+    )
+
+
+def _n_close_pairs(points: FloatArray, near_m: float) -> int:
+    """Number of pairs of points within `near_m`, or of all pairs if there are few."""
+    n = len(points)
+    n_all = n * (n - 1) // 2
+    if n_all <= MAX_CLOSE_PAIRS:
+        return n_all
     tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE)
-    n_pairs = (int(tree.count_neighbors(tree, near_m * (1 + _SLACK))) - n) // 2
-    if n_pairs > MAX_CLOSE_PAIRS:
-        raise StageError(
-            f"expected at most {MAX_CLOSE_PAIRS} pairs of points within {near_m:g} m of each other, "
-            f"got {n_pairs}; lower graph.tau_m (now {settings.tau_m:g}), raise input.min_range_m, "
-            "or downsample the scan"
-        )
+    return (int(tree.count_neighbors(tree, near_m * (1 + _SLACK))) - n) // 2
 
 
 def _nearest(

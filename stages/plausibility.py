@@ -36,16 +36,21 @@ class ScanInspection:
     warnings: tuple[str, ...]
 
 
-def inspect_points(points: FloatArray, side: str, settings: InputSettings) -> ScanInspection:
+def inspect_points(
+    points: FloatArray, side: str, settings: InputSettings, T_real_sim: FloatArray | None = None
+) -> ScanInspection:
     """Inspect the points of a scan before it is cleaned.
 
     Parameters
     ----------
     points : (n, 3) float64, as read, in the side's own frame
     side : "real" or "sim"
+    T_real_sim : (3, 4) float64 of the simulated side; its rotation counts as a part of the axes
     """
     is_finite = np.isfinite(points).all(axis=1)
     measured = as_ros(points[is_finite & points.any(axis=1)], settings.frame_of(side))
+    if T_real_sim is not None:
+        measured = measured @ T_real_sim[:, :3].T
     warnings = implausible(measured, side, settings.min_range_m)
     share = 1.0 - float(is_finite.mean()) if len(points) else 0.0
     if share > _MAX_NOT_FINITE:
@@ -120,7 +125,7 @@ def _axes_question(points: FloatArray, spread: FloatArray, side: str) -> str:
         return "are the columns right (input.columns)?"
     if np.median(as_ros(points, "kitti-cam")[:, 2]) < 0:  # most points are lower than the sensor
         return f"is it in camera axes? set input.{side}_frame=kitti-cam"
-    return "is y up? expected x forward, y left, z up; set T_real_sim in the manifest"
+    return "is y up? expected x forward, y left, z up; set T_real_sim in pairs.csv"
 
 
 def _are_angles(points: FloatArray) -> bool:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy
 
 from ..schemas.results import Number
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .sensor_description import SensorDescription
 from .statistics.findings import BAND_EDGES_M
 
 #: What became of a ray. Both sides returned: ranges agree, or the simulated return is nearer or farther. Only the real
@@ -88,6 +87,18 @@ class RayGrid:
         return np.searchsorted(limits, self.elevation_of(points))
 
 
+def grid_of(sensor: SensorDescription) -> RayGrid | None:
+    """Directions of the beams of a sensor; None if they were not recognised."""
+    if not sensor.elevation_deg:
+        return None
+    return RayGrid(
+        np.array(sensor.elevation_deg),
+        sensor.azimuth_step_deg or 0.0,
+        tuple(sensor.origin_height_m),
+        sensor.block_deg,
+    )
+
+
 @dataclass(frozen=True)
 class Rays:
     """One row per ray of the grid, sorted by beam and column.
@@ -123,11 +134,7 @@ class Rays:
 
 
 def compare_rays(
-    real: FloatArray,
-    sim: FloatArray,
-    real_grid: RayGrid,
-    sim_grid: RayGrid,
-    noise_m: float = 0.0,
+    real: FloatArray, sim: FloatArray, real_grid: RayGrid, sim_grid: RayGrid, noise_m: float = 0.0
 ) -> Rays:
     """Pair the returns of both sides by direction and compare their ranges.
 
@@ -186,9 +193,7 @@ def compare_rays(
 
 
 def _sort_returns(
-    real: _Side,
-    sim: _Side,
-    is_between: BoolArray,
+    real: _Side, sim: _Side, is_between: BoolArray
 ) -> tuple[IndexArray, IntArray, IndexArray, IndexArray]:
     """Rows of the real and simulated returns of one ray, of real ones alone and of simulated ones alone.
 
@@ -222,7 +227,7 @@ def _without_partner(points: FloatArray, sim: FloatArray) -> IndexArray:
 def find_rays(
     real: FloatArray,
     sim: FloatArray,
-    sensors: tuple[Mapping[str, Any], Mapping[str, Any]],
+    sensors: tuple[SensorDescription, SensorDescription],
     T_real_sim: FloatArray | None = None,
 ) -> Rays | str:
     """Compare the rays of two scans whose sensors are known, or return the reason for which there are none.
@@ -230,14 +235,16 @@ def find_rays(
     Parameters
     ----------
     real, sim : (n, 3) and (m, 3) float64, metres, clean points of both sides in the real sensor's frame
-    sensors : of the real and the simulated side, the fields of `SensorDescription` by name
+    sensors : of the real and the simulated side
     T_real_sim : (3, 4) float64, motion of the simulated into the real sensor's frame, if they differ
     """
+    grids = []
     for side, sensor in zip(("real", "simulated"), sensors, strict=True):
-        for name in ("elevation_deg", "azimuth_step_deg"):
-            if not sensor[name]:
-                return f"{side} scan: {sensor['untold'].get(name, 'no beams')}"
-    grids = [_grid_of(sensor) for sensor in sensors]
+        grid = grid_of(sensor)
+        if grid is None or not grid.step_deg:
+            reason = sensor.untold.get("azimuth_step_deg" if grid else "elevation_deg", "no beams")
+            return f"{side} scan: {reason}"
+        grids.append(grid)
     apart_m = 0.0 if T_real_sim is None else float(np.linalg.norm(T_real_sim[:, 3]))
     median_m = float(np.median(np.linalg.norm(real, axis=1)))
     cell_m = np.radians(max(grid.step_deg for grid in grids)) * median_m
@@ -246,19 +253,8 @@ def find_rays(
             f"the simulated sensor is {apart_m:.2f} m from the real one: at the median range of {median_m:.1f} m its "
             f"rays are {apart_m / cell_m:.1f} cells off"
         )
-    noise_real_m, noise_sim_m = [sensor["range_noise_m"] or 0.0 for sensor in sensors]
-    noise_m = float(np.hypot(noise_real_m, noise_sim_m))
+    noise_m = float(np.hypot(sensors[0].range_noise_m or 0.0, sensors[1].range_noise_m or 0.0))
     return compare_rays(real, sim, grids[0], grids[1], noise_m)
-
-
-def _grid_of(sensor: Mapping[str, Any]) -> RayGrid:
-    """The directions of a sensor by the fields of its description."""
-    return RayGrid(
-        elevation_deg=np.array(sensor["elevation_deg"]),
-        step_deg=sensor["azimuth_step_deg"],
-        origin_height_m=tuple(sensor["origin_height_m"]),
-        block_deg=sensor["block_deg"],
-    )
 
 
 def score_rays(rays: Rays, is_in: BoolArray | None = None) -> dict[str, Number]:
@@ -383,12 +379,7 @@ class _Side:
             unit: FloatArray = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         return unit
 
-    def _edges(
-        self,
-        at: IndexArray | IntArray,
-        near: IndexArray,
-        distance: FloatArray,
-    ) -> FloatArray:
+    def _edges(self, at: IndexArray | IntArray, near: IndexArray, distance: FloatArray) -> FloatArray:
         """(k, 3) metres from some returns to that of their neighbours with the least distance; NaN without one."""
         best = distance.argmin(axis=1)[:, None]
         nearest = np.take_along_axis(near, best, 1)[:, 0]
@@ -491,13 +482,7 @@ def _range_along(directions: FloatArray, points: FloatArray, normal: FloatArray)
     return np.where(is_met, meeting, range_m)
 
 
-def _in_grid(
-    beam: IndexArray,
-    azimuth: FloatArray,
-    n_beams: int,
-    n_columns: int,
-    **values: IntArray,
-) -> Rays:
+def _in_grid(beam: IndexArray, azimuth: FloatArray, n_beams: int, n_columns: int, **values: IntArray) -> Rays:
     """Give each ray a column, no two of a beam the same, and add the rays that returned on neither side."""
     order = np.lexsort((azimuth, beam))
     beam = beam[order]

@@ -33,11 +33,10 @@ from .trust import (
 
 #: Limits of the range bands, metres, for the share of lost pulses.
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
-#: Largest number of pulses that a gap within a surface may lack.
-HOLE = 5
 #: Columns of table `sensor` that `pairs` has for both sides.
-PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
+_PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
 _MIN_POINTS = 500
+_HOLE = 5  # pulses that a gap within a surface may lack, at most
 _QUANTA_M = (0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
 _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
@@ -133,51 +132,40 @@ def describe_with_gaps(
     has_time : the file has a time for each point
     """
     is_return = (np.abs(points) <= FARTHEST_M).all(axis=1) & points.any(axis=1)
-    returns = np.flatnonzero(is_return)
-    points, ring = points[is_return], None if ring is None else ring[is_return]
-    sensor = SensorDescription(len(points), has_ring=ring is not None, has_time=has_time)
-    if len(points) < _MIN_POINTS:
-        return _undetected(sensor, f"{len(points)} points, at least {_MIN_POINTS} are needed"), NO_GAPS
-    range_m = np.linalg.norm(points, axis=1)
-    doubts = {}
+    rows = np.flatnonzero(is_return)
+    sensor = SensorDescription(len(rows), has_ring=ring is not None, has_time=has_time)
+    if len(rows) < _MIN_POINTS:
+        return _undetected(
+            sensor,
+            f"{len(rows)} points, at least {_MIN_POINTS} are needed",
+        ), NO_GAPS
+    range_m = np.linalg.norm(points[rows], axis=1)
     if misses := miss_range(range_m):
-        doubts[MISSES] = misses_text(misses[1], misses[0])
-        is_kept = ~is_miss(range_m, misses[0])
-        returns, points, ring = returns[is_kept], points[is_kept], None if ring is None else ring[is_kept]
-        if len(points) < _MIN_POINTS:
-            return replace(_undetected(sensor, f"{len(points)} points have a return"), doubts=doubts), NO_GAPS
-    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
-    around_deg = 360.0 - widest_azimuth_gap_deg(points)
-    view = (round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1))
-    sensor = replace(sensor, field_of_view_deg=view)
-    pattern = find_beams(points, ring)
+        sensor.doubts[MISSES] = misses_text(misses[1], misses[0])
+        rows = rows[~is_miss(range_m, misses[0])]
+        if len(rows) < _MIN_POINTS:
+            return _undetected(sensor, f"{len(rows)} points have a return"), NO_GAPS
+    points = points[rows]
+    sensor = replace(sensor, field_of_view_deg=_field_of_view(points))
+    pattern = find_beams(points, None if ring is None else ring[rows])
     if isinstance(pattern, str):
         if text := position_text(points):
-            doubts[POSITION] = text
+            sensor.doubts[POSITION] = text
         elif _is_several_sweeps(points):
-            doubts[ONE_SWEEP] = SWEEPS_IN_A_ROW
-        return replace(_undetected(sensor, pattern), doubts=doubts), NO_GAPS
-    untold = {}
-    sweep = _by_beam(points, pattern)
-    is_later = later_returns(sweep.beam, sweep.azimuth_deg, sweep.range_m)
-    if text := returns_text(is_later):
-        doubts[RETURNS] = text
-        sweep = sweep.first_returns(is_later)
-    if text := sweeps_text(sweep.gap_deg):
-        doubts = {ONE_SWEEP: text, **{need: why for need, why in doubts.items() if need != RETURNS}}
-        step, untold["azimuth_step_deg"] = None, text
-    else:
-        step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
-    quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
-    noise, untold["range_noise_m"] = _range_noise(sweep, step)
-    noise_low = _least_range_noise(sweep, step, noise)
-    n_firings = _surface_firings(sweep, step)
-    lost, lost_in_all, untold["lost_share"] = _lost_share(sweep, n_firings, step)
-    known = recognise(pattern, step, quantum)
-    untold["model"] = known.reason
-    before = np.flatnonzero(n_firings > 1)
-    rows = returns[np.column_stack([sweep.row[before], sweep.row[before + 1]])]
-    sensor = replace(
+            sensor.doubts[ONE_SWEEP] = SWEEPS_IN_A_ROW
+        return _undetected(sensor, pattern), NO_GAPS
+    sensor, (gaps, n_lost) = _describe_beams(_with_pattern(sensor, pattern), points, pattern)
+    return sensor, (rows[gaps], n_lost)
+
+
+def _field_of_view(points: FloatArray) -> tuple[float, float, float]:
+    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    around_deg = 360.0 - widest_azimuth_gap_deg(points)
+    return round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1)
+
+
+def _with_pattern(sensor: SensorDescription, pattern: BeamPattern) -> SensorDescription:
+    return replace(
         sensor,
         elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
         is_even=pattern.is_even,
@@ -185,38 +173,70 @@ def describe_with_gaps(
         origin_height_m=pattern.origin_height_m,
         block_deg=pattern.block_deg,
         focal_m=pattern.focal_m,
+    )
+
+
+def _describe_beams(
+    sensor: SensorDescription, points: FloatArray, pattern: BeamPattern
+) -> tuple[SensorDescription, SurfaceGaps]:
+    """The description with all that follows from the beams, and the gaps of lost pulses between the points."""
+    doubts = dict(sensor.doubts)
+    untold = {}
+    sweep = _by_beam(points, pattern)
+    is_later = later_returns(sweep.beam, sweep.azimuth_deg, sweep.range_m)
+    several_returns = returns_text(is_later)
+    if several_returns:
+        sweep = sweep.first_returns(is_later)
+    step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
+    if several_sweeps := sweeps_text(sweep.gap_deg):
+        doubts = {ONE_SWEEP: several_sweeps, **doubts}
+        step = None
+        untold["azimuth_step_deg"] = several_sweeps
+    elif several_returns:
+        doubts[RETURNS] = several_returns
+    quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
+    noise, untold["range_noise_m"] = _range_noise(sweep, step)
+    n_firings = _surface_firings(sweep, step)
+    lost, lost_in_all, untold["lost_share"] = _lost_share(sweep, n_firings, step)
+    known = recognise(pattern, step, quantum)
+    untold["model"] = known.reason
+    sensor = replace(
+        sensor,
         azimuth_step_deg=step,
         range_quantum_m=quantum,
         range_noise_m=noise,
-        range_noise_low_m=noise_low,
+        range_noise_low_m=_least_range_noise(sweep, step, noise),
         elevation_noise_deg=_spread(sweep.off_deg),
         azimuth_noise_deg=None if step is None else _azimuth_noise(sweep, step),
         lost_share=lost,
         lost_in_all=lost_in_all,
         model=known.title,
         model_beams=known.n_beams,
-        untold={name: why for name, why in untold.items() if why},
+        untold={name: reason for name, reason in untold.items() if reason},
         doubts=doubts,
     )
-    return sensor, (rows, n_firings[before] - 1)
+    before = np.flatnonzero(n_firings > 1)
+    gaps = np.column_stack([sweep.row[before], sweep.row[before + 1]])
+    return sensor, (gaps, n_firings[before] - 1)
 
 
 def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
     """Columns of table `sensor`; None if undetermined, and then `reason` has the causes."""
-    low, high = _limits(sensor) if sensor.elevation_deg else (None, None)
+    heights_m = sensor.origin_height_m
+    height_m = float(np.mean([heights_m[0], heights_m[-1]])) if heights_m else 0.0
     return {
         "model": sensor.model,
         "n_beams": len(sensor.elevation_deg) or None,
-        "lowest_deg": low,
-        "highest_deg": high,
-        "origin_height_m": float(np.mean(_heights(sensor))) if sensor.elevation_deg else None,
+        "lowest_deg": min(sensor.elevation_deg, default=None),
+        "highest_deg": max(sensor.elevation_deg, default=None),
+        "origin_height_m": height_m if sensor.elevation_deg else None,
         "azimuth_step_deg": sensor.azimuth_step_deg,
         "range_quantum_m": sensor.range_quantum_m,
         "range_noise_m": sensor.range_noise_m,
         "elevation_noise_deg": sensor.elevation_noise_deg,
         "azimuth_noise_deg": sensor.azimuth_noise_deg,
         "lost_share": sensor.lost_in_all,
-        "reason": "; ".join(f"{name}: {why}" for name, why in sensor.untold.items()) or None,
+        "reason": "; ".join(f"{name}: {reason}" for name, reason in sensor.untold.items()) or None,
         "doubts": "\n".join(sensor.doubts.values()) or None,
     }
 
@@ -224,21 +244,22 @@ def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
 def pair_columns(sensor: SensorDescription, side: str) -> dict[str, Any]:
     """Columns of `pairs` for the sensor of a side, "real" or "sim"."""
     row = sensor_row(sensor)
-    return {f"sensor_{side}_{name.removeprefix('n_')}": row[name] for name in PAIR_COLUMNS}
+    return {f"sensor_{side}_{name.removeprefix('n_')}": row[name] for name in _PAIR_COLUMNS}
 
 
-def has_other_beams(one: SensorDescription, other: SensorDescription) -> bool:
+def has_other_beams(a: SensorDescription, b: SensorDescription) -> bool:
     """True if two scans are of sensors with different numbers of beams, or of known sensors that differ."""
-    if one.model and other.model:
-        return one.model not in other.model and other.model not in one.model
-    return abs(len(one.elevation_deg) - len(other.elevation_deg)) > 2
+    if a.model and b.model:
+        return a.model not in b.model and b.model not in a.model
+    return abs(len(a.elevation_deg) - len(b.elevation_deg)) > 2
 
 
 def beams_text(sensor: SensorDescription) -> str:
     """Number, range and spacing of the beams, and the model: "32 beams, -25 to +15 degrees, uneven: ..."."""
     if not sensor.elevation_deg:
         return f"no beams detected ({sensor.untold['elevation_deg']})"
-    low, high = _limits(sensor)
+    low = sensor.elevation_deg[0]
+    high = sensor.elevation_deg[-1]
     evenness = "evenly spaced" if sensor.is_even else "uneven"
     text = f"{_count_text(sensor)} beams, {low:+.4g} to {high:+.4g} degrees, {evenness}"
     return f"{text}: {sensor.model or sensor.untold['model']}"
@@ -254,38 +275,52 @@ def _count_text(sensor: SensorDescription) -> str:
     n = len(sensor.elevation_deg)
     if sensor.model_beams:
         return f"{n} of {sensor.model_beams}" if n < sensor.model_beams else f"{sensor.model_beams}"
-    return (f"at least {n}" if sensor.is_sharp else f"about {n}") if n else "none detected"
+    if not n:
+        return "none detected"
+    return f"at least {n}" if sensor.is_sharp else f"about {n}"
 
 
 def sensor_lines(sensor: SensorDescription) -> list[str]:
     """Lines with the properties of a sensor, and the reason for undetermined ones."""
-    view = sensor.field_of_view_deg
-    rows = [
-        ("beams", beams_text(sensor).replace("no beams", "none").replace(" beams", "", 1)),
-        ("beams start", _heights_text(sensor)) if sensor.origin_height_m else ("", ""),
-        ("beams cross", f"{1e3 * sensor.focal_m:.1f} mm before the axis") if sensor.focal_m else ("", ""),
-        ("field of view", f"{view[0]:+.4g} to {view[1]:+.4g} degrees, {view[2]:.0f} degrees around")
-        if view
-        else ("", ""),
-        _property(sensor, "azimuth step", "azimuth_step_deg", lambda step: f"{step:.3f} degrees"),
-        _property(sensor, "range quantum", "range_quantum_m", lambda quantum: f"{1e3 * quantum:g} mm"),
-        _property(sensor, "range noise", "range_noise_m", lambda noise: _noise_text(noise, sensor.range_noise_low_m)),
-        ("angular noise", _angular_text(sensor)) if sensor.elevation_deg else ("", ""),
-        _property(sensor, "pulses lost in surfaces", "lost_share", _lost_text),
-        ("for each point", f"ring: {_yes(sensor.has_ring)}, time: {_yes(sensor.has_time)}"),
-    ]
-    return [f"{name}: {text}" for name, text in rows if name]
+    rows = [("beams", beams_text(sensor).replace("no beams", "none").replace(" beams", "", 1))]
+    if sensor.origin_height_m:
+        rows.append(("beams start", _heights_text(sensor)))
+    if sensor.focal_m:
+        rows.append(("beams cross", f"{1e3 * sensor.focal_m:.1f} mm before the axis"))
+    if sensor.field_of_view_deg:
+        low, high, around = sensor.field_of_view_deg
+        rows.append(
+            ("field of view", f"{low:+.4g} to {high:+.4g} degrees, {around:.0f} degrees around"),
+        )
+    rows += _property(sensor, "azimuth step", "azimuth_step_deg", "{:.3f} degrees".format)
+    rows += _property(
+        sensor,
+        "range quantum",
+        "range_quantum_m",
+        lambda quantum: f"{1e3 * quantum:g} mm",
+    )
+    rows += _property(sensor, "range noise", "range_noise_m", lambda _: _noise_text(sensor))
+    if sensor.elevation_deg:
+        rows.append(("angular noise", _angular_text(sensor)))
+    rows += _property(sensor, "pulses lost in surfaces", "lost_share", _lost_text)
+    rows.append(("for each point", f"ring: {_yes(sensor.has_ring)}, time: {_yes(sensor.has_time)}"))
+    return [f"{name}: {text}" for name, text in rows]
 
 
-def _property(sensor: SensorDescription, name: str, attribute: str, text: Callable[[Any], str]) -> tuple[str, str]:
+def _property(
+    sensor: SensorDescription, name: str, attribute: str, text: Callable[[Any], str]
+) -> list[tuple[str, str]]:
+    """The row of a property, or of the reason why it is not determined; none without both."""
     if attribute in sensor.untold:
-        return name, f"none detected ({sensor.untold[attribute]})"
+        return [(name, f"none detected ({sensor.untold[attribute]})")]
     value = getattr(sensor, attribute)
-    return (name, text(value)) if value not in (None, ()) else ("", "")
+    return [(name, text(value))] if value not in (None, ()) else []
 
 
-def _noise_text(noise_m: float, low_m: float | None) -> str:
+def _noise_text(sensor: SensorDescription) -> str:
     """Range noise, with its lower bound if roughness of the surfaces may be most of it."""
+    noise_m = sensor.range_noise_m or 0.0
+    low_m = sensor.range_noise_low_m
     if low_m is None or low_m > _CLEAR * noise_m:
         return f"{1e3 * noise_m:.0f} mm on smooth surfaces"
     return f"{1e3 * low_m:.0f} to {1e3 * noise_m:.0f} mm on smooth surfaces"
@@ -298,23 +333,16 @@ def _angular_text(sensor: SensorDescription) -> str:
 
 def _lost_text(shares: Sequence[float | None]) -> str:
     bands = zip(LOST_BANDS_M, LOST_BANDS_M[1:], shares, strict=False)
-    known = [f"{share:.0%} at {low:.0f}-{high:.0f} m" for low, high, share in bands if share is not None]
-    return ", ".join(known) or "too few returns"
+    known = [band for band in bands if band[2] is not None]
+    texts = [f"{share:.0%} at {low:.0f}-{high:.0f} m" for low, high, share in known]
+    return ", ".join(texts) or "too few returns"
 
 
-def _undetected(sensor: SensorDescription, why: str) -> SensorDescription:
+def _undetected(sensor: SensorDescription, reason: str) -> SensorDescription:
     """Description of a sensor with undetected beams, and therefore without all properties of beams."""
-    others = ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share", "model")
-    return replace(sensor, untold={"elevation_deg": why, **dict.fromkeys(others, "no beams detected")})
-
-
-def _limits(sensor: SensorDescription) -> tuple[float, float]:
-    return sensor.elevation_deg[0], sensor.elevation_deg[-1]
-
-
-def _heights(sensor: SensorDescription) -> tuple[float, float]:
-    """Heights of the lower and the upper block."""
-    return (sensor.origin_height_m[0], sensor.origin_height_m[-1]) if sensor.origin_height_m else (0.0, 0.0)
+    of_beams = ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share", "model")
+    untold = {"elevation_deg": reason, **dict.fromkeys(of_beams, "no beams detected")}
+    return replace(sensor, untold=untold)
 
 
 def _heights_text(sensor: SensorDescription) -> str:
@@ -322,8 +350,10 @@ def _heights_text(sensor: SensorDescription) -> str:
     if not any(heights):
         return "at the origin"
     if min(heights) >= 0 or max(heights) <= 0:
-        return f"{' and '.join(f'{abs(h):g}' for h in heights)} m {'above' if max(heights) > 0 else 'below'} the origin"
-    return f"{' and '.join(f'{h:+g}' for h in heights)} m from the origin"
+        texts = [f"{abs(height):g}" for height in heights]
+        return f"{' and '.join(texts)} m {'above' if max(heights) > 0 else 'below'} the origin"
+    texts = [f"{height:+g}" for height in heights]
+    return f"{' and '.join(texts)} m from the origin"
 
 
 def _yes(has: bool) -> str:
@@ -356,25 +386,30 @@ class _Sweep:
         ray = np.cumsum(~is_later)
         order = np.lexsort((self.range_m, ray))
         first = np.sort(order[np.flatnonzero(np.diff(ray[order], prepend=0))])
-        return _Sweep(*(values[first] for values in vars(self).values()))
+        return self.chosen(first)
+
+    def chosen(self, rows: IndexArray | slice) -> _Sweep:
+        """Some of the returns."""
+        return _Sweep(*(values[rows] for values in vars(self).values()))
 
 
 def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
     beam, off_deg = pattern.beam_of(points)
     row = np.flatnonzero(beam >= 0)
-    points, beam, off_deg = points[row], beam[row], off_deg[row]
+    points = points[row]
     azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
     level = np.hypot(points[:, 0], points[:, 1]) - pattern.focal_m
     range_m = np.sqrt(level**2 + points[:, 2] ** 2)
-    order = np.lexsort((range_m, azimuth_deg, beam))
-    return _Sweep(beam[order], off_deg[order], azimuth_deg[order], range_m[order], row[order])
+    order = np.lexsort((range_m, azimuth_deg, beam[row]))
+    row = row[order]
+    return _Sweep(beam[row], off_deg[row], azimuth_deg[order], range_m[order], row)
 
 
 def _is_several_sweeps(points: FloatArray) -> bool:
     """True if the first or last part of a scan without recognisable beams has beams, in the directions of the other."""
     for parts in sweep_parts(points):
-        reasons = [part for part in map(find_beams, parts) if isinstance(part, str)]
-        if len(reasons) < len(parts):
+        patterns = [find_beams(part) for part in parts]
+        if any(isinstance(pattern, BeamPattern) for pattern in patterns):
             return True
     return False
 
@@ -382,13 +417,15 @@ def _is_several_sweeps(points: FloatArray) -> bool:
 def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:
     from scipy.signal import find_peaks
 
-    bin_deg, most_deg = 0.002, 4.0
+    bin_deg = 0.002
+    most_deg = 4.0
     gap = sweep.gap_deg
     gap = gap[(gap > 0.02) & (gap < most_deg)]
     if len(gap) < _MIN_POINTS:
         return None, "too few neighbouring returns"
-    count = np.bincount((gap / bin_deg).astype(np.intp), minlength=int(most_deg / bin_deg)).astype(np.float64)
-    density = scipy.ndimage.gaussian_filter1d(count, 3.0)
+    bins = (gap / bin_deg).astype(np.intp)
+    count = np.bincount(bins, minlength=int(most_deg / bin_deg))
+    density = scipy.ndimage.gaussian_filter1d(count.astype(np.float64), 3.0)
     peaks, _ = find_peaks(density, height=0.4 * density.max())
     step = (peaks[0] + 0.5) * bin_deg
     near = gap[np.abs(gap / step - 1.0) < 0.15]
@@ -413,7 +450,8 @@ def _range_quantum(points: FloatArray, sweep: _Sweep) -> tuple[float | None, str
         if np.mean(np.abs(points / step_m - np.round(points / step_m)) < 0.02) > 0.98:
             return None, f"coordinates are rounded to {1e3 * step_m:g} mm"
     is_near = sweep.range_m < _QUANTUM_RANGE_M
-    beam, range_m = sweep.beam[is_near], sweep.range_m[is_near]
+    beam = sweep.beam[is_near]
+    range_m = sweep.range_m[is_near]
     n_returns = np.bincount(beam)
     used = n_returns >= 50
     if n_returns[used].sum() < _MIN_POINTS:
@@ -424,7 +462,8 @@ def _range_quantum(points: FloatArray, sweep: _Sweep) -> tuple[float | None, str
         length = np.hypot(np.bincount(beam, np.cos(turn)), np.bincount(beam, np.sin(turn)))
         return bool(length[used].sum() / n_returns[used].sum() >= 0.7)
 
-    for quantum in _QUANTA_M:  # equal ranges of a beam on a plane agree with a large quantum, but not with its tenth
+    # equal ranges of a beam on a plane agree with a large quantum, but not with its tenth
+    for quantum in _QUANTA_M:
         if is_multiple(quantum) and (quantum < 0.05 or is_multiple(quantum / 10)):
             return quantum, ""
     return None, f"no quantum from {1e3 * _QUANTA_M[-1]:g} to {1e3 * _QUANTA_M[0]:g} mm"
@@ -439,7 +478,10 @@ def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, s
         runs, azimuth_deg = _runs_on_surface(sweep, (_RUN_STEPS + 0.5) * step_deg)
         place = azimuth_deg - azimuth_deg.mean(axis=1, keepdims=True)
     if len(runs) < _FEWEST_RUNS:
-        return None, f"{len(runs)} runs of {_RUN} returns on a surface, at least {_FEWEST_RUNS} are needed"
+        return (
+            None,
+            f"{len(runs)} runs of {_RUN} returns on a surface, at least {_FEWEST_RUNS} are needed",
+        )
     basis = np.linalg.qr(np.stack([np.ones_like(place), place, place**2], axis=-1))[0]
     fit = (runs[:, None] @ basis @ np.swapaxes(basis, -1, -2))[:, 0]
     rms = np.sqrt(((runs - fit) ** 2).sum(axis=1) / (_RUN - 3))
@@ -450,12 +492,11 @@ def _least_range_noise(sweep: _Sweep, step_deg: float | None, noise_m: float | N
     """Range noise without the roughness of the surface, whose variance is about proportional to the step.
 
     It is extrapolated from the noise of all returns and of every second one. The noise need not lie between both:
-    roughness that grows less, as between distant returns, stays in it (see `benchmarks/sensor_bias.py`).
+    roughness that grows less, as between distant returns, stays in it (see `benchmarks/sensor_bias.py`,).
     """
     if step_deg is None or noise_m is None:
         return None
-    halved = _Sweep(*(values[::2] for values in vars(sweep).values()))
-    coarse_m, _ = _range_noise(halved, 2 * step_deg)
+    coarse_m, _ = _range_noise(sweep.chosen(slice(None, None, 2)), 2 * step_deg)
     if coarse_m is None:
         return None
     return round(float(np.sqrt(np.clip(2 * noise_m**2 - coarse_m**2, 0.0, noise_m**2))), 4)
@@ -463,8 +504,10 @@ def _least_range_noise(sweep: _Sweep, step_deg: float | None, noise_m: float | N
 
 def _runs_on_surface(sweep: _Sweep, most_deg: float) -> tuple[FloatArray, FloatArray]:
     """Ranges and azimuths, (n, 9) each, of returns of a beam in a row with at most this gap from one to the next."""
-    is_run = sliding_window_view(np.nan_to_num(sweep.gap_deg, nan=np.inf) < most_deg, _RUN - 1).all(axis=1)
-    range_m, azimuth_deg = (sliding_window_view(own, _RUN)[is_run] for own in (sweep.range_m, sweep.azimuth_deg))
+    has_no_gap = np.nan_to_num(sweep.gap_deg, nan=np.inf) < most_deg
+    is_run = sliding_window_view(has_no_gap, _RUN - 1).all(axis=1)
+    range_m = sliding_window_view(sweep.range_m, _RUN)[is_run]
+    azimuth_deg = sliding_window_view(sweep.azimuth_deg, _RUN)[is_run]
     is_surface = np.ptp(range_m, axis=1) < 0.05 * range_m.mean(axis=1)
     return range_m[is_surface], azimuth_deg[is_surface]
 
@@ -475,7 +518,7 @@ def _surface_firings(sweep: _Sweep, step_deg: float | None) -> IndexArray:
         return np.zeros(max(len(sweep.row) - 1, 0), dtype=np.intp)
     n_firings = np.nan_to_num(np.round(sweep.gap_deg / step_deg))
     low_m, high_m = np.sort([sweep.range_m[:-1], sweep.range_m[1:]], axis=0)
-    is_surface = (n_firings <= HOLE + 1) & (high_m - low_m < 0.03 * low_m + 0.05)
+    is_surface = (n_firings <= _HOLE + 1) & (high_m - low_m < 0.03 * low_m + 0.05)
     return np.where(is_surface, n_firings, 0).astype(np.intp)
 
 
@@ -492,5 +535,5 @@ def _lost_share(
         enough = len(firings) >= _MIN_POINTS
         shares.append(round(float(1.0 - len(firings) / firings.sum()), 4) if enough else None)
     *by_band, in_all = shares
-    why = f"fewer than {_MIN_POINTS} gaps between returns of one surface"
-    return tuple(by_band), in_all, why if in_all is None else ""
+    reason = f"fewer than {_MIN_POINTS} gaps between returns of one surface"
+    return tuple(by_band), in_all, reason if in_all is None else ""

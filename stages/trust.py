@@ -22,15 +22,30 @@ SAME_SWEEPS = "same_sweeps"
 FRAME = "frame"
 #: Doubts that make `fidpipe check` fail.
 SERIOUS = (MISSES, ONE_SWEEP, POSITION)
-_SHELL_M, _SHELL_SHARE, _MOST_SHELL_SHARE = 0.1, 0.03, 0.95
+_SHELL_M = 0.1  # from the farthest point, within which rays without a return are written
+_SHELL_SHARE, _MOST_SHELL_SHARE = 0.03, 0.95  # of the points
 _FEWEST_RETURNS = 500
-_SAME_DEG, _SAME_SHARE, _NEAREST_M, _MOST_RETURNS = 0.005, 0.1, 1.0, 5
-_BIN_DEG, _MOST_DEG = 0.01, 4.0
-_FEWEST_GAPS, _MOST_GROUPS, _MOST_SWEEPS = 500, 30_000, 5
-_UNEVEN, _ALIKE, _REPEATED = 0.2, 0.9, 0.06  # sweeps 0.25, 0.94 and 0.09 at least, other scans 0.18, - and 0.05
-_CELL_DEG, _SAME_CELLS = 2.0, 0.6
-_SAMPLE, _NEIGHBOURS, _DENSE_PART, _DENSE_M = 5000, 10, 5, 15.0
-SWEEPS_IN_A_ROW = "two or more sweeps or sensors in one scan? Parts of it have beams, and all of it has not"
+_SAME_DEG = 0.005  # azimuth between returns of a ray
+_SAME_SHARE = 0.1  # of later returns
+_NEAREST_M = 1.0
+_MOST_RETURNS = 5  # of a ray
+_BIN_DEG, _MOST_DEG = 0.01, 4.0  # of gaps in azimuth
+_FEWEST_GAPS = 500
+_MOST_GROUPS = 30_000
+_MOST_SWEEPS = 5
+_UNEVEN = 0.2  # sweeps have 0.25 at least, other scans up to 0.18
+_ALIKE = 0.9  # sweeps have 0.94 at least
+_REPEATED = 0.06  # sweeps have 0.09 at least, other scans up to 0.05
+_CELL_DEG = 2.0
+_SAME_CELLS = 0.6  # share of the directions of both parts
+_SAMPLE = 5000
+_NEIGHBOURS = 10
+_DENSE_PART = 5  # a fifth of the points
+_DENSE_M = 15.0
+SWEEPS_IN_A_ROW = (
+    "two or more sweeps or sensors in one scan? Parts of it have beams, and all of it has not; "
+    "export one revolution per file"
+)
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
 
 
@@ -65,8 +80,8 @@ def misses_text(share: float, miss_range_m: float) -> str:
     """The doubt, with the setting that drops the points."""
     limit_m = np.floor(10 * (miss_range_m - _SHELL_M)) / 10
     return (
-        f"{share:.0%} of the points lie at {miss_range_m:.1f} m: rays without a return? They are left out, "
-        f"which input.max_range_m={limit_m:g} confirms"
+        f"{share:.0%} of the points lie at {miss_range_m:.1f} m: rays without a return? "
+        f"They are left out; set input.max_range_m={limit_m:g} to confirm"
     )
 
 
@@ -90,8 +105,8 @@ def returns_text(is_later: BoolArray) -> str | None:
     if share < _SAME_SHARE:
         return None
     return (
-        f"{share:.0%} of the points are second returns of a ray (dual return, two sweeps, or written twice): only "
-        "first ones count"
+        f"{share:.0%} of the points are second returns of a ray "
+        "(dual return, two sweeps, or written twice): only first ones count"
     )
 
 
@@ -114,8 +129,8 @@ def sweeps_text(gap_deg: FloatArray) -> str | None:
         share, unevenness, likeness = _repetition(gap_deg, n_sweeps, n_sweeps * two_steps_deg)
         if unevenness >= _UNEVEN and likeness >= _ALIKE and share * unevenness >= _REPEATED:
             return (
-                "two or more sweeps or sensors in one scan? The steps of a beam alternate, and repeat after "
-                f"{n_sweeps} returns; expected one sweep"
+                "two or more sweeps or sensors in one scan? The steps of a beam alternate, "
+                f"and repeat after {n_sweeps} returns; export one revolution per file"
             )
     return None
 
@@ -130,11 +145,13 @@ def _repetition(gap_deg: FloatArray, n: int, most_deg: float) -> tuple[float, fl
     sums = sliding_window_view(groups, n, axis=1).sum(axis=2)
     with np.errstate(invalid="ignore"):  # NaN between beams
         turn_deg = np.median(sums, axis=1)
-        is_repeated = (np.abs(sums - turn_deg[:, None]) < 0.1 * turn_deg[:, None]).all(axis=1) & (turn_deg < most_deg)
+        is_alike = np.abs(sums - turn_deg[:, None]) < 0.1 * turn_deg[:, None]
+        is_repeated = is_alike.all(axis=1) & (turn_deg < most_deg)
     if not is_repeated.any():
         return 0.0, 0.0, 0.0
     off = groups[is_repeated] * (n / turn_deg[is_repeated])[:, None] - 1.0
-    first, second = off[:, :n], off[:, n:]
+    first = off[:, :n]
+    second = off[:, n:]
     power = float((first**2).sum() * (second**2).sum())
     likeness = float((first * second).sum()) / np.sqrt(power) if power else 0.0
     return float(is_repeated.mean()), float(np.sqrt((first**2).mean())), likeness
@@ -154,7 +171,8 @@ def sweep_parts(points: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
     cell = (slope_deg + 90.0) // _CELL_DEG * 361 + (azimuth_deg + 180.0) // _CELL_DEG
     for n_sweeps in (2, 3, 5, 10):
         n_rows = len(points) // n_sweeps
-        first, last = np.unique(cell[:n_rows]), np.unique(cell[-n_rows:])
+        first = np.unique(cell[:n_rows])
+        last = np.unique(cell[-n_rows:])
         if len(np.intersect1d(first, last)) > _SAME_CELLS * max(len(first), len(last)):
             yield points[:n_rows], points[-n_rows:]
 
@@ -176,7 +194,7 @@ def position_text(points: FloatArray) -> str | None:
     points : (n, 3) float64, metres
     """
     if is_far_from_origin(points):
-        why = f"nothing within {_NEAR_M:g} m of the origin"
+        reason = f"nothing within {_NEAR_M:g} m of the origin"
     else:
         from scipy.spatial import cKDTree
 
@@ -186,5 +204,8 @@ def position_text(points: FloatArray) -> str | None:
         place_m = float(np.hypot(*np.median(dense[:, :2], axis=0)))
         if place_m < _DENSE_M:
             return None
-        why = f"they are densest {place_m:.0f} m from the origin"
-    return f"the points are not in the sensor's frame: {why}, beams not recognised; set input.sensor_position"
+        reason = f"they are densest {place_m:.0f} m from the origin"
+    return (
+        f"the points are not in the sensor's frame: {reason}, beams not recognised; "
+        "set input.sensor_position, x y z of the sensor among the points"
+    )

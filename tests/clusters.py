@@ -19,7 +19,8 @@ class Cluster:
 
     def __init__(self, folder):
         folder.mkdir()
-        self._folder, self._file = folder, folder / "scheduler.json"
+        self._folder = folder
+        self._file = folder / "scheduler.json"
         self.scheduler = self._start("scheduler", "--port", "0", "--dashboard-address", "127.0.0.1:0")
         while not (self._file.exists() and self._file.read_text()):
             time.sleep(0.05)

@@ -22,7 +22,9 @@ class WatchedPool(Pool):
         self._given = Memory(memory, memory)
         self._costs = costs or CostModel()
         self._needs = {}
-        self.submitted, self.batches, self.at_once = [], [], []
+        self.submitted = []
+        self.batches = []
+        self.at_once = []
 
     @property
     def memory(self):
@@ -52,7 +54,8 @@ class DyingPool(WatchedPool):
     def __init__(self, is_fatal, n_deaths=10**6, **options):
         super().__init__(**options)
         self._is_fatal, self._left = is_fatal, n_deaths
-        self.n_deaths, self._doomed = 0, set()
+        self.n_deaths = 0
+        self._doomed = set()
 
     def submit(self, function, *args, **options):
         handle = super().submit(function, *args, **options)
@@ -86,11 +89,11 @@ def bytes_needed(function, args, costs):
     if function.__name__ == "score_objects":
         plan, _, wanted = args
         nodes = [n_keep for number, n_keep in plan.objects if number in wanted]
-        return costs.pair_bytes(plan.n_raw) + costs.object_bytes(max(nodes))
+        return costs.pair_bytes(plan.n_points) + costs.object_bytes(max(nodes))
     return 0
 
 
 def _bytes_of_batch(batch, costs):
     if batch.most_bytes is not None:
         return batch.most_bytes
-    return costs.pair_bytes(batch.plan.n_raw) + costs.object_bytes(largest_object(batch.plan.objects or [])[1])
+    return costs.pair_bytes(batch.plan.n_points) + costs.object_bytes(largest_object(batch.plan.objects or [])[1])

@@ -20,7 +20,8 @@ def rows(points, fields=FIELDS):
     found = np.zeros(len(points), fields)
     for name, column in zip("xyz", points.T, strict=True):
         found[name] = column
-    found["intensity"], found["ring"] = np.arange(len(points)) % 256, np.arange(len(points)) % 32
+    found["intensity"] = np.arange(len(points)) % 256
+    found["ring"] = np.arange(len(points)) % 32
     found["t"] = np.arange(len(points)) * 1000
     return found
 
@@ -99,7 +100,8 @@ def write_bag(path, messages, packed=None):
 
 def packets_message(types, packets):
     """A VelodyneScan of (seconds, bytes)."""
-    Packet, Time = types.types["velodyne_msgs/msg/VelodynePacket"], types.types["builtin_interfaces/msg/Time"]
+    Packet = types.types["velodyne_msgs/msg/VelodynePacket"]
+    Time = types.types["builtin_interfaces/msg/Time"]
     listed = [
         Packet(Time(int(stamp), round(stamp % 1 * 1e6) * 1000), np.frombuffer(data, np.uint8))
         for stamp, data in packets
@@ -124,7 +126,8 @@ def write_las(path, points, intensity=0, classes=0, *, version="1.4", point_form
     import laspy
 
     header = laspy.LasHeader(version=version, point_format=point_format)
-    header.scales, header.offsets = [scale] * 3, np.broadcast_to(offset, 3)
+    header.scales = [scale] * 3
+    header.offsets = np.broadcast_to(offset, 3)
     las = laspy.LasData(header)
     las.x, las.y, las.z = points.T
     las.intensity, las.classification = np.broadcast_arrays(intensity, classes, points[:, 0])[:2]
@@ -186,7 +189,8 @@ def write_foxglove(path, scans, encoding="protobuf"):
         channel = writer.register_channel("/lidar", encoding, schema_id)
         for number, scan in enumerate(scans):
             cloud = PointCloud(frame_id="lidar", point_stride=scan.dtype.itemsize, data=scan.tobytes())
-            cloud.timestamp.seconds, cloud.timestamp.nanos = 5 + number, 500_000_000
+            cloud.timestamp.seconds = 5 + number
+            cloud.timestamp.nanos = 500_000_000
             for name in scan.dtype.names:
                 kind = numbers[scan.dtype[name].str[1:]]
                 cloud.fields.add(name=name, offset=scan.dtype.fields[name][1], type=kind)

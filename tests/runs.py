@@ -85,6 +85,7 @@ def command(*words, code=None, cwd=None, **options):
         contextlib.redirect_stdout(streams[0]),
         contextlib.redirect_stderr(streams[1]),
         mock.patch.object(sys, "argv", [FIDPIPE, *words]),
+        mock.patch.object(sys.modules["__main__"], "__package__", None),  # a script, also under `python -m pytest`
         warnings.catch_warnings(),
     ):
         warnings.resetwarnings()
@@ -98,7 +99,8 @@ def command(*words, code=None, cwd=None, **options):
                 signal.signal(number, handler)
     for stream in streams:
         stream.flush()
-    stdout, stderr = (stream.buffer.getvalue().decode() for stream in streams)
+    stdout = streams[0].buffer.getvalue().decode()
+    stderr = streams[1].buffer.getvalue().decode()
     assert code in (None, status), stdout + stderr
     return subprocess.CompletedProcess(words, status, stdout, stderr)
 

@@ -103,7 +103,8 @@ def grid(*axes):
 
 def degenerate_scenes():
     """Degenerate pairs by description: a real and a simulated scan, some at the limits of float64."""
-    some, line = cloud(), np.outer(np.arange(40.0), [1, 0.5, 0.2]) + [3, 3, 1]
+    some = cloud()
+    line = np.outer(np.arange(40.0), [1, 0.5, 0.2]) + [3, 3, 1]
     plane = np.column_stack([np.random.default_rng(1).uniform(5, 15, (80, 2)), np.ones(80)])
     lattice = grid(*[np.arange(5.0)] * 3) + [5, 5, 0]
     crumbs = np.repeat(grid(np.arange(-45, 45, 4.0), np.arange(-45, 45, 4.0), [3.0]), 2, axis=0)

@@ -78,7 +78,8 @@ def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(t
     for language, text in blocks("decision.md", "sh|text"):
         if language == "sh":
             ended = command(*shlex.split(text)[1:], code=0)
-            output, n_commands = " ".join((ended.stdout + ended.stderr).split()), n_commands + 1
+            output = " ".join((ended.stdout + ended.stderr).split())
+            n_commands += 1
         else:
             for line in text.splitlines():
                 assert " ".join(line.split()) in output

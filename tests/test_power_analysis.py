@@ -19,7 +19,8 @@ def test_t_by_hand_and_where_nothing_varies():
 @pytest.mark.parametrize("effect", [0.6, 1.0, -2.0])
 def test_power_and_pairs_are_those_of_simulated_experiments(effect):
     rng = np.random.default_rng(2)
-    n, n_pairs = 20_000, pairs_needed(effect)
+    n = 20_000
+    n_pairs = pairs_needed(effect)
     assert power(effect, n_pairs) >= 0.8 > power(effect, n_pairs - 1)
     for size in (n_pairs, n_pairs - 1):
         change = rng.normal(effect, 1, (n, size))

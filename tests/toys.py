@@ -55,13 +55,13 @@ def make_crowds(inputs):
 def make_ratios(inputs):
     """Ratio of simulated to real points of each object."""
     n_over = {side: values_of(inputs.table("toy_crowds", side), "n_over") for side in SIDES}
-    rows = [
-        {"pair_id": inputs.pair_id, "real_id": real_id, "ratio": n_over["sim"][sim_id] / (1 + n_over["real"][real_id])}
-        for real_id, sim_id in zip(
-            *(inputs.table("matching").column(name).to_pylist() for name in MATCHED), strict=True
-        )
-        if real_id is not None and sim_id is not None
-    ]
+    rows = []
+    for match in inputs.table("matching").select(MATCHED).to_pylist():
+        real_id = match["real_id"]
+        sim_id = match["sim_id"]
+        if real_id is not None and sim_id is not None:
+            ratio = n_over["sim"][sim_id] / (1 + n_over["real"][real_id])
+            rows.append({"pair_id": inputs.pair_id, "real_id": real_id, "ratio": ratio})
     facts = {side: inputs.metadata("toy_crowds", side)["n_crowds"] for side in SIDES}
     return JobResult({"toy_ratios": RATIOS.from_rows(rows)}, facts | {"n_kept": inputs.table("selection").num_rows})
 
@@ -89,7 +89,8 @@ def gather_marks(inputs, tables):
     return {"best": min(marks, default=None), "n_crowds": inputs.metadata("toy_ratios")["real"]}
 
 
-MATCHED, RATIO = ("real_id", "sim_id"), ("real_id", "ratio")
+MATCHED = ("real_id", "sim_id")
+RATIO = ("real_id", "ratio")
 OF_SIDE = Stage(
     name="crowds",
     takes={"communities": ("community_id",)},

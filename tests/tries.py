@@ -78,10 +78,9 @@ def wait_until(is_so, timeout=60):
 
 def n_lost(out, undisturbed):
     """Pairs whose rows are not those of an undisturbed run."""
-    rows = [
-        {row["pair_id"]: row for row in tables(folder)["pairs.parquet"].to_pylist()} for folder in (out, undisturbed)
-    ]
-    return sum(rows[0].get(pair_id) != row for pair_id, row in rows[1].items())
+    rows = {row["pair_id"]: row for row in tables(out)["pairs.parquet"].to_pylist()}
+    expected = tables(undisturbed)["pairs.parquet"].to_pylist()
+    return sum(rows.get(row["pair_id"]) != row for row in expected)
 
 
 def assert_resumes(dataset, out, undisturbed, workers=1, code=0, start=command):

@@ -6,7 +6,6 @@ It refuses where numbers of a stage changed and its code version in `pipeline/jo
 import json
 import sys
 import tempfile
-from dataclasses import asdict
 from pathlib import Path
 
 import pandas as pd
@@ -29,14 +28,16 @@ RELATIVE, ABSOLUTE = 1e-6, 1e-9
 def measure():
     """Code version and numbers of every stage, from a run over two small streets."""
     with tempfile.TemporaryDirectory() as folder:
-        dataset, out = write_dataset(Path(folder) / "streets", 2), Path(folder) / "run"
+        dataset = write_dataset(Path(folder) / "streets", 2)
+        out = Path(folder) / "run"
         rows = run(dataset, out).rows
         frames = {stage.name: pd.read_parquet(out / stage.name) for stage in STAGES}
         objects = pd.read_parquet(out / "objects")
     streets = make_pair(0, 0, SENSORS["vlp16"], 20_000)
-    real, sim = (scan.rows[:, :3].astype(float) for scan in (streets.real, streets.sim))
+    real = streets.real.rows[:, :3].astype(float)
+    sim = streets.sim.rows[:, :3].astype(float)
     sensors = [describe_sensor(points) for points in (real, sim)]
-    rays = find_rays(real, sim, tuple(map(asdict, sensors)))
+    rays = find_rays(real, sim, tuple(sensors))
     numbers = {
         "ground": [
             [row[name] for name in row if "ground_" in name or name.endswith(("_raw", "_clean"))] for row in rows
@@ -63,17 +64,17 @@ def measure():
 
 
 def differs(a, b):
-    """Whether two lists of rows of numbers are not the same within the tolerances."""
-    if len(a) != len(b):
-        return True
-    return any(
-        len(x) != len(y) or any(abs(p - q) > ABSOLUTE + RELATIVE * abs(q) for p, q in zip(x, y, strict=True))
-        for x, y in zip(a, b, strict=True)
-    )
+    """True unless two lists of rows of numbers agree within the tolerances."""
+    return len(a) != len(b) or any(map(row_differs, a, b))
+
+
+def row_differs(x, y):
+    return len(x) != len(y) or any(abs(p - q) > ABSOLUTE + RELATIVE * abs(q) for p, q in zip(x, y, strict=True))
 
 
 def renew():
-    old, new = json.loads(FILE.read_text()) if FILE.exists() else {}, measure()
+    old = json.loads(FILE.read_text()) if FILE.exists() else {}
+    new = measure()
     was_raised = False  # what comes after a stage with new numbers has new numbers too
     for stage, of in new.items():
         was_raised |= stage in old and of["version"] != old[stage]["version"]

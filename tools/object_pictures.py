@@ -86,9 +86,12 @@ class MatchedObject:
     def __init__(self, results, row):
         tables = PairFrames(results, row.pair_id)
         kept = tables.selection[tables.selection.real_id == row.real_id]
-        self.row, self.graphs, self.nodes = row, {}, {}
+        self.row = row
+        self.graphs = {}
+        self.nodes = {}
         for side in SIDES:
-            cloud, edges = tables.clouds[side], results.run.edges(row.pair_id, side)
+            cloud = tables.clouds[side]
+            edges = results.run.edges(row.pair_id, side)
             ends = (np.searchsorted(cloud.point_ids, edges[end]).astype(np.int32) for end in ("src", "dst"))
             graph = Edges(*ends, edges.length_m.to_numpy())
             own_id = row[f"{side}_id"]
@@ -133,7 +136,8 @@ def draw_structure(own, path):
         axes, between = three_views(left, np.concatenate([own.kept(side) for side in SIDES]))
         whole, apart = right.subplots(2, 1)
         for axis, side in zip(axes, SIDES, strict=False):
-            places, ends = own.kept(side), own.kept_edges(side)
+            places = own.kept(side)
+            ends = own.kept_edges(side)
             shown = ends[:: len(ends) // MOST_EDGES + 1]
             look = {"colors": SIDE_COLOURS[side], "linewidths": 0.3, "alpha": 0.12, "rasterized": True}
             axis.add_collection(LineCollection(places[shown], **look))
@@ -178,7 +182,8 @@ def draw_structure(own, path):
 
 def draw_geometry(own, path):
     """Left how far each point is from the other side, right how that adds up to the CDC."""
-    row, points = own.row, {side: own.graphs[side].points for side in SIDES}
+    row = own.row
+    points = {side: own.graphs[side].points for side in SIDES}
     distances = dict(zip(SIDES, nearest_distances(*points.values()), strict=True))
     costs = {side: 1 - np.exp(-(distances[side] ** 2)) for side in SIDES}
     with style.new_figure(9, 5, _title(row)) as figure:
@@ -221,7 +226,8 @@ def three_views(figure, places):
 
     Second comes what may stand between the parts of a title: a blank, or a new line where views are narrow.
     """
-    low, high = places.min(axis=0), places.max(axis=0)
+    low = places.min(axis=0)
+    high = places.max(axis=0)
     width, height = high - low
     is_wide = width > 1.5 * height
     axes = figure.subplots(3, 1, sharex=True) if is_wide else figure.subplots(1, 3, sharey=True)

@@ -136,7 +136,8 @@ def draw_sensor(view, path):
 def graph(axis, view):
     """The edges of one real object, and those of one of its nodes in front."""
     own = view.own.graphs["real"]
-    places, half = view.own.seen(own.points), own.adjacency.tocoo()
+    places = view.own.seen(own.points)
+    half = own.adjacency.tocoo()
     ends = np.column_stack([half.row, half.col])[half.row < half.col]
     shown = ends[:: len(ends) // 6000 + 1]
     look = {"colors": SIDE_COLOURS["real"], "linewidths": 0.3, "alpha": 0.15, "rasterized": True}
@@ -152,7 +153,8 @@ def graph(axis, view):
 
 def draw_graph(view, path):
     """The graph of one object, and how far the 90 nearest neighbours reach near to the sensor and far from it."""
-    edges, points = view.run.edges(view.pair_id, "real"), view.points["real"]
+    edges = view.run.edges(view.pair_id, "real")
+    points = view.points["real"]
     ids = view.tables.clouds["real"].point_ids
     ends = np.searchsorted(ids, edges[["src", "dst"]].to_numpy())
     longest = np.zeros(len(points))
@@ -250,7 +252,8 @@ def surface(axis, view):
     """The sampled real points whose neighbours form a plane, with their normals from above."""
     real = describe_surface(view.points["real"])
     style.dots(axis, view.points["real"], 0.6, "#dddddd")
-    places, normal = real.points[: len(real.normal)][real.is_plane][:, :2], real.normal[real.is_plane][:, :2]
+    places = real.points[: len(real.normal)][real.is_plane][:, :2]
+    normal = real.normal[real.is_plane][:, :2]
     axis.add_collection(LineCollection(np.stack([places, places + 1.5 * normal], axis=1), linewidths=0.4,
                                        colors=SIDE_COLOURS["real"]))  # fmt: skip
     offset = measure_offsets(real, describe_surface(view.points["sim"]))
@@ -361,7 +364,8 @@ def draw_causes(view, path):
 
 def selection(axis, view, side="real"):
     """One object by the influence of its kept nodes; the others as rings."""
-    own, nodes = view.own.graphs[side], view.own.nodes[side]
+    own = view.own.graphs[side]
+    nodes = view.own.nodes[side]
     table = view.run.table("selection", [view.pair_id]).to_pandas()
     table = table[table.real_id == view.own.row.real_id]
     both = table[["real_influence", "sim_influence"]].to_numpy()
@@ -400,7 +404,8 @@ def draw_selection(view, path):
 
 def metrics(axis, view, score="r_lambda"):
     """The real objects from above by a score; those without a partner in grey."""
-    cloud, matched = view.tables.clouds["real"], view.matched
+    cloud = view.tables.clouds["real"]
+    matched = view.matched
     values = np.full(cloud.community.max() + 1, np.nan)
     values[matched.real_id] = matched[score].to_numpy(dtype=float)
     of_point = values[cloud.community]
@@ -465,7 +470,8 @@ def fill_panel(axis):
     """Widens what is shown to the shape of a panel, true to scale, so that all panels have the same size."""
     low, high = np.array([axis.get_xlim(), axis.get_ylim()]).T
     width = max(high[0] - low[0], (high[1] - low[1]) / PANEL_SHAPE)
-    half, middle = np.array([width, width * PANEL_SHAPE]) / 2, (low + high) / 2
+    half = np.array([width, width * PANEL_SHAPE]) / 2
+    middle = (low + high) / 2
     for set_limits, low_end, high_end in zip((axis.set_xlim, axis.set_ylim), middle - half, middle + half, strict=True):
         set_limits(low_end, high_end)
 
@@ -518,7 +524,8 @@ def main(folder):
         done = command(*words, timeout=1800)
         if done.returncode:
             raise SystemExit(done.stderr)
-    pictures, page = ROOT / "docs" / "pictures", ROOT / "docs" / "scores.md"
+    pictures = ROOT / "docs" / "pictures"
+    page = ROOT / "docs" / "scores.md"
     pictures.mkdir(exist_ok=True)
     chosen = draw_all(folder / "run", pictures)
     page.write_text(with_numbers(page.read_text(encoding="utf-8"), chosen), encoding="utf-8")

@@ -145,7 +145,11 @@ def try_dockerfile(folder):
     python = base_python()
     root = folder / "image"
     stages = re.split(r"^FROM ", (HOUSE / "Dockerfile").read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
-    variables, work, user, entry, n_steps = {}, root, None, [], 0
+    variables = {}
+    work = root
+    user = None
+    entry = []
+    n_steps = 0
     for stage in stages:
         work = root
         for step in stage.splitlines()[1:]:

@@ -77,7 +77,8 @@ def draw_objects(results, examples, path, *, is_graph):
             for row, side in enumerate(SIDES):
                 axis = axes[row if is_graph else 0][column]
                 if is_graph:
-                    places, ends = own.kept(side), own.kept_edges(side)
+                    places = own.kept(side)
+                    ends = own.kept_edges(side)
                     look = {"colors": SIDE_COLOURS[side], "linewidths": 0.3, "alpha": 0.2, "rasterized": True}
                     axis.add_collection(LineCollection(places[ends[:: len(ends) // MOST_EDGES + 1]], **look))
                     style.dots(axis, places, 1.5, "black")

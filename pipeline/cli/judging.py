@@ -155,7 +155,7 @@ def compare(
     fidpipe compare runs/build41 runs/build42 --markdown >> comment.md
     """
     from ...schemas.settings import load
-    from ..builds import runs_of
+    from ..builds import is_run, runs_of
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..report.views.compare_view import compare_records, compare_view
@@ -176,6 +176,10 @@ def compare(
         )
     if undecided_ok and fail_on != "worse":
         raise typer.BadParameter("--undecided-ok is for --fail-on worse")
+    if all(map(is_run, runs)) and (settings or assignments or preset != "reference"):
+        raise typer.BadParameter(
+            "--preset, --set and --settings are for datasets and scans; these are runs"
+        )
     page = html or (out and out / "compare.html")
     runs = runs_of(
         runs, load(settings, assignments or [], preset=preset), Reporter(), Machines(workers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import re
 import shlex
@@ -67,7 +68,8 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
 
     Scans may be one level down, in the only folder that has any. Files of two folders are paired by
     equal names, else by equal numbers in their names, else by time, as recordings are. The manifest
-    of an earlier call for the same two sides is replaced.
+    of an earlier call for the same two sides is replaced, unless it has the same pairs: it may have
+    further columns by now, such as T_real_sim.
 
     Parameters
     ----------
@@ -98,7 +100,16 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
         if pairing.others_s:
             how += f"; {len(pairing.others_s)} other offsets pair as many, see fidpipe pair"
         how += ")"
-    return out, f"{n_pairs} pairs by {how}, {n_unpaired} frames without a partner: {out / MANIFEST}"
+    pairs = "1 pair" if n_pairs == 1 else f"{n_pairs} pairs"
+    text = f"{pairs} by {how}: {out / MANIFEST}"
+    if n_unpaired:
+        frames = "1 frame has" if n_unpaired == 1 else f"{n_unpaired} frames have"
+        text += (
+            f"; {frames} no partner and is left out: {out / UNPAIRED}"
+            if n_unpaired == 1
+            else (f"; {frames} no partner and are left out: {out / UNPAIRED}")
+        )
+    return out, text
 
 
 def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
@@ -159,6 +170,9 @@ def _no_partner(real: Path, sim: Path) -> str:
     frames = {side: scans_in(side) for side in (real, sim)}
     for side, other in ((real, sim), (sim, real)):
         if not frames[side]:
+            deeper = [path for path in sorted(side.glob("*/*")) if path.is_dir() and scans_in(path)]
+            if deeper:
+                return f"no scans found in {side}; did you mean {deeper[0]}?"
             return (
                 f"no scans found in {side}; expected one of the same name for each of the "
                 f"{len(frames[other])} in {other}; known formats are {', '.join(known_formats())}"
@@ -411,8 +425,19 @@ def write_dataset(
             for i in lonely
         ]
     write_whole(out / UNPAIRED, csv_bytes(("side", "frame", "timestamp_s"), unpaired), advice="")
-    write_whole(manifest, csv_bytes(("pair_id", *SIDES, "timestamp_s"), rows), advice="")
+    if not _has_pairs(manifest, rows):
+        content = csv_bytes(("pair_id", *SIDES, "timestamp_s"), rows)
+        write_whole(manifest, content, advice="")
     return len(unpaired)
+
+
+def _has_pairs(manifest: Path, rows: Sequence[tuple[str, ...]]) -> bool:
+    """True if a manifest has these pairs of these files."""
+    if not manifest.exists():
+        return False
+    with manifest.open(encoding="utf-8", newline="") as file:
+        before = [(row.get("pair_id"), row.get("real"), row.get("sim")) for row in csv.DictReader(file)]
+    return before == [(row[0], row[1], row[2]) for row in rows]
 
 
 def _seconds(time_s: float) -> str:

@@ -52,7 +52,7 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
             remove_stale(survey, run.store, (stage,), reporter, ["the causes changed"])
             if survey.todo:
                 files = InputFiles({pair.pair_id: {} for pair in survey.todo})
-                with working(survey, files, collector, machines.policy.costs):
+                with working(survey, files, collector, machines.policy.costs, settings.input):
                     schedule_of(survey, plan_pair, pool, collector, machines).run()
     if collector.failures:
         reasons = [f"pair {name}: {reason}" for name, reason in collector.failures.items()]

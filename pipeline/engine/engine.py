@@ -7,9 +7,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from shutil import rmtree
 
-from ...schemas.errors import DiskFullError
-from ...schemas.settings import Settings
+from ...schemas.errors import DiskFullError, FidpipeError
+from ...schemas.settings import InputSettings, Settings
+from ...stages.arrays import transform_of
+from ...stages.clean import clean_scan
+from ...stages.thinning import smallest_voxel
 from ..datasets.pairs import ScanPair, may_crash
+from ..datasets.readers import read_scan
 from ..stage import Stage
 from ..storage.files import megabytes
 from ..storage.folder import RunFolder
@@ -140,7 +144,11 @@ def _plans_for_workers(
 
 @contextmanager
 def working(
-    survey: Survey, files: InputFiles, collector: Collector, costs: CostModel
+    survey: Survey,
+    files: InputFiles,
+    collector: Collector,
+    costs: CostModel,
+    settings: InputSettings,
 ) -> Iterator[None]:
     """Context of the work on all jobs to do: large pairs are announced and progress is shown.
 
@@ -155,8 +163,9 @@ def working(
     notes = folder.folder / _TIME_NOTES
     rmtree(notes, ignore_errors=True)  # of an earlier run
     n_points = [files.n_points(pair) for pair in survey.todo]
-    if text := large_pairs_text(n_points, costs):
-        reporter.warn(text)
+    if settings.voxel_m is None and max(n_points) >= _LARGE_PAIR:
+        largest = survey.todo[n_points.index(max(n_points))]
+        reporter.warn(large_pairs_text(n_points, costs, voxel_for(largest, settings)))
     reporter.start(len(survey.todo), survey.n_jobs)
     try:
         yield
@@ -175,22 +184,40 @@ def working(
     folder.remove_strays()  # of workers that died: complete and incomplete files
 
 
-def large_pairs_text(n_points: Sequence[int], costs: CostModel) -> str:
-    """Memory and time of pairs beyond the points of usual sensors, and how to reduce them; "" if there are none.
+def large_pairs_text(n_points: Sequence[int], costs: CostModel, voxel_m: float | None) -> str:
+    """Memory and time of pairs beyond the points of usual sensors, of which there are some, and how to reduce them.
 
     Parameters
     ----------
     n_points : of both files of each pair
+    voxel_m : see `voxel_for`
     """
-    large = [n for n in n_points if n >= _LARGE_PAIR]
-    if not large:
-        return ""
-    n_raw = max(large)
+    n_large = sum(n >= _LARGE_PAIR for n in n_points)
+    n_most = max(n_points)
+    value = "" if voxel_m is None else f"={voxel_m:g}"
     return (
-        f"{len(large)} of {len(n_points)} pairs have {_LARGE_PAIR:,} points or more; "
-        f"the largest has about {n_raw:,}; with all of them it takes some "
-        f"{costs.pair_bytes(n_raw) / 2**30:.0f} GiB of memory and "
-        f"{costs.pair_seconds(n_raw) / 60:.0f} minutes, more where points are dense; "
-        "thin both sides in the same way, lower graph.tau_m, or leave out points "
+        f"{n_large} of {len(n_points)} pairs have {_LARGE_PAIR:,} points or more; "
+        f"the largest has about {n_most:,}; with all of them it takes some "
+        f"{costs.pair_bytes(n_most) / 2**30:.0f} GiB of memory and "
+        f"{costs.pair_seconds(n_most) / 60:.0f} minutes, more where points are dense; "
+        f"thin both sides alike with input.voxel_m{value}, lower graph.tau_m, or leave out points "
         "with input.max_range_m or input.include_box"
     )
+
+
+def voxel_for(pair: ScanPair, settings: InputSettings) -> float | None:
+    """Value of `input.voxel_m` with which a pair is not large; None if none is proposed, or a scan cannot be read."""
+    if may_crash([pair]):
+        return None
+    voxels_m = []
+    for side, ref in pair.scans.items():
+        try:
+            scan = read_scan(ref, settings.columns_of(side))
+        except FidpipeError:
+            return None  # its job names the fault
+        T_real_sim = transform_of(pair.motion(side))
+        frame = settings.frame_of(side)
+        points = clean_scan(scan.points, settings, frame=frame, T_real_sim=T_real_sim).points
+        voxels_m.append(smallest_voxel(points, lambda points: len(points) < _LARGE_PAIR // 2))
+    known = [voxel_m for voxel_m in voxels_m if voxel_m is not None]
+    return max(known) if len(known) == len(voxels_m) else None

@@ -14,7 +14,7 @@ from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ..datasets.content import ScanContent
 from ..datasets.pairs import ScanPair
-from ..stage import N_RAW, OBJECTS, SCAN, Stage
+from ..stage import N_CLEAN, OBJECTS, SCAN, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder
 from ..storage.run_record import library_versions
@@ -100,8 +100,8 @@ class PairPlan:
         return self.pair.pair_id
 
     @property
-    def n_raw(self) -> int:
-        """Points of all files of the pair; of files that no finished job has counted, estimated from their size."""
+    def n_points(self) -> int:
+        """Points of both sides after cleaning; of a side that is not clean yet, estimated from the size of its file."""
         counted = self._counted()
         return sum(
             counted.get(side, content.approximate_points) for side, content in self.inputs.items()
@@ -109,14 +109,13 @@ class PairPlan:
 
     @property
     def is_counted(self) -> bool:
-        """True if `n_raw` was counted, not estimated."""
+        """True if `n_points` was counted, not estimated."""
         return self._counted().keys() >= self.inputs.keys()
 
     def _counted(self) -> dict[str, int]:
         records = self.records.values()
-        return {
-            record.part: record.metadata[N_RAW] for record in records if N_RAW in record.metadata
-        }
+        counted = [record for record in records if N_CLEAN in record.metadata]
+        return {record.part: record.metadata[N_CLEAN] for record in counted}
 
     @property
     def todo(self) -> list[Job]:

@@ -249,12 +249,12 @@ class Schedule:
         if not self._few_left():
             return False
         if any(job.stage.grain is Grain.SIDE for job in pair.todo):
-            return self._costs.side_seconds(pair.plan.n_raw) > self._policy.worth_splitting_s
+            return self._costs.side_seconds(pair.plan.n_points) > self._policy.worth_splitting_s
         seconds = sum(self._costs.object_seconds(n) for _, n in objects or [])
         return objects is None or seconds > self._policy.worth_splitting_s
 
     def _is_long(self, pair: _Pair) -> bool:
-        return self._costs.pair_seconds(pair.plan.n_raw) > self._policy.long_pair_s
+        return self._costs.pair_seconds(pair.plan.n_points) > self._policy.long_pair_s
 
     def _few_left(self) -> bool:
         return (
@@ -278,7 +278,7 @@ class Schedule:
 
     def _submit_jobs(self, pair: _Pair, jobs: list[Job], priority: float = 0.0) -> None:
         """Some jobs of a pair as one batch."""
-        need = self._costs.pair_bytes(pair.plan.n_raw)
+        need = self._costs.pair_bytes(pair.plan.n_points)
         if any(job.stage.grain is not Grain.SIDE for job in jobs):
             need += self._costs.object_bytes(largest_object(pair.plan.objects or [])[1])
         names = tuple(job.name for job in jobs)
@@ -296,7 +296,7 @@ class Schedule:
         """All that is left of some pairs as one batch; each stops before a job that may need more than its share."""
         batches = []
         for pair in pairs:
-            need = self._costs.pair_bytes(pair.plan.n_raw) + self._object_share(pair.plan)
+            need = self._costs.pair_bytes(pair.plan.n_points) + self._object_share(pair.plan)
             batches.append(PairBatch(pair.plan, tuple(job.name for job in pair.todo), need))
         self._submit(
             pairs,
@@ -308,7 +308,7 @@ class Schedule:
 
     def _weight(self, pair: _Pair) -> float:
         """The part of a batch that a pair is worth."""
-        seconds = 2 * self._costs.side_seconds(pair.plan.n_raw // 2)
+        seconds = 2 * self._costs.side_seconds(pair.plan.n_points // 2)
         return min(1.0, max(self._policy.least_weight, seconds / self._policy.bundle_s))
 
     def _submit_objects(self, pair: _Pair) -> None:
@@ -334,7 +334,7 @@ class Schedule:
             batch.append(entry)
             seconds = sum(self._costs.object_seconds(n) for _, n in batch)
             if seconds >= self._policy.batch_s or i + 1 == len(sizes):
-                need = self._costs.pair_bytes(pair.plan.n_raw) + self._costs.object_bytes(
+                need = self._costs.pair_bytes(pair.plan.n_points) + self._costs.object_bytes(
                     batch[0][1]
                 )
                 numbers = tuple(number for number, _ in batch)
@@ -383,21 +383,23 @@ class Schedule:
 
     def _object_share(self, plan: PairPlan) -> int:
         """Bytes that an object may need for its pair to run as one batch."""
-        return max(0, self._usable() // self._pool.n_workers - self._costs.pair_bytes(plan.n_raw))
+        return max(
+            0, self._usable() // self._pool.n_workers - self._costs.pair_bytes(plan.n_points)
+        )
 
     def _why_too_large(self, plan: PairPlan) -> str | None:
         """Reason why the rest of a pair does not fit into the memory even if nothing else runs; None if it fits."""
         number, n_keep = largest_object(plan.objects or [])
         usable = max(0, self._pool.memory.alone - self._costs.process_bytes)
-        need = self._costs.pair_bytes(plan.n_raw) + self._costs.object_bytes(n_keep)
+        need = self._costs.pair_bytes(plan.n_points) + self._costs.object_bytes(n_keep)
         if need <= usable:
             return None
-        what = f"object {number} of {n_keep} aligned nodes" if n_keep else f"{plan.n_raw} points"
+        what = f"object {number} of {n_keep} aligned nodes" if n_keep else f"{plan.n_points} points"
         lower = "a smaller graph.k makes smaller objects, " if n_keep else ""
         return (
             f"{what}: {_gib(need)} of memory may be needed at once, {_gib(usable)} are available "
             f"(machine.memory_gib minus {_gib(self._costs.process_bytes)} for the worker process); {lower}"
-            "input.include_box or input.max_range_m fewer points"
+            "input.voxel_m, input.include_box or input.max_range_m fewer points"
         )
 
 

@@ -197,7 +197,7 @@ class PairTables:
 
     def bytes_needed(self, job: Job, costs: CostModel) -> int:
         """Memory that a job may need, bytes, estimated from the counts known so far."""
-        n_bytes = costs.pair_bytes(self.plan.n_raw)
+        n_bytes = costs.pair_bytes(self.plan.n_points)
         if job.stage.grain is Grain.OBJECT:
             n_bytes += costs.object_bytes(largest_object(self.plan.objects or [])[1])
         return n_bytes

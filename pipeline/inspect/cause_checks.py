@@ -93,10 +93,11 @@ class CauseSamples:
             real_cut=real_cut,
             real_points=real.points,
         )
-        position = self._settings.input.sensor_position
+        settings = self._settings.input
+        position, voxel_m = settings.sensor_position, settings.voxel_m
         return PairScans(
-            recorded_side(real.points, real_cut.is_ground, sensors["real"], None, position),
-            recorded_side(sim.points, sim_cut.is_ground, sensors["sim"], T_real_sim, position),
+            recorded_side(real.points, real_cut.is_ground, sensors["real"], None, position, voxel_m),
+            recorded_side(sim.points, sim_cut.is_ground, sensors["sim"], T_real_sim, position, voxel_m),
         )
 
     def named(self) -> CauseCheck:

@@ -64,7 +64,10 @@ def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
             "red" if dataset.faults else "green",
         ),
     )
-    if run_command and n_usable:
+    is_other_frame = any(check.frames and check.frames.is_other_frame for check in dataset.pairs)
+    if dataset.doubts or is_other_frame:
+        view.append(Note("next: fix what is named above, then check again"))
+    elif run_command and n_usable:
         view.append(Note(f"next: {run_command}"))
     return view
 

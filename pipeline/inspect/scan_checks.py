@@ -207,7 +207,7 @@ def _check_scan(
         dropped=clean.dropped,
         low=clean.points.min(axis=0).tolist() if n_clean else [],
         high=clean.points.max(axis=0).tolist() if n_clean else [],
-        inspection=inspect_points(scan.points, side, settings),
+        inspection=inspect_points(scan.points, side, settings, T_real_sim),
         fault=fault,
     )
     return check, scan.points

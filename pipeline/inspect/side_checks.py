@@ -93,7 +93,7 @@ class SideSamples:
             if pair.pair_id in self._with_stamps and scan.times_s is not None and side not in self._stamps:
                 self._stamps[side] = describe_stamps(scan.times_s, points, scan.stamp_s)
             if pair.pair_id in self._sampled:
-                uncut = self._settings.model_copy(update={"include_box": None})
+                uncut = self._settings.model_copy(update={"include_box": None, "voxel_m": None})
                 points = clean_scan(scan.points, uncut, frame=self._settings.frame_of(side)).points
                 self._points[side][pair.pair_id] = points
                 T = transform_of(pair.motion(side))

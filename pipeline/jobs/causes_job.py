@@ -17,7 +17,8 @@ from ..stage import FRAMES, OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
 
 if TYPE_CHECKING:
-    from ...stages.causes.estimates import Amount, Pose
+    from ...stages.causes.estimates import Amount
+    from ...stages.causes.pose import Pose
     from ...stages.causes.sides import PairScans, Side
 
 POSE = "pose"  #: metadata: fields of `Pose`, None without enough surface in common
@@ -76,7 +77,7 @@ def pair_scans(inputs: Inputs) -> PairScans:
 
 def pose_of(metadata: dict[str, Any]) -> Pose | None:
     """The pose that the job has left in its metadata."""
-    from ...stages.causes.estimates import Pose
+    from ...stages.causes.pose import Pose
     from ...stages.displacement import Displacement
 
     pose = metadata[POSE]
@@ -91,8 +92,14 @@ def pose_of(metadata: dict[str, Any]) -> Pose | None:
 
 
 def _side(inputs: Inputs, side: str, T_real_sim: FloatArray | None = None) -> Side:
-    position = inputs.settings.input.sensor_position
-    return side_of(inputs.table("ground", side), _sensor(inputs, side), T_real_sim, position)
+    settings = inputs.settings.input
+    return side_of(
+        inputs.table("ground", side),
+        _sensor(inputs, side),
+        T_real_sim,
+        settings.sensor_position,
+        settings.voxel_m,
+    )
 
 
 def _sensor(inputs: Inputs, side: str) -> SensorDescription:
@@ -104,12 +111,13 @@ def side_of(
     sensor: SensorDescription,
     T_real_sim: FloatArray | None = None,
     position: tuple[float, float, float] | None = None,
+    voxel_m: float | None = None,
 ) -> Side:
     """A side from its table `ground`, see `recorded_side`."""
     from ...stages.causes.sides import recorded_side
 
     return recorded_side(
-        coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim, position
+        coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim, position, voxel_m
     )
 
 
@@ -139,6 +147,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=2,
+    version=3,
     libraries=("scikit-learn",),
 )

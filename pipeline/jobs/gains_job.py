@@ -47,7 +47,8 @@ def make_gains(inputs: Inputs) -> JobResult:
         gains = shares(scans, made, pose.displacement.seam_deg, rng, best_case_m)
     kinds = {CAUSES[name].curve for name in amounts if CAUSES[name].curve}
     with inputs.step("curves"):
-        drawn = {kind: _rounded(curves(scans, pose, kind)) for kind in sorted(kinds)}
+        aligned = pose.undisplaced(scans.sim)
+        drawn = {kind: _rounded(curves(scans, aligned, kind)) for kind in sorted(kinds)}
     return _result(inputs, gains, drawn)
 
 

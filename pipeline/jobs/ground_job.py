@@ -18,7 +18,7 @@ from ...stages.plausibility import inspect_points
 from ..datasets.readers.scan import Scan
 from ..stage import (
     INSPECTION,
-    N_RAW,
+    N_CLEAN,
     OF_PAIR,
     SCAN,
     Columns,
@@ -39,13 +39,13 @@ def make_ground(inputs: Inputs) -> JobResult:
     Raises
     ------
     StageError
-        Too few points are left; also names what is implausible about the scan, which is the likely
-        cause.
+        Too few points are left; also names what is implausible about the scan.
     """
     with inputs.step("read"):
         scan = inputs.scans[inputs.part]()
     with inputs.step("inspect"):
-        inspection = inspect_points(scan.points, inputs.part, inputs.settings.input)
+        T_real_sim = transform_of(inputs.T_real_sim)
+        inspection = inspect_points(scan.points, inputs.part, inputs.settings.input, T_real_sim)
     real_cut = real_points = None
     if ("ground", "real") in inputs.outputs:
         real_cut = _cut(inputs.metadata("ground", "real"))
@@ -56,7 +56,7 @@ def make_ground(inputs: Inputs) -> JobResult:
             scan.points,
             inputs.settings,
             inputs.part,
-            T_real_sim=transform_of(inputs.T_real_sim),
+            T_real_sim=T_real_sim,
             real_cut=real_cut,
             real_points=real_points,
             watch=inputs.step,
@@ -93,7 +93,7 @@ def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> M
     """Number of dropped points, the cut, and columns of `pairs`."""
     n_clean = len(clean.points)
     n_ground = int(np.count_nonzero(cut.is_ground))
-    counts = {N_RAW: len(scan.points), "n_clean": n_clean, "n_points": n_clean - n_ground}
+    counts = {"n_raw": len(scan.points), N_CLEAN: n_clean, "n_points": n_clean - n_ground}
     measures = {name: getattr(cut, name) for name in _MEASURES}
     measures["removed_share"] = n_ground / n_clean
     of_pair = {f"n_{side}_{name[2:]}": count for name, count in counts.items()}

@@ -23,6 +23,7 @@ from ...stages.rays import (
     find_rays,
     score_rays,
 )
+from ...stages.sensor_description import SensorDescription
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates
 
@@ -30,11 +31,14 @@ from .points_job import column, coordinates
 def make_rays(inputs: Inputs) -> JobResult:
     """Pair the rays of both sides and score them."""
     tables = [inputs.table("ground", side) for side in SIDES]
+    settings = inputs.settings.input
+    if settings.voxel_m is not None:
+        return _result(inputs, f"scans thinned by input.voxel_m={settings.voxel_m:g}", tables)
     real, sim = map(coordinates, tables)
-    sensors = [inputs.metadata("sensor", side)["sensor"] for side in SIDES]
+    sensors = [SensorDescription(**inputs.metadata("sensor", side)["sensor"]) for side in SIDES]
     moved = inputs.metadata("ground", "sim")["T_real_sim"]
     T_real_sim = transform_of(moved)
-    position = inputs.settings.input.sensor_position
+    position = settings.sensor_position
     if position is not None:
         real = real - position
         sim = sim - position

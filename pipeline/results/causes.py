@@ -121,14 +121,24 @@ def named_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Ca
     values : from `read_causes`
     blocks : (n,) independent place of each pair; pairs of one place count once, with their mean
     """
-    amounts = {name: own.amount for name, own in values.items()}
-    blocks = independent_blocks(blocks)
-    causes = []
-    for name in _named(amounts, blocks, is_change=False):
-        if name in _OF_POSE and _mean(values[name].share) < least_part_of_pose(name):
-            continue
-        causes.append(_cause(CAUSES[name], values[name], values[name].amount, blocks))
+    causes = [cause for cause in _beyond_tolerance(values, blocks) if not _is_small(cause)]
     return sorted(causes, key=lambda cause: -cause.share)
+
+
+def small_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[str]:
+    """Displacements beyond their tolerance that explain too little of the distance to be named, as sentences."""
+    return [cause.words for cause in _beyond_tolerance(values, blocks) if _is_small(cause)]
+
+
+def _beyond_tolerance(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Cause]:
+    amounts = {name: of_cause.amount for name, of_cause in values.items()}
+    blocks = independent_blocks(blocks)
+    names = _named(amounts, blocks, is_change=False)
+    return [_cause(CAUSES[name], values[name], values[name].amount, blocks) for name in names]
+
+
+def _is_small(cause: Cause) -> bool:
+    return cause.name in _OF_POSE and cause.share < least_part_of_pose(cause.name)
 
 
 def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:

@@ -17,8 +17,9 @@ from ...schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS
 from ...schemas.columns import Row
 from ...schemas.results import Cause
 from ...stages.arrays import FloatArray, IntArray, transform_of
-from ...stages.causes.estimates import estimate_between, fit_pose
+from ...stages.causes.estimates import estimate_between
 from ...stages.causes.gain import Shares, changes
+from ...stages.causes.pose import fit_pose
 from ...stages.causes.sides import Side
 from ...stages.frame_search import FrameCheck
 from ...stages.sensor_description import SensorDescription
@@ -174,8 +175,14 @@ def _sim_side(folder: Path, pair_id: str) -> Side:
     jobs = store.ledger.jobs(pair_id)
     sensor = SensorDescription(**jobs["sensor", "sim"].metadata["sensor"])
     moved = jobs["ground", "sim"].metadata["T_real_sim"]
-    position = read_run(folder)["settings"]["input"].get("sensor_position")
-    return side_of(ground, sensor, transform_of(moved), position)
+    settings = read_run(folder)["settings"]["input"]
+    return side_of(
+        ground,
+        sensor,
+        transform_of(moved),
+        settings.get("sensor_position"),
+        settings.get("voxel_m"),
+    )
 
 
 def _undo(

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
+from ...schemas.cause_catalogue import UNEVEN
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import METRIC, QUADRANT_SCORES, metric_of
@@ -211,6 +212,8 @@ class FinishedRun:
         blocks = self.places(names)
         amounts: dict[str, Cause | Unknown] = {}
         for name, of_cause in values.items():
+            if name == UNEVEN:
+                continue
             amount = mean_amount(name, of_cause, blocks)
             amounts[name] = amount or Unknown(causes=(name,), reason=of_cause.reason)
         return amounts

@@ -7,4 +7,6 @@ import numpy as np
 from ...schemas.data_files import read_data
 
 #: Axis of a curve by its kind: its label, that of the values, and the edges of its bins.
-AXES = {kind: {**axis, "edges": np.linspace(*axis["edges"])} for kind, axis in read_data("curves").items()}
+AXES = read_data("curves")
+for axis in AXES.values():
+    axis["edges"] = np.linspace(*axis["edges"])

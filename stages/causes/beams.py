@@ -10,14 +10,16 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..rays import RayGrid
 from ..sensor_description import SensorDescription
 from ..surfels import fit_planes
-from .sides import PLANE_NEIGHBOURS, Side
+from .sides import PLANE_NEIGHBOURS, Side, medians_by_group
 
+#: Numbers of beams that differ by at most this are not counted exactly.
+DOUBTFUL_BEAMS = 3
 _FEWEST_RETURNS = 20  # reference returns of a beam that is compared
 _DEAD = 0.2  # share of the usual number of returns
 _BIN_DEG = 2.0  # of azimuth, in which ranges of two beams are compared
 _FEWEST_BINS = 10
 _SUSPECT_LOG, _SUSPECT = 0.02, 2.0  # log of the range ratio, and over the median of all beams
-_BETTER = 0.5  # of the difference of ranges, from the own to the exchanged beam
+_BETTER = 0.5  # of the difference of ranges to the same beam, that to the exchanged beam
 _MOST_RESIDUAL_DEG = 0.05
 _FEWEST_BEAMS = 8
 _LEAST_RESULTANT = 0.03  # of phases between beams
@@ -28,25 +30,13 @@ _SAME_RAY = 2e-4  # chord between two directions of one ray
 _BEHIND_M = 0.3
 
 
-def grid_of(sensor: SensorDescription) -> RayGrid | None:
-    """Directions of the beams of a sensor; None if they were not recognised."""
-    if not sensor.elevation_deg:
-        return None
-    return RayGrid(
-        np.array(sensor.elevation_deg),
-        sensor.azimuth_step_deg or 0.0,
-        tuple(sensor.origin_height_m),
-        sensor.block_deg,
-    )
-
-
 def dead_beams(grid: RayGrid, reference: Side, side: Side) -> IndexArray:
     """Beams of a grid that return almost nothing on a side, although they do on the reference side.
 
     A beam is dead if it has less than 0.2 of the returns that it would have at the median ratio over all beams.
     """
     n_beams = len(grid.elevation_deg)
-    n_reference = np.bincount(grid.beam_of(reference.own_points), minlength=n_beams)
+    n_reference = np.bincount(grid.beam_of(reference.sensor_points), minlength=n_beams)
     n_side = np.bincount(_beams_hit(grid, side), minlength=n_beams)
     is_compared = n_reference >= _FEWEST_RETURNS
     if not is_compared.any():
@@ -57,8 +47,8 @@ def dead_beams(grid: RayGrid, reference: Side, side: Side) -> IndexArray:
 
 def _beams_hit(grid: RayGrid, side: Side) -> IndexArray:
     """Beam of each point within 0.4 of the spacing from one."""
-    elevation = grid.elevation_of(side.own_points)
-    beam = grid.beam_of(side.own_points)
+    elevation = grid.elevation_of(side.sensor_points)
+    beam = grid.beam_of(side.sensor_points)
     spacing = np.gradient(grid.elevation_deg)
     return beam[np.abs(elevation - grid.elevation_deg[beam]) < 0.4 * spacing[beam]]
 
@@ -68,7 +58,7 @@ def exchanged_beams(grid: RayGrid, reference: Side, side: Side) -> list[tuple[in
 
     The ranges of a beam over azimuth are a profile of the scene. Two beams are exchanged if the profile of each is
     nearest to that of the other on the reference side, by the median ratio of ranges, and at most half as far from it
-    as from its own.
+    as from that of the same beam.
     """
     profiles = _range_profiles(grid, side)
     expected = _range_profiles(grid, reference)
@@ -90,11 +80,8 @@ def _range_profiles(grid: RayGrid, side: Side) -> FloatArray:
     """(beams, bins) log of the median range of each beam and bin of azimuth; NaN without a return."""
     n_bins = round(360.0 / _BIN_DEG)
     column = ((side.azimuth_deg + 180.0) // _BIN_DEG).astype(np.intp) % n_bins
-    cell = grid.beam_of(side.own_points) * n_bins + column
-    order = np.lexsort((side.range_m, cell))
-    n_returns = np.bincount(cell, minlength=len(grid.elevation_deg) * n_bins)
-    middle = np.cumsum(n_returns) - n_returns + n_returns // 2
-    median_m = side.range_m[order][np.minimum(middle, len(order) - 1)]
+    cell = grid.beam_of(side.sensor_points) * n_bins + column
+    n_returns, median_m = medians_by_group(side.range_m, cell, len(grid.elevation_deg) * n_bins)
     return np.where(n_returns > 0, np.log(median_m), np.nan).reshape(-1, n_bins)
 
 
@@ -110,11 +97,12 @@ def elevation_scale(reference: SensorDescription, sensor: SensorDescription) -> 
 
     Both need the same number of beams, and beams that start at the same heights.
     """
-    a, b = np.array(reference.elevation_deg), np.array(sensor.elevation_deg)
-    if len(a) != len(b) or len(a) < _FEWEST_BEAMS:
+    reference_deg = np.array(reference.elevation_deg)
+    beams_deg = np.array(sensor.elevation_deg)
+    if len(reference_deg) != len(beams_deg) or len(beams_deg) < _FEWEST_BEAMS:
         return None
-    scale, offset = np.polyfit(a, b, 1)
-    residual_deg = np.abs(b - scale * a - offset)
+    scale, offset = np.polyfit(reference_deg, beams_deg, 1)
+    residual_deg = np.abs(beams_deg - scale * reference_deg - offset)
     return float(scale) - 1.0 if np.median(residual_deg) < _MOST_RESIDUAL_DEG else None
 
 
@@ -123,10 +111,10 @@ def blurred_elevation_deg(grid: RayGrid, side: Side) -> float | None:
 
     The phase of an elevation between two neighbouring beams, spaced s apart, has the resultant exp(-2 pi^2 sigma^2 /
     s^2) if elevations scatter normally with sigma around the beams (Mardia and Jupp, Directional Statistics, 2000). It
-    also works if the noise is so large that no beams can be recognised in the side itself.
+    also works if the noise is so large that no beams can be recognised on the side.
     """
     beams_deg = grid.elevation_deg
-    elevation_deg = grid.elevation_of(side.own_points)
+    elevation_deg = grid.elevation_of(side.sensor_points)
     below = np.searchsorted(beams_deg, elevation_deg) - 1
     is_inside = (below >= 0) & (below < len(beams_deg) - 1)
     below = below[is_inside]
@@ -141,10 +129,15 @@ def blurred_elevation_deg(grid: RayGrid, side: Side) -> float | None:
     resultant = float(direction.mean().real)
     if coherence < _COHERENT or resultant < _LEAST_RESULTANT:
         return None
-    low, high = 0.0, float(spacing_deg.max())
+    return _noise_of_resultant(resultant, spacing_deg[below], float(spacing_deg.max()))
+
+
+def _noise_of_resultant(resultant: float, spacing_deg: FloatArray, high: float) -> float:
+    """Standard deviation, up to `high`, at which phases between beams spaced so have a resultant; by bisection."""
+    low = 0.0
     for _ in range(40):
         sigma = (low + high) / 2
-        expected = np.exp(-2 * np.pi**2 * sigma**2 / spacing_deg[below] ** 2).mean()
+        expected = np.exp(-2 * np.pi**2 * sigma**2 / spacing_deg**2).mean()
         if expected > resultant:
             low = sigma
         else:

@@ -33,7 +33,10 @@ def surface_distance(real: FloatArray, sim: FloatArray, real_tree: cKDTree | Non
     if not len(sim):
         return REACH_M
     to_sim = mean_apart(cKDTree(sim), real[sample_rows(len(real))])
-    to_real = mean_apart(cKDTree(real) if real_tree is None else real_tree, sim[sample_rows(len(sim))])
+    to_real = mean_apart(
+        cKDTree(real) if real_tree is None else real_tree,
+        sim[sample_rows(len(sim))],
+    )
     return (to_sim + to_real) / 2
 
 

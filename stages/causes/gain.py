@@ -16,23 +16,15 @@ from ..displacement import Displacement
 from ..surfels import fit_planes
 from .beams import second_returns
 from .distance import REACH_M, off_share, surface_distance
-from .estimates import (
-    SHAPE_M,
-    Explained,
-    Pose,
-    Unmatched,
-    explain_directions,
-    find_strays,
-    find_unmatched,
-    flat_shapes,
-    foliage_steps,
-    scale_elevations,
-)
+from .pose import Pose, undo_elevation_scale
+from .shapes import SHAPE_M, find_strays, flat_shapes, foliage_steps
 from .sides import PairScans, Side, most_noise_m
+from .unmatched import Explained, Unmatched, explain_directions, find_unmatched
 
 _NEIGHBOURS = 16
 _MOST_MOVED = 0.1  # of a range, from a return's own to that of the plane through it
-_MOST_EXACT, _ORDERS = 4, 6
+_MOST_EXACT = 4  # corrections of which all orders are tried
+_ORDERS = 6  # of more corrections
 
 
 @dataclass(frozen=True)
@@ -69,16 +61,21 @@ def corrected(sim: Side, chosen: Sequence[Correction], seam_deg: float) -> Float
         scale += correction.elevation_scale
         along_m = along_m + correction.along_m
         keep = keep & correction.keep
-    points = scale_elevations(sim.points, 1.0 / (1.0 + scale))
+    points = undo_elevation_scale(sim.points, scale)
     if displacement.any():
         points = Displacement(displacement, seam_deg).undo(points, sim.is_ground)
     if along_m.any():
-        points = points * (1.0 + along_m / np.maximum(np.linalg.norm(points, axis=1), 1e-9))[:, None]
+        range_m = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
+        points = points * (1.0 + along_m / range_m)[:, None]
     return np.concatenate([points[keep], *(correction.add for correction in chosen)])
 
 
 def corrections(
-    scans: PairScans, pose: Pose, amounts: Mapping[str, float | None], excess: Mapping[str, float], rng: Generator
+    scans: PairScans,
+    pose: Pose,
+    amounts: Mapping[str, float | None],
+    excess: Mapping[str, float],
+    rng: Generator,
 ) -> dict[str, Correction]:
     """The correction of each cause for one pair.
 
@@ -92,14 +89,15 @@ def corrections(
     sim = pose.undisplaced(scans.sim)
     explained = explain_directions(real, sim)
     missing, invented = find_unmatched(real, sim, explained)
-    is_common = ~(missing.is_beyond | missing.is_part | missing.is_moved | missing.is_clutter | explained.real)
+    is_missing = missing.is_beyond | missing.is_part | missing.is_moved | missing.is_clutter
+    is_common = ~(is_missing | explained.real)
     pair = _Pair(scans.sim, real, sim, explained, missing, invented, is_common, rng)
-    made: dict[str, Correction] = {}
+    by_cause: dict[str, Correction] = {}
     for name, amount in excess.items():
         correction = pair.correction(name, amount, amounts.get(name))
         if correction is not None:
-            made[name] = correction
-    return made
+            by_cause[name] = correction
+    return by_cause
 
 
 @dataclass(frozen=True)
@@ -128,130 +126,102 @@ class _Pair:
         ----------
         amount, whole : over that of a base, and of the pair
         """
-        if name in (*PARAMETERS, "elevation scale"):
-            return _undone(name, amount)
+        if name == "elevation scale":
+            return Correction(elevation_scale=amount)
+        if name in PARAMETERS:
+            return Correction(np.where(np.array(PARAMETERS) == name, amount, 0.0))
         if name in ("range noise", "range steps"):
             return _noise(self.real, self.sim, name, amount, self.rng)
-        if name in (*LOSSES, "azimuth step"):
-            return _density(name, amount, whole or 0.0, self.real, self.sim, self.is_common, self.rng)
+        if name in (*LOSSES, "azimuth step", "beams"):
+            return self._density(name, amount, whole or 0.0)
         part = 1.0  # of the pair's amount; the rest is the base's
         if amount > 0:
             part = amount / max(amount if whole is None else whole, amount)
         if name in (FLAT, "solid foliage"):
-            return _onto_real(name, self.real, self.sim, part, self.rng)
-        if name in ("blind sector", "beams", "exchanged beams"):
-            return _restored(name, amount, self.real, self.sim, self.explained, self.is_common, self.rng)
-        return self._removed(name, part) or self._added(name, part)
+            return self._onto_real(name, part)
+        return self._removed(name, part) or self._added(name, part) or self._replaced(name, part)
+
+    def _density(self, name: str, amount: float, whole: float) -> Correction:
+        """Real returns on common surface, where the simulated ones are farthest apart, or fewer of the simulated ones.
+
+        Parameters
+        ----------
+        amount, whole : over the base, and of the pair; a share that is lost is one of what the base returns
+        """
+        real, sim = self.real, self.sim
+        share = amount
+        if name == "beams":
+            if self.explained.is_dead.any():
+                dead = np.flatnonzero(self.explained.is_dead)
+                return Correction(add=_as_simulated(real, sim, dead))
+            share = -amount / max(len(sim.sensor.elevation_deg) - min(amount, 0.0), 1.0)
+        elif name == "azimuth step":
+            share = amount / sim.sensor.azimuth_step_deg if sim.sensor.azimuth_step_deg else 0.0
+        elif amount > 0:
+            share = amount * (1.0 - whole) / (1.0 - amount)
+        if share <= 0:
+            return Correction(keep=~self._some(sim.concerned(name), 1.0 - 1.0 / (1.0 - share)))
+        rows = np.flatnonzero(self.is_common & real.concerned(name))
+        gap, _ = sim.ray_tree.query(real.rays[rows])
+        rows = rows[np.argsort(-gap)[: round(share * len(rows))]]
+        return Correction(add=_as_simulated(real, sim, rows))
+
+    def _onto_real(self, name: str, part: float) -> Correction:
+        """Simulated returns towards foliage, or towards surface that is too flat, at the range of the real ones."""
+        real, sim = self.real, self.sim
+        if name == FLAT:
+            places, is_flat = flat_shapes(real, sim)
+            apart_m, _ = cKDTree(places[is_flat]).query(sim.points, distance_upper_bound=SHAPE_M)
+            rows = np.flatnonzero(np.isfinite(apart_m))
+            step_m = sim.range_m[rows] - _seen_m(sim.rays[rows], real)
+            step_m[np.abs(step_m) > REACH_M] = 0.0
+        else:
+            rows, step_m = foliage_steps(real, sim)
+        along_m = np.zeros(len(sim.range_m))
+        along_m[rows] = -step_m
+        return Correction(along_m=np.where(self._some(along_m != 0, part), along_m, 0.0))
 
     def _removed(self, name: str, part: float) -> Correction | None:
         """Fewer simulated points."""
         if name == "second returns":
             return Correction(keep=~second_returns(self.recorded))
         if name == "mixed pixels":
-            return Correction(keep=~_some(find_strays(self.sim)[0], part, self.rng))
+            return Correction(keep=~self._some(find_strays(self.sim)[0], part))
         if name == "invented parts":
-            return Correction(keep=~_some(self.invented.is_part, part, self.rng))
+            return Correction(keep=~self._some(self.invented.is_part, part))
         if name == "clutter":
-            return Correction(keep=~_some(self.invented.is_clutter, part, self.rng))
+            return Correction(keep=~self._some(self.invented.is_clutter, part))
         return None
 
     def _added(self, name: str, part: float) -> Correction | None:
         """More points, those of the real side."""
-        real, sim, missing = self.real, self.sim, self.missing
+        real = self.real
         if name == "missing parts":
-            return Correction(add=real.points[_some(missing.is_part, part, self.rng)])
-        if name == "moved parts":
-            is_moved = _some(self.invented.is_moved, part, self.rng)
-            return Correction(keep=~is_moved, add=real.points[missing.is_moved])
-        if name == "maximum range":
-            return Correction(keep=sim.range_m <= real.range_m.max(), add=real.points[missing.is_beyond])
+            return Correction(add=real.points[self._some(self.missing.is_part, part)])
+        if name == "blind sector":
+            return Correction(add=real.points[self.explained.is_blind])
         if name == "minimum range":
-            return Correction(add=real.points[real.range_m < sim.range_m.min()])
+            return Correction(add=real.points[real.range_m < self.sim.range_m.min()])
         return None
 
+    def _replaced(self, name: str, part: float) -> Correction | None:
+        """Points of the real side in place of simulated ones."""
+        real, sim = self.real, self.sim
+        if name == "exchanged beams":
+            explained = self.explained
+            is_exchanged = explained.real & ~explained.is_blind & ~explained.is_dead
+            return Correction(keep=~explained.sim, add=real.points[is_exchanged])
+        if name == "moved parts":
+            is_moved = self._some(self.invented.is_moved, part)
+            return Correction(keep=~is_moved, add=real.points[self.missing.is_moved])
+        if name == "maximum range":
+            is_kept = sim.range_m <= real.range_m.max()
+            return Correction(keep=is_kept, add=real.points[self.missing.is_beyond])
+        return None
 
-@dataclass(frozen=True)
-class Shares:
-    """Distances of a pair in metres: before and after all corrections, of the best case, and the part of each cause."""
-
-    before_m: float
-    after_m: float
-    best_case_m: float
-    by_cause: dict[str, float]
-
-
-def shares(
-    scans: PairScans, made: Mapping[str, Correction], seam_deg: float, rng: Generator, best_case_m: float = 0.0
-) -> Shares:
-    """Distance of both sides before and after all corrections, and the metres that each correction contributes.
-
-    Distances count down to `best_case_m`: restored real returns are better than those of a second measurement. Where
-    the sides are as close as that, they count in full.
-
-    The contribution is averaged over the orders in which the corrections can be applied (Shapley, 1953): over all
-    orders up to four corrections, else over six at random.
-    """
-    names = sorted(made)
-    known: dict[frozenset[str], float] = {}
-
-    def distance(chosen: frozenset[str]) -> float:
-        if chosen not in known:
-            points = corrected(scans.sim, [made[name] for name in sorted(chosen)], seam_deg)
-            known[chosen] = surface_distance(scans.real.points, points, scans.real.tree)
-        return known[chosen]
-
-    if len(names) <= _MOST_EXACT:
-        orders = list(permutations(names))
-    else:
-        drawn = [tuple(rng.permutation(names).tolist()) for _ in range(_ORDERS // 2)]
-        orders = drawn + [order[::-1] for order in drawn]
-    before_all_m = distance(frozenset())
-    least_m = best_case_m if before_all_m > (1.0 + BEST_CASE_ACCURACY) * best_case_m else 0.0
-    gains = dict.fromkeys(names, 0.0)
-    for order in orders:
-        for i, name in enumerate(order):
-            before_m = distance(frozenset(order[:i]))
-            after_m = distance(frozenset(order[: i + 1]))
-            gains[name] += (max(before_m, least_m) - max(after_m, least_m)) / len(orders)
-    return Shares(before_all_m, max(distance(frozenset(names)), least_m), best_case_m, gains)
-
-
-def changes(
-    base: Side, sim: Side, pose: Pose, excess: Mapping[str, float], rng: Generator
-) -> tuple[Shares, float, float]:
-    """Shares in the distance between two simulated scans of a place, and the flat surface that they have elsewhere.
-
-    A poor simulator is far from the real surface everywhere, so that any correction brings it closer; what a flaw has
-    changed is seen next to the same simulator without it.
-
-    Parameters
-    ----------
-    base, sim : without and with the changes
-    pose : of `sim` against `base`
-    excess : by cause, the amount of the change
-
-    Returns
-    -------
-    Shares, and the share of flat surface elsewhere (`off_share`) before and after all corrections.
-    """
-    scans = PairScans(base, sim)
-    made = corrections(scans, pose, {}, excess, rng)
-    after = corrected(sim, list(made.values()), pose.displacement.seam_deg)
-    before_share = off_share(base.points, sim.points)
-    after_share = off_share(base.points, after)
-    return shares(scans, made, pose.displacement.seam_deg, rng), before_share, after_share
-
-
-def _undone(name: str, amount: float) -> Correction:
-    """An error of the pose that is undone."""
-    if name == "elevation scale":
-        return Correction(elevation_scale=amount)
-    return Correction(np.where(np.array(PARAMETERS) == name, amount, 0.0))
-
-
-def _some(flags: BoolArray, part: float, rng: Generator) -> BoolArray:
-    """A random part of the flagged points."""
-    return flags & (rng.random(len(flags)) < part)
+    def _some(self, flags: BoolArray, part: float) -> BoolArray:
+        """A random part of the flagged points."""
+        return flags & (self.rng.random(len(flags)) < part)
 
 
 def _noise(real: Side, sim: Side, name: str, amount: float, rng: Generator) -> Correction:
@@ -262,7 +232,8 @@ def _noise(real: Side, sim: Side, name: str, amount: float, rng: Generator) -> C
     elif amount > 0:
         noise_m = max(noise_m, amount / np.sqrt(12))
     if amount < 0:
-        return Correction(along_m=rng.normal(0.0, np.sqrt(amount**2 + 2 * noise_m * -amount), len(sim.points)))
+        missing_m = np.sqrt(amount**2 + 2 * noise_m * -amount)
+        return Correction(along_m=rng.normal(0.0, missing_m, len(sim.points)))
     target_m = noise_m - amount
     if name == "range steps":
         target_m = np.sqrt(max(noise_m**2 - amount**2 / 12, 0.0))
@@ -293,63 +264,82 @@ def _as_simulated(real: Side, sim: Side, rows: IndexArray) -> FloatArray:
     return points + ((sim.points[near] - points) * normal).sum(axis=1, keepdims=True) * normal
 
 
-def _density(
-    name: str, amount: float, of_run: float, real: Side, sim: Side, is_common: BoolArray, rng: Generator
-) -> Correction:
-    """Real returns on common surface, where the simulated ones are farthest apart, or fewer of the simulated ones.
+@dataclass(frozen=True)
+class Shares:
+    """Distances of a pair in metres: before and after all corrections, of the best case, and the part of each cause."""
+
+    before_m: float
+    after_m: float
+    best_case_m: float
+    by_cause: dict[str, float]
+
+
+def shares(
+    scans: PairScans,
+    by_cause: Mapping[str, Correction],
+    seam_deg: float,
+    rng: Generator,
+    best_case_m: float = 0.0,
+) -> Shares:
+    """Distance of both sides before and after all corrections, and the metres that each correction contributes.
+
+    Distances count down to `best_case_m`: restored real returns are better than those of a second measurement. Where
+    the sides are as close as that, they count in full.
+
+    The contribution is averaged over the orders in which the corrections can be applied (Shapley, 1953): over all
+    orders up to four corrections, else over six at random.
+    """
+    names = sorted(by_cause)
+    known: dict[frozenset[str], float] = {}
+
+    def distance(chosen: frozenset[str]) -> float:
+        if chosen not in known:
+            points = corrected(scans.sim, [by_cause[name] for name in sorted(chosen)], seam_deg)
+            known[chosen] = surface_distance(scans.real.points, points, scans.real.tree)
+        return known[chosen]
+
+    before_all_m = distance(frozenset())
+    least_m = best_case_m if before_all_m > (1.0 + BEST_CASE_ACCURACY) * best_case_m else 0.0
+    gains = dict.fromkeys(names, 0.0)
+    orders = _orders(names, rng)
+    for order in orders:
+        for i, name in enumerate(order):
+            before_m = distance(frozenset(order[:i]))
+            after_m = distance(frozenset(order[: i + 1]))
+            gains[name] += (max(before_m, least_m) - max(after_m, least_m)) / len(orders)
+    return Shares(before_all_m, max(distance(frozenset(names)), least_m), best_case_m, gains)
+
+
+def _orders(names: Sequence[str], rng: Generator) -> list[tuple[str, ...]]:
+    """Orders of the corrections: all of a few, else some at random and their reverse."""
+    if len(names) <= _MOST_EXACT:
+        return list(permutations(names))
+    orders = [tuple(rng.permutation(names).tolist()) for _ in range(_ORDERS // 2)]
+    return orders + [order[::-1] for order in orders]
+
+
+def changes(
+    base: Side, sim: Side, pose: Pose, excess: Mapping[str, float], rng: Generator
+) -> tuple[Shares, float, float]:
+    """Shares in the distance between two simulated scans of a place, and the flat surface that they have elsewhere.
+
+    A poor simulator is far from the real surface everywhere, so that any correction brings it closer; what a flaw has
+    changed is seen next to the same simulator without it.
 
     Parameters
     ----------
-    amount, of_run : over the base, and of the pair; a share that is lost is one of what the base returns
+    base, sim : without and with the changes
+    pose : of `sim` against `base`
+    excess : by cause, the amount of the change
+
+    Returns
+    -------
+    Shares, and the share of flat surface elsewhere (`off_share`) before and after all corrections.
     """
-    step_deg = sim.sensor.azimuth_step_deg
-    share = amount * (1.0 - of_run) / (1.0 - amount) if name in LOSSES and amount > 0 else amount
-    if name == "azimuth step":
-        share = amount / step_deg if step_deg else 0.0
-    if share > 0:
-        rows = np.flatnonzero(is_common & real.concerned(name))
-        gap, _ = sim.ray_tree.query(real.rays[rows])
-        return Correction(add=_as_simulated(real, sim, rows[np.argsort(-gap)[: round(share * len(rows))]]))
-    return Correction(keep=~_some(sim.concerned(name), 1.0 - 1.0 / (1.0 - share), rng))
-
-
-def _restored(
-    name: str,
-    amount: float,
-    real: Side,
-    sim: Side,
-    explained: Explained,
-    is_common: BoolArray,
-    rng: Generator,
-) -> Correction:
-    """Real returns of directions and beams that the simulated side lacks or exchanges."""
-    if name == "blind sector":
-        return Correction(add=real.points[explained.is_blind])
-    if name == "exchanged beams":
-        is_real = explained.real & ~explained.is_blind & ~explained.is_dead
-        return Correction(keep=~explained.sim, add=real.points[is_real])
-    if explained.is_dead.any():
-        rows = np.flatnonzero(explained.is_dead)
-        return Correction(add=_as_simulated(real, sim, rows))
-    n_beams = len(sim.sensor.elevation_deg)
-    share = -amount / max(n_beams - min(amount, 0.0), 1.0)
-    if share > 0:
-        rows = np.flatnonzero(is_common)
-        gap, _ = sim.ray_tree.query(real.rays[rows])
-        return Correction(add=_as_simulated(real, sim, rows[np.argsort(-gap)[: round(share * len(rows))]]))
-    return Correction(keep=~_some(np.ones(len(sim.points), np.bool_), 1.0 - 1.0 / (1.0 - share), rng))
-
-
-def _onto_real(name: str, real: Side, sim: Side, part: float, rng: Generator) -> Correction:
-    """Simulated returns in the direction of foliage, or of surface that is too flat, at the range of the real one."""
-    if name == FLAT:
-        places, is_flat = flat_shapes(real, sim)
-        apart_m, _ = cKDTree(places[is_flat]).query(sim.points, distance_upper_bound=SHAPE_M)
-        rows = np.flatnonzero(np.isfinite(apart_m))
-        step_m = sim.range_m[rows] - _seen_m(sim.rays[rows], real)
-        step_m[np.abs(step_m) > REACH_M] = 0.0
-    else:
-        rows, step_m = foliage_steps(real, sim)
-    along_m = np.zeros(len(sim.range_m))
-    along_m[rows] = -step_m
-    return Correction(along_m=np.where(_some(along_m != 0, part, rng), along_m, 0.0))
+    scans = PairScans(base, sim)
+    seam_deg = pose.displacement.seam_deg
+    by_cause = corrections(scans, pose, {}, excess, rng)
+    after = corrected(sim, list(by_cause.values()), seam_deg)
+    before_share = off_share(base.points, sim.points)
+    after_share = off_share(base.points, after)
+    return shares(scans, by_cause, seam_deg, rng), before_share, after_share

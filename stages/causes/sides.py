@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,41 +12,32 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import seen_from
 from ..sensor_description import SensorDescription
 from ..surfels import LocalPlanes, fit_planes
+from ..trust import BEAMS
 
 #: Returns beyond this range are far.
 FAR_M = 25.0
-#: Returns at a larger angle to the normal of the surface are grazing.
-GRAZING_DEG = 75.0
 #: l3 / l1 of foliage, and more.
 SCATTERED = 0.1
 #: Neighbours that define the plane around a point.
 PLANE_NEIGHBOURS = 20
-#: Nearest rays that are searched around each ray.
-RAYS_AROUND = 8
+_GRAZING_DEG = 75.0  # between the ray and the normal of the surface
+_RAYS_AROUND = 8  # nearest rays that are searched around each ray
 
 
+@dataclass(frozen=True, eq=False)
 class Side:
     """Clean points of one side, with what is derived from them when first used.
 
-    Parameters
-    ----------
     points : (n, 3) float64, metres, in the real sensor's frame
     is_ground : (n,) bool
     sensor : description of the side's sensor, from the points as recorded
     T_real_sim : (3, 4) float64, of the simulated side, if its frame is another
     """
 
-    def __init__(
-        self,
-        points: FloatArray,
-        is_ground: BoolArray,
-        sensor: SensorDescription,
-        T_real_sim: FloatArray | None = None,
-    ) -> None:
-        self.points = points
-        self.is_ground = is_ground
-        self.sensor = sensor
-        self.T_real_sim = T_real_sim
+    points: FloatArray
+    is_ground: BoolArray
+    sensor: SensorDescription
+    T_real_sim: FloatArray | None = None
 
     @cached_property
     def range_m(self) -> FloatArray:
@@ -70,8 +61,8 @@ class Side:
         return np.degrees(np.arcsin(self.rays[:, 2]))
 
     @cached_property
-    def own_points(self) -> FloatArray:
-        """(n, 3) the points in the frame of the side's own sensor, in which its beams are."""
+    def sensor_points(self) -> FloatArray:
+        """(n, 3) the points in the frame of the side's sensor, in which its beams are."""
         if self.T_real_sim is None:
             return self.points
         rotation = self.T_real_sim[:, :3]
@@ -90,10 +81,10 @@ class Side:
     @cached_property
     def near_rays(self) -> tuple[FloatArray, IndexArray]:
         """Chord to the eight nearest other rays of each ray and their rows, (n, 8) each."""
-        chord, rows = self.ray_tree.query(self.rays, k=RAYS_AROUND + 1)
+        chord, rows = self.ray_tree.query(self.rays, k=_RAYS_AROUND + 1)
         is_self = rows == np.arange(len(rows))[:, None]
         is_self[~is_self.any(axis=1), -1] = True  # more than eight other rays have the same direction
-        return chord[~is_self].reshape(-1, RAYS_AROUND), rows[~is_self].reshape(-1, RAYS_AROUND)
+        return chord[~is_self].reshape(-1, _RAYS_AROUND), rows[~is_self].reshape(-1, _RAYS_AROUND)
 
     @cached_property
     def planes(self) -> LocalPlanes:
@@ -113,12 +104,12 @@ class Side:
         if cause == "lost far returns":
             return self.range_m > FAR_M
         if cause == "lost grazing returns":
-            return self.incidence_deg > GRAZING_DEG
+            return self.incidence_deg > _GRAZING_DEG
         return np.ones(len(self.points), dtype=np.bool_)
 
     def chosen(self, is_kept: BoolArray | IndexArray) -> Side:
         """The side with some of its points, or all of them in another order."""
-        return Side(self.points[is_kept], self.is_ground[is_kept], self.sensor, self.T_real_sim)
+        return replace(self, points=self.points[is_kept], is_ground=self.is_ground[is_kept])
 
 
 def recorded_side(
@@ -127,6 +118,7 @@ def recorded_side(
     sensor: SensorDescription,
     T_real_sim: FloatArray | None = None,
     position: tuple[float, float, float] | None = None,
+    voxel_m: float | None = None,
 ) -> Side:
     """A side of clean points, with the sensor at the origin.
 
@@ -136,9 +128,14 @@ def recorded_side(
     ----------
     points, is_ground, sensor, T_real_sim : see `Side`
     position : of the sensor in the frame of the points of both sides; the origin by default
+    voxel_m : voxel by which the points were thinned, so that returns cannot be counted; None if they were not
     """
+    if voxel_m is not None:
+        thinned = f"thinned by input.voxel_m={voxel_m:g}, so that its returns cannot be counted"
+        sensor = replace(sensor, doubts=sensor.doubts | {BEAMS: thinned})
     if position is not None:
-        points, T_real_sim = points - position, seen_from(position, T_real_sim)
+        points = points - position
+        T_real_sim = seen_from(position, T_real_sim)
     side = Side(points, is_ground, sensor, T_real_sim)
     return side.chosen(np.lexsort(side.points.T))
 
@@ -151,15 +148,31 @@ class PairScans:
     sim: Side
 
 
+def medians_by_group(values: FloatArray, group: IndexArray, n_groups: int) -> tuple[IndexArray, FloatArray]:
+    """(g,) number of values of each group, and (g,) their median, the larger of two; any value for an empty group.
+
+    Parameters
+    ----------
+    values, group : (n,) float64 and (n,) intp, at least one
+    """
+    n_values = np.bincount(group, minlength=n_groups)
+    middle = np.cumsum(n_values) - n_values + n_values // 2
+    ordered = values[np.lexsort((values, group))]
+    return n_values, ordered[np.minimum(middle, len(ordered) - 1)]
+
+
 def noise_bounds(sensor: SensorDescription) -> tuple[float, float] | None:
     """Lower and upper estimate of the range noise of a sensor without that of its range steps, q / sqrt(12)."""
-    most_m = sensor.range_noise_m
-    if most_m is None:
+    high_m = sensor.range_noise_m
+    if high_m is None:
         return None
-    least_m = most_m if sensor.range_noise_low_m is None else sensor.range_noise_low_m
+    low_m = high_m if sensor.range_noise_low_m is None else sensor.range_noise_low_m
     step_m = sensor.range_quantum_m or 0.0
-    low_m, high_m = (float(np.sqrt(max(noise_m**2 - step_m**2 / 12, 0.0))) for noise_m in (least_m, most_m))
-    return low_m, high_m
+    return _without_steps(low_m, step_m), _without_steps(high_m, step_m)
+
+
+def _without_steps(noise_m: float, step_m: float) -> float:
+    return float(np.sqrt(max(noise_m**2 - step_m**2 / 12, 0.0)))
 
 
 def most_noise_m(sensor: SensorDescription) -> float:

@@ -134,7 +134,8 @@ def test_a_bit_that_the_disk_loses_is_seen_though_no_time_changes(again, finishe
     path = tables_of(again, table)[0]
     name = str(path.relative_to(again))
     flip_bit(path, random.Random(table))
-    store, status = RunFolder(again), path.stat()
+    store = RunFolder(again)
+    status = path.stat()
     with store.locked():
         record = store.ledger.job_of_file(name)
         stored = record.files[name]

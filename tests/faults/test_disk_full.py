@@ -20,7 +20,8 @@ N_PAIRS = 3
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
 def test_a_full_disk_stops_a_run_once_with_path_and_need(dataset, tmp_path, monkeypatch, number):
-    rename, written = os.replace, []
+    rename = os.replace
+    written = []
 
     def fill(*names):
         written.append(names)

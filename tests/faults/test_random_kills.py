@@ -36,7 +36,8 @@ def at_work(dataset, folder, work_s, seed):
     """A command with workers after a random part of its work, its folder, and the random numbers that follow."""
     rng = random.Random(seed)
     for i in range(20):
-        started, moment = start(dataset, folder / f"run{i}"), rng.uniform(0.0, work_s)
+        started = start(dataset, folder / f"run{i}")
+        moment = rng.uniform(0.0, work_s)
         if not started.ends_within(moment) and started.wait_for(started.workers):
             print(f"seed {seed}: {moment:.3f} s after the command opened its folder")
             return started, folder / f"run{i}", rng

@@ -30,7 +30,8 @@ CHANGES = {
 
 @pytest.mark.parametrize("change", some_of(CHANGES, ["another scan"]))
 def test_a_dataset_that_changes_during_the_run_gives_no_mixed_result(data, tmp_path, change):
-    out, (harm, reason) = tmp_path / "run", CHANGES[change]
+    out = tmp_path / "run"
+    harm, reason = CHANGES[change]
     started = Started("run", data, "--out", out, "--workers", 1)
     assert started.wait_for((out / "ground" / "000.real.parquet").exists)
     started.process.send_signal(signal.SIGSTOP)  # so that it changes in the middle, regardless of the machine's load

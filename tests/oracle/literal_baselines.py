@@ -55,7 +55,8 @@ def dcd(real: NDArray[np.float64], sim: NDArray[np.float64], alpha: float) -> fl
     def one_way(xs: NDArray[np.float64], ys: NDArray[np.float64]) -> float:
         ys = np.array(sorted(ys.tolist()))  # for equal distances the first by x, y, z
         nearest = [int(distances(ys, x).argmin()) for x in xs]
-        count, terms = Counter(nearest), []
+        count = Counter(nearest)
+        terms = []
         for x, j in zip(xs, nearest, strict=True):
             weight = min(1.0, len(xs) / len(ys) / count[j])
             terms.append(1 - weight * math.exp(-alpha * (math.dist(x, ys[j]) / size_m) ** 2))
@@ -126,5 +127,6 @@ def r_h(L_real: NDArray[np.float64], L_sim: NDArray[np.float64], t: float) -> fl
     L_real, L_sim : (n, n) float64, nodes aligned
     """
     heat = scipy.linalg.expm(-t * L_sim) - scipy.linalg.expm(-t * L_real)
-    change, of_heat = (float(abs(np.linalg.eigvalsh(own)).max()) for own in (L_sim - L_real, (heat + heat.T) / 2))
+    change = float(abs(np.linalg.eigvalsh(L_sim - L_real)).max())
+    of_heat = float(abs(np.linalg.eigvalsh((heat + heat.T) / 2)).max())
     return min(1.0, of_heat / (t * change)) if change > 1e-5 else 0.0

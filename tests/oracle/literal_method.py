@@ -53,13 +53,17 @@ def clean(
     frame : frame of the scan: "ros", "carla", "nuscenes" or "kitti-cam"
     T : (3, 4) float64, maps that frame into the real sensor's, after conversion to x forward, y left, z up
     """
-    exclude_box, include_box = settings["exclude_box"], settings["include_box"]
+    exclude_box = settings["exclude_box"]
+    include_box = settings["include_box"]
     range_of = {}
     for p in map(tuple, points.tolist()):
         if all(map(math.isfinite, p)) and p != (0, 0, 0):
             range_of[p] = math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
     miss_range_m = _miss_range(list(range_of.values()))
-    seen, rows, kept = set(), [], []
+    seen = set()
+    voxels = set()
+    rows = []
+    kept = []
     for i, p in enumerate(points.tolist()):
         if tuple(p) not in range_of or tuple(p) in seen:
             continue
@@ -76,6 +80,11 @@ def clean(
             q = [sum(T[r, c] * q[c] for c in range(3)) + T[r, 3] for r in range(3)]
         if include_box and not all(include_box[a] <= q[a] <= include_box[a + 3] for a in range(3)):
             continue
+        if settings["voxel_m"]:
+            voxel = tuple(math.floor(c / settings["voxel_m"]) for c in q)
+            if voxel in voxels:
+                continue
+            voxels.add(voxel)
         rows.append(i)
         kept.append(q)
     return rows, np.array(kept).reshape(-1, 3)
@@ -115,10 +124,13 @@ def ground(
     height = np.array([float(p @ axis) for p in points])
     near = [h for h, p in zip(height.tolist(), points.tolist(), strict=True) if math.hypot(*p) <= _NEAR_M]
     peak = _median_of_fullest_window(near or height.tolist())
-    z, iterations, loss = peak + settings["prior_m"], 0, settings["loss"]
+    z = peak + settings["prior_m"]
+    iterations = 0
+    loss = settings["loss"]
     lost = variance_loss(points, height, z, peak, loss)
     while lost > settings["max_variance_loss"] and z > peak + 1e-9:
-        z, iterations = max(z - _STEP_M, peak), iterations + 1
+        z = max(z - _STEP_M, peak)
+        iterations += 1
         lost = variance_loss(points, height, z, peak, loss)
     cut = {"axis": axis, "tilt_deg": tilt_deg, "peak_m": peak, "threshold_m": z, "loss": lost, "iterations": iterations}
     return cut, height, bool(is_unique)
@@ -254,7 +266,8 @@ def best_merge_gain(
     labels : (n,) community of each node
     src, dst, length_m : (m,) both ends of each edge by node, and its length
     """
-    a, b = labels[src], labels[dst]
+    a = labels[src]
+    b = labels[dst]
     ends = np.concatenate([a, b]), np.concatenate([b, a])
     between = sparse.coo_array((np.concatenate([length_m, length_m]), ends)).tocsr()
     degree = between.sum(axis=1)
@@ -307,12 +320,14 @@ def match_greedy(
     real, sim : (a, 3), (b, 3) float64, metres, centroids by id
     stored : matches that are accepted if they are as near as the nearest, and as delta, up to `rounding_m`
     """
-    used, pairs = set(), []
+    used = set()
+    pairs = []
     for i, p in enumerate(real):
         free = {j: math.dist(p, q) for j, q in enumerate(sim) if j not in used}
         if not free:
             break
-        j, own = min(free, key=lambda j: (free[j], j)), stored.get(i)
+        j = min(free, key=lambda j: (free[j], j))
+        own = stored.get(i)
         if own in free and free[own] <= free[j] + rounding_m:
             j = own
         if free[j] < delta_m + (-rounding_m if own is None else rounding_m):

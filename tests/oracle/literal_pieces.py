@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from literal_method import PLACE, Settings, canonical, describe, distances
 
 _MOVED_WITHIN_M = 3.0
-_SLACK_M, _SLACK = 0.5, 1 / 3
+_SLACK_M = 0.5
+_SLACK = 1 / 3
 _ROUNDED_DIGITS = 9
 
 

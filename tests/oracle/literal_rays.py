@@ -24,17 +24,20 @@ Near = list[tuple[float, float, int]]  #: azimuth and rows on to a return of the
 def beam_of(point: NDArray[np.float64], sensor: Sensor) -> int:
     """The beam nearest in elevation, seen from where it starts."""
     x, y, z = point.tolist()
-    level, height = max(math.hypot(x, y), 1e-9), 0.0
+    level = max(math.hypot(x, y), 1e-9)
+    height = 0.0
     if heights := sensor["origin_height_m"]:
         middle = sum(heights) / len(heights)
         height = heights[0 if math.degrees(math.atan2(z - middle, level)) < sensor["block_deg"] else -1]
-    elevation, beams = math.degrees(math.atan2(z - height, level)), sensor["elevation_deg"]
+    elevation = math.degrees(math.atan2(z - height, level))
+    beams = sensor["elevation_deg"]
     return min(range(len(beams)), key=lambda beam: abs(beams[beam] - elevation))
 
 
 def rows_by_elevation(real: Sensor, sim: Sensor) -> NDArray[np.float64]:
     """Row at each hundredth of a degree from -90 to 90: the sum of the steps over the wider distance of beams there."""
-    elevation, wider = _STEP_DEG * np.arange(18_001) - 90.0, np.zeros(18_001)
+    elevation = _STEP_DEG * np.arange(18_001) - 90.0
+    wider = np.zeros(18_001)
     for beams in (np.array(sensor["elevation_deg"]) for sensor in (real, sim)):
         wider = np.maximum(wider, np.interp(elevation, (beams[:-1] + beams[1:]) / 2, np.diff(beams)))
     rows: NDArray[np.float64] = np.cumsum(_STEP_DEG / wider) - _STEP_DEG / wider[0]
@@ -54,8 +57,10 @@ def partners(
 ) -> dict[int, int]:
     """Simulated partner of each real return that has one: nearest pairs first, each return once."""
     step = max(real_sensor["azimuth_step_deg"], sim_sensor["azimuth_step_deg"])
-    width, rows = 360.0 / step, rows_by_elevation(real_sensor, sim_sensor)
-    a, b = (np.array([place(point, rows, step) for point in points]) for points in (real, sim))
+    width = 360.0 / step
+    rows = rows_by_elevation(real_sensor, sim_sensor)
+    a = np.array([place(point, rows, step) for point in real])
+    b = np.array([place(point, rows, step) for point in sim])
     beams = [beam_of(point, real_sensor) for point in real]
     azimuths = np.concatenate([b[:, 0] - width, b[:, 0], b[:, 0] + width])
     around = np.argsort(azimuths, kind="stable")
@@ -64,7 +69,8 @@ def partners(
     for one in a:
         first, last = np.searchsorted(ascending, (one[0] - _PHASE_REACH, one[0] + _PHASE_REACH))
         js = around[first:last] % len(b)
-        azimuth, upward = ascending[first:last] - one[0], b[js, 1] - one[1]
+        azimuth = ascending[first:last] - one[0]
+        upward = b[js, 1] - one[1]
         apart = np.hypot(azimuth, upward)
         order = np.argsort(apart, kind="stable")[:_CANDIDATES]
         near.append([(azimuth[i], upward[i], int(js[i])) for i in order.tolist() if apart[i] <= _PHASE_REACH])
@@ -110,9 +116,12 @@ def outcome(real_m: float, sim_m: float, noise_m: float, nearest_m: float = math
 
 def scores(rays: Rays) -> dict[str, float | None]:
     """Scores of some rays, by column of `pairs`."""
-    outcome, real_m, sim_m = (rays[name] for name in ("outcome", "real_range_m", "sim_range_m"))
+    outcome = rays["outcome"]
+    real_m = rays["real_range_m"]
+    sim_m = rays["sim_range_m"]
     count = Counter(outcome)
-    n, n_both = len(outcome) - count["none"], sum(count[name] for name in _OUTCOMES[:3])
+    n = len(outcome) - count["none"]
+    n_both = sum(count[name] for name in _OUTCOMES[:3])
     found: dict[str, float | None] = {"n_rays": n}
     found |= {f"rays_{name}": count[name] / n if n else None for name in _OUTCOMES[:-1]}
     for name, hits in (("hit", n_both), ("drop", count["none"])):
@@ -122,7 +131,9 @@ def scores(rays: Rays) -> dict[str, float | None]:
         return found | {f"rays_{name}": None for name in names}
     both = np.isin(outcome, _OUTCOMES[:3])
     errors = np.sort((sim_m - real_m)[both])
-    low, high = (min(max(n_both / 2 + sign * 0.98 * math.sqrt(n_both), 0), n_both - 1) for sign in (-1, 1))
+    half = 0.98 * math.sqrt(n_both)
+    low = max(n_both / 2 - half, 0)
+    high = min(n_both / 2 + half, n_both - 1)
     values = (
         np.median(errors),
         errors[int(low)],
@@ -144,7 +155,8 @@ def intensity_scores(
     ----------
     intensity : by side, of each ray; NaN for none, and for all rays if the side has no intensity
     """
-    label, incidence_deg = rays["label"], rays["incidence_deg"]
+    label = rays["label"]
+    incidence_deg = rays["incidence_deg"]
     found: dict[str, float | str | None] = {}
     notes: list[str] = []
     shares: dict[str, float | None] = {}
@@ -169,7 +181,8 @@ def intensity_scores(
     both = (rays["outcome"] == "same") & ~np.isnan(intensity["real"]) & ~np.isnan(intensity["sim"])
     if both.sum() < 100:
         return found
-    real, sim = (own[both] for own in intensity.values())
+    real = intensity["real"][both]
+    sim = intensity["sim"][both]
     ranks = [(stats.rankdata(own) - 0.5) / len(own) for own in (real, sim)]
     angle = np.nan_to_num(incidence_deg[both], nan=-1.0)
     bins = np.stack(
@@ -189,7 +202,8 @@ def intensity_scores(
 
 def _eta_squared(values: NDArray[np.float64], cause: NDArray[np.float64], n_groups: int) -> float | None:
     """Sum of squares of ranks between groups over the total: groups of equal cause, or of about equal size."""
-    values, cause = values[~np.isnan(cause)], cause[~np.isnan(cause)]
+    values = values[~np.isnan(cause)]
+    cause = cause[~np.isnan(cause)]
     if len(values) < 100 or np.ptp(values) == 0:
         return None
     groups: NDArray[Any] = cause

@@ -92,9 +92,14 @@ def offset(planes: Iterable[Plane], sim: NDArray[np.float64]) -> dict[str, float
     sim : (m, 3) float64, metres
     """
     own = [plane for plane in planes if plane.is_plane]
-    t, is_seen, axes, n_points = np.zeros(3), np.zeros(3, dtype=bool), np.eye(3), 0
+    t = np.zeros(3)
+    is_seen = np.zeros(3, dtype=bool)
+    axes = np.eye(3)
+    n_points = 0
     for _ in range(_MAX_STEPS):
-        squares, targets, n_points = np.zeros((3, 3)), np.zeros(3), 0
+        squares = np.zeros((3, 3))
+        targets = np.zeros(3)
+        n_points = 0
         for plane in own:
             apart = distances(sim, plane.point + t)
             i = int(apart.argmin())
@@ -104,7 +109,8 @@ def offset(planes: Iterable[Plane], sim: NDArray[np.float64]) -> dict[str, float
                 n_points += 1
         sizes, axes = np.linalg.eigh(squares)
         is_seen = (sizes >= _MIN_SHARE * n_points) & (n_points >= _MIN_POINTS)
-        before, t = t, np.zeros(3)
+        before = t
+        t = np.zeros(3)
         for i in np.flatnonzero(is_seen).tolist():
             t = t + axes[:, i] * (axes[:, i] @ targets) / sizes[i]
         if max(abs(t - before)) <= _MIN_STEP_M:

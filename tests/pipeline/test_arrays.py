@@ -56,6 +56,16 @@ def test_read_only_arrays_are_scored_and_left_unchanged():
     assert evaluate_pair(frozen, drifted(points)).summary == expected
 
 
+def test_thinned_sides_keep_their_sensors_and_count_no_returns():
+    points = street()
+    result = evaluate_pair(points, drifted(points), {"input": {"voxel_m": 0.3}})
+    assert result.summary["n_real_raw"] == len(points) > result.summary["n_real_clean"]
+    assert result.summary["rays_reason"] == "scans thinned by input.voxel_m=0.3"
+    causes = result.causes.set_index("cause")
+    assert "thinned by input.voxel_m=0.3" in causes.reason["lost returns"]
+    assert causes.amount["height"] is not None
+
+
 def test_masked_points_are_dropped():
     points = street()
     mask = np.zeros_like(points, dtype=bool)

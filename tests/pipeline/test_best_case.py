@@ -80,7 +80,8 @@ def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_n
 
 
 def test_it_is_resumed_and_made_again_only_where_the_real_scan_changed(folder, tmp_path):
-    data, out = write_dataset(tmp_path / "streets", 3), tmp_path / "best_case"
+    data = write_dataset(tmp_path / "streets", 3)
+    out = tmp_path / "best_case"
     first = best_case(data, out, pattern="000")
     assert len(first.rows) == 1
     (out / "dataset" / "pairs.csv").unlink()  # as if it had been interrupted
@@ -122,7 +123,8 @@ def test_t_real_sim_does_not_move_it_and_labels_stay(tmp_path):
 
 
 def test_a_finished_best_case_is_not_replaced_by_another_recipe_or_dataset(folder, tmp_path):
-    data, out = write_dataset(tmp_path / "streets", 1), tmp_path / "best_case"
+    data = write_dataset(tmp_path / "streets", 1)
+    out = tmp_path / "best_case"
     n_made = best_case(data, out).n_made
     with pytest.raises(RunError, match="range noise 0.1 m.*--replace"):
         best_case(data, out, noise_m=0.1)
@@ -137,7 +139,8 @@ def test_a_finished_best_case_is_not_replaced_by_another_recipe_or_dataset(folde
 
 def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
     """The same street seen from three places: with its pose each scan is the next one's, to rounding."""
-    world, rows = street(), []
+    world = street()
+    rows = []
     for i in range(3):
         T = rigid(4 * i, [0.5 * i, 0.1, 0.0])
         inverse = np.column_stack([T[:, :3].T, -T[:, :3].T @ T[:, 3]])
@@ -162,7 +165,8 @@ def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
 
 def test_excess_is_paired_by_name_and_areas_are_over_objects(folder):
     found = excess_over(FinishedRun(folder / "run"), folder / "best_case")
-    run_pairs, best_case_pairs = (pd.read_parquet(folder / name / "pairs.parquet") for name in ("run", "best_case"))
+    run_pairs = pd.read_parquet(folder / "run" / "pairs.parquet")
+    best_case_pairs = pd.read_parquet(folder / "best_case" / "pairs.parquet")
     best_case_pairs = best_case_pairs.set_index("pair_id").loc[::-1]
     for column in ("match_rate", "r_lambda_mean", "covered_real_0p3m"):
         over = (run_pairs.set_index("pair_id")[column] - best_case_pairs[column]).sort_index()
@@ -171,9 +175,8 @@ def test_excess_is_paired_by_name_and_areas_are_over_objects(folder):
         assert (own.excess, own.std) == pytest.approx((over.mean(), over.std()))
         assert own.mean - own.best_case == pytest.approx(own.excess)
     own = found.scores["cdc_mean"]
-    values, best_case_values = (
-        pd.read_parquet(folder / name / "metrics").cdc.to_numpy() for name in ("run", "best_case")
-    )
+    values = pd.read_parquet(folder / "run" / "metrics").cdc.to_numpy()
+    best_case_values = pd.read_parquet(folder / "best_case" / "metrics").cdc.to_numpy()
     assert own.bias == pytest.approx(values.mean() - best_case_values.mean())
     assert own.area == pytest.approx(wasserstein_distance(values - own.bias, best_case_values))
     assert (own.of, own.n, own.n_best_case) == ("objects", len(values), len(best_case_values))

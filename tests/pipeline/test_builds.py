@@ -25,12 +25,11 @@ def builds(real_data, tmp_path_factory):
     """Real scans in drive/velodyne, build41/lidar_out in .pcd, and build42/lidar_out in .ply and CARLA's frame."""
     folder = tmp_path_factory.mktemp("builds")
     for i, path in enumerate(sorted((real_data / "kitti_twin/real").iterdir())[:2]):
-        real, sim = (
-            np.fromfile(real_data / "kitti_twin" / side / path.name, np.float32).reshape(-1, 4)[::3]
-            for side in ("real", "sim")
-        )
+        real = np.fromfile(real_data / "kitti_twin" / "real" / path.name, np.float32).reshape(-1, 4)[::3]
+        sim = np.fromfile(real_data / "kitti_twin" / "sim" / path.name, np.float32).reshape(-1, 4)[::3]
         write_bin(folder / "drive" / "velodyne" / f"{i:04}.bin", real[:, :3])
-        first, second = (folder / build / "lidar_out" for build in ("build41", "build42"))
+        first = folder / "build41" / "lidar_out"
+        second = folder / "build42" / "lidar_out"
         for out in (first, second):
             out.mkdir(parents=True, exist_ok=True)
         write_pcd(first / f"frame_{i:04}.pcd", sim, "binary")
@@ -70,7 +69,8 @@ def test_a_folder_of_scans_is_no_run_and_the_advice_does_not_write_into_it(tmp_p
     with pytest.raises(RunError, match="if it holds scans, evaluate them: fidpipe run .*drive SIM"):
         record_of_run(tmp_path / "drive")
     for name in ("run", "check"):
-        refused = command(name, tmp_path / "drive", *["--workers", 1][: 2 * (name == "run")], code=1)
+        words = ("--workers", 1) if name == "run" else ()
+        refused = command(name, tmp_path / "drive", *words, code=1)
         assert f"fidpipe run {tmp_path}/drive SIM" in " ".join((refused.stderr + refused.stdout).split())
 
 

@@ -51,7 +51,8 @@ def test_failed_pairs_end_with_three_and_are_listed(data, tmp_path):
 
 
 def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(data, tmp_path):
-    out, reason = tmp_path / "run", "object points after ground"
+    out = tmp_path / "run"
+    reason = "object points after ground"
     write_bin(data / "sim" / "000.bin", road(400) * [1, 1, 0] - [0, 0, 1.7])
     assert command("run", data, "--workers", 1, "--out", out).returncode == 3
     (data / "sim" / "001.bin").write_bytes(b"")
@@ -137,7 +138,8 @@ def test_help_imports_nothing_heavy():
 
 
 def test_status_show_and_a_run_with_nothing_to_do_import_no_numerics(scenario, tmp_path):
-    streets, folder = scenario("plain") / "streets", shutil.copytree(scenario("plain") / "run", tmp_path / "run")
+    streets = scenario("plain") / "streets"
+    folder = shutil.copytree(scenario("plain") / "run", tmp_path / "run")
     assert (
         command("run", streets, "--out", folder, "--workers", 1).returncode == 0
     )  # the first repetition rewrites the table timings

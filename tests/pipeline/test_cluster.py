@@ -98,7 +98,8 @@ def test_relative_paths_are_those_of_the_command_not_of_workers_in_other_folders
 ):
     cluster.add_workers(1)
     monkeypatch.chdir(tmp_path)
-    named, one = Path(os.path.relpath(dataset)), {"pattern": "000"}
+    named = Path(os.path.relpath(dataset))
+    one = {"pattern": "000"}
     machines = Machines(None, cluster.address)
     outcome = run(named, Path("run"), workers=None, scheduler=cluster.address, **one)
     assert outcome.failures == {}

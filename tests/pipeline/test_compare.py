@@ -44,7 +44,8 @@ HOSTILE = ("<script>alert(1)</script>", "ünï[bold]code[/bold] 雨", "x" * 300,
 def run_versions(folder, n=6, signs=(1, 1, 1)):
     """Runs of a good and a bad simulator on the same real scans under the hostile names; `signs` mirror the bad one."""
     for version, noise, keep, own_signs in (("good", 0.02, 0.95, (1, 1, 1)), ("bad", 0.3, 0.6, signs)):
-        data, rows = folder / f"data-{version}", []
+        data = folder / f"data-{version}"
+        rows = []
         for i, name in enumerate(HOSTILE[:n]):
             scan = street(seed=10 * i)
             write_bin(data / f"real{i}.bin", scan)
@@ -71,7 +72,8 @@ def by_name(comparison):
 
 
 def test_a_worse_simulator_is_distinguished_from_a_better_one_both_ways(versions):
-    worse, better = (compare_runs(order)[0] for order in (versions, versions[::-1]))
+    worse = compare_runs(versions)[0]
+    better = compare_runs(versions[::-1])[0]
     assert (worse.decision, better.decision) == ("worse", "better")
     assert "surface invented" in decision(worse)
     assert by_name(worse)["CDC"].difference.difference == pytest.approx(-by_name(better)["CDC"].difference.difference)
@@ -121,7 +123,8 @@ def test_scans_near_each_other_in_time_count_once(versions, tmp_path):
 
 
 def test_differences_are_those_of_the_tables(found, versions):
-    good, bad = (pd.read_parquet(folder / "pairs.parquet").set_index("pair_id") for folder in versions)
+    good = pd.read_parquet(versions[0] / "pairs.parquet").set_index("pair_id")
+    bad = pd.read_parquet(versions[1] / "pairs.parquet").set_index("pair_id")
     for column, name in (("match_rate", "match rate"), ("cdc_mean", "CDC")):
         change = bad[column] - good[column]
         of = by_name(found)[name]
@@ -138,7 +141,8 @@ def test_objects_are_followed_through_the_real_side(found, versions):
     matching = [pd.read_parquet(folder / "matching").query("status == 'matched'") for folder in versions]
     matched = [set(zip(of.pair_id, of.real_id.astype(int), strict=True)) for of in matching]
     of_kind = {kind: set(zip(own.pair_id, own.real_id, strict=True)) for kind, own in found.objects.groupby("kind")}
-    vanished, appeared = of_kind["vanished"], of_kind["appeared"]
+    vanished = of_kind["vanished"]
+    appeared = of_kind["appeared"]
     assert vanished == matched[0] - matched[1]
     assert appeared == matched[1] - matched[0]
     metrics = pd.read_parquet(versions[1] / "metrics").set_index(["pair_id", "real_id"]).cdc
@@ -198,7 +202,9 @@ def test_the_command_compares_three_runs_and_writes_a_page(versions, tmp_path):
 class Tags(HTMLParser):
     def __init__(self):
         super().__init__()
-        self.tags, self.text, self.links = [], [], []
+        self.tags = []
+        self.text = []
+        self.links = []
 
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
@@ -227,13 +233,14 @@ def test_charts_have_a_dot_for_each_pair_and_the_interval_of_each_score_the_clea
     found = compare_runs(versions)
     charts = [embedded(compare_page(found))["charts"][name] for name in ("changes_0", "undecided_0")]
     traces = [of for chart in charts for of in chart["data"]]
-    dots, intervals = ([of for of in traces if ("error_x" in of) == is_bar] for is_bar in (False, True))
+    dots = [trace for trace in traces if "error_x" not in trace]
+    intervals = [trace for trace in traces if "error_x" in trace]
     decided = ("worse", "better", "mixed")
     ordered = sorted(found[0].scores, key=lambda of: (of.verdict not in decided, -abs(of.clarity)))
     names = [chart["layout"]["yaxis"]["ticktext"] for chart in charts]
     assert names[0] + names[1] == [f"{of.name} {of.mark}" for of in ordered]
     assert len(names[0]) == sum(of.verdict in decided for of in ordered)
-    n_known = [sum(value is not None for value in of.of_pairs.values()) for of in ordered]
+    n_known = [len(of.of_pairs) - list(of.of_pairs.values()).count(None) for of in ordered]
     assert [len(of["x"]) for of in dots] == n_known
     assert len(intervals) == sum(of.difference.low is not None for of in ordered) > 0
     assert all(abs(x) <= 1 for of in dots for x in of["x"])
@@ -276,7 +283,8 @@ def test_classes_and_ranges_count_every_real_object_and_average_those_in_both(fo
 
 
 def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
-    short, text = (text_of(compare_view(compare_runs(versions)[0], with_all=with_all)) for with_all in (False, True))
+    short = text_of(compare_view(compare_runs(versions)[0], with_all=False))
+    text = text_of(compare_view(compare_runs(versions)[0], with_all=True))
     assert max(map(len, (short + text).splitlines())) <= 80
     assert len(short.splitlines()) < 40 < len(text.splitlines())
     rows = [line.split() for line in text.splitlines() if "xxxx" in line]
@@ -379,8 +387,9 @@ def test_a_run_in_which_every_pair_fails_is_worse_and_leaves_files_for_ci(versio
 
 
 def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_see(found):
+    tendencies = {"objects": "worse"}
     open_ = tuple(
-        replace(family, verdict="undecided", tendency="worse" * (family.name == "objects")) for family in found.families
+        replace(family, verdict="undecided", tendency=tendencies.get(family.name, "")) for family in found.families
     )
     for n_places in (5, 8):
         unsure = replace(found, n_places=n_places, families=open_, changes=Changes())

@@ -74,6 +74,7 @@ def test_a_shell_completes_after_install_completion(shell, place, tmp_path):
         pytest.skip(f"{shell} is not installed")
     path = f"{Path(FIDPIPE).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {"HOME": str(tmp_path), "PATH": path, "TERM": "xterm", "LANG": "C.UTF-8"}
+    environment["PYTHONPATH"] = os.environ.get("PYTHONPATH", "")
     options = {"cwd": str(place), "env": environment, "encoding": "utf-8", "timeout": 60, "dimensions": (40, 200)}
     installed = pexpect.run(f"{shell} -c 'fidpipe --install-completion; echo code $?'", **options)
     assert "code 0" in installed

@@ -94,7 +94,8 @@ def test_gains_are_computed_once(low, monkeypatch):
 def test_an_interrupted_diagnosis_resumes_with_equal_gains(low, low_run, tmp_path, monkeypatch):
     """The second of three pairs is interrupted; the first one's gains are kept."""
     whole = diagnose_run(shutil.copytree(low_run, tmp_path / "whole"), QUIET, Machines(1))
-    measure, measured = gains_job.shares, []
+    measure = gains_job.shares
+    measured = []
 
     def interrupted(*arguments):
         if len(measured) == 1:
@@ -158,8 +159,10 @@ def test_latency_and_mounting_are_distinguished_by_the_speeds(ahead_m, speeds_m_
 
 @pytest.mark.parametrize("travel_m", [0.4, 2.9])
 def test_the_speed_is_that_of_the_motion_to_the_next_scan(travel_m):
-    scan, later = ((points, points[:, 2] < -1.4) for points in (corner(0), corner(1) - [travel_m, 0, 0]))
-    assert speed_m_s(scan, later, 0.1) == pytest.approx(10 * travel_m, abs=0.5)
+    scan = corner(0)
+    later = corner(1) - [travel_m, 0, 0]
+    speed = speed_m_s((scan, scan[:, 2] < -1.4), (later, later[:, 2] < -1.4), 0.1)
+    assert speed == pytest.approx(10 * travel_m, abs=0.5)
 
 
 def test_the_next_scan_is_at_most_half_a_second_later():

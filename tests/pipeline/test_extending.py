@@ -140,7 +140,9 @@ def test_the_baseline_is_computed_swept_and_timed(again, dataset, tmp_path):
     rows, metrics = pd.read_parquet(again / "baselines"), pd.read_parquet(again / "metrics")
     assert rows.real_id.notna().sum() == len(metrics)
     ground = pd.read_parquet(again / "ground").query("not is_ground and pair_id == '000'")
-    low, high = (getattr(ground.groupby("side")[["x", "y", "z"]], end)() for end in ("min", "max"))
+    sides = ground.groupby("side")[["x", "y", "z"]]
+    low = sides.min()
+    high = sides.max()
     common = (high.min() - low.max()).clip(lower=0).prod()
     whole = rows[rows.real_id.isna() & (rows.pair_id == "000")].value.item()
     assert whole == pytest.approx(common / ((high - low).prod(axis=1).sum() - common))
@@ -194,7 +196,8 @@ def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
     result = package.fidpipe(*run, "--workers", 1)
     assert made_again(result) == set()
     assert f"4 jobs done, {2 * JOBS_PER_PAIR} reused" in result.stdout
-    objects, rows = (pd.read_parquet(again / table) for table in ("objects", "neighbours"))
+    objects = pd.read_parquet(again / "objects")
+    rows = pd.read_parquet(again / "neighbours")
     assert len(rows) == len(objects)
     for (pair_id, side), own in objects.groupby(["pair_id", "side"]):
         centroids = own.sort_values("community_id")[["cx", "cy", "cz"]].to_numpy()
@@ -241,7 +244,8 @@ def test_a_new_format_is_checked_and_gives_the_numbers_of_a_known_one(tmp_path):
 @pytest.fixture
 def pts_package(tmp_path):
     """The documented package, as pip lays it out: its module, and metadata from its pyproject.toml."""
-    section, site = section_of("A reader in another package"), tmp_path / "site"
+    section = section_of("A reader in another package")
+    site = tmp_path / "site"
     (project,) = re.findall(r"```toml\n(.*?)```", section, re.DOTALL)
     (module,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
     metadata = site / "fidpipe_pts-1.0.dist-info"

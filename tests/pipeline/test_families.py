@@ -88,9 +88,8 @@ def test_columns_that_are_null_in_all_pairs_are_left_out():
 
 
 def test_preset_paper_compares_the_match_rate():
-    paper, reference = (
-        {score.name for score in judged(preset=preset)[0]["objects"].scores} for preset in ("paper", "reference")
-    )
+    paper = {score.name for score in judged(preset="paper")[0]["objects"].scores}
+    reference = {score.name for score in judged(preset="reference")[0]["objects"].scores}
     assert paper - reference == {"match rate"}
     assert reference - paper == {"objects found"}
 
@@ -105,7 +104,8 @@ def test_a_change_that_seeds_alone_make_is_undecided():
 def changed_in(n_changed, n_frames=10):
     """The decision on frames of one place if the coverage of some of its eight sectors falls."""
     rng = np.random.default_rng(1)
-    rows, parts = {}, {}
+    rows = {}
+    parts = {}
     for i in range(n_frames):
         steps = -0.1 * (np.arange(8) < n_changed) + rng.normal(0, 0.002, 8)
         rows[str(i)] = PERFECT, PERFECT | {"covered_real_0p3m": 0.8 + steps.mean()}

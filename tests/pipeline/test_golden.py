@@ -18,7 +18,8 @@ def wanted():
 
 @pytest.mark.parametrize("stage", STAGE_NAMES)
 def test_the_numbers_of_a_stage_change_only_with_its_code_version(measured, wanted, stage):
-    found, kept = measured[stage], wanted[stage]
+    found = measured[stage]
+    kept = wanted[stage]
     assert not golden.differs(found["numbers"], kept["numbers"]), (
         f"numbers of stage {stage} changed under version {found['version']} (golden: {kept['version']}); if that is "
         "meant, raise the version in pipeline/jobs, say why in CHANGELOG.md, and run python tools/golden.py"

@@ -132,7 +132,8 @@ def folders(folder, real=("a",), sim=("a",)):
 
 @pytest.mark.parametrize("verb", ["run", "check"])
 def test_scans_without_any_partner_are_counted_with_an_example_and_the_next_step(tmp_path, verb):
-    data, words = folders(tmp_path / "data", ["left", "right"], ["west"]), ["--workers", 1] * (verb == "run")
+    data = folders(tmp_path / "data", ["left", "right"], ["west"])
+    words = ["--workers", 1] if verb == "run" else []
     counts = "none of 2 real and 1 simulated scans"
     alone = one_error(command(verb, data, *words))
     assert counts in alone and f"{data}/real/left.bin and {data}/sim/west.bin" in alone and "pairs.csv" in alone
@@ -265,7 +266,8 @@ def test_too_little_address_space_for_workers_is_said_before_they_wait_for_ever(
 
 
 def test_the_name_of_a_run_or_dataset_that_is_not_utf8_is_said_in_one_line(dataset, finished, tmp_path):
-    run_folder, data = tmp_path / "run\udcff", shutil.copytree(dataset, tmp_path / "odd\udcff")
+    run_folder = tmp_path / "run\udcff"
+    data = shutil.copytree(dataset, tmp_path / "odd\udcff")
     run_folder.symlink_to(finished)
     for odd, words in ((run_folder, ("show", run_folder, "--markdown")), (data, ("run", data, "--workers", 1))):
         assert f"{str(odd)!a}" in one_error(command(*words, cwd=tmp_path))

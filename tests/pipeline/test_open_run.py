@@ -18,7 +18,8 @@ from fidpipe.schemas.tables import TABLES
 from reports import HOSTILE_PAIRS
 from runs import FOLDERS
 
-FIRST, LAST = HOSTILE_PAIRS[0], HOSTILE_PAIRS[-1]
+FIRST = HOSTILE_PAIRS[0]
+LAST = HOSTILE_PAIRS[-1]
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,8 @@ def test_the_objects_are_one_table_with_scores_coverage_and_units(run, report_ru
 
 @pytest.mark.parametrize("side", ["real", "sim"])
 def test_points_bear_their_object_and_edges_join_object_points(run, side):
-    points, edges = run.points(FIRST, side), run.edges(FIRST, side)
+    points = run.points(FIRST, side)
+    edges = run.edges(FIRST, side)
     assert points.community_id[points.is_ground].isna().all()
     own = points[~points.is_ground]
     counts = own.groupby("community_id").size()
@@ -111,7 +113,8 @@ def test_the_plot_of_an_object_has_its_points_in_colour_and_its_scores(run):
 
 
 def test_the_plot_of_pieces_has_the_points_of_the_table(run):
-    figure, pieces = run.plot_pieces(LAST), run.table("pieces", [LAST]).to_pandas()
+    figure = run.plot_pieces(LAST)
+    pieces = run.table("pieces", [LAST]).to_pandas()
     assert len(pieces)
     for axis, side in zip(figure.axes, ("real", "sim"), strict=True):
         own = pieces[pieces.side == side]

@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 from urllib.request import Request, urlopen
 
 import psutil
@@ -42,7 +43,11 @@ class Faulty(http.server.BaseHTTPRequestHandler):
     """
 
     protocol_version = "HTTP/1.1"
-    n, lost, requests, failed, refused = 0, None, [], Counter(), Counter()
+    n = 0
+    lost = None
+    requests: ClassVar = []
+    failed: ClassVar = Counter()
+    refused: ClassVar = Counter()
 
     def relay(self):
         Faulty.n += 1
@@ -55,9 +60,13 @@ class Faulty(http.server.BaseHTTPRequestHandler):
         request = Request(self.server.target + self.path, body, headers, method=self.command)
         try:
             with urlopen(request) as answer:
-                status, content, found = answer.status, answer.read(), answer.headers
+                status = answer.status
+                content = answer.read()
+                found = answer.headers
         except OSError as error:
-            status, content, found = error.code, error.read(), error.headers
+            status = error.code
+            content = error.read()
+            found = error.headers
         if fault == 7:
             status, content = 503, b""
         if Faulty.refused[self.command, self.path] > 0:
@@ -100,7 +109,10 @@ def proxy():
 @pytest.fixture
 def bucket(proxy, tmp_path, monkeypatch):
     """An empty bucket, whose objects are cached in a folder of this test."""
-    Faulty.n, Faulty.lost, Faulty.requests, Faulty.refused = 20, None, [], Counter()
+    Faulty.n = 20
+    Faulty.lost = None
+    Faulty.requests = []
+    Faulty.refused = Counter()
     for name, value in {
         **{"AWS_ENDPOINT_URL": proxy, "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1"},
         **{"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": SECRET, "FIDPIPE_CACHE": str(tmp_path / "cache")},
@@ -185,7 +197,8 @@ with remote_run.RemoteRun(url).written():
 def test_no_clock_decides_whether_a_command_of_another_machine_still_writes(bucket, local, monkeypatch, late_s):
     upload(local / "set", f"{bucket}/set")
     monkeypatch.setattr("fidpipe.pipeline.storage.remote_run._DEAD_S", 6.0)
-    url, cache = f"{bucket}/runs/y", os.environ["FIDPIPE_CACHE"]
+    url = f"{bucket}/runs/y"
+    cache = os.environ["FIDPIPE_CACHE"]
     words = ("run", f"{bucket}/set", "--out", url, "--workers", "1")
     writer = subprocess.Popen(
         [sys.executable, "-c", WRITER, url, str(late_s), "0.5"],
@@ -333,7 +346,8 @@ def test_many_objects_are_listed_once_with_progress_and_soon(bucket, monkeypatch
 
 def test_a_command_whose_lock_was_taken_over_stops_writing_and_leaves_the_lock(bucket, tmp_path, monkeypatch):
     monkeypatch.setattr("fidpipe.pipeline.storage.remote_run._RENEW_S", 0.0)
-    own, other = RemoteRun(f"{bucket}/runs/z"), b'{"host": "elsewhere", "pid": 7, "token": "a"}'
+    own = RemoteRun(f"{bucket}/runs/z")
+    other = b'{"host": "elsewhere", "pid": 7, "token": "a"}'
     with pytest.raises(RunError, match=own.url), own.written() as folder:
         write_object(f"{own.url}/{LOCK}", other)
         (folder / "settings.toml").write_text("")
@@ -412,7 +426,8 @@ def kill_after_a_table(pid):
 @pytest.mark.exhaustive
 def test_workers_without_a_shared_disk_finish_a_run_from_and_to_a_bucket(bucket, local, tmp_path):
     """They see neither the cache nor the dataset: a file system of their own lies over both."""
-    cache, dataset = tmp_path / "cache", local / "set"
+    cache = tmp_path / "cache"
+    dataset = local / "set"
     cache.mkdir()
     hidden = " && ".join(f"mount -t tmpfs none {path}" for path in (cache, dataset))
     before = ("unshare", "--mount", "sh", "-c", f'{hidden} && exec "$@"', "sh")

@@ -100,7 +100,8 @@ def test_the_map_of_surfaces_has_what_is_missing_left_and_what_is_invented_right
     figure = plot_coverage(results.run, results.pairs.pair_id[0])
     path, *_ = style.save(figure, tmp_path, "coverage")
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
-    near, far = (close_to(picture, RAMPS["light"][end]) for end in (0, -1))
+    near = close_to(picture, RAMPS["light"][0])
+    far = close_to(picture, RAMPS["light"][-1])
     left, right = np.split(np.arange(int(0.85 * picture.shape[1])), [int(0.47 * picture.shape[1])])
     assert near[:, left].sum() > 200
     assert near[:, right].sum() > 200
@@ -109,7 +110,8 @@ def test_the_map_of_surfaces_has_what_is_missing_left_and_what_is_invented_right
 
 
 def test_the_head_of_the_page_names_the_preset_and_what_departs_from_it(report_run, by_reference):
-    paper, reference = (page_words(read_results(folder))["preset"] for folder in (report_run, by_reference))
+    paper = page_words(read_results(report_run))["preset"]
+    reference = page_words(read_results(by_reference))["preset"]
     assert paper.startswith("preset paper (")
     assert "but" not in paper
     assert reference.startswith("preset reference (")
@@ -121,7 +123,9 @@ def test_the_verdict_says_of_unmatched_objects_whether_their_surface_is_there(ei
     details = verdict_of(read_results(either_run))["details"]
     said = " ".join(part.text for part in details if isinstance(part, Note))
     for status, own in record["metrics"]["unmatched"].items():
-        there, partly, absent = (own[state] / record["pairs"]["scored"] for state in ("there", "partly", "absent"))
+        there = own["there"] / record["pairs"]["scored"]
+        partly = own["partly"] / record["pairs"]["scored"]
+        absent = own["absent"] / record["pairs"]["scored"]
         total = there + partly + absent
         assert total > 0
         objects = {"missing": "objects not found", "hallucinated": "extra objects"}[status]
@@ -214,8 +218,11 @@ def test_a_run_after_a_report_neither_removes_nor_trips_over_it(copied_run, repo
 def test_the_first_screen_begins_with_surface_and_pieces(report_run, written):
     pairs = pd.read_parquet(report_run / "pairs.parquet").query("status == 'scored'")
     verdict = verdict_of(read_results(report_run))
-    real, sim = (f"{100 * pairs[f'covered_{side}_0p3m'].mean():.0f} %" for side in ("real", "sim"))
-    assert verdict["sentence"].startswith(f"{real} of the real surface is simulated within 0.3 m, {sim} of the")
+    real = 100 * pairs.covered_real_0p3m.mean()
+    sim = 100 * pairs.covered_sim_0p3m.mean()
+    assert verdict["sentence"].startswith(
+        f"{real:.0f} % of the real surface is simulated within 0.3 m, {sim:.0f} % of the"
+    )
     counts = [pairs[f"n_{kind}_pieces"].mean() for kind in ("missing", "invented")]
     assert verdict["pieces"] == "{:.1f} pieces missing and {:.1f} invented per pair.".format(*counts)
     page = words(page_of(written))
@@ -433,7 +440,8 @@ def test_every_chart_of_a_run_has_a_text_alternative_with_its_numbers(results):
 def test_points_in_the_page_have_the_distances_that_the_stored_coverage_is_of(either_run):
     results = read_results(either_run)
     pair = results.pairs.iloc[0]
-    tables, view = PairFrames(results, pair.pair_id), pair_data(results, pair.pair_id)
+    tables = PairFrames(results, pair.pair_id)
+    view = pair_data(results, pair.pair_id)
     for side, distance_m in tables.distances_m.items():
         for reach_m, reach in ((0.1, "0p1m"), (0.3, "0p3m"), (1.0, "1m")):
             assert (distance_m <= reach_m).mean() == pytest.approx(pair[f"covered_{side}_{reach}"], abs=1e-12)
@@ -445,9 +453,11 @@ def test_points_in_the_page_have_the_distances_that_the_stored_coverage_is_of(ei
 def test_a_page_has_every_point_of_every_object_and_no_other(either_run):
     results = read_results(either_run)
     for pair_id in results.select(None):
-        tables, view = PairFrames(results, pair_id), pair_data(results, pair_id)
+        tables = PairFrames(results, pair_id)
+        view = pair_data(results, pair_id)
         for side, cloud in tables.clouds.items():
-            counted, shown = view["sides"][side], points_in(view, side)
+            counted = view["sides"][side]
+            shown = points_in(view, side)
             assert counted["n"] == len(cloud.points) == len(shown)
             distance_m, nearest = cKDTree(cloud.points).query(shown)
             assert distance_m.max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
@@ -463,8 +473,10 @@ def test_a_page_has_every_point_of_every_object_and_no_other(either_run):
 def test_aligned_points_lie_as_the_alignment_error_is_measured(results):
     pair_id = results.pairs.pair_id[0]
     view = pair_data(results, pair_id)
-    real, sim = (points_in(view, side) for side in ("real", "sim"))
-    real_line, sim_line = (unpacked(view["sides"][side]["line"], "<i4") for side in ("real", "sim"))
+    real = points_in(view, "real")
+    sim = points_in(view, "sim")
+    real_line = unpacked(view["sides"]["real"]["line"], "<i4")
+    sim_line = unpacked(view["sides"]["sim"]["line"], "<i4")
     owner = np.repeat(view["sides"]["real"]["ids"], view["sides"]["real"]["counts"])
     for row in results.matched[results.matched.pair_id == pair_id].itertuples():
         move = np.array(view["moves"][str(row.real_id)])

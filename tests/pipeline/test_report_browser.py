@@ -21,7 +21,9 @@ from fidpipe.pipeline.results.compare import compare_runs
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 
 WIDTHS = (1280, 390)
-BLUE, VERMILION, GREY = (0, 114, 178), (184, 78, 0), (153, 153, 153)
+BLUE = (0, 114, 178)
+VERMILION = (184, 78, 0)
+GREY = (153, 153, 153)
 FARTHEST = "rgb(252,166,54)"  # the end of the light ramp
 FIRST_PAIR = HOSTILE_PAIRS[0]
 NO_SCORE = "\N{EN DASH}"
@@ -196,7 +198,8 @@ def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(pag
     crowd[:60], crowd[-60:] = 0, 0
     y, x = np.unravel_index(np.argmax(crowd), crowd.shape)
     scene = by_id(page, "scene")
-    dx, dy = int(x) - scene.size["width"] // 2, int(y) - scene.size["height"] // 2
+    dx = int(x) - scene.size["width"] // 2
+    dy = int(y) - scene.size["height"] // 2
     ActionChains(page).move_to_element_with_offset(scene, dx, dy).pause(0.5).click().perform()
     wait_for(page, "return !document.getElementById('panel').hidden")
     row = metrics.loc[int(by_id(page, "object").get_attribute("value").removeprefix("real "))]

@@ -191,7 +191,8 @@ def test_road_peaks_that_differ_by_over_5_cm_are_noted_where_each_side_is_cut_at
 
 
 def test_each_side_may_have_its_own_columns(dataset, tmp_path):
-    scan, seen = street(), drifted(street())
+    scan = street()
+    seen = drifted(street())
     write_pair(tmp_path / "same", scan, seen)
     write_bin(tmp_path / "other" / "real" / "a.bin", scan)
     write_bin(tmp_path / "other" / "sim" / "a.bin", seen, 6)

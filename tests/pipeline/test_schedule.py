@@ -75,7 +75,8 @@ def test_objects_larger_than_a_share_are_scored_one_by_one_with_the_same_numbers
 def test_a_long_pair_is_made_job_by_job_and_object_by_object_so_that_progress_moves(
     dataset, finished, tmp_path, n_workers
 ):
-    pool, (reporter, told) = WatchedPool(n_workers=n_workers), listening(seconds_between_lines=0.0)
+    pool = WatchedPool(n_workers=n_workers)
+    reporter, told = listening(seconds_between_lines=0.0)
     policy = Policy(worth_splitting_s=0.0, long_pair_s=0.0, batch_s=0.0)
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy, reporter=reporter).failures
     jobs_of_sides = [len(jobs) for jobs in pool.batches if jobs[0][1] in ("ground", "graph", "communities")]
@@ -88,7 +89,8 @@ def test_a_long_pair_is_made_job_by_job_and_object_by_object_so_that_progress_mo
 
 def test_tasks_that_may_run_at_once_fit_into_the_memory(dataset, tmp_path):
     policy = Policy(LARGE_NODES, worth_splitting_s=0.0, batch_s=0.0)  # one task per object
-    ample, scarce = (WatchedPool(memory=memory, costs=LARGE_NODES) for memory in (64 * GIB, 2 * GIB))
+    ample = WatchedPool(memory=64 * GIB, costs=LARGE_NODES)
+    scarce = WatchedPool(memory=2 * GIB, costs=LARGE_NODES)
     for name, pool in (("ample", ample), ("scarce", scarce)):
         assert not run(dataset, tmp_path / name, pool=pool, policy=policy).failures
     usable = 2 * GIB - 2 * LARGE_NODES.process_bytes
@@ -157,7 +159,8 @@ def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(dataset, f
     n_objects = len(pd.read_parquet(tmp_path / "run" / "metrics"))
     assert pool.submitted.count("score_objects") == n_objects > 3
     assert pool.submitted.count("gather_objects") == 3
-    assert {tuple(stage for _, stage, _ in jobs) for jobs in pool.batches} == {
+    stages = [tuple(stage for _, stage, _ in jobs) for jobs in pool.batches]
+    assert set(stages) == {
         ("ground", "sensor", "graph", "communities"),
         ("matching",),
         ("coverage",),

@@ -62,12 +62,6 @@ def test_a_gate_tests_every_property_of_both_sensors(finished):
     assert "sensor.sim.beams.max" in failed.stdout
 
 
-def test_arrays_are_described_as_files_are(streets):
-    result = evaluate_pair(streets["real"], streets["sim"])
-    assert result.sensor["sim"].model.tolist() == ["Velodyne HDL-32E"]
-    assert result.summary["sensor_real_beams"] == 16
-
-
 def test_points_of_no_sensor_leave_nulls_with_a_reason_and_fail_no_pair(rng):
     scan = rng.uniform((-20, -20, -2), (20, 20, 5), (600, 3))
     result = evaluate_pair(scan, scan)

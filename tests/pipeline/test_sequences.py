@@ -123,6 +123,7 @@ LEVEL = "0 0 0 0 0 0 0 1\n"
         ("", "got lines of no"),
         (3 * LEVEL + "0 0 0 0 0 0 0 2\n", "pose 4: .*quaternion of length 1, got 2"),
         (4 * "2 0 0 0 0 1 0 0 0 0 1 0\n", "poses.tum, pose 1: "),
+        (4 * "1 0 0 0 0 -1 0 0 0 0 1 0\n", "mirror image"),
         (4 * "1 0 0 0 0 1 0 0 0 0 1 0\n", "calib.txt"),
     ],
 )
@@ -145,13 +146,6 @@ def test_fewer_than_three_frames_are_refused(tmp_path):
         read_recording(tmp_path / "nowhere")
 
 
-def test_a_mirror_image_is_no_pose(tmp_path):
-    scans(tmp_path)
-    (tmp_path / "poses.txt").write_text("1 0 0 0 0 -1 0 0 0 0 1 0\n" * N)
-    with pytest.raises(DatasetError, match="mirror image"):
-        read_recording(tmp_path)
-
-
 def test_two_scans_of_one_name_are_refused(tmp_path):
     for folder in ("a", "b", "c"):
         write_bin(tmp_path / folder / "scan.bin", street(n=20))
@@ -170,7 +164,7 @@ def test_sensors_are_known_by_name():
     np.testing.assert_allclose(np.diff(carla), np.diff(carla)[0])
     with pytest.raises(FidpipeError, match="'hdl46'.*did you mean hdl64"):
         read_sensor("hdl46")
-    with pytest.raises(FidpipeError, match="recorded, vlp32c, hdl64, .*a table"):
+    with pytest.raises(FidpipeError, match="recorded, vlp32c, hdl64"):
         read_sensor("xyz")
 
 

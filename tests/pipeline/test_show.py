@@ -14,7 +14,8 @@ from fidpipe.schemas.errors import RunError
 from reports import HOSTILE_PAIRS
 from runs import command
 
-FIRST, BROKEN = HOSTILE_PAIRS[0], "broken <b>pair</b>"
+FIRST = HOSTILE_PAIRS[0]
+BROKEN = "broken <b>pair</b>"
 
 
 def shown(*words):

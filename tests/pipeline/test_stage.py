@@ -195,8 +195,10 @@ def test_no_object_depends_on_which_others_are_scored_beside_it(dataset, tmp_pat
 
 
 def test_a_memo_gives_a_result_only_for_the_same_tables_and_values():
-    memo, calls = Memo(), []
-    one, other = (TABLES["graph"].schema.empty_table() for _ in range(2))
+    memo = Memo()
+    calls = []
+    one = TABLES["graph"].schema.empty_table()
+    other = TABLES["graph"].schema.empty_table()
 
     def count(*arguments):
         calls.append(arguments)
@@ -232,7 +234,8 @@ def test_a_stage_that_names_what_no_contract_has_is_refused_before_any_work(data
 
 
 def test_another_column_makes_a_table_again_and_what_follows(again, dataset, monkeypatch):
-    before, wider = marks(again), toys.MARKS.schema.append(column("more", pa.float64(), "of the same", optional=True))
+    before = marks(again)
+    wider = toys.MARKS.schema.append(column("more", pa.float64(), "of the same", optional=True))
     monkeypatch.setattr(toys, "MARKS", replace(toys.MARKS, schema=wider))
     monkeypatch.setitem(TABLES, "toy_marks", toys.MARKS)
     run_with_toys(dataset, again)

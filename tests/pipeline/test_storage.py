@@ -151,7 +151,8 @@ def test_a_table_under_another_name_is_not_adopted(written, tmp_path):
 def test_no_flipped_bit_makes_a_wrong_table_believed(written, tmp_path):
     name = "objects/a.real.parquet"
     path = tmp_path / name
-    content, table = path.read_bytes(), pq.read_table(path)
+    content = path.read_bytes()
+    table = pq.read_table(path)
     footer = read_footer(tmp_path, name)
     assert footer is not None
     bits = random.Random(0)

@@ -88,12 +88,6 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
         make_dataset(tmp_path / "out")
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(FidpipeError, match="file/out"):
-        make_dataset(tmp_path / "file" / "out", n_pairs=1, n_points=N_POINTS)
-
-
 def test_what_was_interrupted_goes_on_where_it_stopped_and_ends_with_the_same_bytes(dataset, tmp_path, monkeypatch):
     made = []
 
@@ -112,7 +106,8 @@ def test_what_was_interrupted_goes_on_where_it_stopped_and_ends_with_the_same_by
     (tmp_path / "out" / "sim" / ".0001.bin.0badcafe").write_bytes(b"half a file")
     lines = make_dataset(tmp_path / "out", **request)
     assert made == [0, None, 1]
-    assert lines == ["1 of 2 pairs already exist"]
+    line = lines[0]  # and progress, where it takes long
+    assert line.startswith("1 of 2 pairs ")
     assert files_in(tmp_path / "out") == files_in(dataset)
 
 
@@ -158,7 +153,8 @@ def test_objects_have_from_under_a_quarter_to_over_four_times_the_real_points(pa
     ratios = []
     for pair in pairs:
         n_things = len(pair.kinds)
-        n_real, n_sim = (np.bincount(scan.object_ids, minlength=n_things) for scan in (pair.real, pair.sim))
+        n_real = np.bincount(pair.real.object_ids, minlength=n_things)
+        n_sim = np.bincount(pair.sim.object_ids, minlength=n_things)
         wanted = (np.array(pair.kinds) == kind) & (n_real >= 20) & (n_sim > 0)
         ratios += (n_sim[wanted] / n_real[wanted]).tolist()
     assert min(ratios) < 0.25

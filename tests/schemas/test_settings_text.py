@@ -120,7 +120,8 @@ def test_the_table_for_people_has_every_setting_with_its_default_and_bounds():
 
 def test_the_table_of_a_group_has_the_values_of_all_presets():
     head, _, *lines = settings_of("graph").splitlines()
-    rows = {cells[1].strip(): [cell.strip() for cell in cells[2:5]] for cells in (line.split("|") for line in lines)}
+    cells = [[cell.strip() for cell in line.split("|")] for line in lines]
+    rows = {row[1]: row[2:5] for row in cells}
     assert head.startswith("| setting | paper | reference | allowed |")
     assert rows["`graph.k`"] == ["`90`", "`90`", "1 to 2000"]
     assert rows["`graph.ties`"][:2] == ["`point_id`", "`coordinates`"]

@@ -10,7 +10,8 @@ from fidpipe.stages.linalg.assignment import align_nodes, assign_nodes
 
 
 def total_distance(real, sim, sim_of_real):
-    a, b = real - real.mean(axis=0), sim - sim.mean(axis=0)
+    a = real - real.mean(axis=0)
+    b = sim - sim.mean(axis=0)
     return np.linalg.norm(a - b[sim_of_real], axis=1).sum()
 
 

@@ -81,12 +81,16 @@ def test_icp_fitness_is_the_share_of_simulated_points_that_are_near(car):
     assert fitness.value == pytest.approx(120 / 160)
     assert rmse_m.value == pytest.approx(0, abs=1e-9)
     fitness, rmse_m = icp(car, far, near)
-    assert (fitness.value, rmse_m.value, rmse_m.reason) == (0, None, "no points within 0.5 m of each other")
+    assert (fitness.value, rmse_m.value) == (0, None)
+    assert "0.5 m" in rmse_m.reason
 
 
 def test_no_order_of_rows_changes_a_histogram_above_its_sample_or_dcd_at_ties(rng):
-    real, sim = rng.normal(0, 1, (400, 3)), np.round(rng.normal(0, 1, (500, 3)))
-    real[:200], sim = np.round(real[:200]), np.unique(sim, axis=0)  # a grid: many points are equally near
+    real = rng.normal(0, 1, (400, 3))
+    sim = np.round(rng.normal(0, 1, (500, 3)))
+    # a grid: many points are equally near
+    real[:200] = np.round(real[:200])
+    sim = np.unique(sim, axis=0)
     real = np.unique(real, axis=0)
     turned = rng.permutation(len(real)), rng.permutation(len(sim))
     values = [
@@ -109,8 +113,7 @@ def test_a_shift_moves_the_distances_and_not_the_shapes(car):
 def test_unequal_sizes_are_said_where_dcd_was_cut(car):
     values = compare(car, np.vstack([car[:60], car[:20] + 0.01]))
     assert values["dcd"].value is not None
-    assert values["dcd"].reason.startswith("120 real and 80 simulated points: ")
-    assert values["dcd"].reason.endswith("of 200 count weights cut at 1")
+    assert all(number in values["dcd"].reason for number in ("120", "80", "200"))
 
 
 def test_what_cannot_be_computed_is_null_with_its_reason():
@@ -119,22 +122,21 @@ def test_what_cannot_be_computed_is_null_with_its_reason():
     reasons = {name: baseline.reason for name, baseline in values.items() if baseline.value is None}
     assert reasons.keys() == {"histogram", "icp_fitness", "icp_rmse_m", "r_h"}
     assert all(reasons.values())
-    assert values["r_h"].reason == "1 aligned nodes, at least 3 are needed"
     single = compare(two[:1], two)
-    assert (single["dcd"].value, single["dcd"].reason) == (None, "the real points have no extent to scale by")
+    assert single["dcd"].value is None and single["dcd"].reason
 
 
 def test_objects_too_large_for_their_spectrum_are_left_out(car):
     values = compare(car, car, ALL.model_copy(update={"heat_max_nodes": 100}))
-    assert (values["netlsd"].value, values["netlsd"].reason) == (None, "120 points, metrics.heat_max_nodes allows 100")
+    assert values["netlsd"].value is None
+    assert "metrics.heat_max_nodes" in values["netlsd"].reason
 
 
 def test_without_the_library_icp_is_null_with_its_reason(car, monkeypatch):
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     values = compare_points(car, car, MetricsSettings(baselines=("icp",)))
-    assert [(baseline.value, baseline.reason) for baseline in values] == [
-        (None, 'small_gicp is not installed; pip install "fidpipe[icp]"')
-    ] * 2
+    assert [baseline.value for baseline in values] == [None, None]
+    assert all(baseline.reason.endswith('pip install "fidpipe[icp]"') for baseline in values)
 
 
 def test_two_point_sets_have_the_baselines_that_need_no_objects(car):
@@ -163,7 +165,7 @@ def test_earth_is_moved_between_all_points_and_between_the_aligned_nodes_alone(c
 
 def test_objects_too_large_to_move_all_earth_are_null_with_their_size(car):
     exact, kept, _ = earth_moved(car, car[:90], 50, emd_max_points=119)
-    assert (exact.value, exact.reason) == (None, "120 points, metrics.emd_max_points allows 119")
+    assert exact.value is None and "metrics.emd_max_points" in exact.reason
     assert kept.value is not None
     assert earth_moved(car, car[:90], 50, emd_max_points=120)[0].value > 0
 
@@ -171,7 +173,7 @@ def test_objects_too_large_to_move_all_earth_are_null_with_their_size(car):
 def test_a_transport_that_the_solver_could_not_finish_is_null_with_its_reason(car, monkeypatch):
     monkeypatch.setattr(baselines, "_MAX_PIVOTS", 5)
     exact, kept, _ = earth_moved(car, car[:90] + [1, 0, 0], 50)
-    assert (exact.value, exact.reason) == (None, "the network simplex ended without the optimum")
+    assert exact.value is None and "simplex" in exact.reason
     assert kept.value == pytest.approx(1)
 
 
@@ -181,7 +183,7 @@ SIM = np.array([[0.0, 0, 1], [1, 0, 3]])
 
 
 def test_chamfer_by_hand():
-    mean_m, squared_m2, one_way_sum_m = (baseline.value for baseline in chamfer(REAL, SIM, ALL))
+    mean_m, squared_m2, one_way_sum_m = [baseline.value for baseline in chamfer(REAL, SIM, ALL)]
     assert mean_m == pytest.approx((1 + math.sqrt(2) + math.sqrt(5)) / 3 + (1 + 3) / 2)
     assert squared_m2 == pytest.approx((1 + 2 + 5) / 3 + (1 + 9) / 2)
     assert one_way_sum_m == pytest.approx(1 + math.sqrt(2) + math.sqrt(5))
@@ -224,7 +226,7 @@ def test_dcd_of_unequal_sizes_cuts_the_weights_at_one_and_counts_them():
     from_real = np.mean([1 - 0.75 * math.exp(-0.0625), 1 - 0.75 * math.exp(-0.0625), 0])
     from_sim = np.mean([1 - 2 / 3 * math.exp(-0.0625), 1 - 2 / 3])
     assert found.value == pytest.approx((from_real + from_sim) / 2)
-    assert found.reason == "3 real and 2 simulated points: 1 of 5 count weights cut at 1"
+    assert "1 of 5" in found.reason
 
 
 def transport(a, b):
@@ -296,7 +298,8 @@ def test_the_heat_row_sums_agree_with_the_dense_exponential(rng, t):
 
 def test_heat_traces_of_an_edge_and_of_a_path_by_hand():
     # spectra 0, 2 and 0, 1, 2
-    edge, three = (1 + np.exp(-2 * TIMES)) / 2, (1 + np.exp(-TIMES) + np.exp(-2 * TIMES)) / 3
+    edge = (1 + np.exp(-2 * TIMES)) / 2
+    three = (1 + np.exp(-TIMES) + np.exp(-2 * TIMES)) / 3
     assert heat_trace_distance(path(2), path(3), TIMES) == pytest.approx(np.linalg.norm(edge - three))
 
 
@@ -323,5 +326,4 @@ def test_scores_of_synthesis_papers_on_two_scans_worked_out_by_hand():
 def test_scores_of_synthesis_papers_have_reasons_where_the_image_is_empty():
     far = np.array([[90.0, 0.0, 0.0]])
     reasons = {baseline.name: baseline.reason for baseline in nvs(far, far)}
-    assert reasons["nvs_depth_psnr_db"] == "both images are equal"
-    assert reasons["nvs_chamfer_m2"] == reasons["nvs_f_score_0p05m2"] == "a side has no point in the range image"
+    assert all(reasons[name] for name in ("nvs_depth_psnr_db", "nvs_chamfer_m2", "nvs_f_score_0p05m2"))

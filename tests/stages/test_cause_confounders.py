@@ -6,10 +6,10 @@ import pytest
 from fidpipe.pipeline.results.diagnosis import confirm, unexplained_share
 from fidpipe.schemas.results import Cause
 from fidpipe.schemas.sensor_models import SENSORS
-from fidpipe.stages.causes.beams import grid_of
 from fidpipe.stages.causes.estimates import estimate
 from fidpipe.stages.causes.sides import PairScans, Side
 from fidpipe.stages.generate.street_scans import make_pair
+from fidpipe.stages.rays import grid_of
 from fidpipe.stages.sensor_description import describe_sensor
 
 ROAD_M = 0.3  # above the lowest points

@@ -28,6 +28,19 @@ def test_rays_without_a_return_are_dropped(rng):
     assert ids == result.point_ids.tolist()
 
 
+def test_the_first_point_of_each_voxel_is_kept_in_the_real_frame(rng):
+    scan = rng.uniform(-20, 20, (2000, 3))
+    scan[1000:] = scan[:1000] + rng.uniform(-0.01, 0.01, (1000, 3))
+    settings = InputSettings(voxel_m=0.5, min_range_m=4.0)
+    T = rigid(30, [1, 2, 0.5])
+    result = clean_scan(scan, settings, T_real_sim=T)
+    ids, points = literal_method.clean(scan, settings.model_dump(), "ros", T)
+    assert result.point_ids.tolist() == ids
+    np.testing.assert_allclose(result.points, points, atol=1e-12)
+    assert result.dropped["thinned"] == len(clean_scan(scan, InputSettings(min_range_m=4.0)).points) - len(ids) > 900
+    assert "thinned" not in clean_scan(scan, InputSettings()).dropped
+
+
 def test_range_limits_are_inclusive():
     scan = np.array([[2.5, 0, 0], [100.0, 0, 0], [2.4999, 0, 0], [100.001, 0, 0]])
     assert clean_scan(scan, InputSettings()).point_ids.tolist() == [0, 1]
@@ -45,7 +58,8 @@ def test_agrees_with_the_textbook_on_a_dirty_scan(rng, frame):
     scan = np.round(rng.normal(0, 4, (800, 3)), 0)  # coarse, so that many points are equal or zero
     scan[rng.random(800) < 0.05, 1] = np.inf
     T = rigid(30, [1, 2, 0.5])
-    box, keep = (2.0, -3.0, -9.0, 5.0, 3.0, 9.0), (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0)
+    box = (2.0, -3.0, -9.0, 5.0, 3.0, 9.0)
+    keep = (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0)
     settings = InputSettings(exclude_box=box, include_box=keep)
     result = clean_scan(scan, settings, frame=frame, T_real_sim=T)
     ids, points = literal_method.clean(scan, settings.model_dump(), frame, T)

@@ -8,9 +8,10 @@ import pytest
 from fidpipe.pipeline.results.causes import cause_values, changed_causes, named_causes
 from fidpipe.schemas.cause_catalogue import FLAT, PARAMETERS
 from fidpipe.stages.causes.distance import off_share
-from fidpipe.stages.causes.estimates import estimate, estimate_between, explain_directions, find_unmatched
+from fidpipe.stages.causes.estimates import estimate, estimate_between
 from fidpipe.stages.causes.gain import corrections, shares
 from fidpipe.stages.causes.sides import PairScans, Side
+from fidpipe.stages.causes.unmatched import explain_directions, find_unmatched
 from fidpipe.stages.displacement import Displacement, fit_displacement
 from fidpipe.stages.sensor_description import SensorDescription, describe_sensor
 from fidpipe.stages.surfels import fit_planes
@@ -220,8 +221,8 @@ def test_a_change_of_the_pose_is_measured_between_two_simulated_scans(places):
     _, amounts = estimate_between(base, moved)
     assert amounts["height"] == pytest.approx(0.03, abs=0.01)
     assert amounts["roll"] == pytest.approx(0.0, abs=0.02)
-    moved.sensor = replace(moved.sensor, doubts={POSITION: "the points are not in the sensor's frame"})
-    _, amounts = estimate_between(base, moved)
+    doubtful = replace(moved.sensor, doubts={POSITION: "the points are not in the sensor's frame"})
+    _, amounts = estimate_between(base, replace(moved, sensor=doubtful))
     assert "height" not in amounts and "road height" in amounts
 
 
@@ -237,9 +238,12 @@ def test_a_displacement_is_undone(places):
 
 def test_an_object_next_to_a_missing_one_is_moved_but_not_the_road_behind_it():
     rng = np.random.default_rng(0)
-    road, box = rng.uniform(-9, 9, (2000, 3)) * [1, 1, 0], rng.uniform(7, 8, (300, 3))
-    sensor, is_ground = SensorDescription(300), np.zeros(300, bool)
-    seen, hidden = (Side(points, is_ground, sensor) for points in (box, box + [0.8, 0, 0]))
+    road = rng.uniform(-9, 9, (2000, 3)) * [1, 1, 0]
+    box = rng.uniform(7, 8, (300, 3))
+    sensor = SensorDescription(300)
+    is_ground = np.zeros(300, bool)
+    seen = Side(box, is_ground, sensor)
+    hidden = Side(box + [0.8, 0, 0], is_ground, sensor)
     missing, invented = find_unmatched(seen, hidden, explain_directions(seen, hidden))
     assert missing.is_moved.mean() > 0.2
     assert invented.is_moved.mean() > 0.2
@@ -265,7 +269,9 @@ def test_a_loss_is_corrected_by_as_many_returns(places):
 
 def with_balls_or_boxes(real, n):
     """A scan with balls of 2 m ahead of the sensor, and with the faces of the boxes around them in their place."""
-    rng, balls, boxes = np.random.default_rng(0), [], []
+    rng = np.random.default_rng(0)
+    balls = []
+    boxes = []
     for i in range(n):
         centre = np.array([10.0, 6.0 * i - 6, -0.4])
         own = rng.normal(size=(400, 3))
@@ -280,7 +286,9 @@ def with_balls_or_boxes(real, n):
 
 def test_boxes_instead_of_shapes_are_flat(places):
     real, _, sensor = places[0]
-    balls, boxes = (Side(points, points[:, 2] < -1.4, sensor) for points in with_balls_or_boxes(real, 5))
+    with_balls, with_boxes = with_balls_or_boxes(real, 5)
+    balls = Side(with_balls, with_balls[:, 2] < -1.4, sensor)
+    boxes = Side(with_boxes, with_boxes[:, 2] < -1.4, sensor)
     pair = PairScans(balls, boxes)
     own = estimate(pair)
     assert own.amounts[FLAT].amount > 0.05

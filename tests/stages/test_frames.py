@@ -71,7 +71,8 @@ def placed_by(setting):
     ],
 )
 def test_each_fault_is_seen_and_its_setting_mends_it(matrix, reading):
-    real, wrong = scene(), again(scene()) @ np.asarray(matrix, dtype=float).T
+    real = scene()
+    wrong = again(scene()) @ np.asarray(matrix, dtype=float).T
     found = check(real, wrong)
     assert (found.reading, found.is_suspect) == (reading, True)
     assert found.as_it_lies < 0.75 < 0.9 < found.coverage
@@ -191,16 +192,18 @@ GROUND_M = -1.7
 
 def world():
     rng = np.random.default_rng(5)
-    boxes = [
-        box([x, side * rng.uniform(6, 12), -0.5], rng.uniform(0.5, 3, 3), 300, i)
-        for i, (x, side) in enumerate((x, side) for x in range(-40, 60, 4) for side in (-1, 1))
-    ]
+    boxes = []
+    for x in range(-40, 60, 4):
+        for side in (-1, 1):
+            middle = [x, side * rng.uniform(6, 12), -0.5]
+            boxes.append(box(middle, rng.uniform(0.5, 3, 3), 300, len(boxes)))
     return np.vstack(boxes)
 
 
 def drive(n=6, step_m=STEP_M, seed=0, noise_m=0.02, extra=None):
     """Scans of a sensor that moves ahead by a step from scan to scan; `extra` moves with it."""
-    rng, boxes = np.random.default_rng(seed), world()
+    rng = np.random.default_rng(seed)
+    boxes = world()
     scans = []
     for i in range(n):
         points = np.vstack([boxes - [i * step_m, 0, 0], road(6000, seed=seed + i, z=GROUND_M)])
@@ -261,7 +264,9 @@ def test_a_slow_side_is_not_static(sides):
 
 
 def test_a_side_with_a_twentieth_of_the_points_is_nearly_empty():
-    many, few, half = (np.array([n, n, n]) for n in (10_000, 400, 5_000))
+    many = np.array([10_000, 10_000, 10_000])
+    few = np.array([400, 400, 400])
+    half = np.array([5_000, 5_000, 5_000])
     assert (find_empty_side(many, few), find_empty_side(few, many)) == ("sim", "real")
     assert find_empty_side(many, 0 * many) == "sim"
     assert find_empty_side(many, half) is find_empty_side(many, few[:0]) is find_empty_side(0 * many, 0 * many) is None
@@ -275,7 +280,8 @@ def test_hits_that_go_with_the_sensor_are_found_with_their_box(n):
     found = find_ego_hits(drive(extra=box(*BONNET, n)), GROUND_M)
     n_others = 0.7 * (len(world()) + 6000)
     assert found.share == pytest.approx(n / (n + n_others), rel=0.1)
-    low, high = np.array(BONNET[0]) - np.array(BONNET[1]) / 2, np.array(BONNET[0]) + np.array(BONNET[1]) / 2
+    low = np.array(BONNET[0]) - np.array(BONNET[1]) / 2
+    high = np.array(BONNET[0]) + np.array(BONNET[1]) / 2
     assert np.all(np.array(found.low) == pytest.approx(low, abs=0.25))
     assert np.all(np.array(found.high) == pytest.approx(high, abs=0.25))
     assert 2.5 < found.farthest_m < 3.1

@@ -35,7 +35,7 @@ def test_one_point_has_no_edges():
 @pytest.mark.parametrize("scale", [1e-3, 1e-200])
 def test_a_crowd_is_refused_before_its_edges_fill_the_memory(rng, scale):
     crowd = rng.uniform(0, 1, (15_000, 3)) * scale  # 112 million pairs
-    with pytest.raises(StageError, match="112492500.*graph.tau_m"):
+    with pytest.raises(StageError, match="112492500.*input.voxel_m=0.05.*graph.tau_m"):
         build_graph(crowd, GraphSettings())
     far = np.vstack([crowd, [[9.0, 0, 0]]])  # next to a crowd, which alone lies within tau
     with pytest.raises(StageError, match="got 112492500"):

@@ -79,7 +79,8 @@ def test_paths_scans_and_arrays_with_intensity_have_the_same_results(scans, tmp_
 
 
 def test_a_graph_that_is_given_is_taken_and_another_seed_changes_the_communities_only(rng):
-    points, settings = rng.normal(0, 3, (400, 3)), load(None, ["graph.k=10"])
+    points = rng.normal(0, 3, (400, 3))
+    settings = load(None, ["graph.k=10"])
     first = partition(points, settings)
     again = partition(points, settings, edges=first.edges)
     other = partition(points, load(None, ["graph.k=99", "communities.seed=2"]), edges=first.edges)
@@ -90,7 +91,8 @@ def test_a_graph_that_is_given_is_taken_and_another_seed_changes_the_communities
 
 def test_with_a_memo_no_object_is_scored_twice_and_nothing_else_changes(scans):
     settings = [load(None, [f"matching.delta_m={delta}", f"selection.t={t}"]) for t in (1, 2) for delta in (2, 60)]
-    real, sim = (partition(scan[scan[:, 2] > -1.3], settings[0]) for scan in scans)
+    above = [scan[scan[:, 2] > -1.3] for scan in scans]
+    real, sim = partition(above[0], settings[0]), partition(above[1], settings[0])
     memo = {}
     for chosen in settings:
         before = dict(memo)

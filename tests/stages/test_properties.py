@@ -98,7 +98,8 @@ def test_distances_of_two_sides_are_the_same_both_ways(real, sim):
     to_sim, to_real = nearest_distances(real, sim)
     assert all(map(np.array_equal, nearest_distances(sim, real), (to_real, to_sim)))
     wanted = MetricsSettings(baselines="all")
-    forth, back = (compare_points(*sides, wanted) for sides in ((real, sim), (sim, real)))
+    forth = compare_points(real, sim, wanted)
+    back = compare_points(sim, real, wanted)
     for one, other in zip(forth, back, strict=True):
         if one.name in BOTH_WAYS:
             assert (one.value is None) == (other.value is None), one.name
@@ -109,7 +110,8 @@ def test_distances_of_two_sides_are_the_same_both_ways(real, sim):
 @given(clouds(fewest=8), clouds(fewest=8))
 def test_the_scores_of_an_object_are_the_same_both_ways(real, sim):
     """Once its nodes are aligned."""
-    real, sim = (graph_of(distinct(points), load()) for points in (real, sim))
+    real = graph_of(distinct(real), load())
+    sim = graph_of(distinct(sim), load())
     selection = select_nodes(real, sim, load().selection)
     back = type(selection)(selection.sim_nodes, selection.real_nodes, selection.sim_influence, selection.real_influence)
     forth, back = score_object(real, sim, selection), score_object(sim, real, back)

@@ -1,15 +1,13 @@
 """Rays and intensities of two scans of a room whose walls, losses and materials are known, and of real recordings."""
 
-from dataclasses import asdict
-
 import numpy as np
 import pytest
 
 from fidpipe.schemas.sensor_models import SENSORS
-from fidpipe.stages import sensor_description
 from fidpipe.stages.generate.ray_casting import fire
 from fidpipe.stages.intensity import explained_share, intensity_law, score_intensity
 from fidpipe.stages.rays import OUTCOMES, RayGrid, Rays, compare_rays, find_rays, score_rays
+from fidpipe.stages.sensor_description import describe_sensor
 
 STEP_DEG = 0.4
 CORNERS_M = np.array([[-18.0, -12.0, -1.8], [31.0, 9.0, 6.0]])
@@ -28,10 +26,6 @@ def room(name="vlp16", step_deg=STEP_DEG, turned_deg=0.0, corners_m=CORNERS_M):
     steep = np.where(np.abs(directions) < 1e-9, 1e-9, directions)
     range_m = (np.where(steep > 0, corners_m[1], corners_m[0]) / steep).min(axis=1)
     return directions * range_m[:, None]
-
-
-def describe_sensor(scan):
-    return asdict(sensor_description.describe_sensor(scan))
 
 
 def counts(rays):
@@ -109,7 +103,8 @@ def test_returns_of_a_finer_grid_are_no_rays_of_their_own(step_deg):
 
 
 def test_a_nearer_and_a_farther_wall_are_in_front_and_behind():
-    near, far = CORNERS_M * [1, 0.9, 1], CORNERS_M * [1, 1.2, 1]
+    near = CORNERS_M * [1, 0.9, 1]
+    far = CORNERS_M * [1, 1.2, 1]
     assert counts(compare_rays(room(), room(corners_m=near), grid(), grid()))["in_front"] > 100
     assert counts(compare_rays(room(), room(corners_m=far), grid(), grid()))["behind"] > 100
 
@@ -144,10 +139,12 @@ def test_rays_paired_by_direction_are_those_of_the_known_rows(real_data):
     names = ("", "_Precise")
     scans = [unity(real_data / "unity_vlp16" / f"Geometric_16Channel__First_Frame{name}.csv") for name in names]
     rows = [np.flatnonzero(np.linalg.norm(scan, axis=1) > 0.5) for scan in scans]
-    real, sim = (scan[own] for scan, own in zip(scans, rows, strict=True))
+    real = scans[0][rows[0]]
+    sim = scans[1][rows[1]]
     rays = find_rays(real, sim, (describe_sensor(real), describe_sensor(sim)))
     both = rays.outcome < OUTCOMES.index("dropped")
-    real_row, sim_row = rows[0][rays.real_row[both]], rows[1][rays.sim_row[both]]
+    real_row = rows[0][rays.real_row[both]]
+    sim_row = rows[1][rays.sim_row[both]]
     assert both.sum() >= len(np.intersect1d(*rows))
     assert (real_row == sim_row).mean() > 0.99
     by_row = np.linalg.norm(scans[1][sim_row], axis=1) - np.linalg.norm(scans[0][real_row], axis=1)
@@ -238,7 +235,8 @@ def test_flaws_of_the_intensity_are_seen(scan, material, flaw, note):
 
 
 def test_a_change_of_geometry_does_not_change_what_is_decided(scan, material):
-    before, after = (scores(scan, material, material, moved=moved) for moved in (0.0, [0, 0, 0.03]))
+    before = scores(scan, material, material, moved=0.0)
+    after = scores(scan, material, material, moved=[0, 0, 0.03])
     for name in ("intensity_rank_distance", "intensity_ratio", "intensity_sim_by_range"):
         assert after[name] == pytest.approx(before[name], abs=0.02)
 

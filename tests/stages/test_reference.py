@@ -33,7 +33,8 @@ def scores(real, sim, settings=SETTINGS):
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0]])
 def test_a_point_between_two_real_points_goes_to_the_first_by_place_whatever_its_row(order):
     points, labels = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 3, 0]]), np.array([1, 0, 0], dtype=np.int32)
-    reference, sim = ReferenceObjects(points[order], labels[order]), np.array([[0.5, 0, 0]])
+    reference = ReferenceObjects(points[order], labels[order])
+    sim = np.array([[0.5, 0, 0]])
     assert assign_to_reference(sim, reference, SETTINGS.communities, 0.6)[0] == 1
 
 

@@ -108,12 +108,16 @@ def test_the_sensor_does_not_depend_on(change):
 
 def test_noise_of_the_angles_is_that_of_elevation_and_of_azimuth():
     points = room(SENSORS["vlp32c"])
-    rng, range_m, (x, y, z) = np.random.default_rng(1), np.linalg.norm(points, axis=1), points.T
-    level, turn = np.arcsin(z / range_m), np.arctan2(y, x)
+    rng = np.random.default_rng(1)
+    range_m = np.linalg.norm(points, axis=1)
+    x, y, z = points.T
+    level = np.arcsin(z / range_m)
+    turn = np.arctan2(y, x)
     sharp = describe_sensor(points)
     assert max(sharp.elevation_noise_deg, sharp.azimuth_noise_deg) < 0.003
     for e_deg, a_deg in ((0.03, 0.0), (0.0, 0.02), (0.05, 0.02)):
-        e, a = level + np.radians(e_deg) * rng.normal(size=len(x)), turn + np.radians(a_deg) * rng.normal(size=len(x))
+        e = level + np.radians(e_deg) * rng.normal(size=len(x))
+        a = turn + np.radians(a_deg) * rng.normal(size=len(x))
         noisy = range_m[:, None] * np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         found = describe_sensor(noisy)
         assert found.elevation_noise_deg == pytest.approx(e_deg, rel=0.1, abs=0.003)
@@ -160,7 +164,7 @@ def test_units_that_are_in_no_table_are_known_by_their_pattern():
     assert recognise(pattern(OS1_64))[0] == "Ouster OS1-64 (gen 1)"
     halved = BeamPattern(pattern(HDL64_S3).elevation_deg[1::2], 0.02, False, (), -90.0, 1.0)
     assert recognise(halved)[0] == "every second beam of Velodyne HDL-64E"
-    assert recognise(pattern(VLP32A)) == (None, "no sensor of the table has such beams", None)
+    assert recognise(pattern(VLP32A)).title is None
     assert "at least 8" in recognise(pattern("-3 -2 0 1"))[1]
 
 
@@ -170,9 +174,9 @@ def test_a_name_agrees_with_step_and_quantum():
     assert recognise(beams, 0.18, 0.004).title == recognise(beams, None, 0.004).title == "Hesai PandarXT-16"
     assert recognise(beams, 0.1991).title == recognise(beams, None, 0.002).title == "Velodyne VLP-16"
     neither = recognise(beams, 0.18, 0.05)
-    assert neither.title is None and "its range quantum is 2 mm, not 50 mm" in neither.reason
+    assert neither.title is None and "2 mm, not 50 mm" in neither.reason
     ouster = recognise(pattern(OS1_64), 0.2)
-    assert ouster.reason.endswith("its azimuth steps are multiples of 0.176 degrees, not 0.200")
+    assert ouster.reason.endswith("0.176 degrees, not 0.200")
 
 
 def test_beams_without_returns_are_counted_against_the_table():
@@ -277,16 +281,17 @@ def test_half_as_many_times_as_points_are_seen(wrong):
     _, times = turn()
     times[::2] = wrong
     (fault,) = faults(times)
-    assert fault.startswith("50% of the points have no time")
+    assert fault.startswith("50% of the points ")
 
 
 def test_fewer_times_than_points_are_counted():
-    assert faults(turn()[1][:3000]) == ("expected 6000 times, one per point, got 3000",)
+    (fault,) = faults(turn()[1][:3000])
+    assert "6000" in fault and "3000" in fault
 
 
 def test_one_time_for_all_points_is_named():
     (fault,) = faults(np.full(6000, 1.7e9))
-    assert fault.startswith("all points have one time")
+    assert "one time" in fault
 
 
 def test_points_without_a_return_need_no_time():
@@ -314,7 +319,8 @@ def test_times_of_other_points_do_not_go_round(shuffle):
     points = points.reshape(-1, 16, 3).swapaxes(0, 1).reshape(-1, 3)  # beam by beam, as organised clouds are
     right = times.reshape(-1, 16).T.ravel()
     assert faults(right, points) == ()
-    assert faults(shuffle(right), points) == ("times do not follow the azimuth; do they belong to other points?",)
+    (fault,) = faults(shuffle(right), points)
+    assert "azimuth" in fault
 
 
 @pytest.mark.parametrize(("place", "at"), [("first", 0.0), ("middle", 0.5), ("last", 1.0)])
@@ -331,7 +337,7 @@ def test_it_is_told_of_which_point_the_time_of_the_scan_is(place, at, is_relativ
 def test_a_time_of_the_scan_outside_of_its_turn_is_a_fault():
     points, times = turn()
     (fault,) = faults(1.7e9 + times, points, 1.7e9 + 5.0)
-    assert "the scan's own time is +5.000 s after its first point" in fault
+    assert "+5.000 s" in fault
 
 
 def test_sides_whose_times_are_of_other_points_or_go_another_way_differ():
@@ -339,11 +345,8 @@ def test_sides_whose_times_are_of_other_points_or_go_another_way_differ():
     first, last = describe_stamps(times, points, 0.0), describe_stamps(times - TURN_S, points * [1, -1, 1], 0.0)
     assert stamp_differences(first, first) == stamp_differences(first, None) == []
     places, ways = stamp_differences(first, last)
-    assert (
-        "of its first point, the time of a simulated scan that of its last point: scans with the same time are 0.1 s"
-        in places
-    )
-    assert ways == "by the times, the real sensor rotates clockwise and the simulated one anticlockwise"
+    assert all(words in places for words in ("first point", "last point", "0.1 s"))
+    assert "anticlockwise" in ways
 
 
 def test_few_and_no_returns_are_not_judged():
@@ -377,24 +380,22 @@ def test_an_implausible_scan_is_warned_of(change, warning):
 def test_half_the_points_not_finite_is_a_warning():
     scan = street()
     scan[::2] = np.nan
-    assert "50% of the points are not finite" in inspect_points(scan, "sim", InputSettings()).warnings[-1]
+    assert "50% of the points" in inspect_points(scan, "sim", InputSettings()).warnings[-1]
 
 
 def test_camera_axes_are_named_with_the_setting_of_the_side():
     scan = np.vstack([street(), road(3000, 40)])
     (odd,) = implausible(scan[:, [1, 2, 0]] * [-1, -1, 1], "real", 2.5)  # right, down, forward
-    assert odd.endswith("is it in camera axes? set input.real_frame=kitti-cam")
+    assert odd.endswith("input.real_frame=kitti-cam")
 
 
 def test_near_hits_are_told_with_what_the_present_settings_leave_of_them():
     ring = 2.0 * np.column_stack([np.cos(np.arange(3000)), np.sin(np.arange(3000)), np.zeros(3000)])
     scan = np.vstack([road(1000), ring])
     (dropped,) = implausible(scan, "real", 2.5)
-    assert "hits on the ego vehicle? 0.2% are kept by input.min_range_m=2.5; " in dropped
+    assert "0.2%" in dropped and "input.min_range_m=2.5" in dropped
     (left,) = implausible(scan, "real", 1.0)
-    assert "75.3% are kept by input.min_range_m=1; " in left and left.endswith(
-        "input.min_range_m=3 or input.exclude_box drops them"
-    )
+    assert all(words in left for words in ("75.3%", "input.min_range_m=1", "input.min_range_m=3", "input.exclude_box"))
 
 
 def test_the_widest_gap_is_found_across_the_seam():

@@ -168,7 +168,7 @@ def test_the_kind_of_change_of_an_object_by_hand():
         (True, True, 0.5, 0.46, 0.3, 0.34, "alike"),
         (True, True, 0.5, 0.4, nan, 0.9, "better"),
     ]
-    before, after, *scores = (np.array(column) for column in list(zip(*rows, strict=True))[:6])
+    before, after, *scores = [np.array(column) for column in list(zip(*rows, strict=True))[:6]]
     found = kinds_of_change(before, after, (scores[0], scores[1]), (scores[2], scores[3]))
     assert found.tolist() == [row[-1] for row in rows]
 
@@ -192,7 +192,8 @@ def test_the_repeatability_limit_covers_19_of_20_differences_however_few_the_rep
     rng = np.random.default_rng(1)
     n = 2000
     found = [spread(rng.normal(0, 0.2, (n_pairs, n_seeds))) for _ in range(n)]
-    one, means = (np.abs(np.diff(rng.normal(0, 0.2 / k**0.5, (n, 2)))).ravel() for k in (1, n_pairs))
+    one = np.abs(np.diff(rng.normal(0, 0.2, (n, 2)))).ravel()
+    means = np.abs(np.diff(rng.normal(0, 0.2 / n_pairs**0.5, (n, 2)))).ravel()
     error = 3 * (0.05 * 0.95 / n) ** 0.5
     assert np.mean(one < [own.least_pair for own in found]) == pytest.approx(0.95, abs=error)
     assert np.mean(means < [own.least_dataset for own in found]) == pytest.approx(0.95, abs=error)

@@ -38,7 +38,9 @@ def test_both_sides_alike_have_no_offset_at_all_and_the_same_roughness(rng):
 
 def test_nothing_depends_on_the_order_of_rows(rng):
     grid = np.stack(np.meshgrid(*[np.arange(14.0)] * 3), axis=-1).reshape(-1, 3) + [3, 0, 0]  # all distances tie
-    real, sim, labels = grid, grid + [0.1, 0.2, 0.3], (np.arange(len(grid)) % 7).astype(np.int32)
+    real = grid
+    sim = grid + [0.1, 0.2, 0.3]
+    labels = (np.arange(len(grid)) % 7).astype(np.int32)
     of_real, of_sim = rng.permutation(len(real)), rng.permutation(len(sim))
     found = [offset(real, sim, labels), offset(real[of_real], sim[of_sim], labels[of_real])]
     for one, other in zip(*(vars(each).values() for each in found), strict=True):
@@ -204,7 +206,8 @@ def test_components_are_those_of_all_links(rng, spread_m):
 
 def test_two_dense_clumps_a_link_apart_are_one_component_and_a_little_farther_two(rng):
     clump = rng.uniform(-0.05, 0.05, (400, 3))  # the 16 nearest neighbours are all of the own clump
-    clump[0], clump[1] = [0.1, 0, 0], [-0.1, 0, 0]
+    clump[0] = [0.1, 0, 0]
+    clump[1] = [-0.1, 0, 0]
     for gap_m, n_components in ((0.5999, 1), (0.6001, 2)):
         points = np.vstack([clump, clump + [0.2 + gap_m, 0, 0], clump + [9, 0, 0]])
         assert len(np.unique(connected_points(points, 0.6))) == n_components + 1

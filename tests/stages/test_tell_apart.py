@@ -34,7 +34,8 @@ def test_two_halves_of_one_scan_are_indistinguishable(corridor):
 
 
 def test_noise_is_recognised_by_roughness_and_position_is_not_recognised(corridor):
-    real, sim = corridor[::2], corridor[1::2]
+    real = corridor[::2]
+    sim = corridor[1::2]
     noisy = compare(real, sim + np.random.default_rng(2).normal(0, 0.03, sim.shape), by_feature=True)
     assert noisy.low > 0.8
     assert max(noisy.alone, key=noisy.alone.get) == max(noisy.loss, key=noisy.loss.get) == "roughness"
@@ -45,7 +46,8 @@ def test_noise_is_recognised_by_roughness_and_position_is_not_recognised(corrido
 @pytest.mark.parametrize("n_places", [1, 4, 5, 23])
 def test_places_and_sectors_are_tested_once_and_their_surroundings_are_not_trained_on(n_places):
     rng = np.random.default_rng(0)
-    place, azimuth = np.sort(rng.integers(n_places, size=2000)).astype(np.int32), rng.uniform(-180, 180, 2000)
+    place = np.sort(rng.integers(n_places, size=2000)).astype(np.int32)
+    azimuth = rng.uniform(-180, 180, 2000)
     tested = np.zeros(2000, dtype=int)
     for train, test in folds(place, azimuth):
         assert len(train)

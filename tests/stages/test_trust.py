@@ -8,7 +8,7 @@ from fidpipe.schemas.cause_catalogue import CAUSES, LOSSES
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.causes.beams import second_returns
-from fidpipe.stages.causes.estimates import Amount, _losses, doubts_of, explain_directions, only_known
+from fidpipe.stages.causes.estimates import Amount, _losses, doubts_of, only_known
 from fidpipe.stages.causes.sides import Side
 from fidpipe.stages.frame_search import check_frames
 from fidpipe.stages.generate.street_scans import make_pair
@@ -129,7 +129,7 @@ def test_losses_are_unknown_if_the_other_causes_take_all_points():
     points = np.random.default_rng(0).normal(size=(400, 3)) * [10, 10, 1]
     side = Side(points, np.zeros(400, dtype=bool), describe_sensor(points))
     nothing = np.zeros(400, dtype=bool)
-    amounts = _losses(side, side, ~nothing, nothing, explain_directions(side, side))
+    amounts = _losses(side, side, ~nothing, nothing, np.empty(0, dtype=int))
     assert {amounts[name].reason for name in LOSSES} == {"no surface that both sides see"}
 
 

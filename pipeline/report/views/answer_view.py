@@ -9,6 +9,7 @@ from pathlib import Path
 from ....schemas.metric_catalogue import headline_scores, metric_of
 from ....schemas.record import RunHeader, RunRecord
 from ....schemas.results import Cause, Diagnosis, Overview
+from ....stages.statistics.comparison import LEAST_FOR_INTERVAL
 from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
 from ...results.causes import MANY_UNKNOWN, MOST_SHOWN, interval_words, no_cause_words
 from ...results.diagnosis import gain_words, unexplained_words, with_gains
@@ -70,6 +71,9 @@ def answer_view(
         first = items_of(_NOT_YET if record.frames else no_cause_words(overview.unknown))
     if diagnosis is not None:
         first += items_of(unexplained_words(diagnosis))
+    doubtful = ""
+    if overview.small:
+        doubtful = f"seen, but a small part of the distance: {'; '.join(overview.small)}"
     most = None if with_all else _MOST_CAUTIONS
     trust = trust_words(folder, overview, most, has_best_case=bool(excess or recipe))
     if not with_all:
@@ -80,6 +84,7 @@ def answer_view(
         "  tasks": items_of(task_words(record, excess)),
         "Check first": items_of(*overview.doubts),
         "Fix first": first,
+        "Doubtful": items_of(doubtful),
         "Worst places": _worst_places(overview, with_all),
         "Objects": items_of(scores_words(record)),
         "Last run": items_of(change_words(record)),
@@ -101,7 +106,7 @@ def cause_items(causes: Sequence[Cause]) -> list[Item]:
     """Causes as items of an answer: words, interval and gain, and the setting."""
     items = []
     for i, cause in enumerate(causes, start=1):
-        items.append((f"{i}  {cause.words}", f"95 %: {amount_words(cause)}", cause.setting))
+        items.append((f"{i}  {cause.words}", amount_words(cause), cause.setting))
     return items
 
 
@@ -157,8 +162,11 @@ def _next_commands(
 
 def amount_words(cause: Cause) -> str:
     """The 95 % interval of a cause, and its gain if it was measured."""
+    words = f"95 %: {interval_words(cause)}"
+    if cause.n_pairs < LEAST_FOR_INTERVAL:  # the differences between pairs are unknown
+        words = f"within {count(cause.n_pairs, 'pair')}: {interval_words(cause)}"
     gain = gain_words(cause)
-    return f"{interval_words(cause)}; {gain}" if gain else interval_words(cause)
+    return f"{words}; {gain}" if gain else words
 
 
 def run_line(record: RunRecord, took: str = "", recipe: BestCaseRecipe | None = None) -> str:

@@ -166,12 +166,11 @@ def chance(comparison: Comparison) -> str:
     counted = comparison.counted
     if comparison.by_direction:
         counted += (
-            f"; changes of the world count if the frames and {N_SECTORS} directions agree "
-            "(--independent: the frames alone)"
+            f"; the world counts if frames and {N_SECTORS} directions agree (--independent: frames)"
         )
     if comparison.is_small:
         return (
-            f"{counted}; fewer than {LEAST_PAIRS} pairs: only very large changes of the world count"
+            f"{counted}; fewer than {LEAST_PAIRS} pairs: of the world only very large changes count"
         )
     return f"{counted}; false-alarm rate at most {100 * ERROR_RATE:.0f} %"
 

@@ -1,0 +1,167 @@
+"""Points without a counterpart on the other side, and those that flaws of directions and beams explain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..arrays import BoolArray, FloatArray, IndexArray
+from ..rays import grid_of
+from .beams import dead_beams, exchanged_beams
+from .sides import Side
+
+_SECTOR_DEG = 5.0
+_FINE_SECTOR_DEG = 1.0
+_SECTOR_POINTS = 10
+_BLIND = 0.1  # of the usual number of returns, in fine sectors
+_DENSE_DEG = 0.35  # azimuth step up to which sectors are fine
+#: A point without a counterpart is farther from the other side than this, and this times its range.
+APART_M, APART_PER_M = 0.25, 0.01
+_CLUTTER_M = 6.0  # nearer returns without a real counterpart are clutter
+_CLUSTER_M = 0.6
+_CLUSTER = 5  # a part: other points without a counterpart around one, at 6 m and beyond
+_MOVED_M = 1.5  # from a missing to an invented part
+
+
+@dataclass(frozen=True)
+class Explained:
+    """Flaws of single directions and beams, and the points that they explain.
+
+    blind_deg : azimuth in which only the real side has returns
+    dead : beams of the real sensor without simulated returns
+    exchanged : pairs of beams with each other's ranges
+    is_blind, is_dead : (n,) bool, real points in these directions
+    real, sim : (n,), (m,) bool, points that do not count as missing, invented or lost any more
+    """
+
+    blind_deg: float
+    dead: IndexArray
+    exchanged: list[tuple[int, int]]
+    is_blind: BoolArray
+    is_dead: BoolArray
+    real: BoolArray
+    sim: BoolArray
+
+
+def explain_directions(real: Side, sim: Side) -> Explained:
+    """Blind directions, dead and exchanged beams of a pair whose simulated side is without its displacement."""
+    sector, is_blind_sector = _blind_sectors(real, sim)
+    is_blind = is_blind_sector[sector]
+    dead = np.empty(0, dtype=np.intp)
+    is_dead = np.zeros(len(real.points), dtype=np.bool_)
+    exchanged, is_exchanged_real, is_exchanged_sim = _find_exchanged(real, sim)
+    grid = grid_of(real.sensor)
+    if grid is not None and not exchanged:
+        dead = dead_beams(grid, real.chosen(~is_blind), sim)
+        is_dead = np.isin(grid.beam_of(real.sensor_points), dead)
+    return Explained(
+        blind_deg=float(360.0 / len(is_blind_sector) * is_blind_sector.sum()),
+        dead=dead,
+        exchanged=exchanged,
+        is_blind=is_blind,
+        is_dead=is_dead,
+        real=is_blind | is_dead | is_exchanged_real,
+        sim=is_exchanged_sim,
+    )
+
+
+def _blind_sectors(real: Side, sim: Side) -> tuple[IndexArray, BoolArray]:
+    """Sector of azimuth of each real point, and in which sectors the simulated side has hardly any returns."""
+    width_deg = _sector_deg(real, sim)
+    n_sectors = round(360 / width_deg)
+    sector = _sector(real, n_sectors)
+    n_real = np.bincount(sector, minlength=n_sectors)
+    n_sim = np.bincount(_sector(sim, n_sectors), minlength=n_sectors)
+    is_compared = n_real >= _SECTOR_POINTS
+    if not is_compared.any():
+        return sector, is_compared
+    usual = float(np.median(n_sim[is_compared] / n_real[is_compared]))
+    most_left = _BLIND * usual if width_deg == _FINE_SECTOR_DEG else 0.0
+    return sector, is_compared & (n_sim <= most_left * n_real)
+
+
+def _sector_deg(real: Side, sim: Side) -> float:
+    """Width of a sector: fine if beams fire several times in it on both sides."""
+    steps_deg = [side.sensor.azimuth_step_deg for side in (real, sim)]
+    is_dense = all(step is not None and step <= _DENSE_DEG for step in steps_deg)
+    return _FINE_SECTOR_DEG if is_dense else _SECTOR_DEG
+
+
+def _sector(side: Side, n_sectors: int) -> IndexArray:
+    return ((side.azimuth_deg + 180.0) * n_sectors // 360.0).astype(np.intp) % n_sectors
+
+
+def _find_exchanged(real: Side, sim: Side) -> tuple[list[tuple[int, int]], BoolArray, BoolArray]:
+    """Exchanged beams of the simulated grid, if it has none of the real one; and the points of both sides in them."""
+    if real.sensor.elevation_deg:
+        for sensor in (sim.sensor, real.sensor):
+            grid = grid_of(sensor)
+            if grid and (exchanged := exchanged_beams(grid, real, sim)):
+                real_beam = grid.beam_of(real.sensor_points)
+                sim_beam = grid.beam_of(sim.sensor_points)
+                return exchanged, np.isin(real_beam, exchanged), np.isin(sim_beam, exchanged)
+    return [], np.zeros(len(real.points), np.bool_), np.zeros(len(sim.points), np.bool_)
+
+
+@dataclass(frozen=True)
+class Unmatched:
+    """Points without a counterpart on the other side, by kind; (n,) bool over the points of a side.
+
+    is_apart : without a counterpart, of any kind or none
+    is_beyond : farther than the other side ever returns
+    is_clutter : near the sensor
+    is_part : others, in groups
+    is_moved : those of objects that have one of the other side next to them
+    """
+
+    is_apart: BoolArray
+    is_beyond: BoolArray
+    is_clutter: BoolArray
+    is_part: BoolArray
+    is_moved: BoolArray
+
+
+def find_unmatched(a: Side, b: Side, explained: Explained | None = None) -> tuple[Unmatched, Unmatched]:
+    """Points of both sides that are farther from the other side than 0.25 m and 1 % of their range or an azimuth step.
+
+    Road is not moved: it is seen where an object is missing.
+
+    Parameters
+    ----------
+    explained : points that other flaws explain, which do not count
+    """
+    step_deg = max(side.sensor.azimuth_step_deg or 0.0 for side in (a, b))
+    missing = _unmatched(a, b, step_deg, None if explained is None else explained.real)
+    invented = _unmatched(b, a, step_deg, None if explained is None else explained.sim)
+    missing_objects = missing.is_part & ~a.is_ground
+    invented_objects = invented.is_part & ~b.is_ground
+    missing_points = a.points[missing_objects]
+    invented_points = b.points[invented_objects]
+    _mark_moved(missing, missing_objects, missing_points, invented_points)
+    _mark_moved(invented, invented_objects, invented_points, missing_points)
+    return missing, invented
+
+
+def _unmatched(side: Side, other: Side, step_deg: float, is_explained: BoolArray | None) -> Unmatched:
+    """Points of a side without a counterpart; none of them is moved yet."""
+    apart_m, _ = other.tree.query(side.points)
+    is_apart = apart_m > APART_M + max(APART_PER_M, np.radians(step_deg)) * side.range_m
+    if is_explained is not None:
+        is_apart &= ~is_explained
+    is_beyond = side.range_m > other.range_m.max()
+    is_part = is_apart & ~is_beyond
+    rows = np.flatnonzero(is_part)
+    points = side.points[rows]
+    n_near = cKDTree(points).query_ball_point(points, _CLUSTER_M, return_length=True)
+    is_part[rows] = n_near > _CLUSTER * np.maximum(_CLUTTER_M / side.range_m[rows], 1.0) ** 2
+    is_clutter = is_apart & ~is_part & (side.range_m < _CLUTTER_M)
+    return Unmatched(is_apart, is_beyond, is_clutter, is_part, np.zeros(len(is_part), np.bool_))
+
+
+def _mark_moved(unmatched: Unmatched, is_object: BoolArray, points: FloatArray, counterparts: FloatArray) -> None:
+    """Mark the points of objects next to those of the other side as moved, no longer as parts."""
+    apart_m, _ = cKDTree(counterparts).query(points, distance_upper_bound=_MOVED_M)
+    unmatched.is_moved[is_object] = np.isfinite(apart_m)
+    unmatched.is_part[unmatched.is_moved] = False
