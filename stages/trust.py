@@ -22,6 +22,8 @@ SAME_SWEEPS = "same_sweeps"
 FRAME = "frame"
 #: Doubts that make `fidpipe check` fail.
 SERIOUS = (MISSES, ONE_SWEEP, POSITION)
+_BEFORE_M = 0.5
+_LEAST_DEPTH_M = 5.0
 _SHELL_M = 0.1  # from the farthest point, within which rays without a return are written
 _SHELL_SHARE, _MOST_SHELL_SHARE = 0.03, 0.95  # of the points
 _FEWEST_RETURNS = 500
@@ -52,7 +54,8 @@ _NEAR_M, _NEAR_SHARE = 5.0, 0.001
 def miss_range(range_m: FloatArray) -> tuple[float, float] | None:
     """Range at which rays without a return are written, and their share; None if there are none.
 
-    It is the farthest one, and 3 % to 95 % of at least 500 points lie within 0.1 m of it.
+    It is the farthest one; 3 % to 95 % of at least 500 points lie within 0.1 m of it, twice as many as in the 0.5 m
+    before, and others are 5 m nearer or more.
 
     Examples
     --------
@@ -66,7 +69,10 @@ def miss_range(range_m: FloatArray) -> tuple[float, float] | None:
     farthest_m = float(range_m.max())
     is_farthest = range_m > farthest_m - _SHELL_M
     share = float(is_farthest.mean())
-    if not _SHELL_SHARE <= share <= _MOST_SHELL_SHARE:
+    if not _SHELL_SHARE <= share <= _MOST_SHELL_SHARE or np.ptp(range_m) < _LEAST_DEPTH_M:
+        return None
+    n_before = np.count_nonzero((range_m > farthest_m - _SHELL_M - _BEFORE_M) & ~is_farthest)
+    if np.count_nonzero(is_farthest) < 2 * n_before:
         return None
     return float(np.median(range_m[is_farthest])), share
 

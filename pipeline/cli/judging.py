@@ -155,7 +155,7 @@ def compare(
     fidpipe compare runs/build41 runs/build42 --markdown >> comment.md
     """
     from ...schemas.settings import load
-    from ..builds import is_run, runs_of
+    from ..builds import is_run, is_side, runs_of
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..report.views.compare_view import compare_records, compare_view
@@ -176,7 +176,8 @@ def compare(
         )
     if undecided_ok and fail_on != "worse":
         raise typer.BadParameter("--undecided-ok is for --fail-on worse")
-    if all(map(is_run, runs)) and (settings or assignments or preset != "reference"):
+    are_runs = all(map(is_run, runs)) and not is_side(runs[0])
+    if are_runs and (settings or assignments or preset != "reference"):
         raise typer.BadParameter(
             "--preset, --set and --settings are for datasets and scans; these are runs"
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...schemas.cause_catalogue import CAUSES
+from ...schemas.cause_catalogue import CAUSES, UNEVEN
 from ...schemas.data_files import read_rows
 from ...schemas.metric_catalogue import (
     COVERAGE_SCORES,
@@ -42,7 +42,7 @@ TASK_MEASURES = (
 )
 
 #: Names of causes by that of the catalogue.
-CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES}
+CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES if name != UNEVEN}
 #: Ends of the 95 % interval of a cause.
 INTERVAL_ENDS = ("low", "high")
 

@@ -92,8 +92,12 @@ def clean(
 
 def _miss_range(ranges_m: list[float]) -> float | None:
     """Range at which rays without a return are written: 3 to 95 % of at least 500 points are at the farthest range."""
-    farthest = [range_m for range_m in ranges_m if range_m > max(ranges_m) - 0.1]
-    if len(ranges_m) < 500 or not 0.03 <= len(farthest) / len(ranges_m) <= 0.95:
+    if len(ranges_m) < 500 or max(ranges_m) - min(ranges_m) < 5.0:
+        return None
+    farthest_m = max(ranges_m)
+    farthest = [range_m for range_m in ranges_m if range_m > farthest_m - 0.1]
+    before = [range_m for range_m in ranges_m if farthest_m - 0.6 < range_m <= farthest_m - 0.1]
+    if not 0.03 <= len(farthest) / len(ranges_m) <= 0.95 or len(farthest) < 2 * len(before):
         return None
     return float(np.median(farthest))
 
