@@ -1,5 +1,6 @@
 """Inputs after public bug reports: what is wrong is named, and no cause that it feigns is."""
 
+import numpy as np
 import pytest
 
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
@@ -61,4 +62,5 @@ def test_a_run_of_two_sweeps_names_them_and_no_cause(real_data, tmp_path):
     assert "no cause can be named: 33 of 37 are unknown" in printed
     assert "larger than the differences" not in printed
     run = open_run(out)
-    assert run.causes.empty and run.pairs.iloc[0].sensor_sim_range_noise_m is None
+    assert run.causes.empty
+    assert np.isnan(run.pairs.iloc[0].sensor_sim_range_noise_m)
