@@ -103,7 +103,7 @@ def decide(args, campaign, flaw, *, independent=False):
     families = [
         f"({one['name']} {one['verdict']})" if one["why"] else f"{one['name']} {one['verdict']}" for one in moved
     ]
-    causes = [f"{one['name']} {one['difference']['difference']:+.2g} {one['unit']}".strip() for one in found["causes"]]
+    causes = [f"{changed['words']} {changed['verdict']}".strip() for changed in found["causes"]]
     return found["decision"], ", ".join(families) or "-", ", ".join(causes) or "-"
 
 
