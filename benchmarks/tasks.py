@@ -25,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from diagnosis import car_moved, motion, pitch, quantum, rain, raised
 from flawed_scans import (
     Scan,
     along_ray,
@@ -100,12 +101,6 @@ TASKS = (
 )
 
 
-def pitched(angle_deg):
-    c = np.cos(np.radians(angle_deg))
-    s = np.sin(np.radians(angle_deg))
-    return lambda scan, rng: scan.points @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
-
-
 def moved(x_m, z_m):
     return lambda scan, rng: scan.points + np.array([x_m, 0, z_m])
 
@@ -143,38 +138,8 @@ def ghosts(share):
     return add
 
 
-def quantised(step_m):
-    return lambda scan, rng: along_ray(scan.points, np.round(ranges(scan.points) / step_m) * step_m)
-
-
-def car_moved(distance_m):
-    return lambda scan, rng: scan.points + belongs_to_car(scan)[:, None] * [0, distance_m, 0]
-
-
 def is_pole(scan):
     return (cKDTree(scan.poles).query(scan.points[:, :2])[0] < 0.4) & ~is_ground(scan.points)
-
-
-def ground_raised(height_m):
-    return lambda scan, rng: scan.points + is_ground(scan.points)[:, None] * [0, 0, height_m]
-
-
-def in_motion(speed_m_s):
-    def distort(scan, rng):
-        turn = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi)
-        return scan.points - turn[:, None] * [speed_m_s * 0.1, 0, 0]
-
-    return distort
-
-
-def rain(n):
-    def fall(scan, rng):
-        points = scan.points.copy()
-        rows = rng.choice(np.flatnonzero(ranges(points) > 5), n, replace=False)
-        points[rows] = along_ray(points[rows], rng.uniform(2.5, 5, n))
-        return points
-
-    return fall
 
 
 def mixed(share, *, at_edges):
@@ -232,18 +197,18 @@ FLAWS = {
     "noise along the ray, m": ((0.05, 0.1, 0.2), ray_noise),
     "offset forward, m": ((0.1, 0.2, 0.4), lambda a: moved(a, 0)),
     "offset upward, m": ((0.05, 0.1, 0.2), lambda a: moved(0, a)),
-    "pitch, degrees": ((0.5, 1, 2), pitched),
+    "pitch, degrees": ((0.5, 1, 2), pitch),
     "roll, degrees": ((0.5, 1, 2), lambda a: of_points(rolled(a))),
     "yaw, degrees": ((0.4, 0.8, 1.6), lambda a: of_points(turned(a))),
     "range scale": ((0.01, 0.03, 0.06), lambda a: lambda scan, rng: scan.points * (1 + a)),
     "range bias, m": ((0.06, 0.12, 0.25), lambda a: of_points(biased(a))),
-    "range quantum, m": ((0.05, 0.1, 0.3), quantised),
+    "range quantum, m": ((0.05, 0.1, 0.3), quantum),
     "car lost, share": ((0.3, 0.6, 1), lambda a: by_chance(a, belongs_to_car)),
     "car moved, m": ((0.25, 0.5, 1), car_moved),
     "thin poles lost, share": ((0.3, 0.6, 1), lambda a: by_chance(a, is_pole)),
     "azimuths, each n-th": ((2, 3, 4), lambda a: lambda scan, rng: scan.points[::a]),
-    "road raised, m": ((0.05, 0.1, 0.2), ground_raised),
-    "motion distortion, m/s": ((5, 10, 20), in_motion),
+    "road raised, m": ((0.05, 0.1, 0.2), raised),
+    "motion distortion, m/s": ((5, 10, 20), motion),
     "rain, points": ((50, 100, 200), rain),
     "maximum range, m": ((50, 30, 20), range_limit),
     "minimum range, m": ((5, 8, 12), lambda a: keep(lambda scan, rng: ranges(scan.points) >= a)),

@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from ..schemas.columns import SIDES
+from ..schemas.columns import SIDE_NAMES, SIDES
 from ..schemas.record import ELSEWHERE, FrameSuspect
 from ..stages.frame_search import MIN_GAIN, MIN_SAME_PLACE, FrameCheck
 from ..stages.plausibility import HALF_SWEEP_GAP_DEG, ScanInspection
@@ -20,10 +20,6 @@ from .stage import FRAMES, INSPECTION
 from .storage.table_files import JobRecord
 
 _WORDS = {"real": {"real"}, "sim": {"sim", "simulated", "simulation"}}
-
-
-#: Sides, as adjectives.
-NAMES = {"real": "real", "sim": "simulated"}
 
 
 def inspection_of(jobs: Iterable[JobRecord]) -> tuple[dict[str, ScanInspection], FrameCheck | None]:
@@ -174,8 +170,8 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
         for side, other in (("real", "sim"), ("sim", "real")):
             if named[side] & _WORDS[other] and not named[side] & _WORDS[side]:
                 lines.append(
-                    f"pair {pair.pair_id}: the {NAMES[side]} scan is {pair.scans[side]}, which is "
-                    f"named {NAMES[other]}; are the sides swapped?"
+                    f"pair {pair.pair_id}: the {SIDE_NAMES[side]} scan is {pair.scans[side]}, which is "
+                    f"named {SIDE_NAMES[other]}; are the sides swapped?"
                 )
                 break
     return lines

@@ -40,7 +40,7 @@ _LOST_BELOW = 0.5  #: share of agreeing points below which an object is lost
 
 @dataclass(frozen=True)
 class ScoreOfLost:
-    """How well a score tells lost objects from kept ones.
+    """Area under the ROC curve of a score as a classifier of lost objects.
 
     auc : probability that a lost object has the larger score; None if none or all are lost
     low, high : 95 % interval from leaving out scans; None for fewer than three
@@ -214,7 +214,7 @@ def _real_objects(run: FinishedRun, name: str) -> dict[int, Row]:
 
 
 def _scores_of_lost(objects: Sequence[Row]) -> tuple[ScoreOfLost, ...]:
-    """How each score of matched objects goes with their loss."""
+    """Area under the ROC curve of each score of matched objects, for their loss."""
     scan_of = {name: i for i, name in enumerate(sorted({row["pair_id"] for row in objects}))}
     results = []
     for score in OBJECT_METRICS:

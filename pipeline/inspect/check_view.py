@@ -8,11 +8,10 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
-from ...schemas.columns import SIDES
+from ...schemas.columns import SIDE_NAMES, SIDES
 from ...schemas.results import JsonObject
 from ...stages.sensor_description import sensor_lines
 from ..engine.costs import CostModel
-from ..pair_checks import NAMES
 from ..report.view import Answers, Note, Part, Table, View, count, items_of
 from ..report.views.answer_view import cause_items
 from ..results.causes import MOST_SHOWN, no_cause_words
@@ -109,7 +108,7 @@ def _sensor_lines(sensors: SensorCheck) -> list[Note]:
             pairs = f"pair{'s' if len(sensors.pair_ids) > 1 else ''} {', '.join(sensors.pair_ids)}"
         lines.append(Note(f"Sensors (estimated from {pairs})", "bold"))
     for side, sensor in sensors.sides.items():
-        lines.append(Note(f"{NAMES[side]} sensor"))
+        lines.append(Note(f"{SIDE_NAMES[side]} sensor"))
         lines += _notes("  ", sensor_lines(sensor))
     return lines + _notes("warning: ", sensors.unlike, "yellow")
 

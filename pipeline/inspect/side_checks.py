@@ -12,7 +12,7 @@ from itertools import chain
 
 import numpy as np
 
-from ...schemas.columns import SIDES
+from ...schemas.columns import SIDE_NAMES, SIDES
 from ...schemas.settings import InputSettings
 from ...stages.arrays import FloatArray, transform_of
 from ...stages.clean import as_ros, at_sensor, clean_scan
@@ -33,7 +33,6 @@ from ...stages.sensor_description import SensorDescription, describe_sensor, has
 from ...stages.trust import SERIOUS
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
-from ..pair_checks import NAMES
 
 _STRETCH = 5
 _WITH_STAMPS = 2  # pairs
@@ -110,7 +109,7 @@ class SideSamples:
             if sensors:
                 usual, lines = _unlike_others(sensors)
                 sides[side] = sensors[usual]
-                unlike += [f"{NAMES[side]} scan of pair {line}" for line in lines]
+                unlike += [f"{SIDE_NAMES[side]} scan of pair {line}" for line in lines]
                 pair_ids |= sensors.keys()
         return SensorCheck(tuple(sorted(pair_ids)), sides, unlike)
 
@@ -127,7 +126,7 @@ class SideSamples:
                 for need, text in sensor.doubts.items():
                     if (need in SERIOUS) == serious:
                         texts.setdefault(need, []).append(text)
-            start = f"{NAMES[side]} scans"
+            start = f"{SIDE_NAMES[side]} scans"
             lines += [f"{start} ({len(alike)} of {len(sensors)}): {alike[0]}" for alike in texts.values()]
         return lines
 
@@ -135,10 +134,10 @@ class SideSamples:
         """Notes on the columns of a side's files and on the times of its points, one line each."""
         lines = []
         for side, notes in self._notes.items():
-            lines += [f"{NAMES[side]} scans: {note}" for note in notes]
+            lines += [f"{SIDE_NAMES[side]} scans: {note}" for note in notes]
         for side, stamps in self._stamps.items():
             if stamps.span_s and not stamps.faults:
-                line = f"{NAMES[side]} scans: {stamps.span_s:.3g} s from first to last point"
+                line = f"{SIDE_NAMES[side]} scans: {stamps.span_s:.3g} s from first to last point"
                 if stamps.place:
                     line += f"; a scan's own time is that of its {stamps.place} point"
                 lines.append(line)
@@ -153,14 +152,14 @@ class SideSamples:
         """
         lines = []
         for side, stamps in self._stamps.items():
-            lines += [f"{NAMES[side]} scans: {text}" for text in stamps.faults]
+            lines += [f"{SIDE_NAMES[side]} scans: {text}" for text in stamps.faults]
         lines += stamp_differences(self._stamps.get("real"), self._stamps.get("sim"))
         lines += self._intensity_lines()
         counts = {side: np.array(n_clean[side], dtype=np.intp) for side in SIDES}
         empty = find_empty_side(counts["real"], counts["sim"])
         if empty is not None:
             lines.append(
-                f"the {NAMES[empty]} side is nearly empty: median of "
+                f"the {SIDE_NAMES[empty]} side is nearly empty: median of "
                 f"{np.median(counts['real']):.0f} points real and {np.median(counts['sim']):.0f} "
                 "simulated, after cleaning; was the sensor on, are its columns right?"
             )
@@ -170,8 +169,8 @@ class SideSamples:
         if static is not None:
             other = "sim" if static == "real" else "real"
             lines.append(
-                f"all {NAMES[static]} scans are nearly identical: neighbouring ones are "
-                f"{moved[static]:.2f} m apart, {NAMES[other]} ones {moved[other]:.2f} m; is one "
+                f"all {SIDE_NAMES[static]} scans are nearly identical: neighbouring ones are "
+                f"{moved[static]:.2f} m apart, {SIDE_NAMES[other]} ones {moved[other]:.2f} m; is one "
                 "scan written again and again?"
             )
         else:
@@ -205,7 +204,7 @@ class SideSamples:
         for side, law in laws.items():
             if law:
                 question = "are materials simulated?" if side == "sim" else "is it recorded?"
-                lines.append(f"{NAMES[side]} scans: intensity is {law}; {question}")
+                lines.append(f"{SIDE_NAMES[side]} scans: intensity is {law}; {question}")
         if len(highest) == len(SIDES) and min(highest.values()) <= 1.0 and max(highest.values()) > _UNIT_SCALE:
             lines.append(
                 f"intensities have different scales: up to {highest['real']:.3g} on the real "
@@ -251,7 +250,7 @@ class SideSamples:
         hits = find_ego_hits(list(scans.values()), ground_m)
         if hits is None:
             return []
-        return [f"{NAMES[side]} scans: {_ego_text(hits, side, self._settings)}"]
+        return [f"{SIDE_NAMES[side]} scans: {_ego_text(hits, side, self._settings)}"]
 
 
 def _stretches(pairs: Sequence[ScanPair]) -> list[list[ScanPair]]:
