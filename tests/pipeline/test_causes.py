@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,9 +18,12 @@ from fidpipe.pipeline.results.causes import (
     changed_causes,
     interval_words,
     named_causes,
+    no_cause_words,
+    small_causes,
     unknown_causes,
 )
 from fidpipe.schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS, UNEVEN
+from fidpipe.schemas.results import Unknown
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import load
 from fidpipe.stages.causes.estimates import Amount
@@ -227,6 +231,26 @@ def values_of(**amounts):
 
 def names_of(**amounts):
     return sorted(cause.name for cause in named_causes(*values_of(**amounts)))
+
+
+def test_a_displacement_that_explains_little_is_small_and_not_named():
+    values, blocks = values_of(height=[0.08] * 3, lost_returns=[0.2] * 3)
+    values["height"] = replace(values["height"], share=np.full(3, 0.05))
+    assert [cause.name for cause in named_causes(values, blocks)] == ["lost returns"]
+    assert small_causes(values, blocks) == ["world 8 cm too high"]
+
+
+@pytest.mark.parametrize(("n_pairs", "heading"), [(1, "within 1 pair: "), (2, "within 2 pairs: "), (3, "95 %: ")])
+def test_an_interval_without_differences_between_pairs_is_headed_so(n_pairs, heading):
+    (cause,) = named_causes(*values_of(height=[0.2] * n_pairs))
+    assert amount_words(cause).startswith(heading)
+
+
+def test_nothing_is_said_to_be_without_a_cause_where_many_are_unknown():
+    few = Unknown(causes=("beams",), reason="why")
+    many = Unknown(causes=tuple(CAUSES)[:20], reason="two sweeps")
+    assert "differences between two measurements" in no_cause_words([few])
+    assert no_cause_words([few, many]) == "no cause can be named: 20 of 37 are unknown (two sweeps)"
 
 
 def test_pairs_that_disagree_name_nothing():

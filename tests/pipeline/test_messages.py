@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import fidpipe
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.time_limit import OutOfTimeError, TimeLimit, limited
@@ -449,3 +450,26 @@ def test_check_estimates_the_sensors_of_both_sides_from_the_sampled_pairs_and_na
     assert sensors.sides["sim"].model is None
     (line,) = sensors.unlike
     assert line.startswith("real scan of pair c: ")
+
+
+def test_settings_in_python_may_be_named_as_on_the_command_line(tmp_path):
+    with pytest.raises(SettingsError, match=r"did you mean input\.sim_frame\?"):
+        fidpipe.run(tmp_path, settings={"input.sim_fram": "carla"})
+    with pytest.raises(SettingsError, match="setting input.sim_frame: expected"):
+        fidpipe.run(tmp_path, settings={"input": {"min_range_m": 3}, "input.sim_frame": "elsewhere"})
+
+
+def test_a_preset_does_not_apply_to_runs_that_are_compared(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").touch()
+    done = command("compare", tmp_path / "a", tmp_path / "b", "--preset", "paper", code=2)
+    assert "these are runs" in done.stderr
+
+
+def test_after_an_error_check_does_not_advise_a_run(tmp_path):
+    misses = np.random.default_rng(0).normal(size=(1000, 3))
+    misses *= 80.0 / np.linalg.norm(misses, axis=1, keepdims=True)
+    write_pair(tmp_path, street(), np.vstack([street(), misses]))
+    done = command("check", tmp_path, code=1)
+    assert "next: fix" in done.stdout and "next: fidpipe run" not in done.stdout

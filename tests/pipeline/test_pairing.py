@@ -143,6 +143,23 @@ def test_two_sides_are_paired_by_name_then_by_number_then_by_time(recordings, tm
     assert dataset_of(tmp_path / "real", tmp_path / "sim", tmp_path / "d")[0] == tmp_path / "d"
 
 
+def test_columns_that_were_added_to_the_manifest_of_two_sides_stay(tmp_path):
+    for side in ("pre", "post"):
+        for name in ("1", "2"):
+            write_bin(tmp_path / side / f"{name}.bin", street())
+    sides = (tmp_path / "pre", tmp_path / "post", tmp_path / "pairs")
+    dataset_of(*sides)
+    manifest = tmp_path / "pairs" / "pairs.csv"
+    moved = pd.read_csv(manifest, dtype=str).assign(T_real_sim="1 0 0 5 0 1 0 0 0 0 1 0")
+    moved.to_csv(manifest, index=False)
+    dataset_of(*sides)
+    assert [pair.T_real_sim[3] for pair in read_dataset(tmp_path / "pairs").pairs] == [5.0, 5.0]
+    write_bin(tmp_path / "post" / "3.bin", street())
+    write_bin(tmp_path / "pre" / "3.bin", street())
+    dataset_of(*sides)
+    assert len(read_dataset(tmp_path / "pairs").pairs) == 3
+
+
 def test_a_folder_of_recordings_is_answered_with_the_command_that_works(recordings, tmp_path):
     shown = command("check", tmp_path)
     words = f"fidpipe pair {tmp_path}/real.bag {tmp_path}/sim_mcap -o {tmp_path.name}-pairs"

@@ -389,6 +389,14 @@ def test_camera_axes_are_named_with_the_setting_of_the_side():
     assert odd.endswith("input.real_frame=kitti-cam")
 
 
+def test_axes_that_a_motion_turns_upright_are_not_named():
+    scan = np.vstack([street(), road(3000, 40)])
+    y_up = scan[:, [0, 2, 1]] * [1, 1, -1]
+    T_real_sim = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0]])
+    assert len(inspect_points(y_up, "sim", InputSettings()).warnings) == 1
+    assert not inspect_points(y_up, "sim", InputSettings(), T_real_sim).warnings
+
+
 def test_near_hits_are_told_with_what_the_present_settings_leave_of_them():
     ring = 2.0 * np.column_stack([np.cos(np.arange(3000)), np.sin(np.arange(3000)), np.zeros(3000)])
     scan = np.vstack([road(1000), ring])
