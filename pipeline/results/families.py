@@ -32,6 +32,16 @@ PairRows = Mapping[str, tuple[Row, Row]]  #: by pair, its rows before and after
 #: Changes that chance makes in under this share of the comparisons are decided.
 ERROR_RATE = 1 - CONFIDENCE
 SURFACE_MISSING, SURFACE_INVENTED, OBJECTS = "surface missing", "surface invented", "objects"
+TASKS = "tasks"
+#: Compared gaps of tasks: heading, and step of the share (objects are few).
+_TASK_SCORES = {
+    "objects.lost": ("obstacles lost", 0.04),
+    "objects.added": ("obstacles added", 0.04),
+    "occupancy.mismatch": ("occupancy mismatch", 0.0),
+    "occupancy.wrongly_free": ("occupied map free", 0.0),
+    "free_space.too_far": ("free space too long", 0.0),
+}
+_LEAST_GAP = 0.005
 #: Sign of a change that is worse, by the value that is best.
 WORSE_IF = {"high": -1.0, "low": 1.0}
 #: The same in headings.
@@ -55,7 +65,7 @@ class Columns(dict[str, FloatArray]):
 class ComparedScore:
     """One score of pairs.
 
-    column : of `pairs`
+    column : of `pairs`, or the name of a gap of a task
     heading : with the unit
     best : "high" or "low"
     least : a change of the mean up to this size does not matter to a user
@@ -90,6 +100,9 @@ def families(preset: str) -> dict[str, list[ComparedScore]]:
             step=metric.step or 0.0,
         )
         chosen.setdefault(metric.family, []).append(score)
+    chosen[TASKS] = []
+    for column, (heading, step) in _TASK_SCORES.items():
+        chosen[TASKS].append(ComparedScore(TASKS, heading, column, "low", _LEAST_GAP, step))
     return chosen
 
 
@@ -257,12 +270,12 @@ def _changes(
 def _with_sectors(
     p_values: FloatArray, compared: Sequence[ComparedScore], sectors: tuple[PairRows, IntArray], least: FloatArray
 ) -> FloatArray:
-    """The larger of the p-values over the frames and over the directions, where scores are known by direction."""
+    """The larger of the p-values over the frames and over the directions; 1 if a score is not known by direction."""
     before, after = _read(compared, sectors[0])
     change = block_means(after - before, sectors[1])
     is_known = ~np.isnan(change).all(axis=1)
     by_sector = adjusted_p_values(change[is_known], least[is_known], np.zeros(is_known.sum()))
-    larger = p_values.copy()
+    larger = np.where(np.isnan(p_values), np.nan, 1.0)
     larger[is_known] = np.maximum(p_values[is_known], by_sector)
     return larger
 
@@ -352,7 +365,7 @@ def _consequence(family: str, reasons: _Reasons) -> str:
         return f"follows from {' and '.join(reasons.causes)}"
     worse = reasons.worse & {SURFACE_MISSING, SURFACE_INVENTED}
     is_surface = family in (SURFACE_MISSING, SURFACE_INVENTED)
-    if worse and (family == OBJECTS or (is_surface and not reasons.is_more_right)):
+    if worse and (family in (OBJECTS, TASKS) or (is_surface and not reasons.is_more_right)):
         return f"follows from {' and '.join(sorted(worse, reverse=True))}"
     return ""
 
