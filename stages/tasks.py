@@ -213,6 +213,13 @@ def compare_ground(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple
     )
 
 
+def counterparts(points: FloatArray, others: FloatArray) -> IndexArray:
+    """The nearest point of the other side, (n,); -1 if none is within 0.3 m."""
+    tree = scipy.spatial.cKDTree(others)
+    distance_m, nearest = tree.query(points, distance_upper_bound=_SEEN_WITHIN_M)
+    return np.where(np.isfinite(distance_m), nearest, -1)
+
+
 def compare_occupancy(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple[Gap, ...]:
     """Agreement of the two occupancy maps of a planner, square cells of cell_m seen from above.
 
@@ -333,9 +340,8 @@ def _found(real: Obstacles, sim: Obstacles, rows: IndexArray, columns: IndexArra
 
 def _ground_on_common_surface(scan: CutScan, other: CutScan) -> tuple[float | None, float | None]:
     """Shares of ground, and of points whose nearest one has another flag; None without any."""
-    tree = scipy.spatial.cKDTree(other.points)
-    distance_m, nearest = tree.query(scan.points, distance_upper_bound=_SEEN_WITHIN_M)
-    is_seen = np.isfinite(distance_m)
+    nearest = counterparts(scan.points, other.points)
+    is_seen = nearest >= 0
     is_ground = scan.is_ground[is_seen]
     return _mean(is_ground), _mean(is_ground != other.is_ground[nearest[is_seen]])
 

@@ -20,12 +20,12 @@ from ...schemas.results import JsonObject
 from ...stages.arrays import BoolArray
 from ...stages.predictions import (
     Boxes,
-    counterparts,
     inside,
     jackknife_interval,
     lost_auc,
     match_detections,
 )
+from ...stages.tasks import counterparts
 from ..datasets.pairs import read_label_names
 from ..results.finished import FinishedRun
 from ..results.object_frame import plain_rows
@@ -127,6 +127,7 @@ def _compare_labels(
 ) -> tuple[list[Row], list[Row]]:
     """Agreement by class, and the real objects that both sides see with the class of most points."""
     import pandas as pd
+    from sklearn.metrics import confusion_matrix
 
     parts = []
     objects: list[Row] = []
@@ -140,15 +141,15 @@ def _compare_labels(
         parts.append(seen)
         objects += _labelled_objects(run, pair_id, seen, label_names)
     points = pd.concat(parts)
-    classes: list[Row] = []
-    for number in np.unique(points[["predicted", "counterpart"]]).tolist():
-        is_real = points["predicted"] == number
-        n_real = int(is_real.sum())
-        n_sim = int((points["counterpart"] == number).sum())
-        n_both = int((is_real & points["agrees"]).sum())
-        row = {"class": label_names.get(number, str(number)), "n_real": n_real, "n_sim": n_sim}
-        classes.append(row | {"iou": n_both / (n_real + n_sim - n_both)})
-    return classes, objects
+    numbers = np.unique(points[["predicted", "counterpart"]])
+    confusion = confusion_matrix(points["predicted"], points["counterpart"], labels=numbers)
+    n_real = confusion.sum(axis=1)
+    n_sim = confusion.sum(axis=0)
+    n_both = confusion.diagonal()
+    names = [label_names.get(number, str(number)) for number in numbers.tolist()]
+    iou = n_both / (n_real + n_sim - n_both)
+    classes = pd.DataFrame({"class": names, "n_real": n_real, "n_sim": n_sim, "iou": iou})
+    return plain_rows(classes), objects
 
 
 def _labelled_points(run: FinishedRun, pair_id: str, side: str, path: Path) -> pd.DataFrame:
@@ -179,29 +180,24 @@ def _compare_boxes(
     """Agreement by class, and the real objects that are in a real box."""
     import pandas as pd
 
-    real_parts = []
-    sim_names: list[str] = []
+    parts = []
     objects: list[Row] = []
     for pair_id, (real_path, sim_path) in files.items():
         real = read(real_path)
         sim = read(sim_path)
         partner = match_detections(real, sim)
         is_found = partner >= 0
-        place_m = np.full(len(partner), np.nan)
         offset_m = real.centre[is_found] - sim.centre[partner[is_found]]
-        place_m[is_found] = np.hypot(offset_m[:, 0], offset_m[:, 1])
-        real_parts.append(pd.DataFrame({"class": real.names, "place_m": place_m}))
-        sim_names += sim.names.tolist()
+        place_m = np.full(len(partner), np.nan)
+        place_m[is_found] = np.linalg.norm(offset_m[:, :2], axis=1)
+        parts.append(pd.DataFrame({"class": real.names, "n_real": 1, "place_m": place_m}))
+        parts.append(pd.DataFrame({"class": sim.names, "n_sim": 1}))
         objects += _boxed_objects(run, pair_id, real, is_found)
-    boxes = pd.concat(real_parts)
-    classes: list[Row] = []
-    for name in sorted({*boxes["class"], *sim_names}):
-        place_m = boxes.loc[boxes["class"] == name, "place_m"]
-        row = {"class": name, "n_real": len(place_m), "n_sim": sim_names.count(name)}
-        n_found = int(place_m.count())
-        row |= {"n_found": n_found, "place_m": float(place_m.median()) if n_found else None}
-        classes.append(row)
-    return classes, objects
+    by_class = pd.concat(parts).groupby("class")
+    classes = by_class[["n_real", "n_sim"]].sum().astype(int)
+    classes["n_found"] = by_class["place_m"].count()
+    classes["place_m"] = by_class["place_m"].median()
+    return plain_rows(classes.reset_index()), objects
 
 
 def _boxed_objects(run: FinishedRun, pair_id: str, real: Boxes, is_found: BoolArray) -> list[Row]:
@@ -230,14 +226,16 @@ def _real_objects(run: FinishedRun, pair_id: str) -> dict[int, Row]:
 
 def _scores_of_lost(objects: Sequence[Row]) -> tuple[ScoreOfLost, ...]:
     """Area under the ROC curve of each score of matched objects, for their loss."""
-    scan_of = {name: i for i, name in enumerate(sorted({row["pair_id"] for row in objects}))}
+    import pandas as pd
+
+    frame = pd.DataFrame(objects, columns=["pair_id", "fate", *OBJECT_METRICS])
     results = []
     for score in OBJECT_METRICS:
-        known = [row for row in objects if row[score] is not None]
-        values = np.array([row[score] for row in known], dtype=np.float64)
-        is_lost = np.array([row["fate"] == "lost" for row in known], dtype=np.bool_)
-        scans = np.array([scan_of[row["pair_id"]] for row in known], dtype=np.intp)
-        low, high = jackknife_interval(values, is_lost, scans) or (None, None)
+        known = frame.dropna(subset=[score])
+        values = known[score].to_numpy(dtype=np.float64)
+        is_lost = (known["fate"] == "lost").to_numpy()
+        scan_of, _ = pd.factorize(known["pair_id"])
+        low, high = jackknife_interval(values, is_lost, scan_of) or (None, None)
         n_lost = int(is_lost.sum())
         auc = lost_auc(values, is_lost)
         results.append(ScoreOfLost(score, auc, low, high, n_lost, len(known) - n_lost))

@@ -149,6 +149,18 @@ def test_boxes_of_nuscenes_are_the_same_as_those_of_kitti(folder, boxes, tmp_pat
             read_nuscenes_boxes(tmp_path / "a.json")
 
 
+def test_a_side_without_boxes_loses_all(folder, tmp_path):
+    for side, content in (("real", kitti_line((8, 4, -0.9), (4, 1.8, 1.2))), ("sim", "")):
+        (tmp_path / side).mkdir()
+        (tmp_path / side / "000.txt").write_text(content)
+    result = compare_predictions(fidpipe.open_run(folder / "run"), tmp_path / "real", tmp_path / "sim")
+    (cars,) = result.classes
+    assert cars == {"class": "Car", "n_real": 1, "n_sim": 0, "n_found": 0, "place_m": None}
+    assert [row["fate"] for row in result.objects] == ["lost"]
+    assert {score.auc for score in result.scores} == {None}
+    assert result.left_out == ("001", "002", "003")
+
+
 def test_the_tasks_of_a_run_are_a_command_of_their_own(folder):
     assert "wrongly_free" in command("tasks", folder / "run", code=0).stdout
     rows = list(csv.DictReader(io.StringIO(command("tasks", folder / "run", "--csv", code=0).stdout)))
