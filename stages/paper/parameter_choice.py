@@ -101,47 +101,33 @@ def _choose(trial: Trial, match_rate: Sequence[int], r_lambda: Sequence[int]) ->
     name = trial.name
     current = trial.tried[trial.current]
     n_pairs = len(trial.match_rate)
-    here = _named(name, current)
+    stays = f"{_named(name, current)} stays"
     if n_pairs < LEAST_PAIRS:
-        text = f"the data do not decide: expected at least {LEAST_PAIRS} pairs, got {n_pairs}; {here} stays"
+        text = f"the data do not decide: expected at least {LEAST_PAIRS} pairs, got {n_pairs}; {stays}"
         return Choice(name, current, False, text)
     others = [i for i in range(len(trial.tried)) if i != trial.current]
     higher = [i for i in others if match_rate[i] == 1]
-    lower = [i for i in others if match_rate[i] == -1]
     if higher:
         means = trial.match_rate.mean(axis=0)
-        return _replaced(trial, "match rate", means, higher, max(higher, key=means.item))
-    lower_r_lambda = [i for i in others if i not in lower and r_lambda[i] == -1]
-    if lower_r_lambda:
+        return _replaced(trial, "match rate", means, max(higher, key=means.item))
+    not_lower = [i for i in others if match_rate[i] == 0]
+    better = [i for i in not_lower if r_lambda[i] == -1]
+    if better:
         means = trial.r_lambda.mean(axis=0)
-        return _replaced(
-            trial,
-            "r_lambda",
-            means,
-            lower_r_lambda,
-            min(lower_r_lambda, key=means.item),
-        )
-    if all(i in lower or r_lambda[i] == 1 for i in others):
-        return Choice(name, current, True, f"{here} stays: all other values are clearly worse")
-    text = f"the data do not decide: no other value is clearly better; {here} stays"
+        return _replaced(trial, "r_lambda", means, min(better, key=means.item))
+    if all(r_lambda[i] == 1 for i in not_lower):
+        return Choice(name, current, True, f"{stays}: all other values are clearly worse")
+    text = f"the data do not decide: no other value is clearly better; {stays}"
     return Choice(name, current, False, text)
 
 
-def _replaced(
-    trial: Trial,
-    score: str,
-    means: FloatArray,
-    better: Sequence[int],
-    best: int,
-) -> Choice:
+def _replaced(trial: Trial, score: str, means: FloatArray, best: int) -> Choice:
     """The best value instead of the current one."""
-    name = trial.name
-    text = f"{_named(name, trial.tried[best])} instead of {_named(name, trial.tried[trial.current])}: "
+    chosen = trial.tried[best]
+    current = trial.tried[trial.current]
+    text = f"{_named(trial.name, chosen)} instead of {_named(trial.name, current)}: "
     text += f"{score} {means[best]:.3f} against {means[trial.current]:.3f}"
-    rest = [trial.tried[i] for i in better if i != best]
-    if rest:
-        text += f" (clearly better too: {_listed(name, rest)})"
-    return Choice(name, trial.tried[best], True, text)
+    return Choice(trial.name, chosen, True, text)
 
 
 def _p_value(change: FloatArray) -> float | None:
@@ -159,10 +145,3 @@ def _named(name: str, choice: ParameterSet) -> str:
         return f"(k {choice.k}, tau {choice.tau_m:g} m, delta {choice.delta_m:g} m, t {choice.t:g})"
     unit = " m" if name.endswith("_m") else ""
     return f"{name.removesuffix('_m')} = {getattr(choice, name):g}{unit}"
-
-
-def _listed(name: str, choices: Sequence[ParameterSet]) -> str:
-    if name == "grid":
-        return f"{len(choices)} of the combinations"
-    *values, last = [f"{getattr(choice, name):g}" for choice in choices]
-    return f"{', '.join(values)} and {last}" if values else last

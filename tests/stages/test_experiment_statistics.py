@@ -1,31 +1,8 @@
-"""Statistics of the paper's experiments: the reaction of each metric, and the choice of parameters."""
+"""Statistics of the paper's experiments: the choice of parameters."""
 
 import numpy as np
-import pytest
 
-from fidpipe.stages.generate.perturbations import Perturbation
 from fidpipe.stages.paper.parameter_choice import ParameterSet, Trial, choose_parameters
-from fidpipe.stages.paper.sweep_means import Means, react
-
-
-def means(levels, curves):
-    """Means of one repeat; curves are (object, metric, a value for each level)."""
-    rows = []
-    for name, metric, values in curves:
-        for level, value in zip(levels, values, strict=True):
-            rows.append({**vars(level), "object": name, "metric": metric, "n": 1, "mean": value, "std": None})
-    return Means(rows)
-
-
-def test_a_metric_reacts_most_to_the_level_at_which_it_is_farthest_from_equal_objects():
-    levels = [Perturbation("noise", 0.1), Perturbation("dropout", 0.2), Perturbation("dropout", 0.4)]
-    curves = [(name, "f_score", (0.8 + shift, 0.1, 0.5 + shift)) for name, shift in (("car", -0.1), ("tree", 0.1))]
-    reactions = {reaction.metric: reaction for reaction in react(means(levels, curves), levels)}
-    assert reactions["f_score"].values == pytest.approx((0.8, 0.5))
-    assert reactions["f_score"].most == levels[2]
-    assert reactions["r_lambda"].values == (None, None)
-    assert reactions["r_lambda"].most is None
-
 
 BASE = ParameterSet(90, 0.2, 5.0, 1.0)
 VALUES = {"k": (30, 60, 90, 120, 150), "tau_m": (0.1, 0.2, 0.3, 0.5), "t": (0.1, 0.5, 1.0, 2.0, 5.0)}
