@@ -8,15 +8,12 @@ missing twins.
 from __future__ import annotations
 
 import gc
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError, ScanError, StageError, suggestion
 from ...schemas.sensor_models import SensorModel
 from ...schemas.settings import FRAME_AXES, InputSettings
@@ -25,28 +22,19 @@ from ...stages.clean import clean_scan
 from ...stages.generate.flaws import FLAWS, ChosenFlaw, carried, lose_foliage
 from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, extend_map, recorded_directions, rescan
-from ..datasets.pairs import LABEL_NAMES, MANIFEST, ScanPair
+from ..datasets.pairs import LABEL_NAMES, ScanPair
 from ..datasets.readers import read_scan
 from ..engine.progress import Reporter
-from ..engine.tasks import map_tasks
 from ..run import select_pairs
-from ..storage.files import csv_bytes, hash_file, key_of, named_errors, path_exists, write_whole
+from ..storage.files import hash_file, key_of, write_whole
 from ..storage.run_record import library_versions
-from .dataset_folder import Recipe, prepare_folder
+from .dataset_folder import Generated, GeneratedPair, Recipe, generate_dataset
 from .recordings import Recording, square
 
 RECIPE = "twin.toml"
 RECIPE_VERSION = 2  # increase it when the same recipe results in other scans
 _LIBRARIES = ("numpy", "scipy", "trimesh", "embreex")
 _LEAST_OTHERS = 2
-
-
-@dataclass(frozen=True)
-class TwinOutcome:
-    """Number of pairs in the dataset, and reasons for missing pairs by name."""
-
-    n_pairs: int
-    failures: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -78,7 +66,7 @@ def make_twins(
     settings: InputSettings | None = None,
     workers: int = 1,
     replace: bool = False,
-) -> TwinOutcome:
+) -> Generated:
     """Write the dataset; existing twins of the same recipe are kept.
 
     Parameters
@@ -103,44 +91,32 @@ def make_twins(
     settings = settings or InputSettings()
     _check_request(recording, out, foliage, settings)
     frames = select_pairs(recording, pattern)
-    paths = [_files(out, frame) for frame in frames]
     recipe = _inputs(recording) | {
         "seed": seed,
         "others": n_others,
         "foliage": list(foliage),
-        "flaw": [_without_none(vars(flaw)) for flaw in flaws],
+        "flaw": [flaw.entries() for flaw in flaws],
         "sensor": vars(sensor),
         "input": settings.model_dump(mode="json", exclude_none=True),
         "libraries": library_versions(_LIBRARIES),
         "frames": [frame.pair_id for frame in frames],
-        "files": sorted({path.name for path in chain(*paths)}),
     }
     names = recording.label_names
-    tasks = {}
+    pairs = []
     for frame in frames:
         others = _nearest(recording.pairs, frame, n_others)
-        tasks[frame.pair_id] = _Task(
-            frame,
-            others,
-            names,
-            out,
-            sensor,
-            flaws,
-            foliage,
-            seed,
-            settings,
+        scan = frame.scans["real"]
+        pairs.append(
+            GeneratedPair(
+                pair_id=frame.pair_id,
+                real=scan.file.name,
+                sim=f"{scan.stem}.bin",
+                task=_Task(frame, others, names, out, sensor, flaws, foliage, seed, settings),
+                timestamp_s=frame.timestamp_s,
+                T_world_sensor=frame.T_world_sensor,
+            )
         )
-    with named_errors(out):
-        files = {out / side / name for side, name in product(SIDES, recipe["files"])}
-        prepare_folder(out, RECIPE, recipe, _own_files, files, names, replace=replace)
-        missing = {name: task for name, task in tasks.items() if not _is_done(task)}
-        if 0 < len(missing) < len(tasks):
-            reporter.say(f"{len(tasks) - len(missing)} of {len(tasks)} twins already exist")
-        _, failures = map_tasks(_write_twin, missing, reporter, n_workers=workers)
-        done = [task.frame for task in tasks.values() if _is_done(task)]
-        columns = ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"]
-        write_whole(out / MANIFEST, csv_bytes(columns, map(_row, done)))
-    return TwinOutcome(len(done), failures)
+    return generate_dataset(out, RECIPE, recipe, pairs, names, _write_twin, reporter, workers=workers, replace=replace)
 
 
 def _check_request(
@@ -166,11 +142,6 @@ def _check_request(
         raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
 
 
-def _without_none(values: Mapping[str, Any]) -> Recipe:
-    """The entries that have a value, as TOML has no null."""
-    return {name: value for name, value in values.items() if value is not None}
-
-
 def _inputs(recording: Recording) -> Recipe:
     """The entries of a recipe about the recording and fidpipe."""
     from ... import __version__
@@ -188,59 +159,22 @@ def _inputs(recording: Recording) -> Recipe:
     }
 
 
-def _own_files(out: Path, recipe: Recipe) -> set[Path] | None:
-    """Existing files of a recipe; None if it is not a recipe of twins."""
-    names = recipe.get("files")
-    is_ours = isinstance(names, list) and all(isinstance(name, str) and Path(name).name == name for name in names)
-    if not is_ours or not {"version", "seed", "sensor", "inputs_sha256"} <= recipe.keys():
-        return None
-    paths = [out / side / name for side, name in product(SIDES, recipe["files"])]
-    return {path for path in paths if path_exists(path) and not path.is_dir()}
-
-
 def _nearest(frames: Sequence[ScanPair], frame: ScanPair, n: int) -> tuple[ScanPair, ...]:
     """The frames nearest in time to one of them, without it."""
     order = np.argsort(np.abs(np.arange(len(frames)) - frames.index(frame)), kind="stable").tolist()
     return tuple(frames[other] for other in order[1 : n + 1])
 
 
-def _files(out: Path, frame: ScanPair) -> tuple[Path, Path, Path]:
-    """The files of a pair: real scan, simulated scan, labels of the real scan."""
-    real = out / "real"
-    scan = frame.scans["real"]
-    return real / scan.file.name, out / "sim" / f"{scan.stem}.bin", real / scan.labels.name
-
-
-def _is_done(task: _Task) -> bool:
-    real, sim, _ = _files(task.out, task.frame)
-    return real.exists() and sim.exists()
-
-
-def _row(frame: ScanPair) -> tuple[str, ...]:
-    """The row of a pair in the manifest."""
-    time_s = "" if frame.timestamp_s is None else repr(frame.timestamp_s)
-    real, sim, _ = _files(Path(), frame)
-    return (
-        frame.pair_id,
-        str(real),
-        str(sim),
-        time_s,
-        " ".join(
-            map(repr, frame.T_world_sensor or ()),
-        ),
-    )
-
-
 def _write_twin(task: _Task) -> None:
     """Write the scans of a pair, and the labels of the real one."""
-    real, sim, labels = _files(task.out, task.frame)
     points, intensity = _rescan(task)
     gc.collect()  # trimesh surfaces are cyclic: otherwise 80 MB per frame wait for the collector
     scan = task.frame.scans["real"]
     if scan.labels.exists():
-        write_whole(labels, scan.labels.read_bytes())
-    write_whole(real, scan.file.read_bytes())
-    write_whole(sim, np.column_stack([points, np.nan_to_num(intensity)]).astype("<f4").tobytes())
+        write_whole(task.out / "real" / scan.labels.name, scan.labels.read_bytes())
+    write_whole(task.out / "real" / scan.file.name, scan.file.read_bytes())
+    rows = np.column_stack([points, np.nan_to_num(intensity)])
+    write_whole(task.out / "sim" / f"{scan.stem}.bin", rows.astype("<f4").tobytes())
 
 
 def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:

@@ -110,6 +110,10 @@ class ChosenFlaw:
     amount: float
     at_m: float | None = None
 
+    def entries(self) -> dict[str, str | float]:
+        """The fields that have a value."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
 
 def carried(points: FloatArray, intensity: FloatArray, altered: FloatArray) -> FloatArray:
     """Intensity of the points after a flaw: of the same rows if their number is the same, else of the nearest point.
