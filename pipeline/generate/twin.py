@@ -14,15 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ...schemas.errors import FidpipeError, ScanError, StageError, suggestion
+from ...schemas.errors import FidpipeError, ScanError, StageError
 from ...schemas.sensor_models import SensorModel
 from ...schemas.settings import FRAME_AXES, InputSettings
-from ...stages.arrays import BoolArray, FloatArray
+from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan
-from ...stages.generate.flaws import FLAWS, ChosenFlaw, carried, lose_foliage
+from ...stages.generate.flaws import FLAWS, ChosenFlaw, carried
 from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, extend_map, recorded_directions, rescan
-from ..datasets.pairs import LABEL_NAMES, ScanPair
+from ..datasets.pairs import ScanPair
 from ..datasets.readers import read_scan
 from ..engine.progress import Reporter
 from ..run import select_pairs
@@ -47,7 +47,6 @@ class _Task:
     out: Path
     sensor: SensorModel
     flaws: tuple[ChosenFlaw, ...]
-    foliage: tuple[str, ...]
     seed: int
     settings: InputSettings
 
@@ -60,7 +59,6 @@ def make_twins(
     sensor: SensorModel = RECORDED,
     flaws: tuple[ChosenFlaw, ...] = (),
     n_others: int = 4,
-    foliage: tuple[str, ...] = (),
     pattern: str | None = None,
     seed: int = 0,
     settings: InputSettings | None = None,
@@ -74,7 +72,6 @@ def make_twins(
     sensor : of the re-scan, with its range noise and share of lost pulses
     flaws : in the order in which they are applied
     n_others : largest number of other frames, the nearest in time, used for the model of a frame
-    foliage : labels of foliage for the flaw of that name; by default scattered points
     pattern : only frames whose name matches (shell style) are re-scanned; all frames are used for
         models
     seed : of noise, losses and flaws
@@ -89,12 +86,11 @@ def make_twins(
         this recipe.
     """
     settings = settings or InputSettings()
-    _check_request(recording, out, foliage, settings)
+    _check_request(recording, out, settings)
     frames = select_pairs(recording, pattern)
     recipe = _inputs(recording) | {
         "seed": seed,
         "others": n_others,
-        "foliage": list(foliage),
         "flaw": [flaw.entries() for flaw in flaws],
         "sensor": vars(sensor),
         "input": settings.model_dump(mode="json", exclude_none=True),
@@ -111,7 +107,7 @@ def make_twins(
                 pair_id=frame.pair_id,
                 real=scan.file.name,
                 sim=f"{scan.stem}.bin",
-                task=_Task(frame, others, names, out, sensor, flaws, foliage, seed, settings),
+                task=_Task(frame, others, names, out, sensor, flaws, seed, settings),
                 timestamp_s=frame.timestamp_s,
                 T_world_sensor=frame.T_world_sensor,
             )
@@ -122,7 +118,6 @@ def make_twins(
 def _check_request(
     recording: Recording,
     out: Path,
-    foliage: Sequence[str],
     settings: InputSettings,
 ) -> None:
     """Raise `FidpipeError` if twins of a recording cannot be made with these arguments."""
@@ -132,12 +127,6 @@ def _check_request(
             f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a '
             f"recording require {FRAME_AXES['ros']}; convert its scans and poses first"
         )
-    known = list(recording.label_names.values())
-    for label in foliage if known else ():
-        if label not in known:
-            raise FidpipeError(
-                f"foliage {label!r}: no such label in {LABEL_NAMES}; {suggestion(label, known)}",
-            )
     if out.resolve() == recording.folder.resolve():
         raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
 
@@ -190,22 +179,17 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):  # or the last bits would differ between machines
-        scan, _, _ = _read(task, task.frame)
+        scan, _ = _read(task, task.frame)
         T_sensor_world = np.linalg.inv(square(task.frame.T_world_sensor or ()))
         voxels = EMPTY_MAP
         others = []
         for frame in task.others:
             try:
-                points, is_labelled, brightness = _read(task, frame)
+                points, intensity = _read(task, frame)
             except ScanError:  # its own pair fails
                 continue
             motion = T_sensor_world @ square(frame.T_world_sensor or ())
-            voxels = extend_map(
-                voxels,
-                points @ motion[:3, :3].T + motion[:3, 3],
-                is_labelled,
-                brightness,
-            )
+            voxels = extend_map(voxels, points @ motion[:3, :3].T + motion[:3, 3], intensity)
             others.append(points)
         if len(others) < _LEAST_OTHERS:
             raise StageError(
@@ -216,17 +200,11 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
             directions = recorded_directions(scan, np.concatenate(others))
         else:
             directions = fire(task.sensor, rng.uniform(0.0, 360.0)).directions()
-        points, is_foliage, intensity = rescan(voxels, directions, task.sensor, rng)
+        points, intensity = rescan(voxels, directions, task.sensor, rng)
         for flaw in task.flaws:
             kind = FLAWS[flaw.name]
-            rng = _rng(
-                task,
-                flaw.name if kind.is_systematic else f"{task.frame.pair_id}/{flaw.name}",
-            )
-            if flaw.name == "foliage" and task.foliage:  # the first flaw: no rows are lost yet
-                altered = lose_foliage(points, flaw.amount, rng, is_foliage)
-            else:
-                altered = kind(points, flaw.amount, rng, flaw.at_m)
+            purpose = flaw.name if kind.is_systematic else f"{task.frame.pair_id}/{flaw.name}"
+            altered = kind(points, flaw.amount, _rng(task, purpose), flaw.at_m)
             intensity = carried(points, intensity, altered)
             points = altered
             if kind.intensity is not None:
@@ -238,18 +216,13 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
     return points, intensity
 
 
-def _read(task: _Task, frame: ScanPair) -> tuple[FloatArray, BoolArray | None, FloatArray | None]:
-    """The cleaned points of a frame, a mask of those labelled as foliage if the recipe names such labels, intensity."""
+def _read(task: _Task, frame: ScanPair) -> tuple[FloatArray, FloatArray]:
+    """The cleaned points of a frame and their intensity, NaN if unknown."""
     scan = read_scan(frame.scans["real"], task.settings.columns_of("real"), task.label_names)
     clean = clean_scan(scan.points, task.settings)
-    intensity = None if scan.intensity is None else scan.intensity[clean.point_ids]
-    if not task.foliage:
-        return clean.points, None, intensity
-    if scan.labels is None:
-        raise ScanError(
-            f"{frame.real}: has no labels; expected labels for the foliage ({', '.join(task.foliage)})",
-        )
-    return clean.points, np.isin(scan.labels[clean.point_ids], task.foliage), intensity
+    if scan.intensity is None:
+        return clean.points, np.full(len(clean.points), np.nan)
+    return clean.points, scan.intensity[clean.point_ids]
 
 
 def _rng(task: _Task, purpose: str) -> np.random.Generator:

@@ -10,9 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby, product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 
@@ -22,7 +21,6 @@ from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
 from ...schemas.tables import TABLES
 from ...stages.method import Memo, compare, n_communities, partition
-from ...stages.paper.parameter_choice import Choice, ParameterSet, Trial, choose_parameters
 from ...stages.plausibility import ScanInspection
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
@@ -42,6 +40,15 @@ from .experiment import (
     read_source,
     run_experiment,
 )
+
+
+class ParameterSet(NamedTuple):
+    """Values of the four ablated settings: k, tau and delta in metres, diffusion time t."""
+
+    k: int
+    tau_m: float
+    delta_m: float
+    t: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,8 +98,6 @@ PARAMETERS = {
     ),
 }
 _NAMES = list(PARAMETERS)
-#: The parameters that the rule can choose.
-CHOSEN = ("k", "tau_m", "t")
 _SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
@@ -222,12 +227,6 @@ def base_of(request: Request) -> ParameterSet:
     return ParameterSet(*request["base"])
 
 
-def sets_along(request: Request, name: str) -> list[ParameterSet]:
-    """The parameter sets in which one parameter varies and the others have their current values."""
-    base = base_of(request)
-    return [base.with_value(name, value) for value in request["values"][name]]
-
-
 def means_along(outcome: ExperimentOutcome, name: str) -> pd.DataFrame:
     """The rows of `ablate_summary` in which one parameter varies and the others have their current values."""
     summary = outcome.tables["ablate_summary"].to_pandas()
@@ -235,27 +234,6 @@ def means_along(outcome: ExperimentOutcome, name: str) -> pd.DataFrame:
         if other != name:
             summary = summary[summary[other] == value]
     return summary
-
-
-def choose(outcome: ExperimentOutcome) -> list[Choice]:
-    """A choice for each parameter with several values that the rule covers, and for the grid."""
-    base = base_of(outcome.request)
-    rows = outcome.tables["ablate"].to_pandas()
-    tried = {}
-    for name in CHOSEN:
-        if len(outcome.request["values"][name]) > 1:
-            tried[name] = sets_along(outcome.request, name)
-    if outcome.request["grid"]:
-        grid = rows.loc[rows["delta_m"] == base.delta_m, _NAMES].drop_duplicates()
-        tried["grid"] = [ParameterSet(*row) for row in grid.itertuples(index=False)]
-    trials = []
-    for name, sets in tried.items():
-        scores = []
-        for metric in ("match_rate", "r_lambda_mean"):
-            wide = rows.pivot(index="pair_id", columns=_NAMES, values=metric)
-            scores.append(wide[sets].dropna().to_numpy(dtype=np.float64))
-        trials.append(Trial(name, sets, sets.index(base), *scores))
-    return choose_parameters(trials)
 
 
 def parameter_sets(
@@ -276,7 +254,7 @@ def parameter_sets(
         return [ParameterSet(*combination) for combination in product(*values.values())]
     sets = set()
     for name, tried in values.items():
-        sets |= {base.with_value(name, value) for value in tried}
+        sets |= {base._replace(**{name: value}) for value in tried}
     return sorted(sets)
 
 

@@ -11,9 +11,8 @@ import pandas as pd
 
 from ...schemas.metric_catalogue import METRIC, OBJECT_METRICS, labels, narrow_labels
 from ...stages.generate.perturbations import KINDS, Perturbation
-from ...stages.paper.parameter_choice import RULE
 from ..report.view import Note, Part, Table, View, count, mean_and_spread, number
-from .ablate import PARAMETERS, base_of, choose, means_along
+from .ablate import PARAMETERS, base_of, means_along
 from .experiment import ExperimentOutcome
 from .perturb import chosen_objects, levels_of
 
@@ -63,15 +62,12 @@ def perturb_view(outcome: ExperimentOutcome) -> View:
 
 
 def ablate_view(outcome: ExperimentOutcome) -> View:
-    """A table for each parameter, and the choice."""
+    """A table for each parameter."""
     parts: list[Part] = []
     if outcome.metadata:
         for name, values in outcome.request["values"].items():
             if len(values) > 1:
                 parts.append(_parameter_table(outcome, name))
-        parts += [Note("The choice", "bold"), Note(f"Rule: {RULE}.")]
-        for choice in choose(outcome):
-            parts.append(Note(f"  {choice.name.removesuffix('_m')}: {choice.text}"))
         note = "A small r_lambda can also result from a poor alignment (a large change): compare shift and change."
         parts.append(Note(f"{note}\n"))
     results = "ablate_summary.parquet (means over pairs), ablate.parquet (a row per pair and parameter set), ablate.png"

@@ -1,7 +1,6 @@
-"""`fidpipe ablate`: what is tried, that work is shared, and which setting is chosen."""
+"""`fidpipe ablate`: what is tried, and that work is shared."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -10,13 +9,11 @@ from matplotlib.image import imread
 
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.evaluate import evaluate_pair
-from fidpipe.pipeline.paper.ablate import ablate_dataset, choose, means_along, parameter_sets
+from fidpipe.pipeline.paper.ablate import ParameterSet, ablate_dataset, means_along, parameter_sets
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.metric_catalogue import OBJECT_METRICS
 from fidpipe.schemas.settings import load
-from fidpipe.schemas.tables import TABLES
 from fidpipe.stages import method
-from fidpipe.stages.paper.parameter_choice import ParameterSet
 from runs import QUIET, command
 from scenes import write_bin
 
@@ -126,70 +123,16 @@ def test_a_wrong_value_is_refused_before_any_work(dataset, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def made_up(done, rates, r_lambdas):
-    """An outcome over k = 30, 60, 90 with these scores, a column a pair."""
-    rows = [
-        {
-            "pair_id": f"{pair}",
-            **ParameterSet(k, 0.2, 5.0, 1.0)._asdict(),
-            **dict.fromkeys(("n_communities_real", "n_communities_sim", "n_matched"), 1),
-            "match_rate": rate,
-            "r_lambda_mean": r_lambda,
-        }
-        for k, of_rate, of_lambda in zip((30, 60, 90), rates, r_lambdas, strict=True)
-        for pair, (rate, r_lambda) in enumerate(zip(of_rate, of_lambda, strict=True))
-    ]
-    values = {"k": (30, 60, 90), "tau_m": (0.2,), "delta_m": (5.0,), "t": (1.0,)}
-    request = {"base": [90, 0.2, 5.0, 1.0], "values": values, "grid": False}
-    return replace(done, request=request, tables={"ablate": TABLES["ablate"].from_rows(rows)})
-
-
-BETTER = [0.80, 0.83, 0.79, 0.80]
-USUAL = [0.60, 0.62, 0.59, 0.61]
-WORSE = [0.50, 0.52, 0.48, 0.51]
-ALIKE = [[0.60, 0.70, 0.50, 0.62], [0.66, 0.61, 0.59, 0.57], [0.58, 0.69, 0.55, 0.60]]
-LOWER = [[0.30, 0.31, 0.29, 0.30], [0.40, 0.42, 0.39, 0.41], [0.36, 0.37, 0.35, 0.36]]
-
-
-@pytest.mark.parametrize(
-    ("rates", "r_lambdas", "k", "text"),
-    [
-        (ALIKE, [[0.4, 0.3, 0.35, 0.38]] * 3, None, "do not decide"),
-        ([WORSE, BETTER, USUAL], [[0.4] * 4] * 3, 60, "match rate 0.805 against 0.605"),
-        ([[0.6] * 4] * 3, LOWER, 30, "r_lambda 0.300 against 0.360"),
-        ([WORSE, USUAL, BETTER], [[0.4] * 4] * 3, 90, "k = 90 stays"),
-        (
-            [[0.5, 0.5], [0.9, 0.9], [0.6, 0.6]],
-            [[0.4, 0.4]] * 3,
-            None,
-            "got 2; k = 90 stays",
-        ),
-    ],
-)
-def test_the_match_rate_decides_then_r_lambda_and_the_value_in_force_stays_if_neither_does(
-    done, rates, r_lambdas, k, text
-):
-    (choice,) = choose(made_up(done, rates, r_lambdas))
-    assert (choice.chosen.k, choice.decided) == (k or 90, k is not None)
-    assert text in choice.text
-
-
-def test_delta_is_never_chosen(done):
-    outcome = made_up(done, [[0.5] * 4] * 3, [[0.4] * 4] * 3)
-    outcome.request["values"]["delta_m"] = (1.0, 5.0)
-    assert [choice.name for choice in choose(outcome)] == ["k"]
-
-
 def test_diffusion_time_cannot_change_the_match_rate(done):
     along = means_along(done, "t").query("metric == 'match_rate'")
     assert len(along) == 2
     assert along["mean"].nunique() == 1
 
 
-def test_the_command_prints_a_choice_and_its_rule(dataset, tmp_path):
+def test_the_command_prints_a_table_and_draws_its_figure(dataset, tmp_path):
     words = ("--workers", 1, "--set", "graph.k=12", "--k", "8", "--tau", "0.2", "--delta", "5", "--t", "1")
     result = command("ablate", dataset, *words, cwd=tmp_path, code=0)
-    assert "Rule: " in result.stdout
+    assert "graph.k: " in result.stdout
     assert len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate.parquet")) == 2 * 2
     picture = imread(tmp_path / "runs" / "streets-ablate" / "ablate.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
