@@ -58,7 +58,7 @@ class Experiment:
     tables : names of the tables over all pairs
     summary : name of the table of means over all pairs
     evaluate : from a pair, its scans by side, settings and request: the tables of the pair, with
-        metadata; "warnings" and "notes" among it are shown to the user
+        metadata; its "warnings" are shown to the user
     summarise : from `tables` of all pairs by name, the rows of `summary`
     """
 
@@ -211,8 +211,6 @@ def run_experiment(
         write_record(out, settings, header.items(), folder.check_token)
     for record in records:
         reporter.warn(*record.metadata["warnings"])
-        for note in record.metadata.get("notes", ()):
-            reporter.say(note)
     return ExperimentOutcome(
         folder=out,
         request=request,
