@@ -190,7 +190,7 @@ def run_experiment(
             write_record(out, settings, header.items(), folder.check_token)
         _remove(stale, folder, reporter, "; ".join(changes) or "out of date")
         missing = {pair_id: task for pair_id, task in tasks.items() if pair_id not in done}
-        new_records, new_failures = map_tasks(
+        made, failures_of_tasks = map_tasks(
             _evaluate,
             missing,
             reporter,
@@ -198,12 +198,12 @@ def run_experiment(
             memory_gib=settings.machine.memory_gib,
             may_end_workers=may_crash(task.pair for task in missing.values()),
         )
-        failures |= new_failures
-        for record in new_records.values():
+        for record in made.values():
             folder.ledger.put_job(record)
+        failures |= failures_of_tasks
         if failures and scan_ref(source.folder).exists:
             raise ScanError("; ".join(failures.values()))
-        records = [(done | new_records)[name] for name in tasks if name not in failures]
+        records = [(done | made)[name] for name in tasks if name not in failures]
         tables = _write_tables(experiment, folder, records)
         header["scans"] = {record.pair_id: record.metadata for record in records}
         header["failures"] = failures
@@ -215,7 +215,7 @@ def run_experiment(
         folder=out,
         request=request,
         failures=failures,
-        n_made=len(new_records),
+        n_made=len(made),
         n_reused=len(done),
         wall_s=header["wall_s"],
         metadata=header["scans"],
