@@ -236,16 +236,15 @@ def _evaluate_all(
     n_workers: int | None,
 ) -> dict[str, str]:
     """Evaluate pairs, put the results into the ledger, and return the reasons of failures by pair_id."""
-    records, failures = map_tasks(
+    _, failures = map_tasks(
         _evaluate,
         tasks,
         reporter,
         n_workers=n_workers,
         memory_gib=memory_gib,
         may_end_workers=may_crash(task.pair for task in tasks.values()),
+        keep=folder.ledger.put_job,
     )
-    for record in records.values():
-        folder.ledger.put_job(record)
     return failures
 
 

@@ -24,7 +24,6 @@ from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import KINDS, LEAST_FLIPPED, LEAST_PAIRS
 from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
-from ..storage.table_files import table_name
 from .best_case import RunExcess, excess_over
 from .changes import Changes, change_rows, find_changes
 from .families import FamilyChange, ScoreChange, judge_families, overall, score_rows
@@ -347,7 +346,7 @@ def _seed_noise(run: FinishedRun, names: Sequence[str]) -> dict[str, float]:
     """
     repeats: dict[str, list[list[float]]] = {column: [] for column in SEEDED_SCORES}
     for name in names:
-        record = run.store.ledger.job_of_file(table_name("seeds", name))
+        record = run.store.ledger.jobs(name).get(("seeds", ""))
         if record is None:
             return {}
         for column, scores in repeats.items():
