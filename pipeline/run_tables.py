@@ -209,11 +209,13 @@ def summarise(
     """
     scored = _scored(pairs)
     _add_peaks(scored, jobs, settings)
+    described: tuple[Any, Any, Any]
     if last is not None and last.overview and last.metrics:
-        findings, overview, metrics = last.findings, last.overview, last.metrics
+        described = last.findings, last.overview, last.metrics
     else:
         by_reference = preset_of(settings) == "reference"
-        findings, overview, metrics = describe_objects(folder, scored, times_s, hashes, by_reference=by_reference)
+        described = describe_objects(folder, scored, times_s, hashes, by_reference=by_reference)
+    findings, overview, metrics = described
     scored_ids = scored["pair_id"].to_pylist()
     record = RunRecord(
         **dict(header),
