@@ -21,7 +21,7 @@ from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
 from fidpipe.schemas.errors import DatasetError, ScanError
 from recordings import write_las
 from runs import command
-from scan_files import COLUMNS, POINTS, WRITERS, read, write_frame, write_packets, write_pcd
+from scan_files import POINTS, WRITERS, read, write_frame, write_packets, write_pcd
 from scenes import write_dataset
 
 PACKAGE = Path(fidpipe.__file__).parent
@@ -302,15 +302,6 @@ def test_an_organised_cloud_of_65536_columns_with_nan_is_read(tmp_path, name, sh
         write_pcd(path, rows, "binary" if name == "pcd" else "binary_compressed", height=32)
     scan = read(path)
     assert np.array_equal(scan.points, rows[:, :3].astype(float), equal_nan=True)
-
-
-def test_what_unpacks_to_too_much_can_be_written_unpacked(tmp_path):
-    table = pd.DataFrame({name: np.full(3 * MANY // 2, 7.0) for name in COLUMNS[:3]})
-    table.to_parquet(tmp_path / "packed.parquet")
-    with pytest.raises(ScanError, match="without compression"):
-        read_scan(tmp_path / "packed.parquet")
-    table.to_parquet(tmp_path / "plain.parquet", compression=None, use_dictionary=False)
-    assert len(read_scan(tmp_path / "plain.parquet").points) == len(table)
 
 
 def test_each_real_scan_is_read(real_data):

@@ -48,10 +48,6 @@ KNOWN_COLUMNS = frozenset(chain(*_NAMES.values()))
 LONGEST_LABEL = 200  #: characters
 _LONGEST_CAUSE = 300
 
-#: Largest unpacked size of a compressed file: this number of bytes, plus a multiple of its length.
-MOST_UNPACKED_BYTES = 64 * 2**20
-MOST_UNPACKED_A_BYTE = 100
-
 #: Names of classes by number, by format.
 CLASSES = {}
 for _format, _labels in read_data("class_names").items():
@@ -180,38 +176,6 @@ def check_names(path: Path, names: Iterable[str], remedy: str = "") -> None:
     if missing:
         found = cause_of(", ".join(known)) if known else "none"
         raise ScanError(f"{path}: missing columns {', '.join(missing)}; got {found}{remedy}")
-
-
-def check_promise(path: Path, n_points: int, point_bytes: float) -> None:
-    """Raise `ScanError` if a header promises more points than the file can hold, before memory is taken for them.
-
-    Parameters
-    ----------
-    point_bytes : that a point takes in the file, at least
-    """
-    n_bytes = path.stat().st_size
-    if n_points < 0 or n_points * point_bytes > n_bytes:
-        promised = n_points if abs(n_points) < 10**30 else "10^30 and more"
-        raise ScanError(
-            f"{path}: the header says {promised} points, in {n_bytes} bytes; the file is truncated or wrong",
-        )
-
-
-def check_unpacked(path: Path, n_unpacked: int) -> None:
-    """Raise `ScanError` if a header promises to unpack to far more than a scan.
-
-    Parameters
-    ----------
-    n_unpacked : bytes, as the header has it
-    """
-    n_bytes = path.stat().st_size
-    most = MOST_UNPACKED_BYTES + MOST_UNPACKED_A_BYTE * n_bytes
-    if n_unpacked > most:
-        raise ScanError(
-            f"{path}: {n_bytes} bytes would unpack to {n_unpacked}, at most {most} are read; the "
-            "file is wrong, or made to fill the memory; if it is right, write it without "
-            "compression and dictionaries"
-        )
 
 
 def cause_of(error: object) -> str:
