@@ -133,11 +133,11 @@ def _without_value(reason: str, *names: str) -> Baselines:
     return tuple(Baseline(name, None, reason) for name in names)
 
 
-def _too_large(real: FloatArray, sim: FloatArray, settings: MetricsSettings, limit: str) -> str:
-    """Reason if a side has more points than a setting allows, else ""."""
+def _too_large(real: FloatArray, sim: FloatArray, settings: MetricsSettings, limit: str) -> str | None:
+    """Reason if a side has more points than a setting allows, else None."""
     n_most = max(len(real), len(sim))
     allowed = getattr(settings, limit)
-    return f"{n_most} points, metrics.{limit} allows {allowed}" if n_most > allowed else ""
+    return f"{n_most} points, metrics.{limit} allows {allowed}" if n_most > allowed else None
 
 
 def chamfer(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
@@ -372,7 +372,7 @@ def _emd(real: FloatArray, sim: FloatArray, selection: Selection, settings: Metr
     # The alignment is the optimal assignment of the centred nodes, so it is not solved again for these.
     centred_m = aligned_distance(a - a.mean(axis=0), b - b.mean(axis=0))
     return (
-        Baseline("emd_mean_m", exact_m, reason or None),
+        Baseline("emd_mean_m", exact_m, reason),
         Baseline("emd_kept_mean_m", aligned_distance(a, b[assign_nodes(a, b)])),
         Baseline("emd_centred_mean_m", centred_m),
     )

@@ -122,17 +122,10 @@ def _reader(ref: ScanRef) -> Iterator[Any]:
         is_panic = type(error).__name__ == "PanicException"  # of a library in Rust; pyo3 makes it no Exception
         if not (isinstance(error, Exception) or is_panic):
             raise
+        if isinstance(error, OSError) and error.errno is not None:  # of the file itself, not of a library
+            raise ScanError(f"{ref}: cannot be read ({error.strerror})") from error
         content = ref.format.content
         what = f"not {content}" if content else "cannot be read"
-        cause = (
-            "its header is not text"
-            if isinstance(
-                error,
-                UnicodeDecodeError,
-            )
-            else cause_of(error)
-        )
-        if isinstance(error, OSError) and error.errno is not None:  # of the file itself, not of a library
-            what = "cannot be read"
-            cause = str(error.strerror)
-        raise ScanError(f"{ref}: {what} ({cause})") from error
+        raise ScanError(
+            f"{ref}: {what} ({cause_of(error)}); is it truncated or of another format? export it again"
+        ) from error
