@@ -330,11 +330,11 @@ def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
     """
     n_fewest = min(len(real), len(sim))
     if find_spec("small_gicp") is None:
-        reason = 'small_gicp is not installed; pip install "fidpipe[icp]"'
-        return _without_value(reason, "icp_fitness", "icp_rmse_m")
+        missing = 'small_gicp is not installed; pip install "fidpipe[icp]"'
+        return _without_value(missing, "icp_fitness", "icp_rmse_m")
     if n_fewest < _ICP_POINTS:
-        reason = f"{n_fewest} points on a side, at least {_ICP_POINTS} are needed for ICP"
-        return _without_value(reason, "icp_fitness", "icp_rmse_m")
+        too_few = f"{n_fewest} points on a side, at least {_ICP_POINTS} are needed for ICP"
+        return _without_value(too_few, "icp_fitness", "icp_rmse_m")
     import small_gicp
 
     # Rounding of the normal equations grows with the distance from the origin.
