@@ -80,12 +80,8 @@ def read_scan(
     with _local(ref) as file, _reader(ref) as reader:
         if file.stat().st_size == 0:
             raise ScanError(f"{ref}: the file is empty")
-        if known.holds_frames:
-            scan: Scan = reader.read(ref)
-        elif known.columns is None:
-            scan = reader.read(file)
-        else:
-            scan = reader.read(file, columns or known.columns)
+        names = () if known.columns is None else (columns or known.columns,)
+        scan: Scan = reader.read(ref if known.holds_frames else file, *names)
         if known.columns and not columns:
             reader.check_width(file, known.columns)
         if not len(scan.points):
