@@ -11,7 +11,6 @@ import pexpect
 import pytest
 
 import broken_jobs
-from fidpipe.pipeline.engine import cluster
 from fidpipe.pipeline.engine.cluster import DaskPool
 from fidpipe.pipeline.engine.pool import WorkerDied
 from fidpipe.pipeline.storage.ledger import LEDGER
@@ -129,12 +128,3 @@ def test_a_result_that_goes_with_its_worker_before_it_is_fetched_is_made_again(p
     told, result = pool.next_done()
     assert told is handle
     assert isinstance(result, WorkerDied) if n_good == 1 else result == "called\ncalled\n"
-
-
-@pytest.mark.exhaustive
-def test_a_pool_closes_quietly_though_its_workers_are_slow_to_die(tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster, "_KILL_S", 0.0)
-    pool = DaskPool(1, None, (), {})
-    pool.submit(time.sleep, 1)
-    pool.close()
-    assert pool._cluster.status.name == "closed"
