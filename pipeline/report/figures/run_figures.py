@@ -8,14 +8,14 @@ from ...storage.files import remove_stale
 from ..run_frames import RunResults
 from . import style
 from .object_plots import plot_objects
-from .pair_plots import plot_coverage, plot_overview, plot_unmatched
+from .pair_plots import plot_overview
 from .score_plots import plot_boxes, plot_distributions
 
 
 def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[Path]:
     """Write all figures, and remove those of an earlier report that this run does not have.
 
-    The map of distances shows the worst chosen pair, the other maps the median one.
+    The maps show the median pair of the chosen ones.
 
     Parameters
     ----------
@@ -27,9 +27,7 @@ def draw_figures(results: RunResults, chosen: list[str], folder: Path) -> list[P
     findings = run.record.findings
     scans = [scan.pair for scan in findings.scans.scans] if findings else []
     figures = {
-        "overview": plot_overview(run, results.matched, median),
-        "coverage": plot_coverage(run, chosen[0]),
-        "unmatched": plot_unmatched(run, results.unmatched, median),
+        "overview": plot_overview(run, results.matched, results.unmatched, median),
         "distributions": plot_distributions(results.matched),
         "box_plots": plot_boxes(results.matched, results.class_is, scans),
         "objects": plot_objects(run, results.matched),

@@ -8,15 +8,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from ....schemas.metric_catalogue import METRIC
 from ...results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
-from ..look import QUADRANT_COLOURS, SCORE_COLOURS
-from ..run_frames import FEWEST_IN_BOX, SCORES, axis_title
+from ..look import GREY, QUADRANT_COLOURS
+from ..run_frames import SCORES, axis_title
 from . import style
 
 _MOST_CLASSES = 8
-_MOST_LETTERS = 70  # that fit side by side under the boxes
+_FEWEST_IN_BOX = 3
+#: Colours of the boxes; no colour means a score.
+_FILLS = {"r_lambda": GREY, "cdc": "white"}
 _MOST_VECTORS = 2000  # dots of a figure that are not a picture
 
 
@@ -42,7 +45,7 @@ def draw_histogram(matched: pd.DataFrame, score: str, axis: Any) -> None:
     title = f"{len(values):,} objects"
     if len(values):
         weights = np.full(len(values), 1 / len(values))
-        look = {"histtype": "stepfilled", "alpha": 0.85, "color": SCORE_COLOURS[score]}
+        look = {"histtype": "stepfilled", "alpha": 0.85, "color": GREY}
         axis.hist(values, bins=25, range=(0, high), weights=weights, **look)
         axis.axvline(np.median(values), color="black", linewidth=1, linestyle="--")
         title += f", median {np.median(values):.2f}"
@@ -80,54 +83,35 @@ def plot_boxes(matched: pd.DataFrame, class_is: str, scans: Sequence[str]) -> Fi
     matched, class_is : the matched objects of the run and what their groups are, as in `RunResults`
     scans : names of pairs
     """
-    classes = [*matched.group.value_counts().index[:_MOST_CLASSES]]
-    of_scans = _groups(matched, "pair_id", scans)
-    of_classes = _groups(matched, "group", classes)
-    widths = (1 + len(of_scans), 1 + len(of_classes))
-    with style.new_figure(10, 3.3) as figure:
-        left, right = figure.subplots(1, 2, width_ratios=widths, sharey=True)
-        draw_boxes(of_scans, left)
-        left.set(xlabel="scan", ylabel="score of an object (no unit)")
-        draw_boxes(of_classes, right)
-        right.set_xlabel(class_is)
-        handles, labels = right.get_legend_handles_labels()
+    classes = matched.group.value_counts().index[:_MOST_CLASSES].tolist()
+    with style.new_figure(10, 3.6) as figure:
+        axes = figure.subplots(1, 2, sharey=True)
+        for axis, column, names, xlabel in (
+            (axes[0], "pair_id", scans, "scan"),
+            (axes[1], "group", classes, class_is),
+        ):
+            _draw_boxes(matched, column, names, axis)
+            axis.set_xlabel(xlabel)
+        axes[0].set_ylabel("score of an object (no unit)")
+        handles = [Patch(facecolor=_FILLS[score], edgecolor="black") for score in SCORES]
+        labels = [METRIC[score].label for score in SCORES]
         figure.legend(handles, labels, loc="outside upper center", ncols=2)
     return figure
 
 
-def _groups(rows: pd.DataFrame, column: str, names: Sequence[str]) -> dict[str, pd.DataFrame]:
-    """By name the rows that have it in a column; names without rows are left out."""
-    groups = {name: rows[rows[column] == name] for name in names}
-    return {name: group for name, group in groups.items() if len(group)}
-
-
-def draw_boxes(groups: dict[str, pd.DataFrame], axis: Any) -> None:
-    """Draw two boxes per group, one for each score; groups that are too small have none."""
-    for offset, score in zip((-0.2, 0.2), SCORES, strict=True):
-        look = {"facecolor": SCORE_COLOURS[score], "linewidth": 0.6}
-        for i, rows in enumerate(groups.values()):
-            values = rows[score].dropna()
-            if len(values) >= FEWEST_IN_BOX:
-                axis.boxplot(
-                    values,
-                    positions=[i + offset],
-                    widths=0.32,
-                    manage_ticks=False,
-                    patch_artist=True,
-                    boxprops=look,
-                    flierprops={"markerfacecolor": SCORE_COLOURS[score]},
-                )
-        axis.bar(0, 0, edgecolor="black", label=METRIC[score].label, **look)  # for the legend
-    names = [style.shown_name(name, most=16) for name in groups]
-    longest = max(map(len, names), default=0)
-    turned = {}
-    blank = "\n"
-    if len(names) * longest > _MOST_LETTERS:
-        turned = {"rotation": 25, "ha": "right", "rotation_mode": "anchor"}
-        blank = " "
+def _draw_boxes(matched: pd.DataFrame, column: str, names: Sequence[str], axis: Any) -> None:
+    """Draw two boxes per group of objects, one for each score; too small groups have none."""
     labels = []
-    for name, rows in zip(names, groups.values(), strict=True):
-        labels.append(f"{name}{blank}({len(rows)})")
+    for i, name in enumerate(names):
+        rows = matched[matched[column] == name]
+        labels.append(f"{style.shown_name(name, most=16)} ({len(rows)})")
+        for offset, score in zip((-0.2, 0.2), SCORES, strict=True):
+            values = rows[score].dropna()
+            look = {"facecolor": _FILLS[score], "linewidth": 0.6}
+            if len(values) >= _FEWEST_IN_BOX:
+                place = {"positions": [i + offset], "widths": 0.32, "manage_ticks": False}
+                axis.boxplot(values, patch_artist=True, boxprops=look, **place)
+    turned = {"rotation": 25, "ha": "right", "rotation_mode": "anchor"}
     axis.set_xticks(range(len(names)), labels, **turned)
-    axis.set(xlim=(-0.6, len(groups) - 0.4), ylim=(0, 2.02))
+    axis.set(xlim=(-0.6, len(names) - 0.4), ylim=(0, 2.02))
     axis.grid(axis="y")

@@ -18,6 +18,8 @@ from ...storage.files import write_whole
 from ..look import GREY, RAMPS, clipped
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from .shown_figure import ShownFigure
 
 #: Where points in space are seen from.
@@ -48,6 +50,26 @@ def new_figure(width_in: float, height_in: float, title: str = "") -> Iterator[S
         if title:
             figure.suptitle(title)
         yield figure
+
+
+@contextmanager
+def axes_for(ax: Any, width_in: float, height_in: float, **look: Any) -> Iterator[Any]:
+    """The given axes, or those of a new figure, to be drawn into in our style.
+
+    look : of the new axes, such as their projection
+    """
+    if ax is None:
+        with new_figure(width_in, height_in) as figure:
+            yield figure.add_subplot(**look)
+    else:
+        with in_our_style():
+            yield ax
+
+
+def figure_of(axis: Any) -> Figure:
+    """The figure that axes belong to."""
+    figure: Figure = axis.figure
+    return figure
 
 
 def save(figure: Any, folder: Path, name: str) -> list[Path]:
@@ -117,14 +139,13 @@ def new_maps(frame: FloatArray, n_maps: int, title: str) -> Iterator[tuple[Shown
     Parameters
     ----------
     frame : (2, 2) corners of the area, see `frame_of`
-    n_maps : 2 or 3
+    n_maps : 2, or 4 in two rows
     """
     width, height = frame[1] - frame[0]
-    map_in = {2: 4.0, 3: 3.2}[n_maps]
-    width_in = map_in * n_maps + 1.4
-    height_in = float(np.clip(map_in * height / width, 1.5, 6)) + 1.25
-    with new_figure(width_in, height_in, title) as figure:
-        axes = figure.subplots(1, n_maps, sharex=True, sharey=True)
+    n_rows = n_maps // 2
+    height_in = n_rows * (float(np.clip(4.0 * height / width, 1.5, 6)) + 1.25)
+    with new_figure(9.4, height_in, title) as figure:
+        axes = figure.subplots(n_rows, 2, sharex=True, sharey=True).ravel()
         yield figure, axes
         for axis in axes:
             from_above(axis, frame)
@@ -142,8 +163,7 @@ def from_above(axis: Any, frame: FloatArray) -> None:
     axis.set_aspect("equal")
     axis.plot(0, 0, marker="+", color="black", markersize=8, markeredgewidth=1.2)
     axis.set_xlabel("x, forward (m)")
-    if axis.get_subplotspec().is_first_col():
-        axis.set_ylabel("y, left (m)")
+    axis.set_ylabel("y, left (m)")
     if axis.get_legend_handles_labels()[0]:  # a fixed way under the axis, clear of its label
         legend = axis.legend(
             loc="upper center",
@@ -173,10 +193,11 @@ def draw_object(
     colour: str,
     box: tuple[FloatArray, FloatArray],
     zoom: float = 0.87,
+    **look: Any,
 ) -> None:
     """Draw points in space, in metres from the corner of their box (see `box_of`)."""
     corner, size = box
-    dots(axis, points - corner, 2, colour)
+    dots(axis, points - corner, 2, colour, **look)
     _metres(axis, size, zoom)
 
 
