@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
@@ -26,7 +25,6 @@ from ...stages.sensor_description import SensorDescription
 from ..results.finished import FinishedRun
 from ..results.object_frame import QUADRANTS, UNKNOWN
 from ..results.overview import NO_LABEL
-from .look import OUTCOME_COLOURS
 
 #: The two scores that are drawn side by side.
 SCORES = QUADRANT_SCORES[::-1]
@@ -268,22 +266,13 @@ class PairFrames:
 frames_of = lru_cache(maxsize=8)(PairFrames)
 
 
-def ray_image(rays: pd.DataFrame, values: NDArray[Any], empty: float) -> NDArray[Any]:
-    """(beams, columns) the value of each ray, `empty` for none.
+def ray_image(rays: pd.DataFrame, values: pd.Series) -> FloatArray:
+    """(beams, columns) the value of each ray, NaN for none.
 
     Left is on the left, the highest beam on top. Beams with more returns than firings in a turn
     have more columns than most; these columns are left out.
     """
-    last = rays.groupby("beam").column.max()
-    n_columns = int(last.median()) + 1 if len(last) else 0
-    image = np.full((len(last), n_columns), empty, dtype=values.dtype)
-    shown = (rays.column < image.shape[1]).to_numpy()
-    image[rays.beam[shown], rays.column[shown]] = values[shown]
+    n_columns = int(rays.groupby("beam").column.max().median()) + 1
+    by_ray = values.astype(float).set_axis([rays.beam, rays.column])
+    image: FloatArray = by_ray.unstack().reindex(columns=range(n_columns)).to_numpy()
     return image[::-1, ::-1]
-
-
-def outcome_places(rays: pd.DataFrame) -> NDArray[np.uint8]:
-    """(n,) place of the outcome of each ray in `OUTCOME_COLOURS`, 255 for none."""
-    places = {name: place for place, name in enumerate(OUTCOME_COLOURS)}
-    known = rays.outcome.map(places)
-    return known.fillna(255).to_numpy().astype(np.uint8)

@@ -6,17 +6,13 @@ import re
 import shutil
 from types import SimpleNamespace
 from urllib.parse import parse_qs
-from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
-from PIL import Image
 from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.report.charts import along_the_sequence, has_times, run_charts
-from fidpipe.pipeline.report.figures import style
-from fidpipe.pipeline.report.look import SIDE_COLOURS
 from fidpipe.pipeline.report.page.pair_data import pair_data, thinned
 from fidpipe.pipeline.report.page.run_data import page_data, page_words, score_limits, verdict_of
 from fidpipe.pipeline.report.page.run_page import MOST_VIEWS, some_of, views_of, write_report
@@ -29,8 +25,6 @@ from fidpipe.stages.metrics import IDENTICAL_CHANGE
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS, embedded, points_in, unpacked
 from runs import assert_same_tables, command, run
 from scenes import street, write_bin, write_dataset
-
-FIGURES = {"overview", "distributions", "box_plots", "objects"}
 
 
 @pytest.fixture
@@ -58,39 +52,9 @@ def page_of(folder):
     return folder / "report.html"
 
 
-def close_to(picture, colour):
-    rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
-    return np.abs(picture - rgb).max(axis=2) < 60
-
-
 def words(page):
     """Text of a page without its scripts."""
     return page.read_text("utf-8").partition('<script type="application/json"')[0]
-
-
-def test_the_report_is_one_page_and_four_figures_as_png_svg_and_pdf(written):
-    assert page_of(written).stat().st_size < 15e6
-    assert {path.name for path in (written / "figures").iterdir()} == {
-        f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg", "pdf")
-    }
-    for path in (written / "figures").iterdir():
-        if path.suffix == ".png":
-            picture = np.asarray(Image.open(path).convert("L"))
-            assert picture.std() > 5, "an empty picture"
-            edge = np.concatenate([picture[[0, -1]].ravel(), picture[:, [0, -1]].ravel()])
-            assert edge.min() > 250, f"{path.name} is clipped"
-        elif path.suffix == ".pdf":
-            content = path.read_bytes()
-            assert content.startswith(b"%PDF-")
-            assert len(re.findall(rb"/Type\s*/Page\b", content)) == 1
-        else:
-            assert ElementTree.parse(path).getroot().tag.endswith("svg")
-
-
-def test_the_figure_of_objects_shows_points_of_both_sides(written):
-    picture = np.asarray(Image.open(written / "figures" / "objects.png").convert("RGB")).astype(int)
-    for side, colour in SIDE_COLOURS.items():
-        assert close_to(picture, colour).sum() > 200, side
 
 
 def test_the_head_of_the_page_names_the_preset_and_what_departs_from_it(report_run, by_reference):
@@ -145,14 +109,11 @@ def test_a_folder_of_pages_has_safe_file_names_and_drops_pages_of_pairs_that_are
 
 
 @pytest.mark.exhaustive
-def test_a_report_removes_its_stale_figures_and_keeps_pages_of_the_other_form(copied_run, monkeypatch):
-    write_report(copied_run, one_page_a_pair=True, with_figures=True)
+def test_a_report_keeps_pages_of_the_other_form(copied_run):
+    write_report(copied_run, one_page_a_pair=True)
     pages = sorted((copied_run / "report").iterdir())
-    (copied_run / "figures" / "mine.png").write_bytes(b"")
-    monkeypatch.setattr("fidpipe.pipeline.report.figures.run_figures.plot_objects", lambda *_: None)
-    write_report(copied_run, with_figures=True)
+    write_report(copied_run)
     assert sorted((copied_run / "report").iterdir()) == pages
-    assert {path.stem for path in (copied_run / "figures").iterdir()} == FIGURES - {"objects"} | {"mine"}
     write_report(copied_run, one_page_a_pair=True)
     assert (copied_run / "report.html").exists()
 
@@ -162,7 +123,6 @@ def test_a_run_after_a_report_neither_removes_nor_trips_over_it(copied_run, repo
     assert run(report_run.with_name("streets"), copied_run).n_made == 0
     assert_same_tables(copied_run, report_run)
     assert (copied_run / "report.html").exists()
-    assert len(list((copied_run / "figures").iterdir())) == 3 * len(FIGURES)
 
 
 def test_the_first_screen_begins_with_surface_and_pieces(report_run, written):
@@ -300,13 +260,11 @@ def test_charts_have_every_object_once_and_no_name_as_markup(results):
     assert "<img" not in json.dumps(charts)
 
 
-def test_a_run_in_which_nothing_matches_has_a_report_without_the_figure_of_objects(tmp_path, monkeypatch):
-    monkeypatch.setattr(style, "KINDS", {"png": style.KINDS["png"]})
+def test_a_run_in_which_nothing_matches_has_a_report(tmp_path):
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
     run(dataset, tmp_path / "run", load(None, ["matching.delta_m=0.001"]))
-    made = write_report(tmp_path / "run", with_figures=True)
+    made = write_report(tmp_path / "run")
     assert "preset paper" in words(made.page).lower()
-    assert {path.stem for path in made.figures} == FIGURES - {"objects"}
 
 
 def test_objects_without_a_score_are_in_no_quadrant(tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -15,7 +14,7 @@ from ..run_frames import read_cloud
 from ..view import number
 from . import style
 
-_CLASSES = ("car", "vegetation", "tree", "wall")
+_ZOOM = 1.15
 
 
 def plot_object(run: FinishedRun, pair_id: str, name: str, ax: Axes | None = None) -> Figure:
@@ -39,10 +38,11 @@ def plot_object(run: FinishedRun, pair_id: str, name: str, ax: Axes | None = Non
         others += [points, cloud.road]
     box = style.box_of(np.stack(box_around(np.concatenate(list(members.values())))))
     with style.axes_for(ax, 8, 7, projection="3d", **style.VIEW) as axis:
-        style.draw_object(axis, surroundings(members.values(), others), "#cccccc", box)
+        near = surroundings(members.values(), others)
+        style.draw_object(axis, near, "#cccccc", box, zoom=_ZOOM)
         for side, points in members.items():
             label = f"{side}, {len(points):,} points"
-            style.draw_object(axis, points, SIDE_COLOURS[side], box, label=label)
+            style.draw_object(axis, points, SIDE_COLOURS[side], box, zoom=_ZOOM, label=label)
         axis.set_title(_object_title(facts, pair_id))
         axis.legend(loc="upper right", markerscale=3)
     return style.figure_of(axis)
@@ -60,40 +60,3 @@ def _object_title(facts: ObjectFacts, pair_id: str) -> str:
         for score in QUADRANT_SCORES:
             words.append(f"{METRIC[score].label} {number(facts.scores[score])}")
     return ", ".join(words)
-
-
-def plot_objects(run: FinishedRun, matched: pd.DataFrame) -> Figure | None:
-    """Up to four typical objects with their scores; None if no object has a spectral score.
-
-    Parameters
-    ----------
-    matched : the matched objects of the run, as in `RunResults`
-    """
-    chosen = _choose_objects(matched)
-    if chosen.empty:
-        return None
-    with style.new_figure(10, 9) as figure:
-        axes = figure.subplots(2, 2, subplot_kw={"projection": "3d", **style.VIEW})
-        for axis in axes.ravel()[len(chosen) :]:
-            axis.remove()
-        for axis, row in zip(axes.ravel(), chosen.itertuples(), strict=False):
-            plot_object(run, str(row.pair_id), f"real:{row.real_id}", axis)
-    return figure
-
-
-def _choose_objects(matched: pd.DataFrame) -> pd.DataFrame:
-    """Up to four objects to look at: of each class that of median r_lambda in the larger half.
-
-    Car, vegetation, tree and wall come first, as in the paper, then the most frequent other classes
-    (or shapes), then the largest objects.
-    """
-    scored = matched[matched.r_lambda.notna()]
-    frequent = [*scored.group.value_counts().index]
-    names = sorted(frequent, key=lambda name: name not in _CLASSES)
-    chosen = []
-    for name in names[:4]:
-        rows = scored[scored.group == name]
-        large = rows[rows.n_keep >= rows.n_keep.median()].sort_values("r_lambda", kind="stable")
-        chosen.append(large.index[len(large) // 2])
-    largest = scored.drop(chosen).sort_values("n_keep", ascending=False, kind="stable")
-    return scored.loc[[*chosen, *largest.index][:4]]

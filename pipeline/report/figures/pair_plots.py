@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -14,45 +10,16 @@ from matplotlib.patches import Patch
 from ....schemas.columns import SIDES
 from ....schemas.errors import RunError
 from ....schemas.settings import PieceSettings
-from ....stages.arrays import FloatArray, IntArray
-from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.pieces import CutScan, find_pieces
 from ...results.finished import FinishedRun
-from ..look import FATE_COLOURS, FATE_WORDS, OUTCOME_COLOURS, OUTCOME_WORDS, SIDE_COLOURS
-from ..run_frames import Cloud, axis_title, outcome_places, ray_image, read_clouds
+from ..look import FATE_COLOURS, OUTCOME_COLOURS, OUTCOME_WORDS
+from ..run_frames import ray_image
 from . import style
 
 _LIGHT = "#dddddd"
 _GREY = "#bbbbbb"
 _NO_SCORE = "#cccccc"
 _MOST_NUMBERS = 10  #: pieces of a side with a number
-
-
-def plot_overview(
-    run: FinishedRun, matched: pd.DataFrame, unmatched: pd.DataFrame, pair_id: str
-) -> Figure:
-    """Four maps: real objects, both sides with matched centroids joined, r_lambda, unmatched.
-
-    Parameters
-    ----------
-    matched, unmatched : the objects, as in `RunResults`; those of other pairs are ignored
-    """
-    clouds = read_clouds(run, pair_id)
-    real = clouds["real"]
-    matched = matched[matched.pair_id == pair_id]
-    unmatched = unmatched[unmatched.pair_id == pair_id]
-    frame = style.frame_of(*(cloud.points for cloud in clouds.values()))
-    with style.new_maps(frame, 4, _title(pair_id)) as (figure, axes):
-        draw_objects(real.points, real.community, axes[0])
-        axes[0].set_title(f"(A) {real.community.max() + 1} objects of the real scan")
-        _draw_matches(clouds, matched, axes[1])
-        axes[1].set_title(f"(B) real and simulated, {len(matched)} matched centroids joined")
-        coloured = _draw_fidelity(real, matched, axes[2])
-        axes[2].set_title("(C) structural fidelity of the real objects")
-        style.colour_bar(axes[2], coloured, axis_title("r_lambda"))
-        _draw_unmatched(clouds, unmatched, axes[3])
-        axes[3].set_title("(D) objects that only one side has")
-    return figure
 
 
 def plot_pieces(run: FinishedRun, pair_id: str, ax: Axes | None = None) -> Figure:
@@ -114,11 +81,12 @@ def plot_range_image(
     with style.axes_for(ax, 11, 3) as axis:
         look = {"aspect": "auto", "interpolation": "nearest"}
         if value == "outcome":
-            image = np.ma.masked_equal(ray_image(rays, outcome_places(rays), 255), 255)
+            places = {name: place for place, name in enumerate(OUTCOME_COLOURS)}
+            image = ray_image(rays, rays.outcome.map(places))
             look |= {"cmap": ListedColormap([*OUTCOME_COLOURS.values()]), "vmin": 0}
             look["vmax"] = len(OUTCOME_COLOURS) - 1
         else:
-            image = ray_image(rays, rays[value].to_numpy(dtype=float), np.nan)
+            image = ray_image(rays, rays[value])
         drawn = axis.imshow(image, extent=(180, -180, 0, len(image)), **look)
         if value == "outcome":
             handles = []
@@ -130,53 +98,6 @@ def plot_range_image(
             axis.figure.colorbar(drawn, ax=axis, label=f"{value.replace('_range_m', '')} range (m)")
         axis.set(xlabel="azimuth (degrees, left positive)", ylabel="beam", title=_title(pair_id))
     return style.figure_of(axis)
-
-
-def draw_objects(points: FloatArray, community: IntArray, axis: Any) -> None:
-    """Draw points, each object in a colour."""
-    colours = style.community_colours(int(community.max()) + 1)
-    style.dots(axis, points, 1.2, colours[community])
-
-
-def draw_distances(points: FloatArray, distance_m: FloatArray, axis: Any) -> Any:
-    """Draw points by their distance to the other side, far ones on top; returns the dots."""
-    order = np.argsort(distance_m, kind="stable")
-    ramp = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
-    return style.dots(axis, points[order], 1.2, distance_m[order], **ramp)
-
-
-def _draw_matches(clouds: dict[str, Cloud], matched: pd.DataFrame, axis: Any) -> None:
-    """Draw both sides, and the centroids of matched objects connected by lines."""
-    centroids = []
-    for side, cloud in clouds.items():
-        style.dots(axis, cloud.points, 0.8, SIDE_COLOURS[side], alpha=0.5, label=side)
-        of_objects = pd.DataFrame(cloud.points[:, :2]).groupby(cloud.community).mean()
-        centroids.append(of_objects.loc[matched[f"{side}_id"]].to_numpy())
-        look = {"edgecolors": "black", "linewidths": 0.6, "zorder": 3}
-        axis.scatter(*centroids[-1].T, s=13, c=SIDE_COLOURS[side], **look)
-    ends = np.stack(centroids)
-    axis.plot(ends[:, :, 0], ends[:, :, 1], color="black", linewidth=0.8)
-
-
-def _draw_fidelity(real: Cloud, matched: pd.DataFrame, axis: Any) -> Any:
-    """Draw the real points by the r_lambda of their object, grey without; returns the dots."""
-    of_object = matched.set_index("real_id").r_lambda.astype(float)
-    score = of_object.reindex(real.community).to_numpy()
-    is_known = ~np.isnan(score)
-    label = "no counterpart, no score"
-    style.dots(axis, real.points[~is_known], 1.2, _NO_SCORE, label=label)
-    ramp = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": 1}
-    return style.dots(axis, real.points[is_known], 1.2, score[is_known], **ramp)
-
-
-def _draw_unmatched(clouds: dict[str, Cloud], unmatched: pd.DataFrame, axis: Any) -> None:
-    """Draw the objects that only one side has in its colour, all other points in grey."""
-    for cloud in clouds.values():
-        style.dots(axis, cloud.points, 0.4, _LIGHT)
-    for (fate, colour), cloud in zip(FATE_COLOURS.items(), clouds.values(), strict=True):
-        ids = unmatched[unmatched.status == fate].community_id
-        points = cloud.points[np.isin(cloud.community, ids)]
-        style.dots(axis, points, 1.5, colour, label=f"{len(ids)} {FATE_WORDS[fate]}")
 
 
 def _title(pair_id: str) -> str:

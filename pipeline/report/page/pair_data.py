@@ -7,12 +7,12 @@ bytes, which the browser reads as a typed array.
 from __future__ import annotations
 
 import base64
-import math
 import zlib
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from ....schemas.columns import SIDES
@@ -97,15 +97,12 @@ def thinned(community: Iterable[int], most: int) -> IndexArray:
     """
     ids = np.asarray(community)
     share = min(1.0, most / max(1, len(ids)))
-    rng = np.random.default_rng(0)
-    chosen = []
-    by_object = np.argsort(ids, kind="stable")
-    ends = np.cumsum(np.bincount(ids))
-    for members in np.split(by_object, ends[:-1]):
-        n = max(_FEWEST_OF_OBJECT, math.ceil(share * len(members)))
-        n = min(n, len(members), _MOST_OF_OBJECT)
-        chosen.append(rng.choice(members, n, replace=False))
-    kept: IndexArray = np.sort(np.concatenate(chosen))
+    n_all = np.bincount(ids)[ids]
+    n_kept = np.maximum(_FEWEST_OF_OBJECT, np.ceil(share * n_all))
+    n_kept = np.minimum(np.minimum(n_kept, n_all), _MOST_OF_OBJECT)
+    place = pd.Series(ids).groupby(ids).cumcount().to_numpy()
+    steps = np.floor(place * n_kept / n_all)
+    kept: IndexArray = np.flatnonzero(np.floor((place + 1) * n_kept / n_all) > steps)
     return kept
 
 

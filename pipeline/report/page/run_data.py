@@ -12,17 +12,23 @@ import pandas as pd
 from pydantic import TypeAdapter
 
 from ....schemas.errors import RunError
-from ....schemas.metric_catalogue import METRIC, metric_of, pair_columns_in, scores_in
+from ....schemas.metric_catalogue import (
+    COVERAGE_REACHES,
+    METRIC,
+    metric_of,
+    pair_columns_in,
+    scores_in,
+)
 from ....schemas.results import Cause, Evidence
 from ....stages.sensor_description import sensor_lines
 from ...results.best_case import RunExcess
 from ...results.causes import MOST_SHOWN, no_cause_words
 from ...results.diagnosis import unexplained_words
 from ...results.gate import Criterion, judge_run
-from ...results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, plain_rows
+from ...results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT, UNKNOWN, plain_rows
 from ...terminal import STEERING
 from ..charts import MOST_DOTS, evidence_chart, has_times, run_charts
-from ..look import PAGE_COLOURS, SIGNED_RAMP_M
+from ..look import FATE_WORDS, PAGE_COLOURS, SIGNED_RAMP_M
 from ..pictures import FRAME, draw_pieces
 from ..run_frames import OBJECT_COVERAGE, SCORES, RunResults, frames_of, quadrants
 from ..view import columns_of, percent, sentence
@@ -49,7 +55,7 @@ _DIGITS = 6
 _COLOURED = (0.02, 0.98)
 
 #: Parts of a bar of surface: within each reach of coverage, beyond the one before.
-_REACHES = {"0p1m": "within 0.1 m", "0p3m": "0.1 to 0.3 m", "1m": "0.3 to 1 m"}
+_REACHES = ("within 0.1 m", "0.1 to 0.3 m", "0.3 to 1 m")
 
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
 #: Columns of the tables of pairs and objects.
@@ -246,34 +252,33 @@ def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]
 
     The parts of each, from good to bad, are kind (its look), words, and share of the whole.
     """
-    surfaces = (("real", "Real surface", "missing"), ("sim", "Simulated surface", "invented"))
-    bars = [_surface_bar(results, excess, *surface) for surface in surfaces]
     counts = {name: quadrant["n"] for name, quadrant in quadrants(results).items()}
-    counts["missing"] = int((results.unmatched.status == "missing").sum())
-    n_all = max(1, len(results.matched) + counts["missing"])
-    kinds = (*QUADRANTS, "unknown", "real step3")
-    parts = []
-    for kind, (name, n) in zip(kinds, counts.items(), strict=True):
-        parts.append((kind, name, n / n_all))
+    not_found = FATE_WORDS["missing"]
+    counts[not_found] = int((results.unmatched.status == "missing").sum())
+    n_all = max(1, sum(counts.values()))
+    looks = {UNKNOWN: "unknown", not_found: "real step3"}
+    parts = [(looks.get(name, name), name, n / n_all) for name, n in counts.items()]
     value = f"{percent(parts[0][2])} faithful"
-    return [*bars, {"name": "Real objects", "value": value, "note": "", "parts": parts}]
+    return [
+        _surface_bar(results, excess, "real", "Real surface", "missing"),
+        _surface_bar(results, excess, "sim", "Simulated surface", "invented"),
+        {"name": "Real objects", "value": value, "note": "", "parts": parts},
+    ]
 
 
 def _surface_bar(
     results: RunResults, excess: RunExcess | None, side: str, name: str, alone: str
 ) -> dict[str, Any]:
     """The surface of a side by distance to the other one; `alone` is what the other side lacks."""
+    summary = results.run.record.summary
+    covered = [summary[f"covered_{side}_{reach}"].mean or 0.0 for reach in COVERAGE_REACHES]
     parts = []
-    covered = 0.0
-    for i, (reach, words) in enumerate(_REACHES.items()):
-        farther = results.run.record.summary[f"covered_{side}_{reach}"].mean or 0.0
-        parts.append((f"{side} step{i}", words, farther - covered))
-        covered = farther
-    parts.append((f"{side} step{len(_REACHES)}", alone, 1.0 - covered))
+    for i, share in enumerate(np.diff([0.0, *covered, 1.0]).tolist()):
+        parts.append((f"{side} step{i}", (*_REACHES, alone)[i], share))
     near = f"covered_{side}_0p3m"
-    share = percent(results.run.record.summary[near].mean or 0.0)
     note = f"best case {percent(excess.scores[near].best_case)}" if excess else ""
-    return {"name": name, "value": f"{share} within 0.3 m", "note": note, "parts": parts}
+    value = f"{percent(summary[near].mean or 0.0)} within 0.3 m"
+    return {"name": name, "value": value, "note": note, "parts": parts}
 
 
 def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | None, list[str]]:

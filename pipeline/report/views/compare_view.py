@@ -29,7 +29,7 @@ from ..view import (
     signed,
     warnings,
 )
-from .best_case_view import both_excesses_table, excess_notes
+from .best_case_view import excess_notes
 
 _MOST_OBJECTS = 5
 _MOST_LEFT_OUT = 5
@@ -77,29 +77,27 @@ def numbers_view(comparison: Comparison, *, with_all: bool) -> View:
     parts: list[Part] = [family_table(comparison)] if comparison.families else []
     if with_all:
         parts += [score_table(comparison), Note(MARKS_NOTE)]
-        if comparison.excess:
-            parts.append(both_excesses_table(*comparison.excess))
         parts += object_view(comparison)
     return [*parts, *remarks(comparison)]
 
 
 def object_view(comparison: Comparison) -> View:
-    """The real objects by fate, by class or shape, by range, and those that have changed."""
-    if not len(comparison.objects):
+    """The real objects by class or shape, by range, and those that have changed."""
+    objects = comparison.objects
+    if objects.empty:
         return []
-    kind = "class" if comparison.objects["label"].notna().any() else "shape"
+    group = "class" if objects["label"].notna().any() else "shape"
     parts: list[Part] = [
-        _group_table(kind, by_class(comparison.objects)),
-        _group_table("range", by_range(comparison.objects)),
+        _group_table(group, by_class(objects)),
+        _group_table("range", by_range(objects)),
         Note(GROUPS_NOTE),
     ]
-    objects = changed(comparison)
-    few: list[Row] = []
-    for kind in _CHANGED:
-        few += [row for row in objects if row["kind"] == kind][:_MOST_OBJECTS]
-    if few:
-        more = f" (of each kind the first {_MOST_OBJECTS})" if len(few) < len(objects) else ""
-        parts += [_object_table(f"Objects that have changed{more}", few), Note(OBJECTS_NOTE)]
+    changed = by_change(objects[objects["kind"].isin(_CHANGED)])
+    first = plain_rows(changed.groupby("kind").head(_MOST_OBJECTS))
+    first.sort(key=lambda row: _CHANGED.index(row["kind"]))
+    if first:
+        title = f"Objects that have changed ({len(first)} of {len(changed)})"
+        parts += [_object_table(title, first), Note(OBJECTS_NOTE)]
     return parts
 
 
@@ -271,12 +269,6 @@ def _on_chance(comparison: Comparison) -> list[str]:
     for excess in comparison.excess or ():
         lines += [text for text in excess_notes(excess) if text not in lines]
     return lines
-
-
-def changed(comparison: Comparison) -> list[Row]:
-    """The objects that have changed: vanished ones, worse ones, most first, then the others."""
-    objects = by_change(comparison.objects[comparison.objects["kind"].isin(_CHANGED)])
-    return sorted(plain_rows(objects), key=lambda row: _CHANGED.index(row["kind"]))
 
 
 def family_table(comparison: Comparison) -> Table:

@@ -28,7 +28,7 @@ from ...results.finished import (
     run_facts,
 )
 from ...results.object_frame import UNKNOWN
-from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad
+from ...results.overview import alignment_is_bad
 from ...storage.urls import url_or_path
 from ..look import FATE_WORDS
 from ..view import Note, Part, Table, View, columns_of, number, percent, warnings
@@ -126,12 +126,9 @@ def pair_view(facts: PairFacts, command: str = "") -> View:
     parts: list[Part] = [Note(_pair_sentence(row), "bold"), _sides_table(row), _rays(facts)]
     parts.append(_matched_table(matched))
     if matched:
-        words = (
-            "offset: distance between the centroids; align: RMS distance of the aligned nodes; in "
-            "0.3 m: share of the points with one of the other side within 0.3 m"
-        )
+        words = "offset: distance between the centroids; align: RMS distance of the aligned nodes"
         parts.append(Note(words))
-    return [*parts, *alignment_warning(facts.objects), *_unmatched(facts.objects, command)]
+    return [*parts, *_unmatched(facts.objects, command)]
 
 
 def _pair_sentence(row: Row) -> str:
@@ -194,12 +191,13 @@ def _matched_table(matched: Sequence[ObjectFacts]) -> Table:
         rows.append([*(entry.row[column] for column in columns), *covered])
     headings = (
         *("class", "real", "sim", "range\n(m)", "points\nreal", "\nsim"),
-        *(*narrow_labels(scores), "in 0.3 m\nreal", "\nsim"),
+        *(*narrow_labels(scores), "real in\n0.3 m", "sim in\n0.3 m"),
     )
     title = "Objects that both sides have, largest r_lambda first"
     digits = {3: 1}
     digits |= dict.fromkeys(range(6, 6 + len(scores)), 2)
-    return Table(title, headings, rows, digits=digits, whole=(0,))
+    last = len(headings) - 1
+    return Table(title, headings, rows, digits=digits, wide=(last - 1, last), whole=(0,))
 
 
 def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
@@ -338,23 +336,3 @@ def object_records(facts: ObjectFacts) -> Table:
     for name, value in (facts.scores or {"status": facts.status}).items():
         rows.append([name, None, None, value])
     return Table("", ("", "real", "simulated", "score"), rows)
-
-
-def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
-    """Objects whose r_lambda depends on a poor alignment, worst first; no note without any."""
-    scored = [entry.row for entry in objects if entry.row["r_lambda"] is not None]
-    bad = [row for row in scored if alignment_is_bad(row["alignment_rms_m"], row["diagonal_m"])]
-    if not bad:
-        return []
-    bad.sort(key=lambda row: -row["alignment_rms_m"])
-    named = []
-    for row in bad[:_MOST_ALIGNMENTS]:
-        apart = f"{row['alignment_rms_m']:.1f} m apart, {row['diagonal_m']:.1f} m large"
-        named.append(f"real:{row['community_id']} ({apart})")
-    if len(bad) > _MOST_ALIGNMENTS:
-        named.append("...")
-    text = (
-        f"warning: r_lambda of {len(bad)} of {len(scored)} objects depends on a poor alignment "
-        f"({BAD_ALIGNMENT_WORDS}), which alone lowers it: {', '.join(named)}"
-    )
-    return [Note(text, "yellow")]
