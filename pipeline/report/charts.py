@@ -82,19 +82,14 @@ def run_charts(results: RunResults) -> dict[str, Chart]:
 def ray_outcomes(results: RunResults) -> pd.DataFrame:
     """Shares of the outcomes of rays by range, over the scored pairs.
 
-    Rows are ranges, near to far; columns the outcomes, and `n_rays`.
+    Rows are ranges, by name and so near to far; columns the outcomes, and `n_rays`.
     """
     names = results.pairs.pair_id.tolist()
     rows = results.run.table("ray_scores", names).to_pandas().query("by == 'range'")
     columns = {f"rays_{name}": name for name in OUTCOME_COLOURS}
     counts = rows[[*columns]].mul(rows.n_rays, axis=0).rename(columns=columns)
     total = counts.assign(n_rays=rows.n_rays).groupby(rows.band).sum()
-    shares = total.div(total.n_rays, axis=0).assign(n_rays=total.n_rays)
-    return shares.loc[sorted(shares.index, key=_band_start)]
-
-
-def _band_start(band: str) -> float:
-    return float(band.removeprefix("over ").split()[0])
+    return total.div(total.n_rays, axis=0).assign(n_rays=total.n_rays)
 
 
 def has_times(results: RunResults) -> bool:

@@ -402,7 +402,7 @@ def test_an_address_shows_its_object_also_if_it_changes_and_says_what_is_not_the
 
 
 @pytest.mark.exhaustive
-def test_next_and_previous_move_camera_list_address_and_table(page):
+def test_next_and_previous_move_camera_list_and_address(page):
     whole = camera_of(page)
     names = page.execute_script(
         "return [...document.getElementById('object').options].map(({value}) => value).slice(1)"
@@ -413,8 +413,7 @@ def test_next_and_previous_move_camera_list_address_and_table(page):
         settle(page)
         assert by_id(page, "object").get_attribute("value") == name
         assert fragment(page) == f"#pair={FIRST_PAIR}&object={name}"
-        rows = page.find_elements("css selector", "#objects_table tr[aria-current]")
-        assert [row.text.split(",")[0].split(" \n")[0][: len(name)] for row in rows] == [name]
+
         seen.append(camera_of(page))
     assert len({str(camera) for camera in (whole, *seen)}) == 4
     by_id(page, "previous").click()
@@ -597,8 +596,6 @@ def test_a_filter_is_one_text_that_a_row_contains(page):
         assert len(table(page, "objects_table")) == lines.str.contains(text.lower(), regex=False).sum(), text
     note = page.find_element("css selector", "#objects_table .note").text
     assert note.startswith(f"0 of {len(everything)} objects")
-    page.find_element("css selector", "#objects_table .clear").click()
-    assert len(table(page, "objects_table")) == len(everything)
 
 
 @pytest.mark.exhaustive

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -16,9 +18,7 @@ from ..look import FATE_COLOURS, OUTCOME_COLOURS, OUTCOME_WORDS
 from ..run_frames import ray_image
 from . import style
 
-_LIGHT = "#dddddd"
 _GREY = "#bbbbbb"
-_NO_SCORE = "#cccccc"
 _MOST_NUMBERS = 10  #: pieces of a side with a number
 
 
@@ -79,7 +79,7 @@ def plot_range_image(
         reason = run.row(pair_id)["rays_reason"]
         raise RunError(f"run {run.folder}, pair {pair_id}: no rays: {reason}")
     with style.axes_for(ax, 11, 3) as axis:
-        look = {"aspect": "auto", "interpolation": "nearest"}
+        look: dict[str, Any] = {"aspect": "auto", "interpolation": "nearest"}
         if value == "outcome":
             places = {name: place for place, name in enumerate(OUTCOME_COLOURS)}
             image = ray_image(rays, rays.outcome.map(places))

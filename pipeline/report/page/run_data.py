@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from ..charts import MOST_DOTS, evidence_chart, has_times, run_charts
 from ..look import FATE_WORDS, PAGE_COLOURS, SIGNED_RAMP_M
 from ..pictures import FRAME, draw_pieces
 from ..run_frames import OBJECT_COVERAGE, SCORES, RunResults, frames_of, quadrants
-from ..view import columns_of, percent, sentence
+from ..view import Table, columns_of, percent, sentence
 from ..views.answer_view import (
     amount_words,
     caution_words,
@@ -48,7 +48,7 @@ from ..views.run_view import details_view, preset_line
 from .pair_data import FACTS, FAR_M, OBJECT_COLUMNS, SIGNED_M
 
 #: More rows would make the page slow; the table then says what part it shows.
-_MOST_ROWS = 5000
+_MOST_ROWS = 1000
 _MOST_FAILURES = 5
 _DIGITS = 6
 #: Quantiles of a score at the ends of its colours.
@@ -203,14 +203,20 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
             side: sensor_lines(sensor)
             for side, sensor in frames_of(results, sensor_pair).sensors.items()
         },
-        "settings": record.settings,
-        "versions": {
-            "": {name: getattr(record, name) for name in names},
-            "stage version": record.stages,
-            "library": record.libraries,
-            "machine": record.machine.as_dict(),
-        },
+        "made": [
+            _key_table("Settings", record.settings),
+            _key_table("Run", {"": {name: getattr(record, name) for name in names}}),
+            _key_table("Stages and libraries", {"": record.stages | record.libraries}),
+            _key_table("Machine", {"": record.machine.as_dict()}),
+        ],
     }
+
+
+def _key_table(title: str, groups: Mapping[str, Any]) -> Table:
+    """Settings and the like by name."""
+    values = pd.json_normalize(dict(groups)).iloc[0]
+    rows = [(str(name).removeprefix("."), str(value)) for name, value in values.items()]
+    return Table(title, ("", ""), rows, words=(0, 1))
 
 
 def _with_amounts(causes: Sequence[Cause]) -> list[tuple[Cause, str]]:

@@ -65,7 +65,7 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
     with_all : also every score, and the real objects by class, by range and one by one
     """
     style = f"bold {_COLOURS.get(comparison.decision, '')}"
-    parts = [Note(decision(comparison), style), answer(comparison)]
+    parts: list[Part] = [Note(decision(comparison), style), answer(comparison)]
     parts += numbers_view(comparison, with_all=with_all)
     if not with_all:
         parts.append(Note("all scores and objects: --all; as a page: --html FILE"))

@@ -40,7 +40,6 @@ _COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
 #: An object of which less surface is covered on a side is not called faithful.
 _LEAST_COVERED = 0.6
 _LEAST_ROAD = 0.005  # share that rounds to a per cent
-_MOST_ALIGNMENTS = 3
 _MOST_UNMATCHED = 10
 #: Columns of `objects` and `coverage`: place, shape, and how much of it the other side has.
 _OBJECT_COLUMNS = (
@@ -145,8 +144,8 @@ def _sides_table(row: Row) -> Table:
     """Points and objects of both sides, and how much of their surface the other side has."""
     reaches = [f"within\n{reach_words(reach)}" for reach in COVERAGE_REACHES]
     headings = ("side", "points", "clean", "not\nground", "ground\nbelow (m)", "objects", *reaches)
-    columns = ("n_{}_raw", "n_{}_clean", "n_{}_points", "ground_{}_threshold_m", "n_communities_{}")
-    columns += tuple(f"covered_{{}}_{reach}" for reach in COVERAGE_REACHES)
+    columns = ["n_{}_raw", "n_{}_clean", "n_{}_points", "ground_{}_threshold_m", "n_communities_{}"]
+    columns += [f"covered_{{}}_{reach}" for reach in COVERAGE_REACHES]
     rows = []
     for side in SIDES:
         rows.append([side, *(row[column.format(side)] for column in columns)])
@@ -161,8 +160,7 @@ def _rays(facts: PairFacts) -> Part:
     scores = (*_OUTCOMES, "rays_bias_m", "rays_rmse_m")
     rows = []
     for group in _RAY_GROUPS:
-        of_group = [row for row in facts.rays if row["by"] == group]
-        for row in sorted(of_group, key=lambda row: _lower_edge(row["band"])):
+        for row in [row for row in facts.rays if row["by"] == group]:
             band = row["band"] if group == "class" else _short(row["band"])
             rows.append((band or "all", row["n_rays"], *(row[score] for score in scores)))
     headings = ("rays", "number", *_OUTCOMES.values(), "bias", "RMSE")
@@ -174,12 +172,6 @@ def _short(band: str) -> str:
     """`10-20m` for `10 to 20 m`: a column that does not wrap."""
     short = band.replace(" to ", "-").replace("over ", ">")
     return short.replace(" degrees", "°").replace(" m", "m")
-
-
-def _lower_edge(band: str) -> tuple[float, str]:
-    """Order of bands such as `10 to 20 m` and `over 50 m`; classes by name."""
-    first = band.removeprefix("over ").split(" ")[0]
-    return (float(first), "") if first.replace(".", "").isdigit() else (0.0, band)
 
 
 def _matched_table(matched: Sequence[ObjectFacts]) -> Table:

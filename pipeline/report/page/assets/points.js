@@ -134,9 +134,7 @@ export const distanceWords = (step) =>
 
 // The colour of a signed distance to the real side in metres, null for none.
 export const signedColour = (metres) =>
-  metres === null
-    ? paint("var(--line)")
-    : rampColour((metres / report.signed_ramp_m + 1) / 2, report.colours.signed);
+  metres === null ? paint("var(--line)") : rampColour((metres / report.signed_ramp_m + 1) / 2, report.colours.signed);
 export const signedLegend = () => {
   const reach = `${report.signed_ramp_m} m or more`;
   return [

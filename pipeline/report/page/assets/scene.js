@@ -26,7 +26,6 @@ import {
   strokes,
   swatch,
   turnTogether,
-  xyz,
 } from "./points.js";
 import { counted, element, number, shorten } from "./tables.js";
 
@@ -181,9 +180,7 @@ function drawObject({ objects, points }, place, isNew) {
   const data = [];
   for (const side of SIDES.filter((one) => byId(`show_${one}`).checked)) {
     const others = insideOf(points[side], ranges).filter((i) => points[side].object[i] !== place);
-    const names = others.map((i) => plotText(objectTitle(objects[points[side].object[i]])));
-    const other = `other object, ${SIDE_WORDS[side]}: %{text}<extra></extra>`;
-    const faint = { ...at(points[side], others), text: names, hovertemplate: other, opacity: 0.3 };
+    const faint = { ...at(points[side], others), hoverinfo: "skip", opacity: 0.3 };
     data.push(dots(`others ${side}`, sideColour(side), 1.6, faint));
     const road = points.road[side];
     if (byId("show_road").checked) data.push(roadDots(side, road, insideOf(road, ranges), shades));
@@ -257,7 +254,6 @@ function setChosen(name) {
   scene.chosen = name;
   byId("object").value = name ?? "";
   byId("panel").hidden = name === null;
-  markRow();
 }
 
 // Shows an object, or none, in list, table, address and panel; looksAt: whether the camera goes there too.
@@ -274,14 +270,6 @@ function chooseObject(name, looksAt = false, isAsked = true) {
   look(looksAt ? (name === null ? wholePair() : objectInPair(placeOf(name))) : undefined);
 }
 
-// Marks the row of the chosen object in the table of objects, if that shows it now.
-export function markRow() {
-  const link = scene.chosen === null ? null : linkWithin(scene.pair.name, scene.chosen);
-  for (const row of byId("objects_table").querySelectorAll("tbody tr"))
-    if (row.querySelector("a")?.getAttribute("href") === link) row.setAttribute("aria-current", "true");
-    else row.removeAttribute("aria-current");
-}
-
 // Shows the pair and object of the address, #pair=...&object=..., or a note if they do not exist.
 export async function showAsked() {
   const asked = new URLSearchParams(window.location.hash.slice(1));
@@ -291,15 +279,14 @@ export async function showAsked() {
     window.location.replace(report.links[pair] + window.location.hash);
     return;
   }
-  const refuse = (text) => {
-    say("asked", text);
-    byId("view").scrollIntoView();
-  };
+  byId("view").scrollIntoView();
   if (!report.views[pair]) {
-    refuse(
-      report.names.includes(pair)
-        ? `Pair ${shorten(pair, 60)} is not among those that this page shows in 3D; fidpipe report with --pairs or --folder shows it.`
-        : `This run has no scored pair ${shorten(pair, 60)}.`,
+    const elsewhere =
+      " is not among those that this page shows in 3D; fidpipe report with --pairs or --folder shows it.";
+    const isKnown = report.names.includes(pair);
+    say(
+      "asked",
+      `${isKnown ? "Pair" : "This run has no scored pair"} ${shorten(pair, 60)}${isKnown ? elsewhere : "."}`,
     );
     return;
   }
@@ -308,12 +295,12 @@ export async function showAsked() {
   const found =
     objects.find((object) => object.name === name) ?? objects.find(({ sim_id }) => `sim ${sim_id}` === name);
   if (name !== null && !found) {
-    refuse(
+    say(
+      "asked",
       `Pair ${shorten(pair, 60)} has no object ${shorten(name, 60)}; its objects are called as in the list below.`,
     );
     return;
   }
-  byId("view").scrollIntoView();
   chooseObject(found?.name ?? null, true);
   byId(found ? "panel_title" : "pair").focus({ preventScroll: true });
 }
