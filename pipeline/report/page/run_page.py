@@ -85,7 +85,7 @@ def write_report(
         plotly_source = _PLOTLY
         write_whole(folder / PAGES / _PLOTLY, plotly_js().encode())
     else:
-        pages = [_run_page(html or folder / PAGE, results, chosen, pattern)]
+        pages = [_run_page(html or folder / PAGE, results, chosen)]
     # An address must escape the per cent signs that the names of the files hold.
     links = {name: quote(file) for name, file in files.items()}
     data = page_data(results) | {"links": links}
@@ -105,12 +105,12 @@ def write_report(
     return ReportFiles(pages[-1].path, len(pages), n_views, len(results.pairs))
 
 
-def _run_page(path: Path, results: RunResults, chosen: list[str], pattern: str | None) -> _Page:
+def _run_page(path: Path, results: RunResults, chosen: list[str]) -> _Page:
     """The single page, which shows some pairs in 3D."""
     overview = results.run.overview
     of_worst = {piece.pair_id for piece in overview.pieces} if overview else set()
     shown = views_of(chosen, of_worst)
-    return _Page(path, shown, _view_note(len(shown), len(chosen), len(results.pairs), pattern))
+    return _Page(path, shown, _view_note(len(shown), len(results.pairs)))
 
 
 def _pair_pages(folder: Path, files: dict[str, str]) -> list[_Page]:
@@ -147,15 +147,11 @@ def some_of(names: list[str], most: int) -> list[str]:
     return names[:n] + names[middle : middle + n] + names[-n:]
 
 
-def _view_note(n_shown: int, n_chosen: int, n_all: int, pattern: str | None) -> str:
+def _view_note(n_shown: int, n_all: int) -> str:
     if n_shown == n_all:
         return f"All {n_all} pairs, worst first." if n_all > 1 else ""
-    chosen = f"the {n_chosen} pairs that match {pattern}" if pattern else f"{n_all} pairs"
-    if n_shown == n_chosen:
-        return f"{chosen.capitalize() if pattern else chosen}, worst first."
-    n = MOST_VIEWS // 3
-    of_pieces = " and those of the largest pieces" if n_shown > MOST_VIEWS else ""
     return (
-        f"Of {chosen} the page holds the points of {n_shown}: the {n} worst, {n} in the middle, "
-        f"the {n} best{of_pieces}. --pairs PATTERN chooses others, --folder makes a page for each."
+        f"Of {n_all} pairs the page holds the points of {n_shown}, worst first: mainly the worst, "
+        "the best, some in the middle, and those of the largest pieces. --pairs PATTERN chooses "
+        "others, --folder makes a page for each."
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -150,10 +151,12 @@ def answer(comparison: Comparison) -> Answers:
     for row in worst_changes(comparison.objects, _MOST_PLACES):
         where.append(f"{row['pair_id']}  {place_words(row)}")
     kinds = ", ".join(f"{n} {kind}" for kind, n in comparison.kinds.items() if n)
+    again = (comparison.other, "--since", comparison.base)
     sections += [
         ("Where", items_of(*where)),
         ("Objects", items_of(kinds)),
         ("Compared", items_of(f"{comparison.other} against {comparison.base}", chance(comparison))),
+        ("Next", items_of(shlex.join(["fidpipe", "diagnose", *map(str, again)]))),
     ]
     return Answers([(heading, items) for heading, items in sections if items])
 
