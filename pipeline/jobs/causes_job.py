@@ -147,6 +147,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=3,
+    version=4,
     libraries=("scikit-learn",),
 )
