@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from ...schemas.columns import Row
 from ...schemas.errors import RunError
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
@@ -255,7 +256,7 @@ def _families(
     if by_direction:
         both = zip(sector_rows(base, names), sector_rows(other, names), strict=True)
         directions = (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
-        sectors = {str(i): rows for i, rows in enumerate(both)}, directions
+        sectors = {str(i): sector for i, sector in enumerate(both)}, directions
         blocks = np.arange(len(names), dtype=np.int32)
     best_cases = {}
     if excess is not None:
@@ -333,7 +334,7 @@ def _have_same_tasks(base: FinishedRun, other: FinishedRun) -> bool:
 
 def _task_gaps(run: FinishedRun, pair_id: str) -> Row:
     """The gap of each measure of the tasks of a pair, by names such as `objects.lost`."""
-    job = run.store.ledger.job_of_file(table_name("tasks", pair_id))
+    job = run.store.ledger.jobs(pair_id).get(("tasks", ""))
     if job is None:
         return {}
     return {f"{gap['task']}.{gap['measure']}": gap["gap"] for gap in job.metadata["gaps"]}

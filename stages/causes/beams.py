@@ -93,7 +93,7 @@ def _profile_distance(a: FloatArray, b: FloatArray) -> float:
 
 
 def elevation_scale(reference: Side, side: Side) -> float | None:
-    """Elevations of a side's beams over those of a reference, minus 1; None if no scale and offset map one on the other.
+    """Elevations of a side's beams over those of a reference, minus 1; None if no scale and offset fit both.
 
     Both need the same number of beams, and beams that start at the same heights. A road that is too high, which fills
     most of a scan, also looks like beams of another scale, or of another height: the scale is 0 if objects are seen
