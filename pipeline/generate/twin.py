@@ -133,15 +133,13 @@ def _check_request(
 
 def _inputs(recording: Recording) -> Recipe:
     """The entries of a recipe about the recording and fidpipe."""
-    from ... import __version__
-
     inputs = []
     for frame in recording.pairs:
         file = frame.scans["real"].file
         inputs.append([file.name, hash_file(file), frame.T_world_sensor])
     return {
         "version": RECIPE_VERSION,
-        "fidpipe": __version__,
+        **library_versions(("fidpipe",)),
         "recording": str(recording.folder),
         "poses": recording.poses.name,
         "inputs_sha256": key_of(inputs),

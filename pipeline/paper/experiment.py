@@ -197,9 +197,8 @@ def run_experiment(
             n_workers=n_workers,
             memory_gib=settings.machine.memory_gib,
             may_end_workers=may_crash(task.pair for task in missing.values()),
+            keep=folder.ledger.put_job,
         )
-        for record in made.values():
-            folder.ledger.put_job(record)
         failures |= failures_of_tasks
         if failures and scan_ref(source.folder).exists:
             raise ScanError("; ".join(failures.values()))
