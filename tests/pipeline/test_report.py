@@ -214,7 +214,7 @@ def test_identical_sides_are_faithful(tmp_path):
     made = write_report(tmp_path / "run")
     page = words(made.page)
     assert "100 % of the real surface is simulated within 0.3 m" in page
-    assert "No cause is larger than the differences between two measurements" in page
+    assert "no cause is larger than the differences between two measurements" in page
     assert "No piece of surface is missing or invented" in page
 
 
