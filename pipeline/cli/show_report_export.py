@@ -155,7 +155,7 @@ def export(
     mcap : One MCAP file of ROS 2 messages, NAME.mcap; needs the extra ros.
     ply : Two PLY files per pair, PAIR.real.ply and PAIR.sim.ply, with scalar fields.
     out : Folder for the files.
-    replace : Also replace files that fidpipe export did not write.
+    replace : Replace existing files.
 
     Examples
     --------
@@ -169,7 +169,6 @@ def export(
     from ..engine.tasks import counting
     from ..exchange.export import LEGEND, export_run
     from ..results.finished import FinishedRun
-    from ..storage.files import megabytes
 
     if not (mcap or ply):
         raise typer.BadParameter("no format given; expected --mcap, --ply or both")
@@ -188,5 +187,5 @@ def export(
         print_line(f"MCAP:   {files.mcap}, stamps {stamps}")
     if files.ply:
         print_line(f"PLY:    {len(files.ply)} files in {folder}")
-    print_line(f"pairs:  {files.n_pairs}, {megabytes(files.n_bytes)}")
+    print_line(f"pairs:  {files.n_pairs}")
     print_line(f"status: {LEGEND}")
