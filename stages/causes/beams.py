@@ -93,7 +93,7 @@ def _profile_distance(a: FloatArray, b: FloatArray) -> float:
 
 
 def elevation_scale(reference: Side, side: Side) -> float | None:
-    """Elevations of a side's beams over those of a reference, minus 1; None if no scale and offset map one on the other.
+    """Elevations of a side's beams over those of a reference, minus 1; None if no scale and offset map them on another.
 
     Both need the same number of beams, and beams that start at the same heights. A road that is too high, which fills
     most of a scan, also looks like beams of another scale, or of another height: the scale is 0 if objects are seen
@@ -184,7 +184,8 @@ def road_blur_deg2(side: Side) -> float | None:
 
 def second_returns(side: Side, behind_m: float = _BEHIND_M) -> BoolArray:
     """(n,) True for returns this far behind another one of the same ray: equal direction, larger range."""
-    chord, rows = side.near_rays
-    is_same = chord < _SAME_RAY
-    is_behind = side.range_m[:, None] > side.range_m[rows] + behind_m
-    return np.logical_or.reduce(is_same & is_behind, axis=1)
+    is_second = np.zeros(len(side.points), dtype=np.bool_)
+    rays = side.ray_tree.query_pairs(_SAME_RAY, output_type="ndarray")
+    for first, other in (rays.T, rays.T[::-1]):
+        is_second[other[side.range_m[other] > side.range_m[first] + behind_m]] = True
+    return is_second
