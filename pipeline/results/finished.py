@@ -249,7 +249,9 @@ class FinishedRun:
             )
         return self.rows_by_name[pair_id]
 
-    def objects_of(self, pairs: Sequence[str], columns: Collection[str] = ALL_COLUMNS) -> pd.DataFrame:
+    def objects_of(
+        self, pairs: Sequence[str], columns: Collection[str] = ALL_COLUMNS, sides: Sequence[str] = SIDES
+    ) -> pd.DataFrame:
         """The objects of scored pairs with coverage, fate and scores; see `object_frame.object_parts`.
 
         Raises
@@ -260,7 +262,8 @@ class FinishedRun:
         import pandas as pd
 
         names = [self._scored(name) for name in pairs]
-        return pd.concat(object_parts(self.store, names, columns, by_reference=self.is_by_reference), ignore_index=True)
+        parts = object_parts(self.store, names, columns, by_reference=self.is_by_reference, sides=sides)
+        return pd.concat(parts, ignore_index=True)
 
     @property
     def is_by_reference(self) -> bool:

@@ -27,6 +27,7 @@ _COHERENT = 0.8  # resultant of the mean phases of all beams
 _ROAD_M = (8.0, 40.0)
 _ROAD_POINTS = 4000
 _SAME_RAY = 2e-4  # chord between two directions of one ray
+_MOST_RETURNS = 9  # of one ray that are compared
 _BEHIND_M = 0.3
 
 
@@ -93,7 +94,7 @@ def _profile_distance(a: FloatArray, b: FloatArray) -> float:
 
 
 def elevation_scale(reference: Side, side: Side) -> float | None:
-    """Elevations of a side's beams over those of a reference, minus 1; None if no scale and offset map them on another.
+    """Elevations of a side's beams over those of a reference, minus 1; None if no scale and offset fit both.
 
     Both need the same number of beams, and beams that start at the same heights. A road that is too high, which fills
     most of a scan, also looks like beams of another scale, or of another height: the scale is 0 if objects are seen
@@ -184,8 +185,6 @@ def road_blur_deg2(side: Side) -> float | None:
 
 def second_returns(side: Side, behind_m: float = _BEHIND_M) -> BoolArray:
     """(n,) True for returns this far behind another one of the same ray: equal direction, larger range."""
-    is_second = np.zeros(len(side.points), dtype=np.bool_)
-    rays = side.ray_tree.query_pairs(_SAME_RAY, output_type="ndarray")
-    for first, other in (rays.T, rays.T[::-1]):
-        is_second[other[side.range_m[other] > side.range_m[first] + behind_m]] = True
-    return is_second
+    _, near = side.ray_tree.query(side.rays, k=_MOST_RETURNS, distance_upper_bound=_SAME_RAY)
+    nearest_m = np.append(side.range_m, np.inf)[near].min(axis=1)  # missing neighbours have the last row
+    return np.greater(side.range_m, nearest_m + behind_m)

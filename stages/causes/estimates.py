@@ -118,6 +118,8 @@ def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]
             doubts.setdefault(need, f"{side} scan: {text}")
     if (ONE_SWEEP in real.doubts) != (ONE_SWEEP in sim.doubts):
         doubts[SAME_SWEEPS] = doubts[ONE_SWEEP]
+    if real.elevation_deg and sim.elevation_deg and (real.azimuth_step_deg is None) != (sim.azimuth_step_deg is None):
+        doubts.setdefault(BEAMS, _why_unknown(real, sim, "azimuth_step_deg"))
     return doubts
 
 
