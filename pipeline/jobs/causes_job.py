@@ -153,6 +153,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=4,
+    version=5,
     libraries=("scikit-learn",),
 )
