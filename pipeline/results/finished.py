@@ -104,7 +104,8 @@ class FinishedRun:
 
     def __repr__(self) -> str:
         counts = self.record.pairs
-        return f"<fidpipe run {self.folder}: {counts.scored} pairs scored, {counts.failed} failed, preset {self.preset}>"
+        counted = f"{counts.scored} pairs scored, {counts.failed} failed"
+        return f"<fidpipe run {self.folder}: {counted}, preset {self.preset}>"
 
     @property
     def pairs(self) -> pd.DataFrame:
