@@ -31,7 +31,12 @@ BEST_CASE_RECIPE = "best_case.toml"
 BEST_CASE_AMOUNTS = "best_case.csv"
 AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real scan shows itself
 #: What has a best case: columns of `pairs`.
-SCORES = ("match_rate", "n_missing", "n_hallucinated", *(name for name in RUN_SCORES if name != "match_rate"))
+SCORES = (
+    "match_rate",
+    "n_missing",
+    "n_hallucinated",
+    *(name for name in RUN_SCORES if name != "match_rate"),
+)
 
 
 @dataclass(frozen=True)
@@ -130,7 +135,9 @@ _RECIPE = TypeAdapter(BestCaseRecipe)
 def read_recipe(run: Path) -> BestCaseRecipe | None:
     """The recipe of a best case; None if the folder is not a run of `fidpipe best-case`."""
     try:
-        recipe = parse_toml((run / BEST_CASE_DATASET / BEST_CASE_RECIPE).read_text(encoding="utf-8"))
+        recipe = parse_toml(
+            (run / BEST_CASE_DATASET / BEST_CASE_RECIPE).read_text(encoding="utf-8")
+        )
         return _RECIPE.validate_python(recipe)
     except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
         return None
@@ -188,7 +195,10 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
         recipe=recipe,
         pairs=names,
         left_out=tuple(name for name in wanted if name not in scored),
-        notes=tuple(f"{name}: {a} in the run and {b} in its best case" for name, a, b in [*versions, *libraries]),
+        notes=tuple(
+            f"{name}: {a} in the run and {b} in its best case"
+            for name, a, b in [*versions, *libraries]
+        ),
         scores={column: _excess(column, run, other, names, of_objects) for column in SCORES},
         task_gaps=other.record.task_gaps,
     )
@@ -198,7 +208,9 @@ def _refuse_other_best_case(run: FinishedRun, best_case: FinishedRun) -> None:
     runs = f"run {run.folder} and best case {best_case.folder}"
     differing = settings_changes(run, best_case, but=OF_SIM_FILES)
     if differing:
-        raise RunError(f"{runs}: settings differ ({'; '.join(differing)}); make one for it: {_command(run)}")
+        raise RunError(
+            f"{runs}: settings differ ({'; '.join(differing)}); make one for it: {_command(run)}"
+        )
     theirs = best_case.record.inputs
     others = [
         name
@@ -252,7 +264,10 @@ def _excess(
         area=apart.area,
         n=apart.n_sim,
         n_best_case=apart.n_real,
-        of_pairs={name: None if np.isnan(value) else value for name, value in zip(names, over.tolist(), strict=True)},
+        of_pairs={
+            name: None if np.isnan(value) else value
+            for name, value in zip(names, over.tolist(), strict=True)
+        },
     )
 
 

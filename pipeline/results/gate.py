@@ -74,10 +74,15 @@ class GateResult:
     def as_dict(self) -> JsonObject:
         """Plain values, for `gate.json`."""
         found: JsonObject = {"run": str(self.run), "dataset": self.dataset, "passed": self.passed}
-        return found | {"notes": [*self.notes], "criteria": [dict(vars(verdict)) for verdict in self.judged]}
+        return found | {
+            "notes": [*self.notes],
+            "criteria": [dict(vars(verdict)) for verdict in self.judged],
+        }
 
 
-def judge_run(folder: Path, criteria: Iterable[Criterion], best_case: Path | None = None) -> GateResult:
+def judge_run(
+    folder: Path, criteria: Iterable[Criterion], best_case: Path | None = None
+) -> GateResult:
     """Check a finished run against criteria.
 
     Parameters
@@ -97,19 +102,37 @@ def judge_run(folder: Path, criteria: Iterable[Criterion], best_case: Path | Non
     wanted = list(criteria)
     given = {(criterion.measure, criterion.bound) for criterion in wanted}
     own = [
-        Criterion("every pair is scored", "pairs.failed", "max", 0, "a gate is about the whole dataset"),
-        Criterion("no pair is left to do", "pairs.to_do", "max", 0, "a gate is about the whole dataset"),
-        Criterion("both sides lie in one frame", "pairs.frame_suspect", "max", 0, "fidpipe check shows how to fix it"),
+        Criterion(
+            "every pair is scored", "pairs.failed", "max", 0, "a gate is about the whole dataset"
+        ),
+        Criterion(
+            "no pair is left to do", "pairs.to_do", "max", 0, "a gate is about the whole dataset"
+        ),
+        Criterion(
+            "both sides lie in one frame",
+            "pairs.frame_suspect",
+            "max",
+            0,
+            "fidpipe check shows how to fix it",
+        ),
     ]
     notes = [note] if (note := partition_note([run])) else []
     if excess is not None:
         n_both = f"{len(excess.pairs)} of {len(run.scored)} pairs"
         notes.append(f"excess is over the best case {best_case} ({excess.recipe.words}), {n_both}")
     if measures.dataset_is_gone:
-        notes.append(f"the dataset {run.record.dataset} is not here: not checked whether it has changed since the run")
+        notes.append(
+            f"the dataset {run.record.dataset} is not here: not checked whether it has changed since the run"
+        )
     else:
         own.append(
-            Criterion("scans and labels are those that were evaluated", "pairs.changed", "max", 0, "else run it again")
+            Criterion(
+                "scans and labels are those that were evaluated",
+                "pairs.changed",
+                "max",
+                0,
+                "else run it again",
+            )
         )
     criteria = [*(each for each in own if (each.measure, each.bound) not in given), *wanted]
     judged = tuple(_judged(criterion, *measures.named(criterion.measure)) for criterion in criteria)
@@ -117,8 +140,12 @@ def judge_run(folder: Path, criteria: Iterable[Criterion], best_case: Path | Non
 
 
 def _judged(criterion: Criterion, value: float | None, why: str) -> Judged:
-    passed = value is not None and (value <= criterion.limit if criterion.bound == "max" else value >= criterion.limit)
-    return Judged(**vars(criterion), value=value, passed=passed, why=why and f"could not be computed: {why}")
+    passed = value is not None and (
+        value <= criterion.limit if criterion.bound == "max" else value >= criterion.limit
+    )
+    return Judged(
+        **vars(criterion), value=value, passed=passed, why=why and f"could not be computed: {why}"
+    )
 
 
 @dataclass(frozen=True)
@@ -160,11 +187,18 @@ class BaseResult:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON: the comparison and the requirements."""
-        checks: JsonObject = {"fail_on": list(self.fail_on), "checks": [dict(vars(check)) for check in self.checks]}
-        return self.comparison.as_dict() | checks | {"passed": not self.failed, "gate_note": self.note}
+        checks: JsonObject = {
+            "fail_on": list(self.fail_on),
+            "checks": [dict(vars(check)) for check in self.checks],
+        }
+        return (
+            self.comparison.as_dict() | checks | {"passed": not self.failed, "gate_note": self.note}
+        )
 
 
-def judge_comparison(comparison: Comparison, fail_on: Collection[str], *, undecided_ok: bool = False) -> BaseResult:
+def judge_comparison(
+    comparison: Comparison, fail_on: Collection[str], *, undecided_ok: bool = False
+) -> BaseResult:
     """Evaluate a run against its base.
 
     A cause of the sensor fails if it is worse, a family if it is worse or mixed. Every pair that the base has scored
@@ -181,7 +215,8 @@ def judge_comparison(comparison: Comparison, fail_on: Collection[str], *, undeci
     checks = [
         Check(
             "every pair that the base has scored is compared",
-            f"{len(comparison.pairs)} of {n_base} pairs are compared" + (f"; {'; '.join(why)}" if why else ""),
+            f"{len(comparison.pairs)} of {n_base} pairs are compared"
+            + (f"; {'; '.join(why)}" if why else ""),
             "not compared" if why else "",
         )
     ]
@@ -226,7 +261,9 @@ def parse_word(word: str, bound: Bound) -> Criterion:
     except ValueError:
         limit = math.nan
     if not measure or not math.isfinite(limit):
-        raise SettingsError(f"--{bound} {word!r}: expected MEASURE=NUMBER, such as r_lambda.mean=0.4")
+        raise SettingsError(
+            f"--{bound} {word!r}: expected MEASURE=NUMBER, such as r_lambda.mean=0.4"
+        )
     return Criterion(f"{measure} {'<=' if bound == 'max' else '>='} {text}", measure, bound, limit)
 
 
@@ -252,8 +289,13 @@ def read_criteria(path: Path) -> list[Criterion]:
         limits: tuple[tuple[Bound, float | None], ...] = (("max", entry.max), ("min", entry.min))
         bounds = [(bound, limit) for bound, limit in limits if limit is not None]
         if not bounds:
-            raise SettingsError(f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; expected max or min")
-        criteria += [Criterion(entry.name, entry.measure, bound, limit, entry.reason) for bound, limit in bounds]
+            raise SettingsError(
+                f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; expected max or min"
+            )
+        criteria += [
+            Criterion(entry.name, entry.measure, bound, limit, entry.reason)
+            for bound, limit in bounds
+        ]
     return criteria
 
 
