@@ -29,6 +29,7 @@ from .trust import (
     returns_text,
     sweep_parts,
     sweeps_text,
+    turns_text,
 )
 
 #: Limits of the range bands, metres, for the share of lost pulses.
@@ -188,7 +189,8 @@ def _describe_beams(
     if several_returns:
         sweep = sweep.first_returns(is_later)
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
-    if several_sweeps := sweeps_text(sweep.gap_deg):
+    several_sweeps = sweeps_text(sweep.gap_deg) or turns_text(sweep.beam, sweep.azimuth_deg, sweep.row)
+    if several_sweeps:
         doubts = {ONE_SWEEP: several_sweeps, **doubts}
         step = None
         untold["azimuth_step_deg"] = several_sweeps

@@ -146,35 +146,37 @@ def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
     linked up to link_m (1 + r / 40 m) across the ray, and up to link_m (1 + r / 40 m)^2 along it,
     as the spacing of returns on a surface grows. Clusters of fewer than min_points are left out.
     """
+    is_near = np.hypot(scan.points[:, 0], scan.points[:, 1]) <= settings.range_m + _BORDER_M
+    is_candidate = is_near & _is_obstacle(scan, settings)
+    cluster = np.full(len(scan.points), -1)
+    cluster[is_candidate] = _clusters(scan.points[is_candidate], settings.link_m)
+    is_clustered = cluster >= 0
+    n_points = np.bincount(cluster[is_clustered])
+    low = np.full((len(n_points), 3), np.inf)
+    np.minimum.at(low, cluster[is_clustered], scan.points[is_clustered])
+    high = np.full((len(n_points), 3), -np.inf)
+    np.maximum.at(high, cluster[is_clustered], scan.points[is_clustered])
+    centre = (low + high) / 2
+    order = np.argsort(np.hypot(centre[:, 0], centre[:, 1]), kind="stable")
+    order = order[n_points[order] >= settings.min_points]
+    number_of = np.full(len(n_points) + 1, -1)  # the last is of points without a cluster
+    number_of[order] = np.arange(len(order))
+    return Obstacles(number_of[cluster], low[order], high[order], n_points[order])
+
+
+def _clusters(points: FloatArray, link_m: float) -> IndexArray:
+    """Cluster of each point, (n,), -1 for none; points of one cell count as one, at their mean."""
     from sklearn.cluster import DBSCAN
 
-    labels = np.full(len(scan.points), -1)
-    is_near = np.hypot(*scan.points.T[:2]) <= settings.range_m + _BORDER_M
-    chosen = np.flatnonzero(is_near & _is_obstacle(scan, settings))
-    if not len(chosen):
-        return Obstacles(labels, np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=np.intp))
-    points = scan.points[chosen]
+    if not len(points):
+        return np.empty(0, dtype=np.intp)
     range_m = np.linalg.norm(points, axis=1)
     scaled = points / (1 + range_m / _DOUBLE_AT_M)[:, None]
-    cell = np.floor(scaled * (_CELLS_PER_LINK / settings.link_m)).astype(np.int64)
-    _, cell_of, n_in_cell = _unique_rows(cell)
-    means = sums_by_id(scaled, cell_of, len(n_in_cell)) / n_in_cell[:, None]
-    dbscan = DBSCAN(eps=settings.link_m, min_samples=_CORE_POINTS)
-    cluster = dbscan.fit(means, sample_weight=n_in_cell).labels_[cell_of]
-    n_points = np.bincount(cluster[cluster >= 0])
-    is_large = np.append(n_points >= settings.min_points, False)  # the last is of cluster -1
-    is_kept = is_large[cluster]
-    chosen = chosen[is_kept]
-    points = points[is_kept]
-    _, cluster = np.unique(cluster[is_kept], return_inverse=True)
-    n_points = np.bincount(cluster)
-    low = np.full((len(n_points), 3), np.inf)
-    np.minimum.at(low, cluster, points)
-    high = np.full((len(n_points), 3), -np.inf)
-    np.maximum.at(high, cluster, points)
-    order = np.argsort(np.hypot(*(low + high).T[:2]), kind="stable")
-    labels[chosen] = np.argsort(order)[cluster]
-    return Obstacles(labels, low[order], high[order], n_points[order])
+    cell, n_in_cell = _number_cells(np.floor(scaled * (_CELLS_PER_LINK / link_m)))
+    means = sums_by_id(scaled, cell, len(n_in_cell)) / n_in_cell[:, None]
+    dbscan = DBSCAN(eps=link_m, min_samples=_CORE_POINTS)
+    labels: IndexArray = dbscan.fit(means, sample_weight=n_in_cell).labels_[cell]
+    return labels
 
 
 def box_iou(a: Obstacles, b: Obstacles) -> FloatArray:
@@ -198,27 +200,24 @@ def compare_ground(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple
     - height_m: median over cells of 1 m with at least three ground points of both sides of
       |z_sim - z_real|, z being the mean height of the ground points of the cell
     """
-    near = [_within(scan, settings.range_m) for scan in (real, sim)]
-    shares = []
-    disagreements = []
-    for scan, other in (near, near[::-1]):
-        if not len(scan.points) or not len(other.points):
-            return (
-                Gap("ground", "disagreement", None, None, None),
-                Gap("ground", "height_m", None, None, None, "m"),
-            )
-        tree = scipy.spatial.cKDTree(other.points)
-        distance_m, nearest = tree.query(scan.points, distance_upper_bound=_SEEN_WITHIN_M)
-        is_seen = np.isfinite(distance_m)
-        flags = scan.is_ground[is_seen]
-        shares.append(_mean(flags))
-        disagreements.append(_mean(flags != other.is_ground[nearest[is_seen]]))
-    is_known = None not in disagreements
-    gap = _mean(np.array(disagreements, dtype=np.float64)) if is_known else None
+    real = _within(real, settings.range_m)
+    sim = _within(sim, settings.range_m)
+    real_share, real_wrong = _ground_on_common_surface(real, sim)
+    sim_share, sim_wrong = _ground_on_common_surface(sim, real)
+    gap = None
+    if real_wrong is not None and sim_wrong is not None:
+        gap = (real_wrong + sim_wrong) / 2
     return (
-        Gap("ground", "disagreement", shares[0], shares[1], gap),
-        Gap("ground", "height_m", None, None, _height_error_m(near[0], near[1]), "m"),
+        Gap("ground", "disagreement", real_share, sim_share, gap),
+        Gap("ground", "height_m", None, None, _height_error_m(real, sim), "m"),
     )
+
+
+def counterparts(points: FloatArray, others: FloatArray) -> IndexArray:
+    """The nearest point of the other side, (n,); -1 if none is within 0.3 m."""
+    tree = scipy.spatial.cKDTree(others)
+    distance_m, nearest = tree.query(points, distance_upper_bound=_SEEN_WITHIN_M)
+    return np.where(np.isfinite(distance_m), nearest, -1)
 
 
 def compare_occupancy(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple[Gap, ...]:
@@ -281,17 +280,12 @@ def _within(scan: CutScan, range_m: float) -> CutScan:
     return CutScan(scan.points[is_near], scan.is_ground[is_near], scan.height_m[is_near])
 
 
-def _unique_rows(cells: NDArray[np.int64]) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """Index of the first of equal rows, (m,); the unique row of each row, (n,); their numbers."""
-    cells = cells - cells.min(axis=0)
-    code = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
-    _, first, inverse, n = np.unique(
-        code,
-        return_index=True,
-        return_inverse=True,
-        return_counts=True,
-    )
-    return first, inverse, n
+def _number_cells(cells: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """Number of the cell of each point, (n,), from whole coordinates, and points of each, (m,)."""
+    whole = (cells - cells.min(axis=0)).astype(np.int64)
+    code = np.ravel_multi_index(tuple(whole.T), tuple(whole.max(axis=0) + 1))
+    _, number, n_points = np.unique(code, return_inverse=True, return_counts=True)
+    return number, n_points
 
 
 def _fates(
@@ -344,20 +338,34 @@ def _found(real: Obstacles, sim: Obstacles, rows: IndexArray, columns: IndexArra
     ]
 
 
+def _ground_on_common_surface(scan: CutScan, other: CutScan) -> tuple[float | None, float | None]:
+    """Shares of ground, and of points whose nearest one has another flag; None without any."""
+    nearest = counterparts(scan.points, other.points)
+    is_seen = nearest >= 0
+    is_ground = scan.is_ground[is_seen]
+    return _mean(is_ground), _mean(is_ground != other.is_ground[nearest[is_seen]])
+
+
 def _height_error_m(real: CutScan, sim: CutScan) -> float | None:
     """Median difference of the ground's height over cells that both sides have."""
-    ground = [scan.points[scan.is_ground] for scan in (real, sim)]
-    points = np.vstack(ground)
+    real_points = real.points[real.is_ground]
+    sim_points = sim.points[sim.is_ground]
+    points = np.vstack([real_points, sim_points])
     if not len(points):
         return None
-    first, cell, _ = _unique_rows(np.floor(points[:, :2] / _GROUND_CELL_M).astype(np.int64))
-    heights = []
-    for of_side, z in zip(np.split(cell, [len(ground[0])]), ground, strict=True):
-        n = np.bincount(of_side, minlength=len(first))
-        total = np.bincount(of_side, z[:, 2], len(first))
-        heights.append(np.where(n >= _GROUND_POINTS, total / np.maximum(n, 1), np.nan))
-    difference = np.abs(heights[1] - heights[0])
-    return _median(difference[~np.isnan(difference)])
+    cell, n_points = _number_cells(np.floor(points[:, :2] / _GROUND_CELL_M))
+    real_cell, sim_cell = np.split(cell, [len(real_points)])
+    real_m = _mean_by_cell(real_points[:, 2], real_cell, len(n_points))
+    sim_m = _mean_by_cell(sim_points[:, 2], sim_cell, len(n_points))
+    difference_m = np.abs(sim_m - real_m)
+    return _median(difference_m[~np.isnan(difference_m)])
+
+
+def _mean_by_cell(values: FloatArray, cell: IndexArray, n_cells: int) -> FloatArray:
+    """Mean of the values in each cell, (n_cells,); NaN with fewer than three."""
+    n = np.bincount(cell, minlength=n_cells)
+    total = np.bincount(cell, values, n_cells)
+    return np.where(n >= _GROUND_POINTS, total / np.maximum(n, 1), np.nan)
 
 
 def _map(scan: CutScan, settings: TaskSettings) -> tuple[BoolArray, BoolArray]:

@@ -80,9 +80,6 @@ def twin(
     ] = None,
     calib: Annotated[Path | None, typer.Option(show_default="calib.txt")] = None,
     others: Annotated[int, typer.Option(min=2)] = 4,
-    foliage: Annotated[
-        str | None, typer.Option(metavar="LABEL[,LABEL]", show_default="scattered points")
-    ] = None,
     pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
     seed: Seed = 0,
     assignments: Assignments = None,
@@ -109,7 +106,6 @@ def twin(
     poses : TUM or KITTI poses.
     calib : KITTI's calibration, with Tr.
     others : Number of nearest other frames in each model.
-    foliage : Labels of foliage, for the flaw foliage.
     pairs : Only frames whose name matches, such as '*[02468]'.
     seed : Seed of the random numbers.
 
@@ -142,7 +138,6 @@ def twin(
             lost_share=model.lost_share if dropout is None else dropout,
         ),
         n_others=others,
-        foliage=tuple(foliage.split(",")) if foliage else (),
         pattern=pairs,
         seed=seed,
         settings=load(None, assignments or []).input,

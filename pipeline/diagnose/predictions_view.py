@@ -1,4 +1,4 @@
-"""Views of the agreement of a model's predictions on both sides."""
+"""Views of `fidpipe tasks`: agreement of a model's predictions on both sides, and odometry."""
 
 from __future__ import annotations
 
@@ -42,6 +42,16 @@ def task_records(summaries: Sequence[TaskSummary]) -> Table:
     """One row per measure of a task, for programs."""
     columns = tuple(TaskSummary.model_fields)
     return Table("", columns, [[getattr(row, name) for name in columns] for row in summaries])
+
+
+def odometry_view(summaries: Sequence[TaskSummary]) -> View:
+    """Measures of odometry on both sides."""
+    title = f"Odometry over {summaries[0].n_pairs} scans (KISS-ICP; gap 0: the same motion)"
+    rows = []
+    for row in summaries:
+        sides = (number(row.real, 2), number(row.sim, 2))
+        rows.append((row.measure, row.unit, *sides, number(row.gap, 3)))
+    return [Table(title, ("measure", "unit", "real", "simulated", "gap"), rows, words=(0, 1))]
 
 
 def _classes_table(result: Agreement) -> Table:

@@ -57,7 +57,7 @@ def summary(found: TellApart) -> str:
 def draw_map(found: TellApart, path: Path) -> None:
     """Write a PNG: both sides seen from above, points coloured by the probability of being simulated."""
     frame = style.frame_of(*(points for points, _ in found.maps))
-    with style.new_maps(frame, 2, style.shown_name(found.title, 80)) as (figure, axes):
+    with style.new_maps(frame, style.shown_name(found.title, 80)) as (figure, axes):
         for axis, name, (points, probability) in zip(axes, ("real", "simulated"), found.maps, strict=True):
             coloured = style.dots(axis, points, 2.0, probability, cmap="coolwarm", vmin=0, vmax=1)
             axis.set_title(f"{name} points")

@@ -111,11 +111,10 @@ def _communities(labels: IndexArray, communities: IntArray) -> list[int]:
     labels, communities : (n,) obstacle (-1 for none) and object of each object point
     """
     is_inside = labels >= 0
-    both = np.column_stack([labels[is_inside], communities[is_inside]])
-    unique, n = np.unique(both, axis=0, return_counts=True)
-    order = np.lexsort((unique[:, 1], -n, unique[:, 0]))
-    _, first = np.unique(unique[order, 0], return_index=True)
-    largest: list[int] = unique[order[first], 1].tolist()
+    shape = (labels.max(initial=-1) + 1, communities.max(initial=0) + 1)
+    n_points = np.zeros(shape, dtype=np.int64)
+    np.add.at(n_points, (labels[is_inside], communities[is_inside]), 1)
+    largest: list[int] = n_points.argmax(axis=1).tolist()
     return largest
 
 

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from ...schemas.errors import DatasetError
-from ...stages.statistics.typical_objects import SHAPES, ChosenObject, ScanObjects, typical_of_class, typical_of_shapes
+from ...stages.statistics.typical_objects import (
+    SHAPES,
+    ChosenObject,
+    ScanObjects,
+    typical_of_class,
+    typical_of_shapes,
+)
 from ..engine.memory import PairTables
 from ..jobs.points_job import column
 
@@ -44,18 +50,18 @@ def choose_objects(
         return _by_names(scan, names, least, say)
     candidates = [typical_of_class(scan, name, least) for name in CLASSES]
     objects = [chosen for chosen in candidates if chosen is not None]
-    expected: Iterable[str] = CLASSES
-    kind = "object labelled {}"
+    expected = [*CLASSES]
     if not objects:
-        why = f"has no object labelled {', '.join(CLASSES)}" if any(scan.labels) else "has no labels"
-        say(f"scan {scan.pair_id} {why}: choosing one typical object for each shape instead")
+        say(
+            f"scan {scan.pair_id} has no object labelled {', '.join(CLASSES)}: choosing one typical "
+            "object for each shape instead"
+        )
         objects = typical_of_shapes(scan, least)
-        expected = SHAPES.values()
-        kind = "further {} object"
-    chosen = {chosen.name for chosen in objects}
-    absent = [name for name in expected if name not in chosen]
+        expected = [*SHAPES.values()]
+    names_of_chosen = {chosen.name for chosen in objects}
+    absent = [name for name in expected if name not in names_of_chosen]
     if absent:
-        say(f"scan {scan.pair_id} has no {kind.format(' or '.join(absent))}")
+        say(f"scan {scan.pair_id} has no further object: {' or '.join(absent)}")
     return objects
 
 
@@ -104,21 +110,13 @@ def _by_names(
 
 
 def _by_name(scan: ScanObjects, name: str, least: int) -> ChosenObject:
-    if name.isdigit():
-        if int(name) >= len(scan.n_points):
-            raise DatasetError(
-                f"--objects {name}: expected an id of scan {scan.pair_id} from 0 to {len(scan.n_points) - 1}",
-            )
+    if name.isdigit() and int(name) < len(scan.n_points):
         return scan.chosen(int(name), f"object {name}", "as requested")
     chosen = typical_of_class(scan, name, least)
     if chosen is None:
-        known = (
-            ", ".join(
-                sorted({label for label in scan.labels if label}),
-            )
-            or "none: it has no labels"
-        )
+        labels = {label for label in scan.labels if label}
         raise DatasetError(
-            f"--objects {name}: no object of scan {scan.pair_id} has this label; its labels are {known}",
+            f"--objects {name}: expected an id of scan {scan.pair_id} from 0 to "
+            f"{len(scan.n_points) - 1}, or one of its labels: {', '.join(sorted(labels)) or 'none'}"
         )
     return chosen

@@ -36,6 +36,8 @@ _ALONE = ("missing parts", "invented parts")
 #: If the road stays where it is while all else is raised, the world is not displaced: part of the height that remains.
 _OF_ROAD = ("height", "road height")
 _ROAD_STAYS = 0.3
+#: A road that is higher or lower by this, metres, is seen as further beams: those of the objects remain.
+_ROAD_AS_BEAMS_M = 0.02
 #: If more of the curved surface is too flat, more than the shape of some objects is wrong.
 _MELTED = 0.3
 #: Solid foliage also flattens surface, by less than this part of its amount; boxes also stop rays in foliage. So only
@@ -249,6 +251,8 @@ def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
     if name in _OF_ROAD and all(other in means for other in _OF_ROAD):
         height = means["height"]
         return abs(height + means["road height"]) < _ROAD_STAYS * abs(height)
+    if name == "beams":
+        return mean > 0 and abs(means.get("road height", 0.0)) > _ROAD_AS_BEAMS_M
     if name == "moved parts":
         return mean > _BENT and min(means.get(other, 0.0) for other in _ALONE) > mean / 10
     if name == FLAT:

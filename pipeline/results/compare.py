@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from ...schemas.columns import Row
 from ...schemas.errors import RunError
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
@@ -225,7 +226,7 @@ def _compare(
         failed=tuple(failed),
         unfollowed=tuple(unfollowed),
         settings=tuple(settings),
-        notes=(*_notes(base, other), *_task_notes(base, other)),
+        notes=tuple(_notes(base, other)),
         changes=changes,
         families=families,
         objects=objects,
@@ -247,20 +248,25 @@ def _families(
     changes: Changes,
 ) -> tuple[FamilyChange, ...]:
     """The families of scores of the world."""
+    rows = {name: (base.row(name), other.row(name)) for name in names}
+    if base.record.tasks and other.record.tasks and _have_same_tasks(base, other):
+        for name, (before, after) in rows.items():
+            rows[name] = (before | _task_gaps(base, name), after | _task_gaps(other, name))
     sectors = None
     if by_direction:
         both = zip(sector_rows(base, names), sector_rows(other, names), strict=True)
         directions = (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
-        sectors = {str(i): rows for i, rows in enumerate(both)}, directions
+        sectors = {str(i): sector for i, sector in enumerate(both)}, directions
         blocks = np.arange(len(names), dtype=np.int32)
     best_cases = {}
     if excess is not None:
         best_cases = {
             column: score.best_case_from_equal for column, score in excess[0].scores.items()
         }
+        best_cases |= excess[0].task_gaps
     return judge_families(
         base.preset if base.preset == other.preset else "paper",
-        {name: (base.row(name), other.row(name)) for name in names},
+        rows,
         blocks,
         _noise_of_seeds(base, other, len(names)),
         best_cases,
@@ -310,6 +316,8 @@ def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
                 f"{len(run.scored)} pairs ({named}); see fidpipe show {run.folder}"
             )
     a, b = base.record, other.record
+    if a.tasks and b.tasks and not _have_same_tasks(base, other):
+        notes.append("the runs have other settings of tasks: these are not compared")
     notes += [
         f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)
     ]
@@ -319,22 +327,17 @@ def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
     return notes
 
 
-def _task_notes(base: FinishedRun, other: FinishedRun) -> list[str]:
-    """Mean gaps of the tasks that both runs have, over all their pairs; no verdict depends on them."""
-    gaps = base.record.task_gaps
-    other_gaps = other.record.task_gaps
-    if base.record.settings.get("tasks") != other.record.settings.get("tasks"):
-        return (
-            ["the runs have other settings of tasks: these are not compared"]
-            if gaps and other_gaps
-            else []
-        )
-    changes = []
-    for measure, gap in gaps.items():
-        other_gap = other_gaps.get(measure)
-        if gap is not None and other_gap is not None:
-            changes.append(f"{measure} {gap:.2g} to {other_gap:.2g}")
-    return [f"tasks, gaps not decided: {', '.join(changes)}"] if changes else []
+def _have_same_tasks(base: FinishedRun, other: FinishedRun) -> bool:
+    """True if the tasks of both runs have the same settings."""
+    return bool(base.record.settings.get("tasks") == other.record.settings.get("tasks"))
+
+
+def _task_gaps(run: FinishedRun, pair_id: str) -> Row:
+    """The gap of each measure of the tasks of a pair, by names such as `objects.lost`."""
+    job = run.store.ledger.jobs(pair_id).get(("tasks", ""))
+    if job is None:
+        return {}
+    return {f"{gap['task']}.{gap['measure']}": gap["gap"] for gap in job.metadata["gaps"]}
 
 
 def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:

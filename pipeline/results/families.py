@@ -32,6 +32,16 @@ PairRows = Mapping[str, tuple[Row, Row]]  #: by pair, its rows before and after
 #: Changes that chance makes in under this share of the comparisons are decided.
 ERROR_RATE = 1 - CONFIDENCE
 SURFACE_MISSING, SURFACE_INVENTED, OBJECTS = "surface missing", "surface invented", "objects"
+TASKS = "tasks"
+#: Compared gaps of tasks: heading, and step of the share (objects are few).
+_TASK_SCORES = {
+    "objects.lost": ("obstacles lost", 0.04),
+    "objects.added": ("obstacles added", 0.04),
+    "occupancy.mismatch": ("occupancy mismatch", 0.0),
+    "occupancy.wrongly_free": ("occupied map free", 0.0),
+    "free_space.too_far": ("free space too long", 0.0),
+}
+_LEAST_GAP = 0.005
 #: Sign of a change that is worse, by the value that is best.
 WORSE_IF = {"high": -1.0, "low": 1.0}
 #: The same in headings.
@@ -43,7 +53,7 @@ MARKS_NOTE = "↑ higher is better, ↓ lower is better"
 class ComparedScore:
     """One score of pairs.
 
-    column : of `pairs`
+    column : of `pairs`, or the name of a gap of a task
     heading : with the unit
     best : "high" or "low"
     least : a change of the mean up to this size does not matter to a user
@@ -78,6 +88,9 @@ def families(preset: str) -> dict[str, list[ComparedScore]]:
             step=metric.step or 0.0,
         )
         chosen.setdefault(metric.family, []).append(score)
+    chosen[TASKS] = []
+    for column, (heading, step) in _TASK_SCORES.items():
+        chosen[TASKS].append(ComparedScore(TASKS, heading, column, "low", _LEAST_GAP, step))
     return chosen
 
 
@@ -255,12 +268,12 @@ def _with_sectors(
     sectors: tuple[PairRows, IntArray],
     least: FloatArray,
 ) -> FloatArray:
-    """The larger of the p-values over the frames and over the directions, where scores are known by direction."""
+    """The larger of the p-values over the frames and over the directions; 1 if a score is not known by direction."""
     before, after = _read(compared, sectors[0])
     change = block_means(after - before, sectors[1])
     is_known = ~np.isnan(change).all(axis=1)
     by_sector = adjusted_p_values(change[is_known], least[is_known], np.zeros(is_known.sum()))
-    larger = p_values.copy()
+    larger = np.where(np.isnan(p_values), np.nan, 1.0)
     larger[is_known] = np.maximum(p_values[is_known], by_sector)
     return larger
 
@@ -345,7 +358,7 @@ def _consequence(
         return f"follows from {' and '.join(worse_causes)}"
     surfaces = {SURFACE_MISSING, SURFACE_INVENTED}
     worse_surfaces = surfaces.intersection(worse)
-    follows = family == OBJECTS or (family in surfaces and not is_more_right)
+    follows = family in (OBJECTS, TASKS) or (family in surfaces and not is_more_right)
     if worse_surfaces and follows:
         return f"follows from {' and '.join(sorted(worse_surfaces, reverse=True))}"
     return ""

@@ -63,7 +63,7 @@ def corrected(sim: Side, chosen: Sequence[Correction], seam_deg: float) -> Float
         keep = keep & correction.keep
     points = undo_elevation_scale(sim.points, scale)
     if displacement.any():
-        points = Displacement(displacement, seam_deg).undo(points, sim.is_ground)
+        points = Displacement(displacement, seam_deg).undo(points, sim.moves_with_road)
     if along_m.any():
         range_m = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
         points = points * (1.0 + along_m / range_m)[:, None]

@@ -20,6 +20,7 @@ FAR_M = 25.0
 SCATTERED = 0.1
 #: Neighbours that define the plane around a point.
 PLANE_NEIGHBOURS = 20
+_LOW_M = 0.5
 _GRAZING_DEG = 75.0  # between the ray and the normal of the surface
 _RAYS_AROUND = 8  # nearest rays that are searched around each ray
 
@@ -32,12 +33,19 @@ class Side:
     is_ground : (n,) bool
     sensor : description of the side's sensor, from the points as recorded
     T_real_sim : (3, 4) float64, of the simulated side, if its frame is another
+    is_low : (n,) bool, what moves with the road if this is too high or too low; the ground by default
     """
 
     points: FloatArray
     is_ground: BoolArray
     sensor: SensorDescription
     T_real_sim: FloatArray | None = None
+    is_low: BoolArray | None = None
+
+    @property
+    def moves_with_road(self) -> BoolArray:
+        """(n,) True for the ground, and for verges and all else that is low."""
+        return self.is_ground if self.is_low is None else self.is_low
 
     @cached_property
     def range_m(self) -> FloatArray:
@@ -109,12 +117,14 @@ class Side:
 
     def chosen(self, is_kept: BoolArray | IndexArray) -> Side:
         """The side with some of its points, or all of them in another order."""
-        return replace(self, points=self.points[is_kept], is_ground=self.is_ground[is_kept])
+        is_low = self.moves_with_road[is_kept]
+        return replace(self, points=self.points[is_kept], is_ground=self.is_ground[is_kept], is_low=is_low)
 
 
 def recorded_side(
     points: FloatArray,
     is_ground: BoolArray,
+    height_m: FloatArray,
     sensor: SensorDescription,
     T_real_sim: FloatArray | None = None,
     position: tuple[float, float, float] | None = None,
@@ -127,6 +137,7 @@ def recorded_side(
     Parameters
     ----------
     points, is_ground, sensor, T_real_sim : see `Side`
+    height_m : (n,) float64, above the road; less than 0.5 m is low
     position : of the sensor in the frame of the points of both sides; the origin by default
     voxel_m : voxel by which the points were thinned, so that returns cannot be counted; None if they were not
     """
@@ -136,7 +147,7 @@ def recorded_side(
     if position is not None:
         points = points - position
         T_real_sim = seen_from(position, T_real_sim)
-    side = Side(points, is_ground, sensor, T_real_sim)
+    side = Side(points, is_ground, sensor, T_real_sim, is_ground | (height_m < _LOW_M))
     return side.chosen(np.lexsort(side.points.T))
 
 

@@ -1,5 +1,7 @@
 """Points that would make a prescription wrong are named, and no cause that they feign is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -50,6 +52,8 @@ def turned(scan, degrees):
         (lambda scan: np.vstack([scan, scan + [1.1, 0.05, 0]]), ONE_SWEEP),
         (lambda scan: np.vstack([scan, turned(scan, 0.05)]), ONE_SWEEP),
         (lambda scan: np.vstack([scan, turned(scan, 0.06), turned(scan, 0.1)]), ONE_SWEEP),
+        (lambda scan: np.vstack([scan, turned(scan, 0.083)]), ONE_SWEEP),  # half a step
+        (lambda scan: np.vstack([scan, turned(scan, 0.055), turned(scan, 0.11)]), ONE_SWEEP),
     ],
 )
 def test_what_cannot_be_trusted_is_named(scan, change, need):
@@ -87,7 +91,14 @@ def test_every_need_of_the_catalogue_can_be_in_doubt():
     assert {need for cause in CAUSES.values() for need in cause.needs} == {ONE_SWEEP, SAME_SWEEPS, POSITION, BEAMS}
 
 
-@pytest.mark.parametrize("factor", [0.3, 0.7, 1.6, 4.0])
+def test_losses_are_unknown_if_only_one_side_has_an_azimuth_step(scan):
+    sensor = describe_sensor(scan)
+    without_step = replace(sensor, azimuth_step_deg=None, untold={"azimuth_step_deg": "no common distance"})
+    assert doubts_of(sensor, without_step) == {BEAMS: "simulated scan: no common distance"}
+    assert doubts_of(without_step, without_step) == {}
+
+
+@pytest.mark.parametrize("factor", [0.3, 0.7, 0.93, 1.08, 1.6, 4.0])
 def test_a_scan_of_another_size_is_named_with_it(scan, factor):
     found = check_frames(scan, scan * factor, InputSettings())
     assert found.is_other_frame and found.reading.startswith("in units of")

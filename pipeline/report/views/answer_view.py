@@ -89,7 +89,7 @@ def answer_view(
         "Objects": items_of(scores_words(record)),
         "Last run": items_of(change_words(record)),
         "Trust": items_of(*trust),
-        "Next": items_of(*_next_commands(folder, record, diagnosis, recipe)),
+        "Next": items_of(*next_commands(folder, record, diagnosis, recipe)),
     }
     return [line, Answers([(heading, items) for heading, items in sections.items() if items])]
 
@@ -145,18 +145,23 @@ def caution_words(overview: Overview, kinds: Container[str]) -> list[str]:
     return [caution.words for caution in overview.trust if caution.kind in kinds]
 
 
-def _next_commands(
-    folder: Path, record: RunRecord, diagnosis: Diagnosis | None, recipe: BestCaseRecipe | None
+def next_commands(
+    folder: Path,
+    record: RunRecord,
+    diagnosis: Diagnosis | None,
+    recipe: BestCaseRecipe | None = None,
+    *,
+    is_page: bool = False,
 ) -> list[str]:
+    """The commands that lead on from a run, or from its page."""
     run = url_or_path(folder)
     if recipe is not None:
         commands = [["show", run_of_best_case(folder, recipe), "--best-case", run]]
     elif record.frames:
         commands = [["check", record.dataset, *run_options(record)]]
     else:
-        commands = [["report", run, "--open"]]
-        if diagnosis is None:
-            commands.insert(0, ["diagnose", run])
+        last = ["compare", run, "NEW_RUN"] if is_page else ["report", run, "--open"]
+        commands = [last] if diagnosis else [["diagnose", run], last]
     return [shlex.join(["fidpipe", *words]) for words in commands]
 
 
