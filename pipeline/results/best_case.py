@@ -173,8 +173,10 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
     recipe = read_recipe(best_case)
     if recipe is None:
         raise RunError(
-            f"{best_case}: is not a run of fidpipe best-case (no {BEST_CASE_DATASET}/{BEST_CASE_RECIPE} in it); "
-            f"make one for {run.folder} with: {_command(run)}; for changes against another run: fidpipe compare, "
+            f"{best_case}: is not a run of fidpipe best-case (no "
+            f"{BEST_CASE_DATASET}/{BEST_CASE_RECIPE} in it); "
+            f"make one for {run.folder} with: {_command(run)}; for changes against another run: "
+            "fidpipe compare, "
             "diagnose --since"
         )
     other = FinishedRun(best_case)
@@ -184,7 +186,8 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
     names = tuple(name for name in wanted if name in scored)
     if not names:
         raise RunError(
-            f"run {run.folder} and best case {best_case}: no pair is scored in both; make one for it: {_command(run)}"
+            f"run {run.folder} and best case {best_case}: no pair is scored in both; make one for "
+            f"it: {_command(run)}"
         )
     of_objects = [_of_objects(run, names), _of_objects(other, names)]
     versions = differences(run.record.stages, other.record.stages)
@@ -220,7 +223,8 @@ def _refuse_other_best_case(run: FinishedRun, best_case: FinishedRun) -> None:
     if others:
         named = others[0] if len(others) == 1 else f"{others[0]} ..."
         raise RunError(
-            f"{runs}: the real scans of {len(others)} pairs differ ({named}); make one for it: {_command(run)}"
+            f"{runs}: the real scans of {len(others)} pairs differ ({named}); make one for it: "
+            f"{_command(run)}"
         )
 
 

@@ -57,7 +57,8 @@ def record_of_run(folder: Path) -> dict[str, Any]:
         if path_exists(folder / name / RUN_JSON)
     ]
     if names & {*SIDES, MANIFEST}:
-        hint = f"it holds a dataset, evaluate it: fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
+        command = f"fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
+        hint = f"it holds a dataset, evaluate it: {command}"
     elif runs:
         hint = f"it holds runs: {', '.join(runs[:3])}{', ...' if len(runs) > 3 else ''}"
     elif names:
@@ -84,7 +85,8 @@ class FinishedRun:
         record = record_of_run(folder)
         if made_by := record.get("experiment"):
             raise RunError(
-                f"run {folder}: expected a folder written by fidpipe run, got one of fidpipe {made_by}; its tables are "
+                f"run {folder}: expected a folder written by fidpipe run, got one of fidpipe "
+                f"{made_by}; its tables are "
                 f"{folder}/{made_by}*.parquet"
             )
         self.store = RunFolder(folder)
@@ -95,8 +97,9 @@ class FinishedRun:
                 raise RunError(
                     f"run {folder}: another fidpipe is working on this run; wait until it ends"
                 ) from error
+            command = command_again(folder, record.get("dataset"))
             raise RunError(
-                f"run {folder}: the run has not ended; finish it with: {command_again(folder, record.get('dataset'))}"
+                f"run {folder}: the run has not ended; finish it with: {command}"
             ) from error
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
         self.rows_by_name: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
@@ -183,7 +186,8 @@ class FinishedRun:
             return self.read_table(name)
         if name not in PAIR_TABLES:
             raise RunError(
-                f"run {self.folder}: no table {name!r}; it has {', '.join((*_OF_RUN, *PAIR_TABLES))}"
+                f"run {self.folder}: no table {name!r}; it has "
+                f"{', '.join((*_OF_RUN, *PAIR_TABLES))}"
             )
         names = [row["pair_id"] for row in self.scored] if pairs is None else list(pairs)
         sides = SIDES if "side" in TABLES[name].of_file else ("",)
@@ -364,7 +368,10 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
     """Spread of the scores over partitions, in one line; "" if the real side fixes the objects."""
     if all(run.preset == "reference" for run in runs):
         return ""
-    chance = "how much scores vary with the partition is unknown here (measure it: fidpipe run --seeds 5)"
+    chance = (
+        "how much scores vary with the partition is unknown here "
+        "(measure it: fidpipe run --seeds 5)"
+    )
     spreads = [run.record.seeds.dataset for run in runs if run.record.seeds]
     moved = []
     for name in _BY_CHANCE:
@@ -473,7 +480,8 @@ def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
     if side not in SIDES or not is_number or int(number) >= counts[side]:
         numbers = " and ".join(f"{n} {known}" for known, n in counts.items())
         raise RunError(
-            f"run {run.folder}, pair {pair_id}: no object {name!r}; it has {numbers} objects, numbered from 0: "
+            f"run {run.folder}, pair {pair_id}: no object {name!r}; it has {numbers} objects, "
+            "numbered from 0: "
             "7 is a real object, sim:7 a simulated one"
         )
     for facts in _facts(objects):

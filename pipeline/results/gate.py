@@ -122,7 +122,8 @@ def judge_run(
         notes.append(f"excess is over the best case {best_case} ({excess.recipe.words}), {n_both}")
     if measures.dataset_is_gone:
         notes.append(
-            f"the dataset {run.record.dataset} is not here: not checked whether it has changed since the run"
+            f"the dataset {run.record.dataset} is not here: not checked whether it has changed "
+            "since the run"
         )
     else:
         own.append(
@@ -281,7 +282,8 @@ def read_criteria(path: Path) -> list[Criterion]:
         problem = error.errors()[0]
         where = ".".join(str(part) for part in problem["loc"])
         raise SettingsError(
-            f"criteria file {path}: {where}: {expected_and_got(problem)}; write tables [[criterion]], each with "
+            f"criteria file {path}: {where}: {expected_and_got(problem)}; write tables "
+            "[[criterion]], each with "
             'name = "...", measure = "r_lambda.mean", max = 0.4 (or min), reason = "..."'
         ) from error
     criteria = []
@@ -290,7 +292,8 @@ def read_criteria(path: Path) -> list[Criterion]:
         bounds = [(bound, limit) for bound, limit in limits if limit is not None]
         if not bounds:
             raise SettingsError(
-                f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; expected max or min"
+                f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; expected max or "
+                "min"
             )
         criteria += [
             Criterion(entry.name, entry.measure, bound, limit, entry.reason)

@@ -236,16 +236,23 @@ _CLASS = r"(?:class\.(?P<label>.+)\.)"
 _WITHIN = r"(?:\.within_(?P<within>[0-9]+(?:\.[0-9]+)?)m)?"
 _SCORE = _either("score", (*PAIR_SCORES, *map(re.escape, DOTTED)))
 _SENSOR_VALUE = _either("score", map(re.escape, SENSOR_VALUES))
+_OBJECT_SCORE = _either("score", DISTRIBUTED)
+_UNMATCHED = _either("what", ("missing", "hallucinated"))
+_TASK = _either("measure", map(re.escape, TASK_MEASURES))
+_OF_PAIRS = _either("stat", OF_PAIRS)
+_OF_BEST_CASE = _either("stat", (*OF_PAIRS, *OF_DISTRIBUTIONS))
+_OF_OBJECTS = _either("stat", OF_OBJECTS)
+_COUNT = _either("count", COUNTS)
 _MEASURES: dict[str, Callable[..., float]] = {
-    rf"{_SCORE}\.{_either('stat', OF_PAIRS)}": Measures._of_pairs,
-    rf"{_SENSOR_VALUE}\.{_either('stat', OF_PAIRS)}": Measures._of_pairs,
-    rf"excess\.{_SCORE}\.{_either('stat', (*OF_PAIRS, *OF_DISTRIBUTIONS))}": Measures._over_best_case,
-    rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', OF_OBJECTS)}": Measures._of_objects,
-    rf"{_CLASS}?{_either('what', ('missing', 'hallucinated'))}{_WITHIN}(?:\.{_either('count', COUNTS)})?": (
-        Measures._unmatched
-    ),
+    rf"{_SCORE}\.{_OF_PAIRS}": Measures._of_pairs,
+    rf"{_SENSOR_VALUE}\.{_OF_PAIRS}": Measures._of_pairs,
+    rf"excess\.{_SCORE}\.{_OF_BEST_CASE}": Measures._over_best_case,
+    rf"(?:objects\.|{_CLASS}){_OBJECT_SCORE}\.{_OF_OBJECTS}": Measures._of_objects,
+    rf"{_CLASS}?{_UNMATCHED}{_WITHIN}(?:\.{_COUNT})?": Measures._unmatched,
     rf"matched\.{_either('count', ('total', 'mean', 'min'))}": Measures._both,
     rf"pairs\.{_either('state', STATES)}": Measures._pairs,
-    rf"tasks\.{_either('measure', map(re.escape, TASK_MEASURES))}(?:\.{_either('stat', OF_PAIRS)})?": Measures._task,
-    rf"causes\.{_either('cause', CAUSE_NAMES)}(?:\.{_either('end', INTERVAL_ENDS)})?": Measures._cause,
+    rf"tasks\.{_TASK}(?:\.{_OF_PAIRS})?": Measures._task,
+    rf"causes\.{_either('cause', CAUSE_NAMES)}(?:\.{_either('end', INTERVAL_ENDS)})?": (
+        Measures._cause
+    ),
 }

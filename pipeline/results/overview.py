@@ -254,7 +254,8 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
         names = ", ".join(
             [*elsewhere[:_MOST_NAMED], *(["..."] if len(elsewhere) > _MOST_NAMED else [])]
         )
-        words = f"in {len(elsewhere)} of {n_pairs} pairs the two scans do not show the same place, but count ({names})"
+        which = f"in {len(elsewhere)} of {n_pairs} pairs"
+        words = f"{which} the two scans do not show the same place, but count ({names})"
         yield Caution(kind="frames", words=words)
     if record.notes:
         pair_id, (note, *_) = next(iter(record.notes.items()))
@@ -271,11 +272,17 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
         )
     if overview.n_aligned and overview.n_badly_aligned >= _MANY_BADLY_ALIGNED * overview.n_aligned:
         share = f"{100 * overview.n_badly_aligned / overview.n_aligned:.0f} %"
-        words = f"r_lambda of {share} of the matched objects is unreliable (poor alignment: {BAD_ALIGNMENT_WORDS})"
+        words = (
+            f"r_lambda of {share} of the matched objects is unreliable "
+            f"(poor alignment: {BAD_ALIGNMENT_WORDS})"
+        )
         yield Caution(kind="alignment", words=words)
     if record.preset != "reference":
-        words = "each scan is segmented separately, so scores vary with the segmentation; to compare simulators: "
-        yield Caution(kind="partition", words=words + _by_reference(record))
+        words = (
+            "each scan is segmented separately, so scores vary with the segmentation; "
+            f"to compare simulators: {_by_reference(record)}"
+        )
+        yield Caution(kind="partition", words=words)
     if path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
         return  # it is a best case itself
     yield Caution(
@@ -315,7 +322,9 @@ def _frames_summary(suspects: Mapping[str, FrameSuspect], n_pairs: int) -> str:
     if len(similar) < len(suspects):
         others = f"; {len(suspects) - len(similar)} in other ways, see frames in run.json"
     return (
-        f"in {len(suspects)} of {n_pairs} pairs the simulated scan seems to lie in another frame: in {len(similar)} it "
-        f"covers {before:.2f} of the real one as given and {after:.2f} {first.reading}; set {first.setting}{where} "
+        f"in {len(suspects)} of {n_pairs} pairs the simulated scan seems to lie in another frame: "
+        f"in {len(similar)} it "
+        f"covers {before:.2f} of the real one as given and {after:.2f} {first.reading}; set "
+        f"{first.setting}{where} "
         f"and run again{others}"
     )

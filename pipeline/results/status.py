@@ -53,7 +53,8 @@ def run_status(folder: Path) -> RunStatus:
         )
     if "experiment" in record:
         raise RunError(
-            f"run {folder}: was written by fidpipe {record['experiment']}, which resumes if it is run again; "
+            f"run {folder}: was written by fidpipe {record['experiment']}, which resumes if it is "
+            "run again; "
             "status is for runs"
         )
     dataset = read_dataset(local_folder(record["dataset"]))
