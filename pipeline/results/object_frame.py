@@ -195,20 +195,15 @@ def _of_side(side: str, tables: Mapping[tuple[str, str], pd.DataFrame]) -> pd.Da
 STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", *DISTRIBUTED)
 
 
-def arrays_of(objects: pd.DataFrame) -> tuple[Objects, Objects]:
-    """The objects of either side for the statistics over all objects; remnants do not count."""
+def arrays_of(objects: pd.DataFrame) -> Objects:
+    """The objects for the statistics over all of them; remnants do not count."""
     counted = objects[objects["fate"] != "remnant"]
-    real = _arrays_of_side(counted[counted["side"] == "real"])
-    sim = _arrays_of_side(counted[counted["side"] == "sim"])
-    return real, sim
-
-
-def _arrays_of_side(objects: pd.DataFrame) -> Objects:
     numbers = [name for name in ("pair", *STATISTICS_COLUMNS) if name != "label"]
     return Objects(
-        label=objects["label"].fillna("").to_numpy(dtype=np.str_),
-        is_matched=(objects["fate"] == "matched").to_numpy(),
-        **{name: objects[name].to_numpy() for name in numbers},
+        is_real=(counted["side"] == "real").to_numpy(),
+        label=counted["label"].fillna("").to_numpy(dtype=np.str_),
+        is_matched=(counted["fate"] == "matched").to_numpy(),
+        **{name: counted[name].to_numpy() for name in numbers},
     )
 
 

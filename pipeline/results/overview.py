@@ -122,7 +122,7 @@ def describe_objects(
     objects["label"] = objects["label"].fillna("")
     times = [timestamps_s.get(pair_id) for pair_id in pair_ids]
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
-    found = summarise_objects(*arrays_of(objects), pair_ids, times)
+    found = summarise_objects(arrays_of(objects), pair_ids, times)
     places = dict(zip(pair_ids, blocks.tolist(), strict=True))
     findings = Findings(n_places=len(np.unique(blocks)), places=places, **vars(found))
     causes = read_causes(store, pair_ids)
