@@ -155,12 +155,10 @@ def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
     """Counts of unmatched objects whose surface the other side has, and of those that are road."""
     counts = {}
     for fate in UnmatchedSurface.model_fields:
-        own = objects.loc[objects["fate"] == fate, ["covered_0p3m", "road_share"]]
-        states = Counter(map(surface_state, own["covered_0p3m"]))
-        n_road = int((own["road_share"] > ROAD).sum())
-        counts[fate] = SurfaceStates(
-            **{state: states[state] for state in SURFACE_STATES}, road=n_road
-        )
+        alone = objects[objects["fate"] == fate]
+        states = Counter(dict.fromkeys(SURFACE_STATES, 0))
+        states.update(map(surface_state, alone["covered_0p3m"]))
+        counts[fate] = SurfaceStates(**states, road=int((alone["road_share"] > ROAD).sum()))
     return MetricsSummary(unmatched=UnmatchedSurface(**counts))
 
 
@@ -200,14 +198,12 @@ def largest_pieces(store: RunFolder, pair_ids: Sequence[str]) -> list[Piece]:
     import pandas as pd
 
     kept: list[pd.DataFrame] = []
+    columns = {("pieces", ""): TABLES["pieces"].schema.names}
     for first in range(0, len(pair_ids), PAIRS_AT_ONCE):
         names = pair_ids[first : first + PAIRS_AT_ONCE]
-        table, n = store.read_pairs(names, {("pieces", ""): TABLES["pieces"].schema.names})[
-            "pieces", ""
-        ]
-        pieces: pd.DataFrame = table.to_pandas().assign(
-            pair_id=np.repeat(np.array(names, dtype=object), n)
-        )
+        table, n_rows = store.read_pairs(names, columns)["pieces", ""]
+        names_of_rows = np.repeat(np.array(names, dtype=object), n_rows)
+        pieces: pd.DataFrame = table.to_pandas().assign(pair_id=names_of_rows)
         pieces = pieces[(pieces["side"] == "real") | (pieces["fate"] != "moved")]
         kept.append(pieces.sort_values("n_points", ascending=False, kind="stable").head(N_PIECES))
     order = ["n_points", "pair_id", "side", "piece_id"]
@@ -217,21 +213,22 @@ def largest_pieces(store: RunFolder, pair_ids: Sequence[str]) -> list[Piece]:
 
 def _piece(row: Row) -> Piece:
     extents = row["extent_x"], row["extent_y"], row["extent_z"]
-    fate = "missing" if row["side"] == "real" else "invented"
+    fate = fate_words = "missing" if row["side"] == "real" else "invented"
     if row["fate"] == "moved":
         fate = "moved"
+        fate_words = moved_words(row["moved_x_m"], row["moved_y_m"], row["moved_z_m"])
     return Piece(
-        **{
-            name: row[name]
-            for name in ("pair_id", "side", "piece_id", "n_points", "range_m", "bearing_deg")
-        },
+        pair_id=row["pair_id"],
+        side=row["side"],
+        piece_id=row["piece_id"],
         fate=fate,
         label=row["label"],
+        n_points=row["n_points"],
+        range_m=row["range_m"],
+        bearing_deg=row["bearing_deg"],
         extents_m=extents,
         words=place_words(row["label"], extents, row["range_m"], row["bearing_deg"]),
-        fate_words=moved_words(*(row[f"moved_{axis}_m"] for axis in "xyz"))
-        if fate == "moved"
-        else fate,
+        fate_words=fate_words,
     )
 
 
@@ -245,15 +242,16 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
         )
     if pairs.to_do:
         yield Caution(kind="to_do", words=f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet")
-    elsewhere = [pair_id for pair_id, own in record.frames.items() if own.reading == ELSEWHERE]
-    if suspects := {
-        pair_id: own for pair_id, own in record.frames.items() if pair_id not in elsewhere
-    }:
+    suspects = dict(record.frames)
+    elsewhere = [name for name, frame in suspects.items() if frame.reading == ELSEWHERE]
+    for name in elsewhere:
+        del suspects[name]
+    if suspects:
         yield Caution(kind="frames", words=_frames_summary(suspects, n_pairs))
     if elsewhere:
-        names = ", ".join(
-            [*elsewhere[:_MOST_NAMED], *(["..."] if len(elsewhere) > _MOST_NAMED else [])]
-        )
+        names = ", ".join(elsewhere[:_MOST_NAMED])
+        if len(elsewhere) > _MOST_NAMED:
+            names += ", ..."
         which = f"in {len(elsewhere)} of {n_pairs} pairs"
         words = f"{which} the two scans do not show the same place, but count ({names})"
         yield Caution(kind="frames", words=words)
