@@ -52,11 +52,7 @@ def record_of_run(folder: Path) -> dict[str, Any]:
     if folder.is_file() or path_exists(folder / RUN_JSON):
         return finished_record(folder)
     names = {path.name for path in folder.iterdir()} if folder.is_dir() else set[str]()
-    runs = [
-        shlex.quote(str(folder / name))
-        for name in sorted(names)
-        if path_exists(folder / name / RUN_JSON)
-    ]
+    runs = [shlex.quote(str(folder / name)) for name in sorted(names) if path_exists(folder / name / RUN_JSON)]
     if names & {*SIDES, MANIFEST}:
         hint = f"it holds a dataset, evaluate it: fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
     elif runs:
@@ -93,9 +89,7 @@ class FinishedRun:
             self.record = RunRecord.from_dict(record)
         except ValueError as error:
             if self.store.is_locked:
-                raise RunError(
-                    f"run {folder}: another fidpipe is working on this run; wait until it ends"
-                ) from error
+                raise RunError(f"run {folder}: another fidpipe is working on this run; wait until it ends") from error
             raise RunError(
                 f"run {folder}: the run has not ended; finish it with: {command_again(folder, record.get('dataset'))}"
             ) from error
@@ -104,7 +98,9 @@ class FinishedRun:
 
     def __repr__(self) -> str:
         counts = self.record.pairs
-        return f"<fidpipe run {self.folder}: {counts.scored} pairs scored, {counts.failed} failed, preset {self.preset}>"
+        return (
+            f"<fidpipe run {self.folder}: {counts.scored} pairs scored, {counts.failed} failed, preset {self.preset}>"
+        )
 
     @property
     def pairs(self) -> pd.DataFrame:
@@ -151,9 +147,7 @@ class FinishedRun:
         """
         points = _frame(self._of_side("ground", pair_id, side))
         labels = _frame(self._of_side("communities", pair_id, side))[["point_id", "community_id"]]
-        return points.merge(
-            labels.astype({"community_id": "Int32"}), on="point_id", how="left", validate="1:1"
-        )
+        return points.merge(labels.astype({"community_id": "Int32"}), on="point_id", how="left", validate="1:1")
 
     def places(self, names: Sequence[str]) -> IntArray:
         """(n,) number of the place of each scored pair; copies and neighbouring frames have the same one."""
@@ -180,17 +174,13 @@ class FinishedRun:
         if name in _OF_RUN:
             return self.read_table(name)
         if name not in PAIR_TABLES:
-            raise RunError(
-                f"run {self.folder}: no table {name!r}; it has {', '.join((*_OF_RUN, *PAIR_TABLES))}"
-            )
+            raise RunError(f"run {self.folder}: no table {name!r}; it has {', '.join((*_OF_RUN, *PAIR_TABLES))}")
         names = [row["pair_id"] for row in self.scored] if pairs is None else list(pairs)
         sides = SIDES if "side" in TABLES[name].of_file else ("",)
         parts = [self.read_table(name, self._scored(own), side) for own in names for side in sides]
         if not parts:
             return TABLES[name].schema.empty_table()
-        return pa.concat_tables(
-            parts
-        ).replace_schema_metadata()  # that of the first file says which job wrote it
+        return pa.concat_tables(parts).replace_schema_metadata()  # that of the first file says which job wrote it
 
     @property
     def causes(self) -> pd.DataFrame:
@@ -243,22 +233,16 @@ class FinishedRun:
         names = [row["pair_id"] for row in self.scored]
         chosen = [name for name in names if pattern is None or fnmatchcase(name, pattern)]
         if not names:
-            raise RunError(
-                f"run {self.folder}: no pair is scored; fidpipe status {self.folder} says why"
-            )
+            raise RunError(f"run {self.folder}: no pair is scored; fidpipe status {self.folder} says why")
         if not chosen:
             known = ", ".join(sorted(names)[:5])
-            raise RunError(
-                f"--pairs {pattern!r} matches none of the {len(names)} scored pairs ({known} ...)"
-            )
+            raise RunError(f"--pairs {pattern!r} matches none of the {len(names)} scored pairs ({known} ...)")
         return chosen
 
     def row(self, pair_id: str) -> Row:
         """The row of a pair; `RunError` if the run does not have it."""
         if pair_id not in self.rows_by_name:
-            near = (
-                sorted(get_close_matches(pair_id, self.rows_by_name, 3)) or [*self.rows_by_name][:3]
-            )
+            near = sorted(get_close_matches(pair_id, self.rows_by_name, 3)) or [*self.rows_by_name][:3]
             raise RunError(
                 f"run {self.folder}: no pair {pair_id!r} among its {len(self.rows)}; "
                 f"it has {', '.join(repr(name) for name in near)} ..."
@@ -266,10 +250,7 @@ class FinishedRun:
         return self.rows_by_name[pair_id]
 
     def objects_of(
-        self,
-        pairs: Sequence[str],
-        columns: Collection[str] = ALL_COLUMNS,
-        sides: Sequence[str] = SIDES,
+        self, pairs: Sequence[str], columns: Collection[str] = ALL_COLUMNS, sides: Sequence[str] = SIDES
     ) -> pd.DataFrame:
         """The objects of scored pairs with coverage, fate and scores; see `object_frame.object_parts`.
 
@@ -281,9 +262,7 @@ class FinishedRun:
         import pandas as pd
 
         names = [self._scored(name) for name in pairs]
-        parts = object_parts(
-            self.store, names, columns, by_reference=self.is_by_reference, sides=sides
-        )
+        parts = object_parts(self.store, names, columns, by_reference=self.is_by_reference, sides=sides)
         return pd.concat(parts, ignore_index=True)
 
     @property
@@ -291,9 +270,7 @@ class FinishedRun:
         """True if the real side fixes the objects."""
         return self.preset == "reference"
 
-    def read_table(
-        self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None
-    ) -> pa.Table:
+    def read_table(self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None) -> pa.Table:
         """A table of one pair (of one side where each side has its own), or of the whole run where `pair_id` is "".
 
         Parameters
@@ -316,9 +293,7 @@ class FinishedRun:
         """The name of a pair that is scored; `RunError` if it failed or is not there."""
         row = self.row(pair_id)
         if row["status"] != "scored":
-            raise RunError(
-                f"run {self.folder}, pair {pair_id}: it failed and has no objects ({row['reason']})"
-            )
+            raise RunError(f"run {self.folder}, pair {pair_id}: it failed and has no objects ({row['reason']})")
         return pair_id
 
     def check_tables(self, pair_id: str) -> None:
@@ -399,9 +374,7 @@ class ObjectFacts:
 
     def __repr__(self) -> str:
         rows = (("real", self.real), ("sim", self.sim))
-        sides = (
-            f"{side} {row['community_id']} ({row['n_points']} points)" for side, row in rows if row
-        )
+        sides = (f"{side} {row['community_id']} ({row['n_points']} points)" for side, row in rows if row)
         return f"<object {', '.join(sides)}: {self.status}>"
 
     def as_dict(self) -> JsonObject:
@@ -422,11 +395,7 @@ class PairFacts:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
-        return {
-            "pair": self.pair,
-            "objects": [each.as_dict() for each in self.objects],
-            "rays": [*self.rays],
-        }
+        return {"pair": self.pair, "objects": [each.as_dict() for each in self.objects], "rays": [*self.rays]}
 
 
 def run_facts(run: FinishedRun) -> JsonObject:
@@ -446,13 +415,7 @@ def pair_facts(run: FinishedRun, pair_id: str) -> PairFacts:
     if row["status"] != "scored":
         return PairFacts(row, ())
     found = _facts(run.objects_of([pair_id]))
-    found.sort(
-        key=lambda each: (
-            each.scores is None,
-            each.row["r_lambda"] is None,
-            -(each.row["r_lambda"] or 0.0),
-        )
-    )
+    found.sort(key=lambda each: (each.scores is None, each.row["r_lambda"] is None, -(each.row["r_lambda"] or 0.0)))
     rays = run.read_table("ray_scores", pair_id).drop_columns(["pair_id"]).to_pylist()
     return PairFacts(row, tuple(found), tuple(rays))
 
@@ -490,11 +453,7 @@ def _facts(objects: pd.DataFrame) -> list[ObjectFacts]:
         sim = row if side == "sim" else rows.get(("sim", partner))
         if row["fate"] == "missing" and sim and sim["fate"] != "remnant":
             sim = None
-        scores = (
-            {name: row[name] for name in COLUMNS_OF["metrics"]}
-            if row["fate"] == "matched"
-            else None
-        )
+        scores = {name: row[name] for name in COLUMNS_OF["metrics"]} if row["fate"] == "matched" else None
         found.append(
             ObjectFacts(
                 status=row["fate"],
