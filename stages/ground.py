@@ -13,6 +13,7 @@ import scipy
 from ..schemas.errors import StageError
 from ..schemas.settings import GroundSettings
 from .arrays import BoolArray, FloatArray
+from .reference import nearest_points
 
 MIN_OBJECT_POINTS = 8
 MAX_TILT_DEG = 10.0
@@ -22,6 +23,8 @@ STEP_M = 0.05
 DEPTH_M = 1.0
 CELL_M = 0.5
 MIN_COMMON_CELLS = 20
+#: A simulated point on the real road is no object if the real scan has an object nowhere within this distance.
+NO_OBJECT_M = 1.0
 PEAKS_APART_M = 0.05
 _ROUNDING_M = 1e-9
 
@@ -67,12 +70,15 @@ def remove_ground(
     removed : sum (h_r - mean h_r)^2 over removed points r above peak - 1 m, over sum (h - mean h)^2 of all points
     total : |tr Cov(kept) - tr Cov(all)| / tr Cov(all)
 
+    With `real_points`, points above the cut that lie on the real road are ground, too (`_on_real_road`).
+
     Parameters
     ----------
     points : (n, 3) float64, metres, cleaned
     settings : method and thresholds
     shared : the cut of the real side, applied unchanged (`ground.shared`), or moved by the height of this side's road
-        above the real one if `real_points` are given (`ground.peak = "real"`)
+        above the real one if `real_points` are given (`ground.peak = "real"`), and then with the ground flags and
+        heights of the real points
     real_points : (m, 3) float64, metres, cleaned points of the real side
 
     Raises
@@ -102,6 +108,9 @@ def remove_ground(
         height = points @ axis
 
     is_ground, threshold_m, loss, iterations = _cut(points, height, peak_m, settings, shared)
+    if shared is not None and real_points is not None:
+        on_road = _on_real_road(points, height - peak_m, shared, real_points, settings.prior_m)
+        is_ground = is_ground | on_road
     n_left = len(points) - int(np.count_nonzero(is_ground))
     if n_left < MIN_OBJECT_POINTS:
         raise StageError(
@@ -209,6 +218,32 @@ def _follow_road(cut: GroundResult, real: FloatArray, sim: FloatArray) -> Ground
     offset_m = _fullest_window_median(height_sim - height_real)
     threshold_m = None if cut.threshold_m is None else cut.threshold_m + offset_m
     return replace(cut, peak_m=cut.peak_m + offset_m, threshold_m=threshold_m)
+
+
+def _on_real_road(
+    points: FloatArray,
+    height_m: FloatArray,
+    cut: GroundResult,
+    real_points: FloatArray,
+    most_m: float,
+) -> BoolArray:
+    """True for simulated points that lie on the real road, (n,) bool.
+
+    Road that rises is cut at one place in the real scan and at another in the simulated one. A point is road if no real
+    object point is within 1 m, but real ground is, and the point is at most `most_m` higher than the nearest of it
+    (heights above the roads' peaks; for equal distances the first by x, y, z).
+    """
+    on_road = np.zeros(len(points), dtype=np.bool_)
+    objects = real_points[~cut.is_ground]
+    ground = real_points[cut.is_ground]
+    if not len(ground):
+        return on_road
+    distance_m, _ = scipy.spatial.cKDTree(objects).query(points, distance_upper_bound=2 * NO_OBJECT_M)
+    alone = np.flatnonzero(distance_m > NO_OBJECT_M)
+    nearest, ground_m = nearest_points(ground, points[alone])
+    above_m = height_m[alone] - cut.height_m[cut.is_ground][nearest]
+    on_road[alone] = (ground_m <= NO_OBJECT_M) & (above_m <= most_m)
+    return on_road
 
 
 def _lower_threshold(
