@@ -27,6 +27,7 @@ _LEAST_DEPTH_M = 5.0
 #: Distance from the farthest point, metres, in which rays without a return are written, and their least share.
 _SHELLS = ((0.1, 0.03), (0.5, 0.1), (2.0, 0.2))
 _BEFORE = 5.0  # widths of a shell
+_TAIL = 1.5  # of the distance from the middle of a shell to the farthest point, below which no miss is
 _MOST_SHELL_SHARE = 0.95
 _FEWEST_RETURNS = 500
 _SAME_DEG = 0.005  # azimuth between returns of a ray
@@ -94,8 +95,10 @@ def find_misses(range_m: FloatArray) -> list[Misses]:
                 break
         else:
             break
-        groups.append(Misses(float(np.median(left_m[first:])), n / len(range_m), float(limit_m)))
-        left_m = left_m[:first]
+        middle_m = np.median(left_m[first:])
+        limit_m = min(limit_m, middle_m - _TAIL * (left_m[-1] - middle_m))
+        left_m = left_m[: np.searchsorted(left_m, limit_m, side="right")]
+        groups.append(Misses(float(middle_m), n / len(range_m), float(limit_m)))
     return groups
 
 
