@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ..schemas.columns import SIDE_NAMES, SIDES
 from ..schemas.record import ELSEWHERE, FrameSuspect
-from ..stages.frame_search import MIN_GAIN, MIN_SAME_PLACE, FrameCheck
+from ..stages.frame_search import MIN_SAME_PLACE, FrameCheck, is_only_lifted
 from ..stages.plausibility import HALF_SWEEP_GAP_DEG, ScanInspection
 from .datasets.pairs import ScanPair
 from .datasets.readers.scan_ref import ScanRef
@@ -92,7 +92,7 @@ def pair_warnings(
 
 def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:
     """One line with both figures and the setting that fixes it."""
-    if suspect.coverage - suspect.as_it_lies < MIN_GAIN:
+    if is_only_lifted(suspect.reading, suspect.coverage - suspect.as_it_lies):
         return (
             "the ground of the two scans is at the same height if the simulated scan is "
             f"{suspect.reading}; is the mount height wrong? set {suspect.setting}"

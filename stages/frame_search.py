@@ -21,6 +21,8 @@ from .thinning import shares_voxel
 from .trust import is_far_from_origin
 
 _AS_GIVEN = "as given"
+_LIFTED = "shifted by"
+_UNITS_OF = "units of"
 _VOXEL_M = 0.5
 _REACH_M = 40.0
 _NEAR_M = 1.0
@@ -37,9 +39,9 @@ _MIN_SHIFT_M = 0.8
 _MAX_LIFT_LEFT_M = 0.05
 _MAX_COVERAGE_LOST = 0.02
 _LIFT_STEPS = 4
-_SCALES = {"centimetres": 0.01, "millimetres": 0.001, "feet": 0.3048}
+_SCALES = {"centimetres": 0.01, "millimetres": 0.001, "decimetres": 0.1, "feet": 0.3048, "inches": 0.0254}
 #: Ratio of the reach of both sides in a unit; 10 in units that are farther apart.
-_SIMILAR_REACH = {"feet": 1.6}
+_SIMILAR_REACH = {"decimetres": 1.6, "feet": 1.6, "inches": 1.6}
 _GROUND_STEP_M = 0.1
 
 _DIRECTIONS = (("forward", "back"), ("left", "right"), ("up", "down"))
@@ -51,6 +53,8 @@ _LEAST_SCALE, _MOST_SCALE, _ALIKE = 0.2, 5.0, 0.05
 _FINE_SCALES = np.linspace(0.9, 1.1, 11)
 _LEAST_HEIGHT_M = 0.3
 _MIN_SCALED_COVERAGE = 0.75  # smaller scans cover each other more easily
+_MIN_SCALED_GAIN = 0.05  # of another size that leaves hardly anything uncovered
+_MOST_LEFT = 0.25  # of the share that the scan as given leaves uncovered
 
 #: F of each frame: p_ros = F p.
 _FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name in FRAME_AXES}
@@ -115,12 +119,24 @@ class FrameCheck:
     @property
     def is_other_frame(self) -> bool:
         """True if other axes, units or motions fit much better, and not only the ground is at another height."""
-        return self.is_suspect and self.coverage - self.as_it_lies >= MIN_GAIN
+        return self.is_suspect and not is_only_lifted(self.reading, self.coverage - self.as_it_lies)
 
     @property
     def is_elsewhere(self) -> bool:
         """True if no candidate reaches the coverage of two scans of one place."""
         return self.coverage < MIN_SAME_PLACE
+
+    @property
+    def doubt(self) -> str | None:
+        """Reason why no cause can be named; None if both scans are in one frame, and show one place."""
+        if self.is_elsewhere:
+            return "the two scans do not show the same place"
+        return f"the simulated scan is in another frame: {self.reading}" if self.is_other_frame else None
+
+
+def is_only_lifted(reading: str, gain: float) -> bool:
+    """True if a scan fits a little better with its ground at another height, and all else as given."""
+    return gain < MIN_GAIN and reading.startswith(_LIFTED)
 
 
 @dataclass(frozen=True)
@@ -141,7 +157,7 @@ class _Candidate:
     @property
     def name(self) -> str:
         """Human-readable description, such as "mirrored in y and shifted by +1.80 m in z, in feet"."""
-        lift = f"shifted by {self.lift_m:+.2f} m in z" if self.lift_m else ""
+        lift = f"{_LIFTED} {self.lift_m:+.2f} m in z" if self.lift_m else ""
         words = " and ".join(filter(None, (self.words, lift)))
         return ", ".join(filter(None, (words, self.unit and f"in {self.unit}"))) or _AS_GIVEN
 
@@ -168,12 +184,13 @@ def check_frames(
     The coverage is the share of the points of one scan that have a point of the other within 1 m, as the mean over
     both directions and over ground and the rest. Only points within 40 m of the sensor, one per voxel of 0.5 m, count.
     Candidates for the simulated scan: its axes in all 48 orders and signs, which include either scan read in any of
-    the frames of the settings; in centimetres, millimetres and feet if it reaches far beyond the real one; each of
-    these also shifted by the difference of the ground heights; and if none of them covers 0.85, 0.2 to 5 times as
-    large. A candidate is suspect if it covers at least 0.6, at least `MIN_GAIN` more than the scan as given,
-    and leaves uncovered at most 0.6 of the share that the scan as given leaves. Otherwise a scan is
-    suspect if its ground is 0.2 m or more above or below the real one. Lifts are medians over ground points and
-    their horizontal neighbours, applied and re-measured before they are reported.
+    the frames of the settings; in another unit if it reaches far beyond the real one; each of these also shifted by
+    the difference of the ground heights; the size in which it reaches as far as the real one; and if none of them
+    covers 0.85, sizes of 0.2 to 5. A candidate is suspect if it covers at least 0.6, at least `MIN_GAIN` more than the
+    scan as given, and leaves uncovered at most 0.6 of the share that the scan as given leaves; another size also if it
+    covers 0.05 more and leaves a quarter of that share. Otherwise a scan is suspect if its ground is 0.2 m or more
+    above or below the real one. Lifts are medians over ground points and their horizontal neighbours, applied and
+    re-measured before they are reported.
 
     Parameters
     ----------
@@ -205,14 +222,10 @@ def check_frames(
     if not sources:
         return None
     as_given, scored = _search(target, sources, settings, motion)
-    if 1 - scored[0] >= MIN_GAIN and "" in sources:
+    if "" in sources:
         scored = _scaled(target, sources, (real, sim), settings, motion, as_given, scored)
     coverage, best = scored
-    is_suspect = (
-        coverage >= _MIN_COVERAGE
-        and coverage - as_given >= MIN_GAIN
-        and 1 - coverage <= _MAX_UNCOVERED_RATIO * (1 - as_given)
-    )
+    is_suspect = coverage >= _MIN_COVERAGE and _is_better(as_given, coverage, best.unit)
     if coverage >= MIN_SAME_PLACE:
         start = best if is_suspect else _Candidate("", motion)
         before = coverage if is_suspect else as_given
@@ -283,27 +296,39 @@ def _scaled(
 ) -> tuple[float, _Candidate]:
     """The best of a candidate and of the simulated scan in another size, which is added to the sources.
 
-    Sizes are tried around those in which the sensor is at the height of the real one, or reaches as far.
+    The size in which it reaches as far as the real one is tried, and if nothing covers much yet, others around it and
+    around that in which the sensor is at the height of the real one.
     """
     source = sources[""]
     real, sim = scans
-    ratios = [_reach_m(real) / max(_reach_m(sim), 1e-9)]
-    if min(abs(target.ground_m), abs(source.ground_m)) > _LEAST_HEIGHT_M:
-        ratios.append(target.ground_m / source.ground_m)
-    for ratio in ratios:
-        for factor in ratio * _FINE_SCALES:
-            if not _LEAST_SCALE <= factor <= _MOST_SCALE or abs(factor - 1) < _ALIKE:
-                continue
-            unit = f"units of {factor:.3g} m"
-            points = _thinned(sim * factor, settings, "sim")
-            if unit in sources or len(points) < _MIN_POINTS:
-                continue
-            sources[unit] = _Side(points)
-            candidate = _Candidate("", motion, unit)
-            coverage = _coverage(target, sources[unit], candidate, settings.include_box)
-            if coverage > max(best[0], as_given + MIN_GAIN, _MIN_SCALED_COVERAGE):
-                best = coverage, candidate
+    reach_ratio = _reach_m(real) / max(_reach_m(sim), 1e-9)
+    factors = [reach_ratio]
+    if 1 - best[0] >= MIN_GAIN:
+        factors += (reach_ratio * _FINE_SCALES).tolist()
+        if min(abs(target.ground_m), abs(source.ground_m)) > _LEAST_HEIGHT_M:
+            factors += (target.ground_m / source.ground_m * _FINE_SCALES).tolist()
+    for factor in factors:
+        if not _LEAST_SCALE <= factor <= _MOST_SCALE or abs(factor - 1) < _ALIKE:
+            continue
+        unit = f"{_UNITS_OF} {factor:.3g} m"
+        points = _thinned(sim * factor, settings, "sim")
+        if unit in sources or len(points) < _MIN_POINTS:
+            continue
+        sources[unit] = _Side(points)
+        candidate = _Candidate("", motion, unit)
+        coverage = _coverage(target, sources[unit], candidate, settings.include_box)
+        if coverage > max(best[0], _MIN_SCALED_COVERAGE) and _is_better(as_given, coverage, unit):
+            best = coverage, candidate
     return best
+
+
+def _is_better(as_given: float, coverage: float, unit: str) -> bool:
+    """True if a candidate fits so much better than the scan as given that it is suspect."""
+    gain = coverage - as_given
+    left = (1 - coverage) / max(1 - as_given, 1e-9)
+    if unit.startswith(_UNITS_OF) and gain >= _MIN_SCALED_GAIN and left <= _MOST_LEFT:
+        return True
+    return gain >= MIN_GAIN and left <= _MAX_UNCOVERED_RATIO
 
 
 def _reach_m(points: FloatArray) -> float:

@@ -145,13 +145,6 @@ def read_all(out):
         finished.table(name)
 
 
-def test_status_names_the_damaged_table_and_the_command_that_recomputes_it(again):
-    flip(again / "metrics" / "000.parquet", 100)
-    shown = command("status", again, code=0).stdout
-    assert "damaged or gone: metrics/000.parquet" in shown
-    assert "finish it with: fidpipe run" in shown
-
-
 def test_a_cause_that_the_catalogue_does_not_have_is_ignored(again, finished):
     """As an edit by hand leaves it: in the tables whose hashes agree, and in the record."""
 

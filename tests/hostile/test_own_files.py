@@ -16,7 +16,6 @@ import pytest
 from fidpipe.pipeline.cli import completion
 from fidpipe.pipeline.generate import synth, twin
 from fidpipe.pipeline.generate.recordings import Recording
-from fidpipe.pipeline.generate.sensor_files import read_sensor
 from fidpipe.pipeline.report.page.run_data import _last_criteria
 from fidpipe.pipeline.report.render import csv_table, terminal
 from fidpipe.pipeline.report.view import Table
@@ -37,17 +36,6 @@ def twins(out, replace=True):
     """Makes the twins of a recording without a frame."""
     recording = Recording(out.parent / "posed", (), {}, poses=Path("poses.tum"))
     twin.make_twins(recording, out, QUIET, replace=replace)
-
-
-@pytest.mark.parametrize(
-    "text", ['"a\nb",elevation_deg\n1,2\n', "elevation_deg\n" + "x" * 5000, "elevation_deg\n1,2\n\x00\n1,2,3,4\n"]
-)
-def test_a_sensor_table_is_refused_in_one_short_line(tmp_path, text):
-    (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(FidpipeError) as caught:
-        read_sensor(str(tmp_path / "a.csv"))
-    assert "\n" not in str(caught.value)
-    assert len(str(caught.value)) < 1000
 
 
 @pytest.mark.parametrize("files", ['["../../victim"]', '["/etc/hostname"]', '[".."]', "[5]", '"0.bin"', "5"])
@@ -186,15 +174,10 @@ def test_a_table_that_is_a_link_is_damaged(again, tmp_path):
     "content",
     [
         b"[]",
-        b"5",
-        b'"text"',
         b"\xff\xfe",
         b"[" * 100_000,
-        b'{"settings": 5}',
         b'{"settings": {"graph": 5}}',
-        b'{"libraries": {"numpy": 5}}',
         b'{"libraries": {"../x": "1"}, "wall_s": {}}',
-        b'{"dataset": 7}',
         b'{"inputs": {"000": 3}, "wall_s": 1}',
         b'{"wall_s": {}, "summary": {"cdc_mean": {}}, "pairs": {}, "written": "x", "fidpipe": "y"}',
         b'{"dataset": "\\u0000", "settings": {}}',
@@ -233,7 +216,7 @@ def test_no_name_steers_the_terminal():
     for sign in ("\x1b]", "\x1b[2J", "\x07", "\u202e", "\x9b"):
         assert sign not in out.getvalue()
     assert "\\u001b]0;owned" in out.getvalue()
-    assert "\x1b[31m" in out.getvalue(), "colours of our own stay"
+    assert "\x1b[31m" in out.getvalue()  # colours of our own stay
 
 
 def test_no_message_steers_the_terminal(tmp_path):
