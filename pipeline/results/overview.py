@@ -34,7 +34,7 @@ from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.urls import recorded_path
 from .best_case import BEST_CASE_RECIPE
-from .causes import named_causes, read_causes, small_causes, unknown_causes
+from .causes import named_and_small, read_causes, unknown_causes
 from .independence import NEEDED, find_places, pairs_and_places
 from .object_frame import PAIRS_AT_ONCE, STATISTICS_COLUMNS, arrays_of, object_parts, plain_rows
 from .places import moved_words, place_words
@@ -57,14 +57,26 @@ BAD_ALIGNMENT_M = 5.0
 _MANY_BADLY_ALIGNED = 0.05
 _MOST_NAMED = 3
 _NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
-BAD_ALIGNMENT_WORDS = f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
+BAD_ALIGNMENT_WORDS = (
+    f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
+)
 NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
 #: Columns of the frame of objects that the overview uses.
-OVERVIEW_COLUMNS = ("band", "label", "covered_0p3m", "road_share", "r_lambda", "alignment_rms_m", "diagonal_m")
+OVERVIEW_COLUMNS = (
+    "band",
+    "label",
+    "covered_0p3m",
+    "road_share",
+    "r_lambda",
+    "alignment_rms_m",
+    "diagonal_m",
+)
 
 
-def alignment_is_bad(alignment_rms_m: float | FloatArray, diagonal_m: float | FloatArray) -> bool | BoolArray:
+def alignment_is_bad(
+    alignment_rms_m: float | FloatArray, diagonal_m: float | FloatArray
+) -> bool | BoolArray:
     """True if nodes are aligned so far apart that r_lambda is unreliable, (n,) bool; or of one object.
 
     Parameters
@@ -101,7 +113,11 @@ def describe_objects(
 
     if not len(scored):
         none = SurfaceStates(there=0, partly=0, absent=0, road=0)
-        return None, None, MetricsSummary(unmatched=UnmatchedSurface(missing=none, hallucinated=none))
+        return (
+            None,
+            None,
+            MetricsSummary(unmatched=UnmatchedSurface(missing=none, hallucinated=none)),
+        )
     pair_ids = scored["pair_id"].to_pylist()
     columns = list({*STATISTICS_COLUMNS, *OVERVIEW_COLUMNS})
     parts = object_parts(store, pair_ids, columns, by_reference=by_reference)
@@ -113,11 +129,12 @@ def describe_objects(
     places = dict(zip(pair_ids, blocks.tolist(), strict=True))
     findings = Findings(n_places=len(np.unique(blocks)), places=places, **vars(found))
     causes = read_causes(store, pair_ids)
+    named, small = named_and_small(causes, blocks)
     overview = Overview(
-        causes=tuple(named_causes(causes, blocks)),
+        causes=tuple(named),
         unknown=tuple(unknown_causes(causes)),
         doubts=tuple(_doubts(store, pair_ids)),
-        small=tuple(small_causes(causes, blocks)),
+        small=tuple(small),
         pieces=tuple(largest_pieces(store, pair_ids)),
         surface=tuple(_surface(objects, len(scored))),
         **_alignment(objects),
@@ -130,7 +147,9 @@ def _doubts(store: RunFolder, pair_ids: Sequence[str]) -> Iterator[str]:
     tables = store.read_pairs(pair_ids, {("sensor", side): ["doubts"] for side in SIDES})
     for side, name in SIDE_NAMES.items():
         table, _ = tables["sensor", side]
-        texts = [text for scan in table["doubts"].drop_null().to_pylist() for text in scan.split("\n")]
+        texts = [
+            text for scan in table["doubts"].drop_null().to_pylist() for text in scan.split("\n")
+        ]
         kinds = [_NUMBER.sub("", text) for text in texts]
         for kind, n in Counter(kinds).items():
             yield f"{name} scans ({n} of {len(pair_ids)}): {texts[kinds.index(kind)]}"
@@ -143,7 +162,9 @@ def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
         own = objects.loc[objects["fate"] == fate, ["covered_0p3m", "road_share"]]
         states = Counter(map(surface_state, own["covered_0p3m"]))
         n_road = int((own["road_share"] > ROAD).sum())
-        counts[fate] = SurfaceStates(**{state: states[state] for state in SURFACE_STATES}, road=n_road)
+        counts[fate] = SurfaceStates(
+            **{state: states[state] for state in SURFACE_STATES}, road=n_road
+        )
     return MetricsSummary(unmatched=UnmatchedSurface(**counts))
 
 
@@ -164,17 +185,26 @@ def _alignment(objects: pd.DataFrame) -> dict[str, int]:
     return {"n_aligned": len(scored), "n_badly_aligned": int(np.count_nonzero(is_bad))}
 
 
-def _coverage(points: pd.DataFrame, kind: str, groups: pd.Index[Any], n_pairs: int) -> dict[str, GroupPoints]:
+def _coverage(
+    points: pd.DataFrame, kind: str, groups: pd.Index[Any], n_pairs: int
+) -> dict[str, GroupPoints]:
     """By side, its points by pair and group, and those without a counterpart within 0.3 m."""
 
     def sums(side: str, what: str) -> pd.DataFrame:
-        found = points.loc[points["side"] == side, ["pair", kind, what]].groupby(["pair", kind])[what].sum().unstack()
+        found = (
+            points.loc[points["side"] == side, ["pair", kind, what]]
+            .groupby(["pair", kind])[what]
+            .sum()
+            .unstack()
+        )
         return found.reindex(index=range(n_pairs), columns=groups).fillna(0.0)
 
     return {side: (sums(side, "n_points"), sums(side, "alone")) for side in SIDES}
 
 
-def _groups(kind: str, coverage: dict[str, GroupPoints], names: Sequence[str] = ()) -> list[SurfaceGroup]:
+def _groups(
+    kind: str, coverage: dict[str, GroupPoints], names: Sequence[str] = ()
+) -> list[SurfaceGroup]:
     found = []
     for i, name in enumerate(names or coverage["real"][0].columns):
         n_real, missing = [_total(points, i) for points in coverage["real"]]
@@ -204,8 +234,12 @@ def largest_pieces(store: RunFolder, pair_ids: Sequence[str]) -> list[Piece]:
     kept: list[pd.DataFrame] = []
     for first in range(0, len(pair_ids), PAIRS_AT_ONCE):
         names = pair_ids[first : first + PAIRS_AT_ONCE]
-        table, n = store.read_pairs(names, {("pieces", ""): TABLES["pieces"].schema.names})["pieces", ""]
-        pieces: pd.DataFrame = table.to_pandas().assign(pair_id=np.repeat(np.array(names, dtype=object), n))
+        table, n = store.read_pairs(names, {("pieces", ""): TABLES["pieces"].schema.names})[
+            "pieces", ""
+        ]
+        pieces: pd.DataFrame = table.to_pandas().assign(
+            pair_id=np.repeat(np.array(names, dtype=object), n)
+        )
         pieces = pieces[(pieces["side"] == "real") | (pieces["fate"] != "moved")]
         kept.append(pieces.sort_values("n_points", ascending=False, kind="stable").head(N_PIECES))
     order = ["n_points", "pair_id", "side", "piece_id"]
@@ -219,12 +253,17 @@ def _piece(row: Row) -> Piece:
     if row["fate"] == "moved":
         fate = "moved"
     return Piece(
-        **{name: row[name] for name in ("pair_id", "side", "piece_id", "n_points", "range_m", "bearing_deg")},
+        **{
+            name: row[name]
+            for name in ("pair_id", "side", "piece_id", "n_points", "range_m", "bearing_deg")
+        },
         fate=fate,
         label=row["label"],
         extents_m=extents,
         words=place_words(row["label"], extents, row["range_m"], row["bearing_deg"]),
-        fate_words=moved_words(*(row[f"moved_{axis}_m"] for axis in "xyz")) if fate == "moved" else fate,
+        fate_words=moved_words(*(row[f"moved_{axis}_m"] for axis in "xyz"))
+        if fate == "moved"
+        else fate,
     )
 
 
@@ -233,14 +272,20 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
     pairs = record.pairs
     n_pairs = pairs.scored + pairs.failed + pairs.to_do
     if pairs.failed:
-        yield Caution(kind="failed", words=f"{pairs.failed} of {n_pairs} pairs failed and count nowhere")
+        yield Caution(
+            kind="failed", words=f"{pairs.failed} of {n_pairs} pairs failed and count nowhere"
+        )
     if pairs.to_do:
         yield Caution(kind="to_do", words=f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet")
     elsewhere = [pair_id for pair_id, own in record.frames.items() if own.reading == ELSEWHERE]
-    if suspects := {pair_id: own for pair_id, own in record.frames.items() if pair_id not in elsewhere}:
+    if suspects := {
+        pair_id: own for pair_id, own in record.frames.items() if pair_id not in elsewhere
+    }:
         yield Caution(kind="frames", words=_frames_summary(suspects, n_pairs))
     if elsewhere:
-        names = ", ".join([*elsewhere[:_MOST_NAMED], *(["..."] if len(elsewhere) > _MOST_NAMED else [])])
+        names = ", ".join(
+            [*elsewhere[:_MOST_NAMED], *(["..."] if len(elsewhere) > _MOST_NAMED else [])]
+        )
         words = f"in {len(elsewhere)} of {n_pairs} pairs the two scans do not show the same place, but count ({names})"
         yield Caution(kind="frames", words=words)
     if record.notes:
@@ -252,7 +297,10 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
         counted = pairs_and_places(pairs.scored, n_places)
         yield Caution(kind="pairs", words=f"{counted}: a verdict on the world {NEEDED}")
     elif n_places < pairs.scored:
-        yield Caution(kind="independence", words=f"{pairs_and_places(pairs.scored, n_places)}, which count once each")
+        yield Caution(
+            kind="independence",
+            words=f"{pairs_and_places(pairs.scored, n_places)}, which count once each",
+        )
     if overview.n_aligned and overview.n_badly_aligned >= _MANY_BADLY_ALIGNED * overview.n_aligned:
         share = f"{100 * overview.n_badly_aligned / overview.n_aligned:.0f} %"
         words = f"r_lambda of {share} of the matched objects is unreliable (poor alignment: {BAD_ALIGNMENT_WORDS})"
@@ -262,7 +310,10 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
         yield Caution(kind="partition", words=words + _by_reference(record))
     if path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
         return  # it is a best case itself
-    yield Caution(kind="best_case", words="no best case yet; the scores of a perfect simulator: fidpipe best-case RUN")
+    yield Caution(
+        kind="best_case",
+        words="no best case yet; the scores of a perfect simulator: fidpipe best-case RUN",
+    )
 
 
 def _by_reference(record: RunRecord) -> str:
@@ -278,12 +329,20 @@ def _frames_summary(suspects: Mapping[str, FrameSuspect], n_pairs: int) -> str:
     """One line for all suspect pairs of a run, by their most frequent reading."""
     kinds = [_NUMBER.sub("", suspect.reading) for suspect in suspects.values()]
     kind = max(kinds, key=kinds.count)
-    similar = {pair_id: own for (pair_id, own), other in zip(suspects.items(), kinds, strict=True) if other == kind}
+    similar = {
+        pair_id: own
+        for (pair_id, own), other in zip(suspects.items(), kinds, strict=True)
+        if other == kind
+    }
     before = float(np.mean([suspect.as_it_lies for suspect in similar.values()]))
     after = float(np.mean([suspect.coverage for suspect in similar.values()]))
     pair_id, first = next(iter(similar.items()))
     is_one_setting = all(own.setting == first.setting for own in similar.values())
-    where = "" if is_one_setting else f" (in pair {pair_id}; the others are listed under frames in run.json)"
+    where = (
+        ""
+        if is_one_setting
+        else f" (in pair {pair_id}; the others are listed under frames in run.json)"
+    )
     others = ""
     if len(similar) < len(suspects):
         others = f"; {len(suspects) - len(similar)} in other ways, see frames in run.json"

@@ -17,9 +17,9 @@ from fidpipe.pipeline.results.causes import (
     cause_values,
     changed_causes,
     interval_words,
+    named_and_small,
     named_causes,
     no_cause_words,
-    small_causes,
     unknown_causes,
 )
 from fidpipe.schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS, UNEVEN
@@ -236,8 +236,9 @@ def names_of(**amounts):
 def test_a_displacement_that_explains_little_is_small_and_not_named():
     values, blocks = values_of(height=[0.08] * 3, lost_returns=[0.2] * 3)
     values["height"] = replace(values["height"], share=np.full(3, 0.05))
-    assert [cause.name for cause in named_causes(values, blocks)] == ["lost returns"]
-    assert small_causes(values, blocks) == ["world 8 cm too high"]
+    named, small = named_and_small(values, blocks)
+    assert [cause.name for cause in named] == ["lost returns"]
+    assert small == ["world 8 cm too high"]
 
 
 @pytest.mark.parametrize(("n_pairs", "heading"), [(1, "within 1 pair: "), (2, "within 2 pairs: "), (3, "95 %: ")])
