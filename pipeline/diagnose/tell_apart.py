@@ -235,7 +235,7 @@ def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: boo
 def _ranks(intensity: FloatArray, seed: int) -> FloatArray:
     """Ranks up to 1: scales differ. Equal values in random order, as their common rank would mark the frame."""
     shuffled = pd.Series(intensity).sample(frac=1.0, random_state=seed)
-    return shuffled.rank(method="first", pct=True).sort_index().to_numpy(np.float64)
+    return np.asarray(shuffled.rank(method="first", pct=True).sort_index(), dtype=np.float64)
 
 
 def both_sides(a: pd.DataFrame, b: pd.DataFrame, *, is_paired: bool) -> tuple[pd.DataFrame, list[Fold]]:
