@@ -321,7 +321,7 @@ def _words(cause: Cause, before: float | None, after: float | None) -> str:
     if before is None or after is None or abs(before) <= model.resolution:
         return cause_words(model, cause.estimate)
     if abs(after) <= model.resolution:
-        return f"{cause.name}: none, before {_signed(before, cause.unit)}"
+        return f"{cause.name}: no difference left, before {_signed(before, cause.unit)}"
     return f"{cause.name}: {_signed(after, cause.unit)}, before {_signed(before, cause.unit)}"
 
 

@@ -181,8 +181,10 @@ def _settings_differ(base: FinishedRun, other: FinishedRun, differing: Sequence[
         "" if base.preset == other.preset else f"preset {base.preset} and preset {other.preset}: "
     )
     return (
-        f"runs {base.folder} and {other.folder}: settings differ ({presets}{'; '.join(differing)}), so that a "
-        "difference need not be the simulator's; run both with the same settings, or give --allow-different-settings"
+        f"runs {base.folder} and {other.folder}: settings differ "
+        f"({presets}{'; '.join(differing)}), so that a "
+        "difference need not be the simulator's; run both with the same settings, or give "
+        "--allow-different-settings"
     )
 
 
@@ -312,7 +314,8 @@ def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
         if unfit:
             named = unfit[0] if len(unfit) == 1 else f"{unfit[0]} ..."
             notes.append(
-                f"{run.folder}: scans are not in one frame or show two places, but count: {len(unfit)} of "
+                f"{run.folder}: scans are not in one frame or show two places, but count: "
+                f"{len(unfit)} of "
                 f"{len(run.scored)} pairs ({named}); see fidpipe show {run.folder}"
             )
     a, b = base.record, other.record

@@ -6,7 +6,6 @@ that `fidpipe show` prints for a run, a pair or an object are defined here, for 
 
 from __future__ import annotations
 
-import math
 import re
 import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -58,7 +57,8 @@ def record_of_run(folder: Path) -> dict[str, Any]:
         if path_exists(folder / name / RUN_JSON)
     ]
     if names & {*SIDES, MANIFEST}:
-        hint = f"it holds a dataset, evaluate it: fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
+        command = f"fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
+        hint = f"it holds a dataset, evaluate it: {command}"
     elif runs:
         hint = f"it holds runs: {', '.join(runs[:3])}{', ...' if len(runs) > 3 else ''}"
     elif names:
@@ -85,7 +85,8 @@ class FinishedRun:
         record = record_of_run(folder)
         if made_by := record.get("experiment"):
             raise RunError(
-                f"run {folder}: expected a folder written by fidpipe run, got one of fidpipe {made_by}; its tables are "
+                f"run {folder}: expected a folder written by fidpipe run, got one of fidpipe "
+                f"{made_by}; its tables are "
                 f"{folder}/{made_by}*.parquet"
             )
         self.store = RunFolder(folder)
@@ -96,15 +97,17 @@ class FinishedRun:
                 raise RunError(
                     f"run {folder}: another fidpipe is working on this run; wait until it ends"
                 ) from error
+            command = command_again(folder, record.get("dataset"))
             raise RunError(
-                f"run {folder}: the run has not ended; finish it with: {command_again(folder, record.get('dataset'))}"
+                f"run {folder}: the run has not ended; finish it with: {command}"
             ) from error
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
         self.rows_by_name: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
 
     def __repr__(self) -> str:
         counts = self.record.pairs
-        return f"<fidpipe run {self.folder}: {counts.scored} pairs scored, {counts.failed} failed, preset {self.preset}>"
+        states = f"{counts.scored} pairs scored, {counts.failed} failed"
+        return f"<fidpipe run {self.folder}: {states}, preset {self.preset}>"
 
     @property
     def pairs(self) -> pd.DataFrame:
@@ -120,8 +123,10 @@ class FinishedRun:
         object of the other side, -1 without one), `shape`, `bearing_deg`, `diagonal_m` and `quadrant`. Scores are
         those of the pair of objects, on both rows; null for unmatched objects.
         """
-        frame = self.objects_of([row["pair_id"] for row in self.scored])
-        return frame.drop(columns=["pair", "band"]).rename(columns=WITH_UNITS)
+        frame = self.objects_of([row["pair_id"] for row in self.scored]).rename(columns=WITH_UNITS)
+        first = ["pair_id", "side", "community_id", "fate", "partner", "label", "shape"]
+        others = frame.columns.difference([*first, "pair", "band"], sort=False)
+        return frame[[*first, *others]]
 
     @property
     def metrics(self) -> pd.DataFrame:
@@ -181,11 +186,14 @@ class FinishedRun:
             return self.read_table(name)
         if name not in PAIR_TABLES:
             raise RunError(
-                f"run {self.folder}: no table {name!r}; it has {', '.join((*_OF_RUN, *PAIR_TABLES))}"
+                f"run {self.folder}: no table {name!r}; it has "
+                f"{', '.join((*_OF_RUN, *PAIR_TABLES))}"
             )
         names = [row["pair_id"] for row in self.scored] if pairs is None else list(pairs)
         sides = SIDES if "side" in TABLES[name].of_file else ("",)
-        parts = [self.read_table(name, self._scored(own), side) for own in names for side in sides]
+        parts = []
+        for pair_id in names:
+            parts += [self.read_table(name, self._scored(pair_id), side) for side in sides]
         if not parts:
             return TABLES[name].schema.empty_table()
         return pa.concat_tables(
@@ -360,24 +368,23 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
     """Spread of the scores over partitions, in one line; "" if the real side fixes the objects."""
     if all(run.preset == "reference" for run in runs):
         return ""
+    chance = (
+        "how much scores vary with the partition is unknown here "
+        "(measure it: fidpipe run --seeds 5)"
+    )
+    spreads = [run.record.seeds.dataset for run in runs if run.record.seeds]
     moved = []
     for name in _BY_CHANCE:
-        least = max(_repeatability(run, name) for run in runs)
-        if math.isfinite(least):
-            moved.append(f"{metric_of(name).label} by {least:.3g}")
-    chance = "how much scores vary with the partition is unknown here (measure it: fidpipe run --seeds 5)"
+        least = [spread[name].least_dataset for spread in spreads]
+        known = [value for value in least if value is not None]
+        if len(known) == len(runs):
+            moved.append(f"{metric_of(name).label} by {max(known):.3g}")
     if moved:
         chance = f"another Louvain seed alone moves {', '.join(moved)} (95 %)"
     return (
         f"objects are those of the paper, each side partitioned independently: {chance}; "
         "for comparing simulators: fidpipe run --preset reference"
     )
-
-
-def _repeatability(run: FinishedRun, name: str) -> float:
-    """By how much two means over the pairs differ at most (95 %) through Louvain seeds; infinite where unknown."""
-    spread = run.record.seeds.dataset[name] if run.record.seeds else None
-    return math.inf if spread is None or spread.least_dataset is None else spread.least_dataset
 
 
 @dataclass(frozen=True, repr=False)
@@ -424,7 +431,7 @@ class PairFacts:
         """Plain values, for JSON."""
         return {
             "pair": self.pair,
-            "objects": [each.as_dict() for each in self.objects],
+            "objects": [facts.as_dict() for facts in self.objects],
             "rays": [*self.rays],
         }
 
@@ -445,16 +452,16 @@ def pair_facts(run: FinishedRun, pair_id: str) -> PairFacts:
     row = run.row(pair_id)
     if row["status"] != "scored":
         return PairFacts(row, ())
-    found = _facts(run.objects_of([pair_id]))
-    found.sort(
-        key=lambda each: (
-            each.scores is None,
-            each.row["r_lambda"] is None,
-            -(each.row["r_lambda"] or 0.0),
-        )
-    )
+    objects = _facts(run.objects_of([pair_id]))
+    objects.sort(key=_worst_first)
     rays = run.read_table("ray_scores", pair_id).drop_columns(["pair_id"]).to_pylist()
-    return PairFacts(row, tuple(found), tuple(rays))
+    return PairFacts(row, tuple(objects), tuple(rays))
+
+
+def _worst_first(facts: ObjectFacts) -> tuple[bool, bool, float]:
+    """Key that puts matched objects first, those with the largest r_lambda before the others."""
+    r_lambda = facts.row["r_lambda"]
+    return facts.scores is None, r_lambda is None, -(r_lambda or 0.0)
 
 
 def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
@@ -468,43 +475,43 @@ def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
     side, _, number = name.rpartition(":")
     side = side or "real"
     objects = run.objects_of([pair_id])
-    n = {own: int((objects["side"] == own).sum()) for own in SIDES}
-    if side not in SIDES or not re.fullmatch("[0-9]{1,9}", number) or int(number) >= n[side]:
-        counts = " and ".join(f"{n[s]} {s}" for s in SIDES)
+    counts = {known: int((objects["side"] == known).sum()) for known in SIDES}
+    is_number = re.fullmatch("[0-9]{1,9}", number)
+    if side not in SIDES or not is_number or int(number) >= counts[side]:
+        numbers = " and ".join(f"{n} {known}" for known, n in counts.items())
         raise RunError(
-            f"run {run.folder}, pair {pair_id}: no object {name!r}; it has {counts} objects, numbered from 0: "
+            f"run {run.folder}, pair {pair_id}: no object {name!r}; it has {numbers} objects, "
+            "numbered from 0: "
             "7 is a real object, sim:7 a simulated one"
         )
-    found = ((each, getattr(each, side)) for each in _facts(objects))
-    return next(each for each, own in found if own and own["community_id"] == int(number))
+    for facts in _facts(objects):
+        row = facts.real if side == "real" else facts.sim
+        if row and row["community_id"] == int(number):
+            return facts
+    raise AssertionError(name)  # every object has its facts
 
 
 def _facts(objects: pd.DataFrame) -> list[ObjectFacts]:
     """The objects of one pair: matched ones once, remnants with the missing object that they belong to."""
     rows = {(row["side"], row["community_id"]): row for row in plain_rows(objects)}
-    found = []
+    facts = []
     for (side, i), row in rows.items():
-        if row["fate"] == "remnant" or (side == "sim" and row["partner"] >= 0):
+        fate = row["fate"]
+        if fate == "remnant" or (side == "sim" and fate == "matched"):
             continue
-        partner = row["partner"] if row["partner"] >= 0 else i
-        sim = row if side == "sim" else rows.get(("sim", partner))
-        if row["fate"] == "missing" and sim and sim["fate"] != "remnant":
-            sim = None
-        scores = (
-            {name: row[name] for name in COLUMNS_OF["metrics"]}
-            if row["fate"] == "matched"
-            else None
-        )
-        found.append(
-            ObjectFacts(
-                status=row["fate"],
-                real=_described(row) if side == "real" else None,
-                sim=sim and _described(sim),
-                scores=scores and {"real_id": i, "sim_id": row["partner"]} | scores,
-                row=row,
-            )
-        )
-    return found
+        sim: Row | None = None
+        scores: Row | None = None
+        if fate == "matched":
+            sim = rows["sim", row["partner"]]
+            scores = {"real_id": i, "sim_id": row["partner"]}
+            scores |= {name: row[name] for name in COLUMNS_OF["metrics"]}
+        elif side == "sim":
+            sim = row
+        elif rows.get(("sim", i), row)["fate"] == "remnant":
+            sim = rows["sim", i]
+        real = _described(row) if side == "real" else None
+        facts.append(ObjectFacts(fate, real, sim and _described(sim), scores, row))
+    return facts
 
 
 def _described(row: Row) -> Row:

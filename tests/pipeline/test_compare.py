@@ -353,10 +353,10 @@ def test_a_pair_that_is_no_longer_scored_fails_a_gate_though_all_others_are_the_
     assert {score.verdict for score in found.scores} == {"same"}
     assert found.decision == "worse"
     assert decision(found).startswith("worse: 1 of 6 pairs")
-    result = judge_comparison(found, ["worse"])
+    result = judge_comparison(found, "worse")
     (failed,) = result.failed
     assert HOSTILE[1] in failed.found
-    assert judge_comparison(compare_runs([tmp_path / "run", versions[0]])[0], ["worse"]).failed == ()
+    assert judge_comparison(compare_runs([tmp_path / "run", versions[0]])[0], "worse").failed == ()
 
 
 def test_a_run_in_which_every_pair_fails_is_worse_and_leaves_files_for_ci(versions, tmp_path):
@@ -380,15 +380,15 @@ def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_se
     for n_places in (5, 8):
         unsure = replace(found, n_places=n_places, families=open_, changes=Changes())
         assert unsure.decision == "undecided"
-        passed = judge_comparison(unsure, ["worse"], undecided_ok=True)
+        passed = judge_comparison(unsure, "worse", undecided_ok=True)
         assert passed.failed == ()
         assert passed.note.partition(";")[0].endswith("objects")
         assert ("6 pairs of 5 places" in passed.note) == (n_places == 5)
-        faults = [check.fault for check in judge_comparison(unsure, ["worse"]).failed]
+        faults = [check.fault for check in judge_comparison(unsure, "worse").failed]
         assert faults == (["undecided"] if n_places == 5 else []), "too few places fail, chance does not"
-        assert [check.fault for check in judge_comparison(unsure, ["undecided"]).failed] == ["undecided"]
+        assert [check.fault for check in judge_comparison(unsure, "undecided").failed] == ["undecided"]
     mixed = replace(found, families=(replace(found.families[0], verdict="mixed"),), changes=Changes())
-    assert [check.fault for check in judge_comparison(mixed, ["worse"]).failed] == ["mixed"]
+    assert [check.fault for check in judge_comparison(mixed, "worse").failed] == ["mixed"]
 
 
 def test_datasets_are_evaluated_and_compared(tmp_path):
