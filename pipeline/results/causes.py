@@ -7,7 +7,7 @@ between two runs, if it lies beyond the resolution of the estimate. Causes are o
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -59,6 +59,7 @@ _OF_POSE = (*PARAMETERS, "elevation scale")
 #: Independent places that all lie beyond a resolution.
 _ENOUGH = 4
 _COLUMNS = ["cause", "amount", "real", "sim", "share", "reason"]
+_OTHER_VERSION = "the run was made by a version without this cause"
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class CauseValues:
 
 
 def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseValues]:
-    """The table `causes` of some pairs, by name of the cause.
+    """The table `causes` of some pairs, for each cause of the catalogue; tables of another version may have others.
 
     Raises
     ------
@@ -87,7 +88,7 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseVal
     table, n_rows = store.read_pairs(pair_ids, {("causes", ""): _COLUMNS})["causes", ""]
     frame = table.to_pandas()
     frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
-    return _by_cause(frame, len(pair_ids))
+    return _by_cause(frame, sorted(CAUSES), len(pair_ids))
 
 
 def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, CauseValues]:
@@ -97,22 +98,22 @@ def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, CauseValu
     rows = []
     for pair, of_pair in enumerate(amounts):
         rows += [{"pair": pair, "cause": name} | vars(amount) for name, amount in of_pair.items()]
-    return _by_cause(pd.DataFrame(rows), len(amounts))
+    frame = pd.DataFrame(rows)
+    return _by_cause(frame, frame["cause"].unique(), len(amounts))
 
 
-def _by_cause(frame: pd.DataFrame, n_pairs: int) -> dict[str, CauseValues]:
-    """Values by name of the cause, from a row per pair and cause."""
+def _by_cause(frame: pd.DataFrame, names: Iterable[str], n_pairs: int) -> dict[str, CauseValues]:
+    """Values of some causes, from a row per pair and cause."""
     values = {}
-    for name, group in frame.groupby("cause"):
-        rows = group.set_index("pair").reindex(range(n_pairs))
+    for name in names:
+        of_cause = frame[frame["cause"] == name]
+        rows = of_cause.set_index("pair").reindex(range(n_pairs))
         columns = {
             column: rows[column].to_numpy(np.float64)
             for column in ("amount", "real", "sim", "share")
         }
-        reasons = rows["reason"].dropna()
-        values[str(name)] = CauseValues(
-            **columns, reason=str(reasons.iloc[0]) if len(reasons) else ""
-        )
+        reasons = rows["reason"].dropna().tolist() if len(of_cause) else [_OTHER_VERSION]
+        values[name] = CauseValues(**columns, reason=reasons[0] if reasons else "")
     return values
 
 
