@@ -66,17 +66,24 @@ def remeasured(points, rng):
     return along_ray(kept, ranges(kept) + rng.normal(0, NOISE_M, len(kept)))
 
 
-def misses(range_m, share):
-    """Further rays, of random directions of the scan, without a return: written at one range."""
+def misses(range_m, share, jitter_m=0.0):
+    """Further rays, of random directions of the scan, without a return: written at one range, or around it."""
 
     def write(points, rng):
         n = int(share / (1 - share) * len(points))
         rows = rng.choice(len(points), n)
         rays = points[rows] + rng.normal(0, 0.3, (n, 3))
         near = points[ranges(points) < range_m - 1]
-        return np.concatenate([near, along_ray(rays, np.full(n, range_m))])
+        return np.concatenate([near, along_ray(rays, rng.normal(range_m, jitter_m, n))])
 
     return write
+
+
+def far_misses(range_m, share):
+    """Further rays without a return beyond all others."""
+    return lambda points, rng: np.concatenate(
+        [points, misses(range_m, share)(points, rng)[-int(share * len(points)) :]]
+    )
 
 
 def lossy(share):
@@ -109,6 +116,39 @@ def each_twice(apart_m):
     return repeat
 
 
+def interleaved(share):
+    """Second returns of some rays, each in the row after the first."""
+
+    def repeat(points, rng):
+        behind = along_ray(points, ranges(points) + rng.uniform(0.5, 3.0, len(points)))
+        behind[(rng.random(len(points)) >= share) | (ranges(points) < MIN_RANGE_M)] = np.nan
+        rows = np.stack([points, behind], axis=1).reshape(-1, 3)
+        return rows[np.isfinite(rows).all(axis=1)]
+
+    return repeat
+
+
+def gridded(voxel_m):
+    """The first point of each voxel."""
+
+    def thin(points, rng):
+        _, first = np.unique(np.floor(points / voxel_m), axis=0, return_index=True)
+        return points[np.sort(first)]
+
+    return thin
+
+
+def after(*faults):
+    """Several faults, one after the other."""
+
+    def change(points, rng):
+        for fault in faults:
+            points = fault(points, rng)
+        return points
+
+    return change
+
+
 def moved(x, y, z=0.0, turned_deg=0.0):
     matrix = Rotation.from_euler("z", turned_deg, degrees=True).as_matrix()
     return lambda points, rng: points @ matrix.T + [x, y, z]
@@ -133,10 +173,12 @@ def not_rings(points, rng):
     return (points + part * (points[partner] - points))[is_near]
 
 
-def as_angles(unit):
+def as_angles(unit, from_zenith=False):
     def convert(points, rng):
         azimuth = np.arctan2(points[:, 1], points[:, 0]) % (2 * np.pi)
         elevation = np.arcsin(points[:, 2] / ranges(points))
+        if from_zenith:
+            elevation = np.pi / 2 - elevation
         if unit == "deg":
             azimuth, elevation = np.degrees(azimuth), np.degrees(elevation)
         return np.column_stack([azimuth, elevation, ranges(points)])
@@ -188,6 +230,22 @@ def variants():
         "gaps of 4 deg in 10 directions, simulated": Variant("", gaps(10, 4), allowed=("blind sector",)),
         "gaps of 8 deg in 5 directions, simulated": Variant("", gaps(5, 8), allowed=("blind sector",)),
         "one point repeated, 30 %": Variant("one repeated point", repeated([1.2, 0, 1.8], 0.3)),
+        "misses around 80 m, 25 %": Variant("rays without", misses(80, 0.25, 0.3), allowed=("maximum range",)),
+        "misses at 60 and 120 m": Variant(
+            "rays without", after(misses(60, 0.15), far_misses(120, 0.15)), allowed=("maximum range",)
+        ),
+        "second returns interleaved, 30 %": Variant("second returns", interleaved(0.3), allowed=("second returns",)),
+        "voxel grid of 0.1 m": Variant("voxel grid", gridded(0.1)),
+        "voxel grid of 0.2 m": Variant("voxel grid|not in the sensor's frame", gridded(0.2)),
+        "simulated in inches": Variant("in inches", scaled(39.37)),
+        "simulated in decimetres": Variant("in decimetres", scaled(10.0)),
+        "zenith angle, range as x y z": Variant(ANGLES, as_angles("rad", from_zenith=True)),
+        "y up, left-handed, turned by 90 deg": Variant(
+            "frame|read as", after(moved(0, 0, 0, 90), axes([1, 2, 0], (-1, 1, 1)))
+        ),
+        "simulated turned by 45 deg": Variant("the same place|frame", moved(0, 0, 0, 45), allowed=("yaw",)),
+        "both 1.5 m above base_link": Variant("", moved(0, 0, 1.5), moved(0, 0, 1.5)),
+        "gaps of 2 deg in 20 directions, simulated": Variant("", gaps(20, 2), allowed=("blind sector",)),
         "one point repeated, 10 %": Variant("one repeated point", repeated([-0.4, 0, 2.1], 0.1)),
     }
     for number in range(12):

@@ -25,7 +25,7 @@ from pydantic import (
 from .columns import FARTHEST_M
 from .data_files import parse_toml, read_toml
 from .docstrings import split_docstring
-from .errors import SettingsError, nearest, suggestion
+from .errors import SettingsError, suggestion
 from .metric_catalogue import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
@@ -561,9 +561,7 @@ def _first_problem(error: ValidationError) -> str:
     if problem["type"] == "extra_forbidden":
         name = ".".join(map(str, problem["loc"]))
         known = _known_beside(problem["loc"])
-        near = nearest(name, known)
-        hint = f"; did you mean {near}?" if near else ""
-        return f"setting {name}: no such setting{hint}; known are {', '.join(known)}"
+        return f"setting {name}: no such setting; {suggestion(name, known)}"
     name = ".".join(part for part in problem["loc"] if isinstance(part, str))
     where = f"setting {name}" if name else "settings"
     text = f"{where}: {expected_and_got(problem)}"

@@ -17,6 +17,13 @@ _UNITS = (
 _PRESET_MEANING = "settings that belong together; those that the file does not name are the preset's"
 
 
+def to_toml(settings: Settings) -> str:
+    """The settings as TOML; those that are unset (None) are left out, so that `load` reads it back."""
+    import tomli_w
+
+    return _UNITS + tomli_w.dumps(settings.model_dump(mode="json", exclude_none=True))
+
+
 def commented_toml(settings: Settings) -> str:
     """All settings as TOML, each with its meaning and allowed values as comments; `load` reads the same settings back.
 

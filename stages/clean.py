@@ -10,7 +10,7 @@ import numpy as np
 from ..schemas.settings import Box, FrameName, InputSettings
 from .arrays import BoolArray, FloatArray, IntArray
 from .thinning import repeats_earlier_row, shares_voxel
-from .trust import is_miss, miss_range
+from .trust import find_misses
 
 #: Column and sign of x forward, y left and z up in each frame.
 _AXES: dict[FrameName, tuple[tuple[int, int, int], tuple[float, float, float]]] = {
@@ -45,7 +45,7 @@ def clean_scan(
     """Drop points that are not measurements, and return the others in the real sensor's frame.
 
     In the scan's own frame these points are dropped, in this order: points that are not finite; exact (0, 0, 0); exact
-    duplicates of an earlier row; rays without a return that are written at one range, see `trust.miss_range`; points
+    duplicates of an earlier row; rays without a return that are written at one range, see `trust.find_misses`; points
     with a range |p| outside [min_range_m, max_range_m]; points inside `exclude_box`. Then the axes are converted to x
     forward, y left, z up, p becomes R p + t if `T_real_sim` = [R | t] is given, and points outside `include_box` are
     dropped. With `voxel_m`, only the first row of each voxel is kept, in the real sensor's frame.
@@ -80,8 +80,8 @@ def clean_scan(
     drop("duplicate", repeats_earlier_row(points))
     with np.errstate(over="ignore"):  # an infinite range is too far
         range_m = np.sqrt((points**2).sum(axis=1))
-    misses = miss_range(range_m)
-    is_no_return = np.zeros(len(points), dtype=np.bool_) if misses is None else is_miss(range_m, misses[0])
+    misses = find_misses(range_m)
+    is_no_return = range_m > (misses[-1].limit_m if misses else np.inf)
     drop("no_return", is_no_return)
     range_m = range_m[~is_no_return]
     near = range_m < settings.min_range_m

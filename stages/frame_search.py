@@ -39,9 +39,9 @@ _MIN_SHIFT_M = 0.8
 _MAX_LIFT_LEFT_M = 0.05
 _MAX_COVERAGE_LOST = 0.02
 _LIFT_STEPS = 4
-_SCALES = {"centimetres": 0.01, "millimetres": 0.001, "feet": 0.3048}
+_SCALES = {"centimetres": 0.01, "millimetres": 0.001, "decimetres": 0.1, "feet": 0.3048, "inches": 0.0254}
 #: Ratio of the reach of both sides in a unit; 10 in units that are farther apart.
-_SIMILAR_REACH = {"feet": 1.6}
+_SIMILAR_REACH = {"decimetres": 1.6, "feet": 1.6, "inches": 1.6}
 _GROUND_STEP_M = 0.1
 
 _DIRECTIONS = (("forward", "back"), ("left", "right"), ("up", "down"))
@@ -126,6 +126,13 @@ class FrameCheck:
         """True if no candidate reaches the coverage of two scans of one place."""
         return self.coverage < MIN_SAME_PLACE
 
+    @property
+    def doubt(self) -> str | None:
+        """Reason why no cause can be named; None if both scans are in one frame, and show one place."""
+        if self.is_elsewhere:
+            return "the two scans do not show the same place"
+        return f"the simulated scan is in another frame: {self.reading}" if self.is_other_frame else None
+
 
 def is_only_lifted(reading: str, gain: float) -> bool:
     """True if a scan fits a little better with its ground at another height, and all else as given."""
@@ -177,13 +184,13 @@ def check_frames(
     The coverage is the share of the points of one scan that have a point of the other within 1 m, as the mean over
     both directions and over ground and the rest. Only points within 40 m of the sensor, one per voxel of 0.5 m, count.
     Candidates for the simulated scan: its axes in all 48 orders and signs, which include either scan read in any of
-    the frames of the settings; in centimetres, millimetres and feet if it reaches far beyond the real one; each of
-    these also shifted by the difference of the ground heights; the size in which it reaches as far as the real one;
-    and if none of them covers 0.85, sizes of 0.2 to 5. A candidate is suspect if it covers at least 0.6, at least
-    `MIN_GAIN` more than the scan as given, and leaves uncovered at most 0.6 of the share that the scan as given
-    leaves; another size also if it covers 0.05 more and leaves a quarter of that share. Otherwise a scan is suspect
-    if its ground is 0.2 m or more above or below the real one. Lifts are medians over ground points and their
-    horizontal neighbours, applied and re-measured before they are reported.
+    the frames of the settings; in another unit if it reaches far beyond the real one; each of these also shifted by
+    the difference of the ground heights; the size in which it reaches as far as the real one; and if none of them
+    covers 0.85, sizes of 0.2 to 5. A candidate is suspect if it covers at least 0.6, at least `MIN_GAIN` more than the
+    scan as given, and leaves uncovered at most 0.6 of the share that the scan as given leaves; another size also if it
+    covers 0.05 more and leaves a quarter of that share. Otherwise a scan is suspect if its ground is 0.2 m or more
+    above or below the real one. Lifts are medians over ground points and their horizontal neighbours, applied and
+    re-measured before they are reported.
 
     Parameters
     ----------

@@ -152,12 +152,19 @@ def _cut(
 
 
 def _vertical_axis(points: FloatArray, notes: list[str]) -> tuple[FloatArray, float]:
-    """Axis of the heights, and the angle of the principal axis to +Z; +Z instead of one that is tilted too much."""
-    axis, tilt_deg = _up_axis(points)
-    if tilt_deg <= MAX_TILT_DEG:
-        return axis, tilt_deg
-    notes.append(f"the PCA axis is tilted by {tilt_deg:.1f} degrees (at most {MAX_TILT_DEG:.0f}); heights are along +Z")
-    return np.array([0.0, 0.0, 1.0]), tilt_deg
+    """Principal axis nearest +Z, pointing up, and its angle to +Z; +Z instead of an axis that is tilted too much."""
+    centred = points - points.mean(axis=0)
+    axes: FloatArray = scipy.linalg.svd(centred, full_matrices=False)[2]
+    axis = axes[np.argmax(np.abs(axes[:, 2]))]
+    if axis[2] < 0:
+        axis = -axis
+    tilt_deg = float(np.degrees(np.arccos(min(1.0, axis[2]))))
+    if tilt_deg > MAX_TILT_DEG:
+        notes.append(
+            f"the PCA axis is tilted by {tilt_deg:.1f} degrees (at most {MAX_TILT_DEG:.0f}); heights are along +Z"
+        )
+        axis = np.array([0.0, 0.0, 1.0])
+    return axis, tilt_deg
 
 
 def _find_peak(points: FloatArray, height: FloatArray, notes: list[str]) -> float:
@@ -179,16 +186,6 @@ def peaks_note(real_peak_m: float, sim_peak_m: float, settings: GroundSettings) 
         "and each side is cut at its own: strips of road may remain as objects. Correct the height of the simulated "
         "scan, or set ground.peak=real"
     )
-
-
-def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:
-    """Principal axis nearest +Z, pointing up, and its angle to +Z in degrees."""
-    centred = points - points.mean(axis=0)
-    axes: FloatArray = scipy.linalg.svd(centred, full_matrices=False)[2]
-    axis = axes[np.argmax(np.abs(axes[:, 2]))]
-    if axis[2] < 0:
-        axis = -axis
-    return axis, float(np.degrees(np.arccos(min(1.0, axis[2]))))
 
 
 def _fullest_window_median(height: FloatArray) -> float:

@@ -18,7 +18,7 @@ STEEP_SPREAD_M = 20.0
 HALF_SWEEP_GAP_DEG = 90.0
 EGO_RANGE_M = 3.0
 MAX_RANGE_M = 150.0
-_UNITS = (("centimetres", 100), ("millimetres", 1000))
+_UNITS = (("inches", 39.37), ("centimetres", 100), ("millimetres", 1000))
 _MAX_NOT_FINITE = 0.25
 _REPEATED_SHARE = 0.02
 _EVEN = 0.08
@@ -75,6 +75,7 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     low, high = np.percentile(points, [1, 99], axis=0)
     spread = high - low
     reach = np.abs([low, high]).max()
+    are_angles = _are_angles(points)
     if reach > FAR_COORDINATE_M:
         unit = _unit(low, high)
         words = f"{reach:.0f} m" if reach < FARTHEST_M else f"{reach:.0e} m"
@@ -84,12 +85,12 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
         odd.append(f"coordinates reach {words}; {question}")
     elif spread.max() < SMALLEST_EXTENT_M:
         odd.append(f"all points are within {spread.max():.2g} m; expected metres")
-    elif spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
+    elif not are_angles and spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
         odd.append(
             f"z spans {spread[2]:.0f} m and x and y {spread[0]:.0f} and {spread[1]:.0f} m; "
             + _axes_question(points, spread, side)
         )
-    if _are_angles(points):
+    if are_angles:
         odd.append("one column is spread evenly over a turn, and one is never negative: are they angles and ranges?")
     place, n_there = _most_repeated(points)
     if n_there > _REPEATED_SHARE * len(points):
@@ -129,14 +130,15 @@ def _axes_question(points: FloatArray, spread: FloatArray, side: str) -> str:
 
 
 def _are_angles(points: FloatArray) -> bool:
-    """True if the columns are azimuth, elevation and range in any order, in degrees or radians."""
+    """True if the columns are azimuth, elevation (or angle from the zenith) and range, in degrees or radians."""
     quantiles = np.quantile(points, np.linspace(0.0, 1.0, 5), axis=0)
     spans = np.ptp(quantiles, axis=0)
     for turn, right_angle in ((360.0, 90.0), (2 * np.pi, np.pi / 2)):
         uneven = np.abs(np.diff(quantiles, axis=0) / np.maximum(spans, 1e-9) - 0.25).max(axis=0)
         is_azimuth = (spans > 0.9 * turn) & (spans < 1.001 * turn) & (uneven < _EVEN)
         is_small = (np.abs(quantiles) <= right_angle).all(axis=0)
-        is_elevation = is_small & (quantiles[0] < 0) & ~is_azimuth
+        is_around_horizon = (quantiles[-1] <= 2 * right_angle) & (np.abs(quantiles[2] - right_angle) < right_angle / 3)
+        is_elevation = (is_small & (quantiles[0] < 0) | is_around_horizon) & ~is_azimuth
         is_range = (quantiles[0] >= 0) & ~is_azimuth & ~is_elevation
         if is_azimuth.any() and is_elevation.any() and is_range.any():
             return True
@@ -154,12 +156,12 @@ def _most_repeated(points: FloatArray) -> tuple[FloatArray, int]:
 
 
 def _unit(low: FloatArray, high: FloatArray) -> str:
-    """Centimetres or millimetres, if the points in that unit surround a sensor at the usual range; else ""."""
+    """Units in which the points surround a sensor at the usual range, two at most; "" if there are none."""
     if (low[:2] > 0).any() or (high[:2] < 0).any():
         return ""
     reach = np.abs([low, high]).max()
     fitting = [name for name, factor in _UNITS if reach / factor <= MAX_RANGE_M]
-    return fitting[0] if fitting else ""
+    return " or ".join(fitting[:2] if "inches" in fitting else fitting[:1])
 
 
 def widest_azimuth_gap_deg(points: FloatArray) -> float:

@@ -16,19 +16,20 @@ from .arrays import BoolArray, FloatArray, IndexArray, IntArray
 from .beam_patterns import BeamPattern, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
 from .trust import (
+    BEAMS,
     MISSES,
     ONE_SWEEP,
     POSITION,
     RETURNS,
     SWEEPS_IN_A_ROW,
-    is_miss,
+    find_misses,
     later_returns,
-    miss_range,
     misses_text,
     position_text,
     returns_text,
     sweep_parts,
     sweeps_text,
+    thinned_text,
     turns_text,
 )
 
@@ -43,7 +44,7 @@ _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
 _RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
 _FEWEST_RUNS = 200
-_CLEAR = 0.7  # of the upper bound of the noise, from which the lower is not shown
+_CLEAR = 0.7  # of the upper bound of the noise, from which the lower bound is close
 _MAD = 1.4826  # standard deviation over median absolute value
 _RUN_QUARTILE = 0.759  # sqrt(quartile of chi squared / degrees of freedom), six degrees
 
@@ -141,9 +142,9 @@ def describe_with_gaps(
             f"{len(rows)} points, at least {_MIN_POINTS} are needed",
         ), NO_GAPS
     range_m = np.linalg.norm(points[rows], axis=1)
-    if misses := miss_range(range_m):
-        sensor.doubts[MISSES] = misses_text(misses[1], misses[0])
-        rows = rows[~is_miss(range_m, misses[0])]
+    if misses := find_misses(range_m):
+        sensor.doubts[MISSES] = misses_text(misses)
+        rows = rows[range_m <= misses[-1].limit_m]
         if len(rows) < _MIN_POINTS:
             return _undetected(sensor, f"{len(rows)} points have a return"), NO_GAPS
     points = points[rows]
@@ -196,6 +197,10 @@ def _describe_beams(
         untold["azimuth_step_deg"] = several_sweeps
     elif several_returns:
         doubts[RETURNS] = several_returns
+    if step is not None and (thinned := thinned_text(sweep.gap_deg, sweep.range_m)):
+        doubts[BEAMS] = thinned
+        step = None
+        untold["azimuth_step_deg"] = thinned
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
     n_firings = _surface_firings(sweep, step)
@@ -320,12 +325,11 @@ def _property(
 
 
 def _noise_text(sensor: SensorDescription) -> str:
-    """Range noise, with its lower bound if roughness of the surfaces may be most of it."""
+    """Range noise; at most that, if roughness of the surfaces may be most of it."""
     noise_m = sensor.range_noise_m or 0.0
     low_m = sensor.range_noise_low_m
-    if low_m is None or low_m > _CLEAR * noise_m:
-        return f"{1e3 * noise_m:.0f} mm on smooth surfaces"
-    return f"{1e3 * low_m:.0f} to {1e3 * noise_m:.0f} mm on smooth surfaces"
+    text = f"{1e3 * noise_m:.0f} mm on smooth surfaces"
+    return text if low_m is None or low_m > _CLEAR * noise_m else f"at most {text}, as their roughness counts"
 
 
 def _angular_text(sensor: SensorDescription) -> str:

@@ -7,7 +7,7 @@ the usual pipeline of ground removal, Euclidean clustering and boxes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -61,12 +61,16 @@ class Obstacles:
     labels : (n,) obstacle of each point of the scan, -1 for none
     low, high : (m, 3) corners of the boxes, metres, axes of the real sensor
     n_points : (m,)
+    partner : (m,) matched obstacle of the other side; -1 for a lost or an added one
+    iou : (m,) overlap with the partner seen from above; 0 for none
     """
 
     labels: IndexArray
     low: FloatArray
     high: FloatArray
     n_points: IndexArray
+    partner: IndexArray
+    iou: FloatArray
 
     @property
     def size_m(self) -> FloatArray:
@@ -85,26 +89,11 @@ class Obstacles:
 
 
 @dataclass(frozen=True)
-class Fates:
-    """Obstacles of a side, and what became of them.
-
-    partner : (m,) matched obstacle of the other side; -1 for a lost or an added one
-    iou : (m,) overlap with the partner seen from above; 0 for none
-    is_counted : (m,) True if the centre is within range_m
-    """
-
-    obstacles: Obstacles
-    partner: IndexArray
-    iou: FloatArray
-    is_counted: BoolArray
-
-
-@dataclass(frozen=True)
 class ObstacleTask:
     """Obstacles of both sides, and the gaps between them."""
 
-    real: Fates
-    sim: Fates
+    real: Obstacles
+    sim: Obstacles
     gaps: tuple[Gap, ...]
 
 
@@ -125,18 +114,19 @@ def compare_obstacles(real: CutScan, sim: CutScan, settings: TaskSettings) -> Ob
     sim_obstacles = find_obstacles(sim, settings)
     overlap = box_iou(real_obstacles, sim_obstacles)
     rows, columns = scipy.optimize.linear_sum_assignment(overlap, maximize=True)
-    is_found = overlap[rows, columns] >= settings.min_iou
+    iou = overlap[rows, columns]
+    is_found = iou >= settings.min_iou
     rows = rows[is_found]
     columns = columns[is_found]
-    real_fates = _fates(real_obstacles, rows, columns, overlap[rows, columns], settings)
-    sim_fates = _fates(sim_obstacles, columns, rows, overlap[rows, columns], settings)
-    is_counted = real_fates.is_counted[rows]
+    iou = iou[is_found]
+    real_obstacles = _matched(real_obstacles, rows, columns, iou)
+    sim_obstacles = _matched(sim_obstacles, columns, rows, iou)
     gaps = (
-        *_unmatched("lost", real_fates),
-        *_unmatched("added", sim_fates),
-        *_found(real_obstacles, sim_obstacles, rows[is_counted], columns[is_counted]),
+        *_unmatched("lost", real_obstacles, settings.range_m),
+        *_unmatched("added", sim_obstacles, settings.range_m),
+        *_errors(real_obstacles, sim_obstacles, settings.range_m),
     )
-    return ObstacleTask(real_fates, sim_fates, gaps)
+    return ObstacleTask(real_obstacles, sim_obstacles, gaps)
 
 
 def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
@@ -161,7 +151,14 @@ def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
     order = order[n_points[order] >= settings.min_points]
     number_of = np.full(len(n_points) + 1, -1)  # the last is of points without a cluster
     number_of[order] = np.arange(len(order))
-    return Obstacles(number_of[cluster], low[order], high[order], n_points[order])
+    return Obstacles(
+        labels=number_of[cluster],
+        low=low[order],
+        high=high[order],
+        n_points=n_points[order],
+        partner=np.full(len(order), -1),
+        iou=np.zeros(len(order)),
+    )
 
 
 def _clusters(points: FloatArray, link_m: float) -> IndexArray:
@@ -288,45 +285,40 @@ def _number_cells(cells: FloatArray) -> tuple[IndexArray, IndexArray]:
     return number, n_points
 
 
-def _fates(
-    obstacles: Obstacles,
-    matched: IndexArray,
-    partners: IndexArray,
-    overlap: FloatArray,
-    settings: TaskSettings,
-) -> Fates:
-    """What became of the obstacles of a side, from the matched ones, their partners and their IoU."""
-    n = len(obstacles.n_points)
-    partner = np.full(n, -1)
-    partner[matched] = partners
-    iou = np.zeros(n)
-    iou[matched] = overlap
-    return Fates(obstacles, partner, iou, obstacles.range_m <= settings.range_m)
+def _matched(obstacles: Obstacles, rows: IndexArray, partners: IndexArray, iou: FloatArray) -> Obstacles:
+    """The obstacles with the partners of some of them."""
+    partner = obstacles.partner.copy()
+    partner[rows] = partners
+    overlap = obstacles.iou.copy()
+    overlap[rows] = iou
+    return replace(obstacles, partner=partner, iou=overlap)
 
 
-def _unmatched(measure: str, fates: Fates) -> list[Gap]:
+def _unmatched(measure: str, obstacles: Obstacles, range_m: float) -> list[Gap]:
     """Share of obstacles without a partner: of all, by size and by distance.
 
     `real` is the number of obstacles and `sim` that of the matched ones, or the reverse if the
     obstacles are the simulated ones.
     """
-    longer_side_m = fates.obstacles.size_m[:, :2].max(axis=1)
-    size_of = np.digitize(longer_side_m, [*SIZES_M.values()]) - 1
-    distance_of = np.digitize(fates.obstacles.range_m, [*DISTANCES_M.values()]) - 1
-    groups = {ALL: fates.is_counted}
-    groups |= {name: fates.is_counted & (size_of == i) for i, name in enumerate(SIZES_M)}
-    groups |= {name: fates.is_counted & (distance_of == i) for i, name in enumerate(DISTANCES_M)}
+    is_near = obstacles.range_m <= range_m
+    size_of = np.digitize(obstacles.size_m[:, :2].max(axis=1), [*SIZES_M.values()]) - 1
+    distance_of = np.digitize(obstacles.range_m, [*DISTANCES_M.values()]) - 1
+    groups = {ALL: is_near}
+    groups |= {name: is_near & (size_of == i) for i, name in enumerate(SIZES_M)}
+    groups |= {name: is_near & (distance_of == i) for i, name in enumerate(DISTANCES_M)}
     gaps = []
     for group, chosen in groups.items():
         n = _count(chosen)
-        n_found = _count(chosen & (fates.partner >= 0))
+        n_found = _count(chosen & (obstacles.partner >= 0))
         counts = (n, n_found) if measure == "lost" else (n_found, n)
         gaps.append(Gap("objects", measure, *counts, _ratio(n - n_found, n), group=group))
     return gaps
 
 
-def _found(real: Obstacles, sim: Obstacles, rows: IndexArray, columns: IndexArray) -> list[Gap]:
-    """Errors of size and place of the found obstacles, real `rows` and simulated `columns`."""
+def _errors(real: Obstacles, sim: Obstacles, range_m: float) -> list[Gap]:
+    """Errors of size and place of the found obstacles."""
+    rows = np.flatnonzero((real.partner >= 0) & (real.range_m <= range_m))
+    columns = real.partner[rows]
     real_size_m = real.size_m[rows, :2]
     sim_size_m = sim.size_m[columns, :2]
     size_error_m = np.abs(real_size_m - sim_size_m).max(axis=1)
@@ -386,16 +378,17 @@ def _map(scan: CutScan, settings: TaskSettings) -> tuple[BoolArray, BoolArray]:
 
 def _first_obstacle_m(scan: CutScan, settings: TaskSettings) -> FloatArray:
     """Horizontal distance of the first obstacle in each direction, (360,); at most range_m."""
-    points = scan.points[_is_obstacle(scan, settings)]
     first_m = np.full(N_DIRECTIONS, settings.range_m)
-    np.minimum.at(first_m, _direction(*points.T[:2]), np.hypot(*points.T[:2]))
+    x, y, _ = scan.points[_is_obstacle(scan, settings)].T
+    np.minimum.at(first_m, _direction(x, y), np.hypot(x, y))
     return first_m
 
 
 def _farthest_m(scan: CutScan) -> FloatArray:
     """Horizontal distance of the farthest return in each direction, (360,); 0 without any."""
     farthest_m = np.zeros(N_DIRECTIONS)
-    np.maximum.at(farthest_m, _direction(*scan.points.T[:2]), np.hypot(*scan.points.T[:2]))
+    x, y, _ = scan.points.T
+    np.maximum.at(farthest_m, _direction(x, y), np.hypot(x, y))
     return farthest_m
 
 

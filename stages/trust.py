@@ -8,6 +8,7 @@ out of the estimates.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -22,10 +23,12 @@ SAME_SWEEPS = "same_sweeps"
 FRAME = "frame"
 #: Doubts that make `fidpipe check` fail.
 SERIOUS = (MISSES, ONE_SWEEP, POSITION)
-_BEFORE_M = 0.5
 _LEAST_DEPTH_M = 5.0
-_SHELL_M = 0.1  # from the farthest point, within which rays without a return are written
-_SHELL_SHARE, _MOST_SHELL_SHARE = 0.03, 0.95  # of the points
+#: Distance from the farthest point, metres, in which rays without a return are written, and their least share.
+_SHELLS = ((0.1, 0.03), (0.5, 0.1), (2.0, 0.2))
+_BEFORE = 5.0  # widths of a shell
+_TAIL = 1.5  # of the distance from the middle of a shell to the farthest point, below which no miss is
+_MOST_SHELL_SHARE = 0.95
 _FEWEST_RETURNS = 500
 _SAME_DEG = 0.005  # azimuth between returns of a ray
 _SAME_SHARE = 0.1  # of later returns
@@ -33,6 +36,10 @@ _NEAREST_M = 1.0
 _MOST_RETURNS = 5  # of a ray
 _BIN_DEG, _MOST_DEG = 0.01, 4.0  # of gaps in azimuth
 _FEWEST_GAPS = 500
+_SAME_DEPTH = 0.05  # of the range: two returns of one surface
+_NEAREST_GRID_M, _NEAR_GRID_M, _FAR_GRID_M = 2.0, 8.0, 15.0
+_FEWEST_OF_GRID = 200
+_WIDER_NEAR = 1.4  # grids of 5 to 20 cm have 1.6 to 8 mostly, other scans at most 1.01
 _MOST_GROUPS = 30_000
 _MOST_SWEEPS = 5
 _UNEVEN = 0.2  # sweeps have 0.25 at least, other scans up to 0.18
@@ -51,44 +58,55 @@ SWEEPS_IN_A_ROW = _SEVERAL_SWEEPS.format("Parts of it have beams, and all of it 
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
 
 
-def miss_range(range_m: FloatArray) -> tuple[float, float] | None:
-    """Range at which rays without a return are written, and their share; None if there are none.
+@dataclass(frozen=True)
+class Misses:
+    """Rays without a return, which are written at a range.
 
-    It is the farthest one; 3 % to 95 % of at least 500 points lie within 0.1 m of it, twice as many as in the 0.5 m
-    before, and others are 5 m nearer or more.
+    range_m : median range of them
+    share : of all points
+    limit_m : all points beyond it are misses, but for those of a farther group
+    """
+
+    range_m: float
+    share: float
+    limit_m: float
+
+
+def find_misses(range_m: FloatArray) -> list[Misses]:
+    """Groups of rays without a return, the farthest first.
+
+    Each is the farthest of what is left, see `_SHELLS`, with twice as many points as before it, and others 5 m nearer.
 
     Examples
     --------
-    >>> miss_range(np.concatenate([np.linspace(3, 60, 700), np.full(300, 80.0)]))
-    (80.0, 0.3)
-    >>> miss_range(np.linspace(3, 60, 700)) is None
-    True
+    >>> find_misses(np.concatenate([np.linspace(3, 60, 700), np.full(300, 80.0)]))[0].share
+    0.3
+    >>> find_misses(np.linspace(3, 60, 700))
+    []
     """
-    if len(range_m) < _FEWEST_RETURNS:
-        return None
-    farthest_m = float(range_m.max())
-    is_farthest = range_m > farthest_m - _SHELL_M
-    share = float(is_farthest.mean())
-    if not _SHELL_SHARE <= share <= _MOST_SHELL_SHARE or np.ptp(range_m) < _LEAST_DEPTH_M:
-        return None
-    n_before = np.count_nonzero((range_m > farthest_m - _SHELL_M - _BEFORE_M) & ~is_farthest)
-    if np.count_nonzero(is_farthest) < 2 * n_before:
-        return None
-    return float(np.median(range_m[is_farthest])), share
+    groups = []
+    left_m = np.sort(range_m)
+    while len(left_m) >= _FEWEST_RETURNS and left_m[-1] - left_m[0] >= _LEAST_DEPTH_M:
+        for width_m, least_share in _SHELLS:
+            limit_m = left_m[-1] - width_m
+            first, first_before = np.searchsorted(left_m, [limit_m, limit_m - _BEFORE * width_m], side="right")
+            n = len(left_m) - first
+            if least_share <= n / len(left_m) <= _MOST_SHELL_SHARE and n >= 2 * (first - first_before):
+                break
+        else:
+            break
+        middle_m = np.median(left_m[first:])
+        limit_m = min(limit_m, middle_m - _TAIL * (left_m[-1] - middle_m))
+        left_m = left_m[: np.searchsorted(left_m, limit_m, side="right")]
+        groups.append(Misses(float(middle_m), n / len(range_m), float(limit_m)))
+    return groups
 
 
-def is_miss(range_m: FloatArray, miss_range_m: float) -> BoolArray:
-    """(n,) True for rays without a return, which are written at a range."""
-    return np.abs(range_m - miss_range_m) <= _SHELL_M
-
-
-def misses_text(share: float, miss_range_m: float) -> str:
+def misses_text(groups: list[Misses]) -> str:
     """The doubt, with the setting that drops the points."""
-    limit_m = np.floor(10 * (miss_range_m - _SHELL_M)) / 10
-    return (
-        f"{share:.0%} of the points lie at {miss_range_m:.1f} m: rays without a return? "
-        f"They are left out; set input.max_range_m={limit_m:g} to confirm"
-    )
+    places = " and ".join(f"{group.share:.0%} of the points lie at {group.range_m:.1f} m" for group in groups)
+    limit_m = np.floor(10 * groups[-1].limit_m) / 10
+    return f"{places}: rays without a return? They are left out; set input.max_range_m={limit_m:g} to confirm"
 
 
 def later_returns(beam: IndexArray, azimuth_deg: FloatArray, range_m: FloatArray) -> BoolArray:
@@ -165,6 +183,26 @@ def turns_text(beam: IndexArray, azimuth_deg: FloatArray, row: IndexArray) -> st
     return _SEVERAL_SWEEPS.format("Its rows go around more than once")
 
 
+def thinned_text(gap_deg: FloatArray, range_m: FloatArray) -> str | None:
+    """The doubt that a scan was thinned by a grid: steps of its beams are wider near the sensor; None if they are not.
+
+    Parameters
+    ----------
+    gap_deg : (n - 1,) azimuth from each return to the next of its beam, NaN without one
+    range_m : (n,)
+    """
+    nearer_m = np.minimum(range_m[1:], range_m[:-1])
+    is_surface = (np.abs(np.diff(range_m)) < _SAME_DEPTH * nearer_m) & (gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)
+    near_deg = gap_deg[is_surface & (nearer_m > _NEAREST_GRID_M) & (nearer_m < _NEAR_GRID_M)]
+    far_deg = gap_deg[is_surface & (nearer_m > _FAR_GRID_M)]
+    if min(len(near_deg), len(far_deg)) < _FEWEST_OF_GRID:
+        return None
+    for average in (np.median, np.mean):  # of a scan with many losses only one may differ
+        if average(near_deg) < _WIDER_NEAR * average(far_deg):
+            return None
+    return "steps of a beam are wider near the sensor: thinned by a voxel grid? Compare scans as recorded"
+
+
 def _repetition(gap_deg: FloatArray, n: int, most_deg: float) -> tuple[float, float, float]:
     """Share of groups of 2 n gaps in which any n have the same sum, their unevenness, and likeness of both halves.
 
@@ -224,7 +262,7 @@ def position_text(points: FloatArray) -> str | None:
     points : (n, 3) float64, metres
     """
     if is_far_from_origin(points):
-        reason = f"nothing within {_NEAR_M:g} m of the origin"
+        reason = f"nothing within {_NEAR_M:g} m of the origin (are they in metres?)"
     else:
         from scipy.spatial import cKDTree
 

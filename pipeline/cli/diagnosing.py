@@ -196,14 +196,17 @@ def tasks(
         print_as(
             output,
             lambda: views.agreement_view(agreement),
-            lambda: views.object_records(agreement),
+            lambda: views.records(agreement.objects),
             agreement.as_dict,
         )
-        return
-    summaries = compare_odometry(finished) if odometry else finished.task_summaries
-    print_as(
-        output,
-        lambda: views.odometry_view(summaries) if odometry else tasks_view(summaries),
-        lambda: views.task_records(summaries),
-        lambda: [summary.as_dict() for summary in summaries],
-    )
+    elif odometry:
+        rows = compare_odometry(finished)
+        print_as(
+            output, lambda: views.odometry_view(rows), lambda: views.records(rows), lambda: [*rows]
+        )
+    else:
+        summaries = finished.task_summaries
+        rows = [summary.as_dict() for summary in summaries]
+        print_as(
+            output, lambda: tasks_view(summaries), lambda: views.records(rows), lambda: [*rows]
+        )

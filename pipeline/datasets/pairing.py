@@ -102,10 +102,8 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
         how += ")"
     pairs = "1 pair" if n_pairs == 1 else f"{n_pairs} pairs"
     text = f"{pairs} by {how}: {out / MANIFEST}"
-    if n_unpaired == 1:
-        text += f"; 1 frame has no partner and is left out: {out / UNPAIRED}"
-    elif n_unpaired:
-        text += f"; {n_unpaired} frames have no partner and are left out: {out / UNPAIRED}"
+    if n_unpaired:
+        text += f"; frames without a partner, left out: {n_unpaired}, see {out / UNPAIRED}"
     return out, text
 
 

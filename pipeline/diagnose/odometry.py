@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
+from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, RunError
-from ...schemas.record import TaskSummary
 from ...stages.arrays import FloatArray
 from ...stages.odometry import compare_trajectories, trajectory
 from ..datasets.pairs import local_folder, read_dataset
@@ -15,8 +17,8 @@ from ..results.finished import FinishedRun
 _LONGEST_STEP_S = 0.5
 
 
-def compare_odometry(run: FinishedRun) -> tuple[TaskSummary, ...]:
-    """Measures of odometry over the longest sequence of scans of a run; `n_pairs` is its length.
+def compare_odometry(run: FinishedRun) -> list[Row]:
+    """Measures of odometry over the longest sequence of scans of a run, one row each.
 
     Raises
     ------
@@ -27,19 +29,7 @@ def compare_odometry(run: FinishedRun) -> tuple[TaskSummary, ...]:
     real = _trajectory(run, names, "real")
     sim = _trajectory(run, names, "sim")
     gaps = compare_trajectories(real, sim, _known_poses(run, names))
-    return tuple(
-        TaskSummary(
-            task=gap.task,
-            measure=gap.measure,
-            unit=gap.unit,
-            real=gap.real,
-            sim=gap.sim,
-            gap=gap.gap,
-            gap_std=None,
-            n_pairs=len(names),
-        )
-        for gap in gaps
-    )
+    return [asdict(gap) | {"n_scans": len(names)} for gap in gaps]
 
 
 def _trajectory(run: FinishedRun, names: list[str], side: str) -> FloatArray:

@@ -41,22 +41,6 @@ _LOST_BELOW = 0.5  #: share of agreeing points below which an object is lost
 
 
 @dataclass(frozen=True)
-class ScoreOfLost:
-    """Area under the ROC curve of a score as a classifier of lost objects.
-
-    auc : probability that a lost object has the larger score; None if none or all are lost
-    low, high : 95 % interval from leaving out scans; None for fewer than three
-    """
-
-    score: str
-    auc: float | None
-    low: float | None
-    high: float | None
-    n_lost: int
-    n_kept: int
-
-
-@dataclass(frozen=True)
 class Agreement:
     """Predictions of one model on both sides.
 
@@ -65,14 +49,16 @@ class Agreement:
         on common surface), iou
     objects : one row per real object with a prediction: its scores, what was predicted, `agreement`
         (labels) and `fate`, kept or lost
-    scores : of matched objects
+    scores : one row per score of matched objects, as a classifier of lost ones: `auc`, the probability
+        that a lost object has the larger score (None if none or all are lost); `low` and `high`, its
+        95 % interval from leaving out scans (None for fewer than three); n_lost, n_kept
     left_out : scored pairs without predictions on both sides
     """
 
     kind: str
     classes: tuple[Row, ...]
     objects: tuple[Row, ...]
-    scores: tuple[ScoreOfLost, ...]
+    scores: tuple[Row, ...]
     left_out: tuple[str, ...]
 
     def as_dict(self) -> JsonObject:
@@ -224,19 +210,19 @@ def _real_objects(run: FinishedRun, pair_id: str) -> dict[int, Row]:
     return {row["community_id"]: {"pair_id": pair_id} | row for row in plain_rows(rows)}
 
 
-def _scores_of_lost(objects: Sequence[Row]) -> tuple[ScoreOfLost, ...]:
+def _scores_of_lost(objects: Sequence[Row]) -> tuple[Row, ...]:
     """Area under the ROC curve of each score of matched objects, for their loss."""
     import pandas as pd
 
     frame = pd.DataFrame(objects, columns=["pair_id", "fate", *OBJECT_METRICS])
-    results = []
+    rows = []
     for score in OBJECT_METRICS:
         known = frame.dropna(subset=[score])
         values = known[score].to_numpy(dtype=np.float64)
         is_lost = (known["fate"] == "lost").to_numpy()
         scan_of, _ = pd.factorize(known["pair_id"])
         low, high = jackknife_interval(values, is_lost, scan_of) or (None, None)
+        row = {"score": score, "auc": lost_auc(values, is_lost), "low": low, "high": high}
         n_lost = int(is_lost.sum())
-        auc = lost_auc(values, is_lost)
-        results.append(ScoreOfLost(score, auc, low, high, n_lost, len(known) - n_lost))
-    return tuple(results)
+        rows.append(row | {"n_lost": n_lost, "n_kept": len(known) - n_lost})
+    return tuple(rows)

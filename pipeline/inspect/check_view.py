@@ -63,8 +63,7 @@ def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
             "red" if dataset.faults else "green",
         ),
     )
-    is_other_frame = any(check.frames and check.frames.is_other_frame for check in dataset.pairs)
-    if dataset.doubts or is_other_frame:
+    if dataset.doubts or any(check.frames and check.frames.doubt for check in dataset.pairs):
         view.append(Note("next: fix what is named above, then check again"))
     elif run_command and n_usable:
         view.append(Note(f"next: {run_command}"))

@@ -117,7 +117,11 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     require_partners(dataset)
     checks = _check_pairs(dataset.pairs, settings.input, dataset.label_names)
     samples = SideSamples(dataset.pairs, settings.input)
-    comparable = [check.pair.pair_id for check in checks if check.frames and not check.frames.is_suspect]
+    comparable = [
+        check.pair.pair_id
+        for check in checks
+        if check.frames and not (check.frames.is_suspect or check.frames.is_elsewhere)
+    ]
     causes = CauseSamples(
         [pair_id for pair_id in comparable if pair_id in samples.pair_ids],
         settings,

@@ -33,6 +33,7 @@ from ...stages.sensor_description import SensorDescription, describe_sensor, has
 from ...stages.trust import SERIOUS
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
+from ..results.overview import doubt_lines
 
 _STRETCH = 5
 _WITH_STAMPS = 2  # pairs
@@ -121,13 +122,10 @@ class SideSamples:
         """Doubts about the scans that make the check fail, or the others: one line for each side and kind."""
         lines = []
         for side, sensors in self._sensors.items():
-            texts: dict[str, list[str]] = {}
+            texts = []
             for sensor in sensors.values():
-                for need, text in sensor.doubts.items():
-                    if (need in SERIOUS) == serious:
-                        texts.setdefault(need, []).append(text)
-            start = f"{SIDE_NAMES[side]} scans"
-            lines += [f"{start} ({len(alike)} of {len(sensors)}): {alike[0]}" for alike in texts.values()]
+                texts += [text for need, text in sensor.doubts.items() if (need in SERIOUS) == serious]
+            lines += doubt_lines(side, texts, len(sensors))
         return lines
 
     def notes(self) -> list[str]:

@@ -57,8 +57,8 @@ def _doubts(inputs: Inputs) -> dict[str, str]:
 
     doubts = doubts_of(*(_sensor(inputs, side) for side in SIDES))
     frames = inputs.metadata("sensor", "sim").get(FRAMES)
-    if frames and FrameCheck(**frames).is_other_frame:
-        doubts[FRAME] = f"the simulated scan is in another frame: {frames['reading']}"
+    if frames and (doubt := FrameCheck(**frames).doubt):
+        doubts[FRAME] = doubt
     return doubts
 
 
@@ -153,6 +153,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=4,
+    version=5,
     libraries=("scikit-learn",),
 )

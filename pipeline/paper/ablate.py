@@ -57,16 +57,12 @@ class Parameter:
 
     group : group of the setting
     values : values to try by default
-    text : meaning, in tables
     label : label of its axis in the figure
-    log_base : base of that axis; 0 for a linear one
     """
 
     group: str
     values: tuple[float, ...]
-    text: str
     label: str
-    log_base: int = 0
 
 
 #: The ablated settings by name, which is also their column of `ablate`.
@@ -74,27 +70,22 @@ PARAMETERS = {
     "k": Parameter(
         group="graph",
         values=(30, 60, 90, 120, 150),
-        text="nearest neighbours of each point",
         label="k, neighbours",
     ),
     "tau_m": Parameter(
         group="graph",
         values=(0.1, 0.2, 0.3, 0.5),
-        text="distance within which all points are connected, metres",
         label="tau (m)",
     ),
     "delta_m": Parameter(
         group="matching",
         values=(1.0, 3.0, 5.0, 7.0, 10.0),
-        text="largest distance of matched centroids, metres",
         label="delta (m)",
     ),
     "t": Parameter(
         group="selection",
         values=(0.1, 0.5, 1.0, 2.0, 5.0),
-        text="diffusion time of the heat kernel",
         label="t, diffusion time",
-        log_base=10,
     ),
 }
 _NAMES = list(PARAMETERS)

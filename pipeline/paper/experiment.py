@@ -58,7 +58,7 @@ class Experiment:
     tables : names of the tables over all pairs
     summary : name of the table of means over all pairs
     evaluate : from a pair, its scans by side, settings and request: the tables of the pair, with
-        metadata; "warnings" and "notes" among it are shown to the user
+        metadata; its "warnings" are shown to the user
     summarise : from `tables` of all pairs by name, the rows of `summary`
     """
 
@@ -190,7 +190,7 @@ def run_experiment(
             write_record(out, settings, header.items(), folder.check_token)
         _remove(stale, folder, reporter, "; ".join(changes) or "out of date")
         missing = {pair_id: task for pair_id, task in tasks.items() if pair_id not in done}
-        new_records, new_failures = map_tasks(
+        made, failures_of_tasks = map_tasks(
             _evaluate,
             missing,
             reporter,
@@ -199,10 +199,10 @@ def run_experiment(
             may_end_workers=may_crash(task.pair for task in missing.values()),
             keep=folder.ledger.put_job,
         )
-        failures |= new_failures
+        failures |= failures_of_tasks
         if failures and scan_ref(source.folder).exists:
             raise ScanError("; ".join(failures.values()))
-        records = [(done | new_records)[name] for name in tasks if name not in failures]
+        records = [(done | made)[name] for name in tasks if name not in failures]
         tables = _write_tables(experiment, folder, records)
         header["scans"] = {record.pair_id: record.metadata for record in records}
         header["failures"] = failures
@@ -210,13 +210,11 @@ def run_experiment(
         write_record(out, settings, header.items(), folder.check_token)
     for record in records:
         reporter.warn(*record.metadata["warnings"])
-        for note in record.metadata.get("notes", ()):
-            reporter.say(note)
     return ExperimentOutcome(
         folder=out,
         request=request,
         failures=failures,
-        n_made=len(new_records),
+        n_made=len(made),
         n_reused=len(done),
         wall_s=header["wall_s"],
         metadata=header["scans"],

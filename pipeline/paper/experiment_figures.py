@@ -29,13 +29,11 @@ class Sweep:
 
     axis : label of the horizontal axis
     means : one row per curve, level and metric: curve, level, metric, mean, std
-    log_base : base of the horizontal axis; 0 for a linear one
     current : level to mark; None for no mark
     """
 
     axis: str
     means: pd.DataFrame
-    log_base: int = 0
     current: float | None = None
 
 
@@ -47,7 +45,7 @@ def draw_perturbations(outcome: ExperimentOutcome) -> None:
     for name, kind in KINDS.items():
         of_kind = means[means["kind"] == name]
         if kind.axis and len(of_kind):
-            sweeps.append(Sweep(kind.axis, of_kind, kind.base))
+            sweeps.append(Sweep(kind.axis, of_kind))
     title = f"{shown_name(', '.join(outcome.metadata))}, altered; bands: one standard deviation"
     _draw(outcome.folder / "perturb.png", title, sweeps, ("r_lambda", "r_gap"))
 
@@ -60,7 +58,7 @@ def draw_ablation(outcome: ExperimentOutcome) -> None:
         if len(means["level"].unique()) > 1:
             means["curve"] = "mean over pairs"
             current = getattr(base_of(outcome.request), name)
-            sweeps.append(Sweep(parameter.label, means, parameter.log_base, current))
+            sweeps.append(Sweep(parameter.label, means, current))
     n_pairs = count(len(outcome.metadata), "pair")
     title = f"{n_pairs}; bands: one standard deviation; dashed: current"
     _draw(outcome.folder / "ablate.png", title, sweeps, ("match_rate", "r_lambda_mean"))
@@ -91,8 +89,8 @@ def _draw_panel(axis: Any, sweep: Sweep, metric: str) -> None:
         label = shown_name(str(name))
         draw_band(axis, *points.to_numpy().T, marker=marker, color=colour, label=label)
     levels = sorted(known["level"].unique())
-    if sweep.log_base and levels and levels[0] > 0:
-        axis.set_xscale("log", base=sweep.log_base)
+    if levels and levels[-1] > 10 * levels[0] > 0:
+        axis.set_xscale("log")
     if sweep.current is not None:
         axis.axvline(sweep.current, color="black", linewidth=0.8, linestyle="--", zorder=0)
     mark_amounts(axis, levels)

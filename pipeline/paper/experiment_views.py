@@ -11,7 +11,7 @@ import pandas as pd
 
 from ...schemas.metric_catalogue import METRIC, OBJECT_METRICS, labels, narrow_labels
 from ...stages.generate.perturbations import KINDS, Perturbation
-from ..report.view import Note, Part, Table, View, count, mean_and_spread, number
+from ..report.view import Note, Part, Table, View, columns_of, count, mean_and_spread, number
 from .ablate import PARAMETERS, base_of, means_along
 from .experiment import ExperimentOutcome
 from .perturb import chosen_objects, levels_of
@@ -47,7 +47,7 @@ def perturb_view(outcome: ExperimentOutcome) -> View:
     if chosen:
         columns = ("object", "scan", "id", "points", "range (m)", "chosen as")
         fields = ("name", "pair_id", "community_id", "n_points", "range_m", "why")
-        rows = [[values[field] for field in fields] for values in chosen]
+        rows = columns_of(chosen, fields)
         parts.append(Table("The chosen objects", columns, rows, words=(0, 1, 5), digits={4: 1}))
     single = summary[summary["scope"] == "object"]
     if len(single):
@@ -164,10 +164,9 @@ def _parameter_table(outcome: ExperimentOutcome, name: str) -> Table:
             cells.append(cell)
         mark = "*" if value == current else ""
         rows.append((f"{mark}{value:g}", *cells))
-    parameter = PARAMETERS[name]
     n_pairs = count(len(outcome.metadata), "pair")
     return Table(
-        f"{parameter.group}.{name}: {parameter.text}; mean ± std over {n_pairs}, * current",
+        f"{PARAMETERS[name].group}.{name}: mean ± std over {n_pairs}, * current",
         (name.removesuffix("_m"), *narrow_labels(_ABLATED_SCORES)),
         rows,
         words=(),

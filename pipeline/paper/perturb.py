@@ -166,9 +166,8 @@ def alter_scan(
     scan = PartitionedScan(points, edges, labels, describe(points, labels, settings))
     repeats = _repeats(request, pair.pair_id, "all", request["repeats"]["global"])
     global_rows = [names | _altered_scan(scan, names, settings) for names in repeats]
-    notes: list[str] = []
     candidates = objects_in(tables, pair.pair_id)
-    objects = choose_objects(candidates, request["objects"], settings.graph.k, notes.append)
+    objects = choose_objects(candidates, request["objects"], settings.graph.k)
     object_rows = []
     baseline_rows = []
     for chosen in objects:
@@ -189,7 +188,6 @@ def alter_scan(
         {name: TABLES[name].from_rows(rows[name]) for name in EXPERIMENT.tables},
         {
             "objects": [vars(chosen) for chosen in objects],
-            "notes": notes,
             "warnings": pair_warnings(pair, {"real": inspection}, None),
         },
     )

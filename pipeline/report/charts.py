@@ -92,19 +92,14 @@ def ray_outcomes(results: RunResults) -> pd.DataFrame:
     return total.div(total.n_rays, axis=0).assign(n_rays=total.n_rays)
 
 
-def has_times(results: RunResults) -> bool:
-    """True if the time of each scored pair's real scan is known."""
-    return all(name in results.run.record.times_s for name in results.pairs.pair_id)
-
-
 def along_the_sequence(results: RunResults) -> pd.DataFrame:
     """The scored pairs by the time of their real scans if known of each, else by name.
 
     Their `place` is the number of seconds since the first one, or their number from 1.
     """
     pairs = results.pairs
-    if has_times(results):
-        times_s = pairs.pair_id.map(results.run.record.times_s).astype(float)
+    times_s = pairs.pair_id.map(results.run.record.times_s).astype(float)
+    if times_s.notna().all():
         return pairs.assign(place=times_s - times_s.min()).sort_values(["place", "pair_id"])
     return pairs.sort_values("pair_id").assign(place=np.arange(1.0, len(pairs) + 1))
 
@@ -136,13 +131,10 @@ def _quadrants(results: RunResults) -> Chart:
                 "cliponaxis": False,
             }
         )
-    limits: list[Chart] = [
-        {"type": "line", "x0": CDC_LIMIT, "x1": CDC_LIMIT, "y0": 0, "y1": 1, "line": {"width": 1}},
-        {
-            **{"type": "line", "y0": R_LAMBDA_LIMIT, "y1": R_LAMBDA_LIMIT, "x0": 0, "x1": 2},
-            "line": {"width": 1},
-        },
-    ]
+    limits = []
+    for x, y in (((CDC_LIMIT, CDC_LIMIT), (0, 1)), ((0, 2), (R_LAMBDA_LIMIT, R_LAMBDA_LIMIT))):
+        ends = {"x0": x[0], "x1": x[1], "y0": y[0], "y1": y[1]}
+        limits.append({"type": "line", "line": {"width": 1}, **ends})
     layout = {
         "xaxis": {"range": [0, 2.02], "title": {"text": axis_title("cdc")}},
         "yaxis": {"range": [0, 1.02], "title": {"text": axis_title("r_lambda")}},
@@ -197,10 +189,9 @@ def _sequence(results: RunResults) -> Chart:
                 "marker": {"color": colour, "size": 7, "symbol": symbol},
             }
         )
-    is_timed = has_times(results)
-    along = "time since the first scan (s)" if is_timed else "number of the pair, by name"
+    along = "time since the first scan (s), or number of the pair by name"
     layout = {
-        "xaxis": {"title": {"text": along}},
+        "xaxis": {"title": {"text": along}, "nticks": min(10, len(rows))},
         "yaxis": {"rangemode": "tozero", "title": {"text": "match rate, means of scores"}},
         "margin": {"t": 30},
     }

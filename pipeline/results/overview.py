@@ -137,17 +137,25 @@ def describe_objects(
     return findings, overview, _unmatched(objects)
 
 
-def _doubts(store: RunFolder, pair_ids: Sequence[str]) -> Iterator[str]:
-    """Why points of the scans cannot be trusted: one line for each side and kind, of the first scan."""
+def _doubts(store: RunFolder, pair_ids: Sequence[str]) -> list[str]:
+    """Why points of the scans cannot be trusted, see `doubt_lines`."""
     tables = store.read_pairs(pair_ids, {("sensor", side): ["doubts"] for side in SIDES})
-    for side, name in SIDE_NAMES.items():
+    lines = []
+    for side in SIDES:
         table, _ = tables["sensor", side]
-        texts = [
-            text for scan in table["doubts"].drop_null().to_pylist() for text in scan.split("\n")
-        ]
-        kinds = [_NUMBER.sub("", text) for text in texts]
-        for kind, n in Counter(kinds).items():
-            yield f"{name} scans ({n} of {len(pair_ids)}): {texts[kinds.index(kind)]}"
+        texts = "\n".join(table["doubts"].drop_null().to_pylist()).splitlines()
+        lines += doubt_lines(side, texts, len(pair_ids))
+    return lines
+
+
+def doubt_lines(side: str, texts: Sequence[str], n_scans: int) -> list[str]:
+    """One line for each kind of doubt about the scans of a side, of the first of them, with their number."""
+    kinds = [_NUMBER.sub("", text) for text in texts]
+    start = f"{SIDE_NAMES[side]} scans"
+    return [
+        f"{start} ({n} of {n_scans}): {texts[kinds.index(kind)]}"
+        for kind, n in Counter(kinds).items()
+    ]
 
 
 def _unmatched(objects: pd.DataFrame) -> MetricsSummary:

@@ -154,11 +154,9 @@ def write_record(
     entries : of the record, written one by one: the text of ten thousand pairs is never in memory
         as a whole
     """
-    from ...schemas.settings_text import commented_toml  # not needed to read a record
+    from ...schemas.settings_text import to_toml  # not needed to read a record
 
-    write_whole(
-        folder / SETTINGS_TOML, commented_toml(settings).encode(), before_rename=before_rename
-    )
+    write_whole(folder / SETTINGS_TOML, to_toml(settings).encode(), before_rename=before_rename)
     write_whole(folder / RUN_JSON, _sealed(entries), before_rename=before_rename)
 
 

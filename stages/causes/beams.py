@@ -27,6 +27,7 @@ _COHERENT = 0.8  # resultant of the mean phases of all beams
 _ROAD_M = (8.0, 40.0)
 _ROAD_POINTS = 4000
 _SAME_RAY = 2e-4  # chord between two directions of one ray
+_MOST_RETURNS = 9  # of one ray that are compared
 _BEHIND_M = 0.3
 
 
@@ -184,7 +185,6 @@ def road_blur_deg2(side: Side) -> float | None:
 
 def second_returns(side: Side, behind_m: float = _BEHIND_M) -> BoolArray:
     """(n,) True for returns this far behind another one of the same ray: equal direction, larger range."""
-    chord, rows = side.near_rays
-    is_same = chord < _SAME_RAY
-    is_behind = side.range_m[:, None] > side.range_m[rows] + behind_m
-    return np.logical_or.reduce(is_same & is_behind, axis=1)
+    _, near = side.ray_tree.query(side.rays, k=_MOST_RETURNS, distance_upper_bound=_SAME_RAY)
+    nearest_m = np.append(side.range_m, np.inf)[near].min(axis=1)  # missing neighbours have the last row
+    return np.greater(side.range_m, nearest_m + behind_m)

@@ -37,6 +37,7 @@ _FEWEST_PLACES = 50  # of foliage, or of curved surface
 _LEAF_STEP_M = 0.3
 _FAR_SURFACE_M = 20.0
 _FEWEST_FAR = 50
+_STRAY_POINTS = 20_000
 _FEWEST_BEYOND = 10  # returns; fewer may be lost by chance
 
 
@@ -254,8 +255,9 @@ def _is_near(side: Side, parts: FloatArray) -> BoolArray:
     """(n,) True for points of missing, invented or moved parts, and at their rims, which have counterparts around."""
     if not len(parts):
         return np.zeros(len(side.points), dtype=np.bool_)
-    apart_m, _ = cKDTree(parts).query(side.points)
-    return np.less_equal(apart_m, APART_M + APART_PER_M * side.range_m)
+    limit_m = APART_M + APART_PER_M * side.range_m
+    apart_m, _ = cKDTree(parts).query(side.points, distance_upper_bound=1.001 * limit_m.max())
+    return np.less_equal(apart_m, limit_m)
 
 
 def _share_of(is_concerned: BoolArray) -> Amount:
@@ -281,8 +283,9 @@ def _stray_amount(real: Side, sim: Side) -> Amount:
 
 
 def _stray_share(side: Side) -> float:
-    """Strays over the returns on smooth surface."""
-    is_stray, is_smooth = find_strays(side)
+    """Strays over the returns on smooth surface, of every k-th return."""
+    n = len(side.points)
+    is_stray, is_smooth = find_strays(side, np.arange(0, n, n // _STRAY_POINTS + 1))
     return float(is_stray.sum() / max(is_smooth.sum(), 1))
 
 

@@ -89,14 +89,6 @@ def note(path):
     return path.read_text()
 
 
-def note_or_die(path, n_good):
-    """The same, but a later call than the first good ones ends its process."""
-    calls = note(path)
-    if calls.count("called") > n_good:
-        os._exit(1)
-    return calls
-
-
 @pytest.fixture
 def pool(monkeypatch):
     """One worker process, which can import this module."""
@@ -114,17 +106,3 @@ def test_a_finished_task_is_not_run_again_when_its_worker_dies(pool, tmp_path):
     pool.submit(pow, 2, 5)
     assert pool.next_done()[1] == 32
     assert (tmp_path / "calls").read_text() == "called\n"
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("n_good", [1, 2])
-def test_a_result_that_goes_with_its_worker_before_it_is_fetched_is_made_again(pool, tmp_path, n_good):
-    pool.submit(os.getpid)
-    _, pid = pool.next_done()
-    handle = pool.submit(note_or_die, tmp_path / "calls", n_good)
-    wait_until(handle.done)
-    os.kill(pid, signal.SIGKILL)
-    wait_until(lambda: not handle.done())
-    told, result = pool.next_done()
-    assert told is handle
-    assert isinstance(result, WorkerDied) if n_good == 1 else result == "called\ncalled\n"

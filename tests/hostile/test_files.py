@@ -19,7 +19,7 @@ from fidpipe.pipeline.datasets.readers.formats import FORMATS
 from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
 from fidpipe.schemas.errors import DatasetError, ScanError
 from runs import command
-from scan_files import POINTS, WRITERS, read, write_frame, write_packets, write_pcd
+from scan_files import POINTS, WRITERS, read, write_packets
 from scenes import write_dataset
 
 PACKAGE = Path(fidpipe.__file__).parent
@@ -190,9 +190,6 @@ def test_a_file_name_that_is_no_text_is_named(tmp_path):
     assert "Traceback" not in done.stderr
 
 
-MANY = 2_000_000
-
-
 def repeated(n):
     """Rows of metres and whole intensities; a thousand different ones again and again."""
     rng = np.random.default_rng(3)
@@ -229,35 +226,6 @@ def test_a_file_that_is_cut_off_is_refused(tmp_path, name):
     (tmp_path / file).write_bytes((tmp_path / file).read_bytes()[:-5])
     with pytest.raises(ScanError, match=file):
         read(tmp_path / file)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("different", [1000, 1])
-@pytest.mark.parametrize("name", WRITERS)
-def test_two_million_points_are_read(tmp_path, name, different):
-    """Packed, equal points are a thousandth of their length."""
-    file, write = WRITERS[name]
-    rows = np.tile(repeated(1000)[:different], (MANY // different, 1))
-    write(tmp_path / file, rows)
-    scan = read(tmp_path / file)
-    assert len(scan.points) == MANY
-    assert scan.points[-1000:] == pytest.approx(rows[-1000:, :3].astype(float), abs=1e-4)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["pcd", "packed pcd", "mcap"])
-@pytest.mark.parametrize("share", [0.5, 1.0])
-def test_an_organised_cloud_of_65536_columns_with_nan_is_read(tmp_path, name, share):
-    """A sensor that looks into the sky writes its rows and columns all the same."""
-    rows = np.random.default_rng(4).uniform(-50, 50, (32 * 65536, 4)).astype("<f4")
-    rows[: round(share * len(rows)), :3] = np.nan
-    path = tmp_path / WRITERS[name][0]
-    if name == "mcap":
-        write_frame(path, rows, height=32)
-    else:
-        write_pcd(path, rows, "binary" if name == "pcd" else "binary_compressed", height=32)
-    scan = read(path)
-    assert np.array_equal(scan.points, rows[:, :3].astype(float), equal_nan=True)
 
 
 def test_each_real_scan_is_read(real_data):

@@ -19,7 +19,7 @@ from fidpipe.pipeline.storage.table_files import file_stem, table_name
 from fidpipe.pipeline.terminal import shown
 from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import load, parse
-from fidpipe.schemas.settings_text import commented_toml
+from fidpipe.schemas.settings_text import to_toml
 
 settings.register_profile("here", deadline=None, max_examples=50, suppress_health_check=list(HealthCheck))
 settings.load_profile("here")
@@ -65,7 +65,7 @@ def test_any_settings_are_taken_or_refused(values):
         taken = parse(values)
     except FidpipeError:
         return
-    assert parse(tomllib.loads(commented_toml(taken))) == taken
+    assert parse(tomllib.loads(to_toml(taken))) == taken
 
 
 @given(st.sampled_from(["graph.k", "input.max_range_m", "matching.delta_m", "communities.seed"]), TEXT)

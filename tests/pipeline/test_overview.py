@@ -108,7 +108,10 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
     again = run(data, folder).record
     assert (again.previous, again.overview) == (after.previous, after.overview)
     moved = f"CDC {after.summary['cdc_mean'].mean - before['cdc_mean'].mean:+.2f}"
-    for shown in (text_of(show_view(FinishedRun(folder), None, None), 300), verdict_of(read_results(folder))["change"]):
+    for shown in (
+        text_of(show_view(FinishedRun(folder), None, None), 300),
+        str(verdict_of(read_results(folder))["answer"]),
+    ):
         assert moved in shown
         assert f"since {after.previous.written}; is it chance? fidpipe compare" in shown
     other = run(data, folder, Settings.model_validate({"matching": {"delta_m": 3.0}})).record

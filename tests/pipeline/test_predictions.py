@@ -115,8 +115,8 @@ def test_boxes_of_clusters_are_compared_and_joined_with_the_objects(folder, boxe
     assert cars["n_real"] >= len(result.objects)
     lost = {row["pair_id"] for row in result.objects if row["fate"] == "lost"}
     assert lost == {f"{i:03}" for i in range(N_PAIRS)}  # the pole
-    of_cdc = next(score for score in result.scores if score.score == "cdc")
-    assert of_cdc.n_kept > 0
+    of_cdc = next(score for score in result.scores if score["score"] == "cdc")
+    assert of_cdc["n_kept"] > 0
 
 
 def nuscenes_boxes(path):
@@ -157,7 +157,7 @@ def test_a_side_without_boxes_loses_all(folder, tmp_path):
     (cars,) = result.classes
     assert cars == {"class": "Car", "n_real": 1, "n_sim": 0, "n_found": 0, "place_m": None}
     assert [row["fate"] for row in result.objects] == ["lost"]
-    assert {score.auc for score in result.scores} == {None}
+    assert {score["auc"] for score in result.scores} == {None}
     assert result.left_out == ("001", "002", "003")
 
 

@@ -11,7 +11,7 @@ from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import load, overrides, parse, preset_of
-from fidpipe.schemas.settings_text import commented_toml
+from fidpipe.schemas.settings_text import to_toml
 from recompute import recompute
 from runs import command, run, tables
 from scenes import box, drifted, street, write_bin, write_pair
@@ -108,7 +108,7 @@ def test_a_preset_that_is_not_there_or_not_in_the_file_is_named(tmp_path):
     assert overrides(load(named)) == ["graph.k=60"]
     assert load(named) == parse({"preset": "reference", "graph": {"k": 60}})
     full = tmp_path / "settings.toml"
-    full.write_text(commented_toml(load(None)))
+    full.write_text(to_toml(load(None)))
     with pytest.raises(SettingsError, match="communities.objects = 'independent'"):
         load(full, preset="reference")
     with pytest.raises(SettingsError, match='expected objects = "reference" with reference'):

@@ -255,6 +255,7 @@ def test_the_command_says_what_to_do_next_and_its_help_names_every_flaw(drive, t
     done = command("twin", drive, tmp_path / "out", *words, "--sensor", "hdl64", code=0)
     assert f" in {tmp_path / 'out'}; " in done.stdout
     assert done.stdout.count("\n") == 1
+    command("twin", drive, tmp_path / "other", *words, "--sensor", "hdl46", code=2)
     text = command("twin", "--help").stdout
     assert all(name in text for name in FLAWS)
 

@@ -27,7 +27,7 @@ def scan():
 def with_misses(scan, share, range_m):
     rng = np.random.default_rng(0)
     rays = scan[rng.choice(len(scan), int(share * len(scan) / (1 - share)), replace=False)]
-    rays *= range_m / np.linalg.norm(rays, axis=1, keepdims=True)
+    rays *= (np.resize(range_m, len(rays)) / np.linalg.norm(rays, axis=1))[:, None]
     return np.vstack([scan, rays])
 
 
@@ -35,6 +35,12 @@ def with_second_returns(scan, share):
     rng = np.random.default_rng(0)
     behind = scan[rng.random(len(scan)) < share]
     return np.vstack([scan, behind * rng.choice([1.0, 1.2], (len(behind), 1))])
+
+
+def thinned(scan):
+    """The first point of each voxel of 20 cm."""
+    _, first = np.unique(np.floor(scan / 0.2), axis=0, return_index=True)
+    return scan[np.sort(first)]
 
 
 def turned(scan, degrees):
@@ -46,6 +52,9 @@ def turned(scan, degrees):
     [
         (lambda scan: with_misses(scan, 0.05, 120.0), MISSES),
         (lambda scan: with_misses(scan, 0.29, 200.0), MISSES),
+        (lambda scan: with_misses(scan, 0.25, np.random.default_rng(1).normal(150.0, 0.3, 9999)), MISSES),
+        (lambda scan: with_misses(with_misses(scan, 0.2, 150.0), 0.2, 200.0), MISSES),
+        (thinned, BEAMS),
         (lambda scan: np.vstack([scan, scan]), RETURNS),
         (lambda scan: with_second_returns(scan, 0.4), RETURNS),
         (lambda scan: scan + [300.0, 120.0, 4.0], POSITION),
@@ -118,8 +127,10 @@ def test_angles_and_a_repeated_point_are_named(scan):
     level = np.hypot(scan[:, 0], scan[:, 1])
     angles = [np.arctan2(scan[:, 1], scan[:, 0]), np.arctan2(scan[:, 2], level), np.linalg.norm(scan, axis=1)]
     for turn in (1.0, 180 / np.pi):
-        columns = np.column_stack([angles[0] * turn, angles[1] * turn, angles[2]])
-        assert any("angles and ranges" in text for text in implausible(columns, "sim", 2.5))
+        for above in (angles[1], np.pi / 2 - angles[1]):
+            columns = np.column_stack([angles[2], above * turn, angles[0] * turn])
+            (text,) = implausible(columns, "sim", 2.5)
+            assert "angles and ranges" in text
     repeated = np.vstack([scan, np.tile([1.2, 0.0, 1.8], (2 * len(scan), 1))])
     (text,) = implausible(repeated, "sim", 2.5)
     assert "67% of the points are one repeated point" in text
@@ -131,8 +142,8 @@ def test_second_returns_of_exactly_one_direction_are_all_found():
     first = rng.normal(size=(500, 3)) * [10, 10, 1]
     points = np.vstack([first, 1.5 * first])
     side = Side(points, np.zeros(len(points), dtype=bool), describe_sensor(points))
-    _, rows = side.near_rays
-    assert not (rows == np.arange(len(points))[:, None]).any()
+    rows = np.arange(len(points))
+    assert not (side.near_rays(rows, 8)[1] == rows[:, None]).any()
     assert second_returns(side).tolist() == [False] * 500 + [True] * 500
 
 
@@ -142,6 +153,17 @@ def test_losses_are_unknown_if_the_other_causes_take_all_points():
     nothing = np.zeros(400, dtype=bool)
     amounts = _losses(side, side, ~nothing, nothing, np.empty(0, dtype=int))
     assert {amounts[name].reason for name in LOSSES} == {"no surface that both sides see"}
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("inches", 39.37), ("decimetres", 10.0), ("feet", 3.2808)])
+def test_units_are_named(scan, unit, factor):
+    found = check_frames(scan, scan * factor, InputSettings())
+    assert (found.reading, found.doubt) == (f"in {unit}", f"the simulated scan is in another frame: in {unit}")
+
+
+def test_scans_of_two_places_are_in_doubt(scan):
+    found = check_frames(scan, turned(scan, 45.0) + [6.0, 3.0, 0.0], InputSettings())
+    assert found.doubt == "the two scans do not show the same place"
 
 
 @pytest.mark.parametrize("scale", [1.0, 100.0, 1000.0])

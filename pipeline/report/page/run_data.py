@@ -19,29 +19,19 @@ from ....schemas.metric_catalogue import (
     pair_columns_in,
     scores_in,
 )
-from ....schemas.results import Cause, Evidence
+from ....schemas.results import Evidence
 from ....stages.sensor_description import sensor_lines
 from ...results.best_case import RunExcess
-from ...results.causes import MOST_SHOWN, no_cause_words
 from ...results.diagnosis import unexplained_words
 from ...results.gate import Criterion, judge_run
 from ...results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT, UNKNOWN, plain_rows
 from ...terminal import STEERING
-from ..charts import MOST_DOTS, evidence_chart, has_times, run_charts
+from ..charts import MOST_DOTS, evidence_chart, run_charts
 from ..look import FATE_WORDS, PAGE_COLOURS, SIGNED_RAMP_M
 from ..pictures import FRAME, draw_pieces
 from ..run_frames import OBJECT_COVERAGE, SCORES, RunResults, frames_of, quadrants
-from ..view import Table, columns_of, percent, sentence
-from ..views.answer_view import (
-    amount_words,
-    caution_words,
-    change_words,
-    next_commands,
-    pieces_words,
-    surface_words,
-    task_words,
-    trust_words,
-)
+from ..view import Answers, Table, columns_of, items_of, percent, sentence
+from ..views.answer_view import amount_words, answer_sections, caution_words
 from ..views.best_case_view import excess_view
 from ..views.gate_view import gate_checks
 from ..views.run_view import details_view, preset_line
@@ -49,13 +39,16 @@ from .pair_data import FACTS, FAR_M, OBJECT_COLUMNS, SIGNED_M
 
 #: More rows would make the page slow; the table then says what part it shows.
 _MOST_ROWS = 1000
-_MOST_FAILURES = 5
 _DIGITS = 6
 #: Quantiles of a score at the ends of its colours.
 _COLOURED = (0.02, 0.98)
 
 #: Parts of a bar of surface: within each reach of coverage, beyond the one before.
 _REACHES = ("within 0.1 m", "0.1 to 0.3 m", "0.3 to 1 m")
+
+#: Sections of the answer in the first sentence, and below it.
+_SENTENCES = ("  surface", "  pieces", "  tasks")
+_FIRST = ("Check first", "Fix first", "Doubtful", "Last run", "Next")
 
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
 #: Columns of the tables of pairs and objects.
@@ -178,6 +171,9 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
     record = results.run.record
     diagnosis = results.run.diagnosis
     sensor_pair = results.pairs.pair_id.min()
+    sensors = {}
+    for side, sensor in frames_of(results, sensor_pair).sensors.items():
+        sensors[side] = sensor_lines(sensor)
     names = ("fidpipe", "written", "dataset", "seed", "workers")
     failures = [row for row in results.run.rows if row["status"] == "failed"]
     return {
@@ -191,18 +187,15 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
             min(int(results.matched.r_lambda.notna().sum()), MOST_DOTS),
             len(results.matched),
         ),
-        "has_times": has_times(results),
         "diagnosis": diagnosis,
-        "diagnosed": _with_amounts(diagnosis.causes if diagnosis else ()),
+        "diagnosed": [
+            (cause, amount_words(cause)) for cause in (diagnosis.causes if diagnosis else ())
+        ],
         "unexplained": sentence(unexplained_words(diagnosis)) if diagnosis else "",
         "failures": {row["pair_id"]: row["reason"] for row in failures},
-        "most_failures": _MOST_FAILURES,
         "best_case": excess_view(excess) if excess else [],
         "sensor_pair": sensor_pair,
-        "sensors": {
-            side: sensor_lines(sensor)
-            for side, sensor in frames_of(results, sensor_pair).sensors.items()
-        },
+        "sensors": [Answers([(side, items_of(*lines)) for side, lines in sensors.items()])],
         "made": [
             _key_table("Settings", record.settings),
             _key_table("Run", {"": {name: getattr(record, name) for name in names}}),
@@ -219,10 +212,6 @@ def _key_table(title: str, groups: Mapping[str, Any]) -> Table:
     return Table(title, ("", ""), rows, words=(0, 1))
 
 
-def _with_amounts(causes: Sequence[Cause]) -> list[tuple[Cause, str]]:
-    return [(cause, amount_words(cause)) for cause in causes]
-
-
 def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
     """The first screen of a run's page, over a best case if any, and what limits the trust in it.
 
@@ -234,22 +223,27 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
         raise RunError(
             f"run {results.run.folder}: no pair is scored, so there is nothing to report"
         )
-    pieces = pieces_words(record).replace(" missing", " pieces missing", 1)
-    texts = (surface_words(record, excess), pieces, task_words(record, excess))
+    sections = answer_sections(
+        results.run.folder,
+        record,
+        overview,
+        results.run.diagnosis,
+        excess,
+        with_all=True,
+        is_page=True,
+    )
+    texts = [sections[heading][0][0] for heading in _SENTENCES if heading in sections]
+    first = [(heading, sections[heading]) for heading in _FIRST if heading in sections]
     is_met, good_enough = _good_enough(results, excess)
     return {
-        "sentence": " ".join(sentence(text) for text in texts if text),
+        "sentence": " ".join(map(sentence, texts)).replace(" missing", " pieces missing", 1),
         "warnings": [f"Warning: {words}" for words in caution_words(overview, ("frames",))],
         "bars": _bars(results, excess),
-        "causes": _with_amounts(overview.causes[:MOST_SHOWN]),
-        "no_cause": sentence(no_cause_words(overview.unknown)),
-        "doubts": [sentence(words) for words in overview.doubts],
+        "answer": [Answers(first)],
         "worst": draw_pieces(results, overview.pieces),
-        "next": next_commands(results.run.folder, record, results.run.diagnosis, is_page=True),
         "is_met": is_met,
         "good_enough": good_enough,
-        "change": sentence(change_words(record)) if record.previous else "",
-        "trust": [sentence(words) for words in trust_words(results.run.folder, overview)],
+        "trust": [sentence(words) for words, _, _ in sections.get("Trust", [])],
     }
 
 

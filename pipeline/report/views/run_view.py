@@ -323,9 +323,10 @@ def _objects_table(findings: Findings) -> Table:
     ranges = findings.range_m
     rows: list[tuple[object, ...]] = []
     for band in ranges.bands:
-        end = "and more" if band.to_m is None else f"to {band.to_m:.0f}"
-        nothing = [None] * (1 + len(DISTRIBUTED))
-        rows.append((f"{band.from_m:.0f} {end} m", *_unmatched(band), *nothing))
+        name = (
+            f"{band.from_m:.0f} to {band.to_m:.0f} m" if band.to_m else f"over {band.from_m:.0f} m"
+        )
+        rows.append((name, *_unmatched(band), None, None, None, None))
     for group in (findings.classes or ())[:_MOST_CLASSES]:
         means = [group.scores[score].mean for score in DISTRIBUTED]
         rows.append((group.label, *_unmatched(group), group.n_matched, *means))
