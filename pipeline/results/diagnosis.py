@@ -65,7 +65,9 @@ def read_gains(store: RunFolder, pair_ids: Sequence[str], causes: Sequence[Cause
     distances_m = np.array([record.metadata[DISTANCES] for record in records])
     curves: dict[str, dict[str, FloatArray]] = {}
     for kind, sides in records[0].metadata[CURVES].items():
-        drawn = [record.metadata[CURVES][kind] for record in records if kind in record.metadata[CURVES]]
+        drawn = [
+            record.metadata[CURVES][kind] for record in records if kind in record.metadata[CURVES]
+        ]
         curves[kind] = {}
         for side in sides:
             of_pairs = [values[side] for values in drawn]
@@ -126,7 +128,9 @@ def confirm(
             doubtful.append(diagnosed)
         else:
             confirmed.append(diagnosed)
-    return sorted(confirmed, key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0))), doubtful
+    return sorted(
+        confirmed, key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0))
+    ), doubtful
 
 
 def unexplained_share(distances_m: tuple[float, float, float]) -> float | None:
