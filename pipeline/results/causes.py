@@ -57,6 +57,7 @@ _OF_POSE = (*PARAMETERS, "elevation scale")
 #: Independent places that all lie beyond a resolution.
 _ENOUGH = 4
 _COLUMNS = ["cause", "amount", "real", "sim", "share", "reason"]
+_OTHER_VERSION = "the run was made by a version without this cause"
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class CauseValues:
 
 
 def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseValues]:
-    """The table `causes` of some pairs, by name of the cause.
+    """The table `causes` of some pairs, for each cause of the catalogue; tables of another version may have others.
 
     Raises
     ------
@@ -86,16 +87,15 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseVal
     frame = table.to_pandas()
     frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
     values = {}
-    for name, group in frame.groupby("cause"):
-        rows = group.set_index("pair").reindex(range(len(pair_ids)))
+    for name in sorted(CAUSES):
+        of_cause = frame[frame["cause"] == name]
+        rows = of_cause.set_index("pair").reindex(range(len(pair_ids)))
         columns = {
             column: rows[column].to_numpy(np.float64)
             for column in ("amount", "real", "sim", "share")
         }
-        reasons = rows["reason"].dropna()
-        values[str(name)] = CauseValues(
-            **columns, reason=str(reasons.iloc[0]) if len(reasons) else ""
-        )
+        reasons = rows["reason"].dropna().tolist() if len(of_cause) else [_OTHER_VERSION]
+        values[name] = CauseValues(**columns, reason=reasons[0] if reasons else "")
     return values
 
 

@@ -75,6 +75,11 @@ def read_gains(store: RunFolder, pair_ids: Sequence[str], causes: Sequence[Cause
     return Gains(by_cause, distances_m, curves)
 
 
+def causes_to_correct(overview: Overview) -> list[Cause]:
+    """The causes of a run that the catalogue has; a run of another version may have others."""
+    return [cause for cause in overview.causes if cause.name in CAUSES]
+
+
 def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -> Diagnosis | None:
     """The diagnosis of a run; None if no pair is scored, or if it was not diagnosed since its causes changed.
 
@@ -84,12 +89,13 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
     """
     if record.overview is None:
         return None
-    gains = read_gains(store, pair_ids, record.overview.causes)
+    causes = causes_to_correct(record.overview)
+    gains = read_gains(store, pair_ids, causes)
     if gains is None:
         return None
     before_m, after_m, best_case_m = gains.distances_m.mean(axis=0).tolist()
     gains_m = {name: float(values.mean()) for name, values in gains.by_cause.items()}
-    confirmed, doubtful = confirm(record.overview.causes, gains_m, (before_m, after_m, best_case_m))
+    confirmed, doubtful = confirm(causes, gains_m, (before_m, after_m, best_case_m))
     shown = []
     for cause in confirmed:
         evidence = _evidence(CAUSES[cause.name].curve, gains)
