@@ -23,6 +23,7 @@ from .trust import (
     RETURNS,
     SWEEPS_IN_A_ROW,
     find_misses,
+    grid_text,
     later_returns,
     misses_text,
     position_text,
@@ -156,6 +157,8 @@ def describe_with_gaps(
             sensor.doubts[POSITION] = text
         elif _is_several_sweeps(points):
             sensor.doubts[ONE_SWEEP] = SWEEPS_IN_A_ROW
+        elif text := grid_text(points):
+            sensor.doubts[BEAMS] = text
         return _undetected(sensor, pattern), NO_GAPS
     sensor, (gaps, n_lost) = _describe_beams(sensor, points, pattern)
     return sensor, (rows[gaps], n_lost)
@@ -186,7 +189,7 @@ def _describe_beams(
         untold["azimuth_step_deg"] = several_sweeps
     elif several_returns:
         doubts[RETURNS] = several_returns
-    if step is not None and (thinned := thinned_text(sweep.gap_deg, sweep.range_m)):
+    if not several_sweeps and (thinned := thinned_text(sweep.gap_deg, sweep.range_m, points)):
         doubts[BEAMS] = thinned
         step = None
         untold["azimuth_step_deg"] = thinned
