@@ -19,7 +19,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
@@ -42,6 +42,7 @@ from flawed_scans import (
     solid_foliage,
 )
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 from scipy.stats import rankdata
 from sklearn.isotonic import IsotonicRegression
 from unseen_flaws import (
@@ -66,11 +67,13 @@ from fidpipe.stages.baselines import compare_points
 from fidpipe.stages.coverage import nearest_distances
 from fidpipe.stages.ground import GroundResult
 from fidpipe.stages.method import PartitionedScan, compare, partition, remove_road
+from fidpipe.stages.odometry import compare_trajectories, trajectory
 from fidpipe.stages.pieces import CutScan
 from fidpipe.stages.tasks import ALL, compare_free_space, compare_ground, compare_obstacles, compare_occupancy
 
 EVERY = 4
-BASES = ("good", "poor")
+EVERY_OF_DRIVE = 8
+BASES = ("good", "poor", "VLP-32C", "HDL-32E", "drive")
 NONE = "none"
 CONTROL = "control: range noise, m"
 SETTINGS = load(None, ["tasks.names=all", "metrics.baselines=chamfer,f_score,dcd"], preset="reference")
@@ -98,6 +101,9 @@ TASKS = (
     "free_space.too_far",
     "ground.disagreement",
     "ground.height_m",
+    "odometry.drift_m",
+    "odometry.step_m",
+    "odometry.turn_deg",
 )
 
 
@@ -265,45 +271,114 @@ def scored(real, points):
     return row
 
 
-def conditions(data, frames, bases, which_amounts):
-    """Frame, base, flaw and amount of each condition, and functions that return both scans."""
+@dataclass
+class Scene:
+    """Real scans of one place, and simulated ones to which flaws are added.
+
+    full : (n, 3) points of each scan at full density, to find a car and poles in
+    real, simulated : (n, 3) points of each scan; scores are those of the first, odometry takes all
+    """
+
+    name: str
+    base: str
+    full: list
+    real: list
+    simulated: list
+
+    @cached_property
+    def prepared(self):
+        return prepare(self.real[0])
+
+    @cached_property
+    def path(self):
+        return trajectory(self.real)
+
+    @cached_property
+    def scans(self):
+        scans = []
+        for full, points in zip(self.full, self.simulated, strict=True):
+            try:
+                car = find_car(full)
+            except SystemExit:
+                car = None
+            scans.append(Scan(points, car, find_poles(full)))
+        return scans
+
+    def flawed(self, make, amount, flaw):
+        """Simulated scans with a flaw."""
+        points = []
+        for i, scan in enumerate(self.scans):
+            names = (self.name, self.base, flaw) if i == 0 else (self.name, self.base, flaw, i)
+            points.append(make(amount)(scan, random(*names)))
+        return points
+
+    def evaluate(self, points):
+        """Scores and gaps of the first scan, and gaps of odometry."""
+        row = scored(self.prepared, points[0])
+        if len(points) > 1:
+            row |= odometry_gaps(self.path, trajectory(points))
+        return row
+
+    def conditions(self, which_amounts):
+        """Flaw and amount of each condition, and a function that evaluates it."""
+        yield NONE, 0.0, lambda: self.evaluate(self.simulated)
+        for flaw, (amounts, make) in FLAWS.items():
+            if flaw.startswith("car") and any(scan.car is None for scan in self.scans):
+                continue
+            for amount in (amounts[i] for i in which_amounts):
+
+                def evaluate(make=make, amount=amount, flaw=flaw):
+                    return self.evaluate(self.flawed(make, amount, flaw))
+
+                yield flaw, float(amount), evaluate
+
+
+def odometry_gaps(real, sim):
+    return {f"odometry.{gap.measure}": gap.gap for gap in compare_trajectories(real, sim)}
+
+
+def scenes(data, frames):
+    """The scenes of all bases."""
     sources = sorted((data / "kitti_twin" / "real").glob("*.bin"))
-    for number in frames:
-        path = sources[number]
+    for path in (sources[i] for i in frames):
         full = read(path)
-        car = find_car(full)
-        poles = find_poles(full)
         real = full[::EVERY]
-        simulated = {
-            "good": remeasured(real, random(path.stem, "base")),
-            "poor": read(path.parents[1] / "sim" / path.name)[::EVERY],
-        }
-        for base in bases:
-            points = simulated[base]
-            scan = Scan(points, car, poles)
-            yield (path.stem, base, NONE, 0.0), real, lambda points=points: points
-            for flaw, (amounts, make) in FLAWS.items():
-                for amount in (amounts[i] for i in which_amounts):
-                    rng = random(path.stem, base, flaw)
-                    key = (path.stem, base, flaw, float(amount))
-                    yield key, real, partial(make(amount), scan, rng)
+        again = remeasured(real, random(path.stem, "base"))
+        twin = read(path.parents[1] / "sim" / path.name)[::EVERY]
+        yield Scene(path.stem, "good", [full], [real], [again])
+        yield Scene(path.stem, "poor", [full], [real], [twin])
+    others = {
+        "VLP-32C": [read_scan(f"{data}/velodyne_vlp32c/sweeps.pcap#0").points],
+        "HDL-32E": [read_scan(str(path)).points for path in (data / "nuscenes").glob("*.bin")],
+        "drive": [read(path) for path in sorted((data / "kitti_sequence").glob("*.bin"))],
+    }
+    for base, scans in others.items():
+        full = [points[ranges(points) > 1.5] for points in scans]
+        real = [points[::EVERY_OF_DRIVE] for points in full] if base == "drive" else full
+        again = [remeasured(points, random(base, i)) for i, points in enumerate(real)]
+        yield Scene("0", base, full, real, again)
 
 
 def real_pairs(data):
-    """Two real measurements of one scene: name, kind, first and second scan in the frame of the first."""
-    from scipy.spatial.transform import Rotation
-
-    sweeps = [read_scan(f"{data}/velodyne_vlp32c/sweeps.pcap#{i}").points for i in range(4)]
-    for i, (first, second) in enumerate(pairwise(sweeps)):
-        yield f"parked {i}", "parked", first, second
-    paths = sorted((data / "kitti_sequence").glob("*.bin"))
+    """Two real measurements of one scene: name, kind, and a function that evaluates them."""
+    sweeps = [read_scan(f"{data}/velodyne_vlp32c/sweeps.pcap#{i}").points for i in range(5)]
+    for i, (first, second) in enumerate(pairwise(sweeps[:4])):
+        yield f"parked {i}", "parked", lambda a=first, b=second: scored(prepare(a), b)
+    yield "odometry", "parked", lambda: odometry_gaps(trajectory(sweeps[:4]), trajectory(sweeps[1:]))
+    scans = [read(path) for path in sorted((data / "kitti_sequence").glob("*.bin"))]
     rows = np.loadtxt(data / "kitti_sequence" / "poses.tum")
     poses = [(Rotation.from_quat(row[4:8]).as_matrix(), row[1:4]) for row in rows]
     for i in (0, 3, 6):
         r, t = poses[i]
         r_next, t_next = poses[i + 1]
-        second = ((read(paths[i + 1]) @ r_next.T + t_next) - t) @ r
-        yield f"driving {i}", "driving", read(paths[i])[::EVERY], second[::EVERY]
+        second = ((scans[i + 1] @ r_next.T + t_next) - t) @ r
+        yield (
+            f"driving {i}",
+            "driving",
+            lambda a=scans[i], b=second: scored(prepare(a[::EVERY]), b[::EVERY]),
+        )
+    halves = [[scan[i::EVERY_OF_DRIVE] for scan in scans] for i in (0, EVERY_OF_DRIVE // 2)]
+    yield "odometry", "driving", lambda: odometry_gaps(*map(trajectory, halves))
 
 
 def measure(args):
@@ -311,16 +386,12 @@ def measure(args):
     rows = pd.read_csv(args.out).to_dict("records") if args.out.exists() else []
     done = {(str(row["frame"]), row["base"], row["flaw"], row["amount"]) for row in rows}
 
-    prepared = {}
-
-    def add(key, points, sim):
+    def add(key, evaluate):
         if key in done:
             return
-        if prepared.get("frame") != key[0]:
-            prepared.update(frame=key[0], real=prepare(points))
         row = dict(zip(("frame", "base", "flaw", "amount"), key, strict=True))
         try:
-            row |= scored(prepared["real"], sim())
+            row |= evaluate()
         except FidpipeError as error:
             print(*key, error, flush=True)
         rows.append(row)
@@ -328,10 +399,12 @@ def measure(args):
         print(len(rows), *key, flush=True)
 
     args.out.parent.mkdir(parents=True, exist_ok=True)
-    for name, kind, first, second in real_pairs(args.data):
-        add((name, kind, NONE, 0.0), first, lambda second=second: second)
-    for key, real, sim in conditions(args.data, args.frames, args.bases, args.amounts):
-        add(key, real, sim)
+    for name, kind, evaluate in real_pairs(args.data):
+        add((name, kind, NONE, 0.0), evaluate)
+    for scene in scenes(args.data, args.frames):
+        if scene.base in args.bases:
+            for flaw, amount, evaluate in scene.conditions(args.amounts):
+                add((scene.name, scene.base, flaw, amount), evaluate)
 
 
 def spearman(a, b):

@@ -9,6 +9,7 @@ from .datasets.pairs import local_folder
 from .results.finished import FinishedRun, ObjectFacts, PairFacts, object_facts, pair_facts
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -35,29 +36,41 @@ class Run(FinishedRun):
         """One object of a pair: 7 or "real:7" is the real object 7 with its partner, "sim:7" the simulated one."""
         return object_facts(self, pair_id, str(name))
 
-    def plot_object(self, pair_id: str, name: str | int) -> Figure:
+    def plot_object(self, pair_id: str, name: str | int, ax: Axes | None = None) -> Figure:
         """Plot an object on both sides in one box, with its scores; other points in the box are grey.
 
         Parameters
         ----------
         pair_id : name of the pair
         name : 7 or "real:7" for the real object 7 and its partner, "sim:7" for the simulated one
+        ax : matplotlib axes in 3D to draw into; by default those of a new figure
         """
         from .report.figures.object_plots import plot_object
 
-        return plot_object(self, pair_id, str(name))
+        return plot_object(self, pair_id, str(name), ax)
 
-    def plot_pieces(self, pair_id: str) -> Figure:
-        """Plot a pair from above: missing and invented pieces in colour, with the numbers of the largest ones."""
+    def plot_pieces(self, pair_id: str, ax: Axes | None = None) -> Figure:
+        """Plot a pair from above: missing and invented pieces in colour, with the numbers of the largest ones.
+
+        Parameters
+        ----------
+        ax : matplotlib axes to draw into; by default those of a new figure
+        """
         from .report.figures.pair_plots import plot_pieces
 
-        return plot_pieces(self, pair_id)
+        return plot_pieces(self, pair_id, ax)
 
-    def plot_range_image(self, pair_id: str) -> Figure:
-        """Plot range images of a pair: real ranges, simulated ranges on the same rays, and the outcome of each ray."""
+    def plot_range_image(self, pair_id: str, value: str = "outcome", ax: Axes | None = None) -> Figure:
+        """Plot the rays of a pair over azimuth and beam.
+
+        Parameters
+        ----------
+        value : "outcome" of each ray, "real_range_m", or "sim_range_m" on the same rays
+        ax : matplotlib axes to draw into; by default those of a new figure
+        """
         from .report.figures.pair_plots import plot_range_image
 
-        return plot_range_image(self, pair_id)
+        return plot_range_image(self, pair_id, value, ax)
 
 
 def open_run(folder: Path | str) -> Run:

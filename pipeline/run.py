@@ -217,8 +217,7 @@ class Run:
 
     def hash_files(self) -> None:
         """Hash the files of the selected pairs and of those with results."""
-        ledger = self.folder.ledger
-        names = {*self.selected, *ledger.pair_ids(), *ledger.failed_pairs()}
+        names = {*self.selected, *self.folder.ledger.pair_ids()}
         pairs = [pair for pair in self.dataset.pairs if pair.pair_id in names]
         self.reporter.warn(*self.dataset.warnings)
         self.files = hash_files(pairs, self.folder)
@@ -259,9 +258,10 @@ class Run:
         return self._planner.plan(pair, self.files.contents[pair.pair_id])
 
     def replace_stale(self) -> None:
-        """Remove stale results, and replace a finished record by the header of this run."""
-        if self.survey.todo or self.survey.stale:
-            self._write_record(self._header())
+        """Remove stale results and a finished record, if there are jobs to do or stale results."""
+        if not (self.survey.todo or self.survey.stale):
+            return
+        self._write_record(self._header())
         changes = what_changed(self.before, self.settings, self._versions)
         remove_stale(self.survey, self.folder, self.stages, self.reporter, changes)
 

@@ -207,8 +207,7 @@ def summarise(
     times_s, hashes : of all pairs, by pair_id
     last : record of the same results, whose findings are kept; None if results have changed
     """
-    is_scored = [status == "scored" for status in pairs["status"].to_pylist()]
-    scored = pairs if all(is_scored) else pairs.filter(is_scored)  # which is a copy
+    scored = _scored(pairs)
     _add_peaks(scored, jobs, settings)
     described: tuple[Any, Any, Any]
     if last is not None and last.overview and last.metrics:
@@ -237,11 +236,16 @@ def summarise(
         notes=dict(sorted(jobs.notes.items())),
         **_extras(folder, stages, settings, scored_ids),
     )
-    if overview:
-        trust = tuple(cautions(overview, record))
-        overview = overview.model_copy(update={"trust": trust})
-        record = record.model_copy(update={"overview": overview})
-    return record
+    if not overview:
+        return record
+    overview = overview.model_copy(update={"trust": tuple(cautions(overview, record))})
+    return record.model_copy(update={"overview": overview})
+
+
+def _scored(pairs: pa.Table) -> pa.Table:
+    """The rows of scored pairs; the table itself, without a copy, if all are."""
+    is_scored = [status == "scored" for status in pairs["status"].to_pylist()]
+    return pairs if all(is_scored) else pairs.filter(is_scored)
 
 
 def _extras(folder: RunFolder, stages: Sequence[Stage], settings: Settings, pair_ids: Sequence[str]) -> dict[str, Any]:

@@ -41,17 +41,9 @@ class Table:
             A column is missing, surplus, of another type, or has a null that the schema forbids.
         """
         if table.schema.names != self.schema.names:
-            expected = self.schema.names
-            got = table.schema.names
-            missing = [name for name in expected if name not in got]
-            unknown = [name for name in got if name not in expected]
-            differences = []
-            if missing:
-                differences.append(f"no {', '.join(missing)}")
-            if unknown:
-                differences.append(f"unknown {', '.join(unknown)}")
-            words = "; ".join(differences) or "columns in another order"
-            raise ValueError(f"table {self.name}: {words}")
+            expected = ", ".join(self.schema.names)
+            got = ", ".join(table.schema.names)
+            raise ValueError(f"table {self.name}: expected columns {expected}, got {got}")
         for field in self.schema:
             column = table.column(field.name)
             where = f"table {self.name}, column {field.name}"

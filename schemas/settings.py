@@ -25,7 +25,7 @@ from pydantic import (
 from .columns import FARTHEST_M
 from .data_files import parse_toml, read_toml
 from .docstrings import split_docstring
-from .errors import SettingsError, nearest, suggestion
+from .errors import SettingsError, suggestion
 from .metric_catalogue import BASELINE_NAMES
 
 Box = tuple[float, float, float, float, float, float]
@@ -286,6 +286,11 @@ class PieceSettings(_Group):
     min_points: int = Field(10, ge=1)
 
 
+#: Tasks of a perception stack that both scans can be given to.
+TaskName = Literal["objects", "ground", "occupancy", "free_space"]
+TASK_NAMES: tuple[TaskName, ...] = get_args(TaskName)
+
+
 class SelectionSettings(_Group):
     """Selection of the nodes that represent an object.
 
@@ -298,10 +303,26 @@ class SelectionSettings(_Group):
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-    BaselineName = str
+    # A type checker cannot know the names.
+    BaselineNames = tuple[str, ...]
+    TaskNames = tuple[TaskName, ...]
 else:
-    # One of the catalogue's; a type checker cannot know them.
-    BaselineName = Literal[BASELINE_NAMES]
+
+    def _names_of(known: tuple[str, ...]) -> Any:
+        """Names of a list, each once and in its order: `all`, `chamfer,emd` or a list of them."""
+        name = Literal[known]
+        names = tuple[name, ...]
+        return Annotated[
+            names,
+            BeforeValidator(
+                lambda value: known if value == "all" else _split_words(value),
+                json_schema_input_type=names | str,
+            ),
+            AfterValidator(lambda value: tuple(name for name in known if name in value)),
+        ]
+
+    BaselineNames = _names_of(BASELINE_NAMES)
+    TaskNames = _names_of(TASK_NAMES)
 
 
 class MetricsSettings(_Group):
@@ -321,7 +342,7 @@ class MetricsSettings(_Group):
     heat_max_nodes : NetLSD: larger objects are left out, their dense matrices would not fit
     """
 
-    baselines: tuple[BaselineName, ...] = Field(
+    baselines: BaselineNames = Field(
         (),
         description=f'any of {", ".join(BASELINE_NAMES)}; "all" for all of them; by default none',
     )
@@ -337,22 +358,6 @@ class MetricsSettings(_Group):
     heat_time_min: float = Field(0.01, gt=0)
     heat_time_max: float = Field(100.0, gt=0)
     heat_max_nodes: int = Field(8000, ge=2)
-
-    @field_validator(
-        "baselines",
-        mode="before",
-        json_schema_input_type=tuple[BaselineName, ...] | str,
-    )
-    @classmethod
-    def _read_names(cls, value: Any) -> Any:
-        """`all` is every one; `chamfer,emd` is read as a list."""
-        return BASELINE_NAMES if value == "all" else _split_words(value)
-
-    @field_validator("baselines")
-    @classmethod
-    def _in_order(cls, value: tuple[BaselineName, ...]) -> tuple[BaselineName, ...]:
-        """Each name once, in a fixed order, so that the order of the list changes nothing."""
-        return tuple(name for name in BASELINE_NAMES if name in value)
 
     @model_validator(mode="after")
     def _times_in_order(self) -> MetricsSettings:
@@ -372,11 +377,6 @@ class StabilitySettings(_Group):
     seeds: int = Field(1, ge=1, le=1000)
 
 
-#: Tasks of a perception stack that both scans can be given to.
-TaskName = Literal["objects", "ground", "occupancy", "free_space"]
-TASK_NAMES: tuple[TaskName, ...] = get_args(TaskName)
-
-
 class TaskSettings(_Group):
     """What a perception stack would do with both scans.
 
@@ -388,7 +388,7 @@ class TaskSettings(_Group):
     cell_m : occupancy: width of the cells
     """
 
-    names: tuple[TaskName, ...] = Field(
+    names: TaskNames = Field(
         (),
         description=f'any of {", ".join(TASK_NAMES)}; "all" for all of them; by default none',
     )
@@ -398,18 +398,6 @@ class TaskSettings(_Group):
     min_points: int = Field(10, ge=1)
     min_iou: float = Field(0.3, gt=0, le=1)
     cell_m: float = Field(0.2, ge=0.05)
-
-    @field_validator("names", mode="before", json_schema_input_type=tuple[TaskName, ...] | str)
-    @classmethod
-    def _read_names(cls, value: Any) -> Any:
-        """`all` is every one; `objects,ground` is read as a list."""
-        return TASK_NAMES if value == "all" else _split_words(value)
-
-    @field_validator("names")
-    @classmethod
-    def _in_order(cls, value: tuple[TaskName, ...]) -> tuple[TaskName, ...]:
-        """Each name once, in a fixed order, so that the order of the list changes nothing."""
-        return tuple(name for name in TASK_NAMES if name in value)
 
 
 class MachineSettings(_Group):
@@ -467,9 +455,7 @@ PRESET_OBJECTS = {
 
 def preset_of(settings: Settings) -> str:
     """The preset that settings belong to: the one whose objects they have."""
-    return next(
-        name for name, values in PRESETS.items() if parse(values).communities.objects == settings.communities.objects
-    )
+    return "reference" if settings.communities.objects == "reference" else "paper"
 
 
 def overrides(settings: Settings) -> list[str]:
@@ -510,30 +496,28 @@ def load(
         values = read_toml(path, "settings file")
     if preset is not None:
         values["preset"] = preset
-    if path is not None and preset is not None and preset_of(parse(values)) != preset:
-        objects = values["communities"]["objects"]
-        raise SettingsError(
-            f"settings file {path}: has communities.objects = {objects!r}, unlike the preset "
-            f"{preset}; remove --preset, or that line of the file"
-        )
-    assignments = list(assignments)
+    if path is not None:
+        _check_file(path, values, preset)
     for word in assignments:
         name, equals, text = word.partition("=")
         group, _, setting = name.strip().partition(".")
         if not equals or not group or not setting or "." in setting:
             raise SettingsError(f"--set {word!r}: expected GROUP.NAME=VALUE, such as graph.k=60")
-        table = values.setdefault(group, {})
-        if not isinstance(table, dict):
-            raise SettingsError(f"setting {group}: expected a table of settings, got {table!r}")
-        table[setting] = _toml_value(text.strip())
+        values.setdefault(group, {})[setting] = _toml_value(text.strip())
+    return parse(values)
+
+
+def _check_file(path: Path, values: Mapping[str, Any], preset: str | None) -> None:
+    """Raise `SettingsError` if the values of a file are wrong, or have other objects than the requested preset."""
     try:
-        return parse(values)
+        settings = parse(values)
     except SettingsError as error:
-        groups = [word.partition(".")[0].strip() for word in assignments]
-        is_assigned = str(error).startswith(tuple(f"setting {group}" for group in groups))
-        if path is None or is_assigned:
-            raise
         raise SettingsError(f"settings file {path}: {error}") from error
+    if preset is not None and preset_of(settings) != preset:
+        raise SettingsError(
+            f"settings file {path}: has communities.objects = {settings.communities.objects!r}, unlike the preset "
+            f"{preset}; remove --preset, or that line of the file"
+        )
 
 
 def parse(values: Mapping[str, Any]) -> Settings:
@@ -577,9 +561,7 @@ def _first_problem(error: ValidationError) -> str:
     if problem["type"] == "extra_forbidden":
         name = ".".join(map(str, problem["loc"]))
         known = _known_beside(problem["loc"])
-        near = nearest(name, known)
-        hint = f"; did you mean {near}?" if near else ""
-        return f"setting {name}: no such setting{hint}; known are {', '.join(known)}"
+        return f"setting {name}: no such setting; {suggestion(name, known)}"
     name = ".".join(part for part in problem["loc"] if isinstance(part, str))
     where = f"setting {name}" if name else "settings"
     text = f"{where}: {expected_and_got(problem)}"

@@ -1,8 +1,8 @@
 """Baseline metrics: published distances of point clouds, to put the scores of an object into context.
 
 To add one: a function of two point sets (or of a matched object) and the settings, which returns its values, each with
-its name in the catalogue and with a reason if it cannot be computed; a row in the tables at the end, and in the
-catalogue.
+its name in the catalogue and with a reason if it cannot be computed; a row in `OF_POINTS`, or a line in
+`compare_objects`; and a row in the catalogue.
 """
 
 from __future__ import annotations
@@ -63,7 +63,6 @@ class Baseline:
 
 Baselines = tuple[Baseline, ...]
 _OfPoints = Callable[[FloatArray, FloatArray, MetricsSettings], Baselines]
-_OfObject = Callable[[Subgraph, Subgraph, Selection, float, MetricsSettings], Baselines]
 
 
 def compare_points(
@@ -121,9 +120,24 @@ def compare_objects(
         with watch(name):
             if name in OF_POINTS:
                 values += OF_POINTS[name](real.points, sim.points, settings)
-            elif name in OF_OBJECTS:
-                values += OF_OBJECTS[name](real, sim, selection, t, settings)
+            elif name == "emd":
+                values += _emd(real.points, sim.points, selection, settings)
+            elif name == "netlsd":
+                values.append(_netlsd(real, sim, settings))
+            elif name == "r_h":
+                values.append(_r_h(real, sim, selection, t))
     return tuple(values)
+
+
+def _without_value(reason: str, *names: str) -> Baselines:
+    return tuple(Baseline(name, None, reason) for name in names)
+
+
+def _too_large(real: FloatArray, sim: FloatArray, settings: MetricsSettings, limit: str) -> str | None:
+    """Reason if a side has more points than a setting allows, else None."""
+    n_most = max(len(real), len(sim))
+    allowed = getattr(settings, limit)
+    return f"{n_most} points, metrics.{limit} allows {allowed}" if n_most > allowed else None
 
 
 def chamfer(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
@@ -224,7 +238,7 @@ def dcd(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
     squared_m2 = float(np.linalg.norm(np.ptp(real, axis=0))) ** 2
     alpha = settings.dcd_alpha / squared_m2 if squared_m2 else np.inf
     if np.isinf(alpha):  # no extent, or its square underflows
-        return (Baseline("dcd", None, "the real points have no extent to scale by"),)
+        return _without_value("the real points have no extent to scale by", "dcd")
     from_real, n_cut_real = _one_way(real, sim, alpha)
     from_sim, n_cut_sim = _one_way(sim, real, alpha)
     n_cut = n_cut_real + n_cut_sim
@@ -292,7 +306,7 @@ def histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> B
         distance = scipy.spatial.distance.pdist(sample)
         largest = distance.max(initial=0.0)
         if largest == 0:
-            return (Baseline("histogram", None, "a side has no two points apart from each other"),)
+            return _without_value("a side has no two points apart from each other", "histogram")
         counts, _ = np.histogram(distance / largest, bins=settings.histogram_bins, range=(0.0, 1.0))
         shares.append(counts / len(distance))
     distance = np.linalg.norm(shares[0] - shares[1], settings.histogram_order)
@@ -316,9 +330,11 @@ def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
     """
     n_fewest = min(len(real), len(sim))
     if find_spec("small_gicp") is None:
-        return _without_icp('small_gicp is not installed; pip install "fidpipe[icp]"')
+        missing = 'small_gicp is not installed; pip install "fidpipe[icp]"'
+        return _without_value(missing, "icp_fitness", "icp_rmse_m")
     if n_fewest < _ICP_POINTS:
-        return _without_icp(f"{n_fewest} points on a side, at least {_ICP_POINTS} are needed for ICP")
+        too_few = f"{n_fewest} points on a side, at least {_ICP_POINTS} are needed for ICP"
+        return _without_value(too_few, "icp_fitness", "icp_rmse_m")
     import small_gicp
 
     # Rounding of the normal equations grows with the distance from the origin.
@@ -345,32 +361,18 @@ def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
     return fitness, Baseline("icp_rmse_m", float(np.sqrt(np.mean(near**2))), reason)
 
 
-def _without_icp(reason: str) -> Baselines:
-    return Baseline("icp_fitness", None, reason), Baseline("icp_rmse_m", None, reason)
-
-
-def _emd(
-    real: Subgraph,
-    sim: Subgraph,
-    selection: Selection,
-    t: float,
-    settings: MetricsSettings,
-) -> Baselines:
+def _emd(real: FloatArray, sim: FloatArray, selection: Selection, settings: MetricsSettings) -> Baselines:
     """Earth mover's distance of all points, of the aligned nodes as given, and of these with both sides centred."""
-    n_most = max(len(real.points), len(sim.points))
-    if n_most > settings.emd_max_points:
-        reason = f"{n_most} points, metrics.emd_max_points allows {settings.emd_max_points}"
-        exact = Baseline("emd_mean_m", None, reason)
-    else:
-        exact_m = earth_movers(real.points, sim.points)
-        reason = "the network simplex ended without the optimum"
-        exact = Baseline("emd_mean_m", exact_m, reason if exact_m is None else None)
-    a = real.points[selection.real_nodes]
-    b = sim.points[selection.sim_nodes]
+    reason = _too_large(real, sim, settings, "emd_max_points")
+    exact_m = None if reason else earth_movers(real, sim)
+    if exact_m is None:
+        reason = reason or "the network simplex ended without the optimum"
+    a = real[selection.real_nodes]
+    b = sim[selection.sim_nodes]
     # The alignment is the optimal assignment of the centred nodes, so it is not solved again for these.
     centred_m = aligned_distance(a - a.mean(axis=0), b - b.mean(axis=0))
     return (
-        exact,
+        Baseline("emd_mean_m", exact_m, reason),
         Baseline("emd_kept_mean_m", aligned_distance(a, b[assign_nodes(a, b)])),
         Baseline("emd_centred_mean_m", centred_m),
     )
@@ -427,22 +429,15 @@ def aligned_distance(a: FloatArray, b: FloatArray) -> float:
     return float(np.linalg.norm(a - b, axis=1).mean())
 
 
-def _netlsd(
-    real: Subgraph,
-    sim: Subgraph,
-    selection: Selection,
-    t: float,
-    settings: MetricsSettings,
-) -> Baselines:
+def _netlsd(real: Subgraph, sim: Subgraph, settings: MetricsSettings) -> Baseline:
     """NetLSD of the whole object; None if a side has more than `heat_max_nodes`."""
-    n_most = max(len(real.points), len(sim.points))
-    if n_most > settings.heat_max_nodes:
-        reason = f"{n_most} points, metrics.heat_max_nodes allows {settings.heat_max_nodes}"
-        return (Baseline("netlsd", None, reason),)
+    reason = _too_large(real.points, sim.points, settings, "heat_max_nodes")
+    if reason:
+        return Baseline("netlsd", None, reason)
     times = np.geomspace(settings.heat_time_min, settings.heat_time_max, settings.heat_times)
     laplacian_real = normalised_laplacian(real.adjacency)
     laplacian_sim = normalised_laplacian(sim.adjacency)
-    return (Baseline("netlsd", heat_trace_distance(laplacian_real, laplacian_sim, times)),)
+    return Baseline("netlsd", heat_trace_distance(laplacian_real, laplacian_sim, times))
 
 
 def heat_trace_distance(
@@ -471,20 +466,14 @@ def heat_trace_distance(
     return float(np.linalg.norm(heat_trace(real, times) - heat_trace(sim, times)))
 
 
-def _r_h(
-    real: Subgraph,
-    sim: Subgraph,
-    selection: Selection,
-    t: float,
-    settings: MetricsSettings,
-) -> Baselines:
+def _r_h(real: Subgraph, sim: Subgraph, selection: Selection, t: float) -> Baseline:
     """Bounded diffusion change of the aligned nodes; None for fewer than 3 nodes."""
     n_keep = len(selection.real_nodes)
     if n_keep < MIN_NODES:
-        return (Baseline("r_h", None, f"{n_keep} aligned nodes, at least {MIN_NODES} are needed"),)
+        return Baseline("r_h", None, f"{n_keep} aligned nodes, at least {MIN_NODES} are needed")
     laplacian_real = induced_laplacian(real, selection.real_nodes)
     laplacian_sim = induced_laplacian(sim, selection.sim_nodes)
-    return (Baseline("r_h", diffusion_change(laplacian_real, laplacian_sim, t)),)
+    return Baseline("r_h", diffusion_change(laplacian_real, laplacian_sim, t))
 
 
 def diffusion_change(
@@ -538,14 +527,11 @@ def nvs(real: FloatArray, sim: FloatArray) -> Baselines:
     clipped_sim = np.clip(sim_image, _LEAST_RANGE_M, _IMAGE_RANGE_M)
     mean_square = float(np.mean((clipped_real - clipped_sim) ** 2))
     median = float(np.median(np.abs(clipped_real - clipped_sim)))
-    if mean_square > 0:
-        psnr = Baseline("nvs_depth_psnr_db", 10 * float(np.log10(_IMAGE_RANGE_M**2 / mean_square)))
-    else:
-        psnr = Baseline("nvs_depth_psnr_db", None, "both images are equal")
+    psnr = 10 * float(np.log10(_IMAGE_RANGE_M**2 / mean_square)) if mean_square else None
     return (
         Baseline("nvs_depth_rmse_m", math.sqrt(mean_square)),
         Baseline("nvs_depth_medae_m", median),
-        psnr,
+        Baseline("nvs_depth_psnr_db", psnr, "both images are equal" if psnr is None else None),
         *_image_points_apart(_points_of_image(real_image), _points_of_image(sim_image)),
     )
 
@@ -586,8 +572,7 @@ def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
     """Chamfer distance and F-score of the points of two range images."""
     if not min(len(real), len(sim)):
         reason = "a side has no point in the range image"
-        names = ("nvs_chamfer_m2", "nvs_f_score_0p05m2")
-        return tuple(Baseline(name, None, reason) for name in names)
+        return _without_value(reason, "nvs_chamfer_m2", "nvs_f_score_0p05m2")
     to_sim, to_real = nearest_distances(real, sim)
     return (
         Baseline("nvs_chamfer_m2", float((to_sim**2).mean() + (to_real**2).mean())),
@@ -607,9 +592,3 @@ OF_POINTS: dict[str, _OfPoints] = {
 }
 #: Name in the settings of the scores of whole scans, ground included; objects do not have them.
 OF_SCANS = "nvs"
-#: Those that need the graphs or the aligned nodes of a matched object.
-OF_OBJECTS: dict[str, _OfObject] = {
-    "emd": _emd,
-    "netlsd": _netlsd,
-    "r_h": _r_h,
-}

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..schemas.errors import StageError
 from ..schemas.settings import GraphSettings
-from .arrays import FloatArray, IndexArray, IntArray
+from .arrays import BoolArray, FloatArray, IndexArray, IntArray
 from .linalg.subgraph import Edges
 from .thinning import smallest_voxel
 
@@ -16,8 +16,8 @@ from .thinning import smallest_voxel
 MAX_CLOSE_PAIRS = 10**8
 _SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last bits
 _LEAF_SIZE = 32
-
-Arcs = tuple[NDArray[np.integer], NDArray[np.integer]]  #: the two ends of each arc
+_TILE_POINTS = 50_000  # affects the memory, not the result
+_TILE_PAIRS = 2**22
 
 
 def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
@@ -54,27 +54,26 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     near_m = settings.tau_m if settings.edges == "union" else 0.0
     if np.linalg.norm(np.ptp(points, axis=0)) <= near_m:  # a tree would compare all with all
         _reject_crowd(points, near_m, settings)
-    tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE)
     k = min(settings.k, n - 1)
-    precedence = np.arange(n)
-    if settings.ties == "coordinates":
-        precedence = np.argsort(np.lexsort(points.T[::-1]))
-    distance, nearest = tree.query(points, k=min(k + 2, n))
-    # If the k-th neighbour is farther than tau, all points within tau are neighbours already.
-    crowded = np.flatnonzero(distance[:, k] <= near_m * (1 + _SLACK))
-    _reject_crowd(points[crowded], near_m, settings)
-    neighbours = _nearest(tree, points, k, distance, nearest, precedence)
-    arcs: list[Arcs] = [(np.repeat(np.arange(n), k), neighbours.ravel())]
+    neighbours, farthest_m = _nearest(points, k, near_m, settings)
+    pairs = _pairs_of_neighbours(neighbours)
     if settings.edges == "union":
-        near, other = _within(points[crowded], settings.tau_m)
-        arcs.append((crowded[near], crowded[other]))
-    src, dst = _unique_pairs(arcs, n)
-    length_m = _distance(points, src, dst)
-    edges = Edges(src.astype(np.int32), dst.astype(np.int32), length_m.astype(np.float32))
-    if settings.edges == "union":
-        return edges
-    is_near = length_m <= settings.tau_m
-    return Edges(edges.src[is_near], edges.dst[is_near], edges.length_m[is_near])
+        # If the k-th neighbour is farther than tau, all points within tau are neighbours already.
+        crowded = np.flatnonzero(farthest_m <= near_m * (1 + _SLACK))
+        pairs = pairs + _pairs_within(points, crowded, near_m)
+    src = np.repeat(np.arange(n, dtype=np.int32), np.diff(pairs.indptr))
+    dst = pairs.indices
+    length_m = np.empty(len(src), dtype=np.float32)
+    is_near = np.ones(len(src), dtype=np.bool_)
+    for start in range(0, len(src), _TILE_PAIRS):
+        tile = slice(start, start + _TILE_PAIRS)
+        distance_m = _distance(points, src[tile], dst[tile])
+        length_m[tile] = distance_m
+        if settings.edges == "intersection":
+            is_near[tile] = distance_m <= settings.tau_m
+    if is_near.all():
+        return Edges(src, dst, length_m)
+    return Edges(src[is_near], dst[is_near], length_m[is_near])
 
 
 def _reject_crowd(points: FloatArray, near_m: float, settings: GraphSettings) -> None:
@@ -100,47 +99,87 @@ def _n_close_pairs(points: FloatArray, near_m: float) -> int:
     return (int(tree.count_neighbors(tree, near_m * (1 + _SLACK))) - n) // 2
 
 
-def _nearest(
-    tree: scipy.spatial.cKDTree,
-    points: FloatArray,
-    k: int,
-    distance: FloatArray,
-    nearest: IndexArray,
-    precedence: IndexArray,
-) -> IntArray:
-    """The k nearest neighbours of each point, (n, k), ties by smaller precedence, from the answer of the tree."""
-    neighbours = nearest[:, 1 : k + 1].astype(np.int32)
-    is_open = nearest[:, 0] != np.arange(len(points))  # another point at the same place comes first
-    if nearest.shape[1] > k + 1:
-        is_open |= distance[:, k + 1] <= distance[:, k] * (1 + _SLACK)  # a tie at the k-th place
+def _nearest(points: FloatArray, k: int, near_m: float, settings: GraphSettings) -> tuple[IntArray, FloatArray]:
+    """The k nearest neighbours of each point, (n, k), and the distance of the last one as the tree has it, (n,).
+
+    Raises
+    ------
+    StageError
+        Too many points have all these within `near_m`.
+    """
+    n = len(points)
+    tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE)
+    neighbours = np.empty((n, k), dtype=np.int32)
+    farthest_m = np.empty(n)
+    is_open = np.empty(n, dtype=np.bool_)
+    for start in range(0, n, _TILE_POINTS):
+        rows = np.arange(start, min(start + _TILE_POINTS, n))
+        distance_m, nearest = tree.query(points[rows], k=min(k + 2, n))
+        neighbours[rows] = nearest[:, 1 : k + 1]
+        farthest_m[rows] = distance_m[:, k]
+        is_open[rows] = nearest[:, 0] != rows  # another point at the same place comes first
+        if nearest.shape[1] > k + 1:  # a tie at the k-th place
+            is_open[rows] |= distance_m[:, k + 1] <= distance_m[:, k] * (1 + _SLACK)
+    _reject_crowd(points[farthest_m <= near_m * (1 + _SLACK)], near_m, settings)
+    precedence = np.arange(n)
+    if settings.ties == "coordinates":
+        precedence = np.argsort(np.lexsort(points.T[::-1]))
     for i in np.flatnonzero(is_open):  # again, from all points within the distance of the k-th
-        within_m = distance[i, k] * (1 + _SLACK)
+        within_m = farthest_m[i] * (1 + _SLACK)
         ball = np.array(tree.query_ball_point(points[i], within_m), dtype=np.intp)
         ball = ball[ball != i]
         apart_m = _distance(points, np.full(len(ball), i), ball)
         neighbours[i] = ball[np.lexsort((precedence[ball], apart_m))[:k]]
-    return neighbours
+    return neighbours, farthest_m
 
 
-def _within(points: FloatArray, tau_m: float) -> IndexArray:
-    """Pairs of points at most tau apart, (2, m)."""
-    if len(points) < 2:
-        return np.empty((2, 0), dtype=np.intp)
-    tree = scipy.spatial.cKDTree(points)
-    src, dst = tree.query_pairs(tau_m * (1 + _SLACK), output_type="ndarray").T
-    inside = _distance(points, src, dst) <= tau_m
-    return np.array([src[inside], dst[inside]])
+def _pairs_of_neighbours(neighbours: IntArray) -> scipy.sparse.csr_matrix:
+    """Pairs of points of which either is a neighbour of the other, (n, n) CSR bool, smaller index in the row."""
+    n = len(neighbours)
+    is_later = neighbours > np.arange(n)[:, None]
+    later = _matrix_of(neighbours, is_later)
+    earlier = _matrix_of(neighbours, ~is_later)
+    return later.T.tocsr().T.tocsr() + earlier.T.tocsr()  # transposing sorts in linear time
 
 
-def _unique_pairs(arcs: list[Arcs], n: int) -> tuple[IndexArray, IndexArray]:
-    """Pairs of nodes with an arc in either direction in any list, smaller index first, ascending, each once."""
-    codes = np.concatenate([np.minimum(a, b, dtype=np.int64) for a, b in arcs])
-    codes *= n
-    codes += np.concatenate([np.maximum(a, b) for a, b in arcs])
-    codes.sort()
-    codes = codes[np.append(True, codes[1:] != codes[:-1])]
-    src = np.repeat(np.arange(n), np.diff(np.searchsorted(codes, np.arange(n + 1) * n)))
-    return src, codes - src * n
+def _matrix_of(neighbours: IntArray, is_chosen: BoolArray) -> scipy.sparse.csr_matrix:
+    """Some neighbours of each point, (n, n) CSR bool."""
+    n = len(neighbours)
+    starts = np.append(0, np.cumsum(np.count_nonzero(is_chosen, axis=1)))
+    ends = neighbours[is_chosen]
+    return scipy.sparse.csr_matrix((np.ones(len(ends), np.bool_), ends, starts), shape=(n, n))
+
+
+def _pairs_within(points: FloatArray, chosen: IndexArray, tau_m: float) -> scipy.sparse.csr_matrix:
+    """Pairs of chosen points at most tau apart, (n, n) CSR bool, smaller index in the row.
+
+    The points are taken in tiles along the longest axis, each with those that follow within tau.
+    """
+    n = len(points)
+    along = points[chosen, np.argmax(np.ptp(points, axis=0))]
+    chosen = chosen[np.argsort(along, kind="stable")]
+    along = np.sort(along)
+    all_src = [np.empty(0, dtype=np.int32)]
+    all_dst = [np.empty(0, dtype=np.int32)]
+    for start in range(0, len(chosen), _TILE_POINTS):
+        end = min(start + _TILE_POINTS, len(chosen))
+        last = np.searchsorted(along, along[end - 1] + tau_m * (1 + _SLACK), side="right")
+        tile = chosen[start:last]
+        tree = scipy.spatial.cKDTree(points[tile])
+        first, second = tree.query_pairs(tau_m * (1 + _SLACK), output_type="ndarray").T
+        is_of_tile = first < end - start
+        src = tile[first[is_of_tile]]
+        dst = tile[second[is_of_tile]]
+        is_near = _distance(points, src, dst) <= tau_m
+        ends = src[is_near].astype(np.int32), dst[is_near].astype(np.int32)
+        all_src.append(np.minimum(*ends))
+        all_dst.append(np.maximum(*ends))
+    src, dst = np.concatenate(all_src), np.concatenate(all_dst)
+    del all_src, all_dst
+    is_pair = np.ones(len(src), dtype=np.bool_)
+    pairs = scipy.sparse.coo_matrix((is_pair, (src, dst)), shape=(n, n)).tocsr()
+    pairs.sort_indices()
+    return pairs
 
 
 def _distance(points: FloatArray, src: NDArray[np.integer], dst: NDArray[np.integer]) -> FloatArray:

@@ -13,6 +13,7 @@ import scipy
 from ..schemas.errors import StageError
 from ..schemas.settings import GroundSettings
 from .arrays import BoolArray, FloatArray
+from .reference import nearest_points
 
 MIN_OBJECT_POINTS = 8
 MAX_TILT_DEG = 10.0
@@ -22,6 +23,8 @@ STEP_M = 0.05
 DEPTH_M = 1.0
 CELL_M = 0.5
 MIN_COMMON_CELLS = 20
+#: A simulated point on the real road is no object if the real scan has an object nowhere within this distance.
+NO_OBJECT_M = 1.0
 PEAKS_APART_M = 0.05
 _ROUNDING_M = 1e-9
 
@@ -67,12 +70,15 @@ def remove_ground(
     removed : sum (h_r - mean h_r)^2 over removed points r above peak - 1 m, over sum (h - mean h)^2 of all points
     total : |tr Cov(kept) - tr Cov(all)| / tr Cov(all)
 
+    With `real_points`, points above the cut that lie on the real road are ground, too (`_on_real_road`).
+
     Parameters
     ----------
     points : (n, 3) float64, metres, cleaned
     settings : method and thresholds
     shared : the cut of the real side, applied unchanged (`ground.shared`), or moved by the height of this side's road
-        above the real one if `real_points` are given (`ground.peak = "real"`)
+        above the real one if `real_points` are given (`ground.peak = "real"`), and then with the ground flags and
+        heights of the real points
     real_points : (m, 3) float64, metres, cleaned points of the real side
 
     Raises
@@ -102,6 +108,9 @@ def remove_ground(
         height = points @ axis
 
     is_ground, threshold_m, loss, iterations = _cut(points, height, peak_m, settings, shared)
+    if shared is not None and real_points is not None:
+        on_road = _on_real_road(points, height - peak_m, shared, real_points, settings.prior_m)
+        is_ground = is_ground | on_road
     n_left = len(points) - int(np.count_nonzero(is_ground))
     if n_left < MIN_OBJECT_POINTS:
         raise StageError(
@@ -143,12 +152,19 @@ def _cut(
 
 
 def _vertical_axis(points: FloatArray, notes: list[str]) -> tuple[FloatArray, float]:
-    """Axis of the heights, and the angle of the principal axis to +Z; +Z instead of one that is tilted too much."""
-    axis, tilt_deg = _up_axis(points)
-    if tilt_deg <= MAX_TILT_DEG:
-        return axis, tilt_deg
-    notes.append(f"the PCA axis is tilted by {tilt_deg:.1f} degrees (at most {MAX_TILT_DEG:.0f}); heights are along +Z")
-    return np.array([0.0, 0.0, 1.0]), tilt_deg
+    """Principal axis nearest +Z, pointing up, and its angle to +Z; +Z instead of an axis that is tilted too much."""
+    centred = points - points.mean(axis=0)
+    axes: FloatArray = scipy.linalg.svd(centred, full_matrices=False)[2]
+    axis = axes[np.argmax(np.abs(axes[:, 2]))]
+    if axis[2] < 0:
+        axis = -axis
+    tilt_deg = float(np.degrees(np.arccos(min(1.0, axis[2]))))
+    if tilt_deg > MAX_TILT_DEG:
+        notes.append(
+            f"the PCA axis is tilted by {tilt_deg:.1f} degrees (at most {MAX_TILT_DEG:.0f}); heights are along +Z"
+        )
+        axis = np.array([0.0, 0.0, 1.0])
+    return axis, tilt_deg
 
 
 def _find_peak(points: FloatArray, height: FloatArray, notes: list[str]) -> float:
@@ -170,16 +186,6 @@ def peaks_note(real_peak_m: float, sim_peak_m: float, settings: GroundSettings) 
         "and each side is cut at its own: strips of road may remain as objects. Correct the height of the simulated "
         "scan, or set ground.peak=real"
     )
-
-
-def _up_axis(points: FloatArray) -> tuple[FloatArray, float]:
-    """Principal axis nearest +Z, pointing up, and its angle to +Z in degrees."""
-    centred = points - points.mean(axis=0)
-    axes: FloatArray = scipy.linalg.svd(centred, full_matrices=False)[2]
-    axis = axes[np.argmax(np.abs(axes[:, 2]))]
-    if axis[2] < 0:
-        axis = -axis
-    return axis, float(np.degrees(np.arccos(min(1.0, axis[2]))))
 
 
 def _fullest_window_median(height: FloatArray) -> float:
@@ -212,6 +218,32 @@ def _follow_road(cut: GroundResult, real: FloatArray, sim: FloatArray) -> Ground
     offset_m = _fullest_window_median(height_sim - height_real)
     threshold_m = None if cut.threshold_m is None else cut.threshold_m + offset_m
     return replace(cut, peak_m=cut.peak_m + offset_m, threshold_m=threshold_m)
+
+
+def _on_real_road(
+    points: FloatArray,
+    height_m: FloatArray,
+    cut: GroundResult,
+    real_points: FloatArray,
+    most_m: float,
+) -> BoolArray:
+    """True for simulated points that lie on the real road, (n,) bool.
+
+    Road that rises is cut at one place in the real scan and at another in the simulated one. A point is road if no real
+    object point is within 1 m, but real ground is, and the point is at most `most_m` higher than the nearest of it
+    (heights above the roads' peaks; for equal distances the first by x, y, z).
+    """
+    on_road = np.zeros(len(points), dtype=np.bool_)
+    objects = real_points[~cut.is_ground]
+    ground = real_points[cut.is_ground]
+    if not len(ground):
+        return on_road
+    distance_m, _ = scipy.spatial.cKDTree(objects).query(points, distance_upper_bound=2 * NO_OBJECT_M)
+    alone = np.flatnonzero(distance_m > NO_OBJECT_M)
+    nearest, ground_m = nearest_points(ground, points[alone])
+    above_m = height_m[alone] - cut.height_m[cut.is_ground][nearest]
+    on_road[alone] = (ground_m <= NO_OBJECT_M) & (above_m <= most_m)
+    return on_road
 
 
 def _lower_threshold(

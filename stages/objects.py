@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,16 +71,11 @@ def majority_labels(labels: IntArray, names: list[str | None], n_ids: int = 0) -
     names : (n,) class of each point, or None
     n_ids : minimum number of ids
     """
-    counts: list[dict[str, int]] = [{} for _ in range(max(n_ids, int(labels.max()) + 1))]
+    counts: list[Counter[str]] = [Counter() for _ in range(max(n_ids, int(labels.max()) + 1))]
     for community, name in zip(labels.tolist(), names, strict=True):
         if name is not None and community >= 0:
-            counts[community][name] = counts[community].get(name, 0) + 1
-    return [_most_frequent(count) if count else None for count in counts]
-
-
-def _most_frequent(count: dict[str, int]) -> str:
-    """The name that occurs most, for equal counts the first in the alphabet."""
-    return min(count, key=lambda name: (-count[name], name))
+            counts[community][name] += 1
+    return [max(sorted(count), key=count.__getitem__, default=None) for count in counts]
 
 
 def _shape(points: FloatArray) -> tuple[float, float, float]:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from .arrays import BoolArray, FloatArray, IndexArray
 
-SEEN_WITHIN_M = 0.3  #: points are compared where the other side has one within this distance
 SAME_WITHIN_M = 2.0  #: boxes of one class are the same at this distance of their centres, or nearer
 
 
@@ -28,14 +27,6 @@ class Boxes:
     centre: FloatArray
     size: FloatArray
     yaw: FloatArray
-
-
-def counterparts(real: FloatArray, sim: FloatArray) -> IndexArray:
-    """The nearest simulated point of each real point, (n,); -1 if none is within 0.3 m."""
-    if not len(sim):
-        return np.full(len(real), -1)
-    distance_m, nearest = scipy.spatial.cKDTree(sim).query(real, distance_upper_bound=SEEN_WITHIN_M)
-    return np.where(np.isfinite(distance_m), nearest, -1)
 
 
 def match_detections(real: Boxes, sim: Boxes) -> IndexArray:
@@ -78,12 +69,11 @@ def lost_auc(scores: FloatArray, is_lost: BoolArray) -> float | None:
     >>> lost_auc(np.array([0.1, 0.4, 0.2]), np.array([False, True, False]))
     1.0
     """
-    n_lost = int(np.count_nonzero(is_lost))
-    n_kept = len(is_lost) - n_lost
-    if not n_lost or not n_kept:
+    from sklearn.metrics import roc_auc_score
+
+    if is_lost.all() or not is_lost.any():
         return None
-    ranks = scipy.stats.rankdata(scores)[is_lost].sum()
-    return float((ranks - n_lost * (n_lost + 1) / 2) / (n_lost * n_kept))
+    return float(roc_auc_score(is_lost, scores))
 
 
 def jackknife_interval(scores: FloatArray, is_lost: BoolArray, scan_of: IndexArray) -> tuple[float, float] | None:

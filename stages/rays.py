@@ -160,42 +160,22 @@ def compare_rays(
     lowest, highest = np.interp(real_grid.elevation_deg[[0, -1]], limits, rows)
     sim_rows = sim_side.place[:, 1]
     is_between = (sim_rows >= lowest - REACH) & (sim_rows <= highest + REACH)
-    both, both_sim, only_real, only_sim = _sort_returns(real_side, sim_side, is_between)
+    real_row, sim_row = _sort_returns(real_side, sim_side, is_between)
 
-    normal = sim_side.normals(both_sim)
-    directions = real[both] / real_side.range_m[both, None]
-    along_m = _range_along(directions, sim[both_sim], normal)
-    outcomes = (
-        _agreement(along_m - real_side.range_m[both], noise_m),
-        _without_partner(real[only_real], sim),
-        np.full(len(only_sim), SIM_ONLY),
-    )
-    incidences_deg = (
-        sim_side.incidence_deg(both_sim, normal),
-        real_side.incidence_deg(only_real, real_side.normals(only_real)),
-        sim_side.incidence_deg(only_sim, sim_side.normals(only_sim)),
-    )
-    real_row = np.concatenate([both, only_real])
-    return _in_grid(
-        beam=np.concatenate([real_side.beam[real_row], real_grid.beam_of(sim)[only_sim]]),
-        azimuth=np.concatenate([real_side.place[real_row, 0], sim_side.place[only_sim, 0]]),
+    is_real = real_row >= 0
+    beam, column, ray = _in_grid(
+        np.where(is_real, real_side.beam[real_row], real_grid.beam_of(sim)[sim_row]),
+        np.where(is_real, real_side.place[real_row, 0], sim_side.place[sim_row, 0]),
         n_beams=len(real_grid.elevation_deg),
         n_columns=round(real_side.width),
-        real_row=np.concatenate([real_row, np.full(len(only_sim), -1)]),
-        sim_row=np.concatenate([both_sim, np.full(len(only_real), -1), only_sim]),
-        real_range_m=np.concatenate([real_side.range_m[real_row], np.full(len(only_sim), np.nan)]),
-        sim_range_m=np.concatenate(
-            [along_m, np.full(len(only_real), np.nan), sim_side.range_m[only_sim]],
-        ),
-        outcome=np.concatenate(outcomes),
-        incidence_deg=np.concatenate(incidences_deg),
     )
+    real_row = np.append(real_row, -1)[ray]
+    sim_row = np.append(sim_row, -1)[ray]
+    return _compare_ranges(real_side, sim_side, beam, column, real_row, sim_row, noise_m)
 
 
-def _sort_returns(
-    real: _Side, sim: _Side, is_between: BoolArray
-) -> tuple[IndexArray, IntArray, IndexArray, IndexArray]:
-    """Rows of the real and simulated returns of one ray, of real ones alone and of simulated ones alone.
+def _sort_returns(real: _Side, sim: _Side, is_between: BoolArray) -> tuple[IntArray, IntArray]:
+    """Rows of the real and of the simulated return of each ray with a return, -1 for none.
 
     Parameters
     ----------
@@ -203,25 +183,56 @@ def _sort_returns(
     """
     partner = _partners(real, sim)
     both = np.flatnonzero(partner >= 0)
-    both_sim = partner[both]
     is_single = is_between.copy()
-    is_single[both_sim] = False
+    is_single[partner[both]] = False
     only_real = _without_finer(np.flatnonzero(partner < 0), real, sim)
     only_sim = _without_finer(np.flatnonzero(is_single), sim, real)
-    return both, both_sim, only_real, only_sim
+    real_row = np.concatenate([both, only_real, np.full(len(only_sim), -1)])
+    sim_row = np.concatenate([partner[both], np.full(len(only_real), -1), only_sim])
+    return real_row.astype(np.int32), sim_row.astype(np.int32)
 
 
-def _agreement(difference_m: FloatArray, noise_m: float) -> IndexArray:
-    """(n,) outcome of rays that both sides returned, by simulated minus real range."""
+def _compare_ranges(
+    real: _Side,
+    sim: _Side,
+    beam: IndexArray,
+    column: IndexArray,
+    real_row: IntArray,
+    sim_row: IntArray,
+    noise_m: float,
+) -> Rays:
+    """The rays with their ranges, outcomes and incidences, from their returns on both sides."""
+    is_sim = sim_row >= 0
+    only_real = (real_row >= 0) & ~is_sim
+    is_both = (real_row >= 0) & is_sim
+    normal = np.full((len(real_row), 3), np.nan)
+    normal[only_real] = real.normals(real_row[only_real])
+    normal[is_sim] = sim.normals(sim_row[is_sim])
+    met = np.where(is_sim[:, None], sim.points[sim_row], real.points[real_row])
+    met_range_m = np.linalg.norm(met, axis=1)
+    cosine = np.abs(np.einsum("ij,ij->i", normal, met)) / met_range_m
+
+    real_range_m = np.where(real_row >= 0, real.range_m[real_row], np.nan)
+    sim_range_m = np.where(is_sim, met_range_m, np.nan)
+    directions = real.points[real_row[is_both]] / real_range_m[is_both, None]
+    sim_range_m[is_both] = _range_along(directions, met[is_both], normal[is_both])
+    difference_m = sim_range_m[is_both] - real_range_m[is_both]
     is_same = np.abs(difference_m) <= max(SAME_M, SAME_SIGMAS * noise_m)
-    return np.select([is_same, difference_m < 0], [SAME, IN_FRONT], BEHIND)
-
-
-def _without_partner(points: FloatArray, sim: FloatArray) -> IndexArray:
-    """(n,) outcome of real returns without a simulated one."""
-    tree = scipy.spatial.cKDTree(sim, balanced_tree=False)
-    distance_m, _ = tree.query(points, distance_upper_bound=SURFACE_M)
-    return np.where(distance_m > SURFACE_M, NO_SURFACE, DROPPED)
+    tree = scipy.spatial.cKDTree(sim.points, balanced_tree=False)
+    surface_m, _ = tree.query(met[only_real], distance_upper_bound=SURFACE_M)
+    outcome = np.where(is_sim, SIM_ONLY, NONE).astype(np.int32)
+    outcome[is_both] = np.select([is_same, difference_m < 0], [SAME, IN_FRONT], BEHIND)
+    outcome[only_real] = np.where(surface_m > SURFACE_M, NO_SURFACE, DROPPED)
+    return Rays(
+        beam=beam.astype(np.int32),
+        column=column.astype(np.int32),
+        real_row=real_row,
+        sim_row=sim_row,
+        real_range_m=real_range_m,
+        sim_range_m=sim_range_m,
+        outcome=outcome,
+        incidence_deg=np.degrees(np.arccos(np.minimum(cosine, 1.0))),
+    )
 
 
 def find_rays(
@@ -348,11 +359,6 @@ class _Side:
             boxsize=[self.width, 0.0],
             balanced_tree=False,
         )
-
-    def incidence_deg(self, at: IndexArray | IntArray, normal: FloatArray) -> FloatArray:
-        """(k,) angle between the rays of some returns and the normals of the surface that they met."""
-        cosine = np.abs(np.einsum("ij,ij->i", normal, self.points[at])) / self.range_m[at]
-        return np.degrees(np.arccos(np.minimum(cosine, 1.0)))
 
     def across(self, cells: FloatArray) -> FloatArray:
         """A difference of azimuths, in cells, the short way round."""
@@ -482,8 +488,13 @@ def _range_along(directions: FloatArray, points: FloatArray, normal: FloatArray)
     return np.where(is_met, meeting, range_m)
 
 
-def _in_grid(beam: IndexArray, azimuth: FloatArray, n_beams: int, n_columns: int, **values: IntArray) -> Rays:
-    """Give each ray a column, no two of a beam the same, and add the rays that returned on neither side."""
+def _in_grid(
+    beam: IndexArray, azimuth: FloatArray, n_beams: int, n_columns: int
+) -> tuple[IndexArray, IndexArray, IndexArray]:
+    """Beam, column and number of each ray, sorted; -1 as number of the rays that returned on neither side.
+
+    No two rays of a beam have the same column.
+    """
     order = np.lexsort((azimuth, beam))
     beam = beam[order]
     count = np.bincount(beam, minlength=n_beams)
@@ -500,10 +511,6 @@ def _in_grid(beam: IndexArray, azimuth: FloatArray, n_beams: int, n_columns: int
     silent_beam, silent_column = np.nonzero(is_silent)
     beam = np.concatenate([beam, silent_beam])
     column = np.concatenate([column, silent_column])
+    number = np.concatenate([order, np.full(len(silent_beam), -1)])
     final = np.lexsort((column, beam))
-    empty = {"outcome": NONE, "real_row": -1, "sim_row": -1}
-    filled = {}
-    for name, returned in values.items():
-        silent = np.full(len(silent_beam), empty.get(name, np.nan), dtype=returned.dtype)
-        filled[name] = np.concatenate([returned[order], silent])[final]
-    return Rays(beam=beam[final].astype(np.int32), column=column[final].astype(np.int32), **filled)
+    return beam[final], column[final], number[final]

@@ -7,7 +7,7 @@ the usual pipeline of ground removal, Euclidean clustering and boxes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -61,12 +61,16 @@ class Obstacles:
     labels : (n,) obstacle of each point of the scan, -1 for none
     low, high : (m, 3) corners of the boxes, metres, axes of the real sensor
     n_points : (m,)
+    partner : (m,) matched obstacle of the other side; -1 for a lost or an added one
+    iou : (m,) overlap with the partner seen from above; 0 for none
     """
 
     labels: IndexArray
     low: FloatArray
     high: FloatArray
     n_points: IndexArray
+    partner: IndexArray
+    iou: FloatArray
 
     @property
     def size_m(self) -> FloatArray:
@@ -85,26 +89,11 @@ class Obstacles:
 
 
 @dataclass(frozen=True)
-class Fates:
-    """Obstacles of a side, and what became of them.
-
-    partner : (m,) matched obstacle of the other side; -1 for a lost or an added one
-    iou : (m,) overlap with the partner seen from above; 0 for none
-    is_counted : (m,) True if the centre is within range_m
-    """
-
-    obstacles: Obstacles
-    partner: IndexArray
-    iou: FloatArray
-    is_counted: BoolArray
-
-
-@dataclass(frozen=True)
 class ObstacleTask:
     """Obstacles of both sides, and the gaps between them."""
 
-    real: Fates
-    sim: Fates
+    real: Obstacles
+    sim: Obstacles
     gaps: tuple[Gap, ...]
 
 
@@ -125,18 +114,19 @@ def compare_obstacles(real: CutScan, sim: CutScan, settings: TaskSettings) -> Ob
     sim_obstacles = find_obstacles(sim, settings)
     overlap = box_iou(real_obstacles, sim_obstacles)
     rows, columns = scipy.optimize.linear_sum_assignment(overlap, maximize=True)
-    is_found = overlap[rows, columns] >= settings.min_iou
+    iou = overlap[rows, columns]
+    is_found = iou >= settings.min_iou
     rows = rows[is_found]
     columns = columns[is_found]
-    real_fates = _fates(real_obstacles, rows, columns, overlap[rows, columns], settings)
-    sim_fates = _fates(sim_obstacles, columns, rows, overlap[rows, columns], settings)
-    is_counted = real_fates.is_counted[rows]
+    iou = iou[is_found]
+    real_obstacles = _matched(real_obstacles, rows, columns, iou)
+    sim_obstacles = _matched(sim_obstacles, columns, rows, iou)
     gaps = (
-        *_unmatched("lost", real_fates),
-        *_unmatched("added", sim_fates),
-        *_found(real_obstacles, sim_obstacles, rows[is_counted], columns[is_counted]),
+        *_unmatched("lost", real_obstacles, settings.range_m),
+        *_unmatched("added", sim_obstacles, settings.range_m),
+        *_errors(real_obstacles, sim_obstacles, settings.range_m),
     )
-    return ObstacleTask(real_fates, sim_fates, gaps)
+    return ObstacleTask(real_obstacles, sim_obstacles, gaps)
 
 
 def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
@@ -146,35 +136,44 @@ def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
     linked up to link_m (1 + r / 40 m) across the ray, and up to link_m (1 + r / 40 m)^2 along it,
     as the spacing of returns on a surface grows. Clusters of fewer than min_points are left out.
     """
+    is_near = np.hypot(scan.points[:, 0], scan.points[:, 1]) <= settings.range_m + _BORDER_M
+    is_candidate = is_near & _is_obstacle(scan, settings)
+    cluster = np.full(len(scan.points), -1)
+    cluster[is_candidate] = _clusters(scan.points[is_candidate], settings.link_m)
+    is_clustered = cluster >= 0
+    n_points = np.bincount(cluster[is_clustered])
+    low = np.full((len(n_points), 3), np.inf)
+    np.minimum.at(low, cluster[is_clustered], scan.points[is_clustered])
+    high = np.full((len(n_points), 3), -np.inf)
+    np.maximum.at(high, cluster[is_clustered], scan.points[is_clustered])
+    centre = (low + high) / 2
+    order = np.argsort(np.hypot(centre[:, 0], centre[:, 1]), kind="stable")
+    order = order[n_points[order] >= settings.min_points]
+    number_of = np.full(len(n_points) + 1, -1)  # the last is of points without a cluster
+    number_of[order] = np.arange(len(order))
+    return Obstacles(
+        labels=number_of[cluster],
+        low=low[order],
+        high=high[order],
+        n_points=n_points[order],
+        partner=np.full(len(order), -1),
+        iou=np.zeros(len(order)),
+    )
+
+
+def _clusters(points: FloatArray, link_m: float) -> IndexArray:
+    """Cluster of each point, (n,), -1 for none; points of one cell count as one, at their mean."""
     from sklearn.cluster import DBSCAN
 
-    labels = np.full(len(scan.points), -1)
-    is_near = np.hypot(*scan.points.T[:2]) <= settings.range_m + _BORDER_M
-    chosen = np.flatnonzero(is_near & _is_obstacle(scan, settings))
-    if not len(chosen):
-        return Obstacles(labels, np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=np.intp))
-    points = scan.points[chosen]
+    if not len(points):
+        return np.empty(0, dtype=np.intp)
     range_m = np.linalg.norm(points, axis=1)
     scaled = points / (1 + range_m / _DOUBLE_AT_M)[:, None]
-    cell = np.floor(scaled * (_CELLS_PER_LINK / settings.link_m)).astype(np.int64)
-    _, cell_of, n_in_cell = _unique_rows(cell)
-    means = sums_by_id(scaled, cell_of, len(n_in_cell)) / n_in_cell[:, None]
-    dbscan = DBSCAN(eps=settings.link_m, min_samples=_CORE_POINTS)
-    cluster = dbscan.fit(means, sample_weight=n_in_cell).labels_[cell_of]
-    n_points = np.bincount(cluster[cluster >= 0])
-    is_large = np.append(n_points >= settings.min_points, False)  # the last is of cluster -1
-    is_kept = is_large[cluster]
-    chosen = chosen[is_kept]
-    points = points[is_kept]
-    _, cluster = np.unique(cluster[is_kept], return_inverse=True)
-    n_points = np.bincount(cluster)
-    low = np.full((len(n_points), 3), np.inf)
-    np.minimum.at(low, cluster, points)
-    high = np.full((len(n_points), 3), -np.inf)
-    np.maximum.at(high, cluster, points)
-    order = np.argsort(np.hypot(*(low + high).T[:2]), kind="stable")
-    labels[chosen] = np.argsort(order)[cluster]
-    return Obstacles(labels, low[order], high[order], n_points[order])
+    cell, n_in_cell = _number_cells(np.floor(scaled * (_CELLS_PER_LINK / link_m)))
+    means = sums_by_id(scaled, cell, len(n_in_cell)) / n_in_cell[:, None]
+    dbscan = DBSCAN(eps=link_m, min_samples=_CORE_POINTS)
+    labels: IndexArray = dbscan.fit(means, sample_weight=n_in_cell).labels_[cell]
+    return labels
 
 
 def box_iou(a: Obstacles, b: Obstacles) -> FloatArray:
@@ -198,27 +197,24 @@ def compare_ground(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple
     - height_m: median over cells of 1 m with at least three ground points of both sides of
       |z_sim - z_real|, z being the mean height of the ground points of the cell
     """
-    near = [_within(scan, settings.range_m) for scan in (real, sim)]
-    shares = []
-    disagreements = []
-    for scan, other in (near, near[::-1]):
-        if not len(scan.points) or not len(other.points):
-            return (
-                Gap("ground", "disagreement", None, None, None),
-                Gap("ground", "height_m", None, None, None, "m"),
-            )
-        tree = scipy.spatial.cKDTree(other.points)
-        distance_m, nearest = tree.query(scan.points, distance_upper_bound=_SEEN_WITHIN_M)
-        is_seen = np.isfinite(distance_m)
-        flags = scan.is_ground[is_seen]
-        shares.append(_mean(flags))
-        disagreements.append(_mean(flags != other.is_ground[nearest[is_seen]]))
-    is_known = None not in disagreements
-    gap = _mean(np.array(disagreements, dtype=np.float64)) if is_known else None
+    real = _within(real, settings.range_m)
+    sim = _within(sim, settings.range_m)
+    real_share, real_wrong = _ground_on_common_surface(real, sim)
+    sim_share, sim_wrong = _ground_on_common_surface(sim, real)
+    gap = None
+    if real_wrong is not None and sim_wrong is not None:
+        gap = (real_wrong + sim_wrong) / 2
     return (
-        Gap("ground", "disagreement", shares[0], shares[1], gap),
-        Gap("ground", "height_m", None, None, _height_error_m(near[0], near[1]), "m"),
+        Gap("ground", "disagreement", real_share, sim_share, gap),
+        Gap("ground", "height_m", None, None, _height_error_m(real, sim), "m"),
     )
+
+
+def counterparts(points: FloatArray, others: FloatArray) -> IndexArray:
+    """The nearest point of the other side, (n,); -1 if none is within 0.3 m."""
+    tree = scipy.spatial.cKDTree(others)
+    distance_m, nearest = tree.query(points, distance_upper_bound=_SEEN_WITHIN_M)
+    return np.where(np.isfinite(distance_m), nearest, -1)
 
 
 def compare_occupancy(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple[Gap, ...]:
@@ -281,58 +277,48 @@ def _within(scan: CutScan, range_m: float) -> CutScan:
     return CutScan(scan.points[is_near], scan.is_ground[is_near], scan.height_m[is_near])
 
 
-def _unique_rows(cells: NDArray[np.int64]) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """Index of the first of equal rows, (m,); the unique row of each row, (n,); their numbers."""
-    cells = cells - cells.min(axis=0)
-    code = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
-    _, first, inverse, n = np.unique(
-        code,
-        return_index=True,
-        return_inverse=True,
-        return_counts=True,
-    )
-    return first, inverse, n
+def _number_cells(cells: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """Number of the cell of each point, (n,), from whole coordinates, and points of each, (m,)."""
+    whole = (cells - cells.min(axis=0)).astype(np.int64)
+    code = np.ravel_multi_index(tuple(whole.T), tuple(whole.max(axis=0) + 1))
+    _, number, n_points = np.unique(code, return_inverse=True, return_counts=True)
+    return number, n_points
 
 
-def _fates(
-    obstacles: Obstacles,
-    matched: IndexArray,
-    partners: IndexArray,
-    overlap: FloatArray,
-    settings: TaskSettings,
-) -> Fates:
-    """What became of the obstacles of a side, from the matched ones, their partners and their IoU."""
-    n = len(obstacles.n_points)
-    partner = np.full(n, -1)
-    partner[matched] = partners
-    iou = np.zeros(n)
-    iou[matched] = overlap
-    return Fates(obstacles, partner, iou, obstacles.range_m <= settings.range_m)
+def _matched(obstacles: Obstacles, rows: IndexArray, partners: IndexArray, iou: FloatArray) -> Obstacles:
+    """The obstacles with the partners of some of them."""
+    partner = obstacles.partner.copy()
+    partner[rows] = partners
+    overlap = obstacles.iou.copy()
+    overlap[rows] = iou
+    return replace(obstacles, partner=partner, iou=overlap)
 
 
-def _unmatched(measure: str, fates: Fates) -> list[Gap]:
+def _unmatched(measure: str, obstacles: Obstacles, range_m: float) -> list[Gap]:
     """Share of obstacles without a partner: of all, by size and by distance.
 
     `real` is the number of obstacles and `sim` that of the matched ones, or the reverse if the
     obstacles are the simulated ones.
     """
-    longer_side_m = fates.obstacles.size_m[:, :2].max(axis=1)
-    size_of = np.digitize(longer_side_m, [*SIZES_M.values()]) - 1
-    distance_of = np.digitize(fates.obstacles.range_m, [*DISTANCES_M.values()]) - 1
-    groups = {ALL: fates.is_counted}
-    groups |= {name: fates.is_counted & (size_of == i) for i, name in enumerate(SIZES_M)}
-    groups |= {name: fates.is_counted & (distance_of == i) for i, name in enumerate(DISTANCES_M)}
+    is_near = obstacles.range_m <= range_m
+    size_of = np.digitize(obstacles.size_m[:, :2].max(axis=1), [*SIZES_M.values()]) - 1
+    distance_of = np.digitize(obstacles.range_m, [*DISTANCES_M.values()]) - 1
+    groups = {ALL: is_near}
+    groups |= {name: is_near & (size_of == i) for i, name in enumerate(SIZES_M)}
+    groups |= {name: is_near & (distance_of == i) for i, name in enumerate(DISTANCES_M)}
     gaps = []
     for group, chosen in groups.items():
         n = _count(chosen)
-        n_found = _count(chosen & (fates.partner >= 0))
+        n_found = _count(chosen & (obstacles.partner >= 0))
         counts = (n, n_found) if measure == "lost" else (n_found, n)
         gaps.append(Gap("objects", measure, *counts, _ratio(n - n_found, n), group=group))
     return gaps
 
 
-def _found(real: Obstacles, sim: Obstacles, rows: IndexArray, columns: IndexArray) -> list[Gap]:
-    """Errors of size and place of the found obstacles, real `rows` and simulated `columns`."""
+def _errors(real: Obstacles, sim: Obstacles, range_m: float) -> list[Gap]:
+    """Errors of size and place of the found obstacles."""
+    rows = np.flatnonzero((real.partner >= 0) & (real.range_m <= range_m))
+    columns = real.partner[rows]
     real_size_m = real.size_m[rows, :2]
     sim_size_m = sim.size_m[columns, :2]
     size_error_m = np.abs(real_size_m - sim_size_m).max(axis=1)
@@ -344,20 +330,34 @@ def _found(real: Obstacles, sim: Obstacles, rows: IndexArray, columns: IndexArra
     ]
 
 
+def _ground_on_common_surface(scan: CutScan, other: CutScan) -> tuple[float | None, float | None]:
+    """Shares of ground, and of points whose nearest one has another flag; None without any."""
+    nearest = counterparts(scan.points, other.points)
+    is_seen = nearest >= 0
+    is_ground = scan.is_ground[is_seen]
+    return _mean(is_ground), _mean(is_ground != other.is_ground[nearest[is_seen]])
+
+
 def _height_error_m(real: CutScan, sim: CutScan) -> float | None:
     """Median difference of the ground's height over cells that both sides have."""
-    ground = [scan.points[scan.is_ground] for scan in (real, sim)]
-    points = np.vstack(ground)
+    real_points = real.points[real.is_ground]
+    sim_points = sim.points[sim.is_ground]
+    points = np.vstack([real_points, sim_points])
     if not len(points):
         return None
-    first, cell, _ = _unique_rows(np.floor(points[:, :2] / _GROUND_CELL_M).astype(np.int64))
-    heights = []
-    for of_side, z in zip(np.split(cell, [len(ground[0])]), ground, strict=True):
-        n = np.bincount(of_side, minlength=len(first))
-        total = np.bincount(of_side, z[:, 2], len(first))
-        heights.append(np.where(n >= _GROUND_POINTS, total / np.maximum(n, 1), np.nan))
-    difference = np.abs(heights[1] - heights[0])
-    return _median(difference[~np.isnan(difference)])
+    cell, n_points = _number_cells(np.floor(points[:, :2] / _GROUND_CELL_M))
+    real_cell, sim_cell = np.split(cell, [len(real_points)])
+    real_m = _mean_by_cell(real_points[:, 2], real_cell, len(n_points))
+    sim_m = _mean_by_cell(sim_points[:, 2], sim_cell, len(n_points))
+    difference_m = np.abs(sim_m - real_m)
+    return _median(difference_m[~np.isnan(difference_m)])
+
+
+def _mean_by_cell(values: FloatArray, cell: IndexArray, n_cells: int) -> FloatArray:
+    """Mean of the values in each cell, (n_cells,); NaN with fewer than three."""
+    n = np.bincount(cell, minlength=n_cells)
+    total = np.bincount(cell, values, n_cells)
+    return np.where(n >= _GROUND_POINTS, total / np.maximum(n, 1), np.nan)
 
 
 def _map(scan: CutScan, settings: TaskSettings) -> tuple[BoolArray, BoolArray]:
@@ -378,16 +378,17 @@ def _map(scan: CutScan, settings: TaskSettings) -> tuple[BoolArray, BoolArray]:
 
 def _first_obstacle_m(scan: CutScan, settings: TaskSettings) -> FloatArray:
     """Horizontal distance of the first obstacle in each direction, (360,); at most range_m."""
-    points = scan.points[_is_obstacle(scan, settings)]
     first_m = np.full(N_DIRECTIONS, settings.range_m)
-    np.minimum.at(first_m, _direction(*points.T[:2]), np.hypot(*points.T[:2]))
+    x, y, _ = scan.points[_is_obstacle(scan, settings)].T
+    np.minimum.at(first_m, _direction(x, y), np.hypot(x, y))
     return first_m
 
 
 def _farthest_m(scan: CutScan) -> FloatArray:
     """Horizontal distance of the farthest return in each direction, (360,); 0 without any."""
     farthest_m = np.zeros(N_DIRECTIONS)
-    np.maximum.at(farthest_m, _direction(*scan.points.T[:2]), np.hypot(*scan.points.T[:2]))
+    x, y, _ = scan.points.T
+    np.maximum.at(farthest_m, _direction(x, y), np.hypot(x, y))
     return farthest_m
 
 

@@ -70,9 +70,14 @@ class DyingPool(WatchedPool):
 
 
 def name_of(function, args):
-    """Name of the function of a task; "gather_objects" of one that only writes the rows of objects."""
-    is_gathering = function.__name__ == "run_batch" and args[0][0].rows is not None
-    return "gather_objects" if is_gathering else function.__name__
+    """Name of the function of a task; "score_objects" and "gather_objects" for rows of objects, scored or written."""
+    if function.__name__ == "run_batch":
+        batch = args[0][0]
+        if batch.objects:
+            return "score_objects"
+        if batch.rows is not None:
+            return "gather_objects"
+    return function.__name__
 
 
 def jobs_in(function, args):
@@ -86,10 +91,10 @@ def bytes_needed(function, args, costs):
     """Bytes that a task may occupy, by the cost model."""
     if name_of(function, args) == "run_batch":
         return max(_bytes_of_batch(batch, costs) for batch in args[0])
-    if function.__name__ == "score_objects":
-        plan, _, wanted = args
-        nodes = [n_keep for number, n_keep in plan.objects if number in wanted]
-        return costs.pair_bytes(plan.n_points) + costs.object_bytes(max(nodes))
+    if name_of(function, args) == "score_objects":
+        batch = args[0][0]
+        nodes = [n_keep for number, n_keep in batch.plan.objects if number in batch.objects]
+        return costs.pair_bytes(batch.plan.n_points) + costs.object_bytes(max(nodes))
     return 0
 
 

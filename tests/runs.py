@@ -173,15 +173,22 @@ def marks(run_folder):
     return {str(path.relative_to(run_folder)): path.stat().st_mtime_ns for path in run_folder.glob("*/*.parquet")}
 
 
+def job_of_file(store, name):
+    """The finished job that wrote a file of a run."""
+    ledger = store.ledger
+    records = (record for pair_id in ("", *ledger.pair_ids()) for record in ledger.jobs(pair_id).values())
+    return next(record for record in records if name in record.files)
+
+
 def rewrite(folder, name, change):
-    """Changes a table of a run so that file, footer and ledger agree."""
+    """Changes a table of a run so that file and ledger agree."""
     store = RunFolder(folder)
     with store.locked():
-        record = store.ledger.job_of_file(name)
+        record = job_of_file(store, name)
         rows = change(pq.read_table(folder / name, partitioning=None))
         content = pa.BufferOutputStream()
         footer = pq.read_metadata(folder / name).metadata
-        with pq.ParquetWriter(content, rows.schema, store_schema=False, write_page_checksum=True) as writer:
+        with pq.ParquetWriter(content, rows.schema, store_schema=False) as writer:
             writer.write_table(rows)
             writer.add_key_value_metadata({key: value for key, value in footer.items() if key.startswith(b"fidpipe.")})
         (folder / name).write_bytes(content.getvalue())

@@ -38,7 +38,7 @@ def labelled(folder):
     with (dataset / "pairs.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([["pair_id", "real", "sim"], *rows])
     run(dataset, folder / "run")
-    write_report(folder / "run", out=folder / "report", with_figures=True)
+    write_report(folder / "run", out=folder / "report")
 
 
 def reference(folder):

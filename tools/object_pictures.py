@@ -85,7 +85,8 @@ class MatchedObject:
 
     def __init__(self, results, row):
         tables = PairFrames(results, row.pair_id)
-        kept = tables.selection[tables.selection.real_id == row.real_id]
+        selection = results.run.read_table("selection", row.pair_id).to_pandas()
+        kept = selection[selection.real_id == row.real_id]
         self.row = row
         self.graphs = {}
         self.nodes = {}

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib import colormaps
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
 
 from fidpipe.pipeline.report.figures import style
-from fidpipe.pipeline.report.figures.pair_plots import draw_distances, draw_objects
 from fidpipe.pipeline.report.look import FATE_COLOURS, QUADRANT_COLOURS, SIDE_COLOURS
 from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from fidpipe.pipeline.results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT
@@ -173,10 +173,15 @@ def draw_graph(view, path):
         save(figure, path)
 
 
+def colours_of(labels):
+    """(n, 4) a colour for each label; neighbours in number differ."""
+    return colormaps["Paired"](labels % 12)
+
+
 def communities(axis, view, side="real"):
     """The objects of a side from above, each in a colour."""
     cloud = view.tables.clouds[side]
-    draw_objects(cloud.points, cloud.community, axis)
+    style.dots(axis, cloud.points, 1.2, colours_of(cloud.community))
     axis.set_title(f"{len(np.unique(cloud.community))} {WORDS[side]} objects")
     style.from_above(axis, view.frame)
 
@@ -231,7 +236,9 @@ def draw_matching(view, path):
 def coverage(axis, view, side="real"):
     """The points of a side from above by their distance to the other side, far ones on top."""
     distance_m = view.tables.distances_m[side]
-    coloured = draw_distances(view.points[side], distance_m, axis)
+    order = np.argsort(distance_m, kind="stable")
+    ramp = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
+    coloured = style.dots(axis, view.points[side][order], 1.2, distance_m[order], **ramp)
     shares = " / ".join(f"{100 * np.mean(distance_m <= reach_m):.0f}" for reach_m in COVERAGE_DISTANCES_M)
     axis.set_title(f"{WORDS[side]}: {shares} % covered\nwithin 0.1 / 0.3 / 1 m")
     style.from_above(axis, view.frame)
@@ -288,7 +295,7 @@ def pieces(axis, view, side="real"):
     inside = found.labels >= 0
     style.dots(axis, view.points[side], 0.6, "#dddddd")
     places = points[side][["x", "y", "z"]].to_numpy()[inside]
-    style.dots(axis, places, 1.5, style.community_colours(len(found.partner))[found.labels[inside]])
+    style.dots(axis, places, 1.5, colours_of(found.labels[inside]))
     word = "missing" if side == "real" else "invented"
     axis.set_title(f"{len(found.partner)} {word} pieces, {100 * found.share:.1f} % of the {WORDS[side]} points")
     style.from_above(axis, view.frame)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .options import EXIT_PAIRS_FAILED, Assignments, Count, LocalWorkers, Replace, Seed
 from .output import print_line
+
+if TYPE_CHECKING:
+    from ...schemas.sensor_models import SensorModel
 
 
 def synth(
@@ -47,10 +51,7 @@ def synth(
     from ..engine.progress import Reporter
     from ..generate.synth import make_dataset
 
-    if sensor not in SENSORS:
-        raise typer.BadParameter(
-            f"expected one of {', '.join(SENSORS)}; got {sensor!r}", param_hint="--sensor"
-        )
+    _known_sensor(sensor, SENSORS)
     make_dataset(
         out,
         Reporter(),
@@ -80,9 +81,6 @@ def twin(
     ] = None,
     calib: Annotated[Path | None, typer.Option(show_default="calib.txt")] = None,
     others: Annotated[int, typer.Option(min=2)] = 4,
-    foliage: Annotated[
-        str | None, typer.Option(metavar="LABEL[,LABEL]", show_default="scattered points")
-    ] = None,
     pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
     seed: Seed = 0,
     assignments: Assignments = None,
@@ -102,14 +100,12 @@ def twin(
     sequence : Folder of a recording: scans and the poses of the sensor.
     out : Folder of the dataset; new, empty, or made by twin.
     flaw : Known flaw of all twins; repeatable.
-    sensor : recorded (beams as in the recording), vlp32c, hdl64, os1-64, carla, or a table of
-        elevations (.csv, .toml).
+    sensor : recorded (beams as in the recording), vlp32c, hdl64, os1-64, carla and others.
     range_noise : Standard deviation of the range noise, metres.
     dropout : Share of lost pulses.
     poses : TUM or KITTI poses.
     calib : KITTI's calibration, with Tr.
     others : Number of nearest other frames in each model.
-    foliage : Labels of foliage, for the flaw foliage.
     pairs : Only frames whose name matches, such as '*[02468]'.
     seed : Seed of the random numbers.
 
@@ -123,14 +119,15 @@ def twin(
     """
     from dataclasses import replace as with_values
 
+    from ...schemas.sensor_models import SENSORS
     from ...schemas.settings import load
     from ...stages.generate.flaws import parse_flaws
+    from ...stages.generate.rescan import RECORDED
     from ..engine.progress import Reporter
     from ..generate.recordings import read_recording
-    from ..generate.sensor_files import read_sensor
     from ..generate.twin import make_twins
 
-    model = read_sensor(sensor)
+    model = _known_sensor(sensor, {RECORDED.name: RECORDED, **SENSORS})
     outcome = make_twins(
         read_recording(sequence, poses, calib),
         out,
@@ -142,7 +139,6 @@ def twin(
             lost_share=model.lost_share if dropout is None else dropout,
         ),
         n_others=others,
-        foliage=tuple(foliage.split(",")) if foliage else (),
         pattern=pairs,
         seed=seed,
         settings=load(None, assignments or []).input,
@@ -151,6 +147,14 @@ def twin(
     )
     _print_made(outcome.n_pairs, out)
     raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+
+
+def _known_sensor(name: str, sensors: Mapping[str, SensorModel]) -> SensorModel:
+    if name not in sensors:
+        raise typer.BadParameter(
+            f"expected one of {', '.join(sensors)}; got {name!r}", param_hint="--sensor"
+        )
+    return sensors[name]
 
 
 def _print_made(n_pairs: int, out: Path) -> None:

@@ -153,6 +153,7 @@ def tasks(
     predictions: Annotated[
         tuple[Path, Path] | None, typer.Option(metavar="REAL_DIR SIM_DIR")
     ] = None,
+    odometry: bool = False,
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
@@ -160,12 +161,15 @@ def tasks(
     """Show what a perception stack gets from both scans: of a run with --tasks, or of your model.
 
     With --predictions, what your detector or segmenter said on both sides, as files named after the
-    pairs: PAIR.label (a class for each point of the scan file) or PAIR.txt (boxes, KITTI's label
-    files). Shows agreement by class, the objects that are lost, and which scores go with a loss.
+    pairs: PAIR.label (a class for each point of the scan file), PAIR.txt (boxes, KITTI's label
+    files) or PAIR.json (boxes, nuScenes' results). Shows agreement by class, the objects that are
+    lost, and which scores go with a loss.
 
     Parameters
     ----------
     predictions : Folders of predictions on the real and on the simulated scans.
+    odometry : Instead the motion that KISS-ICP finds on both sides, of scans that follow one
+        another.
 
     Examples
     --------
@@ -174,27 +178,35 @@ def tasks(
     fidpipe tasks runs/dataset --predictions labels/real labels/sim
 
     fidpipe tasks runs/dataset --predictions boxes/real boxes/sim --csv > objects.csv
+
+    fidpipe tasks runs/dataset --odometry
     """
+    from ..diagnose import predictions_view as views
+    from ..diagnose.odometry import compare_odometry
     from ..diagnose.predictions import compare_predictions
-    from ..diagnose.predictions_view import agreement_view, object_records, task_records
     from ..report.views.run_view import tasks_view
     from ..results.finished import FinishedRun
 
     output = format_of(as_json, as_markdown, as_csv)
+    if predictions and odometry:
+        raise typer.BadParameter("expected --predictions or --odometry, got both")
     finished = FinishedRun(run)
-    if predictions is None:
-        summaries = finished.task_summaries
+    if predictions:
+        agreement = compare_predictions(finished, *predictions)
         print_as(
             output,
-            lambda: tasks_view(summaries),
-            lambda: task_records(summaries),
-            lambda: [summary.as_dict() for summary in summaries],
+            lambda: views.agreement_view(agreement),
+            lambda: views.records(agreement.objects),
+            agreement.as_dict,
+        )
+    elif odometry:
+        rows = compare_odometry(finished)
+        print_as(
+            output, lambda: views.odometry_view(rows), lambda: views.records(rows), lambda: [*rows]
         )
     else:
-        result = compare_predictions(finished, *predictions)
+        summaries = finished.task_summaries
+        rows = [summary.as_dict() for summary in summaries]
         print_as(
-            output,
-            lambda: agreement_view(result),
-            lambda: object_records(result),
-            result.as_dict,
+            output, lambda: tasks_view(summaries), lambda: views.records(rows), lambda: [*rows]
         )

@@ -108,7 +108,7 @@ def ablate(
     pairs: Pairs = None,
     replace: Replace = False,
 ) -> None:
-    """See how match rate and r_lambda depend on k, tau, delta and t, and what the data prefer.
+    """See how match rate and r_lambda depend on k, tau, delta and t.
 
     One setting is varied at a time, around the effective ones (--settings, --set), on all pairs.
     Graphs are computed once for each k and tau. Run again to resume; other values of a finished

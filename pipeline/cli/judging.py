@@ -199,7 +199,7 @@ def compare(
     results = []
     if fail_on:
         results = [
-            judge_comparison(each, [fail_on], undecided_ok=undecided_ok) for each in comparisons
+            judge_comparison(each, fail_on, undecided_ok=undecided_ok) for each in comparisons
         ]
     views = (compare_view(each, with_all=all_ or output == "markdown") for each in comparisons)
     print_as(

@@ -216,9 +216,9 @@ def _complain(text: str) -> None:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from ... import __version__
+        from importlib.metadata import version
 
-        print(f"fidpipe {__version__}")
+        print(f"fidpipe {version('fidpipe')}")
         raise typer.Exit
 
 

@@ -78,17 +78,15 @@ def report(
     run: RunFolder,
     pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
     folder: bool = False,
-    figures: bool = False,
     best_case: BestCase = None,
     out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
     html: Path | None = None,
     opens: Annotated[bool, typer.Option("--open")] = False,
 ) -> None:
-    """Make a self-contained web page of a finished run, and with --figures the paper's figures.
+    """Make a self-contained web page of a finished run.
 
     RUN/report.html: surface, what to fix first, worst places, scores, tables, points of some pairs
-    in 3D (the worst, the middle and the best ones, or those of --pairs). RUN/figures: each figure
-    as PNG, SVG and PDF.
+    in 3D (the worst, the middle and the best ones, or those of --pairs).
 
     An address that ends in #pair=0007&object=real%203 opens the page at that object.
 
@@ -96,8 +94,7 @@ def report(
     ----------
     pairs : Show pairs whose name matches in 3D, such as '0000*'.
     folder : One page per pair and an index, in RUN/report.
-    figures : Also draw the figures for print, in RUN/figures.
-    out : Folder for page and figures.
+    out : Folder for the pages.
     html : Write the page to this file.
     opens : Open the page in the browser.
 
@@ -108,8 +105,6 @@ def report(
     fidpipe report runs/dataset --pairs '0007'
 
     fidpipe report runs/dataset --folder
-
-    fidpipe report runs/dataset --figures
 
     fidpipe report runs/dataset --best-case runs/dataset-best-case
     """
@@ -128,14 +123,10 @@ def report(
         out=out,
         html=html,
         best_case=best_case,
-        with_figures=figures,
         reporter=Reporter(),
     )
     pages = f" and {files.n_pages - 1} more" if files.n_pages > 1 else ""
     print_line(f"page:    {files.page}{pages} ({files.n_views} of {files.n_pairs} pairs in 3D)")
-    names = ", ".join(dict.fromkeys(path.stem for path in files.figures))
-    if names:
-        print_line(f"figures: {files.figures[0].parent} ({names}; PNG, SVG and PDF)")
     if opens and not webbrowser.open(files.page.resolve().as_uri()):
         Reporter().warn(f"no browser could be started; open {files.page} in one")
 
@@ -164,7 +155,7 @@ def export(
     mcap : One MCAP file of ROS 2 messages, NAME.mcap; needs the extra ros.
     ply : Two PLY files per pair, PAIR.real.ply and PAIR.sim.ply, with scalar fields.
     out : Folder for the files.
-    replace : Also replace files that fidpipe export did not write.
+    replace : Replace existing files.
 
     Examples
     --------
@@ -178,7 +169,6 @@ def export(
     from ..engine.tasks import counting
     from ..exchange.export import LEGEND, export_run
     from ..results.finished import FinishedRun
-    from ..storage.files import megabytes
 
     if not (mcap or ply):
         raise typer.BadParameter("no format given; expected --mcap, --ply or both")
@@ -197,5 +187,5 @@ def export(
         print_line(f"MCAP:   {files.mcap}, stamps {stamps}")
     if files.ply:
         print_line(f"PLY:    {len(files.ply)} files in {folder}")
-    print_line(f"pairs:  {files.n_pairs}, {megabytes(files.n_bytes)}")
+    print_line(f"pairs:  {files.n_pairs}")
     print_line(f"status: {LEGEND}")

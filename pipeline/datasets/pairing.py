@@ -102,10 +102,8 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
         how += ")"
     pairs = "1 pair" if n_pairs == 1 else f"{n_pairs} pairs"
     text = f"{pairs} by {how}: {out / MANIFEST}"
-    if n_unpaired == 1:
-        text += f"; 1 frame has no partner and is left out: {out / UNPAIRED}"
-    elif n_unpaired:
-        text += f"; {n_unpaired} frames have no partner and are left out: {out / UNPAIRED}"
+    if n_unpaired:
+        text += f"; frames without a partner, left out: {n_unpaired}, see {out / UNPAIRED}"
     return out, text
 
 
@@ -233,20 +231,26 @@ def _in_order(source: Path, frames: Sequence[ScanRef], times_s: FloatArray) -> T
 
 def _paired_by_name(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing] | None:
     """The files of two folders that have the same name, or the same number in it; None without any."""
-    real_frames = scans_in(real)
-    sim_frames = scans_in(sim)
+    real_line, sim_line = _timeline_if_known(real), _timeline_if_known(sim)
     for name_of in (str, _only_number):
-        real_places = _unique_places(real_frames, name_of)
-        sim_places = _unique_places(sim_frames, name_of)
+        real_places = _unique_places(real_line.frames, name_of)
+        sim_places = _unique_places(sim_line.frames, name_of)
         names = [name for name in real_places if name in sim_places]
         if names:
             real_ids = np.array([real_places[name] for name in names])
             sim_ids = np.array([sim_places[name] for name in names])
-            real_line = Timeline(real, tuple(real_frames), _known_times(real, real_frames))
-            sim_line = Timeline(sim, tuple(sim_frames), np.full(len(sim_frames), np.nan))
             pairing = Pairing(real_ids, sim_ids, np.zeros(len(names)), 0.0, by_name=True)
             return real_line, sim_line, pairing
     return None
+
+
+def _timeline_if_known(folder: Path) -> Timeline:
+    """The frames of a folder with their times; in the order of their names without any."""
+    try:
+        return read_timeline(folder)
+    except DatasetError:
+        frames = scans_in(folder)
+        return Timeline(folder, tuple(frames), np.full(len(frames), np.nan))
 
 
 def _unique_places(frames: Sequence[ScanRef], name_of: Callable[[str], str]) -> dict[str, int]:
@@ -254,16 +258,6 @@ def _unique_places(frames: Sequence[ScanRef], name_of: Callable[[str], str]) -> 
     names = [name_of(frame.stem) for frame in frames]
     counts = Counter(names)
     return {name: i for i, name in enumerate(names) if name and counts[name] == 1}
-
-
-def _known_times(folder: Path, frames: Sequence[ScanRef]) -> FloatArray:
-    """The times of the frames of a folder, seconds; NaN if they are unknown."""
-    try:
-        line = read_timeline(folder)
-    except DatasetError:
-        return np.full(len(frames), np.nan)
-    time_of = dict(zip(line.frames, line.times_s.tolist(), strict=True))
-    return np.array([time_of[frame] for frame in frames])
 
 
 def _only_number(stem: str) -> str:
@@ -399,28 +393,14 @@ def write_dataset(
     rows = []
     for number, i in enumerate(kept.tolist()):
         real_id = pairing.real_ids[i]
-        frame = real.frames[real_id]
-        name = frame.stem if pairing.by_name else f"{number:06}"
-        sim_frame = sim.frames[pairing.sim_ids[i]]
-        rows.append(
-            (
-                name,
-                _relative(frame, out),
-                _relative(sim_frame, out),
-                _seconds(real.times_s[real_id]),
-            ),
-        )
+        real_name, time_s = _entry(real, real_id, out)
+        sim_name, _ = _entry(sim, pairing.sim_ids[i], out)
+        pair_id = real.frames[real_id].stem if pairing.by_name else f"{number:06}"
+        rows.append((pair_id, real_name, sim_name, time_s))
     unpaired = []
     for side, line, ids in (("real", real, pairing.real_ids), ("sim", sim, pairing.sim_ids)):
-        lonely = np.setdiff1d(np.arange(len(line.frames)), ids).tolist()
-        unpaired += [
-            (
-                side,
-                _relative(line.frames[i], out),
-                _seconds(line.times_s[i]),
-            )
-            for i in lonely
-        ]
+        lonely = np.setdiff1d(np.arange(len(line.frames)), ids)
+        unpaired += [(side, *_entry(line, i, out)) for i in lonely]
     write_whole(out / UNPAIRED, csv_bytes(("side", "frame", "timestamp_s"), unpaired), advice="")
     if not _has_pairs(manifest, rows):
         content = csv_bytes(("pair_id", *SIDES, "timestamp_s"), rows)
@@ -437,14 +417,12 @@ def _has_pairs(manifest: Path, rows: Sequence[tuple[str, ...]]) -> bool:
     return before == [(row[0], row[1], row[2]) for row in rows]
 
 
-def _seconds(time_s: float) -> str:
-    return "" if np.isnan(time_s) else f"{time_s:.6f}"
-
-
-def _relative(frame: ScanRef, folder: Path) -> str:
-    """Name of a frame, relative to a folder."""
+def _entry(line: Timeline, i: int, folder: Path) -> tuple[str, str]:
+    """Name of a frame, relative to a folder, and its time; "" if unknown."""
+    frame = line.frames[i]
     path = os.path.relpath(frame.file.absolute(), folder.absolute())
-    return str(with_values(frame, file=Path(path)))
+    time_s = line.times_s[i]
+    return str(with_values(frame, file=Path(path))), "" if np.isnan(time_s) else f"{time_s:.6f}"
 
 
 def _span(line: Timeline) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import shlex
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from ..storage.files import path_exists
 from ..storage.urls import STUB, is_stub, is_url, url_of_cache
 from .readers import frames_of
 from .readers.formats import known_formats
-from .readers.scan import LONGEST_LABEL
 from .readers.scan_ref import ScanRef, scan_ref
 
 MANIFEST = "pairs.csv"
@@ -36,7 +35,6 @@ _MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_w
 _ROTATION_TOLERANCE = 1e-3
 _IGNORED = "not a known scan format, ignored"
 _FORMATS = "see docs/formats.md"
-_HOLDS_ONE_SIDE = "; it holds scans of one side: fidpipe run {} SIM"
 NO_PARTNER = "no partner"
 
 
@@ -130,11 +128,6 @@ def read_label_names(folder: Path) -> dict[int, str]:
         names = {int(number): str(name) for number, name in lines.items()}
     except (OSError, ValueError) as error:  # TOML and unicode errors are ValueErrors
         raise DatasetError(f'{path}: expected lines such as 4 = "tree" ({error})') from error
-    longest = max((len(name) for name in names.values()), default=0)
-    if longest > LONGEST_LABEL:  # each point takes room for the longest
-        raise DatasetError(
-            f"{path}: expected names of at most {LONGEST_LABEL} characters, got one of {longest}",
-        )
     return names
 
 
@@ -150,23 +143,22 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
         unread[side] = {path.stem: path for path in others}
     pairs = []
     for stem in scans["real"].keys() | scans["sim"].keys():
-        real = scans["real"].get(stem)
-        sim = scans["sim"].get(stem)
-        fault = None
-        if real is None or sim is None:
-            absent = "real" if real is None else "sim"
-            fault = f"{real or sim}: {NO_PARTNER}; expected a scan named {stem} in {folder / absent}"
+        pair = ScanPair(stem, scans["real"].get(stem), scans["sim"].get(stem))
+        for absent in set(SIDES) - pair.scans.keys():
+            (scan,) = pair.scans.values()
+            fault = f"{scan}: {NO_PARTNER}; expected a scan named {stem} in {folder / absent}"
             path = unread[absent].get(stem)
             if path is not None:
                 fault = f"{path}: not readable; known formats are {', '.join(known_formats())}"
                 warnings.remove(f"{path}: {_IGNORED}")  # the error reports it
-        pairs.append(ScanPair(stem, real, sim, fault=fault))
-    lonely_real = scans["real"].keys() - scans["sim"].keys()
-    lonely_sim = scans["sim"].keys() - scans["real"].keys()
-    if len(lonely_real) + len(lonely_sim) > 1:
+            pair = replace(pair, fault=fault)
+        pairs.append(pair)
+    lonely = [pair for pair in pairs if pair.fault]
+    if len(lonely) > 1:
+        n_real = sum(pair.sim is None for pair in lonely)
         warnings.append(
-            f"{folder}: {len(lonely_real)} real and {len(lonely_sim)} simulated scans have no "
-            f"partner of the same name, such as {min(lonely_real or lonely_sim)}; rename them, or "
+            f"{folder}: {n_real} real and {len(lonely) - n_real} simulated scans have no partner "
+            f"of the same name, such as {min(pair.pair_id for pair in lonely)}; rename them, or "
             f"{LIST_NAMES}"
         )
     return pairs
@@ -175,40 +167,41 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
 def _missing_folder_hint(folder: Path, side: str) -> str:
     """The most likely reason why a dataset has no folder of a side, and what to do."""
     paths = sorted(folder.iterdir())
-    folders = [path for path in paths if path.is_dir()]
-    for inner in folders:
-        if (inner / "real").is_dir():
-            return f"; it is one level below: {inner}"
+    names = [path.name for path in paths if path.is_dir()]
+    for name in names:
+        if (folder / name / "real").is_dir():
+            return f"; it is one level below: {folder / name}"
     if not paths:
         return f"; the folder is empty: expected scans of the same names in real/ and sim/, {_FORMATS}"
-    if scans_in(folder):
-        return _HOLDS_ONE_SIDE.format(shlex.quote(str(folder)))
-    names = [path.name for path in folders]
     alike = [name for name in names if name.lower().startswith(side)]
     near = alike[0] if alike else nearest(side, names)
     if near is not None:
         return f"; did you mean {near}/? rename it {side}/"
-    return _one_side_hint(folder, paths)
+    return _command_hint(folder, paths)
 
 
-def _one_side_hint(folder: Path, paths: list[Path]) -> str:
-    """Command for a folder that holds recordings, or only one of the two folders."""
+def _command_hint(folder: Path, paths: list[Path]) -> str:
+    """The command for a folder of recordings, of one side, or with one of both folders."""
     recordings = [path for path in paths if scan_ref(path).format.holds_frames]
     if recordings:
-        sources = [str(path) for path in recordings] if len(recordings) == 2 else ["REAL", "SIM"]
-        command = shlex.join(["fidpipe", "pair", *sources, "-o", f"{folder.resolve().name}-pairs"])
+        sources: list[object] = ["REAL", "SIM"]
+        if len(recordings) == 2:
+            sources = [*recordings]
+        command = _command("pair", *sources, "-o", f"{folder.resolve().name}-pairs")
         listed = ", ".join(path.name for path in recordings[:4])
         return f"; it holds recordings ({listed}); to pair them, the real one first: {command}"
-    for other, sides in (
-        ("real", [str(folder / "real"), "SIM"]),
-        ("sim", ["REAL", str(folder / "sim")]),
-    ):
-        if (folder / other).is_dir():
-            command = shlex.join(["fidpipe", "run", *sides])
-            return f"; expected it next to {other}/; if its scans are elsewhere: {command}"
+    for side in SIDES:
+        if (folder / side).is_dir():
+            sources = [folder / side if name == side else name.upper() for name in SIDES]
+            command = _command("run", *sources)
+            return f"; expected it next to {side}/; if its scans are elsewhere: {command}"
     if folders_of_scans(folder):
-        return _HOLDS_ONE_SIDE.format(shlex.quote(str(folder)))
+        return f"; it holds scans of one side: {_command('run', folder, 'SIM')}"
     return f"; expected one of the two, {_FORMATS}"
+
+
+def _command(*words: object) -> str:
+    return shlex.join(["fidpipe", *map(str, words)])
 
 
 def may_crash(pairs: Iterable[ScanPair]) -> bool:
@@ -302,7 +295,7 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
             warnings.append(f"{manifest}: column {name} is not known, ignored")
     names = []
     for row in rows:
-        names += [row.get(side, "") for side in SIDES]
+        names += [row["real"], row["sim"]]
     stubs = _stubs_of(manifest.parent, names)
     pairs: dict[str, ScanPair] = {}
     for line, row in enumerate(rows, start=2):
@@ -328,35 +321,37 @@ def _pair_of_row(
 ) -> ScanPair:
     if not row["pair_id"]:
         raise DatasetError(f"{where}: pair_id is empty; expected a name")
-    scans: dict[str, ScanRef | None] = dict.fromkeys(SIDES)
-    faults = []
+    scans: dict[str, ScanRef] = {}
+    fault = None
     for side in SIDES:
         try:
-            scans[side] = _named_scan(folder, row.get(side, ""), side, stubs)
+            scans[side] = _named_scan(folder, row[side], side, stubs)
         except ScanError as error:
-            faults.append(f"{where}: {error}")
+            fault = fault or f"{where}: {error}"
     return ScanPair(
         row["pair_id"],
-        scans["real"],
-        scans["sim"],
-        timestamp_s=_number(where, "timestamp_s", row.get("timestamp_s", "")),
-        T_real_sim=_transform(where, "T_real_sim", row.get("T_real_sim", "")),
-        fault=faults[0] if faults else None,
-        T_world_sensor=_transform(where, "T_world_sensor", row.get("T_world_sensor", "")),
+        scans.get("real"),
+        scans.get("sim"),
+        timestamp_s=_number(where, "timestamp_s", row["timestamp_s"]),
+        T_real_sim=_transform(where, "T_real_sim", row["T_real_sim"]),
+        fault=fault,
+        T_world_sensor=_transform(where, "T_world_sensor", row["T_world_sensor"]),
     )
 
 
 def _manifest_rows(manifest: Path) -> tuple[list[dict[Any, Any]], list[str]]:
-    """Rows of a manifest as stripped text, and its columns; excess values of a row are under None."""
+    """Rows of a manifest as stripped text, "" where absent, and its columns; excess values of a row are under None."""
     try:
         with manifest.open(newline="", encoding="utf-8-sig") as file:
             table = csv.DictReader(file, restval="", skipinitialspace=True, strict=True)
             rows = list(table)
     except (OSError, ValueError, csv.Error) as error:
         raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
+    stripped = []
     for row in rows:
-        row.update({name: value.strip() for name, value in row.items() if name is not None})
-    return rows, list(table.fieldnames or ())
+        values = {name: value.strip() for name, value in row.items() if name is not None}
+        stripped.append({**dict.fromkeys(_MANIFEST_COLUMNS, ""), **row, **values})
+    return stripped, list(table.fieldnames or ())
 
 
 def local_folder(name: str) -> Path:

@@ -1,57 +1,43 @@
 """A user's model on both sides of a run: agreement by class and by object, and which scores go with a loss.
 
-Predictions are files named after the pairs: `PAIR.label` (a class for each point of the scan file)
-or `PAIR.txt` (boxes, as KITTI's label files have them).
+Predictions are files named after the pairs: `PAIR.label` (a class for each point of the scan file),
+`PAIR.txt` (boxes, as KITTI's label files have them) or `PAIR.json` (boxes, as in nuScenes' results).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ...schemas.columns import SIDES, Row
+from ...schemas.columns import Row
 from ...schemas.errors import DatasetError
 from ...schemas.metric_catalogue import OBJECT_METRICS
 from ...schemas.results import JsonObject
-from ...stages.arrays import BoolArray, IntArray
+from ...stages.arrays import BoolArray
 from ...stages.predictions import (
     Boxes,
-    counterparts,
     inside,
     jackknife_interval,
     lost_auc,
     match_detections,
 )
+from ...stages.tasks import counterparts
 from ..datasets.pairs import read_label_names
 from ..results.finished import FinishedRun
 from ..results.object_frame import plain_rows
 from ..storage.table_files import file_stem
+from .prediction_files import read_kitti_boxes, read_nuscenes_boxes, read_point_labels
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_SUFFIXES = (".label", ".txt")
+_BOX_READERS = {".txt": read_kitti_boxes, ".json": read_nuscenes_boxes}
+_XYZ = ["x", "y", "z"]
 _LOST_BELOW = 0.5  #: share of agreeing points below which an object is lost
-
-
-@dataclass(frozen=True)
-class ScoreOfLost:
-    """Area under the ROC curve of a score as a classifier of lost objects.
-
-    auc : probability that a lost object has the larger score; None if none or all are lost
-    low, high : 95 % interval from leaving out scans; None for fewer than three
-    """
-
-    score: str
-    auc: float | None
-    low: float | None
-    high: float | None
-    n_lost: int
-    n_kept: int
 
 
 @dataclass(frozen=True)
@@ -63,14 +49,16 @@ class Agreement:
         on common surface), iou
     objects : one row per real object with a prediction: its scores, what was predicted, `agreement`
         (labels) and `fate`, kept or lost
-    scores : of matched objects
+    scores : one row per score of matched objects, as a classifier of lost ones: `auc`, the probability
+        that a lost object has the larger score (None if none or all are lost); `low` and `high`, its
+        95 % interval from leaving out scans (None for fewer than three); n_lost, n_kept
     left_out : scored pairs without predictions on both sides
     """
 
     kind: str
     classes: tuple[Row, ...]
     objects: tuple[Row, ...]
-    scores: tuple[ScoreOfLost, ...]
+    scores: tuple[Row, ...]
     left_out: tuple[str, ...]
 
     def as_dict(self) -> JsonObject:
@@ -84,183 +72,157 @@ def compare_predictions(run: FinishedRun, real: Path, sim: Path) -> Agreement:
 
     Parameters
     ----------
-    real, sim : folders of `PAIR.label` or `PAIR.txt` files; boxes in the real sensor's frame with
-        the axes of KITTI's camera. `labels.toml` in the first one names classes
+    real, sim : folders of files named after the pairs, `.label`, `.txt` or `.json`. `labels.toml`
+        in the first one names classes
 
     Raises
     ------
     DatasetError
         No pair has files on both sides, or a file is not what it should be.
     """
-    names = [row["pair_id"] for row in run.scored]
-    for suffix in _SUFFIXES:
-        files = {}
-        for name in names:
-            both = [folder / f"{file_stem(name)}{suffix}" for folder in (real, sim)]
-            if all(path.is_file() for path in both):
-                files[name] = both
-        if files:
-            break
-    else:
-        raise DatasetError(
-            f"{real} and {sim}: no predictions of a scored pair found on both sides; expected files "
-            f"such as {names[0] if names else 'PAIR'}.label or .txt"
-        )
-    left_out = tuple(name for name in names if name not in files)
+    suffix, files = _files(run, real, sim)
+    left_out = tuple(row["pair_id"] for row in run.scored if row["pair_id"] not in files)
     if suffix == ".label":
-        return _compare_labels(run, files, read_label_names(real), left_out)
-    return _compare_boxes(run, files, left_out)
+        kind = "labels"
+        classes, objects = _compare_labels(run, files, read_label_names(real))
+    else:
+        kind = "boxes"
+        classes, objects = _compare_boxes(run, files, _BOX_READERS[suffix])
+    return Agreement(kind, tuple(classes), tuple(objects), _scores_of_lost(objects), left_out)
+
+
+def _files(run: FinishedRun, real: Path, sim: Path) -> tuple[str, dict[str, tuple[Path, Path]]]:
+    """The suffix of the predictions, and the files of both sides by pair."""
+    for suffix in (".label", *_BOX_READERS):
+        files = {}
+        for row in run.scored:
+            name = f"{file_stem(row['pair_id'])}{suffix}"
+            if (real / name).is_file() and (sim / name).is_file():
+                files[row["pair_id"]] = (real / name, sim / name)
+        if files:
+            return suffix, files
+    example = run.scored[0]["pair_id"] if run.scored else "PAIR"
+    raise DatasetError(
+        f"{real} and {sim}: no predictions of a scored pair found on both sides; expected files "
+        f"such as {example}.label, .txt or .json"
+    )
 
 
 def _compare_labels(
-    run: FinishedRun,
-    files: Mapping[str, Sequence[Path]],
-    label_names: Mapping[int, str],
-    left_out: tuple[str, ...],
-) -> Agreement:
-    both: list[IntArray] = []
+    run: FinishedRun, files: Mapping[str, tuple[Path, Path]], label_names: Mapping[int, str]
+) -> tuple[list[Row], list[Row]]:
+    """Agreement by class, and the real objects that both sides see with the class of most points."""
+    import pandas as pd
+    from sklearn.metrics import confusion_matrix
+
+    parts = []
     objects: list[Row] = []
-    for name, paths in files.items():
-        points = {}
-        for side, path in zip(SIDES, paths, strict=True):
-            frame = run.points(name, side)
-            labels = read_point_labels(path, run.row(name)[f"n_{side}_raw"])
-            frame["predicted"] = labels[frame["point_id"]]
-            points[side] = frame
-        xyz = [points[side][["x", "y", "z"]].to_numpy() for side in SIDES]
-        nearest = counterparts(*xyz)
-        seen = points["real"][nearest >= 0].reset_index(drop=True)
-        seen["counterpart"] = points["sim"]["predicted"].to_numpy()[nearest[nearest >= 0]]
-        both.append(seen[["predicted", "counterpart"]].to_numpy())
-        objects += _object_labels(run, name, seen, label_names)
-    pairs_of_labels = np.vstack(both)
-    classes: list[Row] = []
-    for number in np.unique(pairs_of_labels).tolist():
-        is_class = pairs_of_labels == number
-        n_common = int(is_class.all(axis=1).sum())
-        n_real, n_sim = is_class.sum(axis=0).tolist()
-        iou = n_common / (n_real + n_sim - n_common)
-        named = label_names.get(number, str(number))
-        classes.append({"class": named, "n_real": n_real, "n_sim": n_sim, "iou": iou})
-    scores = _scores_of_lost(objects)
-    return Agreement("labels", tuple(classes), tuple(objects), scores, left_out)
+    for pair_id, (real_path, sim_path) in files.items():
+        real = _labelled_points(run, pair_id, "real", real_path)
+        sim = _labelled_points(run, pair_id, "sim", sim_path)
+        nearest = counterparts(real[_XYZ].to_numpy(), sim[_XYZ].to_numpy())
+        seen = real[nearest >= 0].reset_index(drop=True)
+        seen["counterpart"] = sim["predicted"].to_numpy()[nearest[nearest >= 0]]
+        seen["agrees"] = seen["predicted"] == seen["counterpart"]
+        parts.append(seen)
+        objects += _labelled_objects(run, pair_id, seen, label_names)
+    points = pd.concat(parts)
+    numbers = np.unique(points[["predicted", "counterpart"]])
+    confusion = confusion_matrix(points["predicted"], points["counterpart"], labels=numbers)
+    n_real = confusion.sum(axis=1)
+    n_sim = confusion.sum(axis=0)
+    n_both = confusion.diagonal()
+    names = [label_names.get(number, str(number)) for number in numbers.tolist()]
+    iou = n_both / (n_real + n_sim - n_both)
+    classes = pd.DataFrame({"class": names, "n_real": n_real, "n_sim": n_sim, "iou": iou})
+    return plain_rows(classes), objects
 
 
-def _object_labels(run: FinishedRun, name: str, seen: pd.DataFrame, label_names: Mapping[int, str]) -> list[Row]:
-    """The real objects of a pair that both sides see, with the class that most points have."""
-    rows_of = _real_objects(run, name)
+def _labelled_points(run: FinishedRun, pair_id: str, side: str, path: Path) -> pd.DataFrame:
+    """The points of a side with the predicted class of each."""
+    points = run.points(pair_id, side)
+    labels = read_point_labels(path, run.row(pair_id)[f"n_{side}_raw"])
+    return points.assign(predicted=labels[points["point_id"]])
+
+
+def _labelled_objects(run: FinishedRun, pair_id: str, seen: pd.DataFrame, label_names: Mapping[int, str]) -> list[Row]:
+    """The real objects among points that both sides see."""
+    objects = _real_objects(run, pair_id)
     rows = []
-    in_objects = seen.dropna(subset="community_id").astype({"community_id": int})
-    for number in sorted(in_objects["community_id"].unique().tolist()):
-        points = in_objects[in_objects["community_id"] == number]
-        classes = {
-            side: int(points[column].mode()[0]) for side, column in (("real", "predicted"), ("sim", "counterpart"))
-        }
-        agreement = float((points["predicted"] == points["counterpart"]).mean())
-        named = {side: label_names.get(value, str(value)) for side, value in classes.items()}
-        predicted = {"predicted_real": named["real"], "predicted_sim": named["sim"]}
-        fate = "lost" if agreement < _LOST_BELOW else "kept"
-        rows.append(rows_of[number] | predicted | {"agreement": agreement, "fate": fate})
+    for community_id, points in seen.groupby("community_id"):  # without ground, which has none
+        row = objects[cast(int, community_id)]
+        for side, column in (("real", "predicted"), ("sim", "counterpart")):
+            number = int(points[column].mode()[0])
+            row[f"predicted_{side}"] = label_names.get(number, str(number))
+        row["agreement"] = float(points["agrees"].mean())
+        row["fate"] = "lost" if row["agreement"] < _LOST_BELOW else "kept"
+        rows.append(row)
     return rows
 
 
-def _compare_boxes(run: FinishedRun, files: Mapping[str, Sequence[Path]], left_out: tuple[str, ...]) -> Agreement:
-    counts: dict[str, Row] = {}
-    apart_m: dict[str, list[float]] = {}
+def _compare_boxes(
+    run: FinishedRun, files: Mapping[str, tuple[Path, Path]], read: Callable[[Path], Boxes]
+) -> tuple[list[Row], list[Row]]:
+    """Agreement by class, and the real objects that are in a real box."""
+    import pandas as pd
+
+    parts = []
     objects: list[Row] = []
-    for name, paths in files.items():
-        real, sim = map(read_kitti_boxes, paths)
+    for pair_id, (real_path, sim_path) in files.items():
+        real = read(real_path)
+        sim = read(sim_path)
         partner = match_detections(real, sim)
-        for boxes, column in ((real, "n_real"), (sim, "n_sim")):
-            for kind in boxes.names.tolist():
-                row = counts.setdefault(kind, {"n_real": 0, "n_sim": 0, "n_found": 0})
-                row[column] += 1
-        for i in np.flatnonzero(partner >= 0).tolist():
-            kind = str(real.names[i])
-            counts[kind]["n_found"] += 1
-            offset = real.centre[i] - sim.centre[partner[i]]
-            apart_m.setdefault(kind, []).append(float(np.hypot(*offset[:2])))
-        objects += _object_boxes(run, name, real, partner >= 0)
-    classes: list[Row] = []
-    for kind, row in sorted(counts.items()):
-        place_m = float(np.median(apart_m[kind])) if kind in apart_m else None
-        classes.append({"class": kind} | row | {"place_m": place_m})
-    scores = _scores_of_lost(objects)
-    return Agreement("boxes", tuple(classes), tuple(objects), scores, left_out)
+        is_found = partner >= 0
+        offset_m = real.centre[is_found] - sim.centre[partner[is_found]]
+        place_m = np.full(len(partner), np.nan)
+        place_m[is_found] = np.linalg.norm(offset_m[:, :2], axis=1)
+        parts.append(pd.DataFrame({"class": real.names, "n_real": 1, "place_m": place_m}))
+        parts.append(pd.DataFrame({"class": sim.names, "n_sim": 1}))
+        objects += _boxed_objects(run, pair_id, real, is_found)
+    by_class = pd.concat(parts).groupby("class")
+    classes = by_class[["n_real", "n_sim"]].sum().astype(int)
+    classes["n_found"] = by_class["place_m"].count()
+    classes["place_m"] = by_class["place_m"].median()
+    return plain_rows(classes.reset_index()), objects
 
 
-def _object_boxes(run: FinishedRun, name: str, real: Boxes, is_found: BoolArray) -> list[Row]:
+def _boxed_objects(run: FinishedRun, pair_id: str, real: Boxes, is_found: BoolArray) -> list[Row]:
     """The object with the most points inside of each real box."""
-    frame = run.points(name, "real").dropna(subset="community_id")
-    points = frame[["x", "y", "z"]].to_numpy()
-    communities = frame["community_id"].to_numpy(dtype=np.int32)
-    rows_of = _real_objects(run, name)
+    points = run.points(pair_id, "real").dropna(subset="community_id")
+    xyz = points[_XYZ].to_numpy()
+    objects = _real_objects(run, pair_id)
     rows = []
-    for i, kind in enumerate(real.names.tolist()):
-        n_inside = np.bincount(communities[inside(points, real, i)], minlength=1)
-        if n_inside.any():
+    for i, name in enumerate(real.names.tolist()):
+        communities = points.loc[inside(xyz, real, i), "community_id"]
+        if len(communities):
             fate = "kept" if is_found[i] else "lost"
-            rows.append(rows_of[int(n_inside.argmax())] | {"predicted_real": kind, "fate": fate})
+            row = objects[int(communities.mode()[0])]
+            rows.append(row | {"predicted_real": name, "fate": fate})
     return rows
 
 
-def _real_objects(run: FinishedRun, name: str) -> dict[int, Row]:
+def _real_objects(run: FinishedRun, pair_id: str) -> dict[int, Row]:
     """Place, size and scores of the real objects of a pair, by number."""
     columns = ["label", "range_m", *OBJECT_METRICS]
-    frame = run.objects_of([name], columns)
+    frame = run.objects_of([pair_id], columns)
     frame = frame[frame["side"] == "real"]
     rows = frame[["community_id", "n_points", *columns]]
-    return {row["community_id"]: {"pair_id": name} | row for row in plain_rows(rows)}
+    return {row["community_id"]: {"pair_id": pair_id} | row for row in plain_rows(rows)}
 
 
-def _scores_of_lost(objects: Sequence[Row]) -> tuple[ScoreOfLost, ...]:
+def _scores_of_lost(objects: Sequence[Row]) -> tuple[Row, ...]:
     """Area under the ROC curve of each score of matched objects, for their loss."""
-    scan_of = {name: i for i, name in enumerate(sorted({row["pair_id"] for row in objects}))}
-    results = []
+    import pandas as pd
+
+    frame = pd.DataFrame(objects, columns=["pair_id", "fate", *OBJECT_METRICS])
+    rows = []
     for score in OBJECT_METRICS:
-        known = [row for row in objects if row[score] is not None]
-        values = np.array([row[score] for row in known], dtype=np.float64)
-        is_lost = np.array([row["fate"] == "lost" for row in known], dtype=np.bool_)
-        scans = np.array([scan_of[row["pair_id"]] for row in known], dtype=np.intp)
-        low, high = jackknife_interval(values, is_lost, scans) or (None, None)
+        known = frame.dropna(subset=[score])
+        values = known[score].to_numpy(dtype=np.float64)
+        is_lost = (known["fate"] == "lost").to_numpy()
+        scan_of, _ = pd.factorize(known["pair_id"])
+        low, high = jackknife_interval(values, is_lost, scan_of) or (None, None)
+        row = {"score": score, "auc": lost_auc(values, is_lost), "low": low, "high": high}
         n_lost = int(is_lost.sum())
-        auc = lost_auc(values, is_lost)
-        results.append(ScoreOfLost(score, auc, low, high, n_lost, len(known) - n_lost))
-    return tuple(results)
-
-
-def read_point_labels(path: Path, n_points: int) -> IntArray:
-    """Classes of the points of a scan file, (n,): the low 16 bits of uint32, as in SemanticKITTI."""
-    n_bytes = path.stat().st_size
-    if n_bytes != 4 * n_points:
-        raise DatasetError(
-            f"{path}: expected {4 * n_points} bytes (one uint32 for each of the {n_points} points "
-            f"of the scan file), got {n_bytes}"
-        )
-    return (np.fromfile(path, dtype="<u4") & 0xFFFF).astype(np.int32)
-
-
-def read_kitti_boxes(path: Path) -> Boxes:
-    """Boxes of a label file of KITTI, without those of the type DontCare.
-
-    A line is: type, truncation, occlusion, alpha, four numbers of the image, height, width, length,
-    x, y, z of the middle of the floor (camera's axes: right, down, forward), rotation about y, and
-    perhaps a score. The camera is taken to be at the sensor, looking along x.
-    """
-    names: list[str] = []
-    rows: list[list[float]] = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-        words = line.split()
-        if not words or words[0] == "DontCare":
-            continue
-        try:
-            h, w, length, x, y, z, turn = map(float, words[8:15])
-        except ValueError as error:
-            raise DatasetError(
-                f"{path}, line {number}: expected a line of a KITTI label file (type and at least "
-                f"14 numbers), got {len(words)} words"
-            ) from error
-        names.append(words[0])
-        rows.append([z, -x, h / 2 - y, length, w, h, -turn - np.pi / 2])
-    values = np.array(rows, dtype=np.float64).reshape(-1, 7)
-    return Boxes(np.array(names, dtype=np.str_), values[:, :3], values[:, 3:6], values[:, 6])
+        rows.append(row | {"n_lost": n_lost, "n_kept": len(known) - n_lost})
+    return tuple(rows)

@@ -1,11 +1,11 @@
-"""Views of the agreement of a model's predictions on both sides."""
+"""Views of `fidpipe tasks`: agreement of a model's predictions on both sides, and odometry."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ...schemas.columns import Row
 from ...schemas.metric_catalogue import metric_of
-from ...schemas.record import TaskSummary
 from ..report.view import Note, Part, Table, View, columns_of, count, number, percent
 from .predictions import Agreement
 
@@ -20,9 +20,9 @@ def agreement_view(result: Agreement) -> View:
     line = f"{count(n_objects, 'object')} with predictions, {n_lost} of them lost ({share})"
     parts: list[Part] = [Note(line, "bold"), _classes_table(result)]
     rows = []
-    for score in result.scores:
-        interval = f"{number(score.low)} to {number(score.high)}" if score.low is not None else "-"
-        rows.append((metric_of(score.score).label, score.auc, interval))
+    for row in result.scores:
+        interval = "-" if row["low"] is None else f"{number(row['low'])} to {number(row['high'])}"
+        rows.append((metric_of(row["score"]).label, row["auc"], interval))
     title = "Does a score go with a loss? (0.5: no; 1: lost objects have the larger scores)"
     parts.append(Table(title, ("score", "AUC", "95 %, leaving out scans"), rows, words=(0, 2)))
     if result.left_out:
@@ -32,33 +32,30 @@ def agreement_view(result: Agreement) -> View:
     return parts
 
 
-def object_records(result: Agreement) -> Table:
-    """One row per object with a prediction, for programs."""
-    columns = tuple(result.objects[0]) if result.objects else ()
-    return Table("", columns, [tuple(row.values()) for row in result.objects])
+def odometry_view(rows: Sequence[Row]) -> View:
+    """Measures of odometry on both sides."""
+    title = f"Odometry over {rows[0]['n_scans']} scans (KISS-ICP; gap 0: the same motion)"
+    headings = ("measure", "unit", "real", "simulated", "gap")
+    cells = columns_of(rows, ("measure", "unit", "real", "sim", "gap"))
+    return [Table(title, headings, cells, words=(0, 1))]
 
 
-def task_records(summaries: Sequence[TaskSummary]) -> Table:
-    """One row per measure of a task, for programs."""
-    columns = tuple(TaskSummary.model_fields)
-    return Table("", columns, [[getattr(row, name) for name in columns] for row in summaries])
+def records(rows: Sequence[Row]) -> Table:
+    """All columns of rows, for programs."""
+    columns = tuple(rows[0]) if rows else ()
+    return Table("", columns, columns_of(rows, columns))
 
 
 def _classes_table(result: Agreement) -> Table:
-    if result.kind == "boxes":
-        rows = []
-        for row in result.classes:
-            lost = percent(1 - row["n_found"] / row["n_real"]) if row["n_real"] else "-"
-            added = percent(1 - row["n_found"] / row["n_sim"]) if row["n_sim"] else "-"
-            counts = (row["n_real"], row["n_sim"])
-            rows.append((row["class"], *counts, lost, added, number(row["place_m"], 2)))
-        headings = ("class", "real", "simulated", "lost", "added", "place, m")
-        title = "Boxes (the same within 2 m)"
-        return Table(title, headings, rows)
-    columns = ("class", "n_real", "n_sim", "iou")
-    title = "Classes of the real points with a simulated one within 0.3 m"
-    return Table(
-        title,
-        ("class", "real", "simulated", "IoU"),
-        columns_of(result.classes, columns),
-    )
+    if result.kind == "labels":
+        title = "Classes of the real points with a simulated one within 0.3 m"
+        cells = columns_of(result.classes, ("class", "n_real", "n_sim", "iou"))
+        return Table(title, ("class", "real", "simulated", "IoU"), cells)
+    cells = []
+    for row in result.classes:
+        lost = percent(1 - row["n_found"] / row["n_real"]) if row["n_real"] else "-"
+        added = percent(1 - row["n_found"] / row["n_sim"]) if row["n_sim"] else "-"
+        place_m = number(row["place_m"], 2)
+        cells.append([row["class"], row["n_real"], row["n_sim"], lost, added, place_m])
+    headings = ("class", "real", "simulated", "lost", "added", "place, m")
+    return Table("Boxes (the same within 2 m)", headings, cells)

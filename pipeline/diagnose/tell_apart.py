@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -10,14 +10,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import JsonValue
+import pandas as pd
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError, StageError
-from ...schemas.results import JsonObject
 from ...schemas.settings import Settings
-from ...stages.arrays import BoolArray, FloatArray, IndexArray, IntArray
-from ...stages.diagnose.tell_apart import FAMILIES, LEAST_PLACES, Separation, auc_of, describe_points, separate
+from ...stages.arrays import BoolArray, FloatArray, IndexArray
+from ...stages.diagnose.tell_apart import (
+    FAMILIES,
+    HEIGHT,
+    LEAST_PLACES,
+    Fold,
+    Separation,
+    auc_of,
+    describe_points,
+    separate,
+    simulated_probability,
+    usable_folds,
+)
 from ...stages.method import remove_road
 from ...stages.sensor_description import describe_sensor
 from ...stages.statistics.findings import BAND_EDGES_M
@@ -31,6 +41,7 @@ from ..results.finished import FinishedRun
 #: Points per side, and frames that they are drawn from at most.
 POINTS, MOST_FRAMES = 20_000, 40
 _ROAD_M = 0.3
+_AXES = ["x", "y", "z"]
 
 
 @dataclass(frozen=True)
@@ -55,25 +66,6 @@ Source = Callable[[], Frame]
 
 
 @dataclass(frozen=True)
-class Sample:
-    """Points drawn from the frames of a side.
-
-    points : (n, 3) float64, metres
-    height_m : (n,) float64, above the road
-    frame : (n,) int32, number of the frame
-    place : (n,) int32, number of the place that the frame shows, in the order of the frames
-    features, names : as `describe_points` returns them
-    """
-
-    points: FloatArray
-    height_m: FloatArray
-    frame: IntArray
-    place: IntArray
-    features: FloatArray
-    names: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class TellApart:
     """Real against simulated, and real against real.
 
@@ -81,8 +73,9 @@ class TellApart:
     test : real against simulated, by all features
     base, base_of : real against real, by all features, and which real points these are
     families : real against simulated by the features of each family alone
+    features : by family and feature, the AUC of a classifier that has no other, largest first
     where : on and above the road, and by range: AUC of the points there by the surface, None for too few
-    maps : points, and their probability of being simulated by the surface, of the real and the simulated side
+    points : x, y, z, `is_sim` and the `probability` of being simulated by the surface
     notes : cautions
     """
 
@@ -92,47 +85,44 @@ class TellApart:
     base: Separation
     base_of: str
     families: dict[str, Separation]
+    features: dict[tuple[str, str], float]
     where: dict[str, float | None]
-    maps: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+    points: pd.DataFrame
+    by_place: bool
     notes: tuple[str, ...] = ()
 
-    def as_dict(self) -> JsonObject:
+    def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        families: list[JsonValue] = []
-        for name, test in self.families.items():
-            features: list[JsonValue] = []
-            for feature, auc in test.alone.items():
-                features.append({"name": feature, "auc_alone": auc, "loss": test.loss[feature]})
-            families.append(_summary(test) | {"name": name, "features": features})
+        features = [{"family": names[0], "name": names[1], "auc": auc} for names, auc in self.features.items()]
         return _summary(self.test) | {
-            "folds": "places" if self.test.by_place else "sectors",
+            "folds": "places" if self.by_place else "sectors",
             "n_folds": len(self.test.by_fold),
             "n_points": self.n_points,
             "real_against_real": _summary(self.base) | {"of": self.base_of},
-            "families": families,
+            "families": [_summary(test) | {"name": name} for name, test in self.families.items()],
+            "features": features,
             "where": [{"name": name, "auc": auc} for name, auc in self.where.items()],
             "notes": [*self.notes],
         }
 
 
-def _summary(test: Separation) -> JsonObject:
+def _summary(test: Separation) -> dict[str, Any]:
     return {"auc": test.auc, "low": test.low, "high": test.high}
 
 
-def tell_apart_run(run: FinishedRun, best_case: FinishedRun | None = None, pattern: str | None = None) -> TellApart:
+def tell_apart_run(run: FinishedRun, best_case: FinishedRun | None = None) -> TellApart:
     """Test the pairs of a run.
 
     Parameters
     ----------
     best_case : a run of `fidpipe best-case` on the same real scans; its second measurements stand for the real sensor
-    pattern : only pairs whose name matches (shell style)
 
     Raises
     ------
     FidpipeError
         No pair is scored, a table is damaged, or the best case lacks a pair.
     """
-    chosen = _evenly(run.select(pattern))
+    chosen = _evenly(run.select())
     real = [partial(_read_stored, run, name, "real") for name in chosen]
     sim = [partial(_read_stored, run, name, "sim") for name in chosen]
     second = []
@@ -166,114 +156,139 @@ def _compare(
     title: str, real: Sequence[Source], sim: Sequence[Source], second: Sequence[Source], *, is_paired: bool
 ) -> TellApart:
     first = [side[0]() for side in (real, sim)]
-    has_rays = all(describe_sensor(own.own_points).azimuth_step_deg is not None for own in first)
-    has_intensity = all(own.intensity is not None and np.ptp(own.intensity) > 0 for own in first)
+    has_rays = all(describe_sensor(frame.own_points).azimuth_step_deg is not None for frame in first)
+    has_intensity = all(frame.intensity is not None and np.ptp(frame.intensity) > 0 for frame in first)
     draw = partial(draw_sample, has_rays=has_rays, has_intensity=has_intensity)
-    a, b = draw(real), draw(sim)
-    test = compare_samples(a, b, is_paired=is_paired)
-    known = [name for name, own in FAMILIES.items() if not set(own).isdisjoint(a.names)]
-    families = {name: compare_samples(a, b, name, is_paired=is_paired) for name in known}
+    sides = draw(real), draw(sim)
+    points, splits = both_sides(*sides, is_paired=is_paired)
+    by_place = int(points.place.max()) + 1 >= LEAST_PLACES
     notes = []
     if not is_paired:
         notes.append("the two folders may show different places; so do the two halves of the real frames")
-    if not test.by_place:
+    if not by_place:
         notes.append(f"fewer than {LEAST_PLACES} places, hence cross-validated by sectors: other places are not tested")
-    frames = np.arange(len(real))
     half = len(real) // 2
+    frames = np.arange(2 * half)
     if second:
         base_of = "second measurements of the best case"
-        c, d = a, draw(second)
-    elif half and is_paired and len(np.unique(a.place)) <= half:
+        base = sides[0], draw(second)
+    elif half and is_paired and sides[0].place.nunique() <= half:
         base_of = "even and odd frames"
-        c, d = _of_frames(a, frames[: 2 * half : 2]), _of_frames(a, frames[1::2])
+        base = _of_frames(sides[0], frames[::2]), _of_frames(sides[0], frames[1::2])
     elif half and not is_paired:
         base_of = "first and second half of the frames"
-        c, d = _of_frames(a, frames[:half]), _of_frames(a, frames[half : 2 * half])
+        base = _of_frames(sides[0], frames[:half]), _of_frames(sides[0], frames[half:])
     else:
-        base_of = "two random halves of the points of each frame"
+        base_of = "two random halves of the points"
         notes.append("no second real frame of the same place: random halves of one frame differ less than two frames")
-        c = draw([partial(_half, source, i, 0) for i, source in enumerate(real)])
-        d = draw([partial(_half, source, i, 1) for i, source in enumerate(real)])
-    base = compare_samples(c, d, is_paired=is_paired)
-    n_points = min(len(a.frame), len(b.frame))
-    by_surface = families["surface"]
-    is_sim = np.repeat([False, True], [len(a.frame), len(b.frame)])
-    maps = (a.points, by_surface.probability[~is_sim]), (b.points, by_surface.probability[is_sim])
-    where = dict(_where(a, b, is_sim, by_surface.probability))
-    return TellApart(title, n_points, test, base, base_of, families, where, maps, tuple(notes))
+        some = sides[0].sample(frac=0.5, random_state=0)
+        base = some, sides[0].drop(some.index)
+    families = {}
+    features = {}
+    for family, names in FAMILIES.items():
+        if names[0] in points:
+            families[family] = _separate(points, splits, names)
+            for name in names:
+                features[family, name] = _separate(points, splits, [name]).auc
+    is_sim = points.is_sim.to_numpy()
+    points["probability"] = simulated_probability(points[[*FAMILIES["surface"]]].to_numpy(), is_sim, splits)
+    return TellApart(
+        title=title,
+        n_points=min(len(side) for side in sides),
+        test=_separate(points, splits, _features_of(points)),
+        base=compare_samples(*base, is_paired=is_paired),
+        base_of=base_of,
+        families=families,
+        features=dict(sorted(features.items(), key=lambda item: -item[1])),
+        where=_where(points),
+        points=points,
+        by_place=by_place,
+        notes=tuple(notes),
+    )
 
 
-def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: bool) -> Sample:
-    """Points of a side. A place begins with the first frame that does not show that of the frames before."""
-    drawn = []
+def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: bool) -> pd.DataFrame:
+    """Points of a side: x, y, z, frame, place and features.
+
+    A place begins with the first frame that does not show that of the frames before.
+    """
+    tables = []
     place = -1
     first: PlaceMap | None = None
     for i, source in enumerate(sources):
-        own = source()
-        n = min(POINTS // len(sources), len(own.points))
-        rows = np.sort(np.random.default_rng(i).choice(len(own.points), n, replace=False))
-        rays = own.own_points if has_rays else None
-        ranks = _ranks(own.intensity, i) if has_intensity and own.intensity is not None else None
-        features, names = describe_points(own.points, own.height_m, rows, own_points=rays, intensity=ranks)
-        seen = map_place(own.points[~own.is_ground])
+        frame = source()
+        n = min(POINTS // len(sources), len(frame.points))
+        rows = np.sort(np.random.default_rng(i).choice(len(frame.points), n, replace=False))
+        rays = frame.own_points if has_rays else None
+        ranks = _ranks(frame.intensity, i) if has_intensity and frame.intensity is not None else None
+        features, names = describe_points(frame.points, frame.height_m, rows, own_points=rays, intensity=ranks)
+        seen = map_place(frame.points[~frame.is_ground])
         if first is None or overlap(first, seen) < SAME_PLACE:
             first = seen
             place += 1
-        drawn.append((own.points[rows], own.height_m[rows], np.full(n, i), np.full(n, place), features))
-    points, height_m, frame, places, features = map(np.concatenate, zip(*drawn, strict=True))
-    return Sample(points, height_m, frame.astype(np.int32), places.astype(np.int32), features, names)
+        table = pd.DataFrame(features, columns=[*names])
+        table[_AXES] = frame.points[rows]
+        tables.append(table.assign(frame=i, place=place))
+    return pd.concat(tables, ignore_index=True)
 
 
 def _ranks(intensity: FloatArray, seed: int) -> FloatArray:
-    """Ranks from 0 to 1: scales differ. Equal values in random order, as their common rank would mark the frame."""
-    order = np.lexsort((np.random.default_rng(seed).random(len(intensity)), intensity))
-    ranks = np.empty(len(order))
-    ranks[order] = np.linspace(0, 1, len(order))
-    return ranks
+    """Ranks up to 1: scales differ. Equal values in random order, as their common rank would mark the frame."""
+    shuffled = pd.Series(intensity).sample(frac=1.0, random_state=seed)
+    return shuffled.rank(method="first", pct=True).sort_index().to_numpy()
 
 
-def compare_samples(a: Sample, b: Sample, family: str = "", *, is_paired: bool = True) -> Separation:
-    """Test two samples by all features, or by those of a family.
+def both_sides(a: pd.DataFrame, b: pd.DataFrame, *, is_paired: bool) -> tuple[pd.DataFrame, list[Fold]]:
+    """The points of two samples with a column `is_sim`, and the folds of a test.
 
     Parameters
     ----------
     is_paired : frames of one number show the same place; else places are brought together by their order
     """
-    place = [a.place, b.place]
     if is_paired:
-        first = np.unique(a.frame, return_index=True)[1]
-        place[1] = a.place[first][b.frame]
-    n = min(int(own.max()) + 1 for own in place)
-    place = [own * n // (own.max() + 1) for own in place]
-    columns = np.flatnonzero([not family or name in FAMILIES[family] for name in a.names])
-    x, y, _ = np.vstack([a.points, b.points]).T
-    return separate(
-        np.vstack([a.features, b.features])[:, columns],
-        [a.names[i] for i in columns],
-        np.repeat([False, True], [len(a.frame), len(b.frame)]),
-        np.concatenate(place),
-        np.degrees(np.arctan2(y, x)),
-        by_feature=family != "",
-    )
+        b = b.assign(place=b.frame.map(a.groupby("frame").place.first()))
+    points = pd.concat([a.assign(is_sim=False), b.assign(is_sim=True)], ignore_index=True)
+    n_places = points.groupby("is_sim").place.max() + 1
+    points["place"] = points.place * n_places.min() // points.is_sim.map(n_places)
+    azimuth_deg = np.degrees(np.arctan2(points.y, points.x)).to_numpy()
+    return points, usable_folds(points.place.to_numpy(np.int32), azimuth_deg, points.is_sim.to_numpy())
 
 
-def _of_frames(sample: Sample, frames: IndexArray) -> Sample:
+def compare_samples(a: pd.DataFrame, b: pd.DataFrame, family: str = "", *, is_paired: bool = True) -> Separation:
+    """Test two samples by all features, or by those of a family."""
+    points, splits = both_sides(a, b, is_paired=is_paired)
+    return _separate(points, splits, FAMILIES[family] if family else _features_of(points))
+
+
+def _features_of(points: pd.DataFrame) -> list[str]:
+    return [name for names in FAMILIES.values() if names[0] in points for name in names]
+
+
+def _separate(points: pd.DataFrame, splits: list[Fold], names: Sequence[str]) -> Separation:
+    return separate(points[[*names]].to_numpy(), points.is_sim.to_numpy(), splits)
+
+
+def _of_frames(sample: pd.DataFrame, frames: IndexArray) -> pd.DataFrame:
     """The points of some frames, which are numbered from 0 on, as are their places."""
-    own = np.isin(sample.frame, frames)
-    number = np.searchsorted(frames, sample.frame[own]).astype(np.int32)
-    place = np.unique(sample.place[own], return_inverse=True)[1].astype(np.int32)
-    return Sample(sample.points[own], sample.height_m[own], number, place, sample.features[own], sample.names)
+    chosen = sample[sample.frame.isin(frames)]
+    return chosen.assign(frame=pd.factorize(chosen.frame)[0], place=pd.factorize(chosen.place)[0])
 
 
-def _where(a: Sample, b: Sample, is_sim: BoolArray, probability: FloatArray) -> Iterator[tuple[str, float | None]]:
-    range_m = np.linalg.norm(np.vstack([a.points, b.points]), axis=1)
-    height_m = np.concatenate([a.height_m, b.height_m])
-    groups = {"road": np.abs(height_m) < _ROAD_M, "above the road": height_m >= _ROAD_M}
+def _where(points: pd.DataFrame) -> dict[str, float | None]:
+    """AUC of the points on and above the road, and by range."""
+    range_m = np.linalg.norm(points[_AXES], axis=1)
+    groups: dict[str, Any] = {
+        "road": points[HEIGHT].abs() < _ROAD_M,
+        "above the road": points[HEIGHT] >= _ROAD_M,
+    }
     for low, high in pairwise((*BAND_EDGES_M, np.inf)):
-        groups[f"{low:g} to {high:g} m" if high < np.inf else f"over {low:g} m"] = (range_m >= low) & (range_m < high)
+        name = f"{low:g} to {high:g} m" if high < np.inf else f"over {low:g} m"
+        groups[name] = (range_m >= low) & (range_m < high)
+    where = {}
     for name, is_in in groups.items():
-        rows = is_in & ~np.isnan(probability)
-        yield name, auc_of(is_sim[rows], probability[rows])
+        chosen = points[is_in & points.probability.notna()]
+        where[name] = auc_of(chosen.is_sim.to_numpy(), chosen.probability.to_numpy())
+    return where
 
 
 def _read_stored(run: FinishedRun, name: str, side: str) -> Frame:
@@ -294,14 +309,6 @@ def _read_clean(ref: ScanRef, side: str, settings: Settings) -> Frame:
         raise DatasetError(f"{ref}: {error}") from error
     intensity = None if scan.intensity is None else scan.intensity[clean.point_ids]
     return Frame(clean.points, clean.points, cut.height_m, cut.is_ground, intensity)
-
-
-def _half(source: Source, seed: int, which: int) -> Frame:
-    """One of two random halves of the points of a frame."""
-    own = source()
-    is_in = np.random.default_rng(seed).integers(2, size=len(own.points)) == which
-    half: dict[str, Any] = {name: values if values is None else values[is_in] for name, values in vars(own).items()}
-    return Frame(**half)
 
 
 def _evenly(items: Sequence[Any]) -> Sequence[Any]:

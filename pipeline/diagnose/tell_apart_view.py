@@ -11,20 +11,16 @@ from ..storage.files import write_whole
 from .tell_apart import TellApart
 
 _GUESS = 0.05  # AUC over 0.5 from which a feature is named
+_MOST_NAMED = 3
 
 
 def tell_apart_view(found: TellApart) -> View:
     """The AUC next to that of real against real, the features that matter, and the places."""
     tests = [("real against simulated", found.test)]
-    tests += [(f"  by {name} alone", one) for name, one in found.families.items()]
+    tests += [(f"  by {name} alone", test) for name, test in found.families.items()]
     tests += [(f"real against real ({found.base_of})", found.base)]
-    rows = [(name, one.auc, f"{number(one.low)} to {number(one.high)}") for name, one in tests]
-    folds = f"{len(found.test.by_fold)} {'places' if found.test.by_place else 'sectors'}"
-    features = [
-        (name, feature, auc, one.loss[feature])
-        for name, one in found.families.items()
-        for feature, auc in sorted(one.alone.items(), key=lambda each: -each[1])
-    ]
+    rows = [(name, test.auc, f"{number(test.low)} to {number(test.high)}") for name, test in tests]
+    folds = f"{len(found.test.by_fold)} {'places' if found.by_place else 'sectors'}"
     return [
         Table(
             f"{found.title}: {found.n_points:,} points per side, cross-validated over {folds}",
@@ -34,8 +30,8 @@ def tell_apart_view(found: TellApart) -> View:
         ),
         Table(
             "Recognised by",
-            ("family", "feature", "AUC of it alone", "loss of its family without it"),
-            features,
+            ("family", "feature", "AUC of it alone"),
+            [(*names, auc) for names, auc in found.features.items()],
             words=(0, 1),
         ),
         Table("Where, by surface alone", ("points", "AUC"), [*found.where.items()]),
@@ -49,16 +45,23 @@ def summary(found: TellApart) -> str:
     test, base = found.test, found.base
     if test.low <= base.high:
         return f"AUC {number(test.auc)}: not distinguishable from real against real ({number(base.auc)})"
-    alone = [each for one in found.families.values() for each in one.alone.items() if each[1] > 0.5 + _GUESS]
-    named = ", ".join(f"{name} ({number(auc, 2)} alone)" for name, auc in sorted(alone, key=lambda each: -each[1])[:3])
-    return f"AUC {number(test.auc)}, real against real {number(base.auc)}; recognised by {named or 'no feature alone'}"
+    named = []
+    for (_, feature), auc in [*found.features.items()][:_MOST_NAMED]:
+        if auc > 0.5 + _GUESS:
+            named.append(f"{feature} ({number(auc, 2)} alone)")
+    by = ", ".join(named) or "no feature alone"
+    return f"AUC {number(test.auc)}, real against real {number(base.auc)}; recognised by {by}"
 
 
 def draw_map(found: TellApart, path: Path) -> None:
     """Write a PNG: both sides seen from above, points coloured by the probability of being simulated."""
-    frame = style.frame_of(*(points for points, _ in found.maps))
-    with style.new_maps(frame, 2, style.shown_name(found.title, 80)) as (figure, axes):
-        for axis, name, (points, probability) in zip(axes, ("real", "simulated"), found.maps, strict=True):
+    sides = []
+    for is_sim in (False, True):
+        side = found.points[found.points.is_sim == is_sim]
+        sides.append((side[["x", "y", "z"]].to_numpy(), side.probability.to_numpy()))
+    frame = style.frame_of(*(points for points, _ in sides))
+    with style.new_maps(frame, style.shown_name(found.title, 80)) as (figure, axes):
+        for axis, name, (points, probability) in zip(axes, ("real", "simulated"), sides, strict=True):
             coloured = style.dots(axis, points, 2.0, probability, cmap="coolwarm", vmin=0, vmax=1)
             axis.set_title(f"{name} points")
         style.colour_bar(axes[1], coloured, "probability of being simulated")

@@ -139,21 +139,13 @@ class DaskPool(Pool):
         may_end_workers: bool = False,
     ) -> None:
         if address is None:
-            prefork.start(modules)  # before the imports below, so that both run at the same time
-        import dask
-        import distributed
-
-        # dask sets the level of its client separately; asyncio reports workers that were ended
-        # while they started
-        for name in ("distributed", "distributed.client", "asyncio"):
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-        dask.config.set(_DASK_SETTINGS)
+            prefork.start(modules)  # before dask is imported, so that both run at the same time
+        _set_up_dask()
+        super().__init__(memory)
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._ended: list[Any] = []
-        self._killed_worker = distributed.scheduler.KilledWorker
         self._cluster: Any = None
         self._client: Any = None
-        super().__init__(memory)
         self._address = address
         self._memory_there = Memory(0, 0)
         self._may_end_workers = may_end_workers
@@ -216,10 +208,12 @@ class DaskPool(Pool):
 
     def next_done(self) -> tuple[Handle, Any]:
         """See `Pool`."""
+        from distributed.scheduler import KilledWorker
+
         future = self._next_future()
         try:
             result = future.result()
-        except self._killed_worker as error:
+        except KilledWorker as error:
             n_deaths = error.allowed_failures + 1
             return future, WorkerDied(
                 f"{n_deaths} workers each time, the last one {error.last_worker.address}"
@@ -385,6 +379,18 @@ class DaskPool(Pool):
         for worker, fault in self._client.run(worker_fault, required, on_error="ignore").items():
             if fault:
                 raise RunError(f"scheduler {self._address}, worker {worker}: {fault}")
+
+
+def _set_up_dask() -> None:
+    """Import dask, set it up, and silence its logs."""
+    import dask
+    import distributed  # noqa: F401
+
+    # dask sets the level of its client separately; asyncio reports workers that were ended while
+    # they started
+    for name in ("distributed", "distributed.client", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    dask.config.set(_DASK_SETTINGS)
 
 
 def start_pool(

@@ -152,7 +152,7 @@ def working(
 ) -> Iterator[None]:
     """Context of the work on all jobs to do: large pairs are announced and progress is shown.
 
-    At the end the ledger is written and files of workers that died are removed.
+    At the end files of workers that died are removed.
 
     Raises
     ------
@@ -180,7 +180,6 @@ def working(
         ) from error
     finally:
         reporter.stop()
-        folder.ledger.commit()
         rmtree(notes, ignore_errors=True)
     folder.remove_strays()  # of workers that died: complete and incomplete files
 

@@ -12,9 +12,8 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from ...schemas.columns import SIDES
 from ..stage import Grain
@@ -22,7 +21,7 @@ from .collector import Collector
 from .costs import CostModel, largest_object
 from .plan import Job, PairPlan
 from .pool import Handle, Pool, WorkerDied
-from .worker import BatchResult, JobFailure, PairBatch, run_batch, score_objects
+from .worker import BatchResult, JobFailure, ObjectRows, PairBatch, run_batch
 
 _FIRST = 1e6  # priority of what others wait for
 _BATCHES_PER_WORKER = 2  # submitted at the same time, so that none waits for the next
@@ -58,7 +57,7 @@ class _Pair:
     is_lost : whether the pool has given up a batch of it, since the last submission
     n_losses : number of times that has happened
     n_waiting : batches of it that are queued or run
-    scored : outcomes of its batches of objects, in the order in which they were submitted
+    scored : rows of its batches of objects
     n_scored : objects in them that are done
     """
 
@@ -67,7 +66,7 @@ class _Pair:
     is_lost: bool = False
     n_losses: int = 0
     n_waiting: int = 0
-    scored: dict[Handle, Any] = field(default_factory=dict)
+    scored: list[ObjectRows] = field(default_factory=list)
     n_scored: int = 0
 
     @property
@@ -102,15 +101,13 @@ class _Pair:
 
 @dataclass(frozen=True)
 class _Batch:
-    """Jobs that wait for memory, or run, as one task.
+    """Jobs of pairs that wait for memory, or run, as one task.
 
-    pairs : whose it is; several only of `run_batch`
     need : bytes that it may occupy
     """
 
     pairs: tuple[_Pair, ...]
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
+    batches: tuple[PairBatch, ...]
     need: int
 
 
@@ -154,10 +151,11 @@ class Schedule:
         while self._running:
             handle, outcome = self._pool.next_done()
             batch = self._running.pop(handle)
-            outcomes = outcome if isinstance(outcome, list) else [outcome] * len(batch.pairs)
-            for pair, result in zip(batch.pairs, outcomes, strict=True):
+            is_lost = isinstance(outcome, WorkerDied)
+            results = [outcome] * len(batch.pairs) if is_lost else outcome
+            for pair, part, result in zip(batch.pairs, batch.batches, results, strict=True):
                 pair.n_waiting -= 1
-                self._take(pair, handle, result, batch)
+                self._take(pair, part, result)
                 if not pair.n_waiting:
                     self._go_on(pair)
             self._fill()
@@ -183,7 +181,7 @@ class Schedule:
         self._active[pair.plan.pair_id] = pair
         self._go_on(pair)
 
-    def _take(self, pair: _Pair, handle: Handle, result: Any, batch: _Batch) -> None:
+    def _take(self, pair: _Pair, batch: PairBatch, result: BatchResult | WorkerDied) -> None:
         if isinstance(result, WorkerDied):
             pair.is_lost = True
             if self._is_alone:
@@ -191,13 +189,14 @@ class Schedule:
                     "the worker process died, and again when the pair ran alone (out of memory?)"
                 )
                 pair.failures.append(JobFailure(pair.ready[0].name, f"{again}: {result.detail}"))
-        elif isinstance(result, BatchResult):
+            return
+        pair.plan = pair.plan.with_records(result.records)
+        pair.failures.extend(result.failures)
+        if result.scored is None:
             self._collector.batch_done(result)
-            pair.plan = pair.plan.with_records(result.records)
-            pair.failures.extend(result.failures)
         else:
-            pair.scored[handle] = result
-            pair.n_scored += len(batch.arguments[2])
+            pair.scored.append(result.scored)
+            pair.n_scored += len(batch.objects)
             self._collector.objects_done(pair.plan, pair.n_scored)
 
     def _go_on(self, pair: _Pair) -> None:
@@ -224,9 +223,9 @@ class Schedule:
             self._submit_jobs(pair, readers)  # the input files may have fewer points than estimated
         elif pair.scored:
             jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
-            batch = PairBatch(pair.plan, jobs, rows=tuple(pair.scored.values()))
+            batch = PairBatch(pair.plan, jobs, rows=tuple(pair.scored))
             pair.scored.clear()
-            self._submit([pair], run_batch, [batch], self._costs, priority=_FIRST)
+            self._submit([pair], [batch], priority=_FIRST)
         elif self._is_worth_splitting(pair):
             self._split(pair)
         elif pair.n_losses or pair.plan.limit is not None:
@@ -283,7 +282,7 @@ class Schedule:
             need += self._costs.object_bytes(largest_object(pair.plan.objects or [])[1])
         names = tuple(job.name for job in jobs)
         batch = PairBatch(pair.plan, names, None if pair.plan.is_counted else need)
-        self._submit([pair], run_batch, [batch], self._costs, need=need, priority=priority)
+        self._submit([pair], [batch], need=need, priority=priority)
 
     def _submit_bundle(self) -> None:
         """The pairs that wait for company, as one batch."""
@@ -298,13 +297,7 @@ class Schedule:
         for pair in pairs:
             need = self._costs.pair_bytes(pair.plan.n_points) + self._object_share(pair.plan)
             batches.append(PairBatch(pair.plan, tuple(job.name for job in pair.todo), need))
-        self._submit(
-            pairs,
-            run_batch,
-            batches,
-            self._costs,
-            need=max(batch.most_bytes or 0 for batch in batches),
-        )
+        self._submit(pairs, batches, need=max(batch.most_bytes or 0 for batch in batches))
 
     def _weight(self, pair: _Pair) -> float:
         """The part of a batch that a pair is worth."""
@@ -320,13 +313,7 @@ class Schedule:
         jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
         sizes = sorted(pair.plan.objects or [], key=lambda entry: (-entry[1], entry[0]))
         if not sizes:
-            self._submit(
-                [pair],
-                run_batch,
-                [PairBatch(pair.plan, jobs, rows=())],
-                self._costs,
-                priority=_FIRST,
-            )
+            self._submit([pair], [PairBatch(pair.plan, jobs, rows=())], priority=_FIRST)
             return
         first = 1000.0 * self._costs.object_seconds(sizes[0][1])
         batch: list[tuple[int, int]] = []
@@ -337,13 +324,10 @@ class Schedule:
                 need = self._costs.pair_bytes(pair.plan.n_points) + self._costs.object_bytes(
                     batch[0][1]
                 )
-                numbers = tuple(number for number, _ in batch)
+                objects = tuple(number for number, _ in batch)
                 self._submit(
                     [pair],
-                    score_objects,
-                    pair.plan,
-                    jobs,
-                    numbers,
+                    [PairBatch(pair.plan, jobs, objects=objects)],
                     need=need,
                     priority=first + seconds,
                 )
@@ -352,15 +336,15 @@ class Schedule:
     def _submit(
         self,
         pairs: Sequence[_Pair],
-        function: Callable[..., Any],
-        *arguments: Any,
+        batches: Sequence[PairBatch],
+        *,
         need: int = 0,
         priority: float = 0.0,
     ) -> None:
         """Queue a batch for `_admit`."""
         for pair in pairs:
             pair.n_waiting += 1
-        batch = _Batch(tuple(pairs), function, arguments, need)
+        batch = _Batch(tuple(pairs), tuple(batches), need)
         heapq.heappush(self._waiting, (-priority, next(self._count), batch))
 
     def _admit(self) -> None:
@@ -372,10 +356,7 @@ class Schedule:
             if self._running and sum(heapq.nlargest(n_workers, needs)) > self._usable():
                 return
             heapq.heappop(self._waiting)
-            handle = self._pool.submit(batch.function, *batch.arguments)
-            self._running[handle] = batch
-            if batch.function is score_objects:
-                batch.pairs[0].scored[handle] = None
+            self._running[self._pool.submit(run_batch, batch.batches, self._costs)] = batch
 
     def _usable(self) -> int:
         """Bytes available to batches, of all workers together."""

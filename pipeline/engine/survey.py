@@ -117,7 +117,7 @@ def survey_results(
         elif is_selected:
             survey.todo.append(pair)
             survey.n_jobs += len(plan.todo)
-    for pair_id in list(folder.ledger.pair_ids()):
+    for pair_id in folder.ledger.pair_ids():
         if pair_id in names and pair_id not in files.faults:
             continue
         reason = "the input cannot be used" if pair_id in files.faults else _GONE
@@ -207,7 +207,7 @@ def remove_stale(
     if n_strays:
         files = f"{n_strays} file{'s' if n_strays > 1 else ''}"
         reporter.say(f"removing {files} that no finished job accounts for")
-    folder.ledger.commit()
+    folder.ledger.save_hashes()
 
 
 def _in_order(names: set[str], stages: Iterable[Stage]) -> str:

@@ -9,7 +9,7 @@ from typing import TypeVar, cast
 
 from ...schemas.errors import DiskFullError, FidpipeError
 from .cluster import start_pool
-from .pool import WorkerDied
+from .pool import Pool, WorkerDied
 from .progress import Reporter
 
 _DIED = "the worker process died, and again when the pair ran alone (a crash of a reader, or out of memory?)"
@@ -25,6 +25,7 @@ def map_tasks(
     n_workers: int | None = 1,
     memory_gib: float | None = None,
     may_end_workers: bool = False,
+    keep: Callable[[Result], object] = lambda _: None,
 ) -> tuple[dict[str, Result], dict[str, str]]:
     """Call a function with each task; Ctrl-C ends all of them.
 
@@ -36,6 +37,7 @@ def map_tasks(
     n_workers : processes; None for one per core; 1 for this one, unless a task may end it
     memory_gib : memory of all processes together; None for four fifths of the machine's
     may_end_workers : whether a task may end the process that it is in
+    keep : called with each result as soon as there is one
 
     Returns
     -------
@@ -55,34 +57,40 @@ def map_tasks(
     modules = [function.__module__]
     pool = start_pool(n_workers, None, memory_gib, (), {}, modules, may_end_workers=may_end_workers)
     reporter.start(len(tasks), len(tasks))
-    lost: list[str] = []
-    alone = ""
     try:
-        running = {pool.submit(_call, function, task): name for name, task in tasks.items()}
-        while running:
-            handle, outcome = pool.next_done()
-            name = running.pop(handle)
-            if isinstance(outcome, WorkerDied):
-                if name == alone:
-                    outcome = None, f"{_DIED}: {outcome.detail}"
-                else:
-                    lost.append(name)
-                    outcome = None
-            if outcome is not None:
-                result, reason = outcome
-                if reason:
-                    failures[name] = reason
-                    reporter.fail(f"pair {name}", reason)
-                else:
-                    results[name] = cast(Result, result)
-                reporter.advance(1, 1)
-            if lost and not running:
-                alone = lost.pop()
-                running[pool.submit(_call, function, tasks[alone])] = alone
+        for name, result, reason in _outcomes(pool, function, tasks):
+            if reason:
+                failures[name] = reason
+                reporter.fail(f"pair {name}", reason)
+            else:
+                results[name] = cast(Result, result)
+                keep(results[name])
+            reporter.advance(1, 1)
     finally:
         reporter.stop()
         pool.close()
     return results, failures
+
+
+def _outcomes(
+    pool: Pool, function: Callable[[Task], Result], tasks: Mapping[str, Task]
+) -> Iterator[tuple[str, Result | None, str]]:
+    """Name, result and reason of failure of each task; one whose worker died is tried again alone."""
+    running = {pool.submit(_call, function, task): name for name, task in tasks.items()}
+    lost = []
+    while running:
+        handle, outcome = pool.next_done()
+        name = running.pop(handle)
+        if isinstance(outcome, WorkerDied):
+            lost.append(name)
+        else:
+            yield name, *outcome
+    for name in lost:
+        pool.submit(_call, function, tasks[name])
+        _, outcome = pool.next_done()
+        if isinstance(outcome, WorkerDied):
+            outcome = None, f"{_DIED}: {outcome.detail}"
+        yield name, *outcome
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import pyarrow as pa
 
@@ -38,20 +38,21 @@ class JobFailure:
 
 
 @dataclass(frozen=True)
+class ObjectRows:
+    """Rows of some objects of a pair, and the seconds of their steps, by job."""
+
+    tables: dict[JobId, Tables] = field(default_factory=dict)
+    steps: dict[JobId, tuple[tuple[str, float], ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class BatchResult:
-    """Outcome of a batch for one pair: finished and failed jobs."""
+    """Outcome of a batch for one pair: finished and failed jobs, or the rows of some objects."""
 
     pair_id: str
     records: tuple[JobRecord, ...] = ()
     failures: tuple[JobFailure, ...] = ()
-
-
-@dataclass(frozen=True)
-class ObjectRows:
-    """Rows of some objects of a pair, and the seconds of their steps, by job."""
-
-    tables: dict[JobId, Tables]
-    steps: dict[JobId, tuple[tuple[str, float], ...]]
+    scored: ObjectRows | None = None
 
 
 @dataclass(frozen=True)
@@ -60,32 +61,39 @@ class PairBatch:
 
     jobs : their names
     most_bytes : a batch ends before a job that may need more than this
-    rows : of all objects, made by `score_objects`, from which the jobs write their tables; None if
-        they are to be made
+    objects : score these objects alone, and write nothing
+    rows : of all objects, from such batches, from which the jobs write their tables; None if they
+        are to be made
     """
 
     plan: PairPlan
     jobs: tuple[JobId, ...]
     most_bytes: int | None = None
-    rows: tuple[ObjectRows | JobFailure, ...] | None = None
+    objects: tuple[int, ...] = ()
+    rows: tuple[ObjectRows, ...] | None = None
 
 
 def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResult]:
     """Run the jobs of each pair and write their results; a failed job does not stop those that do not need it."""
     results = []
     for batch in batches:
-        tables = PairTables(batch.plan)
+        tables = _kept_tables(batch.plan) if batch.objects else PairTables(batch.plan)
         records: list[JobRecord] = []
-        failures = [part for part in batch.rows or () if isinstance(part, JobFailure)][:1]
+        failures: list[JobFailure] = []
+        scored = ObjectRows() if batch.objects else None
         try:
             with limited(batch.plan.limit) as note:
                 for job in _next_jobs(batch, tables, failures, costs):
                     note(job_title(*job.name))
                     with _caught(job, failures):
-                        records.append(make_job(tables, job, batch.rows))
+                        if scored is not None:
+                            _score_objects(tables, job, batch.objects, scored)
+                        else:
+                            records.append(make_job(tables, job, batch.rows))
         except OutOfTimeError as error:
             failures.append(JobFailure(batch.jobs[0], str(error)))
-        results.append(BatchResult(batch.plan.pair_id, tuple(records), tuple(failures)))
+        pair_id = batch.plan.pair_id
+        results.append(BatchResult(pair_id, tuple(records), tuple(failures), scored))
     return results
 
 
@@ -98,8 +106,6 @@ def _next_jobs(
     ----------
     failures : grows while the jobs run
     """
-    if failures:
-        return
     lost: set[JobId] = set()
     for job in [batch.plan.jobs[name] for name in batch.jobs]:
         lost |= {failure.job for failure in failures}
@@ -126,31 +132,19 @@ def _caught(job: Job, failures: list[JobFailure]) -> Iterator[None]:
         failures.append(_failure(job, error))
 
 
-def score_objects(
-    plan: PairPlan, jobs: tuple[JobId, ...], objects: tuple[int, ...]
-) -> ObjectRows | JobFailure:
-    """The rows of some objects, by the requested stages over objects; nothing is written."""
-    tables = _kept_tables(plan)
-    scored = ObjectRows({}, {})
+def _score_objects(
+    tables: PairTables, job: Job, objects: tuple[int, ...], scored: ObjectRows
+) -> None:
+    """Run a stage over objects on some of them; later stages take its rows in place of its tables."""
     rows: Tables = {}
-    failures: list[JobFailure] = []
-    with _caught(plan.jobs[jobs[0]], failures), limited(plan.limit) as note:
-        for job in [plan.jobs[name] for name in jobs]:
-            note(job_title(*job.name))
-            with _caught(job, failures):
-                inputs = tables.inputs(job, objects, rows)
-                made = job.stage.make(inputs).tables
-                scored.tables[job.name] = made
-                scored.steps[job.name] = inputs.step.total()
-                rows |= made
-            if failures:
-                break
-    return failures[0] if failures else scored
+    for earlier in scored.tables.values():
+        rows |= earlier
+    inputs = tables.inputs(job, objects, rows)
+    scored.tables[job.name] = job.stage.make(inputs).tables
+    scored.steps[job.name] = inputs.step.total()
 
 
-def make_job(
-    tables: PairTables, job: Job, rows: tuple[ObjectRows | JobFailure, ...] | None = None
-) -> JobRecord:
+def make_job(tables: PairTables, job: Job, rows: tuple[ObjectRows, ...] | None = None) -> JobRecord:
     """Run one job of a pair and write its results; errors of its stage are raised unchanged.
 
     Parameters
@@ -162,12 +156,11 @@ def make_job(
         result = job.stage.make(inputs)
         parts = [result.tables]
     else:
-        scored = [part for part in rows if isinstance(part, ObjectRows)]
         steps: list[tuple[str, float]] = []
-        for part in scored:
+        for part in rows:
             steps += part.steps[job.name]
         inputs = tables.inputs(job, step=Steps(steps))
-        parts = [part.tables[job.name] for part in scored]
+        parts = [part.tables[job.name] for part in rows]
     if job.stage.grain is Grain.OBJECT:
         result = _gathered(job, inputs, parts)
     return tables.finish(job, inputs, result)

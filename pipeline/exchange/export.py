@@ -72,7 +72,6 @@ FRAME = "real_sensor"
 LEGEND = ", ".join(f"{status.value} {status.name.lower()}" for status in Status)
 _POINT_FIELDS = {"<i4": 5, "|u1": 2, "<f8": 8}  # PointField.INT32, UINT8, FLOAT64
 _PLY_TYPES = {"<f8": "double", "<i4": "int", "|u1": "uchar"}
-_PLY_START = b"ply\nformat binary_little_endian 1.0\ncomment fidpipe export"
 _NS = 1_000_000_000
 _LATEST_S = 2**31  # seconds of a ROS stamp are int32
 
@@ -83,15 +82,14 @@ class Exported:
 
     mcap : the file, or None
     ply : the files
-    n_pairs, n_bytes : how many pairs, and how many bytes in all files together
-    has_times : whether the stamps of the messages are those of the dataset; else they are one
+    n_pairs : number of pairs
+    has_times : True if the stamps of the messages are those of the dataset; otherwise they are one
         second apart
     """
 
     mcap: Path | None
     ply: tuple[Path, ...]
     n_pairs: int
-    n_bytes: int
     has_times: bool
 
 
@@ -111,8 +109,7 @@ def export_run(
     ----------
     folder : that they are written into
     pattern : only pairs whose name matches (shell style)
-    replace : whether files that fidpipe export did not write may be replaced; those that it wrote
-        always are
+    replace : allow existing files to be replaced
     pair_done : called after each pair with the number of pairs done and of all
 
     Raises
@@ -131,12 +128,12 @@ def export_run(
     plys = {}
     for name, side in product(names, SIDES) if ply else ():
         plys[name, side] = folder / f"{file_stem(name)}.{side}.ply"
-    written = [*([bag] if bag else []), *plys.values()]
-    for path in [] if replace else written:
-        if path.exists() and not _is_ours(path):
-            raise RunError(
-                f"{path}: already exists and is not from fidpipe export; add --replace, or choose another --out",
-            )
+    written = [*plys.values()]
+    if bag:
+        written.append(bag)
+    for path in written:
+        if path.exists() and not replace:
+            raise RunError(f"{path}: already exists; add --replace, or choose another --out")
     stamps_ns, has_times = message_times(run, names)
     with _bag(bag, run) if bag else nullcontext() as write:
         for n_done, name in enumerate(sorted(names, key=stamps_ns.__getitem__), 1):
@@ -153,8 +150,7 @@ def export_run(
                     json.dumps(run.row(name), allow_nan=False),
                 )
             pair_done(n_done, len(names))
-    n_bytes = sum(path.stat().st_size for path in written)
-    return Exported(bag, tuple(plys.values()), len(names), n_bytes, has_times)
+    return Exported(bag, tuple(plys.values()), len(names), has_times)
 
 
 def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int], bool]:
@@ -165,16 +161,9 @@ def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int
     ROS, 0 means no time.
     """
     known_s = run.record.times_s
-    times_s = [known_s[name] for name in names if 0 <= known_s.get(name, -1.0) < _LATEST_S]
-    if len(set(times_s)) == len(names):
-        return {
-            name: round(time_s * _NS)
-            for name, time_s in zip(
-                names,
-                times_s,
-                strict=True,
-            )
-        }, True
+    times_s = {name: known_s[name] for name in names if 0 <= known_s.get(name, -1.0) < _LATEST_S}
+    if len(set(times_s.values())) == len(names):
+        return {name: round(time_s * _NS) for name, time_s in times_s.items()}, True
     return {row["pair_id"]: second * _NS for second, row in enumerate(run.scored, 1)}, False
 
 
@@ -214,13 +203,8 @@ def pair_clouds(
             how="left",
         )
         points["status"] = points.status.fillna(Status.GROUND.value)
-        clouds[side] = (
-            _rows(points, POINT),
-            _rows(
-                side_objects[side_objects["n_points"] > 0],
-                OBJECT,
-            ),
-        )
+        with_points = side_objects[side_objects["n_points"] > 0]
+        clouds[side] = (_rows(points, POINT), _rows(with_points, OBJECT))
     return clouds
 
 
@@ -232,33 +216,19 @@ def _rows(frame: pd.DataFrame, dtype: np.dtype[np.void]) -> NDArray[np.void]:
     return rows
 
 
-def _is_ours(path: Path) -> bool:
-    if not path.is_file():
-        return False
-    if path.suffix == ".ply":
-        with path.open("rb") as file:
-            return file.read(len(_PLY_START)) == _PLY_START
-    from ..datasets.readers.rosbag import topics
-
-    try:
-        known = topics(path)
-    except Exception:  # any error of its library: a file of another kind
-        return False
-    return bool(known) and all(topic.startswith(f"{TOPIC}/") for topic in known)
-
-
 def _ply(run: FinishedRun, pair_id: str, side: str, points: NDArray[np.void]) -> bytes:
     of = f"{json.dumps(run.folder.resolve().name)}, pair {json.dumps(pair_id)}, side {side}, preset {run.preset}"
-    comments = [
-        f"fidpipe export of {of}",
-        "metres in the real sensor's frame; community -1 is ground; NaN without a score",
-        f"status {LEGEND}",
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment fidpipe export of {of}",
+        "comment metres in the real sensor's frame; community -1 is ground; NaN without a score",
+        f"comment status {LEGEND}",
+        f"element vertex {len(points)}",
     ]
-    names = {name: name if name in "xyz" else f"scalar_{name}" for name in POINT.names or ()}
-    header = ["ply", "format binary_little_endian 1.0"]
-    header += [f"comment {comment}" for comment in comments]
-    header.append(f"element vertex {len(points)}")
-    header += [f"property {_PLY_TYPES[POINT[name].str]} {names[name]}" for name in names]
+    for name in POINT.names or ():
+        scalar = name if name in "xyz" else f"scalar_{name}"
+        header.append(f"property {_PLY_TYPES[POINT[name].str]} {scalar}")
     header.append("end_header\n")
     return "\n".join(header).encode() + points.tobytes()
 

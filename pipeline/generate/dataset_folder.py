@@ -7,41 +7,84 @@ resumes with the missing files.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from ...schemas.columns import SIDES
 from ...schemas.data_files import parse_toml
 from ..datasets.pairs import LABEL_NAMES, MANIFEST
-from ..storage.files import refuse_link, write_whole
+from ..engine.progress import Reporter
+from ..engine.tasks import map_tasks
+from ..storage.files import csv_bytes, named_errors, path_exists, refuse_link, write_whole
 from ..storage.folder import refuse_other_content, refuse_overwrite
 
 Recipe = dict[str, Any]
-#: Entries of a recipe that do not affect any file.
-_IGNORED = ("recording",)
+#: Entries of a recipe that do not affect the content of any file.
+_IGNORED = ("recording", "files")
 
 
-def prepare_folder(
+@dataclass(frozen=True, kw_only=True)
+class GeneratedPair:
+    """A pair to be written.
+
+    real, sim : names of the scans in `real/` and `sim/`
+    task : argument of the function that writes the scans, each after its labels
+    timestamp_s, T_world_sensor : entries of the manifest; None if unknown
+    """
+
+    pair_id: str
+    real: str
+    sim: str
+    task: Any
+    timestamp_s: float | None = None
+    T_world_sensor: tuple[float, ...] | None = None
+
+    def files(self) -> set[str]:
+        """Names of its scans and label files."""
+        return {self.real, self.sim, Path(self.sim).with_suffix(".label").name}
+
+    def is_in(self, folder: Path) -> bool:
+        """True if both scans exist."""
+        return (folder / "real" / self.real).exists() and (folder / "sim" / self.sim).exists()
+
+    def row(self) -> tuple[str, ...]:
+        """The row of the manifest."""
+        time_s = "" if self.timestamp_s is None else repr(self.timestamp_s)
+        pose = " ".join(map(repr, self.T_world_sensor or ()))
+        return self.pair_id, f"real/{self.real}", f"sim/{self.sim}", time_s, pose
+
+
+@dataclass(frozen=True)
+class Generated:
+    """Number of pairs in the dataset, and reasons for missing pairs by name."""
+
+    n_pairs: int
+    failures: dict[str, str]
+
+
+def generate_dataset(
     out: Path,
     recipe_name: str,
     recipe: Recipe,
-    own_files: Callable[[Path, Recipe], set[Path] | None],
-    files: set[Path],
+    pairs: Sequence[GeneratedPair],
     label_names: Mapping[int, str],
+    write_pair: Callable[[Any], None],
+    reporter: Reporter,
     *,
+    workers: int,
     replace: bool,
-) -> None:
-    """Create the folder, write recipe and label names, and remove files of an earlier dataset that this one lacks.
+) -> Generated:
+    """Write recipe, label names, the pairs that are missing, and the manifest.
 
     Parameters
     ----------
     recipe_name : file name of the recipe
     recipe : everything that the files depend on
-    own_files : returns the existing files of an earlier dataset from `out` and its recipe; None if
-        another command wrote that
-    files : scans and labels of the new dataset
+    write_pair : called with the task of a pair, in one of several processes
     replace : allow files of a finished dataset to be removed
 
     Raises
@@ -50,33 +93,57 @@ def prepare_folder(
         The folder holds something else, or a finished dataset whose files would be removed; nothing
         is written then.
     """
+    names = set()
+    for pair in pairs:
+        names |= pair.files()
+    with named_errors(out):
+        _prepare(out, recipe_name, recipe | {"files": sorted(names)}, label_names, replace=replace)
+        missing = {pair.pair_id: pair.task for pair in pairs if not pair.is_in(out)}
+        if 0 < len(missing) < len(pairs):
+            reporter.say(f"{len(pairs) - len(missing)} of {len(pairs)} pairs already exist")
+        _, failures = map_tasks(write_pair, missing, reporter, n_workers=workers)
+        done = [pair for pair in pairs if pair.is_in(out)]
+        columns = ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"]
+        write_whole(out / MANIFEST, csv_bytes(columns, [pair.row() for pair in done]))
+    return Generated(len(done), failures)
+
+
+def _prepare(out: Path, recipe_name: str, recipe: Recipe, label_names: Mapping[int, str], *, replace: bool) -> None:
+    """Create the folder, and remove files of an earlier dataset that this one lacks."""
     import tomli_w
 
     for side in SIDES:
         refuse_link(out / side)
-    earlier = None
+    earlier: Recipe = {}
     with suppress(OSError, ValueError):  # TOML and unicode errors are ValueErrors
         earlier = parse_toml((out / recipe_name).read_text(encoding="utf-8"))
-    existing = None if earlier is None else own_files(out, earlier)
+    existing = _existing_files(out, earlier)
     kind = f"a dataset of fidpipe {recipe_name.removesuffix('.toml')}"
     refuse_other_content(f"dataset {out}", out, kind, is_own=existing is not None, other="folder")
-    out.mkdir(parents=True, exist_ok=True)
     text = tomli_w.dumps(recipe)
-    if earlier is not None and existing is not None:
+    if existing is not None:
         changes = _changes(earlier, tomllib.loads(text))
-        lost = existing if changes else existing - files
-        n_lost = len(_stems(lost))
-        n_existing = len(_stems(existing))
-        if n_lost and not replace and (out / MANIFEST).exists():
-            why = changes or [f"pairs was {n_existing}, is {len(_stems(files))}"]
-            refuse_overwrite(f"dataset {out}", f"{n_lost} of its {n_existing} pairs", why, "folder")
-        (out / MANIFEST).unlink(missing_ok=True)
-        for path in {*lost, *([out / LABEL_NAMES] if changes else [])}:
+        lost = [path for path in existing if changes or path.name not in recipe["files"]]
+        if lost and not replace and (out / MANIFEST).exists():
+            why = changes or [f"files were {len(existing)}, are {len(existing) - len(lost)}"]
+            refuse_overwrite(f"dataset {out}", f"{len(lost)} of its files", why, "folder")
+        for path in [out / MANIFEST, out / LABEL_NAMES, *lost]:
             path.unlink(missing_ok=True)
     write_whole(out / recipe_name, text.encode())
     if label_names:
         names = tomli_w.dumps({str(number): name for number, name in label_names.items()})
         write_whole(out / LABEL_NAMES, names.encode())
+
+
+def _existing_files(out: Path, recipe: Recipe) -> list[Path] | None:
+    """Existing files of a recipe; None if it is not one of a generated dataset."""
+    names = recipe.get("files")
+    if not isinstance(names, list) or not {"version", "seed", "sensor"} <= recipe.keys():
+        return None
+    if not all(isinstance(name, str) and Path(name).name == name for name in names):
+        return None
+    paths = [out / side / name for side, name in product(SIDES, names)]
+    return [path for path in paths if path_exists(path) and not path.is_dir()]
 
 
 def _changes(before: Recipe, now: Recipe) -> list[str]:
@@ -89,8 +156,3 @@ def _changes(before: Recipe, now: Recipe) -> list[str]:
             is_long = isinstance(old, list | dict) or isinstance(new, list | dict)
             changes.append(name if is_long else f"{name} was {old}, is {new}")
     return changes
-
-
-def _stems(files: Iterable[Path]) -> set[str]:
-    """Names of the pairs that files belong to."""
-    return {path.stem for path in files if not path.name.startswith(".")}

@@ -104,22 +104,17 @@ def _frames_of_manifest(manifest: Path) -> list[ScanPair]:
                 f"{manifest}: pair {pair.pair_id} has no T_world_sensor; expected 12 numbers ([R "
                 "| t] row by row), or a file of poses (--poses)"
             )
-        if pair.real is None:
-            raise DatasetError(f"{manifest}: pair {pair.pair_id} has no real scan ({pair.fault})")
-        if pair.real.format.holds_frames:
+        if pair.real is None or pair.real.format.holds_frames:
             raise DatasetError(
-                f"{manifest}: pair {pair.pair_id} is a frame of a recording, {pair.real}; "
-                "expected a file with one scan",
+                f"{manifest}: pair {pair.pair_id}: expected a file with one real scan ({pair.fault or pair.real})"
             )
         frames.append(replace(pair, sim=None))
     return frames
 
 
 def _find_poses(folder: Path) -> Path:
-    for path in (
-        *(folder / name for name in _POSE_FILES),
-        folder.parent.parent / "poses" / f"{folder.name}.txt",
-    ):
+    of_kitti = folder.parent.parent / "poses" / f"{folder.name}.txt"
+    for path in (*(folder / name for name in _POSE_FILES), of_kitti):
         if path.is_file():
             return path
     raise DatasetError(
@@ -129,10 +124,10 @@ def _find_poses(folder: Path) -> Path:
 
 
 def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> list[ScanPair]:
-    places = [folder / name for name in _SCAN_FOLDERS if (folder / name).is_dir()]
     scans: list[ScanRef] = []
-    for place in places:
-        scans = scans or scans_in(place)
+    for name in _SCAN_FOLDERS:
+        if not scans and (folder / name).is_dir():
+            scans = scans_in(folder / name)
     if not scans:
         raise DatasetError(
             f"recording {folder}: no scans found; expected files in velodyne/, real/ or the folder",
@@ -143,72 +138,57 @@ def _frames_of_poses(folder: Path, poses: Path, calibration: Path | None) -> lis
             f"{poses}: expected one pose per scan in the order of their names, got {len(rows)} "
             f"poses for {len(scans)} scans ({scans[0].file.name} to {scans[-1].file.name})"
         )
+    times: list[float | None] = [None] * len(scans)
     if rows.shape[1] == _TUM_NUMBERS:
         motions = _tum_motions(poses, rows[:, 1:])
         times = rows[:, 0].tolist()
     else:
-        motions = _kitti_motions(folder, poses, rows, calibration)
-        path = folder / _TIMES
-        times = read_times(path, len(scans)).tolist() if path.is_file() else [None] * len(scans)
+        motions = _kitti_motions(poses, rows, calibration or folder / _CALIBRATION)
+        if (folder / _TIMES).is_file():
+            times = read_times(folder / _TIMES, len(scans)).tolist()
     frames = []
     for scan, motion, time_s in zip(scans, motions, times, strict=True):
-        frames.append(
-            ScanPair(scan.stem, scan, None, time_s, T_world_sensor=tuple(motion.ravel().tolist())),
-        )
+        T_world_sensor = tuple(motion.ravel().tolist())
+        frames.append(ScanPair(scan.stem, scan, None, time_s, T_world_sensor=T_world_sensor))
     return frames
 
 
 def _tum_motions(poses: Path, rows: FloatArray) -> FloatArray:
-    """(n, 3, 4) float64, from translations and quaternions (x y z w)."""
+    """(n, 3, 4) float64, of tx ty tz qx qy qz qw."""
     from scipy.spatial.transform import Rotation
 
-    length = np.sqrt((rows[:, 3:] ** 2).sum(axis=1))
-    wrong = np.flatnonzero(
-        ~(np.abs(length - 1) <= _QUATERNION_TOLERANCE) | ~np.isfinite(rows).all(axis=1),
-    )
-    if len(wrong):
+    length = np.linalg.norm(rows[:, 3:], axis=1)
+    is_right = (np.abs(length - 1) <= _QUATERNION_TOLERANCE) & np.isfinite(rows).all(axis=1)
+    if not is_right.all():
+        first = int(np.argmin(is_right))
         raise DatasetError(
-            f"{poses}, pose {wrong[0] + 1}: not a rigid motion (expected a quaternion of length "
-            f"1, got {length[wrong[0]]:.3g}); lines are time tx ty tz qx qy qz qw"
+            f"{poses}, pose {first + 1}: not a rigid motion (expected a quaternion of length "
+            f"1, got {length[first]:.3g}); lines are time tx ty tz qx qy qz qw"
         )
     R = Rotation.from_quat(rows[:, 3:]).as_matrix()
     return np.concatenate([R, rows[:, :3, None]], axis=2)
 
 
-def _kitti_motions(
-    folder: Path,
-    poses: Path,
-    rows: FloatArray,
-    calibration: Path | None,
-) -> FloatArray:
+def _kitti_motions(poses: Path, rows: FloatArray, calibration: Path) -> FloatArray:
     """(n, 3, 4) float64, T_world_sensor = Tr^-1 T_world_camera Tr; the world is then the sensor's first frame."""
-    T_world_camera = [
-        check_rigid(
-            f"{poses}, pose {line}",
-            "the pose",
-            row,
-        )
-        for line, row in enumerate(rows, start=1)
-    ]
-    T_camera_sensor = square(_read_calibration(calibration or folder / _CALIBRATION, poses))
-    T_sensor_camera = np.linalg.inv(T_camera_sensor)
-    return np.array(
-        [(T_sensor_camera @ square(motion) @ T_camera_sensor)[:3] for motion in T_world_camera],
-    )
+    T_world_camera = []
+    for line, row in enumerate(rows, start=1):
+        T_world_camera.append(square(check_rigid(f"{poses}, pose {line}", "the pose", row)))
+    T_camera_sensor = square(_read_calibration(calibration, poses))
+    motions: FloatArray = np.linalg.inv(T_camera_sensor) @ np.array(T_world_camera) @ T_camera_sensor
+    return motions[:, :3]
 
 
 def _read_calibration(path: Path, poses: Path) -> FloatArray:
     """(3, 4) float64, the line `Tr` of KITTI's calibration."""
-    if not path.is_file():
-        raise DatasetError(
-            f"{path}: no such file; {poses.name} holds 12 numbers per line, KITTI's poses of the "
-            "camera, which need a calibration with the line Tr (--calib); poses of the sensor "
-            "are read in TUM format"
-        )
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError) as error:
-        raise DatasetError(f"{path}: cannot be read ({error})") from error
+        raise DatasetError(
+            f"{path}: cannot be read ({error}); {poses.name} holds 12 numbers per line, KITTI's "
+            "poses of the camera, which need a calibration with the line Tr (--calib); poses of "
+            "the sensor are read in TUM format"
+        ) from error
     for line in lines:
         name, _, text = line.partition(":")
         if name.strip() in _TRANSFORMS:

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 
-from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
 from ...schemas.sensor_models import SENSORS
 from ...stages.generate.ray_casting import require_ray_caster
 from ...stages.generate.street_objects import KINDS
 from ...stages.generate.street_scans import make_pair
-from ..datasets.pairs import MANIFEST
 from ..engine.progress import Reporter
-from ..engine.tasks import map_tasks
-from ..storage.files import csv_bytes, named_errors, write_whole
-from .dataset_folder import Recipe, prepare_folder
+from ..storage.files import write_whole
+from .dataset_folder import GeneratedPair, Recipe, generate_dataset
 
 RECIPE = "synth.toml"
 RECIPE_VERSION = 2  # increase it when the same recipe results in other scans
 SECONDS_APART = 75.0
-_SUFFIXES = (".bin", ".label")
-#: Files of pairs, and temporary files of a killed process.
-_OWN_FILE = re.compile(r"\d{4,}\.(bin|label)|\.\d{4,}\.(bin|label)\.[0-9a-f]{8}")
 
 
 def make_dataset(
@@ -57,32 +50,31 @@ def make_dataset(
     """
     require_ray_caster()
     recipe = recipe_of(seed, sensor, n_points)
-    names = [pair_name(index) for index in range(n_pairs)]
-    with named_errors(out):
-        files = {path for name in names for path in _files(out, name)}
-        prepare_folder(
-            out,
-            RECIPE,
-            recipe,
-            _own_files,
-            files,
-            dict(enumerate(KINDS)),
-            replace=replace,
+    pairs = []
+    for index in range(n_pairs):
+        name = f"{index:04d}"
+        pairs.append(
+            GeneratedPair(
+                pair_id=name,
+                real=f"{name}.bin",
+                sim=f"{name}.bin",
+                task=(out, name, recipe, index),
+                timestamp_s=SECONDS_APART * (index + 1),
+            )
         )
-        tasks = {}
-        for index, name in enumerate(names):
-            if not all(path.exists() for path in _files(out, name)):
-                tasks[name] = (out, recipe, index)
-        if 0 < len(tasks) < n_pairs:
-            reporter.say(f"{n_pairs - len(tasks)} of {n_pairs} pairs already exist")
-        _, failures = map_tasks(write_pair, tasks, reporter, n_workers=workers)
-        if failures:
-            raise FidpipeError(f"dataset {out}: {next(iter(failures.values()))}")
-        rows = []
-        for index, name in enumerate(names):
-            time_s = SECONDS_APART * (index + 1)
-            rows.append((name, f"real/{name}.bin", f"sim/{name}.bin", f"{time_s:.3f}"))
-        write_whole(out / MANIFEST, csv_bytes(["pair_id", "real", "sim", "timestamp_s"], rows))
+    outcome = generate_dataset(
+        out,
+        RECIPE,
+        recipe,
+        pairs,
+        dict(enumerate(KINDS)),
+        write_pair,
+        reporter,
+        workers=workers,
+        replace=replace,
+    )
+    for reason in outcome.failures.values():
+        raise FidpipeError(f"dataset {out}: {reason}")
 
 
 def recipe_of(seed: int, sensor: str, n_points: int | None) -> Recipe:
@@ -93,27 +85,11 @@ def recipe_of(seed: int, sensor: str, n_points: int | None) -> Recipe:
     return recipe
 
 
-def write_pair(task: tuple[Path, Recipe, int]) -> None:
-    """Write the four files of a pair, given folder, recipe and index; their content depends on the latter two alone."""
-    out, recipe, index = task
+def write_pair(task: tuple[Path, str, Recipe, int]) -> None:
+    """Write the four files of a pair, given folder, name, recipe and index of the pair."""
+    out, name, recipe, index = task
     pair = make_pair(recipe["seed"], index, SENSORS[recipe["sensor"]], recipe.get("points"))
     numbers = np.array([KINDS.index(kind) for kind in pair.kinds], dtype="<u4")
     for side, scan in (("real", pair.real), ("sim", pair.sim)):
-        stem = out / side / pair_name(index)
-        write_whole(stem.with_suffix(".label"), numbers[scan.object_ids].tobytes())
-        write_whole(stem.with_suffix(".bin"), scan.rows.astype("<f4").tobytes())
-
-
-def pair_name(index: int) -> str:
-    """The pair_id of the pair of this index."""
-    return f"{index:04d}"
-
-
-def _files(out: Path, name: str) -> list[Path]:
-    return [out / side / f"{name}{suffix}" for side in SIDES for suffix in _SUFFIXES]
-
-
-def _own_files(out: Path, recipe: Recipe) -> set[Path] | None:
-    if not {"version", "seed", "sensor"} <= recipe.keys():
-        return None
-    return {path for side in SIDES for path in (out / side).glob("*") if _OWN_FILE.fullmatch(path.name)}
+        write_whole(out / side / f"{name}.label", numbers[scan.object_ids].tobytes())
+        write_whole(out / side / f"{name}.bin", scan.rows.astype("<f4").tobytes())

@@ -96,8 +96,10 @@ class CauseSamples:
         settings = self._settings.input
         position, voxel_m = settings.sensor_position, settings.voxel_m
         return PairScans(
-            recorded_side(real.points, real_cut.is_ground, sensors["real"], None, position, voxel_m),
-            recorded_side(sim.points, sim_cut.is_ground, sensors["sim"], T_real_sim, position, voxel_m),
+            recorded_side(real.points, real_cut.is_ground, real_cut.height_m, sensors["real"], None, position, voxel_m),
+            recorded_side(
+                sim.points, sim_cut.is_ground, sim_cut.height_m, sensors["sim"], T_real_sim, position, voxel_m
+            ),
         )
 
     def named(self) -> CauseCheck:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ...stages.causes.sides import PairScans, Side
 
 POSE = "pose"  #: metadata: fields of `Pose`, None without enough surface in common
-POINT_COLUMNS = ("x", "y", "z", "is_ground")
+POINT_COLUMNS = ("x", "y", "z", "is_ground", "height_m")
 _TOO_LITTLE = "the scans have too little surface in common"
 
 
@@ -117,7 +117,13 @@ def side_of(
     from ...stages.causes.sides import recorded_side
 
     return recorded_side(
-        coordinates(ground), column(ground, "is_ground"), sensor, T_real_sim, position, voxel_m
+        coordinates(ground),
+        column(ground, "is_ground"),
+        column(ground, "height_m"),
+        sensor,
+        T_real_sim,
+        position,
+        voxel_m,
     )
 
 
@@ -147,6 +153,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=4,
+    version=5,
     libraries=("scikit-learn",),
 )

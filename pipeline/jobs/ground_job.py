@@ -10,7 +10,7 @@ import pyarrow as pa
 from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
-from ...stages.arrays import transform_of
+from ...stages.arrays import FloatArray, transform_of
 from ...stages.clean import CleanResult
 from ...stages.ground import GroundResult
 from ...stages.method import remove_road
@@ -28,7 +28,7 @@ from ..stage import (
     Metadata,
     Stage,
 )
-from .points_job import coordinates
+from .points_job import CUT_COLUMNS, cut_scan
 
 _MEASURES = ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")
 
@@ -46,11 +46,7 @@ def make_ground(inputs: Inputs) -> JobResult:
     with inputs.step("inspect"):
         T_real_sim = transform_of(inputs.T_real_sim)
         inspection = inspect_points(scan.points, inputs.part, inputs.settings.input, T_real_sim)
-    real_cut = real_points = None
-    if ("ground", "real") in inputs.outputs:
-        real_cut = _cut(inputs.metadata("ground", "real"))
-    if ("ground", "real") in inputs.tables:
-        real_points = coordinates(inputs.table("ground", "real"))
+    real_cut, real_points = _real_side(inputs)
     try:
         clean, cut = remove_road(
             scan.points,
@@ -105,15 +101,21 @@ def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> M
 def _takes_real(settings: Settings) -> Columns:
     if settings.ground.shared:
         return {"ground": ()}
-    return {"ground": ("x", "y", "z")} if settings.ground.peak == "real" else {}
+    return {"ground": CUT_COLUMNS} if settings.ground.peak == "real" else {}
 
 
-def _cut(metadata: Metadata) -> GroundResult:
-    """The real side's cut, for the simulated side."""
+def _real_side(inputs: Inputs) -> tuple[GroundResult | None, FloatArray | None]:
+    """The real side's cut and its clean points, for the simulated side; None if it is cut without them."""
+    if ("ground", "real") not in inputs.outputs:
+        return None, None
+    metadata = inputs.metadata("ground", "real")
     measures = {name: metadata[name] for name in _MEASURES}
-    return GroundResult(
-        np.empty(0, dtype=np.bool_), np.empty(0), np.array(metadata["axis"]), **measures
-    )
+    axis = np.array(metadata["axis"])
+    if ("ground", "real") not in inputs.tables:
+        nothing = np.empty(0)
+        return GroundResult(nothing.astype(np.bool_), nothing, axis, **measures), None
+    real = cut_scan(inputs.table("ground", "real"))
+    return GroundResult(real.is_ground, real.height_m, axis, **measures), real.points
 
 
 STAGE = Stage(
@@ -122,7 +124,7 @@ STAGE = Stage(
     gives=("ground",),
     settings=("input", "ground"),
     grain=Grain.SIDE,
-    version=2,
+    version=3,
     make=make_ground,
     libraries=("pypatchworkpp",),
     takes_real=_takes_real,

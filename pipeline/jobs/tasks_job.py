@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from ...schemas.columns import Row
 from ...schemas.settings import Settings
@@ -16,8 +17,8 @@ from ...stages.pieces import CutScan
 from ...stages.summary import mean_and_std
 from ...stages.tasks import (
     ALL,
-    Fates,
     Gap,
+    Obstacles,
     compare_free_space,
     compare_ground,
     compare_obstacles,
@@ -41,20 +42,20 @@ def make_tasks(inputs: Inputs) -> JobResult:
     real = cut_scan(inputs.table("ground", "real"))
     sim = cut_scan(inputs.table("ground", "sim"))
     gaps: list[Gap] = []
-    objects: list[Row] = []
+    obstacles = [TABLES["task_objects"].schema.empty_table()]
     for name in settings.names:
         with inputs.step(name):
             if name == "objects":
                 task = compare_obstacles(real, sim, settings)
                 gaps += task.gaps
-                objects += _obstacle_rows(inputs, "real", real, task.real)
-                objects += _obstacle_rows(inputs, "sim", sim, task.sim)
+                obstacles.append(_obstacle_table(inputs, "real", real, task.real))
+                obstacles.append(_obstacle_table(inputs, "sim", sim, task.sim))
             else:
                 gaps += _TASKS[name](real, sim, settings)
     rows = [{"pair_id": inputs.pair_id} | asdict(gap) for gap in gaps]
     tables = {
         "tasks": TABLES["tasks"].from_rows(rows),
-        "task_objects": TABLES["task_objects"].from_rows(objects),
+        "task_objects": pa.concat_tables(obstacles).combine_chunks(),
     }
     return JobResult(tables, {"gaps": [asdict(gap) for gap in gaps if gap.group == ALL]})
 
@@ -76,34 +77,30 @@ def summarise_tasks(records: Iterable[JobRecord], settings: Settings) -> dict[st
     return {"tasks": summary}
 
 
-def _obstacle_rows(inputs: Inputs, side: str, scan: CutScan, fates: Fates) -> list[Row]:
+def _obstacle_table(inputs: Inputs, side: str, scan: CutScan, obstacles: Obstacles) -> pa.Table:
     """The obstacles of a side within range."""
-    obstacles = fates.obstacles
     communities = column(inputs.table("communities", side), "community_id")
     community_of = _communities(obstacles.labels[~scan.is_ground], communities)
-    rows = []
-    for number in np.flatnonzero(fates.is_counted).tolist():
-        partner = int(fates.partner[number])
-        row = {
-            "pair_id": inputs.pair_id,
-            "side": side,
-            "obstacle_id": number,
-            "community_id": community_of[number],
-            "n_points": int(obstacles.n_points[number]),
-            "range_m": float(obstacles.range_m[number]),
-            "fate": "found" if partner >= 0 else _WITHOUT_PARTNER[side],
-            "partner_id": partner if partner >= 0 else None,
-            "iou": float(fates.iou[number]),
-        }
-        for axis, centre, size in zip(
-            "xyz", obstacles.centre[number], obstacles.size_m[number], strict=True
-        ):
-            row |= {f"c{axis}": float(centre), f"extent_{axis}": float(size)}
-        rows.append(row)
-    return rows
+    rows = np.flatnonzero(obstacles.range_m <= inputs.settings.tasks.range_m)
+    partner = obstacles.partner[rows]
+    columns: dict[str, Any] = {
+        "pair_id": inputs.pair_id,
+        "side": side,
+        "obstacle_id": rows,
+        "community_id": community_of[rows],
+        "n_points": obstacles.n_points[rows],
+        "range_m": obstacles.range_m[rows],
+        "fate": np.where(partner >= 0, "found", _WITHOUT_PARTNER[side]),
+        "partner_id": [number if number >= 0 else None for number in partner.tolist()],
+        "iou": obstacles.iou[rows],
+    }
+    for i, axis in enumerate("xyz"):
+        columns[f"c{axis}"] = obstacles.centre[rows, i]
+        columns[f"extent_{axis}"] = obstacles.size_m[rows, i]
+    return TABLES["task_objects"].build(columns, len(rows))
 
 
-def _communities(labels: IndexArray, communities: IntArray) -> list[int]:
+def _communities(labels: IndexArray, communities: IntArray) -> IndexArray:
     """The object that has the most points of each obstacle; of equals the one of smaller id.
 
     Parameters
@@ -111,11 +108,10 @@ def _communities(labels: IndexArray, communities: IntArray) -> list[int]:
     labels, communities : (n,) obstacle (-1 for none) and object of each object point
     """
     is_inside = labels >= 0
-    both = np.column_stack([labels[is_inside], communities[is_inside]])
-    unique, n = np.unique(both, axis=0, return_counts=True)
-    order = np.lexsort((unique[:, 1], -n, unique[:, 0]))
-    _, first = np.unique(unique[order, 0], return_index=True)
-    largest: list[int] = unique[order[first], 1].tolist()
+    shape = (labels.max(initial=-1) + 1, communities.max(initial=0) + 1)
+    n_points = np.zeros(shape, dtype=np.int64)
+    np.add.at(n_points, (labels[is_inside], communities[is_inside]), 1)
+    largest: IndexArray = n_points.argmax(axis=1)
     return largest
 
 

@@ -16,7 +16,7 @@ import pandas as pd
 import pyarrow as pa
 
 from ...schemas.columns import Row
-from ...schemas.errors import DatasetError, ScanError
+from ...schemas.errors import ScanError
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
@@ -27,8 +27,9 @@ from ..datasets.readers.scan import Scan
 from ..datasets.readers.scan_ref import scan_ref
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
+from ..jobs import STAGES, baselines_job
 from ..run import select_pairs
-from ..stage import JobResult, Stage
+from ..stage import JobResult
 from ..storage.files import key_of
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.run_record import (
@@ -43,27 +44,27 @@ from ..storage.table_files import JobRecord, TableFolder, plain_metadata
 
 #: Arguments of an experiment as plain values, which `run.json` keeps.
 Request = Mapping[str, Any]
+#: Stages whose code the experiments use.
+_STAGES = (*STAGES, baselines_job.STAGE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
     """Definition of an experiment.
 
-    name : of the command
-    version : of its code; increase it when the same request results in other numbers
+    name : name of the command
+    version : version of its code; increase it when the same request results in other numbers
     sides : sides of a pair whose scans it reads
-    stages : stages whose code it uses
-    tables : its tables over all pairs
-    summary : table of means over all pairs
+    tables : names of the tables over all pairs
+    summary : name of the table of means over all pairs
     evaluate : from a pair, its scans by side, settings and request: the tables of the pair, with
-        metadata; "warnings" and "notes" among it are shown to the user
+        metadata; its "warnings" are shown to the user
     summarise : from `tables` of all pairs by name, the rows of `summary`
     """
 
     name: str
     version: int
     sides: tuple[str, ...]
-    stages: tuple[Stage, ...]
     tables: tuple[str, ...]
     summary: str
     evaluate: Callable[[ScanPair, Mapping[str, Scan], Settings, Request], JobResult]
@@ -71,21 +72,22 @@ class Experiment:
 
     @property
     def versions(self) -> dict[str, int]:
-        """Code versions of the experiment and its stages, by name."""
-        return {self.name: self.version} | {stage.name: stage.version for stage in self.stages}
+        """Code versions of the experiment and of the stages, by name."""
+        return {self.name: self.version} | {stage.name: stage.version for stage in _STAGES}
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentOutcome:
-    """Outcome of any experiment.
+    """Outcome of an experiment.
 
     failures : reasons by failed pair
     n_made, n_reused : number of pairs
-    metadata : of each finished pair
+    metadata : metadata by finished pair
     tables : all tables over all pairs, by name
     """
 
     folder: Path
+    request: Request
     failures: dict[str, str]
     n_made: int
     n_reused: int
@@ -98,8 +100,8 @@ class ExperimentOutcome:
 class PairTask:
     """One pair of an experiment, for a worker.
 
-    record : of the result; its files are not written yet
-    folder : of the experiment
+    record : record of the result; its files are not written yet
+    folder : folder of the experiment
     """
 
     experiment: Experiment
@@ -124,25 +126,14 @@ def read_source(path: Path, pattern: str | None = None, *, first_only: bool = Fa
     ------
     DatasetError
         No dataset exists, it is invalid, or no pair matches.
-    ScanError
-        The format of the file is unknown.
     """
     scan = scan_ref(path)
     if scan.exists:
-        if not scan.format.module:
-            raise ScanError(
-                f"{path}: not a known scan format; expected a scan file or a dataset folder",
-            )
-        if pattern is not None:
-            raise DatasetError(
-                f"--pairs {pattern!r}: {path} is one scan; expected a dataset folder",
-            )
         folder = scan.file.resolve().parent
         names = read_label_names(folder) or read_label_names(folder.parent)
-        return Dataset(path, (ScanPair(scan.stem, scan, None),), names)
-    if not path.exists() and scan.format.module:
-        raise ScanError(f"{path}: no such file; expected a scan file or a dataset folder")
-    dataset = read_dataset(path)
+        dataset = Dataset(path, (ScanPair(scan.stem, scan, None),), names)
+    else:
+        dataset = read_dataset(path)
     pairs = select_pairs(dataset, pattern)
     if first_only and pattern is None:
         pairs = pairs[:1]
@@ -180,6 +171,11 @@ def run_experiment(
     check_folder(out, source.folder, experiment.name)
     folder = RunFolder(out)
     start = perf_counter()
+    header: dict[str, Any] = {
+        "experiment": experiment.name,
+        **run_header(source.folder, settings, experiment.versions).as_dict(),
+        "request": dict(request),
+    }
     with folder.locked():
         before = read_run(out)
         changes = _changes(before, experiment, source, settings, request)
@@ -188,35 +184,42 @@ def run_experiment(
         tasks, failures = _tasks(experiment, source, folder, settings, request)
         for pair_id, reason in failures.items():
             reporter.fail(f"pair {pair_id}", reason)
-        header = {
-            "experiment": experiment.name,
-            **run_header(source.folder, settings, experiment.versions).as_dict(),
-            "request": dict(request),
-        }
         done = _finished(tasks, folder)
         stale = [pair_id for pair_id in folder.ledger.pair_ids() if pair_id not in done]
         if stale or len(done) < len(tasks):
             write_record(out, settings, header.items(), folder.check_token)
         _remove(stale, folder, reporter, "; ".join(changes) or "out of date")
         missing = {pair_id: task for pair_id, task in tasks.items() if pair_id not in done}
-        failures |= _evaluate_all(missing, folder, reporter, settings.machine.memory_gib, n_workers)
-        if scan_ref(source.folder).exists and failures:
-            raise ScanError("; ".join(failures.values()))
-        records = _finished(tasks, folder)
-        metadata = {pair_id: record.metadata for pair_id, record in records.items()}
-        _show(metadata, reporter)
-        outcome = ExperimentOutcome(
-            folder=out,
-            failures=failures,
-            n_made=len(records) - len(done),
-            n_reused=len(done),
-            wall_s=perf_counter() - start,
-            metadata=metadata,
-            tables=_write_tables(experiment, folder, list(records.values())),
+        made, failures_of_tasks = map_tasks(
+            _evaluate,
+            missing,
+            reporter,
+            n_workers=n_workers,
+            memory_gib=settings.machine.memory_gib,
+            may_end_workers=may_crash(task.pair for task in missing.values()),
+            keep=folder.ledger.put_job,
         )
-        header |= {"scans": metadata, "failures": failures, "wall_s": outcome.wall_s}
+        failures |= failures_of_tasks
+        if failures and scan_ref(source.folder).exists:
+            raise ScanError("; ".join(failures.values()))
+        records = [(done | made)[name] for name in tasks if name not in failures]
+        tables = _write_tables(experiment, folder, records)
+        header["scans"] = {record.pair_id: record.metadata for record in records}
+        header["failures"] = failures
+        header["wall_s"] = perf_counter() - start
         write_record(out, settings, header.items(), folder.check_token)
-    return outcome
+    for record in records:
+        reporter.warn(*record.metadata["warnings"])
+    return ExperimentOutcome(
+        folder=out,
+        request=request,
+        failures=failures,
+        n_made=len(made),
+        n_reused=len(done),
+        wall_s=header["wall_s"],
+        metadata=header["scans"],
+        tables=tables,
+    )
 
 
 def _remove(pair_ids: list[str], folder: RunFolder, reporter: Reporter, why: str) -> None:
@@ -228,37 +231,8 @@ def _remove(pair_ids: list[str], folder: RunFolder, reporter: Reporter, why: str
     folder.remove_strays()
 
 
-def _evaluate_all(
-    tasks: Mapping[str, PairTask],
-    folder: RunFolder,
-    reporter: Reporter,
-    memory_gib: float | None,
-    n_workers: int | None,
-) -> dict[str, str]:
-    """Evaluate pairs, put the results into the ledger, and return the reasons of failures by pair_id."""
-    records, failures = map_tasks(
-        _evaluate,
-        tasks,
-        reporter,
-        n_workers=n_workers,
-        memory_gib=memory_gib,
-        may_end_workers=may_crash(task.pair for task in tasks.values()),
-    )
-    for record in records.values():
-        folder.ledger.put_job(record)
-    return failures
-
-
-def _show(metadata: Mapping[str, Mapping[str, Any]], reporter: Reporter) -> None:
-    """Show the warnings and notes about the pairs."""
-    for values in metadata.values():
-        reporter.warn(*values.get("warnings", ()))
-        for note in values.get("notes", ()):
-            reporter.say(note)
-
-
 def mean_rows(scores: pd.DataFrame, keys: list[str]) -> Iterator[Row]:
-    """Keys, n, mean and std (n - 1) of `value` for each group of rows with equal keys, null keys included."""
+    """Keys, n, mean and std (n - 1) of `value` for each group of rows with equal keys."""
     for names, values in scores.groupby(keys, dropna=False, sort=False)["value"]:
         mean, std = mean_and_std(values.to_numpy(dtype=np.float64))
         row = dict(zip(keys, names, strict=True))
@@ -277,14 +251,11 @@ def _changes(
     for group, texts in changed_settings(before, settings).items():
         if group != "machine":
             changes += texts
-    stages = before.get("stages", {})
-    for name, version in experiment.versions.items():
-        if stages.get(name, version) != version:
-            changes.append(f"code of {name} is new")
-    last_request = before.get("request", {})
-    for name, value in request.items():
-        if last_request.get(name, value) != value:
-            changes.append(f"{name} was {last_request[name]}, is {value}")
+    for entry, values in (("stages", experiment.versions), ("request", request)):
+        last = before.get(entry, {})
+        for name, value in values.items():
+            if last.get(name, value) != value:
+                changes.append(f"{name} was {last[name]}, is {value}")
     pair_ids = {pair.pair_id for pair in source.pairs}
     dropped = [pair_id for pair_id in before.get("scans", {}) if pair_id not in pair_ids]
     if dropped:
@@ -299,53 +270,41 @@ def _tasks(
     settings: Settings,
     request: Request,
 ) -> tuple[dict[str, PairTask], dict[str, str]]:
-    """The tasks of all pairs with their keys, and the reasons why other pairs cannot be read, by pair_id."""
+    """The tasks of all pairs with their keys, and the reasons why other pairs cannot be read."""
     libraries = ["numpy", "scipy"]
-    for stage in experiment.stages:
+    for stage in _STAGES:
         libraries += stage.libraries
-    columns = {name: str(TABLES[name].schema) for name in experiment.tables}
     request_key = key_of(
         experiment.versions,
         library_versions(libraries),
-        columns,
+        {name: str(TABLES[name].schema) for name in experiment.tables},
         settings.model_dump(mode="json", exclude={"machine"}),
         request,
     )
     tasks = {}
     failures = {}
     for pair in source.pairs:
+        content = []
         try:
-            content = _content_keys(pair, experiment.sides, source.label_names)
+            for side in experiment.sides:
+                scan = pair.scans.get(side)
+                if scan is None:
+                    raise ScanError(pair.fault or f"no {side} scan")
+                content.append(scan_content(scan).key(source.label_names, pair.motion(side)))
         except ScanError as error:
             failures[pair.pair_id] = str(error)
             continue
         key = key_of(request_key, content)
-        record = JobRecord(experiment.name, pair.pair_id, "", key, {}, content)
         tasks[pair.pair_id] = PairTask(
             experiment=experiment,
             pair=pair,
             label_names=source.label_names,
             settings=settings,
             request=request,
-            record=replace(record, made_by=folder.token),
+            record=JobRecord(experiment.name, pair.pair_id, "", key, {}, made_by=folder.token),
             folder=folder.folder,
         )
     return tasks, failures
-
-
-def _content_keys(
-    pair: ScanPair,
-    sides: tuple[str, ...],
-    label_names: Mapping[int, str],
-) -> tuple[str, ...]:
-    """A hash of the content of the scan of each side; `ScanError` if one cannot be read."""
-    keys = []
-    for side in sides:
-        scan = pair.scans.get(side)
-        if scan is None:
-            raise ScanError(pair.fault or f"no {side} scan")
-        keys.append(scan_content(scan).key(label_names, pair.motion(side)))
-    return tuple(keys)
 
 
 def _finished(tasks: Mapping[str, PairTask], folder: RunFolder) -> dict[str, JobRecord]:
@@ -353,9 +312,7 @@ def _finished(tasks: Mapping[str, PairTask], folder: RunFolder) -> dict[str, Job
     records = {}
     for pair_id, task in tasks.items():
         record = folder.ledger.jobs(pair_id).get(task.record.job)
-        if record is None or record.key != task.record.key:
-            continue
-        if not folder.damaged_files(record):
+        if record and record.key == task.record.key and not folder.damaged_files(record):
             records[pair_id] = record
     return records
 
@@ -366,9 +323,6 @@ def _evaluate(task: PairTask) -> JobRecord:
     for side in task.experiment.sides:
         columns = task.settings.input.columns_of(side)
         scans[side] = read_scan(task.pair.scans[side], columns, dict(task.label_names))
-    content = _content_keys(task.pair, task.experiment.sides, task.label_names)
-    if content != task.record.reads:
-        raise ScanError("the file changed while it was used; run the same command again")
     result = task.experiment.evaluate(task.pair, scans, task.settings, task.request)
     record = replace(task.record, metadata=plain_metadata(result.metadata))
     folder = TableFolder(task.folder, record.made_by)
@@ -383,9 +337,8 @@ def _write_tables(
     """Join the tables of all pairs, summarise them, and write both; returns them by name."""
     tables = {}
     for name in experiment.tables:
-        parts = [TABLES[name].schema.empty_table()]
-        parts += [folder.read_table(name, record.pair_id) for record in records]
-        tables[name] = pa.concat_tables(parts)
+        parts = [folder.read_table(name, record.pair_id) for record in records]
+        tables[name] = pa.concat_tables([TABLES[name].schema.empty_table(), *parts])
     tables[experiment.summary] = TABLES[experiment.summary].from_rows(experiment.summarise(tables))
     key = key_of(sorted(record.key for record in records))
     for name, table in tables.items():

@@ -7,8 +7,8 @@ them alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +19,8 @@ from ...schemas.errors import DatasetError, SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
-from ...stages.arrays import FloatArray, IntArray
-from ...stages.baselines import Baseline, compare_objects
+from ...stages.arrays import FloatArray
+from ...stages.baselines import compare_objects
 from ...stages.generate.perturbations import KINDS, Perturbation, perturb
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.linalg.subgraph import Subgraph
@@ -34,20 +34,18 @@ from ...stages.method import (
     score,
 )
 from ...stages.metrics import MIN_NODES
-from ...stages.paper.sweep_means import Means
 from ...stages.plausibility import ScanInspection
 from ...stages.statistics.typical_objects import ChosenObject
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
-from ..engine.memory import PairTables, run_in_memory
+from ..engine.memory import run_in_memory
 from ..engine.plan import Planner
 from ..engine.progress import Reporter
-from ..jobs import STAGES, baselines_job, communities_job, graph_job, ground_job
+from ..jobs import communities_job, graph_job, ground_job
 from ..jobs.points_job import column, edges_in, points_in
 from ..pair_checks import pair_warnings
 from ..stage import INSPECTION, JobResult
 from ..storage.files import key_of
-from ..storage.folder import RunFolder
 from .experiment import (
     Experiment,
     ExperimentOutcome,
@@ -70,8 +68,6 @@ _AMOUNTS = {
     "hallucination": "0.05,0.2,0.4",
     "density": "0.25,0.5,2,4",
 }
-
-
 #: Columns of `perturb_global` from the summary of a comparison.
 _SUMMARY = (
     "n_matched",
@@ -82,36 +78,6 @@ _SUMMARY = (
 )
 #: Stages that partition a scan.
 _PARTITION_STAGES = (ground_job.STAGE, graph_job.STAGE, communities_job.STAGE)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PerturbOutcome(ExperimentOutcome):
-    """Outcome of the experiment."""
-
-    levels: tuple[Perturbation, ...]
-
-    @property
-    def scans(self) -> tuple[str, ...]:
-        """Names of the altered scans."""
-        return tuple(self.metadata)
-
-    @property
-    def objects(self) -> tuple[ChosenObject, ...]:
-        """Chosen objects of all scans."""
-        chosen = []
-        for metadata in self.metadata.values():
-            chosen += [ChosenObject(**values) for values in metadata["objects"]]
-        return tuple(chosen)
-
-    @property
-    def summary(self) -> pa.Table:
-        """The table `perturb_summary`."""
-        return self.tables["perturb_summary"]
-
-    @property
-    def means(self) -> Means:
-        """The summary by object, level and metric."""
-        return Means(self.summary.to_pylist())
 
 
 def perturb_source(
@@ -128,7 +94,7 @@ def perturb_source(
     pattern: str | None = None,
     n_workers: int | None = None,
     replace: bool = False,
-) -> PerturbOutcome:
+) -> ExperimentOutcome:
     """Alter scans and objects, score the result, and write the tables.
 
     Parameters
@@ -137,7 +103,7 @@ def perturb_source(
         is used
     levels : kinds and amounts of perturbations
     repeats, global_repeats : number of repeats of each level, per object and for the whole scan
-    seed : of the random numbers
+    seed : seed of all random numbers
     objects : community ids and labels; by default the classes of the paper, or shapes
     n_workers : processes; None for one per core
     replace : allow results of a finished experiment to be replaced by another request
@@ -159,7 +125,7 @@ def perturb_source(
         "levels": [list(astuple(level)) for level in levels],
         "objects": None if objects is None else list(objects),
     }
-    outcome = run_experiment(
+    return run_experiment(
         EXPERIMENT,
         source,
         out,
@@ -169,7 +135,19 @@ def perturb_source(
         n_workers=n_workers,
         replace_finished=replace,
     )
-    return PerturbOutcome(**vars(outcome), levels=tuple(levels))
+
+
+def levels_of(request: Request) -> list[Perturbation]:
+    """The levels of a request."""
+    return [Perturbation(*values) for values in request["levels"]]
+
+
+def chosen_objects(outcome: ExperimentOutcome) -> list[ChosenObject]:
+    """The altered objects of all scans."""
+    chosen = []
+    for metadata in outcome.metadata.values():
+        chosen += [ChosenObject(**values) for values in metadata["objects"]]
+    return chosen
 
 
 def alter_scan(
@@ -178,122 +156,68 @@ def alter_scan(
     settings: Settings,
     request: Request,
 ) -> JobResult:
-    """All perturbations of the real scan of a pair and of its chosen objects, with all repeats.
-
-    Parameters
-    ----------
-    request : seed, repeats, levels, and names of objects
-    """
+    """All perturbations of the real scan of a pair and of its chosen objects, with all repeats."""
     jobs = Planner(_PARTITION_STAGES, settings, {}).jobs()
     real_jobs = [job for job in jobs if job.part == "real"]
     tables, outputs = run_in_memory(real_jobs, scans, pair.pair_id)
-    scan = _partition_of(tables, settings)
-    notes: list[str] = []
-    names = request["objects"]
-    objects = choose_objects(
-        objects_in(tables, pair.pair_id),
-        names,
-        settings.graph.k,
-        notes.append,
-    )
-    object_rows, baseline_rows = _object_rows(scan, objects, settings, request)
+    point_ids, points = points_in(tables["ground", "real"])
+    edges = edges_in(point_ids, tables["graph", "real"])
+    labels = column(tables["communities", "real"], "community_id")
+    scan = PartitionedScan(points, edges, labels, describe(points, labels, settings))
+    repeats = _repeats(request, pair.pair_id, "all", request["repeats"]["global"])
+    global_rows = [names | _altered_scan(scan, names, settings) for names in repeats]
+    candidates = objects_in(tables, pair.pair_id)
+    objects = choose_objects(candidates, request["objects"], settings.graph.k)
+    object_rows = []
+    baseline_rows = []
+    for chosen in objects:
+        number = chosen.community_id
+        before = graph_of(points[labels == number], settings)
+        for repeat in _repeats(request, pair.pair_id, number, request["repeats"]["object"]):
+            names = repeat | {"community_id": number, "object": chosen.name}
+            scores, baselines = _altered_object(before, names, settings)
+            object_rows.append(names | scores)
+            baseline_rows += [names | baseline for baseline in baselines]
+    rows = {
+        "perturb_global": global_rows,
+        "perturb_objects": object_rows,
+        "perturb_baselines": baseline_rows,
+    }
     inspection = ScanInspection(**outputs["ground", "real"][INSPECTION])
     return JobResult(
-        {
-            "perturb_global": TABLES["perturb_global"].from_rows(
-                _whole_rows(scan, pair.pair_id, settings, request),
-            ),
-            "perturb_objects": TABLES["perturb_objects"].from_rows(object_rows),
-            "perturb_baselines": TABLES["perturb_baselines"].from_rows(baseline_rows),
-            "ground": tables["ground", "real"],
-            "communities": tables["communities", "real"],
-        },
+        {name: TABLES[name].from_rows(rows[name]) for name in EXPERIMENT.tables},
         {
             "objects": [vars(chosen) for chosen in objects],
-            "notes": notes,
             "warnings": pair_warnings(pair, {"real": inspection}, None),
         },
     )
 
 
-def _levels(request: Request) -> list[Perturbation]:
-    return [Perturbation(*values) for values in request["levels"]]
-
-
-def _whole_rows(
-    scan: PartitionedScan,
-    scan_id: str,
-    settings: Settings,
-    request: Request,
-) -> list[Row]:
-    """One row of `perturb_global` per level and repeat."""
-    rows = []
-    for level in _levels(request):
-        for repeat in _repeats(scan_id, "all", level, request["repeats"]["global"], request):
-            row = _altered_scan(scan, level, repeat["seed"], settings)
-            rows.append(repeat | row)
-    return rows
-
-
-def _object_rows(
-    scan: PartitionedScan, objects: Sequence[ChosenObject], settings: Settings, request: Request
-) -> tuple[list[Row], list[Row]]:
-    """The rows of `perturb_objects` and `perturb_baselines`: one object altered, its graph rebuilt from it alone."""
-    graphs = {}
-    for chosen in objects:
-        points = scan.points[scan.labels == chosen.community_id]
-        graphs[chosen.community_id] = graph_of(points, settings)
-    object_rows = []
-    baseline_rows = []
-    n_repeats = request["repeats"]["object"]
-    for level in _levels(request):
-        for chosen in objects:
-            number = chosen.community_id
-            names = {"community_id": number, "object": chosen.name}
-            for repeat in _repeats(chosen.pair_id, number, level, n_repeats, request):
-                rng = np.random.default_rng(repeat["seed"])
-                altered = perturb(graphs[number].points, level, rng)
-                scores, baselines = _altered_object(graphs[number], altered, settings)
-                object_rows.append(repeat | names | scores)
-                baseline_rows += [repeat | names | baseline for baseline in baselines]
-    return object_rows, baseline_rows
-
-
-def _partition_of(tables: PairTables, settings: Settings) -> PartitionedScan:
-    """The unaltered scan with its partition."""
-    point_ids, points = points_in(tables["ground", "real"])
-    labels = column(tables["communities", "real"], "community_id")
-    objects = describe(points, labels, settings)
-    return PartitionedScan(points, edges_in(point_ids, tables["graph", "real"]), labels, objects)
-
-
-def _repeats(
-    scan: str,
-    scope: int | str,
-    level: Perturbation,
-    n_repeats: int,
-    request: Request,
-) -> list[Row]:
-    """The first columns of the row of each repeat.
+def _repeats(request: Request, pair_id: str, scope: int | str, n_repeats: int) -> Iterator[Row]:
+    """The first columns of the row of each level and repeat.
 
     The seed is 60 bits of a hash of the request's seed, scan, scope, level and repeat.
 
     Parameters
     ----------
-    scan : name of the scan
     scope : id of an object, or "all"
     """
-    rows = []
-    for repeat in range(n_repeats):
-        digits = key_of("perturb", request["seed"], scan, scope, *astuple(level), repeat)
-        seed = int(digits[:15], 16)
-        rows.append(vars(level) | {"pair_id": scan, "repeat": repeat, "seed": seed})
-    return rows
+    for level in levels_of(request):
+        for repeat in range(n_repeats):
+            digits = key_of("perturb", request["seed"], pair_id, scope, *astuple(level), repeat)
+            seed = int(digits[:15], 16)
+            yield vars(level) | {"pair_id": pair_id, "repeat": repeat, "seed": seed}
 
 
-def _altered_scan(scan: PartitionedScan, level: Perturbation, seed: int, settings: Settings) -> Row:
+def _altered(points: FloatArray, names: Row) -> FloatArray:
+    """Points altered as the first columns of a row say."""
+    level = Perturbation(names["kind"], names["amount"], names["shift_m"])
+    return perturb(points, level, np.random.default_rng(names["seed"]))
+
+
+def _altered_scan(scan: PartitionedScan, names: Row, settings: Settings) -> Row:
     """Scores of the scan with all object points altered, everything from the graph on recomputed."""
-    altered = perturb(scan.points, level, np.random.default_rng(seed))
+    altered = _altered(scan.points, names)
     row: Row = {
         "n_points": len(scan.points),
         "n_points_altered": len(altered),
@@ -303,8 +227,8 @@ def _altered_scan(scan: PartitionedScan, level: Perturbation, seed: int, setting
         reason = f"expected at least {MIN_OBJECT_POINTS} points, got {len(altered)}"
         return row | {"reason": reason}
     used = settings
-    if level.kind == "null":  # with another Louvain seed
-        communities = settings.communities.model_copy(update={"seed": seed % 2**31})
+    if names["kind"] == "null":  # with another Louvain seed
+        communities = settings.communities.model_copy(update={"seed": names["seed"] % 2**31})
         used = settings.model_copy(update={"communities": communities})
     altered_scan = partition(altered, used, reference=scan.reference)
     summary = compare(scan, altered_scan, settings).summary  # the unaltered scan is the real side
@@ -313,22 +237,15 @@ def _altered_scan(scan: PartitionedScan, level: Perturbation, seed: int, setting
     return row
 
 
-def _altered_object(
-    before: Subgraph,
-    altered: FloatArray,
-    settings: Settings,
-) -> tuple[Row, list[Row]]:
+def _altered_object(before: Subgraph, names: Row, settings: Settings) -> tuple[Row, list[Row]]:
     """Scores of one object with altered points, and a row for each baseline metric.
 
     Parameters
     ----------
     before : the unaltered object with the graph of its points alone
-    altered : (n, 3) float64, metres
     """
-    row: Row = {
-        "n_points": len(before.points),
-        "n_points_altered": len(altered),
-    }
+    altered = _altered(before.points, names)
+    row: Row = {"n_points": len(before.points), "n_points_altered": len(altered)}
     if not len(altered):
         reason = f"expected at least {MIN_NODES} points for a spectrum, got 0"
         return row | {"status": "too_small", "reason": reason}, []
@@ -337,27 +254,12 @@ def _altered_object(
     after = graph_of(altered, settings)
     scored = score(before, after, settings.selection)
     row |= vars(scored.scores)
-    if not settings.metrics.baselines:
-        return row, []
-    nodes = scored.selection
-    baselines = compare_objects(before, after, nodes, settings.selection.t, settings.metrics)
-    return row, [_baseline_row(baseline) for baseline in baselines]
-
-
-def _baseline_row(baseline: Baseline) -> Row:
-    return {
-        "baseline": baseline.name,
-        "unit": baseline.unit,
-        "value": baseline.value,
-        "reason": baseline.reason,
-    }
-
-
-def object_points(folder: Path, scan: str) -> tuple[FloatArray, IntArray]:
-    """Object points of an unaltered scan, (n, 3) metres, and their communities, from the experiment's folder."""
-    run_folder = RunFolder(folder)
-    _, points = points_in(run_folder.read_table("ground", scan))
-    return points, column(run_folder.read_table("communities", scan), "community_id")
+    baselines = []
+    if settings.metrics.baselines:
+        nodes = scored.selection
+        values = compare_objects(before, after, nodes, settings.selection.t, settings.metrics)
+        baselines = [{"baseline": value.name, "unit": value.unit, **vars(value)} for value in values]
+    return row, baselines
 
 
 def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
@@ -373,33 +275,29 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
     >>> parse_levels(["dropout=0.1", "rigid=0.05:2"])[1]
     Perturbation(kind='rigid', amount=2.0, shift_m=0.05)
     """
-    levels = []
+    levels: dict[Perturbation, None] = {}
     for word in words:
         kind, equals, amounts = word.partition("=")
         if kind not in KINDS:
             raise SettingsError(
                 f"--sweep {word!r}: expected one of {', '.join(KINDS)}; got {kind!r}",
             )
-        levels += [_level(word, kind, text) for text in (amounts if equals else _AMOUNTS[kind]).split(",")]
-    return tuple(dict.fromkeys(levels))
+        for text in (amounts if equals else _AMOUNTS[kind]).split(","):
+            levels[_level(word, kind, text)] = None
+    return tuple(levels)
 
 
 def _level(word: str, kind: str, text: str) -> Perturbation:
     shift, colon, amount = text.rpartition(":")
     low, high = KINDS[kind].low, KINDS[kind].high
     try:
-        level = Perturbation(kind, float(amount), float(shift) if colon else 0.0)
+        level = Perturbation(kind, float(amount), float(shift or 0.0))
+        is_valid = low <= level.amount <= high and 0 <= level.shift_m <= 100
     except ValueError:
+        is_valid = False
+    if not is_valid or (colon and kind != "rigid"):
         raise SettingsError(
-            f"--sweep {word!r}: expected a number (rigid: metres:degrees), got {text!r}",
-        ) from None
-    if colon and kind != "rigid":
-        raise SettingsError(
-            f"--sweep {word!r}: expected one number for {kind}, got {text!r}; metres:degrees is for rigid",
-        )
-    if not low <= level.amount <= high or not 0 <= level.shift_m <= 100:
-        raise SettingsError(
-            f"--sweep {word!r}: expected {low:g} to {high:g} for {kind}, got {text}",
+            f"--sweep {word!r}: expected {low:g} to {high:g} for {kind} (rigid: metres:degrees), got {text!r}"
         )
     return level
 
@@ -426,7 +324,6 @@ EXPERIMENT = Experiment(
     name="perturb",
     version=3,
     sides=("real",),
-    stages=(*STAGES, baselines_job.STAGE),
     tables=("perturb_global", "perturb_objects", "perturb_baselines"),
     summary="perturb_summary",
     evaluate=alter_scan,

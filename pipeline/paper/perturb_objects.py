@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from ...schemas.errors import DatasetError
-from ...stages.statistics.typical_objects import SHAPES, ChosenObject, ScanObjects, typical_of_class, typical_of_shapes
+from ...stages.statistics.typical_objects import (
+    SHAPES,
+    ChosenObject,
+    ScanObjects,
+    typical_of_class,
+    typical_of_shapes,
+)
 from ..engine.memory import PairTables
 from ..jobs.points_job import column
 
@@ -19,9 +25,7 @@ CLASSES = ("vegetation", "car", "tree", "wall")
 LEAST_POINTS_OVER_K = 2
 
 
-def choose_objects(
-    scan: ScanObjects, names: Sequence[str] | None, k: int, say: Callable[[str], None]
-) -> list[ChosenObject]:
+def choose_objects(scan: ScanObjects, names: Sequence[str] | None, k: int) -> list[ChosenObject]:
     """One object for each given name; by default for each class of the paper, otherwise for each shape class.
 
     A number is a community id, a label stands for the typical object of the class. Without objects
@@ -32,7 +36,6 @@ def choose_objects(
     ----------
     names : community ids and labels, or None
     k : neighbours of the graph, `graph.k`; a typical object has at least 2 k points
-    say : called with notes for the user
 
     Raises
     ------
@@ -40,23 +43,15 @@ def choose_objects(
         A community does not exist, or no object has the label.
     """
     least = LEAST_POINTS_OVER_K * k
-    if names is not None:
-        return _by_names(scan, names, least, say)
-    candidates = [typical_of_class(scan, name, least) for name in CLASSES]
-    objects = [chosen for chosen in candidates if chosen is not None]
-    expected: Iterable[str] = CLASSES
-    kind = "object labelled {}"
-    if not objects:
-        why = f"has no object labelled {', '.join(CLASSES)}" if any(scan.labels) else "has no labels"
-        say(f"scan {scan.pair_id} {why}: choosing one typical object for each shape instead")
-        objects = typical_of_shapes(scan, least)
-        expected = SHAPES.values()
-        kind = "further {} object"
-    chosen = {chosen.name for chosen in objects}
-    absent = [name for name in expected if name not in chosen]
-    if absent:
-        say(f"scan {scan.pair_id} has no {kind.format(' or '.join(absent))}")
-    return objects
+    if names is None:
+        typical = [typical_of_class(scan, name, least) for name in CLASSES]
+        chosen = [candidate for candidate in typical if candidate is not None]
+        return chosen or typical_of_shapes(scan, least)
+    by_id: dict[int, ChosenObject] = {}
+    for name in names:
+        candidate = _by_name(scan, name, least)
+        by_id.setdefault(candidate.community_id, candidate)
+    return list(by_id.values())
 
 
 def objects_in(tables: PairTables, scan_id: str) -> ScanObjects:
@@ -85,40 +80,14 @@ def objects_in(tables: PairTables, scan_id: str) -> ScanObjects:
     )
 
 
-def _by_names(
-    scan: ScanObjects,
-    names: Sequence[str],
-    least: int,
-    say: Callable[[str], None],
-) -> list[ChosenObject]:
-    chosen: dict[int, ChosenObject] = {}
-    for name in names:
-        candidate = _by_name(scan, name, least)
-        first = chosen.setdefault(candidate.community_id, candidate)
-        if first is not candidate:
-            say(
-                f"--objects {name}: object {candidate.community_id} of scan {scan.pair_id} is "
-                f"already chosen as {first.name}; left out"
-            )
-    return list(chosen.values())
-
-
 def _by_name(scan: ScanObjects, name: str, least: int) -> ChosenObject:
-    if name.isdigit():
-        if int(name) >= len(scan.n_points):
-            raise DatasetError(
-                f"--objects {name}: expected an id of scan {scan.pair_id} from 0 to {len(scan.n_points) - 1}",
-            )
+    if name.isdigit() and int(name) < len(scan.n_points):
         return scan.chosen(int(name), f"object {name}", "as requested")
     chosen = typical_of_class(scan, name, least)
     if chosen is None:
-        known = (
-            ", ".join(
-                sorted({label for label in scan.labels if label}),
-            )
-            or "none: it has no labels"
-        )
+        labels = {label for label in scan.labels if label}
         raise DatasetError(
-            f"--objects {name}: no object of scan {scan.pair_id} has this label; its labels are {known}",
+            f"--objects {name}: expected an id of scan {scan.pair_id} from 0 to "
+            f"{len(scan.n_points) - 1}, or one of its labels: {', '.join(sorted(labels)) or 'none'}"
         )
     return chosen

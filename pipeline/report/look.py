@@ -10,28 +10,31 @@ from html import escape
 from ..results.object_frame import UNKNOWN
 from ..terminal import shown
 
-#: Okabe and Ito, Color Universal Design (2008). Blue and vermilion are the sides and nothing else.
+#: Okabe and Ito, Color Universal Design (2008), vermilion darker for a contrast of 5 on white. One
+#: meaning per colour: blue and vermilion are the sides, green is good, crimson is bad, purple is
+#: behind a surface and olive in front of it. Scores differ in their symbols.
 BLUE = "#0072B2"
-VERMILION = "#D55E00"
+VERMILION = "#B84E00"
 GREEN = "#009E73"
 ORANGE = "#E69F00"
 SKY = "#56B4E9"
 PURPLE = "#CC79A7"
 GREY = "#999999"
-OLIVE = "#9A8500"
-CRIMSON = "#D81B60"
+CRIMSON = "#EC5C8D"
+BROWN = "#B08968"
+BEHIND = "#762a83"
+IN_FRONT = "#9A8500"
 SIDE_COLOURS = {"real": BLUE, "sim": VERMILION}
-SCORE_COLOURS = {"r_lambda": PURPLE, "cdc": GREEN}
 #: Words for the fate of an object; missing and invented are said of surface and pieces.
 FATE_WORDS = {"matched": "matched", "missing": "not found", "hallucinated": "extra"}
-FATE_COLOURS = {"matched": GREY, "missing": BLUE, "hallucinated": VERMILION, "too small": PURPLE}
+FATE_COLOURS = {"missing": BLUE, "hallucinated": VERMILION}
 #: Outcomes of rays, as `stages.rays` names them.
 OUTCOME_COLOURS = {
     "same": GREY,
-    "in_front": OLIVE,
-    "behind": PURPLE,
+    "in_front": IN_FRONT,
+    "behind": BEHIND,
     "dropped": BLUE,
-    "no_surface": GREEN,
+    "no_surface": SKY,
     "sim_only": VERMILION,
 }
 OUTCOME_WORDS = {
@@ -44,8 +47,8 @@ OUTCOME_WORDS = {
 }
 QUADRANT_COLOURS = {
     "faithful": GREEN,
-    "structure lost": PURPLE,
-    "displaced": OLIVE,
+    "structure lost": ORANGE,
+    "displaced": BROWN,
     "failed": CRIMSON,
     UNKNOWN: GREY,
 }
@@ -56,9 +59,9 @@ RAMPS = {
     "dark": ("#6a00a8", "#9c179e", "#cc4778", "#ed7953", "#fdb42f", "#f0f921"),
 }
 
-#: From behind a surface to in front of it: ColorBrewer's PRGn with a grey middle.
+#: From behind a surface to in front of it, with a grey middle.
 SIGNED_RAMP_M = 0.25
-SIGNED_RAMP = ("#762a83", "#9970ab", "#c2a5cf", "#9c9c9c", "#a6dba0", "#5aae61", "#1b7837")
+SIGNED_RAMP = (BEHIND, "#9970ab", "#c2a5cf", "#9c9c9c", "#d8cc7c", "#bba83e", IN_FRONT)
 
 #: Properties of a page by theme: each name is a property of its style sheet, such as --ink. Text in
 #: any of them has a contrast of at least 4.5 on the ground.
@@ -74,7 +77,7 @@ THEMES = {
         "better": "#1b7837",
         "worse": "#b3123f",
         "blue": BLUE,
-        "vermilion": "#b84e00",  # VERMILION has a contrast of 3.9 on white
+        "vermilion": VERMILION,
     },
     "dark": {
         "ground": "#14171c",
@@ -115,13 +118,8 @@ def in_chart(name: str, most: int = 22) -> str:
 #: Colours that the pages' JavaScript draws with.
 PAGE_COLOURS = {
     "sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()},
-    "fates": {fate: on_page(colour) for fate, colour in FATE_COLOURS.items()},
     "ramps": RAMPS,
     "signed": SIGNED_RAMP,
     "quadrants": QUADRANT_COLOURS,
-    "outcomes": {
-        name: {"colour": on_page(colour), "words": OUTCOME_WORDS[name]}
-        for name, colour in OUTCOME_COLOURS.items()
-    },
     "none": GREY,
 }

@@ -1,11 +1,10 @@
-"""Pictures of pieces as seen by a camera, points of changed objects, and addresses in a report.
+"""Pictures of pieces as seen by a camera, places of two runs, and addresses in a report.
 
 The camera looks from the sensor's side, where the points are; drawings have the page's colours.
 """
 
 from __future__ import annotations
 
-import cmath
 from collections.abc import Iterable, Sequence
 from typing import Any
 from urllib.parse import quote, urlencode
@@ -13,27 +12,27 @@ from urllib.parse import quote, urlencode
 import numpy as np
 
 from ...schemas.columns import Row
-from ...schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ...schemas.results import Piece
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.statistics.findings import evenly
+from ...stages.surface import signed_distances
 from ..results.finished import FinishedRun
 from .figures.style import VIEW
 from .run_frames import RunResults, frames_of, read_cloud
-from .view import number
+from .view import percent
 
 #: Width and height of a drawing, in the units of its paths.
 FRAME = (300, 210)
 _MARGIN = 8.0
 _MOST_DOTS = 1000
+_MOST_OF_PLACE = 5000
 _TURN_DEG = 25.0
 _PAD_M = 0.3
-_BARS_M = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 #: Surroundings of a piece in its picture.
 _AROUND_M = 1.0
-_ARROW_LENGTH = 16.0
-#: Directions of the two ends of an arrow's head, relative to its shaft.
-_HEAD = (cmath.rect(0.4, 2.6), cmath.rect(0.4, -2.6))
+#: The place that shows a flaw of the sensor or its pose: half its width.
+_NEAR_M = 10.0
+_REACH_M = 0.5
 
 
 def draw_pieces(results: RunResults, pieces: Sequence[Piece]) -> list[dict[str, Any]]:
@@ -44,32 +43,26 @@ def draw_pieces(results: RunResults, pieces: Sequence[Piece]) -> list[dict[str, 
     - title, words
     - link : address of the object in the report
     - layers : SVG paths of points: "others" in grey, then those of the sides
-    - ahead : SVG path of an arrow that points ahead
-    - bar, bar_m : a bar of some metres as the scale
+    - metre : length of a metre
     """
-    sizes = [np.full(2, _PAD_M)]
     drawings = []
+    sizes = [np.zeros(2)]
     for piece in pieces:
         layers, name = _piece(results, piece)
-        places, ahead = _seen(layers)
-        everywhere = np.concatenate(list(places.values()))
-        sizes.append(np.ptp(everywhere, axis=0) + _PAD_M)
-        drawings.append((piece, name, places, ahead))
+        places = _seen(layers)
+        drawings.append((piece, name, places))
+        sizes.append(np.ptp(np.concatenate(list(places.values())), axis=0))
     room = np.array(FRAME) - 2 * _MARGIN
-    scale = float((room / np.max(sizes, axis=0)).min())
-    fitting = [m for m in _BARS_M if m * scale <= FRAME[0] / 3]
-    bar_m = max(fitting, default=_BARS_M[0])
+    scale = float((room / (np.max(sizes, axis=0) + _PAD_M)).min())
     pictures = []
-    for piece, name, places, ahead in drawings:
+    for piece, name, places in drawings:
         pictures.append(
             {
                 "title": piece.words,
                 "words": f"{piece.fate_words}; pair {piece.pair_id}, {piece.n_points:,} points",
                 "link": object_address(piece.pair_id, name),
                 "layers": {kind: _dots(points, scale) for kind, points in places.items()},
-                "ahead": _arrow(_ARROW_LENGTH * complex(*ahead)),
-                "bar": bar_m * scale,
-                "bar_m": bar_m,
+                "metre": scale,
             }
         )
     return pictures
@@ -77,16 +70,17 @@ def draw_pieces(results: RunResults, pieces: Sequence[Piece]) -> list[dict[str, 
 
 def _dots(places: FloatArray, scale: float) -> str:
     """SVG path of dots, around the middle of a drawing."""
-    dots = np.array(FRAME) / 2 + scale * _few(places)
+    dots = np.array(FRAME) / 2 + scale * _few(places, _MOST_DOTS)
     return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in dots)
 
 
 def _piece(results: RunResults, piece: Piece) -> tuple[dict[str, FloatArray], str]:
     """The points of a piece and those around it, and the object that most of its points are of."""
     tables = frames_of(results, piece.pair_id)
-    row = _row_of(results.run, piece)
-    moved = np.array([row[f"moved_{axis}_m"] or 0.0 for axis in "xyz"])
-    centroid = np.array([row[f"c{axis}"] for axis in "xyz"])
+    rows = results.run.read_table("pieces", piece.pair_id).to_pandas()
+    row = rows[(rows.side == piece.side) & (rows.piece_id == piece.piece_id)].iloc[0]
+    moved = np.nan_to_num(row[["moved_x_m", "moved_y_m", "moved_z_m"]].to_numpy(np.float64))
+    centroid = row[["cx", "cy", "cz"]].to_numpy(np.float64)
     low = np.minimum(centroid, centroid + moved) - piece.extents_m
     high = np.maximum(centroid, centroid + moved) + piece.extents_m
     layers = {}
@@ -102,20 +96,8 @@ def _piece(results: RunResults, piece: Piece) -> tuple[dict[str, FloatArray], st
     return {"others": others, **layers}, f"{piece.side} {community}"
 
 
-def _row_of(run: FinishedRun, piece: Piece) -> Row:
-    """The row of table `pieces` of a piece."""
-    rows: list[Row] = run.read_table("pieces", piece.pair_id).to_pylist()
-    for row in rows:
-        if row["side"] == piece.side and row["piece_id"] == piece.piece_id:
-            return row
-    raise KeyError(piece.piece_id)
-
-
-def _seen(layers: dict[str, FloatArray]) -> tuple[dict[str, FloatArray], FloatArray]:
-    """Places of points as seen from the sensor's side, and the direction ahead.
-
-    Places, (n, 2), are metres to the right and down of the middle.
-    """
+def _seen(layers: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Places of points as seen from the sensor's side: (n, 2) metres to the right and down."""
     points = np.concatenate(list(layers.values()))
     x, y, _ = (points.min(axis=0) + points.max(axis=0)) / 2
     azimuth = np.arctan2(-y, -x) + np.radians(_TURN_DEG)
@@ -129,21 +111,29 @@ def _seen(layers: dict[str, FloatArray]) -> tuple[dict[str, FloatArray], FloatAr
     axes = np.array([right, down]).T
     seen = points @ axes
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
-    return {kind: layer @ axes - middle for kind, layer in layers.items()}, axes[0]
+    return {kind: layer @ axes - middle for kind, layer in layers.items()}
 
 
-def _arrow(shaft: complex) -> str:
-    """SVG path of an arrow at the lower right of a drawing."""
-    tip = complex(FRAME[0] - 66, FRAME[1] - 8) + shaft / 2
-    left, right = [tip + shaft * direction for direction in _HEAD]
-    ends = (tip - shaft, tip, left, tip, right)
-    return "M" + "L".join(f"{end.real:.1f} {end.imag:.1f}" for end in ends)
+def draw_around_sensor(pair_id: str, runs: Sequence[FinishedRun]) -> dict[str, Any]:
+    """Both simulated scans around the sensor, see `_place`."""
+    corner = np.full(3, _NEAR_M)
+    return _place(pair_id, -corner, corner, runs)
 
 
-def draw_change(change: Row, runs: Sequence[FinishedRun]) -> list[dict[str, Any]]:
-    """The points of a real object, and the simulated ones before and after.
+def draw_change(change: Row, runs: Sequence[FinishedRun]) -> dict[str, Any]:
+    """Both simulated scans in the box of a real object and its counterparts, see `_place`."""
+    base, other = runs
+    members = [read_cloud(base, change["pair_id"], "real").split(change["real_id"])[0]]
+    for run, when in ((base, "before"), (other, "after")):
+        cloud = read_cloud(run, change["pair_id"], "sim")
+        members.append(cloud.split(change[f"sim_{when}"])[0])
+    return _place(change["pair_id"], *box_around(np.concatenate(members)), runs)
 
-    Each with words, its own points, and other points in its box.
+
+def _place(
+    pair_id: str, low: FloatArray, high: FloatArray, runs: Sequence[FinishedRun]
+) -> dict[str, Any]:
+    """The points of both runs in a box: real ones, and simulated ones with their signed distances.
 
     Parameters
     ----------
@@ -154,32 +144,32 @@ def draw_change(change: Row, runs: Sequence[FinishedRun]) -> list[dict[str, Any]
     RunError
         A table is damaged or gone.
     """
-    base, other = runs
-    pair_id = change["pair_id"]
-    views = {
-        "": read_cloud(base, pair_id, "real").split(change["real_id"]),
-        "before": read_cloud(base, pair_id, "sim").split(change["sim_before"]),
-        "after": read_cloud(other, pair_id, "sim").split(change["sim_after"]),
-    }
-    members = [points for points, _ in views.values()]
-    places = []
-    for when, (points, others) in views.items():
-        near = surroundings(members, [others])
-        words = [f"{len(points):,} points"]
-        if when:
-            for score in QUADRANT_SCORES:
-                words.append(f"{METRIC[score].label} {number(change[f'{score}_{when}'])}")
-        if not len(points):
-            words = [f"not matched; {len(near):,} points of other objects here"]
-        places.append(
-            {"words": ", ".join(words), "own": _columns(points), "others": _columns(near)}
-        )
-    return places
+    real = read_cloud(runs[0], pair_id, "real").everything
+    surface = real[inside(real, low - _REACH_M, high + _REACH_M)]
+    sims = []
+    for run in runs:
+        scan = read_cloud(run, pair_id, "sim").everything
+        points = _few(scan[inside(scan, low, high)], _MOST_OF_PLACE)
+        signed_m = signed_distances(points, surface, _REACH_M)
+        known = signed_m[~np.isnan(signed_m)]
+        words = "no simulated point with a real plane next to it"
+        if len(known):
+            middle_cm = 100 * float(np.median(known))
+            where = "behind" if middle_cm < 0 else "in front of"
+            share = percent(len(known) / len(points))
+            words = (
+                f"median {abs(middle_cm):.1f} cm {where} the real surface, which {share} of the "
+                "simulated points have next to them"
+            )
+        plain = [None if np.isnan(value) else round(value, 3) for value in signed_m.tolist()]
+        sims.append({"words": words, "points": _columns(points), "signed_m": plain})
+    shown = _few(real[inside(real, low, high)], _MOST_OF_PLACE)
+    return {"real": _columns(shown), "sims": sims}
 
 
 def _columns(points: FloatArray) -> list[list[float]]:
     """All x, all y and all z of some points, rounded."""
-    columns: list[list[float]] = _few(points).T.round(2).tolist()
+    columns: list[list[float]] = points.T.round(2).tolist()
     return columns
 
 
@@ -214,8 +204,7 @@ def object_address(pair_id: str, name: str) -> str:
     return f"#{urlencode({'pair': pair_id, 'object': name}, quote_via=quote)}"
 
 
-def _few(points: FloatArray) -> FloatArray:
-    """At most `_MOST_DOTS` of some points, evenly over their order."""
-    places = np.array(evenly(len(points), _MOST_DOTS), dtype=np.intp)
-    few: FloatArray = points[places]
+def _few(points: FloatArray, most: int) -> FloatArray:
+    """At most so many of some points, evenly over their order."""
+    few: FloatArray = points[evenly(len(points), most)]
     return few

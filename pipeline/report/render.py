@@ -106,6 +106,7 @@ def _table(table: Table) -> RichTable:
         words_in[i] = _words_in(row[i] for row in cells)
         is_words = i in table.words
         is_fixed = not is_words if table.fixed is None else i in table.fixed
+        is_fixed = is_fixed or i in table.whole
         heading_words = _words_in([table.headings[i]])
         if is_words and not is_fixed:
             breaking.add(i)
@@ -115,7 +116,6 @@ def _table(table: Table) -> RichTable:
             overflow="fold" if is_words else "ellipsis",
             no_wrap=is_fixed,
             min_width=_longest(heading_words) if is_words else None,
-            width=_longest(heading_words | words_in[i]) if i in table.whole else None,
         )
     for place, row in enumerate(cells):
         row_cells: list[RenderableType] = []

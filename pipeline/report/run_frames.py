@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import RunError
@@ -26,17 +25,20 @@ from ...stages.sensor_description import SensorDescription
 from ..results.finished import FinishedRun
 from ..results.object_frame import QUADRANTS, UNKNOWN
 from ..results.overview import NO_LABEL
-from .look import OUTCOME_COLOURS
 
 #: The two scores that are drawn side by side.
 SCORES = QUADRANT_SCORES[::-1]
 _NONE = -1  # no object has this number
-#: Fewer objects have no quartiles.
-FEWEST_IN_BOX = 3
 #: Columns of the share of a real and of a simulated object that the other side has.
 OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
 #: Columns of the share of an object that is below the ground cut of the other side.
 OBJECT_ROAD = tuple(f"road_share_{side}" for side in SIDES)
+#: Columns of both sides of an object, and those of one side that they come from.
+_OF_SIDES = {
+    "n_{}": "n_points",
+    "covered_{}_0p3m": "covered_0p3m",
+    "road_share_{}": "road_share",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,21 +137,16 @@ def read_results(folder: Path) -> RunResults:
 def _both_sides(objects: pd.DataFrame) -> pd.DataFrame:
     """One row per object, with the columns of either side."""
     is_matched = objects["partner"] >= 0
-    by_id = objects.set_index(["pair", "side", "community_id"])
     other = objects["side"].map({"real": "sim", "sim": "real"})
     partner_ids = pd.MultiIndex.from_arrays([objects["pair"], other, objects["partner"]])
+    partners = objects.set_index(["pair", "side", "community_id"]).reindex(partner_ids)
     for side in SIDES:
         is_of_side = objects["side"] == side
         objects[f"{side}_id"] = objects["community_id"].where(is_of_side, objects["partner"])
-        n_points = objects["n_points"].where(is_of_side)
-        n_side = objects[f"n_{side}"].where(is_matched, n_points)
-        objects[f"n_{side}"] = n_side.astype("Int64")
-        for name, source in (
-            (f"covered_{side}_0p3m", "covered_0p3m"),
-            (f"road_share_{side}", "road_share"),
-        ):
-            of_partner = by_id[source].reindex(partner_ids).to_numpy()
-            objects[name] = objects[source].where(is_of_side, of_partner)
+        for name, source in _OF_SIDES.items():
+            values = objects[source].where(is_of_side, partners[source].to_numpy())
+            objects[name.format(side)] = values
+        objects[f"n_{side}"] = objects[f"n_{side}"].astype("Int64")
     objects["n_keep"] = objects["n_keep"].where(is_matched).astype("Int64")
     objects["quadrant"] = objects["quadrant"].where(is_matched)
     objects["status"] = objects["status"].where(is_matched, objects["fate"])
@@ -184,6 +181,11 @@ class Cloud:
     points: FloatArray
     community: IntArray
     road: FloatArray
+
+    @property
+    def everything(self) -> FloatArray:
+        """All points, (n + r, 3): those of objects, then the road."""
+        return np.concatenate([self.points, self.road])
 
     def split(self, community: int | None) -> tuple[FloatArray, FloatArray]:
         """The points of an object, and the object points of all others; None has no points."""
@@ -238,13 +240,6 @@ class PairFrames:
         }
 
     @cached_property
-    def ray_image(self) -> NDArray[np.uint8]:
-        """(beams, columns) place in `OUTCOME_COLOURS`, 255 for none; see `ray_image`."""
-        columns = ["beam", "column", "outcome"]
-        rays = self._run.read_table("rays", self._pair_id, columns=columns).to_pandas()
-        return ray_image(rays, outcome_places(rays), 255)
-
-    @cached_property
     def distances_m(self) -> dict[str, FloatArray]:
         """By side the distance of each object point to the nearest one of the other side, (n,)."""
         real, sim = nearest_distances(self.clouds["real"].points, self.clouds["sim"].points)
@@ -256,7 +251,7 @@ class PairFrames:
         settings = PieceSettings.model_validate(self._run.record.settings["pieces"])
         scans = {}
         for side, cloud in self.clouds.items():
-            points = np.concatenate([cloud.points, cloud.road])
+            points = cloud.everything
             is_road = np.arange(len(points)) >= len(cloud.points)
             scans[side] = CutScan(points, is_road, np.empty(0))
         missing = label_pieces(scans["real"], scans["sim"], settings) >= 0
@@ -266,48 +261,18 @@ class PairFrames:
             "sim": invented[: len(self.clouds["sim"].points)],
         }
 
-    @cached_property
-    def alignment_moves(self) -> dict[int, FloatArray]:
-        """Motion of the simulated object onto the real one, (3,) metres, by real id.
-
-        It is the mean of the kept real minus simulated nodes: these are aligned with both sides
-        centred (`stages.selection`), and `alignment_rms_m` is that of the centred nodes.
-        """
-        nodes = {}
-        for side, cloud in self.clouds.items():
-            places = np.searchsorted(cloud.point_ids, self.selection[f"{side}_point_id"])
-            nodes[side] = cloud.points[places]
-        differences = pd.DataFrame(nodes["real"] - nodes["sim"])
-        moves = differences.groupby(self.selection.real_id.to_numpy()).mean()
-        return dict(zip(moves.index.tolist(), moves.to_numpy(), strict=True))
-
-    @cached_property
-    def selection(self) -> pd.DataFrame:
-        """Kept nodes of the matched objects, in aligned pairs: real_id, real_ and sim_point_id."""
-        columns = ["real_id", "real_point_id", "sim_point_id"]
-        return self._run.read_table("selection", self._pair_id, columns=columns).to_pandas()
-
 
 #: The tables of a pair, kept for a while: pictures of its pieces and its view read the same ones.
 frames_of = lru_cache(maxsize=8)(PairFrames)
 
 
-def ray_image(rays: pd.DataFrame, values: NDArray[Any], empty: float) -> NDArray[Any]:
-    """(beams, columns) the value of each ray, `empty` for none.
+def ray_image(rays: pd.DataFrame, values: pd.Series) -> FloatArray:
+    """(beams, columns) the value of each ray, NaN for none.
 
     Left is on the left, the highest beam on top. Beams with more returns than firings in a turn
     have more columns than most; these columns are left out.
     """
-    last = rays.groupby("beam").column.max()
-    n_columns = int(last.median()) + 1 if len(last) else 0
-    image = np.full((len(last), n_columns), empty, dtype=values.dtype)
-    shown = (rays.column < image.shape[1]).to_numpy()
-    image[rays.beam[shown], rays.column[shown]] = values[shown]
+    n_columns = int(rays.groupby("beam").column.max().median()) + 1
+    by_ray = values.astype(float).set_axis([rays.beam, rays.column])
+    image: FloatArray = by_ray.unstack().reindex(columns=range(n_columns)).to_numpy()
     return image[::-1, ::-1]
-
-
-def outcome_places(rays: pd.DataFrame) -> NDArray[np.uint8]:
-    """(n,) place of the outcome of each ray in `OUTCOME_COLOURS`, 255 for none."""
-    places = {name: place for place, name in enumerate(OUTCOME_COLOURS)}
-    known = rays.outcome.map(places)
-    return known.fillna(255).to_numpy().astype(np.uint8)

@@ -34,7 +34,7 @@ class Table:
     fixed : indices of the columns that never break into lines; None for all that hold numbers
     ruled : indices of rows that a line follows
     bold : indices of bold rows
-    whole : indices of columns as wide as their longest word, which is not shortened
+    whole : indices of columns of words that never break into lines
     """
 
     title: str

@@ -10,7 +10,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -19,19 +19,26 @@ from ...schemas.data_files import parse_toml
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import OBJECT_METRICS, RUN_SCORES, metric_of
 from ...schemas.results import JsonObject
-from ...stages.arrays import FloatArray
 from ...stages.statistics.validation import double_validation_metric
 from ...stages.summary import mean_and_std
 from ..storage.run_record import read_run
 from ..storage.urls import url_or_path
 from .finished import OF_SIM_FILES, FinishedRun, differences, settings_changes
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 BEST_CASE_DATASET = "dataset"
 BEST_CASE_RECIPE = "best_case.toml"
 BEST_CASE_AMOUNTS = "best_case.csv"
 AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real scan shows itself
 #: What has a best case: columns of `pairs`.
-SCORES = ("match_rate", "n_missing", "n_hallucinated", *(name for name in RUN_SCORES if name != "match_rate"))
+SCORES = (
+    "match_rate",
+    "n_missing",
+    "n_hallucinated",
+    *(name for name in RUN_SCORES if name != "match_rate"),
+)
 
 
 @dataclass(frozen=True)
@@ -130,7 +137,9 @@ _RECIPE = TypeAdapter(BestCaseRecipe)
 def read_recipe(run: Path) -> BestCaseRecipe | None:
     """The recipe of a best case; None if the folder is not a run of `fidpipe best-case`."""
     try:
-        recipe = parse_toml((run / BEST_CASE_DATASET / BEST_CASE_RECIPE).read_text(encoding="utf-8"))
+        recipe = parse_toml(
+            (run / BEST_CASE_DATASET / BEST_CASE_RECIPE).read_text(encoding="utf-8")
+        )
         return _RECIPE.validate_python(recipe)
     except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
         return None
@@ -166,8 +175,10 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
     recipe = read_recipe(best_case)
     if recipe is None:
         raise RunError(
-            f"{best_case}: is not a run of fidpipe best-case (no {BEST_CASE_DATASET}/{BEST_CASE_RECIPE} in it); "
-            f"make one for {run.folder} with: {_command(run)}; for changes against another run: fidpipe compare, "
+            f"{best_case}: is not a run of fidpipe best-case (no "
+            f"{BEST_CASE_DATASET}/{BEST_CASE_RECIPE} in it); "
+            f"make one for {run.folder} with: {_command(run)}; for changes against another run: "
+            "fidpipe compare, "
             "diagnose --since"
         )
     other = FinishedRun(best_case)
@@ -177,9 +188,11 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
     names = tuple(name for name in wanted if name in scored)
     if not names:
         raise RunError(
-            f"run {run.folder} and best case {best_case}: no pair is scored in both; make one for it: {_command(run)}"
+            f"run {run.folder} and best case {best_case}: no pair is scored in both; make one for "
+            f"it: {_command(run)}"
         )
-    of_objects = [_of_objects(run, names), _of_objects(other, names)]
+    of_pairs = [_pairs(run, names), _pairs(other, names)]
+    of_objects = [_matched(run, names), _matched(other, names)]
     versions = differences(run.record.stages, other.record.stages)
     libraries = differences(run.record.libraries, other.record.libraries)
     return RunExcess(
@@ -188,8 +201,11 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
         recipe=recipe,
         pairs=names,
         left_out=tuple(name for name in wanted if name not in scored),
-        notes=tuple(f"{name}: {a} in the run and {b} in its best case" for name, a, b in [*versions, *libraries]),
-        scores={column: _excess(column, run, other, names, of_objects) for column in SCORES},
+        notes=tuple(
+            f"{name}: {a} in the run and {b} in its best case"
+            for name, a, b in [*versions, *libraries]
+        ),
+        scores={column: _excess(column, names, of_pairs, of_objects) for column in SCORES},
         task_gaps=other.record.task_gaps,
     )
 
@@ -198,7 +214,9 @@ def _refuse_other_best_case(run: FinishedRun, best_case: FinishedRun) -> None:
     runs = f"run {run.folder} and best case {best_case.folder}"
     differing = settings_changes(run, best_case, but=OF_SIM_FILES)
     if differing:
-        raise RunError(f"{runs}: settings differ ({'; '.join(differing)}); make one for it: {_command(run)}")
+        raise RunError(
+            f"{runs}: settings differ ({'; '.join(differing)}); make one for it: {_command(run)}"
+        )
     theirs = best_case.record.inputs
     others = [
         name
@@ -208,7 +226,8 @@ def _refuse_other_best_case(run: FinishedRun, best_case: FinishedRun) -> None:
     if others:
         named = others[0] if len(others) == 1 else f"{others[0]} ..."
         raise RunError(
-            f"{runs}: the real scans of {len(others)} pairs differ ({named}); make one for it: {_command(run)}"
+            f"{runs}: the real scans of {len(others)} pairs differ ({named}); make one for it: "
+            f"{_command(run)}"
         )
 
 
@@ -216,30 +235,35 @@ def _command(run: FinishedRun) -> str:
     return shlex.join(["fidpipe", "best-case", url_or_path(run.folder)])
 
 
-def _of_objects(run: FinishedRun, names: Sequence[str]) -> dict[str, FloatArray]:
-    """By score, its values of all matched objects of the pairs; NaN if null."""
-    matched = run.objects_of(names, OBJECT_METRICS).query("side == 'real' and partner >= 0")
-    return {name: matched[name].to_numpy() for name in OBJECT_METRICS}
+def _pairs(run: FinishedRun, names: Sequence[str]) -> pd.DataFrame:
+    """The scores of some pairs; NaN for null."""
+    return run.pairs.set_index("pair_id").loc[[*names], [*SCORES]].astype(np.float64)
+
+
+def _matched(run: FinishedRun, names: Sequence[str]) -> pd.DataFrame:
+    """The matched objects of some pairs."""
+    return run.objects_of(names, OBJECT_METRICS).query("side == 'real' and partner >= 0")
 
 
 def _excess(
     column: str,
-    run: FinishedRun,
-    best_case: FinishedRun,
     names: Sequence[str],
-    of_objects: Sequence[dict[str, FloatArray]],
+    pairs: Sequence[pd.DataFrame],
+    objects: Sequence[pd.DataFrame],
 ) -> ScoreExcess:
-    of_run, of_best_case = _column(run, names, column), _column(best_case, names, column)
+    """One score of a run over its best case, from the pairs and the matched objects of both."""
+    of_run = pairs[0][column].to_numpy()
+    of_best_case = pairs[1][column].to_numpy()
     over = of_run - of_best_case
     has_both = ~np.isnan(over)
     excess, std = mean_and_std(over)
     metric = metric_of(column).column
     is_of_objects = metric in OBJECT_METRICS
-    if is_of_objects:
-        values, best_case_values = of_objects[0][metric], of_objects[1][metric]
-    else:
-        values, best_case_values = of_run, of_best_case
-    apart = double_validation_metric(real=best_case_values, sim=values)
+    values = (
+        [frame[metric].to_numpy() for frame in objects] if is_of_objects else [of_run, of_best_case]
+    )
+    apart = double_validation_metric(sim=values[0], real=values[1])
+    known = [None if np.isnan(value) else value for value in over.tolist()]
     return ScoreExcess(
         column=column,
         n_pairs=int(np.count_nonzero(has_both)),
@@ -252,10 +276,5 @@ def _excess(
         area=apart.area,
         n=apart.n_sim,
         n_best_case=apart.n_real,
-        of_pairs={name: None if np.isnan(value) else value for name, value in zip(names, over.tolist(), strict=True)},
+        of_pairs=dict(zip(names, known, strict=True)),
     )
-
-
-def _column(run: FinishedRun, names: Sequence[str], column: str) -> FloatArray:
-    """A column of `pairs` for some pairs; NaN for null."""
-    return np.array([run.row(name)[column] for name in names], dtype=np.float64)

@@ -36,6 +36,8 @@ _ALONE = ("missing parts", "invented parts")
 #: If the road stays where it is while all else is raised, the world is not displaced: part of the height that remains.
 _OF_ROAD = ("height", "road height")
 _ROAD_STAYS = 0.3
+#: A road that is higher or lower by this, metres, is seen as further beams: those of the objects remain.
+_ROAD_AS_BEAMS_M = 0.02
 #: If more of the curved surface is too flat, more than the shape of some objects is wrong.
 _MELTED = 0.3
 #: Solid foliage also flattens surface, by less than this part of its amount; boxes also stop rays in foliage. So only
@@ -86,9 +88,14 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseVal
     values = {}
     for name, group in frame.groupby("cause"):
         rows = group.set_index("pair").reindex(range(len(pair_ids)))
-        columns = {column: rows[column].to_numpy(np.float64) for column in ("amount", "real", "sim", "share")}
+        columns = {
+            column: rows[column].to_numpy(np.float64)
+            for column in ("amount", "real", "sim", "share")
+        }
         reasons = rows["reason"].dropna()
-        values[str(name)] = CauseValues(**columns, reason=str(reasons.iloc[0]) if len(reasons) else "")
+        values[str(name)] = CauseValues(
+            **columns, reason=str(reasons.iloc[0]) if len(reasons) else ""
+        )
     return values
 
 
@@ -100,7 +107,9 @@ def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, CauseValu
         if of_pairs:
             columns = {}
             for column in ("amount", "real", "sim", "share"):
-                columns[column] = np.array([getattr(amount, column) for amount in of_pairs], dtype=np.float64)
+                columns[column] = np.array(
+                    [getattr(amount, column) for amount in of_pairs], dtype=np.float64
+                )
             reasons = [amount.reason for amount in of_pairs if amount.reason]
             values[name] = CauseValues(**columns, reason=reasons[0] if reasons else "")
     return values
@@ -156,7 +165,9 @@ def no_cause_words(unknown: Sequence[Unknown]) -> str:
     if largest is None or len(largest.causes) < MANY_UNKNOWN:
         return "no cause is larger than the differences between two measurements of one scene"
     n_causes = len(CAUSES.keys() - {UNEVEN})
-    return f"no cause can be named: {len(largest.causes)} of {n_causes} are unknown ({largest.reason})"
+    return (
+        f"no cause can be named: {len(largest.causes)} of {n_causes} are unknown ({largest.reason})"
+    )
 
 
 def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | None:
@@ -191,14 +202,20 @@ def changed_causes(
         than differences of two amounts against the real scan; NaN for pairs that were not chosen
     blocks : (n,) independent place of each pair
     """
-    changes = {name: change_of(name, before[name], after[name], between) for name in after if name in before}
+    changes = {
+        name: change_of(name, before[name], after[name], between)
+        for name in after
+        if name in before
+    }
     blocks = independent_blocks(blocks)
     named = _named(changes, blocks, is_change=True, measured=between)
     causes = [_cause(CAUSES[name], after[name], changes[name], blocks) for name in named]
     return sorted(causes, key=lambda cause: -abs(cause.estimate) / CAUSES[cause.name].resolution)
 
 
-def change_of(name: str, before: CauseValues, after: CauseValues, between: Mapping[str, FloatArray]) -> FloatArray:
+def change_of(
+    name: str, before: CauseValues, after: CauseValues, between: Mapping[str, FloatArray]
+) -> FloatArray:
     """(n,) change of the amount of a cause; of a lost share, relative to what the first run returned."""
     if name in between:
         return between[name]
@@ -208,7 +225,11 @@ def change_of(name: str, before: CauseValues, after: CauseValues, between: Mappi
 
 
 def _named(
-    amounts: Mapping[str, FloatArray], blocks: IntArray, *, is_change: bool, measured: Collection[str] = ()
+    amounts: Mapping[str, FloatArray],
+    blocks: IntArray,
+    *,
+    is_change: bool,
+    measured: Collection[str] = (),
 ) -> list[str]:
     """Names of the causes beyond the tolerance, or of the changes beyond the resolution; those feigned are left out.
 
@@ -225,7 +246,9 @@ def _named(
         if name == UNEVEN or not is_enough or _is_feigned(name, means):
             continue
         limit = model.resolution if is_change else model.tolerance
-        if _is_beyond(model, block_means(values[is_known], blocks[is_known]), limit, is_change=is_change):
+        if _is_beyond(
+            model, block_means(values[is_known], blocks[is_known]), limit, is_change=is_change
+        ):
             named[name] = means[name]
     return [name for name in named if name not in _weaker(named)]
 
@@ -249,6 +272,8 @@ def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
     if name in _OF_ROAD and all(other in means for other in _OF_ROAD):
         height = means["height"]
         return abs(height + means["road height"]) < _ROAD_STAYS * abs(height)
+    if name == "beams":
+        return mean > 0 and abs(means.get("road height", 0.0)) > _ROAD_AS_BEAMS_M
     if name == "moved parts":
         return mean > _BENT and min(means.get(other, 0.0) for other in _ALONE) > mean / 10
     if name == FLAT:
@@ -269,7 +294,9 @@ def _weaker(named: Mapping[str, float]) -> set[str]:
     return weaker
 
 
-def cause_interval(model: CauseModel, amounts: FloatArray, blocks: IntArray) -> tuple[float, float, float]:
+def cause_interval(
+    model: CauseModel, amounts: FloatArray, blocks: IntArray
+) -> tuple[float, float, float]:
     """Mean amount of a cause with its 95 % interval.
 
     Half of the interval is the root of the sum of the squares of Student's t over places, of the accuracy of the
@@ -280,7 +307,9 @@ def cause_interval(model: CauseModel, amounts: FloatArray, blocks: IntArray) -> 
     amounts, blocks : (n,) of the pairs in which it is known
     """
     mean, low, high = mean_interval(block_means(amounts, blocks))
-    reach = float(np.linalg.norm([(high - low) / 2, _ACCURACY * model.resolution, model.relative * mean]))
+    reach = float(
+        np.linalg.norm([(high - low) / 2, _ACCURACY * model.resolution, model.relative * mean])
+    )
     return mean, mean - reach, mean + reach
 
 

@@ -50,7 +50,15 @@ _FEW = 8
 _SEED = 20240917
 #: Changes that must bring the simulated scans closer if they are undone: all that moves surface.
 _CONFIRMED = frozenset(
-    (*PARAMETERS, "elevation scale", "missing parts", "invented parts", "moved parts", "solid foliage", FLAT)
+    (
+        *PARAMETERS,
+        "elevation scale",
+        "missing parts",
+        "invented parts",
+        "moved parts",
+        "solid foliage",
+        FLAT,
+    )
 )
 #: Part of the distance between the simulated scans from which a gain counts more than what no correction undoes.
 _LEAST_GAIN = 0.1
@@ -102,7 +110,11 @@ class _PairTask:
 
 
 def find_changes(
-    base: FinishedRun, other: FinishedRun, names: Sequence[str], blocks: IntArray, reporter: Reporter | None = None
+    base: FinishedRun,
+    other: FinishedRun,
+    names: Sequence[str],
+    blocks: IntArray,
+    reporter: Reporter | None = None,
 ) -> Changes:
     """The causes that changed by more than the resolution of their estimates.
 
@@ -142,12 +154,17 @@ def _measure_between(
     chosen = _evenly(names, MOST_BETWEEN)
     tasks = {name: _PairTask(base.folder, other.folder, name) for name in chosen}
     tasks = {name: task for name, task in tasks.items() if not _is_same_scan(base, other, name)}
-    measured, _ = map_tasks(measure_between, tasks, reporter or Reporter(), n_workers=None if len(tasks) > _FEW else 1)
+    measured, _ = map_tasks(
+        measure_between, tasks, reporter or Reporter(), n_workers=None if len(tasks) > _FEW else 1
+    )
     known = {name: amounts for name, amounts in measured.items() if amounts}
     if 2 * (len(tasks) - len(known)) >= max(len(chosen), 1):
         return {}
     causes = {cause for amounts in known.values() for cause in amounts}
-    values = {cause: np.full(len(names), np.nan) for cause in (*PARAMETERS, *sorted(causes - {*PARAMETERS}))}
+    values = {
+        cause: np.full(len(names), np.nan)
+        for cause in (*PARAMETERS, *sorted(causes - {*PARAMETERS}))
+    }
     rows = {name: row for row, name in enumerate(names)}
     for name in chosen:
         amounts = known.get(name, {}) if name in tasks else dict.fromkeys(values, 0.0)
@@ -186,7 +203,11 @@ def _sim_side(folder: Path, pair_id: str) -> Side:
 
 
 def _undo(
-    base: FinishedRun, other: FinishedRun, names: Sequence[str], found: Sequence[Cause], reporter: Reporter | None
+    base: FinishedRun,
+    other: FinishedRun,
+    names: Sequence[str],
+    found: Sequence[Cause],
+    reporter: Reporter | None,
 ) -> tuple[list[Shares], float | None]:
     """Gains of undoing the changes in some pairs, and the share of surface that stays elsewhere."""
     excess = tuple((cause.name, cause.estimate) for cause in found)
@@ -195,14 +216,18 @@ def _undo(
         for name in _evenly(names, MOST_CORRECTED)
         if not _is_same_scan(base, other, name)
     }
-    corrected, _ = map_tasks(undo_changes, tasks, reporter or Reporter(), n_workers=None if len(tasks) > _FEW else 1)
+    corrected, _ = map_tasks(
+        undo_changes, tasks, reporter or Reporter(), n_workers=None if len(tasks) > _FEW else 1
+    )
     known = [result for result in corrected.values() if result is not None]
     if not known:
         return [], None
     return [gains for gains, _, _ in known], elsewhere_share([shares for _, *shares in known])
 
 
-def confirm_changes(found: Sequence[Cause], gains: Sequence[Shares]) -> tuple[list[Cause], list[Cause]]:
+def confirm_changes(
+    found: Sequence[Cause], gains: Sequence[Shares]
+) -> tuple[list[Cause], list[Cause]]:
     """The changes that are not feigned by another one, and the others.
 
     First are those whose undoing removes a tenth of the distance between the simulated scans or more, by this gain;
@@ -252,7 +277,10 @@ def undo_changes(task: _PairTask) -> tuple[Shares, float, float] | None:
 
 
 def _changed(
-    cause: Cause, before: Mapping[str, CauseValues], after: Mapping[str, CauseValues], blocks: IntArray
+    cause: Cause,
+    before: Mapping[str, CauseValues],
+    after: Mapping[str, CauseValues],
+    blocks: IntArray,
 ) -> ChangedCause:
     model = CAUSES[cause.name]
     first = _mean(before[cause.name].amount, blocks)
@@ -270,14 +298,20 @@ def _mean(amounts: FloatArray, blocks: IntArray) -> float | None:
     if np.isnan(amounts).all():
         return None
     blocks = independent_blocks(blocks)
-    means = [np.nanmean(amounts[blocks == block]) for block in np.unique(blocks[~np.isnan(amounts)])]
+    means = [
+        np.nanmean(amounts[blocks == block]) for block in np.unique(blocks[~np.isnan(amounts)])
+    ]
     return float(np.mean(means))
 
 
 def _verdict(before: float | None, after: float | None, resolution: float) -> str:
     """Worse or better by the distance from no flaw."""
     if before is None or after is None:
-        return "worse" if before is None and after is not None and abs(after) > resolution else "changed"
+        return (
+            "worse"
+            if before is None and after is not None and abs(after) > resolution
+            else "changed"
+        )
     nearer = abs(before) - abs(after)
     if abs(nearer) <= resolution / 2:
         return "changed"

@@ -8,30 +8,26 @@ objects are followed from run to run (`followed`) as a description.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from ...schemas.columns import Row
 from ...schemas.errors import RunError
-from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import KINDS, LEAST_FLIPPED, LEAST_PAIRS
-from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
-from ..storage.table_files import table_name
 from .best_case import RunExcess, excess_over
 from .changes import Changes, change_rows, find_changes
 from .families import FamilyChange, ScoreChange, judge_families, overall, score_rows
 from .finished import OF_SIM_FILES, FinishedRun, differences, partition_note, settings_changes
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, follow
 from .independence import how_found, pairs_and_places
-from .object_frame import object_parts, plain_rows
+from .object_frame import plain_rows
 from .sectors import N_SECTORS, sector_rows
 
 #: Largest number of runs in one command.
@@ -124,14 +120,28 @@ class Comparison:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for programs."""
-        plain = asdict(replace(self, excess=None, changes=Changes()))
-        plain |= {"base": str(self.base), "other": str(self.other), "decision": self.decision}
-        plain |= {"causes": change_rows(self.changes), "unexplained": self.changes.elsewhere}
-        plain["excess"] = None if self.excess is None else [excess.as_dict() for excess in self.excess]
-        plain |= {"kinds": self.kinds, "objects": plain_rows(self.objects)}
-        plain |= {"by_class": by_class(self.objects), "by_range": by_range(self.objects)}
-        del plain["changes"]
-        return plain
+        as_they_are = vars(self).keys() - {
+            "base",
+            "other",
+            "changes",
+            "families",
+            "objects",
+            "excess",
+        }
+        plain = {name: value for name, value in vars(self).items() if name in as_they_are}
+        return plain | {
+            "base": str(self.base),
+            "other": str(self.other),
+            "decision": self.decision,
+            "causes": change_rows(self.changes),
+            "unexplained": self.changes.elsewhere,
+            "families": [asdict(family) for family in self.families],
+            "excess": self.excess and [excess.as_dict() for excess in self.excess],
+            "kinds": self.kinds,
+            "objects": plain_rows(self.objects),
+            "by_class": by_class(self.objects),
+            "by_range": by_range(self.objects),
+        }
 
 
 def compare_runs(
@@ -157,65 +167,76 @@ def compare_runs(
         common, or the best case belongs to other runs.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
-    options: dict[str, Any] = {"best_case": best_case, "independent": independent, "reporter": reporter}
-    return [compare_two(base, other, allow_different_settings, **options) for other in others]
+    comparisons = []
+    for other in others:
+        settings = settings_changes(base, other, but=OF_SIM_FILES)
+        if settings and not allow_different_settings:
+            raise RunError(_settings_differ(base, other, settings))
+        comparisons.append(_compare(base, other, settings, best_case, independent, reporter))
+    return comparisons
 
 
-def compare_two(
+def _settings_differ(base: FinishedRun, other: FinishedRun, differing: Sequence[str]) -> str:
+    presets = (
+        "" if base.preset == other.preset else f"preset {base.preset} and preset {other.preset}: "
+    )
+    return (
+        f"runs {base.folder} and {other.folder}: settings differ "
+        f"({presets}{'; '.join(differing)}), so that a "
+        "difference need not be the simulator's; run both with the same settings, or give "
+        "--allow-different-settings"
+    )
+
+
+def _compare(
     base: FinishedRun,
     other: FinishedRun,
-    allow_different_settings: bool = False,
-    *,
-    best_case: Path | None = None,
-    independent: bool = False,
-    reporter: Reporter | None = None,
+    settings: Sequence[str],
+    best_case: Path | None,
+    independent: bool,
+    reporter: Reporter | None,
 ) -> Comparison:
-    """One run against another, as `compare_runs` does."""
-    differing = settings_changes(base, other, but=OF_SIM_FILES)
-    if differing and not allow_different_settings:
-        raise RunError(_settings_differ(base, other, differing))
+    """One run against the base; `settings` differ."""
     left_out = pairs_left_out(base, other)
-    names = tuple(row["pair_id"] for row in base.scored if row["pair_id"] not in left_out)
-    lost = tuple(row["pair_id"] for row in base.scored if row["pair_id"] in left_out)
-    tried = {row["pair_id"] for row in other.rows}
-    failed = tuple(name for name in lost if name in tried and other.row(name)["status"] != "scored")
+    names = [row["pair_id"] for row in base.scored if row["pair_id"] not in left_out]
+    lost = [row["pair_id"] for row in base.scored if row["pair_id"] in left_out]
+    failed_now = {row["pair_id"] for row in other.rows if row["status"] != "scored"}
+    failed = [name for name in lost if name in failed_now]
     if not names and not failed:
-        why = "; ".join(f"{name!r}: {reason}" for name, reason in list(left_out.items())[:3])
-        raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why or 'no pair is scored'})")
-    objects, unfollowed = _followed(base, other, names)
-    excess = None
-    if best_case is not None and names:
-        excess = excess_over(base, best_case, names), excess_over(other, best_case, names)
+        reasons = [f"{name!r}: {reason}" for name, reason in left_out.items()]
+        why = "; ".join(reasons[:3]) or "no pair is scored"
+        raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why})")
     blocks = np.arange(len(names), dtype=np.int32) if independent else base.places(names)
     n_places = len(np.unique(blocks))
-    changes = find_changes(base, other, names, blocks, reporter) if names else Changes()
     by_direction = n_places < min(LEAST_FLIPPED, len(names))
+    excess = None
+    changes = Changes()
+    families: tuple[FamilyChange, ...] = ()
+    objects, unfollowed = pd.DataFrame(columns=CHANGE_COLUMNS), list[str]()
+    if names:
+        if best_case is not None:
+            excess = excess_over(base, best_case, names), excess_over(other, best_case, names)
+        changes = find_changes(base, other, names, blocks, reporter)
+        families = _families(base, other, names, blocks, by_direction, excess, changes)
+        objects, unfollowed = follow(_real_objects(base, names), _real_objects(other, names))
     return Comparison(
         base=base.folder,
         other=other.folder,
-        pairs=names,
+        pairs=tuple(names),
         left_out=left_out,
-        lost=lost,
-        failed=failed,
+        lost=tuple(lost),
+        failed=tuple(failed),
         unfollowed=tuple(unfollowed),
-        settings=tuple(differing),
-        notes=(*_notes(base, other), *_task_notes(base, other)),
+        settings=tuple(settings),
+        notes=tuple(_notes(base, other)),
         changes=changes,
-        families=_families(base, other, names, blocks, by_direction, excess, changes) if names else (),
+        families=families,
         objects=objects,
         n_places=n_places,
         counted=_counted(base, names, n_places, independent=independent),
         by_direction=by_direction,
         on_partition=partition_note((base, other)),
         excess=excess,
-    )
-
-
-def _settings_differ(base: FinishedRun, other: FinishedRun, differing: Sequence[str]) -> str:
-    presets = "" if base.preset == other.preset else f"preset {base.preset} and preset {other.preset}: "
-    return (
-        f"runs {base.folder} and {other.folder}: settings differ ({presets}{'; '.join(differing)}), so that a "
-        "difference need not be the simulator's; run both with the same settings, or give --allow-different-settings"
     )
 
 
@@ -230,49 +251,47 @@ def _families(
 ) -> tuple[FamilyChange, ...]:
     """The families of scores of the world."""
     rows = {name: (base.row(name), other.row(name)) for name in names}
+    if base.record.tasks and other.record.tasks and _have_same_tasks(base, other):
+        for name, (before, after) in rows.items():
+            rows[name] = (before | _task_gaps(base, name), after | _task_gaps(other, name))
     sectors = None
     if by_direction:
-        sectors = _by_sector(base, other, names, blocks)
+        both = zip(sector_rows(base, names), sector_rows(other, names), strict=True)
+        directions = (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
+        sectors = {str(i): sector for i, sector in enumerate(both)}, directions
         blocks = np.arange(len(names), dtype=np.int32)
     best_cases = {}
     if excess is not None:
-        best_cases = {column: score.best_case_from_equal for column, score in excess[0].scores.items()}
-    preset = base.preset if base.preset == other.preset else "paper"
-    worse = [changed.cause.name for changed in changes.causes if changed.verdict == "worse"]
-    return judge_families(preset, rows, blocks, _noise_of_seeds(base, other, names), best_cases, sectors, worse)
+        best_cases = {
+            column: score.best_case_from_equal for column, score in excess[0].scores.items()
+        }
+        best_cases |= excess[0].task_gaps
+    return judge_families(
+        base.preset if base.preset == other.preset else "paper",
+        rows,
+        blocks,
+        _noise_of_seeds(base, other, len(names)),
+        best_cases,
+        sectors,
+        [change.cause.name for change in changes.causes if change.verdict == "worse"],
+    )
 
 
-def _by_sector(
-    base: FinishedRun, other: FinishedRun, names: Sequence[str], blocks: IntArray
-) -> tuple[dict[str, tuple[Row, Row]], IntArray]:
-    """Rows of all sectors of all pairs before and after, and the block of each: a direction from a place."""
-    both = zip(sector_rows(base, names), sector_rows(other, names), strict=True)
-    rows = {str(i): pair for i, pair in enumerate(both)}
-    of_sectors = N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)
-    return rows, of_sectors.ravel().astype(np.int32)
+def _noise_of_seeds(base: FinishedRun, other: FinishedRun, n_pairs: int) -> dict[str, float]:
+    """Difference of two means over n pairs that Louvain seeds alone make, by column, if both runs were repeated."""
+    if base.record.seeds is None or other.record.seeds is None:
+        return {}
+    noise = {}
+    for column, spread in base.record.seeds.dataset.items():
+        least = spread.least_pair
+        other_least = other.record.seeds.dataset[column].least_pair
+        if least is not None and other_least is not None:
+            noise[column] = math.hypot(least, other_least) / math.sqrt(2 * n_pairs)
+    return noise
 
 
-def _noise_of_seeds(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> dict[str, float]:
-    """Difference of two means that Louvain seeds alone make, by column, where both runs were repeated."""
-    first, second = _seed_noise(base, names), _seed_noise(other, names)
-    return {column: math.hypot(first[column], second[column]) / math.sqrt(2) for column in first if column in second}
-
-
-def _followed(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> tuple[pd.DataFrame, list[str]]:
-    """Fates of the real objects of the pairs, and the pairs whose real objects differ."""
-    parts = zip(_real_objects(base, names), _real_objects(other, names), strict=True)
-    changes, unfollowed = [], []
-    for before, after in parts:
-        followed, differing = follow(before, after)
-        changes.append(followed)
-        unfollowed += [names[i] for i in differing]
-    if not changes:
-        return pd.DataFrame(columns=CHANGE_COLUMNS), []
-    return pd.concat(changes, ignore_index=True), unfollowed
-
-
-def _real_objects(run: FinishedRun, names: Sequence[str]) -> Iterator[pd.DataFrame]:
-    return object_parts(run.store, names, FOLLOWED_COLUMNS, by_reference=run.is_by_reference, sides=("real",))
+def _real_objects(run: FinishedRun, names: Sequence[str]) -> pd.DataFrame:
+    return run.objects_of(names, FOLLOWED_COLUMNS, sides=("real",))
 
 
 def _counted(base: FinishedRun, names: Sequence[str], n_places: int, *, independent: bool) -> str:
@@ -295,27 +314,33 @@ def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
         if unfit:
             named = unfit[0] if len(unfit) == 1 else f"{unfit[0]} ..."
             notes.append(
-                f"{run.folder}: scans are not in one frame or show two places, but count: {len(unfit)} of "
+                f"{run.folder}: scans are not in one frame or show two places, but count: "
+                f"{len(unfit)} of "
                 f"{len(run.scored)} pairs ({named}); see fidpipe show {run.folder}"
             )
     a, b = base.record, other.record
-    notes += [f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)]
-    notes += [f"library {name}: {x} and {y}" for name, x, y in differences(a.libraries, b.libraries)]
+    if a.tasks and b.tasks and not _have_same_tasks(base, other):
+        notes.append("the runs have other settings of tasks: these are not compared")
+    notes += [
+        f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)
+    ]
+    notes += [
+        f"library {name}: {x} and {y}" for name, x, y in differences(a.libraries, b.libraries)
+    ]
     return notes
 
 
-def _task_notes(base: FinishedRun, other: FinishedRun) -> list[str]:
-    """Mean gaps of the tasks that both runs have, over all their pairs; no verdict depends on them."""
-    gaps = base.record.task_gaps
-    other_gaps = other.record.task_gaps
-    if base.record.settings.get("tasks") != other.record.settings.get("tasks"):
-        return ["the runs have other settings of tasks: these are not compared"] if gaps and other_gaps else []
-    changes = []
-    for measure, gap in gaps.items():
-        other_gap = other_gaps.get(measure)
-        if gap is not None and other_gap is not None:
-            changes.append(f"{measure} {gap:.2g} to {other_gap:.2g}")
-    return [f"tasks, gaps not decided: {', '.join(changes)}"] if changes else []
+def _have_same_tasks(base: FinishedRun, other: FinishedRun) -> bool:
+    """True if the tasks of both runs have the same settings."""
+    return bool(base.record.settings.get("tasks") == other.record.settings.get("tasks"))
+
+
+def _task_gaps(run: FinishedRun, pair_id: str) -> Row:
+    """The gap of each measure of the tasks of a pair, by names such as `objects.lost`."""
+    job = run.store.ledger.jobs(pair_id).get(("tasks", ""))
+    if job is None:
+        return {}
+    return {f"{gap['task']}.{gap['measure']}": gap["gap"] for gap in job.metadata["gaps"]}
 
 
 def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
@@ -338,24 +363,3 @@ def _unscored(run: FinishedRun, name: str) -> str:
     if row is None:
         return f"not in {run.folder}"
     return "" if row["status"] == "scored" else f"failed in {run.folder} ({row['reason']})"
-
-
-def _seed_noise(run: FinishedRun, names: Sequence[str]) -> dict[str, float]:
-    """Difference of two means over the pairs that Louvain seeds alone can cause (95 %), by score.
-
-    Only scores that are known of every pair under the same number of seeds.
-    """
-    repeats: dict[str, list[list[float]]] = {column: [] for column in SEEDED_SCORES}
-    for name in names:
-        record = run.store.ledger.job_of_file(table_name("seeds", name))
-        if record is None:
-            return {}
-        for column, scores in repeats.items():
-            scores.append(record.metadata["scores"][column])
-    noise = {}
-    for column, scores in repeats.items():
-        n_seeds = {len(repeated) for repeated in scores}
-        least = spread(np.array(scores, dtype=np.float64)).least_dataset if len(n_seeds) == 1 else None
-        if least is not None:
-            noise[column] = least
-    return noise

@@ -9,7 +9,7 @@ an improvement that lost or invented surface, or a worse sensor, explains is sho
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,16 @@ PairRows = Mapping[str, tuple[Row, Row]]  #: by pair, its rows before and after
 #: Changes that chance makes in under this share of the comparisons are decided.
 ERROR_RATE = 1 - CONFIDENCE
 SURFACE_MISSING, SURFACE_INVENTED, OBJECTS = "surface missing", "surface invented", "objects"
+TASKS = "tasks"
+#: Compared gaps of tasks: heading, and step of the share (objects are few).
+_TASK_SCORES = {
+    "objects.lost": ("obstacles lost", 0.04),
+    "objects.added": ("obstacles added", 0.04),
+    "occupancy.mismatch": ("occupancy mismatch", 0.0),
+    "occupancy.wrongly_free": ("occupied map free", 0.0),
+    "free_space.too_far": ("free space too long", 0.0),
+}
+_LEAST_GAP = 0.005
 #: Sign of a change that is worse, by the value that is best.
 WORSE_IF = {"high": -1.0, "low": 1.0}
 #: The same in headings.
@@ -39,23 +49,11 @@ MARKS = {"high": "↑", "low": "↓"}
 MARKS_NOTE = "↑ higher is better, ↓ lower is better"
 
 
-class Columns(dict[str, FloatArray]):
-    """Columns of some rows of `pairs`, read when first used; NaN for null, and if the rows lack the column."""
-
-    def __init__(self, rows: Iterable[Row]) -> None:
-        super().__init__()
-        self._rows = list(rows)
-
-    def __missing__(self, name: str) -> FloatArray:
-        self[name] = np.array([row.get(name) for row in self._rows], dtype=np.float64)
-        return self[name]
-
-
 @dataclass(frozen=True)
 class ComparedScore:
     """One score of pairs.
 
-    column : of `pairs`
+    column : of `pairs`, or the name of a gap of a task
     heading : with the unit
     best : "high" or "low"
     least : a change of the mean up to this size does not matter to a user
@@ -90,6 +88,9 @@ def families(preset: str) -> dict[str, list[ComparedScore]]:
             step=metric.step or 0.0,
         )
         chosen.setdefault(metric.family, []).append(score)
+    chosen[TASKS] = []
+    for column, (heading, step) in _TASK_SCORES.items():
+        chosen[TASKS].append(ComparedScore(TASKS, heading, column, "low", _LEAST_GAP, step))
     return chosen
 
 
@@ -154,16 +155,6 @@ class FamilyChange:
     scores: tuple[ScoreChange, ...]
 
     @property
-    def lowest_p(self) -> float | None:
-        """The smallest p of its scores; None if none can be tested."""
-        return min((score.p for score in self.scores if score.p is not None), default=None)
-
-    @property
-    def verdicts(self) -> set[str]:
-        """Those of its scores."""
-        return {score.verdict for score in self.scores}
-
-    @property
     def called(self) -> str:
         """The verdict as it is shown, in brackets if it does not count."""
         return f"({self.verdict})" if self.why else self.verdict
@@ -193,40 +184,55 @@ def judge_families(
         leave few blocks. A change must then be consistent over the sectors of the places, and over the frames, too
     worse_causes : causes of the sensor that became worse, from which improvements of a family may follow
     """
-    found = []
+    judged = []
     for name, compared in families(preset).items():
         scores = _changes(compared, rows, blocks, seed_noise or {}, best_cases or {}, sectors)
         if scores:
-            found.append(FamilyChange(name, "undecided", None, "", "", scores))
-    lowest = [family.lowest_p for family in found]
-    adjusted = holm(lowest)
-    found = [_with_p(family, p, before) for family, p, before in zip(found, adjusted, lowest, strict=True)]
-    if len(np.unique(blocks)) < LEAST_PAIRS:
-        found = [_without_idle_p(family) for family in found]
-    worse = {family.name for family in found if "worse" in family.verdicts}
-    right, invented = _points_change(rows)
-    reasons = _Reasons(worse, right > invented / 2, tuple(worse_causes))
-    return tuple(_decided(family, reasons) for family in found)
+            judged.append(FamilyChange(name, "undecided", None, "", "", scores))
+    lowest = [_lowest_p(family) for family in judged]
+    are_few = len(np.unique(blocks)) < LEAST_PAIRS
+    for i, p in enumerate(holm(lowest)):
+        judged[i] = _with_p(judged[i], p, lowest[i], are_few=are_few)
+    worse = {
+        family.name for family in judged if any(score.verdict == "worse" for score in family.scores)
+    }
+    is_more_right = _is_more_right(rows)
+    decided = []
+    for family in judged:
+        why = _consequence(family.name, worse, worse_causes, is_more_right=is_more_right)
+        decided.append(_decided(family, why))
+    return tuple(decided)
 
 
-def _with_p(family: FamilyChange, p: float | None, before_holm: float | None) -> FamilyChange:
-    """The family with its p-value, and the verdicts of its scores if it is decided."""
-    scores = family.scores
-    if p is not None and p < ERROR_RATE:
-        scores = tuple(_with_verdict(score) for score in scores)
+def _lowest_p(family: FamilyChange) -> float | None:
+    """The smallest p of its scores; None if none can be tested."""
+    return min((score.p for score in family.scores if score.p is not None), default=None)
+
+
+def _with_p(
+    family: FamilyChange, p: float | None, before_holm: float | None, *, are_few: bool
+) -> FamilyChange:
+    """The family with its p-value, and the verdicts of its scores if it is decided.
+
+    Parameters
+    ----------
+    are_few : few pairs cannot lower p-values of 1, which are left out
+    """
+    is_decided = p is not None and p < ERROR_RATE
     tends = before_holm is not None and before_holm < ERROR_RATE
-    return replace(family, p=p, tendency=scores[0].towards if tends else "", scores=scores)
-
-
-def _without_idle_p(family: FamilyChange) -> FamilyChange:
-    """The family without p-values of 1: those that few pairs cannot lower."""
-    scores = tuple(replace(score, p=None) if score.p == 1.0 else score for score in family.scores)
-    return replace(family, p=None if family.p == 1.0 else family.p, scores=scores)
-
-
-def _with_verdict(score: ScoreChange) -> ScoreChange:
-    is_decided = score.p is not None and score.p < ERROR_RATE and score.exceeds(score.seed_noise) is not False
-    return replace(score, verdict=score.towards) if is_decided else score
+    scores = []
+    for score in family.scores:
+        is_clear = score.p is not None and score.p < ERROR_RATE
+        is_beyond = score.exceeds(score.seed_noise) is not False
+        verdict = score.towards if is_decided and is_clear and is_beyond else score.verdict
+        score_p = None if are_few and score.p == 1.0 else score.p
+        scores.append(replace(score, verdict=verdict, p=score_p))
+    return replace(
+        family,
+        p=None if are_few and p == 1.0 else p,
+        tendency=scores[0].towards if tends else "",
+        scores=tuple(scores),
+    )
 
 
 def _changes(
@@ -251,18 +257,23 @@ def _changes(
             change = dict(zip(rows, (after[i] - before[i]).tolist(), strict=True))
             p = None if np.isnan(p_values[i]) else float(p_values[i])
             scores.append(_score_change(score, difference, p, change, seed_noise, best_cases))
-    return tuple(sorted(scores, key=lambda score: (2.0 if score.p is None else score.p, -score.clarity)))
+    return tuple(
+        sorted(scores, key=lambda score: (2.0 if score.p is None else score.p, -score.clarity))
+    )
 
 
 def _with_sectors(
-    p_values: FloatArray, compared: Sequence[ComparedScore], sectors: tuple[PairRows, IntArray], least: FloatArray
+    p_values: FloatArray,
+    compared: Sequence[ComparedScore],
+    sectors: tuple[PairRows, IntArray],
+    least: FloatArray,
 ) -> FloatArray:
-    """The larger of the p-values over the frames and over the directions, where scores are known by direction."""
+    """The larger of the p-values over the frames and over the directions; 1 if a score is not known by direction."""
     before, after = _read(compared, sectors[0])
     change = block_means(after - before, sectors[1])
     is_known = ~np.isnan(change).all(axis=1)
     by_sector = adjusted_p_values(change[is_known], least[is_known], np.zeros(is_known.sum()))
-    larger = p_values.copy()
+    larger = np.where(np.isnan(p_values), np.nan, 1.0)
     larger[is_known] = np.maximum(p_values[is_known], by_sector)
     return larger
 
@@ -294,66 +305,62 @@ def _score_change(
 
 def _read(compared: Sequence[ComparedScore], rows: PairRows) -> tuple[FloatArray, FloatArray]:
     """(m, n) values by score and pair, before and after; NaN for null."""
-    before = Columns(row for row, _ in rows.values())
-    after = Columns(row for _, row in rows.values())
-    names = [score.column for score in compared]
-    return np.stack([before[name] for name in names]), np.stack([after[name] for name in names])
+    values = [_values(rows, score.column) for score in compared]
+    before, after = np.stack(values, axis=1)
+    return before, after
 
 
-@dataclass(frozen=True)
-class _Reasons:
-    """Other deteriorations from which an improvement may follow.
+def _values(rows: PairRows, column: str) -> FloatArray:
+    """(2, n) a column of all pairs before and after; NaN for null, and if the rows lack it."""
+    pairs = [(before.get(column), after.get(column)) for before, after in rows.values()]
+    return np.array(pairs, dtype=np.float64).T
 
-    worse : families
-    is_more_right : the number of right simulated points grew by more than half of that of the invented ones, or fell by
-        less
-    causes : of the sensor
+
+def _is_more_right(rows: PairRows) -> bool:
+    """True if the number of correct simulated points grew by more than half of that of the invented ones.
+
+    Or fell by less.
     """
-
-    worse: set[str]
-    is_more_right: bool
-    causes: tuple[str, ...]
-
-
-def _points_change(rows: PairRows) -> tuple[float, float]:
-    """Mean changes of the numbers of right and of invented simulated points."""
-    counts = []
-    for side in (0, 1):
-        pairs = Columns(both[side] for both in rows.values())
-        n_points = pairs["n_sim_points"]
-        right = n_points * np.mean([pairs[f"covered_sim_{reach}"] for reach in COVERAGE_REACHES], axis=0)
-        counts.append((right.mean(), (n_points - right).mean()))
-    before, after = counts
-    return after[0] - before[0], after[1] - before[1]
+    n_points = _values(rows, "n_sim_points")
+    covered = [_values(rows, f"covered_sim_{reach}") for reach in COVERAGE_REACHES]
+    n_right = n_points * np.mean(covered, axis=0)
+    right_before, right_after = n_right.mean(axis=1)
+    invented_before, invented_after = (n_points - n_right).mean(axis=1)
+    return bool(right_after - right_before > (invented_after - invented_before) / 2)
 
 
-def _decided(family: FamilyChange, reasons: _Reasons) -> FamilyChange:
-    """The family with its verdict, and with reasons for which verdicts do not count."""
+def _decided(family: FamilyChange, consequence: str) -> FamilyChange:
+    """The family with its verdict; improvements do not count if they are a consequence."""
     scores = tuple(
-        replace(score, why=_consequence(family.name, reasons)) if score.verdict == "better" else score
+        replace(score, why=consequence) if score.verdict == "better" else score
         for score in family.scores
     )
-    called = {score.verdict for score in scores if not score.why} & {"better", "worse"}
     hidden = [score for score in scores if score.why]
+    verdicts = {score.verdict for score in scores if not score.why}
+    counted = verdicts & {"better", "worse"}
     why = ""
-    if called:
-        verdict = "mixed" if len(called) == 2 else called.pop()
+    if counted:
+        verdict = "mixed" if len(counted) == 2 else counted.pop()
     elif hidden:
-        verdict, why = hidden[0].verdict, hidden[0].why
+        verdict = hidden[0].verdict
+        why = consequence
     else:
-        verdict = "same" if {score.verdict for score in scores} == {"same"} else "undecided"
+        verdict = "same" if verdicts == {"same"} else "undecided"
     tendency = family.tendency if verdict == "undecided" else ""
     return replace(family, verdict=verdict, why=why, tendency=tendency, scores=scores)
 
 
-def _consequence(family: str, reasons: _Reasons) -> str:
+def _consequence(
+    family: str, worse: Collection[str], worse_causes: Sequence[str], *, is_more_right: bool
+) -> str:
     """The reason for which an improvement of a family does not count; "" if it does."""
-    if reasons.causes:
-        return f"follows from {' and '.join(reasons.causes)}"
-    worse = reasons.worse & {SURFACE_MISSING, SURFACE_INVENTED}
-    is_surface = family in (SURFACE_MISSING, SURFACE_INVENTED)
-    if worse and (family == OBJECTS or (is_surface and not reasons.is_more_right)):
-        return f"follows from {' and '.join(sorted(worse, reverse=True))}"
+    if worse_causes:
+        return f"follows from {' and '.join(worse_causes)}"
+    surfaces = {SURFACE_MISSING, SURFACE_INVENTED}
+    worse_surfaces = surfaces.intersection(worse)
+    follows = family in (OBJECTS, TASKS) or (family in surfaces and not is_more_right)
+    if worse_surfaces and follows:
+        return f"follows from {' and '.join(sorted(worse_surfaces, reverse=True))}"
     return ""
 
 
@@ -371,10 +378,10 @@ def overall(verdicts: Collection[str], *, tends_worse: bool = False) -> str:
     return "same" if {*verdicts} <= {"same"} else "undecided"
 
 
-def score_rows(found: Sequence[FamilyChange]) -> list[Row]:
+def score_rows(families: Sequence[FamilyChange]) -> list[Row]:
     """One row per score, for programs."""
     rows = []
-    for family in found:
+    for family in families:
         for score in family.scores:
             change = score.difference
             rows.append(

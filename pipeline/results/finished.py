@@ -6,7 +6,6 @@ that `fidpipe show` prints for a run, a pair or an object are defined here, for 
 
 from __future__ import annotations
 
-import math
 import re
 import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -52,9 +51,14 @@ def record_of_run(folder: Path) -> dict[str, Any]:
     if folder.is_file() or path_exists(folder / RUN_JSON):
         return finished_record(folder)
     names = {path.name for path in folder.iterdir()} if folder.is_dir() else set[str]()
-    runs = [shlex.quote(str(folder / name)) for name in sorted(names) if path_exists(folder / name / RUN_JSON)]
+    runs = [
+        shlex.quote(str(folder / name))
+        for name in sorted(names)
+        if path_exists(folder / name / RUN_JSON)
+    ]
     if names & {*SIDES, MANIFEST}:
-        hint = f"it holds a dataset, evaluate it: fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
+        command = f"fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
+        hint = f"it holds a dataset, evaluate it: {command}"
     elif runs:
         hint = f"it holds runs: {', '.join(runs[:3])}{', ...' if len(runs) > 3 else ''}"
     elif names:
@@ -81,7 +85,8 @@ class FinishedRun:
         record = record_of_run(folder)
         if made_by := record.get("experiment"):
             raise RunError(
-                f"run {folder}: expected a folder written by fidpipe run, got one of fidpipe {made_by}; its tables are "
+                f"run {folder}: expected a folder written by fidpipe run, got one of fidpipe "
+                f"{made_by}; its tables are "
                 f"{folder}/{made_by}*.parquet"
             )
         self.store = RunFolder(folder)
@@ -89,18 +94,20 @@ class FinishedRun:
             self.record = RunRecord.from_dict(record)
         except ValueError as error:
             if self.store.is_locked:
-                raise RunError(f"run {folder}: another fidpipe is working on this run; wait until it ends") from error
+                raise RunError(
+                    f"run {folder}: another fidpipe is working on this run; wait until it ends"
+                ) from error
+            command = command_again(folder, record.get("dataset"))
             raise RunError(
-                f"run {folder}: the run has not ended; finish it with: {command_again(folder, record.get('dataset'))}"
+                f"run {folder}: the run has not ended; finish it with: {command}"
             ) from error
         self.rows: list[Row] = self.read_table("pairs").to_pylist()
         self.rows_by_name: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
 
     def __repr__(self) -> str:
         counts = self.record.pairs
-        return (
-            f"<fidpipe run {self.folder}: {counts.scored} pairs scored, {counts.failed} failed, preset {self.preset}>"
-        )
+        states = f"{counts.scored} pairs scored, {counts.failed} failed"
+        return f"<fidpipe run {self.folder}: {states}, preset {self.preset}>"
 
     @property
     def pairs(self) -> pd.DataFrame:
@@ -116,8 +123,10 @@ class FinishedRun:
         object of the other side, -1 without one), `shape`, `bearing_deg`, `diagonal_m` and `quadrant`. Scores are
         those of the pair of objects, on both rows; null for unmatched objects.
         """
-        frame = self.objects_of([row["pair_id"] for row in self.scored])
-        return frame.drop(columns=["pair", "band"]).rename(columns=WITH_UNITS)
+        frame = self.objects_of([row["pair_id"] for row in self.scored]).rename(columns=WITH_UNITS)
+        first = ["pair_id", "side", "community_id", "fate", "partner", "label", "shape"]
+        others = frame.columns.difference([*first, "pair", "band"], sort=False)
+        return frame[[*first, *others]]
 
     @property
     def metrics(self) -> pd.DataFrame:
@@ -147,7 +156,9 @@ class FinishedRun:
         """
         points = _frame(self._of_side("ground", pair_id, side))
         labels = _frame(self._of_side("communities", pair_id, side))[["point_id", "community_id"]]
-        return points.merge(labels.astype({"community_id": "Int32"}), on="point_id", how="left", validate="1:1")
+        return points.merge(
+            labels.astype({"community_id": "Int32"}), on="point_id", how="left", validate="1:1"
+        )
 
     def places(self, names: Sequence[str]) -> IntArray:
         """(n,) number of the place of each scored pair; copies and neighbouring frames have the same one."""
@@ -174,13 +185,20 @@ class FinishedRun:
         if name in _OF_RUN:
             return self.read_table(name)
         if name not in PAIR_TABLES:
-            raise RunError(f"run {self.folder}: no table {name!r}; it has {', '.join((*_OF_RUN, *PAIR_TABLES))}")
+            raise RunError(
+                f"run {self.folder}: no table {name!r}; it has "
+                f"{', '.join((*_OF_RUN, *PAIR_TABLES))}"
+            )
         names = [row["pair_id"] for row in self.scored] if pairs is None else list(pairs)
         sides = SIDES if "side" in TABLES[name].of_file else ("",)
-        parts = [self.read_table(name, self._scored(own), side) for own in names for side in sides]
+        parts = []
+        for pair_id in names:
+            parts += [self.read_table(name, self._scored(pair_id), side) for side in sides]
         if not parts:
             return TABLES[name].schema.empty_table()
-        return pa.concat_tables(parts).replace_schema_metadata()  # that of the first file says which job wrote it
+        return pa.concat_tables(
+            parts
+        ).replace_schema_metadata()  # that of the first file says which job wrote it
 
     @property
     def causes(self) -> pd.DataFrame:
@@ -233,23 +251,34 @@ class FinishedRun:
         names = [row["pair_id"] for row in self.scored]
         chosen = [name for name in names if pattern is None or fnmatchcase(name, pattern)]
         if not names:
-            raise RunError(f"run {self.folder}: no pair is scored; fidpipe status {self.folder} says why")
+            raise RunError(
+                f"run {self.folder}: no pair is scored; fidpipe status {self.folder} says why"
+            )
         if not chosen:
             known = ", ".join(sorted(names)[:5])
-            raise RunError(f"--pairs {pattern!r} matches none of the {len(names)} scored pairs ({known} ...)")
+            raise RunError(
+                f"--pairs {pattern!r} matches none of the {len(names)} scored pairs ({known} ...)"
+            )
         return chosen
 
     def row(self, pair_id: str) -> Row:
         """The row of a pair; `RunError` if the run does not have it."""
         if pair_id not in self.rows_by_name:
-            near = sorted(get_close_matches(pair_id, self.rows_by_name, 3)) or [*self.rows_by_name][:3]
+            near = (
+                sorted(get_close_matches(pair_id, self.rows_by_name, 3)) or [*self.rows_by_name][:3]
+            )
             raise RunError(
                 f"run {self.folder}: no pair {pair_id!r} among its {len(self.rows)}; "
                 f"it has {', '.join(repr(name) for name in near)} ..."
             )
         return self.rows_by_name[pair_id]
 
-    def objects_of(self, pairs: Sequence[str], columns: Collection[str] = ALL_COLUMNS) -> pd.DataFrame:
+    def objects_of(
+        self,
+        pairs: Sequence[str],
+        columns: Collection[str] = ALL_COLUMNS,
+        sides: Sequence[str] = SIDES,
+    ) -> pd.DataFrame:
         """The objects of scored pairs with coverage, fate and scores; see `object_frame.object_parts`.
 
         Raises
@@ -260,14 +289,19 @@ class FinishedRun:
         import pandas as pd
 
         names = [self._scored(name) for name in pairs]
-        return pd.concat(object_parts(self.store, names, columns, by_reference=self.is_by_reference), ignore_index=True)
+        parts = object_parts(
+            self.store, names, columns, by_reference=self.is_by_reference, sides=sides
+        )
+        return pd.concat(parts, ignore_index=True)
 
     @property
     def is_by_reference(self) -> bool:
         """True if the real side fixes the objects."""
         return self.preset == "reference"
 
-    def read_table(self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None) -> pa.Table:
+    def read_table(
+        self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None
+    ) -> pa.Table:
         """A table of one pair (of one side where each side has its own), or of the whole run where `pair_id` is "".
 
         Parameters
@@ -290,7 +324,9 @@ class FinishedRun:
         """The name of a pair that is scored; `RunError` if it failed or is not there."""
         row = self.row(pair_id)
         if row["status"] != "scored":
-            raise RunError(f"run {self.folder}, pair {pair_id}: it failed and has no objects ({row['reason']})")
+            raise RunError(
+                f"run {self.folder}, pair {pair_id}: it failed and has no objects ({row['reason']})"
+            )
         return pair_id
 
     def check_tables(self, pair_id: str) -> None:
@@ -332,24 +368,23 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
     """Spread of the scores over partitions, in one line; "" if the real side fixes the objects."""
     if all(run.preset == "reference" for run in runs):
         return ""
+    chance = (
+        "how much scores vary with the partition is unknown here "
+        "(measure it: fidpipe run --seeds 5)"
+    )
+    spreads = [run.record.seeds.dataset for run in runs if run.record.seeds]
     moved = []
     for name in _BY_CHANCE:
-        least = max(_repeatability(run, name) for run in runs)
-        if math.isfinite(least):
-            moved.append(f"{metric_of(name).label} by {least:.3g}")
-    chance = "how much scores vary with the partition is unknown here (measure it: fidpipe run --seeds 5)"
+        least = [spread[name].least_dataset for spread in spreads]
+        known = [value for value in least if value is not None]
+        if len(known) == len(runs):
+            moved.append(f"{metric_of(name).label} by {max(known):.3g}")
     if moved:
         chance = f"another Louvain seed alone moves {', '.join(moved)} (95 %)"
     return (
         f"objects are those of the paper, each side partitioned independently: {chance}; "
         "for comparing simulators: fidpipe run --preset reference"
     )
-
-
-def _repeatability(run: FinishedRun, name: str) -> float:
-    """By how much two means over the pairs differ at most (95 %) through Louvain seeds; infinite where unknown."""
-    spread = run.record.seeds.dataset[name] if run.record.seeds else None
-    return math.inf if spread is None or spread.least_dataset is None else spread.least_dataset
 
 
 @dataclass(frozen=True, repr=False)
@@ -371,7 +406,9 @@ class ObjectFacts:
 
     def __repr__(self) -> str:
         rows = (("real", self.real), ("sim", self.sim))
-        sides = (f"{side} {row['community_id']} ({row['n_points']} points)" for side, row in rows if row)
+        sides = (
+            f"{side} {row['community_id']} ({row['n_points']} points)" for side, row in rows if row
+        )
         return f"<object {', '.join(sides)}: {self.status}>"
 
     def as_dict(self) -> JsonObject:
@@ -392,7 +429,11 @@ class PairFacts:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
-        return {"pair": self.pair, "objects": [each.as_dict() for each in self.objects], "rays": [*self.rays]}
+        return {
+            "pair": self.pair,
+            "objects": [facts.as_dict() for facts in self.objects],
+            "rays": [*self.rays],
+        }
 
 
 def run_facts(run: FinishedRun) -> JsonObject:
@@ -411,10 +452,16 @@ def pair_facts(run: FinishedRun, pair_id: str) -> PairFacts:
     row = run.row(pair_id)
     if row["status"] != "scored":
         return PairFacts(row, ())
-    found = _facts(run.objects_of([pair_id]))
-    found.sort(key=lambda each: (each.scores is None, each.row["r_lambda"] is None, -(each.row["r_lambda"] or 0.0)))
+    objects = _facts(run.objects_of([pair_id]))
+    objects.sort(key=_worst_first)
     rays = run.read_table("ray_scores", pair_id).drop_columns(["pair_id"]).to_pylist()
-    return PairFacts(row, tuple(found), tuple(rays))
+    return PairFacts(row, tuple(objects), tuple(rays))
+
+
+def _worst_first(facts: ObjectFacts) -> tuple[bool, bool, float]:
+    """Key that puts matched objects first, those with the largest r_lambda before the others."""
+    r_lambda = facts.row["r_lambda"]
+    return facts.scores is None, r_lambda is None, -(r_lambda or 0.0)
 
 
 def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
@@ -428,39 +475,43 @@ def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
     side, _, number = name.rpartition(":")
     side = side or "real"
     objects = run.objects_of([pair_id])
-    n = {own: int((objects["side"] == own).sum()) for own in SIDES}
-    if side not in SIDES or not re.fullmatch("[0-9]{1,9}", number) or int(number) >= n[side]:
-        counts = " and ".join(f"{n[s]} {s}" for s in SIDES)
+    counts = {known: int((objects["side"] == known).sum()) for known in SIDES}
+    is_number = re.fullmatch("[0-9]{1,9}", number)
+    if side not in SIDES or not is_number or int(number) >= counts[side]:
+        numbers = " and ".join(f"{n} {known}" for known, n in counts.items())
         raise RunError(
-            f"run {run.folder}, pair {pair_id}: no object {name!r}; it has {counts} objects, numbered from 0: "
+            f"run {run.folder}, pair {pair_id}: no object {name!r}; it has {numbers} objects, "
+            "numbered from 0: "
             "7 is a real object, sim:7 a simulated one"
         )
-    found = ((each, getattr(each, side)) for each in _facts(objects))
-    return next(each for each, own in found if own and own["community_id"] == int(number))
+    for facts in _facts(objects):
+        row = facts.real if side == "real" else facts.sim
+        if row and row["community_id"] == int(number):
+            return facts
+    raise AssertionError(name)  # every object has its facts
 
 
 def _facts(objects: pd.DataFrame) -> list[ObjectFacts]:
     """The objects of one pair: matched ones once, remnants with the missing object that they belong to."""
     rows = {(row["side"], row["community_id"]): row for row in plain_rows(objects)}
-    found = []
+    facts = []
     for (side, i), row in rows.items():
-        if row["fate"] == "remnant" or (side == "sim" and row["partner"] >= 0):
+        fate = row["fate"]
+        if fate == "remnant" or (side == "sim" and fate == "matched"):
             continue
-        partner = row["partner"] if row["partner"] >= 0 else i
-        sim = row if side == "sim" else rows.get(("sim", partner))
-        if row["fate"] == "missing" and sim and sim["fate"] != "remnant":
-            sim = None
-        scores = {name: row[name] for name in COLUMNS_OF["metrics"]} if row["fate"] == "matched" else None
-        found.append(
-            ObjectFacts(
-                status=row["fate"],
-                real=_described(row) if side == "real" else None,
-                sim=sim and _described(sim),
-                scores=scores and {"real_id": i, "sim_id": row["partner"]} | scores,
-                row=row,
-            )
-        )
-    return found
+        sim: Row | None = None
+        scores: Row | None = None
+        if fate == "matched":
+            sim = rows["sim", row["partner"]]
+            scores = {"real_id": i, "sim_id": row["partner"]}
+            scores |= {name: row[name] for name in COLUMNS_OF["metrics"]}
+        elif side == "sim":
+            sim = row
+        elif rows.get(("sim", i), row)["fate"] == "remnant":
+            sim = rows["sim", i]
+        real = _described(row) if side == "real" else None
+        facts.append(ObjectFacts(fate, real, sim and _described(sim), scores, row))
+    return facts
 
 
 def _described(row: Row) -> Row:

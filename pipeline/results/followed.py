@@ -5,7 +5,6 @@ The real side's objects are the same where scan and settings are; that is checke
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,8 @@ from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from .object_frame import plain_rows
 
 _PLACE = ("n_points", "cx", "cy", "cz")
+#: Columns of the real scan, the same in both runs.
+_OF_BOTH = ("pair_id", "label", "shape", "range_m", "n_points")
 #: Columns of the frame of objects that `follow` reads.
 FOLLOWED_COLUMNS = (*_PLACE[1:], *QUADRANT_SCORES, "label", "shape", "range_m")
 #: Columns of the frame that it returns. Scores and simulated objects (`sim_before`, `sim_after`) are null if it is
@@ -28,33 +29,39 @@ CHANGE_COLUMNS = (
 )
 
 
-def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, list[int]]:
+def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     """Fate of each real object of some pairs (`CHANGE_COLUMNS`), and the pairs whose real objects differ.
 
     Real objects differ if their number, their points or their centroids do.
 
     Parameters
     ----------
-    before, after : the real objects of both runs in the order of pairs and ids (`objects.object_parts`)
+    before, after : the real objects of both runs in the order of pairs and ids (`object_frame.object_parts`)
     """
-    both = before.merge(after, how="outer", on=["pair", "community_id"], suffixes=("_before", "_after"))
-    before_at = both[[f"{name}_before" for name in _PLACE]].to_numpy(dtype=np.float64)
-    after_at = both[[f"{name}_after" for name in _PLACE]].to_numpy(dtype=np.float64)
-    is_alike = (before_at == after_at) | (np.isnan(before_at) & np.isnan(after_at))
-    is_other = ~is_alike.all(axis=1)
-    differing = np.unique(both.loc[is_other, "pair"]).tolist()
-    both = both[~both["pair"].isin(differing)]
-    was_matched = (both["partner_before"] >= 0).to_numpy()
-    is_matched = (both["partner_after"] >= 0).to_numpy()
-    cdc = both["cdc_before"].to_numpy(), both["cdc_after"].to_numpy()
-    r_lambda = both["r_lambda_before"].to_numpy(), both["r_lambda_after"].to_numpy()
-    columns: dict[str, Any] = {name: both[f"{name}_before"] for name in ("pair_id", "label", "shape", "range_m")}
-    columns |= {"real_id": both["community_id"], "n_points": both["n_points_before"].astype(int)}
-    columns |= {"kind": kinds_of_change(was_matched, is_matched, cdc, r_lambda)}
+    keys = ["pair", "community_id"]
+    both = before.merge(after, how="outer", on=keys, suffixes=("_before", "_after"))
+    differs = np.zeros(len(both), dtype=np.bool_)
+    for name in _PLACE:
+        place = both[f"{name}_before"]
+        other = both[f"{name}_after"]
+        differs |= ((place != other) & (place.notna() | other.notna())).to_numpy()
+    is_unfollowed = both["pair"].isin(both.loc[differs, "pair"])
+    names = both["pair_id_before"].fillna(both["pair_id_after"])
+    unfollowed = names[is_unfollowed].unique().tolist()
+    both = both[~is_unfollowed]
+    kinds = kinds_of_change(
+        (both["partner_before"] >= 0).to_numpy(),
+        (both["partner_after"] >= 0).to_numpy(),
+        cdc=(both["cdc_before"].to_numpy(), both["cdc_after"].to_numpy()),
+        r_lambda=(both["r_lambda_before"].to_numpy(), both["r_lambda_after"].to_numpy()),
+    )
+    changes = both.rename(columns={f"{name}_before": name for name in _OF_BOTH})
+    changes = changes.assign(real_id=both["community_id"], kind=kinds)
+    changes["n_points"] = changes["n_points"].astype(int)
     for when in ("before", "after"):
-        columns |= {f"{name}_{when}": both[f"{name}_{when}"] for name in QUADRANT_SCORES}
-        columns[f"sim_{when}"] = both[f"partner_{when}"].where(both[f"partner_{when}"] >= 0).astype("Int32")
-    return pd.DataFrame(columns)[[*CHANGE_COLUMNS]], differing
+        partner = both[f"partner_{when}"]
+        changes[f"sim_{when}"] = partner.where(partner >= 0).astype("Int32")
+    return changes[[*CHANGE_COLUMNS]], unfollowed
 
 
 def by_class(objects: pd.DataFrame) -> list[Row]:
@@ -65,40 +72,54 @@ def by_class(objects: pd.DataFrame) -> list[Row]:
     change of each score over those of them that have it in both runs; None if no object has it.
     """
     is_labelled = objects["label"].notna().any()
-    names = objects["label"].fillna("").replace("", "(no label)") if is_labelled else objects["shape"]
-    return sorted(_grouped(objects, names), key=lambda group: (-group["n"], group["name"]))
+    labels = objects["label"].fillna("").replace("", "(no label)")
+    groups = _groups(objects, labels if is_labelled else objects["shape"])
+    return sorted(groups, key=lambda group: (-group["n"], group["name"]))
 
 
 def by_range(objects: pd.DataFrame) -> list[Row]:
     """The same by distance from the sensor, near objects first; bands without an object are left out."""
-    bands = np.searchsorted(BAND_EDGES_M, objects["range_m"].to_numpy(dtype=np.float64), "right") - 1
-    return [group | {"name": BAND_NAMES[group["name"]]} for group in _grouped(objects, bands)]
+    range_m = objects["range_m"].to_numpy(dtype=np.float64)
+    bands = np.searchsorted(BAND_EDGES_M, range_m, "right") - 1
+    groups = _groups(objects, bands)
+    return [group | {"name": BAND_NAMES[group["name"]]} for group in groups]
 
 
 def by_change(objects: pd.DataFrame) -> pd.DataFrame:
     """The objects in the order of the largest rise of a score, or fall where none rose; of equal ones the largest."""
-    steps = [(objects[f"{s}_after"] - objects[f"{s}_before"]).fillna(0.0).abs() for s in QUADRANT_SCORES]
-    keys = {"size": -pd.concat(steps, axis=1).max(axis=1), "points": -objects["n_points"]}
-    return objects.assign(**keys).sort_values([*keys, "pair_id", "real_id"]).drop(columns=[*keys])
+    size = _steps(objects).abs().fillna(0.0).max(axis=1)
+    keyed = objects.assign(size=-size, points=-objects["n_points"])
+    ordered = keyed.sort_values(["size", "points", "pair_id", "real_id"])
+    return ordered.drop(columns=["size", "points"])
 
 
 def worst_changes(objects: pd.DataFrame, most: int = 5) -> list[Row]:
     """The objects to look at first: in turn the one whose score rose most, and the largest that has vanished."""
     worst = by_change(objects[objects["kind"].isin(["worse", "vanished"])])
-    in_turn = worst.assign(turn=worst.groupby("kind").cumcount()).sort_values(["turn", "kind"], ascending=[True, False])
-    return plain_rows(in_turn.drop(columns="turn").head(most))
+    worst = worst.assign(turn=worst.groupby("kind").cumcount())
+    worst = worst.sort_values(["turn", "kind"], ascending=[True, False])
+    return plain_rows(worst.drop(columns="turn").head(most))
 
 
-def _grouped(objects: pd.DataFrame, names: Any) -> Iterator[Row]:
-    for name, own in objects.groupby(names):
-        steps = {
-            s: (own[f"{s}_after"] - own[f"{s}_before"]).dropna().to_numpy(dtype=np.float64) for s in QUADRANT_SCORES
-        }
-        yield {
+def _steps(objects: pd.DataFrame) -> pd.DataFrame:
+    """Change of each score of each object; NaN if a run lacks it."""
+    steps = {name: objects[f"{name}_after"] - objects[f"{name}_before"] for name in QUADRANT_SCORES}
+    return pd.DataFrame(steps, dtype=np.float64)
+
+
+def _groups(objects: pd.DataFrame, names: Any) -> list[Row]:
+    """Fates and mean changes of the objects of each name."""
+    groups = []
+    for name, members in objects.groupby(names):
+        means = _steps(members).mean()
+        group = {
             "name": name,
-            "n": len(own),
-            "kinds": own["kind"].value_counts().reindex(KINDS, fill_value=0).to_dict(),
-            "n_pairs": own["pair_id"].nunique(),
-            "n_both": int(own[["sim_before", "sim_after"]].notna().all(axis=1).sum()),
-            **{score: float(step.mean()) if len(step) else None for score, step in steps.items()},
+            "n": len(members),
+            "kinds": members["kind"].value_counts().reindex(KINDS, fill_value=0).to_dict(),
+            "n_pairs": members["pair_id"].nunique(),
+            "n_both": int(members[["sim_before", "sim_after"]].notna().all(axis=1).sum()),
         }
+        for score, mean in means.items():
+            group[str(score)] = None if np.isnan(mean) else float(mean)
+        groups.append(group)
+    return groups

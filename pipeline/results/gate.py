@@ -8,7 +8,7 @@ evaluated. A criterion on something that could not be computed fails. `measures`
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -48,6 +48,29 @@ class Criterion:
     reason: str = ""
 
 
+_WHOLE = "a gate is about the whole dataset"
+#: Criteria of every gate, unless the user gives another bound.
+ALWAYS = (
+    Criterion("every pair is scored", "pairs.failed", "max", 0, _WHOLE),
+    Criterion("no pair is left to do", "pairs.to_do", "max", 0, _WHOLE),
+    Criterion(
+        name="both sides lie in one frame",
+        measure="pairs.frame_suspect",
+        bound="max",
+        limit=0,
+        reason="fidpipe check shows how to fix it",
+    ),
+)
+#: Of runs whose dataset is on this machine.
+UNCHANGED = Criterion(
+    name="scans and labels are those that were evaluated",
+    measure="pairs.changed",
+    bound="max",
+    limit=0,
+    reason="else run it again",
+)
+
+
 @dataclass(frozen=True)
 class Judged(Criterion):
     """A criterion with the value in the run; `why` is the reason if it is None."""
@@ -74,10 +97,15 @@ class GateResult:
     def as_dict(self) -> JsonObject:
         """Plain values, for `gate.json`."""
         found: JsonObject = {"run": str(self.run), "dataset": self.dataset, "passed": self.passed}
-        return found | {"notes": [*self.notes], "criteria": [dict(vars(verdict)) for verdict in self.judged]}
+        return found | {
+            "notes": [*self.notes],
+            "criteria": [dict(vars(verdict)) for verdict in self.judged],
+        }
 
 
-def judge_run(folder: Path, criteria: Iterable[Criterion], best_case: Path | None = None) -> GateResult:
+def judge_run(
+    folder: Path, criteria: Iterable[Criterion], best_case: Path | None = None
+) -> GateResult:
     """Check a finished run against criteria.
 
     Parameters
@@ -94,31 +122,34 @@ def judge_run(folder: Path, criteria: Iterable[Criterion], best_case: Path | Non
     run = FinishedRun(folder)
     excess = None if best_case is None else excess_over(run, best_case)
     measures = Measures(run, excess)
-    wanted = list(criteria)
-    given = {(criterion.measure, criterion.bound) for criterion in wanted}
-    own = [
-        Criterion("every pair is scored", "pairs.failed", "max", 0, "a gate is about the whole dataset"),
-        Criterion("no pair is left to do", "pairs.to_do", "max", 0, "a gate is about the whole dataset"),
-        Criterion("both sides lie in one frame", "pairs.frame_suspect", "max", 0, "fidpipe check shows how to fix it"),
-    ]
+    criteria = list(criteria)
+    given = {(criterion.measure, criterion.bound) for criterion in criteria}
+    always = list(ALWAYS)
     notes = [note] if (note := partition_note([run])) else []
     if excess is not None:
         n_both = f"{len(excess.pairs)} of {len(run.scored)} pairs"
         notes.append(f"excess is over the best case {best_case} ({excess.recipe.words}), {n_both}")
     if measures.dataset_is_gone:
-        notes.append(f"the dataset {run.record.dataset} is not here: not checked whether it has changed since the run")
-    else:
-        own.append(
-            Criterion("scans and labels are those that were evaluated", "pairs.changed", "max", 0, "else run it again")
+        notes.append(
+            f"the dataset {run.record.dataset} is not here: not checked whether it has changed "
+            "since the run"
         )
-    criteria = [*(each for each in own if (each.measure, each.bound) not in given), *wanted]
-    judged = tuple(_judged(criterion, *measures.named(criterion.measure)) for criterion in criteria)
-    return GateResult(folder, run.record.dataset, judged, tuple(notes))
+    else:
+        always.append(UNCHANGED)
+    added = [criterion for criterion in always if (criterion.measure, "max") not in given]
+    judged = [
+        _judged(criterion, *measures.named(criterion.measure)) for criterion in added + criteria
+    ]
+    return GateResult(folder, run.record.dataset, tuple(judged), tuple(notes))
 
 
 def _judged(criterion: Criterion, value: float | None, why: str) -> Judged:
-    passed = value is not None and (value <= criterion.limit if criterion.bound == "max" else value >= criterion.limit)
-    return Judged(**vars(criterion), value=value, passed=passed, why=why and f"could not be computed: {why}")
+    passed = value is not None and (
+        value <= criterion.limit if criterion.bound == "max" else value >= criterion.limit
+    )
+    return Judged(
+        **vars(criterion), value=value, passed=passed, why=why and f"could not be computed: {why}"
+    )
 
 
 @dataclass(frozen=True)
@@ -134,11 +165,11 @@ class Check:
 class BaseResult:
     """A comparison, checked for CI.
 
-    fail_on : words of `FAIL_ON`
+    fail_on : one of `FAIL_ON`
     """
 
     comparison: Comparison
-    fail_on: tuple[str, ...]
+    fail_on: str
     checks: tuple[Check, ...]
 
     @property
@@ -160,11 +191,18 @@ class BaseResult:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON: the comparison and the requirements."""
-        checks: JsonObject = {"fail_on": list(self.fail_on), "checks": [dict(vars(check)) for check in self.checks]}
-        return self.comparison.as_dict() | checks | {"passed": not self.failed, "gate_note": self.note}
+        checks: JsonObject = {
+            "fail_on": [self.fail_on],
+            "checks": [dict(vars(check)) for check in self.checks],
+        }
+        return (
+            self.comparison.as_dict() | checks | {"passed": not self.failed, "gate_note": self.note}
+        )
 
 
-def judge_comparison(comparison: Comparison, fail_on: Collection[str], *, undecided_ok: bool = False) -> BaseResult:
+def judge_comparison(
+    comparison: Comparison, fail_on: str, *, undecided_ok: bool = False
+) -> BaseResult:
     """Evaluate a run against its base.
 
     A cause of the sensor fails if it is worse, a family if it is worse or mixed. Every pair that the base has scored
@@ -173,18 +211,15 @@ def judge_comparison(comparison: Comparison, fail_on: Collection[str], *, undeci
 
     Parameters
     ----------
-    fail_on : words of `FAIL_ON`; with "undecided" the gate also fails if changes are within the noise
+    fail_on : one of `FAIL_ON`; with "undecided" the gate also fails if changes are within the noise
     undecided_ok : pass a comparison that lacks places
     """
     n_base = len(comparison.pairs) + len(comparison.lost)
-    why = [f"{name}: {comparison.left_out[name]}" for name in comparison.lost]
-    checks = [
-        Check(
-            "every pair that the base has scored is compared",
-            f"{len(comparison.pairs)} of {n_base} pairs are compared" + (f"; {'; '.join(why)}" if why else ""),
-            "not compared" if why else "",
-        )
-    ]
+    reasons = [f"{name}: {comparison.left_out[name]}" for name in comparison.lost]
+    compared = f"{len(comparison.pairs)} of {n_base} pairs are compared"
+    fault = "not compared" if reasons else ""
+    found = "; ".join([compared, *reasons])
+    checks = [Check("every pair that the base has scored is compared", found, fault)]
     for change in comparison.changes.causes:
         if change.verdict:
             fault = change.verdict if change.verdict == "worse" else ""
@@ -193,22 +228,22 @@ def judge_comparison(comparison: Comparison, fail_on: Collection[str], *, undeci
         fault = family.verdict if family.verdict in ("worse", "mixed") and not family.why else ""
         checks.append(Check(f"{family.name} is not worse", _found(family), fault))
     lacks_places = comparison.lacks_places and not undecided_ok
-    if lacks_places or "undecided" in fail_on:
+    if lacks_places or fail_on == "undecided":
         found = comparison.decision
         if comparison.lacks_places:
             counted = pairs_and_places(len(comparison.pairs), comparison.n_places)
             found = f"undecided: {counted}, {NEEDED}; --undecided-ok accepts that"
         fault = "undecided" if comparison.decision == "undecided" else ""
         checks.append(Check("the comparison is decided", found, fault))
-    return BaseResult(comparison, tuple(word for word in FAIL_ON if word in fail_on), tuple(checks))
+    return BaseResult(comparison, fail_on, tuple(checks))
 
 
 def _found(family: FamilyChange) -> str:
     score = family.scores[0]
     p = "" if family.p is None else f", p {family.p:.3g}"
     why = f" ({family.why})" if family.why else ""
-    own = score.difference
-    return f"{family.verdict}{why}: {score.name} {own.before:.6g} to {own.after:.6g}{p}"
+    change = score.difference
+    return f"{family.verdict}{why}: {score.name} {change.before:.6g} to {change.after:.6g}{p}"
 
 
 def parse_word(word: str, bound: Bound) -> Criterion:
@@ -220,13 +255,16 @@ def parse_word(word: str, bound: Bound) -> Criterion:
     'r_lambda.mean <= 0.4'
     """
     measure, _, text = word.rpartition("=")
-    measure, text = measure.strip(), text.strip()
+    measure = measure.strip()
+    text = text.strip()
     try:
         limit = float(text)
     except ValueError:
         limit = math.nan
     if not measure or not math.isfinite(limit):
-        raise SettingsError(f"--{bound} {word!r}: expected MEASURE=NUMBER, such as r_lambda.mean=0.4")
+        raise SettingsError(
+            f"--{bound} {word!r}: expected MEASURE=NUMBER, such as r_lambda.mean=0.4"
+        )
     return Criterion(f"{measure} {'<=' if bound == 'max' else '>='} {text}", measure, bound, limit)
 
 
@@ -244,7 +282,8 @@ def read_criteria(path: Path) -> list[Criterion]:
         problem = error.errors()[0]
         where = ".".join(str(part) for part in problem["loc"])
         raise SettingsError(
-            f"criteria file {path}: {where}: {expected_and_got(problem)}; write tables [[criterion]], each with "
+            f"criteria file {path}: {where}: {expected_and_got(problem)}; write tables "
+            "[[criterion]], each with "
             'name = "...", measure = "r_lambda.mean", max = 0.4 (or min), reason = "..."'
         ) from error
     criteria = []
@@ -252,8 +291,14 @@ def read_criteria(path: Path) -> list[Criterion]:
         limits: tuple[tuple[Bound, float | None], ...] = (("max", entry.max), ("min", entry.min))
         bounds = [(bound, limit) for bound, limit in limits if limit is not None]
         if not bounds:
-            raise SettingsError(f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; expected max or min")
-        criteria += [Criterion(entry.name, entry.measure, bound, limit, entry.reason) for bound, limit in bounds]
+            raise SettingsError(
+                f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; expected max or "
+                "min"
+            )
+        criteria += [
+            Criterion(entry.name, entry.measure, bound, limit, entry.reason)
+            for bound, limit in bounds
+        ]
     return criteria
 
 

@@ -38,7 +38,9 @@ def find_places(
 def object_points(store: RunFolder, pair_id: str, side: str = "real") -> FloatArray:
     """(n, 3) the points of a side without ground, metres, in the real sensor's frame."""
     table = store.read_table("ground", pair_id, side, ["x", "y", "z", "is_ground"])
-    points: FloatArray = np.column_stack([table[axis] for axis in "xyz"])[~table["is_ground"].to_numpy()]
+    points: FloatArray = np.column_stack([table[axis] for axis in "xyz"])[
+        ~table["is_ground"].to_numpy()
+    ]
     return points
 
 

@@ -16,10 +16,17 @@ from ...schemas.metric_catalogue import (
 OF_PAIRS = ("mean", "std", "min", "median", "max")
 OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
 COUNTS = ("total", "mean", "max", "share")
-PAIR_SCORES = ("match_rate", *OBJECT_METRICS, *(metric.column for metric in (*SURFACE_SCORES, *PIECE_SCORES)))
+PAIR_SCORES = (
+    "match_rate",
+    *OBJECT_METRICS,
+    *(metric.column for metric in (*SURFACE_SCORES, *PIECE_SCORES)),
+)
 #: Names by which a gate knows other columns: `covered.real.0.3m` is `covered_real_0p3m`, `rays.bias_m` `rays_bias_m`.
 DOTTED = {
-    **{metric.column.replace("_", ".").replace("p", "."): metric.column for metric in COVERAGE_SCORES},
+    **{
+        metric.column.replace("_", ".").replace("p", "."): metric.column
+        for metric in COVERAGE_SCORES
+    },
     **{column.replace("rays_", "rays."): column for column in RAY_MEANS},
 }
 #: Estimated properties of both sensors: `sensor.sim.range_noise_m` is the column `sensor_sim_range_noise_m`.
@@ -50,10 +57,18 @@ INTERVAL_ENDS = ("low", "high")
 PLAIN_NAMES = (
     *(f"{value}.{stat}" for value in (*PAIR_SCORES, *DOTTED, *SENSOR_VALUES) for stat in OF_PAIRS),
     *(f"objects.{score}.{stat}" for score in DISTRIBUTED for stat in OF_OBJECTS),
-    *(f"{what}.{count}" for what in ("missing", "hallucinated") for count in (*COUNTS, "within_20m")),
+    *(
+        f"{what}.{count}"
+        for what in ("missing", "hallucinated")
+        for count in (*COUNTS, "within_20m")
+    ),
     *(f"matched.{count}" for count in ("total", "mean", "min")),
     *(f"pairs.{state}" for state in STATES),
     *(f"causes.{name}" for name in CAUSE_NAMES),
     *(f"tasks.{measure}" for measure in TASK_MEASURES),
-    *(f"excess.{score}.{stat}" for score in (*PAIR_SCORES, *DOTTED) for stat in (*OF_PAIRS, *OF_DISTRIBUTIONS)),
+    *(
+        f"excess.{score}.{stat}"
+        for score in (*PAIR_SCORES, *DOTTED)
+        for stat in (*OF_PAIRS, *OF_DISTRIBUTIONS)
+    ),
 )

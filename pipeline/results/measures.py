@@ -65,7 +65,9 @@ class Measures:
         near = f"{name}.mean" if f"{name}.mean" in PLAIN_NAMES else nearest(name, PLAIN_NAMES)
         means = [own for own in PLAIN_NAMES if own.endswith(".mean")]
         hint = f"did you mean {near}?" if near else suggestion(name, means)
-        raise SettingsError(f"criterion {name!r}: no such measure; {hint} (fidpipe gate --help lists the forms)")
+        raise SettingsError(
+            f"criterion {name!r}: no such measure; {hint} (fidpipe gate --help lists the forms)"
+        )
 
     @cached_property
     def dataset_is_gone(self) -> bool:
@@ -79,26 +81,37 @@ class Measures:
         return False
 
     def _of_pairs(self, score: str, stat: str) -> float:
-        values = np.array([row[_column(score)] for row in self.run.scored], dtype=np.float64)  # None becomes NaN
+        values = np.array(
+            [row[_column(score)] for row in self.run.scored], dtype=np.float64
+        )  # None becomes NaN
         return _statistic(values, stat, "pair", score)
 
     def _over_best_case(self, score: str, stat: str) -> float:
         if self._excess is None:
-            raise SettingsError(f"criterion 'excess.{score}.{stat}': needs a best case; add --best-case RUN")
+            raise SettingsError(
+                f"criterion 'excess.{score}.{stat}': needs a best case; add --best-case RUN"
+            )
         own = self._excess.scores[_column(score)]
         if stat in OF_DISTRIBUTIONS:
             apart: float | None = getattr(own, stat)
             if apart is None:
                 raise _AbsentError(f"no {score} in the run or in its best case")
             return apart
-        return _statistic(np.array([*own.of_pairs.values()], dtype=np.float64), stat, "pair", f"{score} in both runs")
+        return _statistic(
+            np.array([*own.of_pairs.values()], dtype=np.float64),
+            stat,
+            "pair",
+            f"{score} in both runs",
+        )
 
     def _of_objects(self, label: str | None, score: str, stat: str) -> float:
         own = self._objects_of("real", label)
         what = "matched object" if label is None else f"matched object of class {label}"
         return _statistic(own.loc[own["fate"] == "matched", score].to_numpy(), stat, what, score)
 
-    def _unmatched(self, label: str | None, what: str, within: str | None, count: str | None) -> float:
+    def _unmatched(
+        self, label: str | None, what: str, within: str | None, count: str | None
+    ) -> float:
         side = {"missing": "real", "hallucinated": "sim"}[what]
         own = self._objects_of(side, label)
         own = own if within is None else own[own["range_m"] < float(within)]
@@ -116,7 +129,9 @@ class Measures:
             return objects
         labels = sorted(self._objects["label"].dropna().unique())
         if label not in labels:
-            raise _AbsentError(f"no object has the class {label}; classes are {', '.join(labels) or 'none'}")
+            raise _AbsentError(
+                f"no object has the class {label}; classes are {', '.join(labels) or 'none'}"
+            )
         return objects[objects["label"] == label]
 
     def _cause(self, cause: str, end: str | None) -> float:
@@ -164,7 +179,8 @@ class Measures:
             return len(now.keys() - {row["pair_id"] for row in rows})
         try:  # of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset
             return sum(
-                pair_id not in now or input_hashes(now[pair_id], dataset.label_names)["content"] != hashes["content"]
+                pair_id not in now
+                or input_hashes(now[pair_id], dataset.label_names)["content"] != hashes["content"]
                 for pair_id, hashes in record.inputs.items()
             )
         except ScanError as error:
@@ -220,16 +236,23 @@ _CLASS = r"(?:class\.(?P<label>.+)\.)"
 _WITHIN = r"(?:\.within_(?P<within>[0-9]+(?:\.[0-9]+)?)m)?"
 _SCORE = _either("score", (*PAIR_SCORES, *map(re.escape, DOTTED)))
 _SENSOR_VALUE = _either("score", map(re.escape, SENSOR_VALUES))
+_OBJECT_SCORE = _either("score", DISTRIBUTED)
+_UNMATCHED = _either("what", ("missing", "hallucinated"))
+_TASK = _either("measure", map(re.escape, TASK_MEASURES))
+_OF_PAIRS = _either("stat", OF_PAIRS)
+_OF_BEST_CASE = _either("stat", (*OF_PAIRS, *OF_DISTRIBUTIONS))
+_OF_OBJECTS = _either("stat", OF_OBJECTS)
+_COUNT = _either("count", COUNTS)
 _MEASURES: dict[str, Callable[..., float]] = {
-    rf"{_SCORE}\.{_either('stat', OF_PAIRS)}": Measures._of_pairs,
-    rf"{_SENSOR_VALUE}\.{_either('stat', OF_PAIRS)}": Measures._of_pairs,
-    rf"excess\.{_SCORE}\.{_either('stat', (*OF_PAIRS, *OF_DISTRIBUTIONS))}": Measures._over_best_case,
-    rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', OF_OBJECTS)}": Measures._of_objects,
-    rf"{_CLASS}?{_either('what', ('missing', 'hallucinated'))}{_WITHIN}(?:\.{_either('count', COUNTS)})?": (
-        Measures._unmatched
-    ),
+    rf"{_SCORE}\.{_OF_PAIRS}": Measures._of_pairs,
+    rf"{_SENSOR_VALUE}\.{_OF_PAIRS}": Measures._of_pairs,
+    rf"excess\.{_SCORE}\.{_OF_BEST_CASE}": Measures._over_best_case,
+    rf"(?:objects\.|{_CLASS}){_OBJECT_SCORE}\.{_OF_OBJECTS}": Measures._of_objects,
+    rf"{_CLASS}?{_UNMATCHED}{_WITHIN}(?:\.{_COUNT})?": Measures._unmatched,
     rf"matched\.{_either('count', ('total', 'mean', 'min'))}": Measures._both,
     rf"pairs\.{_either('state', STATES)}": Measures._pairs,
-    rf"tasks\.{_either('measure', map(re.escape, TASK_MEASURES))}(?:\.{_either('stat', OF_PAIRS)})?": Measures._task,
-    rf"causes\.{_either('cause', CAUSE_NAMES)}(?:\.{_either('end', INTERVAL_ENDS)})?": Measures._cause,
+    rf"tasks\.{_TASK}(?:\.{_OF_PAIRS})?": Measures._task,
+    rf"causes\.{_either('cause', CAUSE_NAMES)}(?:\.{_either('end', INTERVAL_ENDS)})?": (
+        Measures._cause
+    ),
 }

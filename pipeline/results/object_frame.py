@@ -5,8 +5,7 @@ Everything that describes many objects reads this frame: findings, overview, mea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from itertools import chain
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import DISTRIBUTED, QUADRANT_LIMITS
 from ...schemas.tables import TABLES
-from ...stages.arrays import FloatArray, IntArray
+from ...stages.arrays import FloatArray
 from ...stages.statistics.findings import BAND_EDGES_M, Objects
 from ...stages.statistics.typical_objects import SHAPES
 from ..storage.folder import RunFolder
@@ -69,7 +68,9 @@ def quadrant_of(cdc: FloatArray, r_lambda: FloatArray) -> NDArray[np.str_]:
     return names[np.where(np.isnan(r_lambda), len(QUADRANTS), index)]
 
 
-def shape_of(linearity: FloatArray, planarity: FloatArray, scattering: FloatArray) -> NDArray[np.str_]:
+def shape_of(
+    linearity: FloatArray, planarity: FloatArray, scattering: FloatArray
+) -> NDArray[np.str_]:
     """Shape of objects among `SHAPES`: the largest of the three, (n,) strings; "linear" if all are null.
 
     Examples
@@ -82,18 +83,27 @@ def shape_of(linearity: FloatArray, planarity: FloatArray, scattering: FloatArra
     return shapes
 
 
+#: Fate of an object that only one side has.
+_ALONE = {"real": "missing", "sim": "hallucinated"}
+#: Scores that are counts.
+_COUNTS = [field.name for field in TABLES["metrics"].schema if pa.types.is_integer(field.type)]
 _EXTENTS = ("extent_x", "extent_y", "extent_z")
 #: Computed columns, with the columns that they are computed from.
 _COMPUTED: dict[str, tuple[tuple[str, ...], Callable[..., NDArray[Any]]]] = {
     "shape": (tuple(SHAPES), shape_of),
     "band": (("range_m",), lambda range_m: np.digitize(range_m, BAND_EDGES_M) - 1),
     "bearing_deg": (("cx", "cy"), lambda x, y: np.degrees(np.arctan2(y, x))),
-    "diagonal_m": (_EXTENTS, lambda *extents: np.sqrt(np.sum([extent**2 for extent in extents], axis=0))),
+    "diagonal_m": (
+        _EXTENTS,
+        lambda *extents: np.sqrt(np.sum([extent**2 for extent in extents], axis=0)),
+    ),
     "quadrant": (("cdc", "r_lambda"), quadrant_of),
 }
 ALL_COLUMNS = (*(name for names in COLUMNS_OF.values() for name in names), *_COMPUTED)
 #: Names with units, for Python users.
-WITH_UNITS = {f"c{axis}": f"{axis}_m" for axis in "xyz"} | {f"extent_{axis}": f"extent_{axis}_m" for axis in "xyz"}
+WITH_UNITS = {f"c{axis}": f"{axis}_m" for axis in "xyz"} | {
+    f"extent_{axis}": f"extent_{axis}_m" for axis in "xyz"
+}
 
 
 def object_parts(
@@ -129,84 +139,71 @@ def object_parts(
     """
     import pandas as pd
 
-    computed = {name: sources for name, (sources, _) in _COMPUTED.items() if name in columns}
-    needed = {*columns, *chain.from_iterable(computed.values())}
-    stored = {}
+    needed = set(columns)
+    for name in columns:
+        if name in _COMPUTED:
+            needed.update(_COMPUTED[name][0])
+    wanted: dict[tuple[str, str], list[str]] = {}
     for table, known in COLUMNS_OF.items():
-        stored[table] = [name for name in known if name in needed]
-    wanted = {("objects", side): [*_KEYS["objects"], *stored["objects"]] for side in sides}
-    wanted["metrics", ""] = [*_KEYS["metrics"], *stored["metrics"]]
-    if stored["coverage"]:
-        wanted["coverage", ""] = [*_KEYS["coverage"], *stored["coverage"]]
+        stored = [name for name in known if name in needed]
+        if stored or table != "coverage":
+            for side in sides if table == "objects" else ("",):
+                wanted[table, side] = [*_KEYS[table], *stored]
     for first in range(0, len(pair_ids), PAIRS_AT_ONCE):
         names = pair_ids[first : first + PAIRS_AT_ONCE]
-        tables = store.read_pairs(names, wanted)
-        n_real = tables["objects", "real"][1]
-        frames = []
+        tables = {}
+        for source, (table, n_rows) in store.read_pairs(names, wanted).items():
+            pair = np.repeat(np.arange(len(names), dtype=np.int32), n_rows)
+            tables[source] = table.to_pandas().assign(pair=pair)
+        n_real = tables["objects", "real"].groupby("pair").size()
+        parts = []
         for side in sides:
-            found = _side_columns(side, tables, stored)
-            pair = found["pair"]
-            is_matched = found["partner"] >= 0
-            found["fate"] = np.where(is_matched, "matched", "missing" if side == "real" else "hallucinated")
+            part = _of_side(side, tables)
             if by_reference and side == "sim":
-                found["fate"][~is_matched & (found["community_id"] < n_real[pair])] = "remnant"
-            for name, sources in computed.items():
-                inputs = [found[source] for source in sources]
-                found[name] = _COMPUTED[name][1](*inputs)
-            frames.append(pd.DataFrame({"pair_id": np.array(names, dtype=object)[pair], "side": side} | found))
-        part = pd.concat(frames, ignore_index=True)
-        part["pair"] += first
-        yield part
+                has_real_id = part["community_id"] < part["pair"].map(n_real)
+                part.loc[(part["partner"] < 0) & has_real_id, "fate"] = "remnant"
+            parts.append(part)
+        objects = pd.concat(parts, ignore_index=True)
+        for name in columns:
+            if name in _COMPUTED:
+                sources, compute = _COMPUTED[name]
+                objects[name] = compute(*(objects[source].to_numpy() for source in sources))
+        objects.insert(0, "pair_id", np.array(names, dtype=object)[objects["pair"]])
+        objects["pair"] += first
+        yield objects
 
 
-def _side_columns(
-    side: str, tables: dict[tuple[str, str], tuple[pa.Table, IntArray]], stored: dict[str, list[str]]
-) -> dict[str, Any]:
-    """The stored columns of the objects of one side of some pairs, with `pair` and `partner`."""
-    objects, n = tables["objects", side]
-    metrics, n_matched = tables["metrics", ""]
-    first = np.cumsum(n) - n
-    pair = np.repeat(np.arange(len(n), dtype=np.int32), n)
-    found = {name: _array(objects, name) for name in objects.column_names}
-    pair_of_match = np.repeat(np.arange(len(n)), n_matched)
-    ids = _array(metrics, f"{side}_id")
-    partners = _array(metrics, "sim_id" if side == "real" else "real_id")
+def _of_side(side: str, tables: Mapping[tuple[str, str], pd.DataFrame]) -> pd.DataFrame:
+    """The objects of one side of some pairs, with `partner` and `fate`."""
+    other = "sim" if side == "real" else "real"
+    scores = tables["metrics", ""].rename(
+        columns={f"{side}_id": "community_id", f"{other}_id": "partner"}
+    )
+    objects = tables["objects", side].assign(side=side)
+    objects = objects.merge(scores, how="left", on=["pair", "community_id"])
     if ("coverage", "") in tables:
-        coverage = tables["coverage", ""][0]
-        own = (_array(coverage, "side") == side) & ~np.isnan(_array(coverage, "community_id"))
-        found |= {name: _array(coverage, name)[own] for name in stored["coverage"]}
-    rows = first[pair_of_match] + ids
-    for name, values in {"partner": partners, **{name: _array(metrics, name) for name in stored["metrics"]}}.items():
-        fill = -1 if name == "partner" else {"i": 0, "f": np.nan}.get(values.dtype.kind)
-        found[name] = np.full(len(pair), fill, dtype=values.dtype)
-        found[name][rows] = values
-    return {"pair": pair} | found
-
-
-def _array(table: pa.Table, name: str) -> NDArray[Any]:
-    """A column as an array; null numbers are NaN, null strings None."""
-    values: NDArray[Any] = table.column(name).to_numpy()
-    return values
+        of_objects = tables["coverage", ""].dropna(subset="community_id")
+        objects = objects.merge(of_objects, how="left", on=["pair", "side", "community_id"])
+    objects["fate"] = np.where(objects["partner"].notna(), "matched", _ALONE[side])
+    counts = [name for name in _COUNTS if name in objects]
+    objects[counts] = objects[counts].fillna(0)
+    objects["partner"] = objects["partner"].fillna(-1)
+    return objects.astype(dict.fromkeys([*counts, "partner"], np.int32))
 
 
 #: Columns of the frame that the statistics over all objects use.
 STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", *DISTRIBUTED)
 
 
-def arrays_of(objects: pd.DataFrame) -> tuple[Objects, Objects]:
-    """The objects of either side for the statistics over all objects; remnants do not count."""
+def arrays_of(objects: pd.DataFrame) -> Objects:
+    """The objects for the statistics over all of them; remnants do not count."""
     counted = objects[objects["fate"] != "remnant"]
-    real = _arrays_of_side(counted[counted["side"] == "real"])
-    sim = _arrays_of_side(counted[counted["side"] == "sim"])
-    return real, sim
-
-
-def _arrays_of_side(objects: pd.DataFrame) -> Objects:
     numbers = [name for name in ("pair", *STATISTICS_COLUMNS) if name != "label"]
     return Objects(
-        label=objects["label"].fillna("").to_numpy(dtype=np.str_),
-        is_matched=(objects["fate"] == "matched").to_numpy(),
-        **{name: objects[name].to_numpy() for name in numbers},
+        is_real=(counted["side"] == "real").to_numpy(),
+        label=counted["label"].fillna("").to_numpy(dtype=np.str_),
+        is_matched=(counted["fate"] == "matched").to_numpy(),
+        **{name: counted[name].to_numpy() for name in numbers},
     )
 
 

@@ -42,9 +42,6 @@ from .places import moved_words, place_words
 if TYPE_CHECKING:
     import pandas as pd
 
-    #: Points of a side by pair (rows) and group (columns), and those of them without a counterpart within 0.3 m.
-    GroupPoints = tuple[pd.DataFrame, pd.DataFrame]
-
 #: Number of the largest pieces that are kept.
 N_PIECES = 4
 #: An alignment is bad beyond this share of the diagonal of the real object's bounding box. Paired at random, the points
@@ -57,14 +54,26 @@ BAD_ALIGNMENT_M = 5.0
 _MANY_BADLY_ALIGNED = 0.05
 _MOST_NAMED = 3
 _NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
-BAD_ALIGNMENT_WORDS = f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
+BAD_ALIGNMENT_WORDS = (
+    f"nodes over {100 * BAD_ALIGNMENT:g} % of the object's size or {BAD_ALIGNMENT_M:g} m apart"
+)
 NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
 #: Columns of the frame of objects that the overview uses.
-OVERVIEW_COLUMNS = ("band", "label", "covered_0p3m", "road_share", "r_lambda", "alignment_rms_m", "diagonal_m")
+OVERVIEW_COLUMNS = (
+    "band",
+    "label",
+    "covered_0p3m",
+    "road_share",
+    "r_lambda",
+    "alignment_rms_m",
+    "diagonal_m",
+)
 
 
-def alignment_is_bad(alignment_rms_m: float | FloatArray, diagonal_m: float | FloatArray) -> bool | BoolArray:
+def alignment_is_bad(
+    alignment_rms_m: float | FloatArray, diagonal_m: float | FloatArray
+) -> bool | BoolArray:
     """True if nodes are aligned so far apart that r_lambda is unreliable, (n,) bool; or of one object.
 
     Parameters
@@ -101,7 +110,11 @@ def describe_objects(
 
     if not len(scored):
         none = SurfaceStates(there=0, partly=0, absent=0, road=0)
-        return None, None, MetricsSummary(unmatched=UnmatchedSurface(missing=none, hallucinated=none))
+        return (
+            None,
+            None,
+            MetricsSummary(unmatched=UnmatchedSurface(missing=none, hallucinated=none)),
+        )
     pair_ids = scored["pair_id"].to_pylist()
     columns = list({*STATISTICS_COLUMNS, *OVERVIEW_COLUMNS})
     parts = object_parts(store, pair_ids, columns, by_reference=by_reference)
@@ -109,7 +122,7 @@ def describe_objects(
     objects["label"] = objects["label"].fillna("")
     times = [timestamps_s.get(pair_id) for pair_id in pair_ids]
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
-    found = summarise_objects(*arrays_of(objects), pair_ids, times)
+    found = summarise_objects(arrays_of(objects), pair_ids, times)
     places = dict(zip(pair_ids, blocks.tolist(), strict=True))
     findings = Findings(n_places=len(np.unique(blocks)), places=places, **vars(found))
     causes = read_causes(store, pair_ids)
@@ -119,7 +132,7 @@ def describe_objects(
         doubts=tuple(_doubts(store, pair_ids)),
         small=tuple(small_causes(causes, blocks)),
         pieces=tuple(largest_pieces(store, pair_ids)),
-        surface=tuple(_surface(objects, len(scored))),
+        surface=tuple(_surface(objects)),
         **_alignment(objects),
     )
     return findings, overview, _unmatched(objects)
@@ -140,28 +153,45 @@ def doubt_lines(side: str, texts: Sequence[str], n_scans: int) -> list[str]:
     """One line for each kind of doubt about the scans of a side, of the first of them, with their number."""
     kinds = [_NUMBER.sub("", text) for text in texts]
     start = f"{SIDE_NAMES[side]} scans"
-    return [f"{start} ({n} of {n_scans}): {texts[kinds.index(kind)]}" for kind, n in Counter(kinds).items()]
+    return [
+        f"{start} ({n} of {n_scans}): {texts[kinds.index(kind)]}"
+        for kind, n in Counter(kinds).items()
+    ]
 
 
 def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
     """Counts of unmatched objects whose surface the other side has, and of those that are road."""
     counts = {}
     for fate in UnmatchedSurface.model_fields:
-        own = objects.loc[objects["fate"] == fate, ["covered_0p3m", "road_share"]]
-        states = Counter(map(surface_state, own["covered_0p3m"]))
-        n_road = int((own["road_share"] > ROAD).sum())
-        counts[fate] = SurfaceStates(**{state: states[state] for state in SURFACE_STATES}, road=n_road)
+        alone = objects[objects["fate"] == fate]
+        states = Counter(dict.fromkeys(SURFACE_STATES, 0))
+        states.update(map(surface_state, alone["covered_0p3m"]))
+        counts[fate] = SurfaceStates(**states, road=int((alone["road_share"] > ROAD).sum()))
     return MetricsSummary(unmatched=UnmatchedSurface(**counts))
 
 
-def _surface(objects: pd.DataFrame, n_pairs: int) -> list[SurfaceGroup]:
+def _surface(objects: pd.DataFrame) -> Iterator[SurfaceGroup]:
     """Coverage by range and by class."""
-    import pandas as pd
-
-    points = objects.assign(alone=objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0)))
-    bands = _coverage(points, "band", pd.RangeIndex(len(BAND_NAMES)), n_pairs)
-    classes = _coverage(points, "label", pd.Index(sorted(set(objects["label"]))), n_pairs)
-    return [*_groups("range", bands, BAND_NAMES), *_groups("class", classes)]
+    alone = objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0))
+    points = objects.assign(alone=alone)
+    labels = sorted(set(objects["label"]) - {""})
+    groups: tuple[tuple[str, str, dict[Any, str]], ...] = (
+        ("range", "band", dict(enumerate(BAND_NAMES))),
+        ("class", "label", {label: label for label in labels}),
+    )
+    for group, column, names in groups:
+        sums = points.groupby([column, "side"])[["n_points", "alone"]].sum()
+        for key, name in names.items():
+            n_real, missing = sums.loc[key, "real"] if (key, "real") in sums.index else (0, 0.0)
+            n_sim, invented = sums.loc[key, "sim"] if (key, "sim") in sums.index else (0, 0.0)
+            yield SurfaceGroup(
+                group=group,
+                name=name,
+                n_real=int(n_real),
+                missing_share=missing / n_real if n_real else None,
+                n_sim=int(n_sim),
+                invented_share=invented / n_sim if n_sim else None,
+            )
 
 
 def _alignment(objects: pd.DataFrame) -> dict[str, int]:
@@ -171,48 +201,17 @@ def _alignment(objects: pd.DataFrame) -> dict[str, int]:
     return {"n_aligned": len(scored), "n_badly_aligned": int(np.count_nonzero(is_bad))}
 
 
-def _coverage(points: pd.DataFrame, kind: str, groups: pd.Index[Any], n_pairs: int) -> dict[str, GroupPoints]:
-    """By side, its points by pair and group, and those without a counterpart within 0.3 m."""
-
-    def sums(side: str, what: str) -> pd.DataFrame:
-        found = points.loc[points["side"] == side, ["pair", kind, what]].groupby(["pair", kind])[what].sum().unstack()
-        return found.reindex(index=range(n_pairs), columns=groups).fillna(0.0)
-
-    return {side: (sums(side, "n_points"), sums(side, "alone")) for side in SIDES}
-
-
-def _groups(kind: str, coverage: dict[str, GroupPoints], names: Sequence[str] = ()) -> list[SurfaceGroup]:
-    found = []
-    for i, name in enumerate(names or coverage["real"][0].columns):
-        n_real, missing = [_total(points, i) for points in coverage["real"]]
-        n_sim, invented = [_total(points, i) for points in coverage["sim"]]
-        if name:
-            found.append(
-                SurfaceGroup(
-                    group=kind,
-                    name=name,
-                    n_real=int(n_real),
-                    missing_share=missing / n_real if n_real else None,
-                    n_sim=int(n_sim),
-                    invented_share=invented / n_sim if n_sim else None,
-                )
-            )
-    return found
-
-
-def _total(points: pd.DataFrame, column: int) -> float:
-    return float(points.to_numpy()[:, column].sum())
-
-
 def largest_pieces(store: RunFolder, pair_ids: Sequence[str]) -> list[Piece]:
     """The largest pieces of surface without a counterpart; one that moved counts once, on the real side."""
     import pandas as pd
 
     kept: list[pd.DataFrame] = []
+    columns = {("pieces", ""): TABLES["pieces"].schema.names}
     for first in range(0, len(pair_ids), PAIRS_AT_ONCE):
         names = pair_ids[first : first + PAIRS_AT_ONCE]
-        table, n = store.read_pairs(names, {("pieces", ""): TABLES["pieces"].schema.names})["pieces", ""]
-        pieces: pd.DataFrame = table.to_pandas().assign(pair_id=np.repeat(np.array(names, dtype=object), n))
+        table, n_rows = store.read_pairs(names, columns)["pieces", ""]
+        names_of_rows = np.repeat(np.array(names, dtype=object), n_rows)
+        pieces: pd.DataFrame = table.to_pandas().assign(pair_id=names_of_rows)
         pieces = pieces[(pieces["side"] == "real") | (pieces["fate"] != "moved")]
         kept.append(pieces.sort_values("n_points", ascending=False, kind="stable").head(N_PIECES))
     order = ["n_points", "pair_id", "side", "piece_id"]
@@ -222,16 +221,22 @@ def largest_pieces(store: RunFolder, pair_ids: Sequence[str]) -> list[Piece]:
 
 def _piece(row: Row) -> Piece:
     extents = row["extent_x"], row["extent_y"], row["extent_z"]
-    fate = "missing" if row["side"] == "real" else "invented"
+    fate = fate_words = "missing" if row["side"] == "real" else "invented"
     if row["fate"] == "moved":
         fate = "moved"
+        fate_words = moved_words(row["moved_x_m"], row["moved_y_m"], row["moved_z_m"])
     return Piece(
-        **{name: row[name] for name in ("pair_id", "side", "piece_id", "n_points", "range_m", "bearing_deg")},
+        pair_id=row["pair_id"],
+        side=row["side"],
+        piece_id=row["piece_id"],
         fate=fate,
         label=row["label"],
+        n_points=row["n_points"],
+        range_m=row["range_m"],
+        bearing_deg=row["bearing_deg"],
         extents_m=extents,
         words=place_words(row["label"], extents, row["range_m"], row["bearing_deg"]),
-        fate_words=moved_words(*(row[f"moved_{axis}_m"] for axis in "xyz")) if fate == "moved" else fate,
+        fate_words=fate_words,
     )
 
 
@@ -240,15 +245,23 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
     pairs = record.pairs
     n_pairs = pairs.scored + pairs.failed + pairs.to_do
     if pairs.failed:
-        yield Caution(kind="failed", words=f"{pairs.failed} of {n_pairs} pairs failed and count nowhere")
+        yield Caution(
+            kind="failed", words=f"{pairs.failed} of {n_pairs} pairs failed and count nowhere"
+        )
     if pairs.to_do:
         yield Caution(kind="to_do", words=f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet")
-    elsewhere = [pair_id for pair_id, own in record.frames.items() if own.reading == ELSEWHERE]
-    if suspects := {pair_id: own for pair_id, own in record.frames.items() if pair_id not in elsewhere}:
+    suspects = dict(record.frames)
+    elsewhere = [name for name, frame in suspects.items() if frame.reading == ELSEWHERE]
+    for name in elsewhere:
+        del suspects[name]
+    if suspects:
         yield Caution(kind="frames", words=_frames_summary(suspects, n_pairs))
     if elsewhere:
-        names = ", ".join([*elsewhere[:_MOST_NAMED], *(["..."] if len(elsewhere) > _MOST_NAMED else [])])
-        words = f"in {len(elsewhere)} of {n_pairs} pairs the two scans do not show the same place, but count ({names})"
+        names = ", ".join(elsewhere[:_MOST_NAMED])
+        if len(elsewhere) > _MOST_NAMED:
+            names += ", ..."
+        which = f"in {len(elsewhere)} of {n_pairs} pairs"
+        words = f"{which} the two scans do not show the same place, but count ({names})"
         yield Caution(kind="frames", words=words)
     if record.notes:
         pair_id, (note, *_) = next(iter(record.notes.items()))
@@ -259,17 +272,29 @@ def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
         counted = pairs_and_places(pairs.scored, n_places)
         yield Caution(kind="pairs", words=f"{counted}: a verdict on the world {NEEDED}")
     elif n_places < pairs.scored:
-        yield Caution(kind="independence", words=f"{pairs_and_places(pairs.scored, n_places)}, which count once each")
+        yield Caution(
+            kind="independence",
+            words=f"{pairs_and_places(pairs.scored, n_places)}, which count once each",
+        )
     if overview.n_aligned and overview.n_badly_aligned >= _MANY_BADLY_ALIGNED * overview.n_aligned:
         share = f"{100 * overview.n_badly_aligned / overview.n_aligned:.0f} %"
-        words = f"r_lambda of {share} of the matched objects is unreliable (poor alignment: {BAD_ALIGNMENT_WORDS})"
+        words = (
+            f"r_lambda of {share} of the matched objects is unreliable "
+            f"(poor alignment: {BAD_ALIGNMENT_WORDS})"
+        )
         yield Caution(kind="alignment", words=words)
     if record.preset != "reference":
-        words = "each scan is segmented separately, so scores vary with the segmentation; to compare simulators: "
-        yield Caution(kind="partition", words=words + _by_reference(record))
+        words = (
+            "each scan is segmented separately, so scores vary with the segmentation; "
+            f"to compare simulators: {_by_reference(record)}"
+        )
+        yield Caution(kind="partition", words=words)
     if path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
         return  # it is a best case itself
-    yield Caution(kind="best_case", words="no best case yet; the scores of a perfect simulator: fidpipe best-case RUN")
+    yield Caution(
+        kind="best_case",
+        words="no best case yet; the scores of a perfect simulator: fidpipe best-case RUN",
+    )
 
 
 def _by_reference(record: RunRecord) -> str:
@@ -285,17 +310,27 @@ def _frames_summary(suspects: Mapping[str, FrameSuspect], n_pairs: int) -> str:
     """One line for all suspect pairs of a run, by their most frequent reading."""
     kinds = [_NUMBER.sub("", suspect.reading) for suspect in suspects.values()]
     kind = max(kinds, key=kinds.count)
-    similar = {pair_id: own for (pair_id, own), other in zip(suspects.items(), kinds, strict=True) if other == kind}
+    similar = {
+        pair_id: own
+        for (pair_id, own), other in zip(suspects.items(), kinds, strict=True)
+        if other == kind
+    }
     before = float(np.mean([suspect.as_it_lies for suspect in similar.values()]))
     after = float(np.mean([suspect.coverage for suspect in similar.values()]))
     pair_id, first = next(iter(similar.items()))
     is_one_setting = all(own.setting == first.setting for own in similar.values())
-    where = "" if is_one_setting else f" (in pair {pair_id}; the others are listed under frames in run.json)"
+    where = (
+        ""
+        if is_one_setting
+        else f" (in pair {pair_id}; the others are listed under frames in run.json)"
+    )
     others = ""
     if len(similar) < len(suspects):
         others = f"; {len(suspects) - len(similar)} in other ways, see frames in run.json"
     return (
-        f"in {len(suspects)} of {n_pairs} pairs the simulated scan seems to lie in another frame: in {len(similar)} it "
-        f"covers {before:.2f} of the real one as given and {after:.2f} {first.reading}; set {first.setting}{where} "
+        f"in {len(suspects)} of {n_pairs} pairs the simulated scan seems to lie in another frame: "
+        f"in {len(similar)} it "
+        f"covers {before:.2f} of the real one as given and {after:.2f} {first.reading}; set "
+        f"{first.setting}{where} "
         f"and run again{others}"
     )

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from math import atan2, degrees, hypot
 
-_DIRECTIONS = ("ahead", "ahead left", "left", "behind left", "behind", "behind right", "right", "ahead right")
+_DIRECTIONS = (
+    "ahead",
+    "ahead left",
+    "left",
+    "behind left",
+    "behind",
+    "behind right",
+    "right",
+    "ahead right",
+)
 _LABEL = 25
 
 
@@ -51,7 +60,9 @@ def direction(bearing_deg: float) -> str:
     return _DIRECTIONS[round(bearing_deg / 45) % 8]
 
 
-def place_words(label: str | None, extents_m: tuple[float, float, float], range_m: float, bearing_deg: float) -> str:
+def place_words(
+    label: str | None, extents_m: tuple[float, float, float], range_m: float, bearing_deg: float
+) -> str:
     """Class or size, extents and place.
 
     Examples

@@ -48,10 +48,13 @@ def run_status(folder: Path) -> RunStatus:
     """
     record = record_of_run(folder)
     if not {"dataset", "settings"} <= record.keys():
-        raise RunError(f"run {folder}: run.json is damaged, it names no dataset or no settings; run it again")
+        raise RunError(
+            f"run {folder}: run.json is damaged, it names no dataset or no settings; run it again"
+        )
     if "experiment" in record:
         raise RunError(
-            f"run {folder}: was written by fidpipe {record['experiment']}, which resumes if it is run again; "
+            f"run {folder}: was written by fidpipe {record['experiment']}, which resumes if it is "
+            "run again; "
             "status is for runs"
         )
     dataset = read_dataset(local_folder(record["dataset"]))
@@ -93,7 +96,9 @@ def run_status(folder: Path) -> RunStatus:
     )
 
 
-def _stage_state(stage: Stage, plan: PairPlan, unwanted: Collection[JobName], *, has_failed: bool) -> str:
+def _stage_state(
+    stage: Stage, plan: PairPlan, unwanted: Collection[JobName], *, has_failed: bool
+) -> str:
     """One of `STATES`: the state of a stage of a pair."""
     if all((stage.name, part) in plan.records for part in stage.parts):
         return "done"

@@ -19,7 +19,7 @@ from ...stages.arrays import IntArray
 from .files import is_locked
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, read_run
-from .table_files import AT_URL, JobId, JobRecord, StoredFile, TableFolder, read_footer, table_name
+from .table_files import AT_URL, JobId, JobRecord, StoredFile, TableFolder, table_name
 from .urls import is_url, name_in_records, url_of_cache
 
 _LOCK = ".lock"
@@ -33,14 +33,9 @@ class RunFolder(TableFolder):
         super().__init__(
             folder, secrets.token_hex(8), url_of_cache(folder) if (folder / AT_URL).exists() else ""
         )
-        self._ledger: Ledger | None = None
-
-    @property
-    def ledger(self) -> Ledger:
-        """The ledger, for reading, or while `locked` for writing; opened at first use."""
-        if self._ledger is None:
-            self._ledger = self._open_ledger(is_writable=False)
-        return self._ledger
+        if folder.is_dir():
+            self.refuse_links()
+        self.ledger = Ledger(folder)
 
     @property
     def is_locked(self) -> bool:
@@ -50,8 +45,6 @@ class RunFolder(TableFolder):
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Holds the run's lock; the operating system frees it when the process ends, however it ends.
-
-        The finished files of a run that was killed, or whose ledger was lost, are adopted.
 
         Raises
         ------
@@ -75,15 +68,10 @@ class RunFolder(TableFolder):
                 raise RunError(
                     f"run {self.folder}: {fault} ({error.strerror}); give another --out"
                 ) from error
-            if self._ledger is not None:
-                self._ledger.close()
-            self._ledger = self._open_ledger(is_writable=True)
-            self.ledger.set_complete(False)
             try:
                 yield
-                self.ledger.set_complete(True)
             finally:
-                self.ledger.commit()
+                self.ledger.save_hashes()
 
     def refuse_links(self) -> None:
         """Raises `RunError` where something in the folder is a link: a run reads and writes its own files alone."""
@@ -109,10 +97,10 @@ class RunFolder(TableFolder):
             The file is damaged or gone.
         """
         name = table_name(table, pair_id, side) if pair_id else f"{table}.parquet"
-        record = self.ledger.job_of_file(name)
-        if record is None:
-            raise self.damaged(name)
-        return self.read(table, record.files[name], name, columns)
+        for record in self.ledger.jobs(pair_id).values():
+            if name in record.files:
+                return self.read(table, record.files[name], name, columns)
+        raise self.damaged(name)
 
     def read_pairs(
         self, pair_ids: Iterable[str], columns: Mapping[tuple[str, str], list[str]]
@@ -173,49 +161,30 @@ class RunFolder(TableFolder):
 
     def remove_strays(self) -> int:
         """Remove orphaned files, half-written ones included; return the number of intact ones."""
-        strays = list(self._unknown_files(self.ledger))
+        strays = self._unknown_files()
         for name in strays:
             (self.folder / name).unlink()
         return sum(not Path(name).name.startswith(".") for name in strays)
 
-    def _open_ledger(self, *, is_writable: bool) -> Ledger:
-        """The ledger; if it may be incomplete, with the finished jobs found in the footers of files."""
-        if self.folder.is_dir():
-            self.refuse_links()
-        ledger = Ledger(self.folder / LEDGER, is_writable=is_writable)
-        if ledger.is_complete:
-            return ledger
-        parts: dict[tuple[str, str, str, str], JobRecord] = {}
-        for name in self._unknown_files(ledger):
-            footer = read_footer(self.folder, name)
-            if footer is None:
-                continue
-            record, names = footer
-            known = parts.setdefault((*record.name, record.key), record)
-            known.files.update(record.files)
-            if set(known.files) == set(names):
-                ledger.put_job(parts.pop((*record.name, record.key)))
-        return ledger
-
-    def _unknown_files(self, ledger: Ledger) -> Iterator[str]:
-        """Tables of pairs and of the whole run that the ledger does not know, by name relative to the run."""
-        known = ledger.files("")
+    def _unknown_files(self) -> list[str]:
+        """Files among the tables of pairs and of the whole run that no finished job wrote, relative to the run."""
+        names = [
+            f"{table}.parquet" for table in TABLES if (self.folder / f"{table}.parquet").is_file()
+        ]
         for table in TABLES:
-            whole = f"{table}.parquet"
-            if whole not in known and (self.folder / whole).is_file():
-                yield whole
             if (self.folder / table).is_dir():
-                of_table = ledger.files(table)
-                for entry in os.scandir(self.folder / table):
-                    name = f"{table}/{entry.name}"
-                    if name not in of_table and not entry.is_dir(follow_symlinks=False):
-                        yield name
+                with os.scandir(self.folder / table) as entries:
+                    for entry in entries:
+                        if not entry.is_dir(follow_symlinks=False):
+                            names.append(f"{table}/{entry.name}")
+        known = self.ledger.files()
+        return [name for name in names if name not in known]
 
 
 def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
     """Raise `RunError` unless a folder is new, empty, or holds the run of this dataset by this command."""
     record = read_run(out) if out.is_dir() else {}
-    is_run = (out / LEDGER).exists() or bool(record.get("dataset"))
+    is_run = (out / LEDGER).is_dir() or bool(record.get("dataset"))
     refuse_other_content(f"run {out}", out, "a run", is_own=is_run)
     made_by = record.get("experiment", "run")
     before = record.get("dataset")

@@ -1,313 +1,167 @@
-"""A run's ledger: finished jobs, hashes of input files, and why pairs failed. In SQLite.
+"""The ledger of a run: which jobs of each pair are finished, and why a pair failed. One small file per pair.
 
-A cache that only the command writes: the footers of the tables hold the same. It is trusted if it
-has the hash that was stored when it was closed properly; else it is deleted and rebuilt from the
-footers. Nothing of it is kept in memory, so that a command over ten thousand pairs stays small.
+Only the command writes it, each file atomically, after the tables that the file names. The file of
+a pair is what says that its tables exist; one that is damaged counts as absent, and its jobs run
+again. Nothing is kept in memory but the hashes of input files.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
-import sqlite3
-import weakref
-import zlib
-from collections.abc import Collection, Container, Iterator
-from contextlib import contextmanager
+from collections.abc import Container, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
-from time import monotonic
 from typing import Any
+from urllib.parse import unquote
 
 import orjson
 
-from ...schemas.errors import RunError
-from .files import disk_full, file_marks, hash_file, write_whole
-from .table_files import JobRecord, job_record, plain_record
+from .files import file_marks, hash_file, write_whole
+from .table_files import JobId, JobRecord, file_stem, job_record, plain_record
 
-LEDGER = "ledger.sqlite"
-SEAL = "ledger.sha256"
-_SECONDS_BETWEEN_COMMITS = 1.0
-_LONGEST_PATH = 511
-_SECONDS_FOR_READERS = 60.0
-
-_TABLES = """
-PRAGMA page_size = 16384;
-CREATE TABLE jobs (pair_id TEXT PRIMARY KEY, entry BLOB); -- JSON: values of each JobRecord
-CREATE TABLE files (name TEXT PRIMARY KEY, pair_id TEXT) WITHOUT ROWID;
-CREATE TABLE hashes (path BLOB PRIMARY KEY, marks TEXT, sha256 TEXT) WITHOUT ROWID;
-CREATE TABLE failures (pair_id TEXT PRIMARY KEY, key TEXT, reason TEXT) WITHOUT ROWID;
-"""
+LEDGER = "ledger"  #: the folder of its files in that of a run
+INPUT_HASHES = "_inputs.json"  #: in it: hashes of input files, which only this machine can use
+_WHOLE_RUN = "_run.json"  # in it: the tables of the whole run; no pair has a file of this name
 
 
-_LAYOUT = zlib.crc32(_TABLES.encode()) >> 1  # in the file; one with other tables is rebuilt
+@dataclass
+class _PairEntry:
+    """The content of the file of a pair.
+
+    jobs : that are finished, by stage and part
+    failure : key of the job that failed, and the reason; None if none did
+    """
+
+    jobs: dict[JobId, JobRecord] = field(default_factory=dict)
+    failure: tuple[str, str] | None = None
 
 
 class Ledger:
-    """The ledger of a run's folder, or an empty one in memory if no intact one exists and none may be written.
+    """The ledger of a run's folder; pairs are named by pair_id, and "" is the whole run."""
 
-    Parameters
-    ----------
-    path : of the file
-    is_writable : if False, nothing is written to disk
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / LEDGER
+        self._hashes: dict[str, list[str]] | None = None
+        self._has_new_hashes = False
 
-    Attributes
-    ----------
-    is_complete : whether it was closed in order, and so knows every finished job
+    def jobs(self, pair_id: str) -> dict[JobId, JobRecord]:
+        """The finished jobs of a pair, by stage and part."""
+        return self._read(pair_id).jobs
 
-    Raises
-    ------
-    RunError
-        It cannot be written: here, and later when something is put in.
-    """
+    def pair_ids(self) -> list[str]:
+        """The pairs with finished jobs or a failure, by name."""
+        if not self._folder.is_dir():
+            return []
+        stems = [path.stem for path in self._folder.glob("[!._]*.json")]
+        names = [self._name_in(stem) if "~" in stem else unquote(stem) for stem in stems]
+        return sorted(filter(None, names))
 
-    def __init__(self, path: Path, *, is_writable: bool) -> None:
-        self._path, self.is_writable = path, is_writable
-        self._begun: float | None = None
-        self._seal = path.with_name(SEAL)
-        try:
-            self.is_complete = self._is_sealed()
-            self._db = self._open() if is_writable else _read_only(path, self.is_complete)
-        except sqlite3.DatabaseError:  # damaged
-            self.is_complete = False
-            if is_writable:
-                for file in (path, path.with_name(f"{path.name}-journal"), self._seal):
-                    file.unlink(missing_ok=True)
-            self._db = self._open() if is_writable else _in_memory()
-        weakref.finalize(self, self._db.close)
+    def files(self) -> set[str]:
+        """Names of all files of finished jobs, relative to the run."""
+        files: set[str] = set()
+        for pair_id in ("", *self.pair_ids()):
+            for record in self.jobs(pair_id).values():
+                files.update(record.files)
+        return files
 
-    def close(self) -> None:
-        """Write pending entries and close the file."""
-        self.commit()
-        self._db.close()
-
-    def commit(self) -> None:
-        """Write the entries added since the last call."""
-        if self._begun is not None:
-            self._begun = None
-            with self._writing():
-                self._db.execute("COMMIT")
-
-    def set_complete(self, is_complete: bool) -> None:
-        """Record immediately whether the ledger lists every finished job."""
-        self.commit()
-        if is_complete:
-            write_whole(self._seal, hash_file(self._path).encode())
-        else:
-            self._seal.unlink(missing_ok=True)
-        self.is_complete = is_complete
-
-    def jobs(self, pair_id: str) -> dict[tuple[str, str], JobRecord]:
-        """The finished jobs of a pair, by stage and part; those of the whole run under ""."""
-        row = self._db.execute("SELECT entry FROM jobs WHERE pair_id = ?", (pair_id,)).fetchone()
-        try:
-            records = [] if row is None else [job_record(values) for values in orjson.loads(row[0])]
-        except (
-            ValueError,
-            TypeError,
-            AttributeError,
-        ) as error:  # of a run that was not closed in order
-            raise RunError(
-                f"{self._path}: damaged; remove it, it is rebuilt from the tables"
-            ) from error
-        return {record.job: record for record in records}
-
-    def job_of_file(self, name: str) -> JobRecord | None:
-        """The finished job that made a file, by its name relative to the run."""
-        row = self._db.execute("SELECT pair_id FROM files WHERE name = ?", (name,)).fetchone()
-        records = self.jobs(row[0]).values() if row is not None else ()
-        return next((record for record in records if name in record.files), None)
-
-    def files(self, folder: str) -> set[str]:
-        """Names of the files of finished jobs in a folder of the run; those outside of folders for ""."""
-        if not folder:
-            return {
-                name
-                for (name,) in self._db.execute("SELECT name FROM files WHERE instr(name, '/') = 0")
-            }
-        span = f"{folder}/", f"{folder}0"  # 0 follows / in ASCII
-        return {
-            name
-            for (name,) in self._db.execute(
-                "SELECT name FROM files WHERE name >= ? AND name < ?", span
-            )
-        }
-
-    def pair_ids(self) -> Iterator[str]:
-        """The pairs with finished jobs, by name."""
-        for (pair_id,) in self._db.execute(
-            "SELECT pair_id FROM jobs WHERE pair_id != '' ORDER BY pair_id"
-        ):
-            yield pair_id
-
-    def put_jobs(self, pair_id: str, records: Collection[JobRecord]) -> None:
-        """Adds finished jobs of a pair, in place of those of the same names; those of the whole run under ""."""
-        jobs = self.jobs(pair_id) | {record.job: record for record in records}
-        self._put_records(pair_id, jobs.values())
-        for name in [name for record in records for name in record.files]:
-            self._change("INSERT OR REPLACE INTO files VALUES (?, ?)", name, pair_id)
+    def put_jobs(self, pair_id: str, records: Iterable[JobRecord]) -> None:
+        """Add finished jobs of a pair, in place of those of the same names."""
+        entry = self._read(pair_id)
+        entry.jobs |= {record.job: record for record in records}
+        self._write(pair_id, entry)
 
     def put_job(self, record: JobRecord) -> None:
-        """Adds one finished job."""
+        """Add one finished job."""
         self.put_jobs(record.pair_id, [record])
 
-    def drop_jobs(self, pair_id: str, records: Collection[JobRecord]) -> None:
-        """Forgets finished jobs of a pair."""
-        dropped = {record.job for record in records}
-        left = [record for job, record in self.jobs(pair_id).items() if job not in dropped]
-        self._put_records(pair_id, left)
+    def drop_jobs(self, pair_id: str, records: Iterable[JobRecord]) -> None:
+        """Forget finished jobs of a pair."""
+        entry = self._read(pair_id)
         for record in records:
-            for name in record.files:
-                self._change("DELETE FROM files WHERE name = ?", name)
-
-    def _put_records(self, pair_id: str, records: Collection[JobRecord]) -> None:
-        if records:
-            entry = orjson.dumps(
-                [plain_record(record) for record in records], option=orjson.OPT_SERIALIZE_NUMPY
-            )
-            self._change("INSERT OR REPLACE INTO jobs VALUES (?, ?)", pair_id, entry)
-        else:
-            self._change("DELETE FROM jobs WHERE pair_id = ?", pair_id)
-
-    def input_hash(self, path: Path) -> str:
-        """SHA-256 of an input file; computed again only if its length, times or inode have changed."""
-        name = os.fsencode(path.absolute())
-        marks = file_marks(path)
-        row = self._db.execute(
-            "SELECT sha256 FROM hashes WHERE path = ? AND marks = ?", (name, marks)
-        ).fetchone()
-        if row is not None:
-            return str(row[0])
-        sha256 = hash_file(path)
-        if self.is_writable:
-            self._change("INSERT OR REPLACE INTO hashes VALUES (?, ?, ?)", name, marks, sha256)
-        return sha256
+            entry.jobs.pop(record.job, None)
+        self._write(pair_id, entry)
 
     def failure(self, pair_id: str, keys: Container[str]) -> str | None:
         """Reason why a pair failed, if the failed job has one of these keys."""
-        row = self._db.execute(
-            "SELECT key, reason FROM failures WHERE pair_id = ?", (pair_id,)
-        ).fetchone()
-        return str(row[1]) if row is not None and row[0] in keys else None
-
-    def failed_pairs(self) -> list[str]:
-        """The pairs that failed, by name."""
-        return [
-            pair_id
-            for (pair_id,) in self._db.execute("SELECT pair_id FROM failures ORDER BY pair_id")
-        ]
+        failure = self._read(pair_id).failure
+        return failure[1] if failure is not None and failure[0] in keys else None
 
     def put_failure(self, pair_id: str, key: str, reason: str) -> None:
-        """Adds the key of the failed job of a pair, and the reason."""
-        self._change("INSERT OR REPLACE INTO failures VALUES (?, ?, ?)", pair_id, key, reason)
+        """Add the key of the failed job of a pair, and the reason."""
+        entry = self._read(pair_id)
+        entry.failure = key, reason
+        self._write(pair_id, entry)
 
     def drop_failure(self, pair_id: str) -> None:
-        """Forgets why a pair failed, if it did."""
-        self._change("DELETE FROM failures WHERE pair_id = ?", pair_id)
+        """Forget why a pair failed, if it did."""
+        entry = self._read(pair_id)
+        if entry.failure is not None:
+            entry.failure = None
+            self._write(pair_id, entry)
 
-    def _change(self, order: str, *values: Any) -> None:
-        now = monotonic()
-        with self._writing():
-            if self._begun is None:
-                self._db.execute("BEGIN")
-                self._begun = now
-            self._db.execute(order, values)
-        if now - self._begun > _SECONDS_BETWEEN_COMMITS:
-            self.commit()
+    def input_hash(self, path: Path) -> str:
+        """SHA-256 of an input file; computed again only if its length, times or inode have changed."""
+        if self._hashes is None:
+            content = _load(self._folder / INPUT_HASHES)
+            self._hashes = content if isinstance(content, dict) else {}
+        name = os.fsencode(path.absolute()).decode("latin-1")
+        marks = file_marks(path)
+        known = self._hashes.get(name)
+        if known is None or known[0] != marks:
+            known = self._hashes[name] = [marks, hash_file(path)]
+            self._has_new_hashes = True
+        return known[1]
 
-    def _is_sealed(self) -> bool:
-        """True if the ledger was closed in order; raises `sqlite3.DatabaseError` if it has changed since."""
-        if not (self._seal.is_file() and self._path.is_file()):
-            return False
-        if self._seal.read_text(errors="replace") != hash_file(self._path):
-            raise sqlite3.DatabaseError("the ledger is not as it was closed")
-        return True
+    def save_hashes(self) -> None:
+        """Write the hashes of input files that were computed, for later commands."""
+        if self._has_new_hashes:
+            self._has_new_hashes = False
+            _save(self._folder / INPUT_HASHES, self._hashes)
 
-    def _open(self) -> sqlite3.Connection:
+    def _read(self, pair_id: str) -> _PairEntry:
+        content = _load(self._path(pair_id))
         try:
-            db = _connect(self._path, timeout=_SECONDS_FOR_READERS)
-        except sqlite3.OperationalError as error:
-            n = len(str(self._path.absolute()))
-            why = (
-                f"a path of {n} characters, SQLite takes {_LONGEST_PATH}"
-                if n > _LONGEST_PATH
-                else str(error)
+            if content["pair_id"] != pair_id:
+                return _PairEntry()
+            records = [job_record(values) for values in content["jobs"]]
+            failure = content["failure"]
+            return _PairEntry(
+                {record.job: record for record in records}, failure and tuple(failure)
             )
-            raise RunError(f"{self._path}: cannot be opened ({why}); give another --out") from error
-        try:
-            names = {name for (name,) in db.execute("SELECT name FROM sqlite_master")}
-            if not names:
-                _make_tables(db)
-            elif _layout(db) != _LAYOUT:
-                raise sqlite3.DatabaseError("the ledger has other tables")
-        except (
-            sqlite3.OperationalError
-        ) as error:  # locked by another program, no permission, a full disk
-            db.close()
-            if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
-                raise disk_full(self._path, error) from error
-            raise RunError(
-                f"{self._path}: cannot be written ({error}); give another --out"
-            ) from error
-        except sqlite3.DatabaseError:
-            db.close()
-            raise
-        return db
+        except (ValueError, TypeError, AttributeError, LookupError):
+            return _PairEntry()
 
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except sqlite3.OperationalError as error:
-            self._begun = None
-            if error.sqlite_errorcode == sqlite3.SQLITE_FULL:
-                raise disk_full(self._path, error) from error
-            raise RunError(
-                f"{self._path}: cannot be written ({error}); run the same command again"
-            ) from error
+    def _write(self, pair_id: str, entry: _PairEntry) -> None:
+        path = self._path(pair_id)
+        if not entry.jobs and entry.failure is None:
+            path.unlink(missing_ok=True)
+            return
+        jobs = [plain_record(record) for record in entry.jobs.values()]
+        _save(path, {"pair_id": pair_id, "jobs": jobs, "failure": entry.failure})
+
+    def _path(self, pair_id: str) -> Path:
+        return self._folder / (f"{file_stem(pair_id)}.json" if pair_id else _WHOLE_RUN)
+
+    def _name_in(self, stem: str) -> str:
+        """The pair whose file has a shortened name; "" if it is damaged."""
+        content = _load(self._folder / f"{stem}.json")
+        return str(content.get("pair_id", "")) if isinstance(content, dict) else ""
 
 
-def _connect(path: Path | str, **options: Any) -> sqlite3.Connection:
-    """A connection without implicit transactions that any thread may close."""
-    db: sqlite3.Connection = sqlite3.connect(
-        path, isolation_level=None, check_same_thread=False, **options
-    )
-    return db
+def _save(path: Path, content: Any) -> None:
+    """Write JSON with the hash of its text in the line before it."""
+    text = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
+    digest = hashlib.sha256(text).hexdigest().encode()
+    write_whole(path, b"%s\n%s\n" % (digest, text), advice="", outlasts_power=False)
 
 
-def _in_memory() -> sqlite3.Connection:
-    db = _connect(":memory:")
-    _make_tables(db)
-    return db
-
-
-def _make_tables(db: sqlite3.Connection) -> None:
-    db.executescript(f"{_TABLES} PRAGMA user_version = {_LAYOUT};")
-
-
-def _layout(db: sqlite3.Connection) -> int:
-    return int(db.execute("PRAGMA user_version").fetchone()[0])
-
-
-def _read_only(path: Path, is_complete: bool) -> sqlite3.Connection:
-    """The ledger for a reader, who writes nothing, not even a lock where the medium is read-only.
-
-    One that does not know every finished job is copied into memory, where the others can be added.
-    """
-    if not path.exists():
-        return _in_memory()
-    for mode in ("mode=ro", "mode=ro&immutable=1"):
-        db = _connect(f"{path.resolve().as_uri()}?{mode}", uri=True)
-        try:
-            layout = _layout(db)
-        except sqlite3.OperationalError:
-            db.close()
-            continue
-        if layout != _LAYOUT:
-            db.close()
-            break
-        if is_complete:
-            return db
-        copy = _connect(":memory:")
-        db.backup(copy)
-        db.close()
-        return copy
-    raise sqlite3.DatabaseError(f"{path} cannot be opened, or has other tables")
+def _load(path: Path) -> Any:
+    """The content that `_save` wrote; None if the file does not exist, or has changed."""
+    try:
+        digest, _, text = path.read_bytes().partition(b"\n")
+        if hashlib.sha256(text[:-1]).hexdigest().encode() == digest:
+            return orjson.loads(text)
+    except (OSError, ValueError):
+        pass
+    return None

@@ -1,8 +1,8 @@
 """A run in an object store: a local folder that is kept equal to a URL, table by table.
 
-Each finished file is written by one PUT, which is atomic, and never renamed. A copy of the ledger,
-written when a run has ended, serves those who read; without it they rebuild it from the tables. One
-object, written under a condition, says who writes; its owner renews it.
+Each finished file is written by one PUT, which is atomic, and never renamed; files of the ledger
+after the tables that they name. One object, written under a condition, says who writes; its owner
+renews it.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ...schemas.errors import DatasetError, FidpipeError, RunError, StoreError
 from ...schemas.tables import TABLES
 from .files import is_locked, remove_stale, write_whole
-from .folder import RunFolder
-from .ledger import LEDGER, SEAL
+from .ledger import INPUT_HASHES, LEDGER, Ledger
 from .object_store import (
     ObjectChangedError,
     StoredObject,
@@ -41,11 +40,11 @@ from .object_store import (
 )
 from .remote_dataset import mirror_dataset
 from .table_files import AT_URL, TOKEN, TableFolder
-from .urls import TEMPORARY_CACHE, cache_folder, cache_of, is_url
+from .urls import TEMPORARY_CACHE, cache_folder, cache_of, is_url, url_of_cache
 
 LOCK = "_writer.json"
 #: Files of a run that stay on this machine.
-_LOCAL = (LEDGER, f"{LEDGER}-journal", SEAL, "report.html")
+_LOCAL = (f"{LEDGER}/{INPUT_HASHES}", "report.html")
 _PUSH_S = 5.0
 _RENEW_S = 15.0
 _DEAD_S = 120.0  # an owner that has not renewed its lock for this long is dead
@@ -120,44 +119,38 @@ class RemoteRun:
         Parameters
         ----------
         objects : at the URL
-        for_reading : leave tables of pairs there, to be fetched when they are read, if the run has
-            ended in order
+        for_reading : leave tables of pairs there, to be fetched when they are read
         """
         known = self._known()
-        remote = {stored.name: stored for stored in objects}
-        of_ledger = [remote[name] for name in (SEAL, LEDGER) if name in remote]
-        for name in (SEAL, LEDGER, LOCK, TOKEN):
-            remote.pop(name, None)
-        is_partial = for_reading and len(of_ledger) == 2
-        if is_partial:
-            remote = {name: stored for name, stored in remote.items() if "/" not in name}
-            self._get_all(of_ledger)
-            (self.folder / AT_URL).touch()
-        else:
-            (self.folder / AT_URL).unlink(missing_ok=True)
-        if remote and "run.json" not in remote:  # of a run that was killed, or no run at all
-            if not all(name.endswith((".parquet", "settings.toml")) for name in remote):
+        remote = {stored.name: stored for stored in objects if stored.name not in (LOCK, TOKEN)}
+        if "run.json" not in remote:  # of a run that was killed, or no run at all
+            others = [name for name in remote if not name.startswith(f"{LEDGER}/")]
+            if not all(name.endswith((".parquet", "settings.toml")) for name in others):
                 raise RunError(
                     f"run {self.url}: the URL holds other things than a run; give another --out"
                 )
-            self.folder.mkdir(parents=True, exist_ok=True)
-            (self.folder / LEDGER).touch()
+        self.folder.mkdir(parents=True, exist_ok=True)
+        there = set(remote)
+        if for_reading:
+            remote = {
+                name: stored
+                for name, stored in remote.items()
+                if "/" not in name or name.startswith(f"{LEDGER}/")
+            }
+            (self.folder / AT_URL).touch()
+        else:
+            (self.folder / AT_URL).unlink(missing_ok=True)
         missing = []
         for name, stored in remote.items():
             is_same = name in known and known[name][0] == stored.etag
             if not is_same or not (self.folder / name).exists():
                 missing.append(stored)
         known |= self._get_all(missing)
-        if is_partial:
-            self._keep(known)
-            return
-        if any("/" in stored.name for stored in missing):  # the ledger is out of date
-            (self.folder / SEAL).unlink(missing_ok=True)
-            (self.folder / LEDGER).write_bytes(b"")
-        gone = (self._files().keys() & known.keys()) - remote.keys()
-        for name in gone:  # others are newer than the last push
+        for name in (
+            self._files().keys() & known.keys()
+        ) - there:  # others are newer than the last push
             remove_stale(self.folder / name)
-        self._keep({name: marks for name, marks in known.items() if name in remote})
+        self._keep({name: marks for name, marks in known.items() if name in there})
 
     def push(self) -> None:
         """Write what has changed in the folder.
@@ -173,6 +166,7 @@ class RemoteRun:
             for name, marks in self._files().items():
                 if name not in known or known[name][1:] != marks:
                     changed.append(name)
+            changed.sort(key=lambda name: name.startswith(f"{LEDGER}/"))  # after the tables
             if changed:
                 self._claim()
             else:
@@ -224,32 +218,26 @@ class RemoteRun:
             fcntl.flock(in_use, fcntl.LOCK_EX)
             try:
                 self.pull(list_objects(self.url))
-                delete_objects(self.url, [SEAL])
-                _WRITTEN[self.folder] = self
-                follow.start()
-                yield self.folder
-            finally:
-                ended.set()
-                _WRITTEN.pop(self.folder, None)
-                if follow.is_alive():
-                    follow.join()
                 self.push()
-                if (self.folder / SEAL).exists():
-                    self._end()
+                follow.start()
+                try:
+                    yield self.folder
+                finally:
+                    ended.set()
+                    follow.join()
+                    self.push()
+                    self._delete_removed()
+            finally:
                 if self._held()[0].token == self._owner.token:
                     delete_objects(self.url, [TOKEN, LOCK])
 
-    def _end(self) -> None:
-        """Delete what was removed here, or belongs to no finished job; then write the ledger, for those who read."""
-        ledger = RunFolder(self.folder).ledger
+    def _delete_removed(self) -> None:
+        """Delete objects whose file was removed here, or that belong to no finished job."""
         stored = set(self._known())
         if (self.folder / AT_URL).exists():  # workers wrote there, and some may have died
             names = [stored.name for stored in list_objects(self.url)]
             stored |= {name for name in names if name.partition("/")[0] in TABLES}
-        kept = [_LOCAL, self._files(), *(ledger.files(table) for table in TABLES)]
-        delete_objects(self.url, stored.difference(*kept))
-        for name in (LEDGER, SEAL):
-            self._put(name)
+        delete_objects(self.url, stored.difference(self._files(), Ledger(self.folder).files()))
 
     def _follow(self, ended: threading.Event) -> None:
         pause_s = _PUSH_S
@@ -348,9 +336,6 @@ class RemoteRun:
         write_whole(self._index, orjson.dumps(known))
 
 
-_WRITTEN: dict[Path, RemoteRun] = {}
-
-
 @cache
 def _prepare_cache() -> None:
     """Say once if the cache is among temporary files, where no other user may have made it."""
@@ -372,11 +357,9 @@ def share_folder(folder: TableFolder) -> None:
     ----------
     folder : of the run that may write
     """
-    if run := _WRITTEN.get(folder.folder.absolute()):
-        (run.folder / AT_URL).touch()
-        run.push()
-        write_object(f"{run.url}/{TOKEN}", folder.token.encode())
-        folder.url = run.url
+    folder.url = url_of_cache(folder.folder)
+    (folder.folder / AT_URL).touch()
+    write_object(f"{folder.url}/{TOKEN}", folder.token.encode())
 
 
 @contextmanager

@@ -1,8 +1,7 @@
-"""The tables of a run's folder: paths, writing and reading, and the job record in each footer.
+"""The tables of a run's folder: paths, writing and reading, and the record of the job that made them.
 
-A table is written under a name that begins with a dot, flushed and renamed. Its footer holds the
-job that made it: the expected key and small metadata, so that the tables are the truth and the
-ledger next to them a cache.
+A table is written under a name that begins with a dot and renamed. The record of its job, which the
+ledger keeps, has the length and the hash of each file.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ import pyarrow.parquet as pq
 
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
-from .files import key_of, write_whole
+from .files import write_whole
 from .object_store import read_object, write_object
 
 TOKEN = ".writer"  #: the file that names the run which may write
@@ -38,7 +37,6 @@ _READ_NO_LINK = (
     os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 )  # without waiting for the writer of a named pipe
 _LONGEST_NAME_BYTES = 120
-_IN_FOOTER = ("stage", "pair_id", "part", "reads", "metadata", "files")
 _SECONDS_BETWEEN_CHECKS = 10.0
 _FEWEST_COMPRESSED = 1000  # rows; of smaller tables the compressor takes a third of the time
 
@@ -184,7 +182,7 @@ class TableFolder:
         return self.folder / TOKEN
 
     def write_job(self, record: JobRecord, tables: dict[str, pa.Table]) -> dict[str, StoredFile]:
-        """Write the tables of a finished job, each with the job in its footer; return the written files by name.
+        """Write the tables of a finished job; return the written files by name.
 
         Parameters
         ----------
@@ -196,20 +194,15 @@ class TableFolder:
         RunError
             Another run has taken over the folder, or it cannot be written.
         """
-        names = {table: table_name(table, record.pair_id, record.part) for table in tables}
-        job = _job_in_footer(record, names.values())
-        return {
-            name: self.write_at(self.folder / name, table, tables[table], record.key, job)
-            for table, name in names.items()
-        }
+        self.check_token()
+        files = {}
+        for table, rows in tables.items():
+            name = table_name(table, record.pair_id, record.part)
+            files[name] = self.write_at(self.folder / name, table, rows, record.key)
+        return files
 
     def write_at(
-        self,
-        path: Path,
-        table: str,
-        rows: pa.Table | Iterable[pa.Table],
-        key: str,
-        job: str | None = None,
+        self, path: Path, table: str, rows: pa.Table | Iterable[pa.Table], key: str
     ) -> StoredFile:
         """Write a table to a path of this run atomically.
 
@@ -217,18 +210,13 @@ class TableFolder:
         ----------
         rows : checked against the table's schema; or parts of them, in their order
         key : of the result, for the footer
-        job : the job as JSON, for the footer; None for a table of the whole run, which nothing else
-            belongs to
         """
         schema = TABLES[table]
         parts = [rows] if isinstance(rows, pa.Table) else rows
-        job = job or _job_in_footer(JobRecord(table, "", "", key, {}), [path.name])
         footer = {
             "fidpipe.table": table,
             "fidpipe.schema_version": str(schema.version),
             "fidpipe.key": key,
-            "fidpipe.job": job,
-            "fidpipe.check": key_of(key, job),
         }
         is_small = isinstance(rows, pa.Table) and rows.num_rows < _FEWEST_COMPRESSED
         options = _writer_options(schema.schema) | {"compression": "none" if is_small else "zstd"}
@@ -259,7 +247,7 @@ class TableFolder:
         schema = TABLES[table]
         content = self.content(stored, name)
         try:
-            rows = read_content(content, columns)
+            rows = pq.ParquetFile(pa.BufferReader(content)).read(columns, use_threads=False)
             if columns is None:
                 return schema.check(rows)
             if not rows.schema.equals(
@@ -296,7 +284,7 @@ class TableFolder:
         return content
 
     def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
-        write_whole(path, content, before_rename=self.check_token, advice="", outlasts_power=False)
+        write_whole(path, content, advice="", outlasts_power=False)
         return StoredFile(len(content), sha256, path.stat().st_mtime_ns)
 
     def damaged(self, name: str, cause: str = "") -> RunError:
@@ -336,7 +324,6 @@ class TablesAtUrl(TableFolder):
             _CHECKED[self.token] = monotonic()
 
     def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
-        self.check_token()
         write_object(f"{self.url}/{path.relative_to(self.folder).as_posix()}", bytes(content))
         return StoredFile(len(content), sha256, 0)
 
@@ -359,55 +346,7 @@ def _writer_options(schema: pa.Schema) -> dict[str, Any]:
         "write_statistics": words,  # of numbers they cost a quarter of the time, and a file has one pair
         "column_encoding": encodings,
         "store_schema": False,
-        "write_page_checksum": True,  # they are the check of a file that the ledger does not know
     }
-
-
-def read_content(content: bytes, columns: list[str] | None = None, **options: Any) -> pa.Table:
-    """The rows of a Parquet file that was read.
-
-    Parameters
-    ----------
-    options : of `pyarrow.parquet.ParquetFile`
-    """
-    return pq.ParquetFile(pa.BufferReader(content), **options).read(columns, use_threads=False)
-
-
-def read_footer(folder: Path, name: str) -> tuple[JobRecord, tuple[str, ...]] | None:
-    """The job that made a table, from its footer, and the names of all its files; None if it is damaged.
-
-    A file is intact if its job agrees with the hash next to it, every page with its checksum, the
-    columns with the table's schema, and all counts of rows with each other. `files` of the record
-    holds this file alone.
-
-    Parameters
-    ----------
-    folder, name : of the run, and of the file relative to it
-    """
-    path = folder / name
-    try:
-        status = path.lstat()
-        if not stat.S_ISREG(status.st_mode):
-            return None
-        content = path.read_bytes()
-        metadata = pq.read_metadata(pa.BufferReader(content))
-        footer = metadata.metadata or {}
-        job = footer.get(b"fidpipe.job", b"").decode()
-        key = footer.get(b"fidpipe.key", b"").decode()
-        table = footer.get(b"fidpipe.table", b"").decode()
-        if footer.get(b"fidpipe.check") != key_of(key, job).encode():
-            return None
-        rows = read_content(content, page_checksum_verification=True)
-        TABLES[table].check(rows)
-        if _row_counts(metadata) != {rows.num_rows}:
-            return None
-        stage, pair_id, part, reads, job_metadata, names = _from_footer(job)
-        sha256 = hashlib.sha256(content).hexdigest()
-        stored = StoredFile(len(content), sha256, status.st_mtime_ns)
-        record = job_record([stage, pair_id, part, key, {name: stored}, reads, job_metadata])
-    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
-        return None
-    return (record, tuple(names)) if name in names else None
 
 
 def plain_record(record: JobRecord) -> list[Any]:
@@ -432,23 +371,3 @@ def job_record(values: list[Any]) -> JobRecord:
     record.reads = tuple(record.reads)
     record.steps = tuple([(name, seconds) for name, seconds in record.steps])
     return record
-
-
-def _job_in_footer(record: JobRecord, names: Iterable[str]) -> str:
-    """A job as the footers of its files have it: without seconds, so that files of equal content are equal."""
-    entries = {name: getattr(record, name) for name in _IN_FOOTER[:-1]}
-    return orjson.dumps(entries | {"files": list(names)}).decode()
-
-
-def _from_footer(job: str) -> list[Any]:
-    """The entries of a job in a footer; `KeyError` if one is missing."""
-    entries = orjson.loads(job)
-    return [entries[name] for name in _IN_FOOTER]
-
-
-def _row_counts(metadata: pq.FileMetaData) -> set[int]:
-    """Numbers of rows in the footer: in total, and of each column."""
-    groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
-    columns = range(metadata.num_columns)
-    in_columns = {sum(group.column(i).num_values for group in groups) for i in columns}
-    return {metadata.num_rows, sum(group.num_rows for group in groups)} | in_columns

@@ -7,8 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..rays import RayGrid
-from ..sensor_description import SensorDescription
+from ..rays import RayGrid, grid_of
 from ..surfels import fit_planes
 from .sides import PLANE_NEIGHBOURS, Side, medians_by_group
 
@@ -22,11 +21,13 @@ _SUSPECT_LOG, _SUSPECT = 0.02, 2.0  # log of the range ratio, and over the media
 _BETTER = 0.5  # of the difference of ranges to the same beam, that to the exchanged beam
 _MOST_RESIDUAL_DEG = 0.05
 _FEWEST_BEAMS = 8
+_SAME_HEIGHT_M = 0.04  # between the heights at which beams start
 _LEAST_RESULTANT = 0.03  # of phases between beams
 _COHERENT = 0.8  # resultant of the mean phases of all beams
 _ROAD_M = (8.0, 40.0)
 _ROAD_POINTS = 4000
 _SAME_RAY = 2e-4  # chord between two directions of one ray
+_MOST_RETURNS = 9  # of one ray that are compared
 _BEHIND_M = 0.3
 
 
@@ -92,18 +93,35 @@ def _profile_distance(a: FloatArray, b: FloatArray) -> float:
     return float(np.median(difference)) if len(difference) >= _FEWEST_BINS else np.nan
 
 
-def elevation_scale(reference: SensorDescription, sensor: SensorDescription) -> float | None:
-    """Elevations of a sensor over those of a reference, minus 1; None if no scale and offset map one on the other.
+def elevation_scale(reference: Side, side: Side) -> float | None:
+    """Elevations of a side's beams over those of a reference, minus 1; None if no scale and offset fit both.
 
-    Both need the same number of beams, and beams that start at the same heights.
+    Both need the same number of beams, and beams that start at the same heights. A road that is too high, which fills
+    most of a scan, also looks like beams of another scale, or of another height: the scale is 0 if objects are seen
+    along the beams of the reference.
     """
-    reference_deg = np.array(reference.elevation_deg)
-    beams_deg = np.array(sensor.elevation_deg)
-    if len(reference_deg) != len(beams_deg) or len(beams_deg) < _FEWEST_BEAMS:
+    grid = grid_of(reference.sensor)
+    beams = grid_of(side.sensor)
+    if grid is None or beams is None or len(beams.elevation_deg) < _FEWEST_BEAMS:
         return None
-    scale, offset = np.polyfit(reference_deg, beams_deg, 1)
-    residual_deg = np.abs(beams_deg - scale * reference_deg - offset)
-    return float(scale) - 1.0 if np.median(residual_deg) < _MOST_RESIDUAL_DEG else None
+    heights_m = [g.origin_height_m or (0.0,) for g in (grid, beams)]
+    apart_m = [heights_m[0][end] - heights_m[1][end] for end in (0, -1)]
+    if len(grid.elevation_deg) != len(beams.elevation_deg) or np.abs(apart_m).max() > _SAME_HEIGHT_M:
+        return None
+    scale, offset = np.polyfit(grid.elevation_deg, beams.elevation_deg, 1)
+    residual_deg = np.abs(beams.elevation_deg - scale * grid.elevation_deg - offset)
+    if np.median(residual_deg) >= _MOST_RESIDUAL_DEG:
+        return None
+    objects = side.sensor_points[~side.is_ground]
+    if len(objects) and _off_beams_deg(grid, objects) < _off_beams_deg(beams, objects):
+        return 0.0
+    return float(scale) - 1.0
+
+
+def _off_beams_deg(grid: RayGrid, points: FloatArray) -> float:
+    """Median difference of the elevations of points from the nearest beam."""
+    off_deg = grid.elevation_of(points) - grid.elevation_deg[grid.beam_of(points)]
+    return float(np.median(np.abs(off_deg)))
 
 
 def blurred_elevation_deg(grid: RayGrid, side: Side) -> float | None:
@@ -167,7 +185,6 @@ def road_blur_deg2(side: Side) -> float | None:
 
 def second_returns(side: Side, behind_m: float = _BEHIND_M) -> BoolArray:
     """(n,) True for returns this far behind another one of the same ray: equal direction, larger range."""
-    chord, rows = side.near_rays
-    is_same = chord < _SAME_RAY
-    is_behind = side.range_m[:, None] > side.range_m[rows] + behind_m
-    return np.logical_or.reduce(is_same & is_behind, axis=1)
+    _, near = side.ray_tree.query(side.rays, k=_MOST_RETURNS, distance_upper_bound=_SAME_RAY)
+    nearest_m = np.append(side.range_m, np.inf)[near].min(axis=1)  # missing neighbours have the last row
+    return np.greater(side.range_m, nearest_m + behind_m)

@@ -59,10 +59,11 @@ def best_case_distance(real: Side, sim: Side, aligned: Side, rng: Generator) -> 
     ----------
     sim, aligned : the simulated side, and without its displacement
     """
-    rays = real.rays[sample_rows(len(real.points))]
+    rows = sample_rows(len(real.points))
+    rays = real.rays[rows]
     steps = [float(np.median(side.ray_tree.query(rays)[0])) for side in (sim, aligned)]
-    chord, _ = real.near_rays
-    step = min(*steps, float(np.median(chord[:, 0])) / 2)
+    chord, _ = real.near_rays(rows, 1)
+    step = min(*steps, float(np.median(chord)) / 2)
     moved = _by_other_rays(real, step, rng)
     real_noise_m = real.sensor.range_noise_m or 0.0
     sim_noise_m = most_noise_m(aligned.sensor)
@@ -80,27 +81,26 @@ def sample_rows(n: int) -> IndexArray:
 def _by_other_rays(side: Side, step: float, rng: Generator) -> FloatArray:
     """(n, 3) returns of rays that are turned by an angle, radians, in random directions.
 
-    On a plane they lie in it. Elsewhere, as in foliage, a ray between two others sees what either of them sees: its
-    range is that of a neighbouring ray, the more often the nearer it comes to the middle.
+    On the plane of an object they lie in it. Elsewhere, as in foliage and on the ground, a ray between two others sees
+    what either of them sees: its range is that of a neighbouring ray, the more often the nearer it comes to the middle.
     """
     random = rng.normal(size=side.points.shape)
     across = random - (random * side.rays).sum(axis=1, keepdims=True) * side.rays
     across /= np.maximum(np.linalg.norm(across, axis=1), 1e-9)[:, None]
-    normal = side.planes.normal
-    toward = (side.rays * normal).sum(axis=1)
-    is_plane = (side.planes.scattering < SCATTERED) & ~side.planes.is_line & (np.abs(toward) > 0.1)
+    toward = (side.rays * side.normals).sum(axis=1)
+    is_plane = (np.abs(toward) > 0.1) & ~side.is_ground  # NaN is not
     # the ray turns across by a small angle: it meets the plane where the offset along the ray cancels that along n
-    along_ray = -(across * normal).sum(axis=1) / np.where(is_plane, toward, 1.0)
-    direction = across + np.where(is_plane, along_ray, 0.0)[:, None] * side.rays
-    returns = side.points + direction * (step * side.range_m)[:, None]
-    chord, near = side.near_rays
-    chosen = rng.integers(_AROUND, size=(len(chord), 1))
-    spacing = np.take_along_axis(chord, chosen, axis=1)[:, 0]
-    other_m = side.range_m[np.take_along_axis(near, chosen, axis=1)[:, 0]]
-    is_other = ~is_plane & (rng.random(len(chord)) < 2 * step / np.maximum(spacing, 1e-9))
-    ratio = np.where(is_other, other_m / side.range_m, 1.0)
-    scaled: FloatArray = returns * ratio[:, None]
-    return scaled
+    along_ray = np.where(is_plane, -(across * side.normals).sum(axis=1) / toward, 0.0)
+    direction = across + along_ray[:, None] * side.rays
+    returns: FloatArray = side.points + direction * (step * side.range_m)[:, None]
+    rows = np.flatnonzero(~is_plane)
+    chord, near = side.near_rays(rows, _AROUND)
+    chosen = np.arange(len(rows)), rng.integers(_AROUND, size=len(rows))
+    is_other = rng.random(len(rows)) < 2 * step / np.maximum(chord[chosen], 1e-9)
+    others = rows[is_other]
+    ratio = side.range_m[near[chosen][is_other]] / side.range_m[others]
+    returns[others] *= ratio[:, None]
+    return returns
 
 
 def off_share(a: FloatArray, b: FloatArray) -> float:

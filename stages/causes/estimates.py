@@ -13,7 +13,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..rays import grid_of
 from ..sensor_description import SensorDescription
 from ..trust import BEAMS, FRAME, ONE_SWEEP, RETURNS, SAME_SWEEPS
-from .beams import blurred_elevation_deg, elevation_scale, road_blur_deg2, second_returns
+from .beams import blurred_elevation_deg, road_blur_deg2, second_returns
 from .distance import best_case_distance, mean_apart, sample_rows, surface_distance
 from .losses import FEWEST_OF_KIND, fit_losses
 from .pose import Pose, fit_pose, undo_elevation_scale
@@ -37,6 +37,7 @@ _FEWEST_PLACES = 50  # of foliage, or of curved surface
 _LEAF_STEP_M = 0.3
 _FAR_SURFACE_M = 20.0
 _FEWEST_FAR = 50
+_STRAY_POINTS = 20_000
 _FEWEST_BEYOND = 10  # returns; fewer may be lost by chance
 
 
@@ -144,7 +145,7 @@ def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | N
     if pose is None:
         return None
     amounts = dict(zip(PARAMETERS, pose.displacement.values.tolist(), strict=True))
-    if elevation_scale(base.sensor, sim.sensor) is not None:
+    if pose.elevation_scale is not None:
         amounts["elevation scale"] = pose.elevation_scale
     if base.sensor.elevation_deg:
         aligned = pose.undisplaced(sim)
@@ -186,26 +187,26 @@ def _pose_amounts(pose: Pose, real: Side, sim: Side, best_case_m: float) -> dict
     displacement = pose.displacement
     rows = sample_rows(len(sim.points))
     points = sim.points[rows]
-    is_ground = sim.is_ground[rows]
-    rescaled = undo_elevation_scale(points, pose.elevation_scale)
-    after_m = mean_apart(real.tree, displacement.undo(rescaled, is_ground))
-    whole = displacement.of(rescaled, is_ground)
+    is_low = sim.moves_with_road[rows]
+    rescaled = undo_elevation_scale(points, pose.elevation_scale or 0.0)
+    after_m = mean_apart(real.tree, displacement.undo(rescaled, is_low))
+    whole = displacement.of(rescaled, is_low)
     amounts = {}
     for i, name in enumerate(PARAMETERS):
         without = displacement.without(i)
-        moved_m = np.linalg.norm(whole - without.of(rescaled, is_ground), axis=1)
+        moved_m = np.linalg.norm(whole - without.of(rescaled, is_low), axis=1)
         share = 0.0
         if moved_m.mean() > _LEAST_MOVED_M:
-            with_it_m = mean_apart(real.tree, without.undo(rescaled, is_ground))
+            with_it_m = mean_apart(real.tree, without.undo(rescaled, is_low))
             share = _part_of(with_it_m - after_m, after_m - best_case_m)
         amounts[name] = Amount(float(displacement.values[i]), share=share)
-    if elevation_scale(real.sensor, sim.sensor) is None:
+    if pose.elevation_scale is None:
         amounts["elevation scale"] = Amount(
             None,
             reason="the beams of both sides do not correspond",
         )
     else:
-        with_it_m = mean_apart(real.tree, displacement.undo(points, is_ground))
+        with_it_m = mean_apart(real.tree, displacement.undo(points, is_low))
         share = _part_of(with_it_m - after_m, after_m - best_case_m)
         amounts["elevation scale"] = Amount(pose.elevation_scale, share=share)
     return amounts
@@ -254,8 +255,9 @@ def _is_near(side: Side, parts: FloatArray) -> BoolArray:
     """(n,) True for points of missing, invented or moved parts, and at their rims, which have counterparts around."""
     if not len(parts):
         return np.zeros(len(side.points), dtype=np.bool_)
-    apart_m, _ = cKDTree(parts).query(side.points)
-    return np.less_equal(apart_m, APART_M + APART_PER_M * side.range_m)
+    limit_m = APART_M + APART_PER_M * side.range_m
+    apart_m, _ = cKDTree(parts).query(side.points, distance_upper_bound=1.001 * limit_m.max())
+    return np.less_equal(apart_m, limit_m)
 
 
 def _share_of(is_concerned: BoolArray) -> Amount:
@@ -283,8 +285,9 @@ def _stray_amount(real: Side, sim: Side) -> Amount:
 
 
 def _stray_share(side: Side) -> float:
-    """Strays over the returns on smooth surface."""
-    is_stray, is_smooth = find_strays(side)
+    """Strays over the returns on smooth surface, of every k-th return."""
+    n = len(side.points)
+    is_stray, is_smooth = find_strays(side, np.arange(0, n, n // _STRAY_POINTS + 1))
     return float(is_stray.sum() / max(is_smooth.sum(), 1))
 
 

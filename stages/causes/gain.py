@@ -63,7 +63,7 @@ def corrected(sim: Side, chosen: Sequence[Correction], seam_deg: float) -> Float
         keep = keep & correction.keep
     points = undo_elevation_scale(sim.points, scale)
     if displacement.any():
-        points = Displacement(displacement, seam_deg).undo(points, sim.is_ground)
+        points = Displacement(displacement, seam_deg).undo(points, sim.moves_with_road)
     if along_m.any():
         range_m = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
         points = points * (1.0 + along_m / range_m)[:, None]
@@ -186,7 +186,7 @@ class _Pair:
         if name == "second returns":
             return Correction(keep=~second_returns(self.recorded))
         if name == "mixed pixels":
-            return Correction(keep=~self._some(find_strays(self.sim)[0], part))
+            return Correction(keep=~self._some(find_strays(self.sim, np.arange(len(self.sim.points)))[0], part))
         if name == "invented parts":
             return Correction(keep=~self._some(self.invented.is_part, part))
         if name == "clutter":

@@ -22,18 +22,18 @@ class Pose:
     """Pose of a simulated side relative to the real one.
 
     displacement : of the simulated side
-    elevation_scale : by which its elevations are too large
+    elevation_scale : by which its elevations are too large; None if the beams of both sides do not correspond
     sensor : its sensor, as it is without the displacement
     """
 
     displacement: Displacement
-    elevation_scale: float
+    elevation_scale: float | None
     sensor: SensorDescription
 
     def undisplaced(self, sim: Side) -> Side:
         """The simulated side without its displacement and the scale of its elevations."""
-        points = undo_elevation_scale(sim.points, self.elevation_scale)
-        points = self.displacement.undo(points, sim.is_ground)
+        points = undo_elevation_scale(sim.points, self.elevation_scale or 0.0)
+        points = self.displacement.undo(points, sim.moves_with_road)
         return replace(sim, points=points, sensor=self.sensor)
 
 
@@ -43,20 +43,20 @@ def fit_pose(real: Side, sim: Side) -> Pose | None:
     A scale of the elevations of the beams counts only if undoing it brings the surfaces closer: beams can also be
     spaced differently without distorting the world.
     """
-    displacement = fit_displacement(real.points, sim.points, real.is_ground)
+    displacement = fit_displacement(real.points, sim.points, real.moves_with_road)
     if displacement is None:
         return None
-    aligned = replace(sim, points=displacement.undo(sim.points, sim.is_ground))
-    scale = elevation_scale(real.sensor, sim.sensor) or 0.0
-    if abs(scale) >= _LEAST_SCALE:
+    aligned = replace(sim, points=displacement.undo(sim.points, sim.moves_with_road))
+    scale = elevation_scale(real, sim)
+    if scale is not None and abs(scale) >= _LEAST_SCALE:
         points = undo_elevation_scale(sim.points, scale)
-        other = fit_displacement(real.points, points, real.is_ground)
+        other = fit_displacement(real.points, points, real.moves_with_road)
         if other is not None:
-            rescaled = replace(sim, points=other.undo(points, sim.is_ground))
+            rescaled = replace(sim, points=other.undo(points, sim.moves_with_road))
             distance_m = surface_distance(real.points, aligned.points, real.tree)
             if surface_distance(real.points, rescaled.points, real.tree) < _BETTER * distance_m:
                 return Pose(other, scale, _described(real, rescaled))
-    return Pose(displacement, 0.0, _described(real, aligned))
+    return Pose(displacement, None if scale is None else 0.0, _described(real, aligned))
 
 
 def undo_elevation_scale(points: FloatArray, scale: float) -> FloatArray:

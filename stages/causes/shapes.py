@@ -19,15 +19,17 @@ _CURVED_M, _CURVED = 0.03, 0.15  # thickness and scattering of curved surface
 _FLATTER = 0.5  # of the thickness
 _SMOOTH = 0.01  # relative residual of inverse ranges on smooth surface
 _STRAY_M, _STRAY_STDS = 0.15, 6.0
+_RAYS_AROUND = 8  # nearest rays to which a surface is fitted
 
 
 def foliage_steps(real: Side, sim: Side) -> tuple[IndexArray, FloatArray]:
     """Simulated returns in the direction of real foliage, (k,) rows, and their range minus that of the real return."""
-    is_compact = real.planes.variance[:, 2] < _LEAF_SPREAD_M**2
-    is_leaf = (real.planes.scattering >= SCATTERED) & is_compact
-    angle, near = sim.ray_tree.query(real.rays[is_leaf])
+    planes = real.object_planes
+    is_leaf = (planes.scattering >= SCATTERED) & (planes.variance[:, 2] < _LEAF_SPREAD_M**2)
+    leaves = real.object_rows[is_leaf]
+    angle, near = sim.ray_tree.query(real.rays[leaves])
     is_met = angle < np.radians(_RAY_DEG)
-    return near[is_met], sim.range_m[near[is_met]] - real.range_m[is_leaf][is_met]
+    return near[is_met], sim.range_m[near[is_met]] - real.range_m[leaves[is_met]]
 
 
 def flat_shapes(real: Side, sim: Side) -> tuple[FloatArray, BoolArray]:
@@ -51,25 +53,25 @@ def flat_shapes(real: Side, sim: Side) -> tuple[FloatArray, BoolArray]:
     return places[is_curved], is_flat
 
 
-def find_strays(side: Side) -> tuple[BoolArray, BoolArray]:
-    """Returns on smooth surface whose range is not that of the surface, and all returns on smooth surface."""
-    inverse, residual = _fit_inverse_range(side)
+def find_strays(side: Side, rows: IndexArray) -> tuple[BoolArray, BoolArray]:
+    """Of some returns, those on smooth surface whose range is not that of the surface, and all on smooth surface."""
+    inverse, residual = _fit_inverse_range(side, rows)
     is_smooth = (residual < _SMOOTH) & (inverse > 0)
     if not is_smooth.any():
         return is_smooth, is_smooth
-    error = np.abs(side.range_m - 1.0 / np.where(is_smooth, inverse, 1.0))
+    error = np.abs(side.range_m[rows] - 1.0 / np.where(is_smooth, inverse, 1.0))
     limit_m = max(_STRAY_M, _STRAY_STDS * 1.4826 * float(np.median(error[is_smooth])))
     return is_smooth & (error > limit_m), is_smooth
 
 
-def _fit_inverse_range(side: Side) -> tuple[FloatArray, FloatArray]:
-    """(n,) inverse range of the surface in the direction of each return, and the relative residual of the fit.
+def _fit_inverse_range(side: Side, rows: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Inverse range of the surface in the direction of some returns, and the relative residual of the fit, (k,) each.
 
     The inverse range is linear over directions on a plane: it is fitted to the eight nearest directions.
     """
-    ray = side.rays
-    _, near = side.near_rays
-    offset = ray[near] - ray[:, None]
+    ray = side.rays[rows]
+    _, near = side.near_rays(rows, _RAYS_AROUND)
+    offset = side.rays[near] - ray[:, None]
     level = np.cross(ray, [0.0, 0.0, 1.0])
     level /= np.maximum(np.linalg.norm(level, axis=1), 1e-9)[:, None]
     across = np.einsum("nkd,nd->nk", offset, level)
@@ -78,4 +80,4 @@ def _fit_inverse_range(side: Side) -> tuple[FloatArray, FloatArray]:
     gram = np.einsum("nki,nkj->nij", columns, columns) + 1e-9 * np.eye(3)
     fit = np.linalg.solve(gram, np.einsum("nki,nk->ni", columns, inverse)[..., None])[..., 0]
     error = np.einsum("nki,ni->nk", columns, fit) - inverse
-    return fit[:, 0], np.sqrt((error**2).mean(axis=1)) * side.range_m
+    return fit[:, 0], np.sqrt((error**2).mean(axis=1)) * side.range_m[rows]

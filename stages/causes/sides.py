@@ -20,8 +20,8 @@ FAR_M = 25.0
 SCATTERED = 0.1
 #: Neighbours that define the plane around a point.
 PLANE_NEIGHBOURS = 20
+_LOW_M = 0.5
 _GRAZING_DEG = 75.0  # between the ray and the normal of the surface
-_RAYS_AROUND = 8  # nearest rays that are searched around each ray
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +32,19 @@ class Side:
     is_ground : (n,) bool
     sensor : description of the side's sensor, from the points as recorded
     T_real_sim : (3, 4) float64, of the simulated side, if its frame is another
+    is_low : (n,) bool, what moves with the road if this is too high or too low; the ground by default
     """
 
     points: FloatArray
     is_ground: BoolArray
     sensor: SensorDescription
     T_real_sim: FloatArray | None = None
+    is_low: BoolArray | None = None
+
+    @property
+    def moves_with_road(self) -> BoolArray:
+        """(n,) True for the ground, and for verges and all else that is low."""
+        return self.is_ground if self.is_low is None else self.is_low
 
     @cached_property
     def range_m(self) -> FloatArray:
@@ -78,26 +85,37 @@ class Side:
         """Search tree of the directions."""
         return cKDTree(self.rays)
 
-    @cached_property
-    def near_rays(self) -> tuple[FloatArray, IndexArray]:
-        """Chord to the eight nearest other rays of each ray and their rows, (n, 8) each."""
-        chord, rows = self.ray_tree.query(self.rays, k=_RAYS_AROUND + 1)
-        is_self = rows == np.arange(len(rows))[:, None]
-        is_self[~is_self.any(axis=1), -1] = True  # more than eight other rays have the same direction
-        return chord[~is_self].reshape(-1, _RAYS_AROUND), rows[~is_self].reshape(-1, _RAYS_AROUND)
+    def near_rays(self, rows: IndexArray, n_around: int) -> tuple[FloatArray, IndexArray]:
+        """Chord from some rays to the nearest others, and the rows of these, (k, n_around) each."""
+        chord, near = self.ray_tree.query(self.rays[rows], k=n_around + 1)
+        is_self = near == rows[:, None]
+        is_self[~is_self.any(axis=1), -1] = True  # more other rays than these have the same direction
+        return chord[~is_self].reshape(-1, n_around), near[~is_self].reshape(-1, n_around)
 
     @cached_property
-    def planes(self) -> LocalPlanes:
-        """Planes through the neighbours of each point."""
-        return fit_planes(self.points, self.points, PLANE_NEIGHBOURS)
+    def object_rows(self) -> IndexArray:
+        """(k,) rows of the points that are not ground."""
+        return np.flatnonzero(~self.is_ground)
+
+    @cached_property
+    def object_planes(self) -> LocalPlanes:
+        """Planes through the neighbours of each point that is not ground."""
+        return fit_planes(self.points, self.points[self.object_rows], PLANE_NEIGHBOURS)
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(n, 3) normal of the surface at each point, of the ground the vertical; NaN on no plane."""
+        planes = self.object_planes
+        is_plane = (planes.scattering < SCATTERED) & ~planes.is_line
+        normals = np.tile([0.0, 0.0, 1.0], (len(self.points), 1))
+        normals[self.object_rows] = np.where(is_plane[:, None], planes.normal, np.nan)
+        return normals
 
     @cached_property
     def incidence_deg(self) -> FloatArray:
-        """(n,) angle between ray and normal of the surface, of road to the vertical; NaN on no plane."""
-        is_plane = (self.planes.scattering < SCATTERED) & ~self.planes.is_line
-        normal = np.where(self.is_ground[:, None], [0.0, 0.0, 1.0], self.planes.normal)
-        cosine = np.minimum(np.abs((normal * self.rays).sum(axis=1)), 1.0)
-        return np.where(self.is_ground | is_plane, np.degrees(np.arccos(cosine)), np.nan)
+        """(n,) angle between ray and normal of the surface; NaN on no plane."""
+        cosine = np.minimum(np.abs((self.normals * self.rays).sum(axis=1)), 1.0)
+        return np.degrees(np.arccos(cosine))
 
     def concerned(self, cause: str) -> BoolArray:
         """(n,) True for the returns of which a cause loses some: far ones, grazing ones, or all."""
@@ -109,12 +127,14 @@ class Side:
 
     def chosen(self, is_kept: BoolArray | IndexArray) -> Side:
         """The side with some of its points, or all of them in another order."""
-        return replace(self, points=self.points[is_kept], is_ground=self.is_ground[is_kept])
+        is_low = self.moves_with_road[is_kept]
+        return replace(self, points=self.points[is_kept], is_ground=self.is_ground[is_kept], is_low=is_low)
 
 
 def recorded_side(
     points: FloatArray,
     is_ground: BoolArray,
+    height_m: FloatArray,
     sensor: SensorDescription,
     T_real_sim: FloatArray | None = None,
     position: tuple[float, float, float] | None = None,
@@ -127,6 +147,7 @@ def recorded_side(
     Parameters
     ----------
     points, is_ground, sensor, T_real_sim : see `Side`
+    height_m : (n,) float64, above the road; less than 0.5 m is low
     position : of the sensor in the frame of the points of both sides; the origin by default
     voxel_m : voxel by which the points were thinned, so that returns cannot be counted; None if they were not
     """
@@ -136,7 +157,7 @@ def recorded_side(
     if position is not None:
         points = points - position
         T_real_sim = seen_from(position, T_real_sim)
-    side = Side(points, is_ground, sensor, T_real_sim)
+    side = Side(points, is_ground, sensor, T_real_sim, is_ground | (height_m < _LOW_M))
     return side.chosen(np.lexsort(side.points.T))
 
 

@@ -146,8 +146,9 @@ def find_unmatched(a: Side, b: Side, explained: Explained | None = None) -> tupl
 
 def _unmatched(side: Side, other: Side, step_deg: float, is_explained: BoolArray | None) -> Unmatched:
     """Points of a side without a counterpart; none of them is moved yet."""
-    apart_m, _ = other.tree.query(side.points)
-    is_apart = apart_m > APART_M + max(APART_PER_M, np.radians(step_deg)) * side.range_m
+    limit_m = APART_M + max(APART_PER_M, np.radians(step_deg)) * side.range_m
+    apart_m, _ = other.tree.query(side.points, distance_upper_bound=1.001 * limit_m.max())
+    is_apart = apart_m > limit_m
     if is_explained is not None:
         is_apart &= ~is_explained
     is_beyond = side.range_m > other.range_m.max()

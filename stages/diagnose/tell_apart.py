@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from ...schemas.errors import StageError
 from ..arrays import BoolArray, FloatArray, IndexArray, IntArray
 from ..statistics.comparison import mean_interval
+from ..surfels import fit_planes
 
 #: Numbers of neighbours over which the shape of the surface is described.
 SCALES = (8, 24, 64)
@@ -24,24 +25,27 @@ SCALES = (8, 24, 64)
 LEAST_PLACES = 5
 SECTORS = 8
 MOST_FOLDS = 10
-#: Trees of a classifier with all features, and with one.
+#: Trees of a classifier with many features, and with one.
 TREES = 60
 TREES_ALONE = 20
 #: Points next to a tested sector are not trained on.
 GUARD_DEG = 10.0
+#: Height above the road, a feature.
+HEIGHT = "height above the road"
 _LEAST_POINTS = 20  # of each side in a fold
 _DENSITY_M = 0.5
 _ROW_WEIGHT = 4.0  # of elevation against azimuth, so that the nearest ray is one of the same beam
-_SURFACE = (
-    *("shape", "roughness", "spacing") * len(SCALES),
-    "inclination",
-    "density",
-    "height above the road",
-)
-_RAYS = ("azimuth step", "elevation step", "range step between rays", "range step between rays")
-_INTENSITY = ("intensity", "intensity", "intensity contrast")
 #: Features by family. Each is also tested alone: a single regular ray pattern is enough to recognise every point.
-FAMILIES = {"surface": _SURFACE, "rays": _RAYS, "intensity": _INTENSITY}
+FAMILIES = {
+    "surface": (
+        *(f"shape of {k} points" for k in SCALES),
+        *(f"roughness of {k} points" for k in SCALES),
+        *(f"spacing of {k} points" for k in SCALES),
+        *("inclination", "density", HEIGHT),
+    ),
+    "rays": ("azimuth step", "elevation step", "range step", "mean range step"),
+    "intensity": ("intensity", "mean intensity", "intensity contrast"),
+}
 
 Fold = tuple[IndexArray, IndexArray]  #: rows to train on and to test on
 
@@ -50,23 +54,15 @@ Fold = tuple[IndexArray, IndexArray]  #: rows to train on and to test on
 class Separation:
     """Result of the test; the AUC is 0.5 if the sides are indistinguishable, and 1 if every point is recognised.
 
-    auc : area under the ROC curve on points of places that were not trained on, mean over the folds
+    by_fold : (k,) float64, area under the ROC curve on points of places that were not trained on
+    auc : their mean
     low, high : its 95 % interval, Student's t over the folds
-    by_fold : (k,) float64, AUC of each fold that has points of both sides
-    by_place : folds are places; else sectors of azimuth
-    probability : (n,) float64, of being simulated, by the classifier that has not seen the point's place; NaN if none
-    alone : by feature, the AUC of a classifier that has no other
-    loss : by feature, the loss of AUC if its values are permuted among the tested points
     """
 
+    by_fold: FloatArray
     auc: float
     low: float
     high: float
-    by_fold: FloatArray
-    by_place: bool
-    probability: FloatArray
-    alone: dict[str, float]
-    loss: dict[str, float]
 
 
 def describe_points(
@@ -77,7 +73,7 @@ def describe_points(
     own_points: FloatArray | None = None,
     intensity: FloatArray | None = None,
 ) -> tuple[FloatArray, tuple[str, ...]]:
-    """Local features of some points of a scan, (m, f) float64, and the group of each column.
+    """Local features of some points of a scan, (m, f) float64, and the name of each.
 
     None of them depends on where a point is, or on where the scan is relative to another. Per scale: planarity and
     scattering of the neighbourhood (shape), its thickness (roughness, the root of the smallest eigenvalue of the
@@ -95,92 +91,56 @@ def describe_points(
     tree = cKDTree(points)
     chosen = points[rows]
     range_m = np.linalg.norm(chosen, axis=1)
-    distance_m, near = tree.query(chosen, k=min(SCALES[-1] + 1, len(points)))
-    offsets = points[near] - chosen[:, None]
-    columns: list[FloatArray] = []
-    inclinations: list[FloatArray] = []
-    for k in SCALES:
-        radius_m = distance_m[:, min(k, distance_m.shape[1] - 1)]
-        centred = offsets[:, : k + 1] - offsets[:, : k + 1].mean(axis=1, keepdims=True)
-        covariance = np.einsum("nki,nkj->nij", centred, centred) / centred.shape[1]
-        values, vectors = np.linalg.eigh(covariance)
-        l3, l2, l1 = np.maximum(values, 0.0).T
-        columns += [(l2 - l3) / np.maximum(l1, 1e-12), np.sqrt(l3), radius_m / range_m]
-        inclinations.append(np.abs(vectors[:, 2, 0]))
+    scales = [min(k + 1, len(points)) for k in SCALES]  # with the point itself
+    planes = [fit_planes(points, chosen, k) for k in scales]
+    distance_m, _ = tree.query(chosen, k=scales)
+    columns = [(p.variance[:, 1] - p.variance[:, 0]) / np.maximum(p.variance[:, 2], 1e-12) for p in planes]
+    columns += [np.sqrt(p.variance[:, 0]) for p in planes]
+    columns += [radius_m / range_m for radius_m in distance_m.T]
     n_near = tree.query_ball_point(chosen, _DENSITY_M, return_length=True)
-    columns += [inclinations[1], np.log(n_near), height_m[rows]]
-    names = _SURFACE
+    columns += [np.abs(planes[1].normal[:, 2]), np.log(n_near), height_m[rows]]
+    names = FAMILIES["surface"]
     if own_points is not None:
         columns += _rays(own_points, rows)
-        names += _RAYS
+        names += FAMILIES["rays"]
     if intensity is not None:
-        around = intensity[near[:, : SCALES[0] + 1]]
+        around = intensity[tree.query(chosen, k=scales[0])[1]]
         columns += [intensity[rows], around.mean(axis=1), around.std(axis=1)]
-        names += _INTENSITY
+        names += FAMILIES["intensity"]
     return np.column_stack(columns), names
 
 
-def separate(
-    features: FloatArray,
-    names: Sequence[str],
-    is_sim: BoolArray,
-    place: IntArray,
-    azimuth_deg: FloatArray,
-    *,
-    by_feature: bool = True,
-) -> Separation:
+def separate(features: FloatArray, is_sim: BoolArray, splits: Sequence[Fold]) -> Separation:
     """Train a classifier to recognise simulated points, and test it on points of other places.
 
     Parameters
     ----------
     features : (n, f) float64, points of both sides
-    names : (f,) group of each feature; those of one group are tried and permuted together
     is_sim : (n,) bool
-    place : (n,) int32, place of the frame of each point, from 0 on, in the order of recording
-    azimuth_deg : (n,) float64, of each point
-    by_feature : also compute `alone` and `loss`, else they are empty
-
-    Raises
-    ------
-    StageError
-        Fewer than two folds have points of both sides.
+    splits : from `usable_folds`
     """
-    rng = np.random.default_rng(0)
-    splits = _testable_folds(place, azimuth_deg, is_sim)
-    columns: dict[str, IndexArray] = {}
-    if by_feature:
-        columns = {name: np.flatnonzero(np.array(names) == name) for name in names}
+    from sklearn.model_selection import cross_val_score
+
+    n_trees = TREES if features.shape[1] > 1 else TREES_ALONE
+    by_fold = cross_val_score(_classifier(n_trees), features, is_sim, scoring="roc_auc", cv=splits)
+    auc, low, high = mean_interval(by_fold)
+    return Separation(by_fold, auc, max(0.0, low), min(1.0, high))
+
+
+def simulated_probability(features: FloatArray, is_sim: BoolArray, splits: Sequence[Fold]) -> FloatArray:
+    """(n,) probability of being simulated, by the classifier that has not seen the point's place; NaN if none."""
     probability = np.full(len(is_sim), np.nan)
-    aucs = []
-    alone = np.zeros((len(columns), len(splits)))
-    loss = np.zeros((len(columns), len(splits)))
-    for k, (train, test) in enumerate(splits):
-        model = _fit(features[train], is_sim[train], TREES)
-        truth = is_sim[test]
+    for train, test in splits:
+        model = _classifier(TREES).fit(features[train], is_sim[train])
         probability[test] = model.predict_proba(features[test])[:, 1]
-        aucs.append(_auc(truth, probability[test]))
-        for i, group in enumerate(columns.values()):
-            permuted = features[test]
-            permuted[:, group] = rng.permutation(permuted[:, group])
-            loss[i, k] = aucs[-1] - _auc(truth, model.predict_proba(permuted)[:, 1])
-            single = _fit(features[train][:, group], is_sim[train], TREES_ALONE)
-            alone[i, k] = _auc(truth, single.predict_proba(features[test][:, group])[:, 1])
-    _, low, high = mean_interval(np.array(aucs))
-    return Separation(
-        auc=float(np.mean(aucs)),
-        low=max(0.0, low),
-        high=min(1.0, high),
-        by_fold=np.array(aucs),
-        by_place=int(place.max()) + 1 >= LEAST_PLACES,
-        probability=probability,
-        alone=dict(zip(columns, alone.mean(axis=1).tolist(), strict=True)),
-        loss=dict(zip(columns, loss.mean(axis=1).tolist(), strict=True)),
-    )
+    return probability
 
 
 def auc_of(is_sim: BoolArray, probability: FloatArray) -> float | None:
     """Area under the ROC curve of some points, None if a side has fewer than 20."""
-    return _auc(is_sim, probability) if _has_both(is_sim) else None
+    from sklearn.metrics import roc_auc_score
+
+    return float(roc_auc_score(is_sim, probability)) if _has_both(is_sim) else None
 
 
 def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[Fold]:
@@ -208,8 +168,19 @@ def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[Fold]:
         yield np.flatnonzero(is_apart), np.flatnonzero(is_tested)
 
 
-def _testable_folds(place: IntArray, azimuth_deg: FloatArray, is_sim: BoolArray) -> list[Fold]:
-    """The folds that have points of both sides to train on and to test on."""
+def usable_folds(place: IntArray, azimuth_deg: FloatArray, is_sim: BoolArray) -> list[Fold]:
+    """The folds that have points of both sides to train on and to test on.
+
+    Parameters
+    ----------
+    place : (n,) int32, place of the frame of each point, from 0 on, in the order of recording
+    azimuth_deg : (n,) float64, of each point
+
+    Raises
+    ------
+    StageError
+        Fewer than two folds have points of both sides.
+    """
     testable = []
     for train, test in folds(place, azimuth_deg):
         if _has_both(is_sim[train]) and _has_both(is_sim[test]):
@@ -223,22 +194,10 @@ def _has_both(is_sim: BoolArray) -> bool:
     return bool(min(np.bincount(is_sim, minlength=2)) >= _LEAST_POINTS)
 
 
-def _fit(features: FloatArray, is_sim: BoolArray, n_trees: int) -> Any:
+def _classifier(n_trees: int) -> Any:
     from sklearn.ensemble import HistGradientBoostingClassifier
 
-    model = HistGradientBoostingClassifier(
-        max_iter=n_trees,
-        max_leaf_nodes=15,
-        early_stopping=False,
-        random_state=0,
-    )
-    return model.fit(features, is_sim)
-
-
-def _auc(is_sim: BoolArray, probability: FloatArray) -> float:
-    from sklearn.metrics import roc_auc_score
-
-    return float(roc_auc_score(is_sim, probability))
+    return HistGradientBoostingClassifier(max_iter=n_trees, max_leaf_nodes=15, early_stopping=False, random_state=0)
 
 
 def _rays(points: FloatArray, rows: IndexArray) -> list[FloatArray]:

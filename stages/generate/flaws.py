@@ -79,23 +79,20 @@ class Flaw:
         self.check(amount, at_m)
         if not len(points):
             return points.copy()
-        if self.at_m is None:
-            return self.alter(points, amount, rng)
-        return self.alter(points, amount, rng, self.at_m if at_m is None else at_m)
+        second = at_m or self.at_m
+        return self.alter(points, amount, rng, *([] if second is None else [second]))
 
     def check(self, amount: float, at_m: float | None = None) -> None:
         """Raise `FidpipeError` if an amount or a second parameter is out of bounds."""
-        if not self.low <= amount <= self.high:
-            expected = f"an amount from {self.low:g} to {self.high:g} ({self.amount}), got {amount:g}"
-        elif self.is_whole and amount != round(amount):
-            expected = f"an integer amount ({self.amount}), got {amount:g}"
-        elif at_m is not None and self.at_m is None:
-            expected = f"no second number, got {at_m:g}"
-        elif at_m is not None and not 0 < at_m < np.inf:
-            expected = f"a second number above 0 ({self.at}), got {at_m:g}"
-        else:
-            return
-        raise FidpipeError(f"flaw {self.name}: expected {expected}")
+        kind = "a whole number" if self.is_whole else "a number"
+        is_valid = self.low <= amount <= self.high
+        if not is_valid or (self.is_whole and amount != round(amount)):
+            raise FidpipeError(
+                f"flaw {self.name}: expected {kind} from {self.low:g} to {self.high:g} ({self.amount}), got {amount:g}"
+            )
+        if at_m is not None and (self.at_m is None or not 0 < at_m < np.inf):
+            expected = f"a second number above 0 ({self.at})" if self.at else "no second number"
+            raise FidpipeError(f"flaw {self.name}: expected {expected}, got {at_m:g}")
 
 
 @dataclass(frozen=True)
@@ -109,6 +106,10 @@ class ChosenFlaw:
     name: str
     amount: float
     at_m: float | None = None
+
+    def entries(self) -> dict[str, str | float]:
+        """The fields that have a value."""
+        return {name: value for name, value in vars(self).items() if value is not None}
 
 
 def carried(points: FloatArray, intensity: FloatArray, altered: FloatArray) -> FloatArray:
@@ -135,21 +136,9 @@ def is_foliage(points: FloatArray) -> BoolArray:
     return fit_planes(points, points, _NEIGHBOURS).scattering >= SCATTERED
 
 
-def lose_foliage(
-    points: FloatArray,
-    share: float,
-    rng: Generator,
-    where: BoolArray | None = None,
-) -> FloatArray:
-    """Remove a share of the foliage, in clumps of 2 m instead of single leaves.
-
-    Parameters
-    ----------
-    points : (n, 3) float64, metres
-    share : share of the foliage points to remove; rounded to whole points
-    where : (n,) bool, points labelled as foliage; by default `is_foliage`
-    """
-    rows = np.flatnonzero(is_foliage(points) if where is None else where)
+def lose_foliage(points: FloatArray, share: float, rng: Generator) -> FloatArray:
+    """Remove a share of the foliage, rounded to whole points, in clumps of 2 m instead of single leaves."""
+    rows = np.flatnonzero(is_foliage(points))
     is_lost = np.zeros(len(points), dtype=np.bool_)
     if len(rows):
         is_lost[rows[grow_regions(points[rows], round(share * len(rows)), rng)]] = True
@@ -165,8 +154,6 @@ def _lose_far(points: FloatArray, share: float, rng: Generator, beyond_m: float)
 def _cut_holes(points: FloatArray, n_holes: float, rng: Generator, radius_m: float) -> FloatArray:
     """Remove the points within `radius_m` of `n_holes` random points."""
     centres = points[rng.integers(len(points), size=round(n_holes))]
-    if not len(centres):
-        return points.copy()
     apart, _ = cKDTree(centres).query(points, distance_upper_bound=np.nextafter(radius_m, np.inf))
     return points[np.isinf(apart)]
 
@@ -180,12 +167,8 @@ def _blur(points: FloatArray, radius_m: float, rng: Generator) -> FloatArray:
     """
     if radius_m == 0:
         return points.copy()
-    planes = fit_planes(
-        voxel_means(points, radius_m / _BLUR_VOXELS),
-        points,
-        _BLUR_NEIGHBOURS,
-        radius_m,
-    )
+    means = voxel_means(points, radius_m / _BLUR_VOXELS)
+    planes = fit_planes(means, points, _BLUR_NEIGHBOURS, radius_m)
     off_m = ((planes.mean - points) * planes.normal).sum(axis=1)
     return points + np.where(planes.n_neighbours >= 3, off_m, 0.0)[:, None] * planes.normal
 
@@ -203,11 +186,9 @@ def _misalign_beams(points: FloatArray, std_deg: float, rng: Generator) -> Float
     elevation = np.arctan2(points[:, 2], level_m)
     bands = np.floor((np.degrees(elevation) + 90.0) / _BEAM_DEG).astype(np.intp)
     errors = np.radians(rng.normal(0.0, std_deg, round(180.0 / _BEAM_DEG) + 1))
-    altered_elevation = elevation + errors[bands]
+    elevation += errors[bands]
     heading = points[:, :2] / np.maximum(level_m, 1e-9)[:, None]
-    directions = np.column_stack(
-        [np.cos(altered_elevation)[:, None] * heading, np.sin(altered_elevation)],
-    )
+    directions = np.column_stack([np.cos(elevation)[:, None] * heading, np.sin(elevation)])
     planes = fit_planes(points, points, _NEIGHBOURS)
     with np.errstate(divide="ignore", invalid="ignore"):
         slid_m = (planes.normal * points).sum(axis=1) / (planes.normal * directions).sum(axis=1)
@@ -319,15 +300,15 @@ def parse_flaws(words: Sequence[str]) -> tuple[ChosenFlaw, ...]:
             raise FidpipeError(f"flaw {name!r}: unknown; {suggestion(name, FLAWS)}")
         if name in chosen:
             raise FidpipeError(f"flaw {name}: given twice; give it once")
+        if word == "mirrored":
+            text = "1"
         amount, colon, at_m = text.partition(":")
-        if not text and FLAWS[name].is_whole and FLAWS[name].high == 1:
-            amount = "1"
         try:
             flaw = ChosenFlaw(name, float(amount), float(at_m) if colon else None)
         except ValueError:
-            second = f", and {FLAWS[name].at} after a colon" if FLAWS[name].at_m is not None else ""
+            meaning = " : ".join(filter(None, [FLAWS[name].amount, FLAWS[name].at]))
             raise FidpipeError(
-                f"flaw {word!r}: expected {name}=AMOUNT with a number ({FLAWS[name].amount}{second})",
+                f"flaw {word!r}: expected {name}=AMOUNT with a number ({meaning})",
             ) from None
         FLAWS[name].check(flaw.amount, flaw.at_m)
         chosen[name] = flaw

@@ -48,7 +48,6 @@ class PerturbationKind:
     text : name of a level in tables, with {0} for the `Perturbation`
     heading : name of a level in narrow columns, with {} for the amount
     axis : label of the amount in figures; "" if no curve is drawn
-    base : of a logarithmic axis; 0 for a linear one
     """
 
     alter: Callable[..., FloatArray]
@@ -57,7 +56,6 @@ class PerturbationKind:
     text: str
     heading: str
     axis: str = ""
-    base: int = 0
 
 
 def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> FloatArray:
@@ -253,7 +251,6 @@ KINDS = {
         text="noise {0.amount:g} m",
         heading="noise\n{:g} m",
         axis="noise, standard deviation (m)",
-        base=10,
     ),
     "dropout": PerturbationKind(
         alter=drop_points,
@@ -285,7 +282,6 @@ KINDS = {
         text="density x {0.amount:g}",
         heading="dens.\nx {:g}",
         axis="local density, factor",
-        base=2,
     ),
     "null": PerturbationKind(
         alter=reorder,

@@ -29,13 +29,9 @@ class Beams:
     def directions(self) -> FloatArray:
         """(n, 3) float64, unit vectors."""
         level = np.cos(self.elevation_rad)
-        return np.column_stack(
-            [
-                level * np.cos(self.azimuth_rad),
-                level * np.sin(self.azimuth_rad),
-                np.sin(self.elevation_rad),
-            ],
-        )
+        x = level * np.cos(self.azimuth_rad)
+        y = level * np.sin(self.azimuth_rad)
+        return np.column_stack([x, y, np.sin(self.elevation_rad)])
 
 
 @dataclass(frozen=True)
@@ -127,12 +123,8 @@ class RayTarget:
         directions : (n, 3) float64, unit vectors
         """
         if not len(directions) or not len(self._mesh.faces):
-            return Hits(
-                np.empty(0, dtype=np.intp),
-                np.empty(0, dtype=np.intp),
-                np.empty(0),
-                np.empty(0),
-            )
+            no_ids = np.empty(0, dtype=np.intp)
+            return Hits(no_ids, no_ids, np.empty(0), np.empty(0))
         places, ray_ids, face_ids = self._mesh.ray.intersects_location(
             np.zeros_like(directions), directions, multiple_hits=False
         )
@@ -157,18 +149,8 @@ def return_probability(
     ----------
     range_m, cos_incidence, reflectivity : (n,) float64
     """
-    signal = (
-        reflectivity
-        * np.sqrt(cos_incidence)
-        * (
-            sensor.signal_range_m
-            / np.maximum(
-                range_m,
-                sensor.min_range_m,
-            )
-        )
-        ** 2
-    )
+    near = sensor.signal_range_m / np.maximum(range_m, sensor.min_range_m)
+    signal = reflectivity * np.sqrt(cos_incidence) * near**2
     return (1.0 - sensor.lost_share) * -np.expm1(-signal)
 
 

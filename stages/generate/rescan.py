@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from ...schemas.sensor_models import SensorModel
-from ..arrays import BoolArray, FloatArray, IndexArray, sums_by_id
+from ..arrays import FloatArray, IndexArray, sums_by_id
 from ..surfels import fit_planes, voxel_ids
 from .flaws import SCATTERED
 from .ray_casting import RayTarget, measure_ranges
@@ -48,25 +48,18 @@ class VoxelMap:
 
     points : (n, 3) float64, metres, mean of the points in each voxel
     n_points : (n,) float64, their number
-    foliage : (n,) float64, share of them that is labelled as foliage
     intensity : (n,) float64, their mean intensity; NaN if a scan has none
     """
 
     points: FloatArray
     n_points: FloatArray
-    foliage: FloatArray
     intensity: FloatArray
 
 
-EMPTY_MAP = VoxelMap(np.empty((0, 3)), *(np.empty(0),) * 3)
+EMPTY_MAP = VoxelMap(np.empty((0, 3)), np.empty(0), np.empty(0))
 
 
-def extend_map(
-    voxels: VoxelMap,
-    points: FloatArray,
-    is_foliage: BoolArray | None = None,
-    intensity: FloatArray | None = None,
-) -> VoxelMap:
+def extend_map(voxels: VoxelMap, points: FloatArray, intensity: FloatArray) -> VoxelMap:
     """Add the points of a scan to a map; its size is bounded by the surface, not by the number of scans.
 
     Voxels have an edge of 0.1 m within 15 m of the sensor, twice that to 30 m, and so on: about the
@@ -75,37 +68,29 @@ def extend_map(
     Parameters
     ----------
     points : (n, 3) float64, metres, in the frame of the new scan
-    is_foliage : (n,) bool, by label; by default no point is
-    intensity : (n,) float64, if the scan has it
+    intensity : (n,) float64, NaN if unknown
     """
-    merged = np.concatenate([voxels.points, points])
+    before = np.column_stack([voxels.points, voxels.intensity])
+    columns = np.concatenate([before, np.column_stack([points, intensity])])
     weight = np.concatenate([voxels.n_points, np.ones(len(points))])
-    foliage = np.concatenate(
-        [voxels.foliage, np.zeros(len(points)) if is_foliage is None else is_foliage],
-    )
-    bright = np.concatenate(
-        [voxels.intensity, np.full(len(points), np.nan) if intensity is None else intensity],
-    )
-    band = _bands(merged)
-    parts = []
+    band = _bands(columns[:, :3])
+    means = []
+    totals = []
     for number in range(_BANDS):
         rows = np.flatnonzero(band == number)
-        _, ids = np.unique(voxel_ids(merged[rows], VOXEL_M * 2.0**number), return_inverse=True)
-        weights = weight[rows]
-        total = np.bincount(ids, weights)
-        columns = np.column_stack([merged[rows], foliage[rows], bright[rows]])
-        parts.append(
-            np.column_stack(
-                [sums_by_id(weights[:, None] * columns, ids, len(total)) / total[:, None], total],
-            ),
-        )
-    means = np.concatenate(parts)
-    return VoxelMap(means[:, :3], means[:, 5], means[:, 3], means[:, 4])
+        voxel_m = VOXEL_M * 2.0**number
+        _, ids = np.unique(voxel_ids(columns[rows, :3], voxel_m), return_inverse=True)
+        total = np.bincount(ids, weight[rows])
+        sums = sums_by_id(weight[rows, None] * columns[rows], ids, len(total))
+        means.append(sums / total[:, None])
+        totals.append(total)
+    mean = np.concatenate(means)
+    return VoxelMap(mean[:, :3], np.concatenate(totals), mean[:, 3])
 
 
 def rescan(
     voxels: VoxelMap, directions: FloatArray, sensor: SensorModel, rng: np.random.Generator
-) -> tuple[FloatArray, BoolArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:
     """Scan a map by a sensor at the origin.
 
     Each point of the map becomes a square in the plane of its 20 nearest points, of the area of a
@@ -125,19 +110,16 @@ def rescan(
     Returns
     -------
     points : (m, 3) float64, metres, sensor frame, in the order of the rays
-    is_foliage : (m,) bool, by the labels of the map
     intensity : (m,) float64, of the surface that each ray hit; NaN if unknown
     """
     points = voxels.points
     if not len(points):
-        return np.empty((0, 3)), np.empty(0, dtype=np.bool_), np.empty(0)
+        return np.empty((0, 3)), np.empty(0)
     widest_m = (_WIDEST * VOXEL_M * 2.0 ** _bands(points)).astype(np.float64)
     planes = fit_planes(points, points, _PLANE_NEIGHBOURS)
     apart, _ = cKDTree(points).query(points, k=[min(_RADIUS_NEIGHBOUR + 1, len(points))])
-    radius_m = np.minimum(
-        apart[:, 0],
-        widest_m,
-    ) * np.where(planes.scattering >= SCATTERED, _LEAF, 1.0)
+    leaf = np.where(planes.scattering >= SCATTERED, _LEAF, 1.0)
+    radius_m = np.minimum(apart[:, 0], widest_m) * leaf
     off_m = ((planes.mean - points) * planes.normal).sum(axis=1)[:, None]
     target = RayTarget(*_discs(points + off_m * planes.normal, planes.normal, radius_m))
     hits = target.first_hits(directions)
@@ -147,8 +129,7 @@ def rescan(
     is_detected = rng.random(len(range_m)) >= sensor.lost_share
     range_m = measure_ranges(sensor, range_m, rng)
     is_detected &= (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
-    seen = surfels[is_detected]
-    return (rays * range_m[:, None])[is_detected], voxels.foliage[seen] > 0.5, voxels.intensity[seen]
+    return (rays * range_m[:, None])[is_detected], voxels.intensity[surfels[is_detected]]
 
 
 def _onto_planes(

@@ -63,23 +63,13 @@ class StreetObject:
         return join_meshes([self.solid, self.leaves])
 
 
-@dataclass(frozen=True)
-class CarShape:
-    """Measures of a car.
-
-    size_m : length, width, height
-    cabin : places of the rear window's foot and top and of the windscreen's top and foot, shares of
-        the length
-    """
-
-    size_m: tuple[float, float, float]
-    cabin: tuple[float, float, float, float]
-
-
-SALOON = CarShape((4.6, 1.82, 1.45), (0.14, 0.3, 0.56, 0.72))
-HATCHBACK = CarShape((4.0, 1.76, 1.48), (0.02, 0.1, 0.54, 0.72))
-ESTATE = CarShape((4.6, 1.88, 1.66), (0.02, 0.07, 0.55, 0.7))
-CAR_SHAPES = (SALOON, HATCHBACK, ESTATE)
+#: Saloon, hatchback and estate: length, width and height, and places of the rear window's foot and
+#: top and of the windscreen's top and foot, shares of the length.
+CAR_SHAPES = (
+    ((4.6, 1.82, 1.45), (0.14, 0.3, 0.56, 0.72)),
+    ((4.0, 1.76, 1.48), (0.02, 0.1, 0.54, 0.72)),
+    ((4.6, 1.88, 1.66), (0.02, 0.07, 0.55, 0.7)),
+)
 
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
@@ -169,12 +159,16 @@ def build_house(
     return join_meshes(parts)
 
 
-def build_car(foot: FloatArray, shape: CarShape, heading_rad: float, reflectivity: float) -> Mesh:
-    """A parked car: a body, and a cabin of glass."""
-    length, width, height = shape.size_m
+def build_car(foot: FloatArray, shape: int, heading_rad: float, reflectivity: float) -> Mesh:
+    """A parked car: a body, and a cabin of glass.
+
+    Parameters
+    ----------
+    shape : index in `CAR_SHAPES`
+    """
+    (length, width, height), (rear, rear_top, front_top, front) = CAR_SHAPES[shape]
     belt = 0.62 * height
     bonnet = 0.95 * belt
-    rear, rear_top, front_top, front = shape.cabin
     body = [(0.0, 0.25), (1.0, 0.25), (1.0, 0.6 * belt), (0.97, 0.85 * belt)]
     body += [(front, bonnet), (rear, belt), (0.01, 0.9 * belt)]
     cabin = [(rear, bonnet), (front, bonnet), (front_top, height), (rear_top, height)]

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray
 from .street_objects import (
     CAR_SHAPES,
     Mesh,
@@ -120,7 +119,7 @@ def _park_cars(street: Street, side: int, rng: np.random.Generator) -> Iterator[
 
 
 def _draw_car(x: float, y: float, heading_rad: float, rng: np.random.Generator) -> StreetObject:
-    shape = CAR_SHAPES[rng.integers(len(CAR_SHAPES))]
+    shape = int(rng.integers(len(CAR_SHAPES)))
     paint = rng.choice([0.06, 0.25, 0.45, 0.7])
     return StreetObject("car", build_car(np.array([x, y, 0.0]), shape, heading_rad, paint))
 
@@ -144,8 +143,10 @@ def _build_plot(
     middle_m = edge_m + width_m / 2
     boundary_m = street.half_road_m + street.pavement_m
     if rng.uniform() > street.building:
-        park = Bed(middle_m, width_m, side, boundary_m + 1.0, boundary_m + 18.0)
-        yield from park.plant(int(rng.integers(2, 5)), int(rng.integers(1, 4)), rng)
+        park_m = (boundary_m + 1.0, boundary_m + 18.0)
+        n_trees = int(rng.integers(2, 5))
+        n_bushes = int(rng.integers(1, 4))
+        yield from _plant(middle_m, width_m, side, park_m, n_trees, n_bushes, rng)
         return
     length_m = min(rng.uniform(8.0, 14.0), width_m - 2.5)
     size_m = np.array([length_m, rng.uniform(7.0, 10.0), rng.choice([2.9, 3.3, 5.6])])
@@ -156,14 +157,12 @@ def _build_plot(
     if rng.uniform() < 0.3:
         yield _draw_car(edge_m + 1.7, side * (boundary_m + 2.8), np.pi / 2, rng)
     yield from _bound_garden(middle_m + 1.7, side * boundary_m, width_m - 3.7, street.planting, rng)
-    front = Bed(middle_m + 1.7, width_m - 3.4, side, boundary_m + 1.2, front_m - 0.6)
-    yield from front.plant(
-        rng.poisson(0.3 * street.planting),
-        rng.poisson(1.2 * street.planting),
-        rng,
-    )
-    back = Bed(middle_m, width_m, side, back_m + 3.0, back_m + 14.0)
-    yield from back.plant(rng.poisson(1.0), 0, rng)
+    garden_m = (boundary_m + 1.2, front_m - 0.6)
+    n_trees = rng.poisson(0.3 * street.planting)
+    n_bushes = rng.poisson(1.2 * street.planting)
+    yield from _plant(middle_m + 1.7, width_m - 3.4, side, garden_m, n_trees, n_bushes, rng)
+    behind_m = (back_m + 3.0, back_m + 14.0)
+    yield from _plant(middle_m, width_m, side, behind_m, rng.poisson(1.0), 0, rng)
 
 
 def _bound_garden(
@@ -179,33 +178,27 @@ def _bound_garden(
         yield StreetObject("wall", build_box(foot, size_m, rng.uniform(0.3, 0.6)))
 
 
-@dataclass(frozen=True)
-class Bed:
-    """A part of a plot where something grows.
+def _plant(
+    middle_m: float,
+    width_m: float,
+    side: int,
+    bounds_m: tuple[float, float],
+    n_trees: int,
+    n_bushes: int,
+    rng: np.random.Generator,
+) -> Iterator[StreetObject]:
+    """Trees and bushes at random places of a bed.
 
+    Parameters
+    ----------
     middle_m, width_m : along the street
     side : of the street, 1 or -1
-    near_m, far_m : distances from the middle of the street
+    bounds_m : distances of the bed from the middle of the street
     """
-
-    middle_m: float
-    width_m: float
-    side: int
-    near_m: float
-    far_m: float
-
-    def plant(
-        self,
-        n_trees: int,
-        n_bushes: int,
-        rng: np.random.Generator,
-    ) -> Iterator[StreetObject]:
-        """Trees and bushes at random places."""
-        for _ in range(n_trees):
-            yield build_tree(self._draw_place(rng), rng.uniform(4.0, 11.0), rng)
-        for _ in range(n_bushes):
-            yield build_bush(self._draw_place(rng), rng.uniform(0.5, 1.2), rng)
-
-    def _draw_place(self, rng: np.random.Generator) -> FloatArray:
-        x = self.middle_m + self.width_m * rng.uniform(-0.5, 0.5)
-        return np.array([x, self.side * rng.uniform(self.near_m, self.far_m), 0.0])
+    for number in range(n_trees + n_bushes):
+        x = middle_m + width_m * rng.uniform(-0.5, 0.5)
+        foot = np.array([x, side * rng.uniform(*bounds_m), 0.0])
+        if number < n_trees:
+            yield build_tree(foot, rng.uniform(4.0, 11.0), rng)
+        else:
+            yield build_bush(foot, rng.uniform(0.5, 1.2), rng)

@@ -60,17 +60,12 @@ def build_twin(
             density = 0.8
         else:
             mesh = _remesh(item, range_m, rng)
-            density = _draw_density(range_m, rng)
+            spread = 0.4 + 0.8 * min(range_m / 40.0, 1.0)  # mostly too few points nearby
+            density = float(np.clip(rng.lognormal(-0.6, spread), *_DENSITY_BOUNDS))
         if len(mesh.faces):
             surfaces.append(TwinSurface(object_id, item.kind, mesh, density))
     surfaces += _invent_sheets(surfaces, rng)
     return _displace(surfaces, rng)
-
-
-def _draw_density(range_m: float, rng: np.random.Generator) -> float:
-    """Points per beam: mostly too few nearby, and the more variable the farther away the object is."""
-    far = min(range_m / 40.0, 1.0)
-    return float(np.clip(rng.lognormal(-0.6, 0.4 + 0.8 * far), *_DENSITY_BOUNDS))
 
 
 def _remesh(item: StreetObject, range_m: float, rng: np.random.Generator) -> Mesh:
@@ -109,20 +104,18 @@ def _invent_sheets(
         if rng.uniform() < np.clip((np.linalg.norm(middle) - 12.0) / 60.0, 0.0, 0.5):
             others.append(neighbour)
         for other in others:
-            sheet = _span_sheet(_draw_edge(surface.mesh, rng), _draw_edge(other.mesh, rng))
+            sheet = _span_sheet(surface.mesh, other.mesh, rng)
             yield replace(surface, mesh=sheet, density=rng.uniform(0.5, 2.0))
 
 
-def _draw_edge(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
-    """(2, 3) float64, two random vertices of a mesh."""
-    return mesh.vertices[rng.integers(len(mesh.vertices), size=2)]
-
-
-def _span_sheet(start: FloatArray, end: FloatArray) -> Mesh:
-    """The surface spanned by two edges, subdivided so that it can be bent."""
+def _span_sheet(first: Mesh, second: Mesh, rng: np.random.Generator) -> Mesh:
+    """The surface spanned by two random vertices of each of two meshes, subdivided so that it can be bent."""
     share = np.linspace(0.0, 1.0, 6)[:, None]
-    left = start[0] + share * (start[1] - start[0])
-    right = end[0] + share * (end[1] - end[0])
+    edges = []
+    for mesh in (first, second):
+        start, end = mesh.vertices[rng.integers(len(mesh.vertices), size=2)]
+        edges.append(start + share * (end - start))
+    left, right = edges
     return build_grid(left + share[:, None] * (right - left), 0.3)
 
 

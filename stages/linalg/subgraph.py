@@ -43,15 +43,14 @@ class Subgraph:
 
 def adjacency(n_nodes: int, edges: Edges) -> scipy.sparse.csr_matrix:
     """Symmetric weighted adjacency matrix, (n, n) CSR float64 with sorted indices; all zero without edges."""
-    half = upper_half(n_nodes, edges)
+    half = upper_half(n_nodes, edges).astype(np.float64)
     return half + half.T.tocsr()
 
 
 def upper_half(n_nodes: int, edges: Edges) -> scipy.sparse.csr_matrix:
-    """Part of the adjacency matrix above its diagonal, (n, n) CSR float64."""
+    """Part of the adjacency matrix above its diagonal, (n, n) CSR float32."""
     starts = np.searchsorted(edges.src, np.arange(n_nodes + 1))
-    lengths = edges.length_m.astype(np.float64)
-    return scipy.sparse.csr_matrix((lengths, edges.dst, starts), shape=(n_nodes, n_nodes))
+    return scipy.sparse.csr_matrix((edges.length_m, edges.dst, starts), shape=(n_nodes, n_nodes))
 
 
 def connected_nodes(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]) -> IndexArray:

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ...schemas.metric_catalogue import DISTRIBUTED
 from ...schemas.results import (
     ClassFindings,
     DensityRatio,
@@ -54,9 +55,10 @@ _QUANTILES = {
 
 @dataclass(frozen=True)
 class Objects:
-    """Objects of one side of all pairs.
+    """Objects of both sides of all pairs.
 
     pair : (n,) index of the pair
+    is_real : (n,) True if it is of the real side
     range_m : (n,) distance of the centroid from the sensor
     label : (n,) class, "" if the object has none
     is_matched : (n,) True if the other side has it too
@@ -65,6 +67,7 @@ class Objects:
     """
 
     pair: IntArray
+    is_real: BoolArray
     range_m: FloatArray
     label: NDArray[np.str_]
     is_matched: BoolArray
@@ -76,13 +79,13 @@ class Objects:
 
     @property
     def matched(self) -> Objects:
-        """The matched ones."""
-        return Objects(**{name: values[self.is_matched] for name, values in vars(self).items()})
+        """The matched ones, each once, with the place of the real object."""
+        chosen = self.is_matched & self.is_real
+        return Objects(**{name: values[chosen] for name, values in vars(self).items()})
 
 
 def summarise_objects(
-    real: Objects,
-    sim: Objects,
+    objects: Objects,
     pair_ids: Sequence[str],
     timestamps_s: Sequence[float | None],
 ) -> ObjectFindings:
@@ -90,12 +93,11 @@ def summarise_objects(
 
     Parameters
     ----------
-    real, sim : objects of each side
+    objects : of both sides
     pair_ids : name of each pair
     timestamps_s : time of the scan of each pair; None if unknown
     """
-    matched = real.matched
-    unmatched_m = np.concatenate([real.range_m[~real.is_matched], sim.range_m[~sim.is_matched]])
+    matched = objects.matched
     return ObjectFindings(
         n_pairs=len(pair_ids),
         n_matched=len(matched.pair),
@@ -108,10 +110,10 @@ def summarise_objects(
         density_ratio=density_ratio(matched.n_real, matched.n_sim),
         range_m=RangeFindings(
             median_matched=median_of(matched.range_m),
-            median_unmatched=median_of(unmatched_m),
-            bands=by_range(real, sim),
+            median_unmatched=median_of(objects.range_m[~objects.is_matched]),
+            bands=by_range(objects),
         ),
-        classes=by_class(real, sim),
+        classes=by_class(objects),
         scans=compare_scans(matched, pair_ids, timestamps_s),
     )
 
@@ -182,39 +184,33 @@ def density_ratio(n_real: IntArray, n_sim: IntArray) -> DensityRatio:
     )
 
 
-def by_range(real: Objects, sim: Objects) -> tuple[RangeBand, ...]:
+def by_range(objects: Objects) -> tuple[RangeBand, ...]:
     """Missing and hallucinated objects by distance from the sensor on their side; the last band has no end."""
     bands = []
     for low, high in pairwise([*BAND_EDGES_M, np.inf]):
-        in_real = (real.range_m >= low) & (real.range_m < high)
-        in_sim = (sim.range_m >= low) & (sim.range_m < high)
-        counts = vars(_unmatched(real, sim, in_real, in_sim))
-        bands.append(RangeBand(from_m=low, to_m=None if high == np.inf else high, **counts))
+        counts = _unmatched(objects, (objects.range_m >= low) & (objects.range_m < high))
+        bands.append(RangeBand(from_m=low, to_m=None if high == np.inf else high, **vars(counts)))
     return tuple(bands)
 
 
-def by_class(real: Objects, sim: Objects) -> tuple[ClassFindings, ...]:
+def by_class(objects: Objects) -> tuple[ClassFindings, ...]:
     """Missing, hallucinated and scores by class, the class with most objects first; () without labels.
 
     A matched object has the class of its real side. Each score has its mean, standard deviation (n - 1) and number of
     objects.
     """
-    labels, counts = np.unique(np.concatenate([real.label, sim.label]), return_counts=True)
-    matched = real.matched
+    labels, counts = np.unique(objects.label, return_counts=True)
+    matched = objects.matched
     rows = []
     for label in labels[np.argsort(-counts, kind="stable")].tolist():
         if not label:
             continue
         is_of_class = matched.label == label
-        scores = {
-            "cdc": _group_mean(matched.cdc[is_of_class]),
-            "r_lambda": _group_mean(matched.r_lambda[is_of_class]),
-            "r_gap": _group_mean(matched.r_gap[is_of_class]),
-        }
+        scores = {name: _group_mean(getattr(matched, name)[is_of_class]) for name in DISTRIBUTED}
         rows.append(
             ClassFindings(
                 label=label,
-                **vars(_unmatched(real, sim, real.label == label, sim.label == label)),
+                **vars(_unmatched(objects, objects.label == label)),
                 n_matched=int(np.count_nonzero(is_of_class)),
                 scores=scores,
             )
@@ -280,12 +276,14 @@ def evenly(n: int, most: int) -> list[int]:
     return list(map(int, np.unique(np.linspace(0, n - 1, min(n, most)).round())))
 
 
-def _unmatched(real: Objects, sim: Objects, in_real: BoolArray, in_sim: BoolArray) -> Unmatched:
+def _unmatched(objects: Objects, in_group: BoolArray) -> Unmatched:
     """Objects of each side in a group, and those of them that the other side lacks."""
+    in_real = in_group & objects.is_real
+    in_sim = in_group & ~objects.is_real
     n_real = int(np.count_nonzero(in_real))
     n_sim = int(np.count_nonzero(in_sim))
-    n_missing = int(np.count_nonzero(in_real & ~real.is_matched))
-    n_hallucinated = int(np.count_nonzero(in_sim & ~sim.is_matched))
+    n_missing = int(np.count_nonzero(in_real & ~objects.is_matched))
+    n_hallucinated = int(np.count_nonzero(in_sim & ~objects.is_matched))
     return Unmatched(
         n_real=n_real,
         n_missing=n_missing,

@@ -85,22 +85,3 @@ def send(started, number):
         os.killpg(started.process.pid, number)
     else:
         started.process.send_signal(number)
-
-
-@pytest.mark.exhaustive
-def test_a_stopped_worker_does_not_keep_a_run_from_ending(dataset, finished, tmp_path):
-    out = tmp_path / "run"
-    started = start(dataset, out)
-    assert started.wait_for(started.workers)
-    stopped = started.workers()
-    for worker in stopped:
-        worker.suspend()
-    assert not started.ends_within(2.0)
-    send(started, signal.SIGTERM)
-    assert started.ends_within(60.0)
-    for worker in stopped:
-        with suppress(psutil.NoSuchProcess):
-            worker.resume()
-    code, errors = started.end()
-    assert (code, lines_of(errors)[-1:]) == (130, [INTERRUPTED]), errors
-    assert_resumes(dataset, out, finished)

@@ -1,41 +1,31 @@
-"""Runs in a folder whose ledger is lost, that was killed, or that may not be written.
+"""Runs in a folder whose ledger is lost, that was killed, or that may not be written."""
 
-The tables are the source of truth: their footers are enough to resume.
-"""
-
-import json
 import shutil
 from dataclasses import replace
 
-import pandas as pd
-import pyarrow.parquet as pq
 import pytest
 
 from fidpipe.pipeline import run as run_module
 from fidpipe.pipeline.jobs import STAGES
-from fidpipe.pipeline.results.finished import FinishedRun, pair_facts
+from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.schemas.errors import RunError, StageError
-from fidpipe.schemas.settings import load
 from runs import (
-    FOLDERS,
     JOBS_PER_PAIR,
     STAGE_NAMES,
     assert_same_tables,
-    changed_tables,
-    flip,
+    changed_files,
     listening,
     marks,
     run,
-    some_of,
 )
 
 N_JOBS = 2 * JOBS_PER_PAIR
 
 
 def lose_ledger(out):
-    (out / LEDGER).unlink()
+    shutil.rmtree(out / LEDGER)
 
 
 def run_told(dataset, out):
@@ -44,67 +34,25 @@ def run_told(dataset, out):
     return run(dataset, out, reporter=reporter), said.getvalue()
 
 
-def test_a_run_without_its_ledger_makes_nothing_and_touches_no_table(again, finished, dataset):
-    before = marks(again)
+def test_a_run_without_its_ledger_is_computed_again(again, finished, dataset):
     lose_ledger(again)
-    outcome, told = run_told(dataset, again)
-    assert (outcome.n_made, outcome.n_reused, outcome.failures) == (0, N_JOBS, {})
-    assert marks(again) == before
-    assert "replacing" not in told
-    assert "removing" not in told
-    before = json.loads((finished / "run.json").read_text())
-    for part in ("summary", "findings", "inputs", "pairs"):
-        assert outcome.record.as_dict()[part] == before[part]
-    assert pd.read_parquet(again / "timings.parquet").empty  # seconds were in the lost ledger
+    with pytest.raises(RunError, match=r"pairs\.parquet is damaged or gone"):
+        FinishedRun(again)
+    assert run_status(again).stages == {stage: {"to do": 2} for stage in STAGE_NAMES}
+    outcome, text = run_told(dataset, again)
+    assert (outcome.n_made, outcome.n_reused, outcome.failures) == (N_JOBS, 0, {})
+    assert "that no finished job accounts for" in text
+    assert_same_tables(again, finished)
     assert run(dataset, again).n_made == 0
 
 
-def test_results_that_are_out_of_date_are_not_taken_for_lack_of_a_ledger(again, dataset, tmp_path):
-    lose_ledger(again)
-    settings = load(None, ["matching.delta_m=3"])
-    assert run(dataset, again, settings).n_made == 6
-    run(dataset, tmp_path / "fresh", settings)
-    assert_same_tables(again, tmp_path / "fresh")
-
-
-TWO_TABLES = ({"communities", "objects"}, {"rays", "ray_scores"})  # of one job
-
-
-@pytest.mark.parametrize("folder", some_of(FOLDERS, ["communities", "metrics"]))
-@pytest.mark.parametrize("where", ["page", "footer"])
-def test_without_a_ledger_a_damaged_table_alone_is_made_again(again, finished, dataset, folder, where):
+def test_a_pair_without_its_entry_is_computed_again_alone(again, finished, dataset):
+    (again / LEDGER / "001.json").unlink()
     before = marks(again)
-    path = sorted((again / folder).glob("*.parquet"))[0]
-    lose_ledger(again)
-    has_values = where == "footer" or len(pd.read_parquet(path)) > 0
-    flip(path, 40 if where == "page" else path.read_bytes().index(b"fidpipe.job") + 60)
-    outcome, told = run_told(dataset, again)
+    outcome = run(dataset, again)
+    assert (outcome.n_made, outcome.n_reused) == (JOBS_PER_PAIR, JOBS_PER_PAIR)
+    assert all("/001." in name for name in changed_files(again, before))
     assert_same_tables(again, finished)
-    if not has_values:  # the bytes of a page without rows are not read
-        return
-    assert outcome.n_made == 1
-    of_one_job = next((both for both in TWO_TABLES if folder in both), {folder})
-    assert changed_tables(again, before) == of_one_job
-    assert f"removing {len(of_one_job)} file" in told
-
-
-def test_show_and_status_need_no_ledger(again, finished):
-    lose_ledger(again)
-    files = {path: path.read_bytes() for path in again.rglob("*") if path.is_file()}
-    whole, lost = FinishedRun(finished), FinishedRun(again)
-    assert lost.rows == whole.rows
-    assert pair_facts(lost, "001") == pair_facts(whole, "001")
-    assert run_status(again).stages == {stage: {"done": 2} for stage in STAGE_NAMES}
-    assert {path: path.read_bytes() for path in again.rglob("*") if path.is_file()} == files
-
-
-def test_a_run_whose_tables_lost_their_footers_is_not_shown_as_if_it_were_whole(again):
-    lose_ledger(again)
-    for path in again.rglob("*.parquet"):
-        pq.write_table(pq.read_table(path).replace_schema_metadata({"fidpipe.key": "key"}), path)
-    with pytest.raises(RunError, match=r"pairs\.parquet"):
-        FinishedRun(again)
-    assert run_status(again).stages == {stage: {"to do": 2} for stage in STAGE_NAMES}
 
 
 def test_a_failure_that_the_ledger_has_lost_is_found_again(data, tmp_path):
@@ -114,7 +62,7 @@ def test_a_failure_that_the_ledger_has_lost_is_found_again(data, tmp_path):
     lose_ledger(out)
     outcome = run(data, out)
     assert outcome.failures == before.failures
-    assert outcome.n_made == 0
+    assert outcome.n_made == JOBS_PER_PAIR
 
 
 def test_a_run_with_nothing_to_do_leaves_the_finished_record_until_it_has_the_next(again, dataset, monkeypatch):

@@ -2,9 +2,7 @@
 
 import os
 import re
-import shutil
 import signal
-import subprocess
 import tempfile
 from pathlib import Path
 
@@ -66,36 +64,6 @@ def test_files_from_the_future_and_the_past_are_judged_by_what_they_hold(data, f
         os.utime(path, (0, 0) if i % 2 else (4e9, 4e9))
     assert run(data, out).n_made == 0
     assert_resumes(data, out, finished)
-
-
-@pytest.fixture
-def file_system(tmp_path):
-    """A separate file system that can be made read-only; skipped where nothing may be mounted."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    words = ["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", folder]
-    if shutil.which("mount") is None or subprocess.run(words, check=False, capture_output=True).returncode:
-        pytest.skip("no file system may be mounted here")
-    yield folder
-    subprocess.run(["umount", folder], check=False)
-
-
-def remount(folder, how):
-    return subprocess.run(["mount", "-o", f"remount,{how}", folder], check=False, capture_output=True).returncode == 0
-
-
-@pytest.mark.exhaustive
-def test_a_file_system_that_becomes_read_only_ends_a_run_with_a_line(dataset, finished, file_system):
-    out = file_system / "run"
-    assert own_process("run", dataset, "--out", out, "--workers", 1, "--pairs", "00[01]").returncode == 0
-    assert remount(file_system, "ro")
-    refused = own_process("run", dataset, "--out", out, "--workers", 1, code=1)
-    assert len(lines_of(refused.stderr)) == 1
-    assert "Read-only file system" in refused.stderr
-    for words in (("status", out), ("show", out), ("show", out, "000")):
-        assert own_process(*words).returncode == 0
-    assert remount(file_system, "rw")
-    assert_resumes(dataset, out, finished)
 
 
 @pytest.fixture

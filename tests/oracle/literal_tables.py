@@ -66,7 +66,8 @@ def ground(pair):
         if pair.settings.ground.method != "patchwork":
             threshold_m = -math.inf if cut["threshold_m"] is None else cut["threshold_m"]
             is_tied = np.abs(heights - threshold_m) <= ROUNDING_M
-            rows["is_ground"] = np.where(is_tied, table["is_ground"], heights < threshold_m)
+            is_ground = (heights < threshold_m) | _on_real_road(pair, side, heights - cut["peak_m"])
+            rows["is_ground"] = np.where(is_tied, table["is_ground"], is_ground)
         yield pair.rows("ground", rows, side)
         n_ground = int(table["is_ground"].sum())
         names = ["peak_m", "threshold_m", "loss", "iterations"]
@@ -100,6 +101,31 @@ def _cut(pair, side):
     if settings.method != "pca":
         cut |= {"threshold_m": None, "loss": None, "iterations": None}
     return cut, heights, is_unique
+
+
+def _on_real_road(pair, side, heights_m):
+    """True for the simulated points that lie on the real road, where the real side cuts both."""
+    settings = pair.settings.ground
+    real_points = pair.sides["real"].all_points
+    points = pair.sides[side].all_points
+    on_road = np.zeros(len(points), dtype=bool)
+    real = pair.metadata("ground", "real")
+    offset_m = None
+    if side == "sim" and settings.peak == "real" and not settings.shared:
+        offset_m = literal_method.road_offset(real_points, points, np.array(real["axis"]))
+    table = pair.table("ground", "real")
+    is_real_ground = table["is_ground"].to_numpy(dtype=bool)
+    if offset_m is None or not is_real_ground.any():
+        return on_road
+    real_heights_m = table["height_m"].to_numpy()
+    for i, point in enumerate(points):
+        distances_m = literal_method.distances(real_points, point)
+        if distances_m[~is_real_ground].min() <= 1.0:
+            continue
+        ground_m = np.where(is_real_ground, distances_m, np.inf)
+        nearest = np.lexsort((*real_points.T[::-1], ground_m))[0]
+        on_road[i] = ground_m[nearest] <= 1.0 and heights_m[i] - real_heights_m[nearest] <= settings.prior_m
+    return on_road
 
 
 def graph(pair):

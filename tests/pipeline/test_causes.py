@@ -266,6 +266,8 @@ def test_neighbouring_pairs_count_once():
 def test_causes_that_feign_each_other_are_named_once():
     assert names_of(elevation_noise=[0.05] * 3, azimuth_noise=[0.05] * 3) == ["azimuth noise", "elevation noise"]
     assert names_of(elevation_noise=[0.05] * 3, pitch=[1.0] * 3) == ["pitch"]
+    assert names_of(beams=[9.0] * 3) == ["beams"]
+    assert names_of(beams=[9.0] * 3, road_height=[0.05] * 3) == ["road height"]
     assert names_of(flat_shapes=[0.12] * 3, solid_foliage=[0.6] * 3) == ["solid foliage"]
     assert names_of(flat_shapes=[0.2] * 3, solid_foliage=[0.3] * 3) == ["flat shapes"]
     assert names_of(**{FLAT.replace(" ", "_"): [0.8] * 3}) == [], "more than shapes is wrong"

@@ -11,6 +11,7 @@ import pytest
 
 import fidpipe
 from fidpipe.pipeline.jobs.baselines_job import summarise_baselines
+from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.measure_names import TASK_MEASURES
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.table_files import JobRecord
@@ -229,9 +230,12 @@ def test_the_tasks_are_in_the_report(finished, record, tmp_path):
     assert "wrongly_occupied" in page
 
 
-def test_a_comparison_shows_the_gaps_of_both_runs(dataset, finished, tmp_path):
-    same = command("compare", finished, finished, code=0).stdout
-    assert "tasks, gaps not decided: objects.lost" in " ".join(same.split())
+def test_a_comparison_judges_the_tasks_of_runs_with_the_same_settings(dataset, finished, tmp_path):
+    (same,) = compare_runs([finished, finished])
+    (tasks,) = [family for family in same.families if family.name == "tasks"]
+    assert tasks.verdict == "same"
+    assert "obstacles lost" in {score.name for score in tasks.scores}
     run(dataset, tmp_path / "run", load(None, ["tasks.names=ground"]))
-    other = command("compare", finished, tmp_path / "run", code=0).stdout
-    assert "other settings of tasks" in " ".join(other.split())
+    (other,) = compare_runs([finished, tmp_path / "run"])
+    assert "tasks" not in {family.name for family in other.families}
+    assert any("other settings of tasks" in note for note in other.notes)

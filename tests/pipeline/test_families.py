@@ -124,3 +124,14 @@ def test_neighbouring_frames_decide_what_changed_in_all_directions():
 
 def test_neighbouring_frames_do_not_decide_what_changed_at_one_place():
     assert changed_in(1) == ("worse", "undecided")
+
+
+def test_tasks_are_decided_over_places_but_not_without_directions():
+    lost = {"objects.lost": 0.2, "occupancy.mismatch": 0.3}
+    families, decision = judged(base=lost, **{"objects.lost": 0.1})
+    assert (families["tasks"].verdict, decision) == ("worse", "worse")
+    assert [score.verdict for score in families["tasks"].scores] == ["worse", "same"]
+    rows = {str(i): ({"objects.lost": 0.2}, {"objects.lost": 0.3 + 0.001 * i}) for i in range(10)}
+    sectors = {str(i): (PERFECT, PERFECT) for i in range(80)}, np.arange(80, dtype=np.int32)
+    (tasks,) = judge_families("reference", rows, np.arange(10, dtype=np.int32), sectors=sectors)
+    assert (tasks.verdict, tasks.scores[0].towards) == ("undecided", "worse")

@@ -8,6 +8,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 import fidpipe
@@ -104,23 +105,36 @@ def test_pairs_and_objects_are_one_line_in_a_notebook(run):
 def test_the_plot_of_an_object_has_its_points_in_colour_and_its_scores(run):
     matched = run.pair(FIRST).objects[0]
     figure = run.plot_object(FIRST, matched.real["community_id"])
-    assert f"CDC {matched.scores['cdc']:.3f}"[:8] in figure.get_suptitle()
-    for axis, (side, colour) in zip(figure.axes, SIDE_COLOURS.items(), strict=True):
-        _, own = axis.collections
-        assert len(own.get_offsets()) == getattr(matched, side)["n_points"]
-        assert tuple(own.get_facecolor()[0]) == to_rgba(colour)
+    (axis,) = figure.axes
+    assert f"CDC {matched.scores['cdc']:.3f}" in axis.get_title()
+    for points, (side, colour) in zip(axis.collections[1:], SIDE_COLOURS.items(), strict=True):
+        assert len(points.get_offsets()) == getattr(matched, side)["n_points"]
+        assert tuple(points.get_facecolor()[0]) == to_rgba(colour)
     assert imread(BytesIO(figure._repr_png_())).shape[2] == 4
+
+
+def test_plots_are_drawn_into_given_axes(run):
+    figure = Figure()
+    in_space = figure.add_subplot(1, 2, 1, projection="3d")
+    from_above = figure.add_subplot(1, 2, 2)
+    name = run.pair(FIRST).objects[0].real["community_id"]
+    assert run.plot_object(FIRST, name, ax=in_space) is figure
+    assert run.plot_pieces(FIRST, ax=from_above) is figure
+    assert figure.axes == [in_space, from_above]
+    assert all(axis.collections for axis in figure.axes)
 
 
 def test_the_plot_of_pieces_has_the_points_of_the_table(run):
     figure = run.plot_pieces(LAST)
     pieces = run.table("pieces", [LAST]).to_pandas()
     assert len(pieces)
-    for axis, side in zip(figure.axes, ("real", "sim"), strict=True):
-        own = pieces[pieces.side == side]
-        assert len(axis.collections[1].get_offsets()) == own.n_points.sum()
-        centres = np.array([text.xy for text in axis.texts]).reshape(-1, 2)
-        assert centres == pytest.approx(own[["cx", "cy"]].to_numpy()[:10])
+    (axis,) = figure.axes
+    of_sides = [pieces[pieces.side == side] for side in ("real", "sim")]
+    for points, of_side in zip(axis.collections[1::2], of_sides, strict=True):
+        assert len(points.get_offsets()) == of_side.n_points.sum()
+    centres = np.array([text.xy for text in axis.texts]).reshape(-1, 2)
+    expected = [of_side[["cx", "cy"]].to_numpy()[:10] for of_side in of_sides]
+    assert centres == pytest.approx(np.concatenate(expected))
 
 
 def test_a_pair_without_rays_has_no_range_image(run):
@@ -136,7 +150,8 @@ def test_a_range_image_has_left_on_the_left_and_the_highest_beam_on_top():
         "sim_range_m": [4.0, None, None, 7.0, 5.0, 8.0, 9.0],
     }
     stub = SimpleNamespace(folder="run", table=lambda name, pairs: pa.table(rays))
-    real, sim, outcome = (axis.images[0].get_array() for axis in plot_range_image(stub, "a").axes[:3])
+    values = ("real_range_m", "sim_range_m", "outcome")
+    real, sim, outcome = (plot_range_image(stub, "a", value).axes[0].images[0].get_array() for value in values)
     assert real.filled(np.nan).tolist() == pytest.approx(np.array([[6, 5], [np.nan, 6], [np.nan, 4]]), nan_ok=True)
     assert sim.filled(np.nan).tolist() == pytest.approx(np.array([[8, 5], [7, np.nan], [np.nan, 4]]), nan_ok=True)
     assert outcome.tolist() == [[2, 0], [5, 3], [None, 0]]  # the third column of beam 2 is beyond a turn

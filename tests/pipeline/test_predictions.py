@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 from sklearn.ensemble import RandomForestClassifier
 
 import fidpipe
-from fidpipe.pipeline.diagnose.predictions import compare_predictions, read_kitti_boxes
+from fidpipe.pipeline.diagnose.prediction_files import read_kitti_boxes, read_nuscenes_boxes
+from fidpipe.pipeline.diagnose.predictions import compare_predictions
 from fidpipe.schemas.errors import DatasetError
 from fidpipe.schemas.settings import TaskSettings, load
 from fidpipe.stages.pieces import CutScan
@@ -114,8 +115,50 @@ def test_boxes_of_clusters_are_compared_and_joined_with_the_objects(folder, boxe
     assert cars["n_real"] >= len(result.objects)
     lost = {row["pair_id"] for row in result.objects if row["fate"] == "lost"}
     assert lost == {f"{i:03}" for i in range(N_PAIRS)}  # the pole
-    of_cdc = next(score for score in result.scores if score.score == "cdc")
-    assert of_cdc.n_kept > 0
+    of_cdc = next(score for score in result.scores if score["score"] == "cdc")
+    assert of_cdc["n_kept"] > 0
+
+
+def nuscenes_boxes(path):
+    """The boxes of a KITTI file as nuScenes writes them, turned by 180 degrees."""
+    boxes = read_kitti_boxes(path)
+    rows = []
+    for name, centre, (length, width, height) in zip(boxes.names, boxes.centre, boxes.size, strict=True):
+        box = {"detection_name": str(name), "translation": centre.tolist(), "rotation": [0.0, 0.0, 0.0, 1.0]}
+        rows.append(box | {"size": [width, length, height]})
+    return rows
+
+
+def test_boxes_of_nuscenes_are_the_same_as_those_of_kitti(folder, boxes, tmp_path):
+    for path in boxes.glob("*/*.txt"):
+        found = nuscenes_boxes(path)
+        content = {"meta": {}, "results": {path.stem: found}} if path.stem == "000" else found
+        other = tmp_path / path.parent.name / f"{path.stem}.json"
+        other.parent.mkdir(exist_ok=True)
+        other.write_text(json.dumps(content))
+    found = read_nuscenes_boxes(tmp_path / "real" / "000.json")
+    assert found.size == pytest.approx(read_kitti_boxes(boxes / "real" / "000.txt").size)
+    assert found.yaw == pytest.approx(np.pi)
+    finished = fidpipe.open_run(folder / "run")
+    result = compare_predictions(finished, tmp_path / "real", tmp_path / "sim")
+    assert result.classes == compare_predictions(finished, boxes / "real", boxes / "sim").classes
+    assert len(result.objects) > 2 * N_PAIRS
+    for content in ("[{}]", "3", "{", '[{"size": [1, 2]}]', '{"results": {}}'):
+        (tmp_path / "a.json").write_text(content)
+        with pytest.raises(DatasetError, match="a.json: expected boxes of one sample"):
+            read_nuscenes_boxes(tmp_path / "a.json")
+
+
+def test_a_side_without_boxes_loses_all(folder, tmp_path):
+    for side, content in (("real", kitti_line((8, 4, -0.9), (4, 1.8, 1.2))), ("sim", "")):
+        (tmp_path / side).mkdir()
+        (tmp_path / side / "000.txt").write_text(content)
+    result = compare_predictions(fidpipe.open_run(folder / "run"), tmp_path / "real", tmp_path / "sim")
+    (cars,) = result.classes
+    assert cars == {"class": "Car", "n_real": 1, "n_sim": 0, "n_found": 0, "place_m": None}
+    assert [row["fate"] for row in result.objects] == ["lost"]
+    assert {score["auc"] for score in result.scores} == {None}
+    assert result.left_out == ("001", "002", "003")
 
 
 def test_the_tasks_of_a_run_are_a_command_of_their_own(folder):

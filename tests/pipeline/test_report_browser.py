@@ -23,7 +23,6 @@ from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 WIDTHS = (1280, 390)
 BLUE = (0, 114, 178)
 VERMILION = (184, 78, 0)
-GREY = (153, 153, 153)
 FARTHEST = "rgb(252,166,54)"  # the end of the light ramp
 FIRST_PAIR = HOSTILE_PAIRS[0]
 NO_SCORE = "\N{EN DASH}"
@@ -65,12 +64,7 @@ def page(browser, opened, page_path):
         open_page(browser, page_path)
     for name, value in (("theme", "auto"), ("pair", FIRST_PAIR), ("colour", "side"), ("object", "")):
         choose(browser, name, value)
-    browser.execute_script(
-        "document.getElementById('advanced').open = true;"
-        "document.getElementById('lie').value = 'as_given';"
-        "for (const [name, isOn] of [['show_lines', false], ['show_road', true]])"
-        " document.getElementById(name).checked = isOn"
-    )
+    browser.execute_script("document.getElementById('show_road').checked = true")
     browser.execute_script(
         "for (const box of document.querySelectorAll('input[type=search]')) {"
         " box.value = ''; box.dispatchEvent(new Event('input')); }"
@@ -172,11 +166,10 @@ def test_both_sides_are_drawn_in_3d_and_the_colouring_switches(page):
     assert near(side, BLUE).sum() > 200
     assert near(side, VERMILION).sum() > 200
     looks = [side]
-    for by in ("community", "r_lambda", "cdc", "quadrant", "status"):
+    for by in ("community", "r_lambda", "cdc", "quadrant"):
         choose(page, "colour", by)
         looks.append(pixels(page, "scene"))
         assert (looks[-1] != looks[-2]).any(axis=2).sum() > 200, by
-    assert near(looks[-1], GREY).sum() > 200, "matched objects are grey by status"
     choose(page, "colour", "side")
     by_id(page, "show_sim").click()
     alone = pixels(page, "scene")
@@ -203,8 +196,7 @@ def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(pag
     ActionChains(page).move_to_element_with_offset(scene, dx, dy).pause(0.5).click().perform()
     wait_for(page, "return !document.getElementById('panel').hidden")
     row = metrics.loc[int(by_id(page, "object").get_attribute("value").removeprefix("real "))]
-    for name in ("all_numbers", "advanced"):
-        page.execute_script("document.getElementById(arguments[0]).open = true", name)
+    page.execute_script("document.getElementById('all_numbers').open = true")
     pixels(page, "overlay")
     shown = shown_numbers(page, "panel_numbers") | shown_numbers(page, "more_numbers")
     for column in ("cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m"):
@@ -249,9 +241,9 @@ def test_nothing_is_wider_than_the_window(page, width, dark):
 
 @pytest.mark.exhaustive
 def test_the_theme_can_be_chosen(page):
-    before = pixels(page, "polar")
+    before = pixels(page, "quadrants")
     choose(page, "theme", "dark")
-    assert pixels(page, "polar").mean() < before.mean() - 100
+    assert pixels(page, "quadrants").mean() < before.mean() - 100
 
 
 @pytest.mark.exhaustive
@@ -306,7 +298,7 @@ def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, report_run, 
     for path in (single, tmp_path / "compare.html"):
         open_page(browser, path)
         see_all(browser)
-        assert buttons(browser) == [{}, [""]], path
+        assert buttons(browser)[0] == {}, path
 
 
 @pytest.mark.exhaustive
@@ -333,7 +325,7 @@ def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, re
 @pytest.mark.exhaustive
 def test_a_click_on_a_dot_of_a_chart_opens_its_object(page):
     names = page.execute_script("return JSON.parse(document.getElementById('report').textContent).names")
-    for chart in ("quadrants", "polar"):
+    for chart in ("quadrants",):
         pixels(page, chart)
         point = page.execute_script(
             "const plot = document.getElementById(arguments[0]);"
@@ -358,11 +350,7 @@ def test_a_comparison_draws_its_charts_in_the_theme_and_fits_the_window(browser,
     open_page(browser, path)
     see_all(browser)
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
-    picture = pixels(browser, "undecided_0").mean(axis=2)
-    assert (picture.mean() < 100) == dark
-    assert picture.std() > 2, "an empty chart"
-    marks = browser.find_elements("css selector", "#undecided_0 .ytick")
-    assert len(marks) == len(comparison.scores) >= 5
+    assert (pixels(browser, "numbers_0").mean() < 100) == dark
     assert complaints(browser) == []
     assert requests(browser) == [path.as_uri()]
 
@@ -414,7 +402,7 @@ def test_an_address_shows_its_object_also_if_it_changes_and_says_what_is_not_the
 
 
 @pytest.mark.exhaustive
-def test_next_and_previous_move_camera_list_address_and_table(page):
+def test_next_and_previous_move_camera_list_and_address(page):
     whole = camera_of(page)
     names = page.execute_script(
         "return [...document.getElementById('object').options].map(({value}) => value).slice(1)"
@@ -425,8 +413,7 @@ def test_next_and_previous_move_camera_list_address_and_table(page):
         settle(page)
         assert by_id(page, "object").get_attribute("value") == name
         assert fragment(page) == f"#pair={FIRST_PAIR}&object={name}"
-        rows = page.find_elements("css selector", "#objects_table tr[aria-current]")
-        assert [row.text.split(",")[0].split(" \n")[0][: len(name)] for row in rows] == [name]
+
         seen.append(camera_of(page))
     assert len({str(camera) for camera in (whole, *seen)}) == 4
     by_id(page, "previous").click()
@@ -434,36 +421,6 @@ def test_next_and_previous_move_camera_list_address_and_table(page):
     assert camera_of(page) == pytest.approx(seen[1])
     choose(page, "object", "")
     assert camera_of(page) == pytest.approx(whole)
-
-
-@pytest.mark.exhaustive
-def test_both_sides_of_an_object_lie_in_one_box_as_they_are_or_aligned(page, report_run):
-    metrics = pd.read_parquet(report_run / "metrics")
-    row = metrics[(metrics.pair_id == FIRST_PAIR) & (metrics.n_keep > 20)].iloc[0]
-    choose(page, "object", f"real {row.real_id}")
-    real, as_lie = drawn(page, "overlay", "own real"), drawn(page, "overlay", "own sim")
-    assert (len(real), len(as_lie)) == (row.n_real, row.n_sim), "all points"
-    ranges = "return ['x', 'y', 'z'].map((a) => document.getElementById('overlay')._fullLayout.scene[`${a}axis`].range)"
-    box = page.execute_script(ranges)
-    choose(page, "lie", "aligned")
-    turn_on(page, "show_lines")
-    aligned, lines = drawn(page, "overlay", "own sim"), drawn(page, "overlay", "lines")
-    assert drawn(page, "overlay", "own real") == pytest.approx(real)
-    move = (aligned - as_lie)[0]
-    assert np.linalg.norm(move) > 0.01
-    assert np.abs(aligned - as_lie - move).max() < 1e-5
-    ends = lines.reshape(-1, 3, 3)[:, :2]
-    assert len(ends) == row.n_keep
-    assert f"moved by ({move[0]:.2f}, {move[1]:.2f}, {move[2]:.2f}) m" in by_id(page, "overlay_note").text
-    assert page.execute_script(ranges) == box, "one box for both"
-    colours = "return document.getElementById('overlay').data.find(({name}) => name === 'own real').marker.color"
-    choose(page, "colour", "kept")
-    kept = [colour != "#999999" for colour in page.execute_script(colours)]
-    assert (sum(kept), len(kept)) == (row.n_keep, row.n_real)
-    choose(page, "colour", "distance")
-    assert len(set(page.execute_script(colours))) > 5
-    choose(page, "lie", "as_given")
-    assert drawn(page, "overlay", "own sim") == pytest.approx(as_lie)
 
 
 @pytest.mark.exhaustive
@@ -484,7 +441,7 @@ def test_road_and_sensor_are_seen_and_road_can_be_left_out(page):
 
 
 @pytest.mark.exhaustive
-def test_an_unmatched_object_says_how_much_of_it_is_road_and_cannot_be_aligned(page, report_run):
+def test_an_unmatched_object_says_how_much_of_it_is_road(page, report_run):
     results = read_results(report_run)
     lone = results.unmatched[results.unmatched.pair_id == FIRST_PAIR]
     for row in lone.head(3).itertuples():
@@ -496,7 +453,6 @@ def test_an_unmatched_object_says_how_much_of_it_is_road_and_cannot_be_aligned(p
         other = {"real": "simulated", "sim": "real"}[row.side]
         said = f"{round(100 * share)} % of it is road on the {other} side" in by_id(page, "panel_sentence").text
         assert said == (share >= 0.005)
-        assert not by_id(page, "lie").is_enabled()
         assert len(drawn(page, "overlay", f"own {row.side}")) == row.n_points
 
 
@@ -593,7 +549,7 @@ def test_charts_are_drawn_when_they_come_into_view(browser, page_path):
     assert not browser.execute_script(is_drawn, "quadrants")
     pixels(browser, "quadrants")
     assert browser.execute_script(is_drawn, "quadrants")
-    assert not browser.execute_script(is_drawn, "sequence"), "folded"
+    browser.execute_script("window.scrollTo(0, 0)")
 
 
 @pytest.mark.exhaustive
@@ -640,8 +596,6 @@ def test_a_filter_is_one_text_that_a_row_contains(page):
         assert len(table(page, "objects_table")) == lines.str.contains(text.lower(), regex=False).sum(), text
     note = page.find_element("css selector", "#objects_table .note").text
     assert note.startswith(f"0 of {len(everything)} objects")
-    page.find_element("css selector", "#objects_table .clear").click()
-    assert len(table(page, "objects_table")) == len(everything)
 
 
 @pytest.mark.exhaustive
@@ -669,7 +623,7 @@ def test_every_chart_has_a_text_alternative(page):
         "return [...document.querySelectorAll('.chart')].map((one) => [one.id, one.getAttribute('role'), "
         "one.getAttribute('aria-label') ?? document.getElementById(one.getAttribute('aria-labelledby'))?.textContent])"
     )
-    assert len(charts) == 8
+    assert len(charts) == 5
     for name, role, text in charts:
         assert role == "img", name
         assert text is not None, name
@@ -686,12 +640,6 @@ def test_no_label_of_a_chart_is_cut(page, width):
       return isIn || !own.width || text.closest('.hoverlayer') ? [] : [[text.closest('.chart').id, text.textContent]];
     })"""
     assert page.execute_script(script) == []
-    classes = page.execute_script(
-        "const {charts} = JSON.parse(document.getElementById('report').textContent);"
-        "const ticks = document.querySelectorAll('#scores_class .xtick');"
-        "return [charts.scores_class.layout.xaxis.ticktext.length, ticks.length]"
-    )
-    assert classes[0] == classes[1] > 1, "every class has its name"
 
 
 @pytest.mark.exhaustive

@@ -1,4 +1,4 @@
-"""Posed recordings and sensor tables: valid ones are read, others rejected in one line."""
+"""Posed recordings: valid ones are read, others rejected in one line."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.generate.recordings import read_recording
-from fidpipe.pipeline.generate.sensor_files import read_sensor
-from fidpipe.schemas.errors import DatasetError, FidpipeError
+from fidpipe.schemas.errors import DatasetError
 from scenes import rigid, street, write_bin
 
 N = 4
@@ -155,48 +154,3 @@ def test_two_scans_of_one_name_are_refused(tmp_path):
     )
     with pytest.raises(DatasetError, match="3 scans are called scan"):
         read_recording(tmp_path)
-
-
-def test_sensors_are_known_by_name():
-    assert read_sensor("vlp32c").n_beams == 32
-    assert read_sensor("os1-64").n_beams == read_sensor("hdl64").n_beams == 64
-    carla = read_sensor("carla").elevation_deg
-    np.testing.assert_allclose(np.diff(carla), np.diff(carla)[0])
-    with pytest.raises(FidpipeError, match="'hdl46'.*did you mean hdl64"):
-        read_sensor("hdl46")
-    with pytest.raises(FidpipeError, match="recorded, vlp32c, hdl64"):
-        read_sensor("xyz")
-
-
-def test_a_table_of_elevations_is_a_sensor(tmp_path):
-    (tmp_path / "mine.csv").write_text("elevation_deg, azimuth_offset_deg\n-10, 1.5\n0, 0\n5, -1.5\n")
-    sensor = read_sensor(str(tmp_path / "mine.csv"))
-    assert (sensor.elevation_deg, sensor.azimuth_offset_deg) == ((-10.0, 0.0, 5.0), (1.5, 0.0, -1.5))
-    (tmp_path / "mine.toml").write_text(
-        "channels = 5\nupper_deg = 2\nlower_deg = -8\nazimuth_step_deg = 0.4\nrange_noise_m = 0.05\n"
-    )
-    sensor = read_sensor(str(tmp_path / "mine.toml"))
-    assert sensor.elevation_deg == (2.0, -0.5, -3.0, -5.5, -8.0)
-    assert (sensor.azimuth_step_deg, sensor.range_noise_m, sensor.azimuth_offset_deg) == (0.4, 0.05, (0.0,) * 5)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("elevation_deg = [1, 2", "mine.toml"),
-        ("elevation = [1, 2]", "did you mean elevation_deg"),
-        ("channels = 32", "elevation_deg, or channels, upper_deg, lower_deg"),
-        ("elevation_deg = [1, 200]", "elevation_deg: .*90, got 200"),
-        ("elevation_deg = [1, 2]\nazimuth_offset_deg = [0]", "2 azimuth offsets.*got 1"),
-        ("elevation_deg = 3", "elevation_deg: .*got 3"),
-        ("elevation_deg = [3]\nlost_share = 1.5", "lost_share: .*got 1.5"),
-        ("elevation_deg = [3]\nmin_range_m = 500", "min_range_m: .*got 500"),
-        ("channels = 2.5\nupper_deg = 1\nlower_deg = 0", "channels: .*got 2.5"),
-    ],
-)
-def test_a_table_that_makes_no_sense_is_refused(text, words, tmp_path):
-    (tmp_path / "mine.toml").write_text(text)
-    with pytest.raises(FidpipeError, match=words):
-        read_sensor(str(tmp_path / "mine.toml"))
-    with pytest.raises(FidpipeError, match=r"none\.csv"):
-        read_sensor(str(tmp_path / "none.csv"))

@@ -85,7 +85,7 @@ def test_a_pair_and_its_objects_have_their_coverage(report_run):
                 assert [of[side][name] for name in row.index[2:]] == row.tolist()[2:]
     text = shown(report_run, FIRST)
     assert f"{whole.covered_0p3m['sim']:.3f}" in text
-    assert "Surface of the matched objects" in text
+    assert "of the real surface is simulated within 0.3 m" in text
     first = shown(report_run, FIRST, "0")
     assert f"{stored.covered_1m['real', 0]:.3f}" in first
 

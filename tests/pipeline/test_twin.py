@@ -205,18 +205,6 @@ def test_several_flaws_are_applied_in_the_order_of_their_list(twins, drive, tmp_
     assert [flaw["name"] for flaw in flaws] == ["dropout", "yaw"]
 
 
-def test_foliage_may_be_told_by_its_label(twins, drive, tmp_path):
-    make(tmp_path / "bare", drive, "foliage=1", foliage=("hedge",))
-    hedge = np.array([-5, -4, -0.7])
-    for name in NAMES:
-        plain = to_world(sim(twins, name), name)
-        bare = to_world(sim(tmp_path / "bare", name), name)
-        assert near(bare, hedge) < 0.1 * near(plain, hedge)
-        assert len(bare) > 0.8 * len(plain)
-    with pytest.raises(FidpipeError, match="'hegde'.*did you mean hedge"):
-        make(tmp_path / "typo", drive, "foliage=1", foliage=("hegde",))
-
-
 def test_the_recording_itself_is_left_alone(drive, tmp_path):
     with pytest.raises(FidpipeError, match="is the recording"):
         make(drive, drive)
@@ -267,6 +255,7 @@ def test_the_command_says_what_to_do_next_and_its_help_names_every_flaw(drive, t
     done = command("twin", drive, tmp_path / "out", *words, "--sensor", "hdl64", code=0)
     assert f" in {tmp_path / 'out'}; " in done.stdout
     assert done.stdout.count("\n") == 1
+    command("twin", drive, tmp_path / "other", *words, "--sensor", "hdl46", code=2)
     text = command("twin", "--help").stdout
     assert all(name in text for name in FLAWS)
 

@@ -7,7 +7,7 @@ import tomllib
 import jsonschema
 import pytest
 
-from contracts import all_settings, settings_of
+from contracts import all_settings
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import PRESETS, Settings, load, parse, preset_of
 from fidpipe.schemas.settings_text import commented_toml, json_schema
@@ -116,13 +116,3 @@ def test_the_table_for_people_has_every_setting_with_its_default_and_bounds():
     assert "| `5` | `5` | above 0 |" in by_name["matching.delta_m"]
     assert "| `greedy`, `optimal` |" in by_name["matching.method"]
     assert "| none | none | 6 numbers |" in by_name["input.exclude_box"]
-
-
-def test_the_table_of_a_group_has_the_values_of_all_presets():
-    head, _, *lines = settings_of("graph").splitlines()
-    cells = [[cell.strip() for cell in line.split("|")] for line in lines]
-    rows = {row[1]: row[2:5] for row in cells}
-    assert head.startswith("| setting | paper | reference | allowed |")
-    assert rows["`graph.k`"] == ["`90`", "`90`", "1 to 2000"]
-    assert rows["`graph.ties`"][:2] == ["`point_id`", "`coordinates`"]
-    assert len(rows) == len(Settings().graph.model_dump())

@@ -14,7 +14,7 @@ def test_every_column_says_what_it_means():
 def test_a_missing_column_and_another_type_are_rejected():
     columns = {"pair_id": "a", "side": "real", "point_id": np.arange(3), "community_id": np.zeros(3)}
     rows = TABLES["communities"].build(columns)
-    with pytest.raises(ValueError, match="table communities: (no|unknown) "):
+    with pytest.raises(ValueError, match="table communities: .*side"):
         TABLES["communities"].check(rows.drop_columns(["side"]))
     wrong = rows.set_column(2, "point_id", pa.array([1, 2, 3], pa.int64()))
     with pytest.raises(ValueError, match="point_id: .*int64"):

@@ -7,6 +7,7 @@ import pytest
 
 from fidpipe.pipeline.results.causes import cause_values, changed_causes, named_causes
 from fidpipe.schemas.cause_catalogue import FLAT, PARAMETERS
+from fidpipe.stages.causes.beams import elevation_scale
 from fidpipe.stages.causes.distance import off_share
 from fidpipe.stages.causes.estimates import estimate, estimate_between
 from fidpipe.stages.causes.gain import corrections, shares
@@ -224,6 +225,24 @@ def test_a_change_of_the_pose_is_measured_between_two_simulated_scans(places):
     doubtful = replace(moved.sensor, doubts={POSITION: "the points are not in the sensor's frame"})
     _, amounts = estimate_between(base, replace(moved, sensor=doubtful))
     assert "height" not in amounts and "road height" in amounts
+
+
+def seen_along(beams_deg, origin_m, objects_deg):
+    """A side of a sensor with these beams, and objects 10 m away at other elevations."""
+    sensor = SensorDescription(len(beams_deg), tuple(beams_deg), origin_height_m=(origin_m,))
+    up = np.radians(objects_deg)
+    points = 10 * np.column_stack([np.cos(up), np.zeros(len(up)), np.sin(up)]) + [0, 0, origin_m]
+    return Side(points, np.zeros(len(points), bool), sensor)
+
+
+def test_a_road_that_is_too_high_is_not_a_scale_of_the_elevations():
+    beams_deg = np.linspace(-25, 2, 32)
+    reference = seen_along(beams_deg, 0.0, beams_deg)
+    assert elevation_scale(reference, seen_along(1.03 * beams_deg, 0.0, 1.03 * beams_deg)) == pytest.approx(0.03)
+    assert elevation_scale(reference, seen_along(1.03 * beams_deg, 0.0, beams_deg)) == 0.0, "objects do not move"
+    assert elevation_scale(reference, seen_along(1.03 * beams_deg, 0.1, 1.03 * beams_deg)) is None, (
+        "as of a higher road"
+    )
 
 
 def test_a_displacement_is_undone(places):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from fidpipe.stages.generate.flaws import FLAWS, is_foliage, lose_foliage
+from fidpipe.stages.generate.flaws import FLAWS, is_foliage
 from fidpipe.stages.generate.perturbations import Perturbation, fill_gaps, perturb, remeasure
 from fidpipe.stages.surfels import fit_planes
 from scenes import box, road, seeded
@@ -83,19 +83,13 @@ def test_foliage_is_distinguished_from_a_road_and_a_wall_by_its_scattering(cloud
 
 
 def test_lost_foliage_goes_in_clumps_and_nothing_else_goes(cloud):
-    labelled = np.arange(len(cloud)) >= len(cloud) - 2000
-    left = lose_foliage(cloud, 0.3, seeded(), labelled)
-    assert len(left) == len(cloud) - 600
-    np.testing.assert_array_equal(left[: len(cloud) - 2000], cloud[:-2000])
-    leaves = cloud[-2000:]
+    left = FLAWS["foliage"](cloud, 0.3, seeded())
+    leaves = cloud[is_foliage(cloud)]
+    assert len(left) == len(cloud) - round(0.3 * len(leaves))
     is_lost = cKDTree(left).query(leaves)[0] > 0
     neighbour = cKDTree(leaves).query(leaves[is_lost], k=2)[1][:, 1]
+    assert is_lost.sum() == len(cloud) - len(left)
     assert is_lost[neighbour].mean() > 0.7  # of a dropout it would be 0.3
-
-
-def test_without_labels_a_share_of_what_is_scattered_is_lost(cloud):
-    left = FLAWS["foliage"](cloud, 0.5, seeded())
-    assert len(cloud) - len(left) == round(0.5 * is_foliage(cloud).sum())
 
 
 def test_blur_leaves_a_plane_and_rounds_the_corner_of_two():

@@ -11,6 +11,7 @@ from sknetwork.clustering import Louvain
 import literal_method
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import CommunitySettings, GraphSettings, MatchingSettings
+from fidpipe.stages import graph
 from fidpipe.stages.communities import find_communities
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.linalg.subgraph import Edges, adjacency
@@ -47,6 +48,34 @@ def test_a_crowd_is_only_one_where_its_pairs_are_joined(rng):
     assert len(build_graph(crowd, GraphSettings(k=1, edges="intersection")).src) < 15_000
     with pytest.raises(StageError, match="within 0 m"):
         build_graph(crowd * 1e-200, GraphSettings(k=1, edges="intersection"))
+
+
+@pytest.mark.parametrize("edges", ["union", "intersection"])
+@pytest.mark.parametrize("ties", ["point_id", "coordinates"])
+def test_tiles_change_no_edge(rng, monkeypatch, edges, ties):
+    points = np.round(rng.uniform(0, 1, (400, 3)) * [6, 1, 1], 1)  # with ties and repeated points
+    settings = GraphSettings(k=5, tau_m=0.3, edges=edges, ties=ties)
+    whole = build_graph(points, settings)
+    monkeypatch.setattr(graph, "_TILE_POINTS", 37)
+    monkeypatch.setattr(graph, "_TILE_PAIRS", 50)
+    tiled = build_graph(points, settings)
+    for name in ("src", "dst", "length_m"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(tiled, name))
+        assert getattr(tiled, name).dtype.itemsize == 4
+
+
+def test_memory_goes_with_the_edges(rng):
+    points = rng.uniform(0, 1, (20_000, 3)) * [12, 2, 0.01]
+    tracemalloc.start()
+    edges = build_graph(points, GraphSettings())
+    _, graph_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.reset_peak()
+    before, _ = tracemalloc.get_traced_memory()
+    find_communities(len(points), edges, CommunitySettings())
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert graph_bytes < 60 * len(edges.src)
+    assert peak_bytes - before < 50 * len(edges.src)
 
 
 BACKENDS = ["scikit-network", "python-louvain"]

@@ -145,8 +145,12 @@ def plane(normal, distance_m, half_m=9.0, step_m=0.15):
     return distance_m * n + a.reshape(-1, 1) * u + b.reshape(-1, 1) * np.cross(n, u), n
 
 
+def extended(voxels, points):
+    return extend_map(voxels, points, np.ones(len(points)))
+
+
 def scan(points, directions, sensor=EXACT):
-    return rescan(extend_map(EMPTY_MAP, points), directions, sensor, seeded())[0]
+    return rescan(extended(EMPTY_MAP, points), directions, sensor, seeded())[0]
 
 
 @pytest.mark.parametrize("normal", [(1, 0, 0), (1, 2, 0.3), (0.9, 0.3, -0.4)])
@@ -210,7 +214,7 @@ def test_the_map_grows_with_the_surface_and_not_with_the_scans():
     voxels = EMPTY_MAP
     sizes = []
     for seed in range(4):
-        voxels = extend_map(voxels, points + seeded(seed).uniform(-0.02, 0.02, (len(points), 3)) * [1, 1, 0])
+        voxels = extended(voxels, points + seeded(seed).uniform(-0.02, 0.02, (len(points), 3)) * [1, 1, 0])
         sizes.append(len(voxels.points))
     assert sizes[-1] < 1.05 * sizes[0]
     assert voxels.n_points.sum() == 4 * len(points)
@@ -220,17 +224,17 @@ def test_the_map_grows_with_the_surface_and_not_with_the_scans():
 def test_voxels_are_wider_farther_away():
     near = plane((1, 0, 0), 6.0, half_m=3.0, step_m=0.05)[0]
     far = plane((1, 0, 0), 50.0, half_m=3.0, step_m=0.05)[0]
-    sizes = [len(extend_map(EMPTY_MAP, points).points) for points in (near, far)]
+    sizes = [len(extended(EMPTY_MAP, points).points) for points in (near, far)]
     assert sizes[0] / sizes[1] == pytest.approx(16, rel=0.2)
 
 
-def test_foliage_stays_foliage():
+def test_a_ray_has_the_intensity_of_the_surface_that_it_hits():
     wall = plane((1, 0, 0), 9.0)[0]
     tree = box([5, 0, 0], [0.6, 0.6, 0.6], 2000)
-    points = np.vstack([wall, tree])
-    voxels = extend_map(EMPTY_MAP, points, np.arange(len(points)) >= len(wall))
-    again, is_foliage, _ = rescan(voxels, np.array([[1.0, 0, 0], [0.8, 0.6, 0]]), EXACT, seeded())
-    assert is_foliage.tolist() == [True, False]
+    intensity = np.repeat([10.0, 40.0], [len(wall), len(tree)])
+    voxels = extend_map(EMPTY_MAP, np.vstack([wall, tree]), intensity)
+    again, seen = rescan(voxels, np.array([[1.0, 0, 0], [0.8, 0.6, 0]]), EXACT, seeded())
+    assert seen == pytest.approx([40.0, 10.0])
     assert again[:, 0] == pytest.approx([4.7, 9.0], abs=0.1)
 
 

@@ -219,21 +219,34 @@ def test_the_same_values_are_no_distance_apart_and_nulls_are_left_out(rng):
     assert area_validation_metric(values[:0], values) is None
 
 
-def side(pair, range_m, label, is_matched, cdc=np.nan, r_lambda=np.nan):
-    """Objects of a side, of ten points each."""
-    n = len(pair)
-    scores = (np.array(np.broadcast_to(own, n), dtype=float) for own in (cdc, r_lambda, 0.0))
-    place = np.array(range_m, dtype=float), np.array(label, dtype=str), np.array(is_matched, dtype=bool)
-    return Objects(np.array(pair, dtype=np.int32), *place, *np.full((2, n), 10), *scores)
+def both_sides(real, sim):
+    """Objects of ten points each; of each side pair, range_m, label, is_matched, and perhaps cdc and r_lambda."""
+    columns = [[] for _ in range(7)]
+    for is_real, (pair, range_m, label, is_matched, *scores) in ((True, real), (False, sim)):
+        nothing = [np.nan] * len(pair)
+        values = (pair, [is_real] * len(pair), range_m, label, is_matched, *(scores or (nothing, nothing)))
+        for column, of_side in zip(columns, values, strict=True):
+            column.extend(of_side)
+    pair, is_real, range_m, label, is_matched, cdc, r_lambda = columns
+    n_points = np.full((2, len(pair)), 10)
+    return Objects(
+        np.array(pair, dtype=np.int32),
+        np.array(is_real, dtype=bool),
+        np.array(range_m, dtype=float),
+        np.array(label, dtype=str),
+        np.array(is_matched, dtype=bool),
+        *n_points,
+        *np.array([cdc, r_lambda, [0.0] * len(pair)], dtype=float),
+    )
 
 
 @pytest.fixture
 def by_hand():
     """Two pairs: cars near and matched, trees far; one tree missing, one invented."""
-    of_real = [5.0, 25.0, 5.0, 45.0], ["car", "tree", "car", "tree"], [True, True, True, False]
-    real = side([0, 0, 1, 1], *of_real, [0.1, 0.9, 0.3, np.nan], [0.2, 0.5, np.nan, np.nan])
-    sim = side([0, 0, 1, 1], [5.0, 25.0, 6.0, 60.0], ["car", "tree", "car", "tree"], [True, True, True, False])
-    return summarise_objects(real, sim, ["a", "b"], [0.0, 61.0])
+    place = [5.0, 25.0, 5.0, 45.0], ["car", "tree", "car", "tree"], [True, True, True, False]
+    real = [0, 0, 1, 1], *place, [0.1, 0.9, 0.3, np.nan], [0.2, 0.5, np.nan, np.nan]
+    sim = [0, 0, 1, 1], [5.0, 25.0, 6.0, 60.0], *place[1:]
+    return summarise_objects(both_sides(real, sim), ["a", "b"], [0.0, 61.0])
 
 
 def test_unmatched_objects_are_counted_by_range_of_their_own_side(by_hand):
@@ -254,14 +267,14 @@ def test_a_class_is_that_of_the_real_object_and_nulls_are_left_out(by_hand):
 
 
 def test_scans_without_labels_have_no_classes():
-    one = side([0], [5.0], [""], [True], 0.1, 0.2)
-    found = summarise_objects(one, one, ["a"], [None])
+    one = [0], [5.0], [""], [True], [0.1], [0.2]
+    found = summarise_objects(both_sides(one, one), ["a"], [None])
     assert found.classes == ()
 
 
 def test_nothing_at_all_gives_nulls_and_no_error():
-    nothing = side([], [], [], [])
-    found = summarise_objects(nothing, nothing, ["a"], [None])
+    nothing = [], [], [], []
+    found = summarise_objects(both_sides(nothing, nothing), ["a"], [None])
     assert found.distributions.cdc.mean is None
     assert found.rank_correlation == RankCorrelation(n=0, spearman=None, kendall=None)
     assert found.density_ratio.min is None
@@ -310,8 +323,8 @@ def test_exactly_a_minute_is_not_more_than_one():
 def test_without_timestamps_pairs_are_evenly_spaced_and_it_is_said():
     n = 9
     scores = np.linspace(0.1, 0.9, n)
-    one = side(range(n), [5.0] * n, [""] * n, [True] * n, scores, scores)
-    found = summarise_objects(one, one, list("abcdefghi"), [None] * n).scans
+    one = range(n), [5.0] * n, [""] * n, [True] * n, scores, scores
+    found = summarise_objects(both_sides(one, one), list("abcdefghi"), [None] * n).scans
     assert found.apart is False
     assert [scan.pair for scan in found.scans] == ["a", "d", "f", "i"]
 

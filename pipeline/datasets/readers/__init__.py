@@ -80,12 +80,8 @@ def read_scan(
     with _local(ref) as file, _reader(ref) as reader:
         if file.stat().st_size == 0:
             raise ScanError(f"{ref}: the file is empty")
-        if known.holds_frames:
-            scan: Scan = reader.read(ref)
-        elif known.columns is None:
-            scan = reader.read(file)
-        else:
-            scan = reader.read(file, columns or known.columns)
+        names = () if known.columns is None else (columns or known.columns,)
+        scan: Scan = reader.read(ref if known.holds_frames else file, *names)
         if known.columns and not columns:
             reader.check_width(file, known.columns)
         if not len(scan.points):
@@ -122,17 +118,10 @@ def _reader(ref: ScanRef) -> Iterator[Any]:
         is_panic = type(error).__name__ == "PanicException"  # of a library in Rust; pyo3 makes it no Exception
         if not (isinstance(error, Exception) or is_panic):
             raise
+        if isinstance(error, OSError) and error.errno is not None:  # of the file itself, not of a library
+            raise ScanError(f"{ref}: cannot be read ({error.strerror})") from error
         content = ref.format.content
         what = f"not {content}" if content else "cannot be read"
-        cause = (
-            "its header is not text"
-            if isinstance(
-                error,
-                UnicodeDecodeError,
-            )
-            else cause_of(error)
-        )
-        if isinstance(error, OSError) and error.errno is not None:  # of the file itself, not of a library
-            what = "cannot be read"
-            cause = str(error.strerror)
-        raise ScanError(f"{ref}: {what} ({cause})") from error
+        raise ScanError(
+            f"{ref}: {what} ({cause_of(error)}); is it truncated or of another format? export it again"
+        ) from error

@@ -30,7 +30,7 @@ def read(path: Path, columns: tuple[str, ...]) -> Scan:
         columns.
     """
     n_bytes = path.stat().st_size
-    if (n_columns := _float64_columns(path, columns)) is not None:
+    if (n_columns := _float64_columns(path)) is not None:
         raise ScanError(
             f"{path}: expected float32, got float64 in rows of {n_columns} columns; convert it: "
             "np.fromfile(file, '<f8').astype('<f4').tofile(file)"
@@ -64,24 +64,18 @@ def _naming(n_columns: int) -> str:
     return f'name its {n_columns} columns in {_SETTINGS}, such as "{names}"'
 
 
-def _float64_columns(path: Path, columns: tuple[str, ...]) -> int | None:
+def _float64_columns(path: Path) -> int | None:
     """Number of float64 columns if the values are plausible only as float64; else None.
 
     The lower half of a float64 is noise when it is read as float32: of all magnitudes, NaN among
     them.
     """
-    content = np.fromfile(path, dtype=np.uint8, count=_SAMPLE_BYTES)
-    content = content[: len(content) // 8 * 8]
-    if (
-        not len(content)
-        or _plausible_share(
-            content.view("<f4"),
-        )
-        > 0.9
-        or _plausible_share(content.view("<f8")) < 0.99
-    ):
+    values = np.fromfile(path, dtype="<f8", count=_SAMPLE_BYTES // 8)
+    if not len(values) or _plausible_share(values.view("<f4")) > 0.9:
         return None
-    return _fitting_width(content.view("<f8"), path.stat().st_size // 8)
+    if _plausible_share(values) < 0.99:
+        return None
+    return _fitting_width(values, path.stat().st_size // 8)
 
 
 def _better_width(path: Path, columns: tuple[str, ...]) -> int | None:
@@ -91,16 +85,10 @@ def _better_width(path: Path, columns: tuple[str, ...]) -> int | None:
         return None
     values = np.where(np.isfinite(values), values, 0).astype(np.float64)
     width = _fitting_width(values, path.stat().st_size // 4)
-    is_better = (
-        width is not None
-        and _spread(values, width)
-        < _spread(
-            values,
-            len(columns),
-        )
-        - _MIN_GAIN
-    )
-    return width if is_better else None
+    if width is None:
+        return None
+    gain = _spread(values, len(columns)) - _spread(values, width)
+    return width if gain > _MIN_GAIN else None
 
 
 def _fitting_width(values: FloatArray, n_values: int) -> int | None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ....schemas.errors import ScanError
-from .scan import CLASSES, Scan, check_promise, check_unpacked, scan_from_columns
+from .scan import CLASSES, Scan, scan_from_columns
 
 _N_RECORDS_AT, _RECORD_HEAD_BYTES = 100, 54  # LAS Specification 1.4 R15, tables 3 and 7
 
@@ -26,24 +26,22 @@ def read(path: Path) -> Scan:
     import laspy
 
     _check_records(path)
+    n_bytes = path.stat().st_size
     backend = laspy.LazBackend.Lazrs
     with laspy.open(path, laz_backend=backend, read_evlrs=False) as file:
         header = file.header
-        if header.are_points_compressed:
-            check_unpacked(path, header.point_count * header.point_format.size)
-        else:
-            check_promise(path, header.point_count, header.point_format.size)
+        end = header.offset_to_point_data + header.point_count * header.point_format.size
+        if not header.are_points_compressed and end > n_bytes:
+            raise ScanError(
+                f"{path}: the header says {header.point_count} points, in {n_bytes} bytes; the "
+                "file is truncated or wrong"
+            )
         rows = file.read_points(-1)
-    n_points = len(rows)
     columns = {name: np.asarray(rows[name]) for name in ("x", "y", "z", "intensity")}
     if "gps_time" in rows.point_format.dimension_names:
         columns["gps_time"] = np.asarray(rows["gps_time"])
     if np.any(classes := np.asarray(rows["classification"])):
         columns["label"] = classes
-    if n_points != header.point_count:
-        raise ScanError(
-            f"{path}: {n_points} points found, the header says {header.point_count}; it is truncated",
-        )
     return scan_from_columns(path, columns, CLASSES["las"])
 
 

@@ -20,7 +20,6 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     ScanError
         The array is not whole, holds objects (pickles, which could run code), or has another shape.
     """
-    _check_head(path)
     np.load(
         path,
         mmap_mode="r",
@@ -47,16 +46,3 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
             "input.sim_columns"
         )
     return scan_from_columns(path, dict(zip(_COLUMNS, array.T, strict=False)))
-
-
-def _check_head(path: Path) -> None:
-    """Reject a description of the array that is longer than the file: NumPy takes memory for it."""
-    with path.open("rb") as file:
-        if np.lib.format.read_magic(file) == (1, 0):
-            return  # it has two bytes for the length
-        n_head = int.from_bytes(file.read(4), "little")
-    n_bytes = path.stat().st_size
-    if n_head > n_bytes:
-        raise ScanError(
-            f"{path}: a head of {n_head} bytes found, in {n_bytes}; the file is truncated or wrong",
-        )

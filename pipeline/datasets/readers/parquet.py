@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .scan import KNOWN_COLUMNS, Scan, check_names, check_unpacked, scan_from_columns
+from .scan import KNOWN_COLUMNS, Scan, check_names, scan_from_columns
 
-_VALUE_BYTES = 8
 _MOST_METADATA = 2**20  # names and lists in the footer
 
 
@@ -16,8 +15,7 @@ def read(path: Path) -> Scan:
     Raises
     ------
     ScanError
-        The file is not whole, a column is missing, a coordinate is not a number, or the footer
-        promises far more rows than a scan has.
+        The file is not whole, a column is missing, or a coordinate is not a number.
     """
     import pyarrow.parquet as pq
 
@@ -30,7 +28,6 @@ def read(path: Path) -> Scan:
         names = [field.name for field in file.schema_arrow]
         check_names(path, names)
         chosen = [name for name in names if name.lower() in KNOWN_COLUMNS]
-        check_unpacked(path, file.metadata.num_rows * len(chosen) * _VALUE_BYTES)
         table = file.read(chosen, use_threads=False)
         columns = {name: table.column(name).to_numpy() for name in chosen}
     return scan_from_columns(path, columns)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -17,42 +17,36 @@ from ....schemas.errors import ScanError
 from ....stages.arrays import FloatArray, IntArray
 from .scan_ref import ScanRef
 
-# Names of others: CARLA's I, CosAngle, ObjTag, ObjIdx; Ouster's t; Hesai's timestamp; Livox' offset_time, line and
-# Reflectivity; openpylivox' Inten-sity; Autoware's channel and time_stamp; Argoverse's laser_number and offset_ns;
-# VeloView's Points_m_XYZ:0 and laser_id.
-_COORDINATES = (
-    ("x", "points_m_xyz:0", "points:0"),
-    ("y", "points_m_xyz:1", "points:1"),
-    ("z", "points_m_xyz:2", "points:2"),
-)
-_INTENSITY = ("intensity", "scalar_intensity", "i", "inten-sity", "reflectivity")
-_LABEL = ("label", "scalar_label", "objtag")
-_INSTANCE = ("instance", "scalar_instance", "objidx")
-_INCIDENCE = ("incidence", "scalar_incidence", "cosangle")
-_RING = ("ring", "scalar_ring", "channel", "laser_number", "laser_id", "line")
-_TIME = (
-    "time",
-    "scalar_time",
-    "t",
-    "timestamp",
-    "time_stamp",
-    "offset_time",
-    "offset_ns",
-    "gps_time",
-)
+# Names of each column in lower case, ours first. Names of others: CARLA's I, CosAngle, ObjTag, ObjIdx; Ouster's t;
+# Hesai's timestamp; Livox' offset_time, line and Reflectivity; openpylivox' Inten-sity; Autoware's channel and
+# time_stamp; Argoverse's laser_number and offset_ns; VeloView's Points_m_XYZ:0 and laser_id.
+_NAMES = {
+    "x": ("x", "points_m_xyz:0", "points:0"),
+    "y": ("y", "points_m_xyz:1", "points:1"),
+    "z": ("z", "points_m_xyz:2", "points:2"),
+    "intensity": ("intensity", "scalar_intensity", "i", "inten-sity", "reflectivity"),
+    "label": ("label", "scalar_label", "objtag"),
+    "instance": ("instance", "scalar_instance", "objidx"),
+    "incidence": ("incidence", "scalar_incidence", "cosangle"),
+    "ring": ("ring", "scalar_ring", "channel", "laser_number", "laser_id", "line"),
+    "time": (
+        "time",
+        "scalar_time",
+        "t",
+        "timestamp",
+        "time_stamp",
+        "offset_time",
+        "offset_ns",
+        "gps_time",
+    ),
+}
 _ARGOVERSE_BEAMS = 32  # of each of its two sensors
 _MAX_RING_SPREAD_DEG = 1.0
 _NO_NUMBERS = "bcV"  # kinds of NumPy's types: truth values, complex numbers, records
 #: Names of columns that are read, in lower case.
-KNOWN_COLUMNS = frozenset(
-    chain(*_COORDINATES, _INTENSITY, _LABEL, _INSTANCE, _INCIDENCE, _RING, _TIME),
-)
+KNOWN_COLUMNS = frozenset(chain(*_NAMES.values()))
 LONGEST_LABEL = 200  #: characters
 _LONGEST_CAUSE = 300
-
-#: Largest unpacked size of a compressed file: this number of bytes, plus a multiple of its length.
-MOST_UNPACKED_BYTES = 64 * 2**20
-MOST_UNPACKED_A_BYTE = 100
 
 #: Names of classes by number, by format.
 CLASSES = {}
@@ -113,51 +107,44 @@ def scan_from_columns(
         are kept in coordinates and intensity.
     """
     check_names(path, columns)
+    in_lower_case = {name.lower(): np.asarray(column) for name, column in columns.items()}
     by_name = {}
-    for name, column in columns.items():
-        if name.lower() in KNOWN_COLUMNS:
-            by_name[name.lower()] = np.asarray(column)
+    numbers: dict[str, FloatArray] = {}
+    source = {}
+    for name, aliases in _NAMES.items():
+        alias = next((alias for alias in aliases if alias in in_lower_case), None)
+        if alias is not None:
+            source[name] = alias
+            by_name[name] = in_lower_case[alias]
     for name, column in by_name.items():
         if column.ndim != 1:
             kind = f"{column.dtype} values of shape {column.shape}"
             raise ScanError(f"{path}: column {name}: expected one real number per row, got {kind}")
+        if name != "label":
+            numbers[name] = _numbers(path, name, column)
     lengths = {len(column) for column in by_name.values()}
     if len(lengths) > 1:
         raise ScanError(f"{path}: expected columns of equal length, got lengths {sorted(lengths)}")
 
-    def first(names: tuple[str, ...]) -> NDArray[Any] | None:
-        return next((by_name[name] for name in names if name in by_name), None)
-
-    def first_numbers(names: tuple[str, ...]) -> FloatArray | None:
-        column = first(names)
-        return None if column is None else _numbers(path, names[0], column)
-
-    axes = []
-    for names in _COORDINATES:
-        name = next(name for name in names if name in by_name)
-        axes.append(_numbers(path, name, by_name[name]))
-    points = np.column_stack(axes)
-    rings = _ring_numbers(path, first(_RING))
-    if rings is not None and first(_RING) is by_name.get("line") and not _are_rings(points, rings):
+    points = np.column_stack([numbers[axis] for axis in "xyz"])
+    rings = _ring_numbers(numbers.get("ring"))
+    if rings is not None and source["ring"] == "line" and not _are_rings(points, rings):
         rings = None
-    times_s = first_numbers(_TIME)
-    times = first(_TIME)
-    if times_s is not None and times is not None and times.dtype.kind in "iu":
-        times_s = times_s * (1e-6 if "laser_id" in by_name else 1e-9)
-    labels = first(_LABEL)
-    if not label_names and labels is not None and labels is by_name.get("objtag"):
+    times_s = numbers.get("time")
+    if times_s is not None and by_name["time"].dtype.kind in "iu":
+        times_s = times_s * (1e-6 if "laser_id" in in_lower_case else 1e-9)
+    if not label_names and source.get("label") == "objtag":
         label_names = CLASSES["carla"]
-    intensity = first_numbers(_INTENSITY)
     return Scan(
         points=points,
-        intensity=intensity,
-        labels=None if labels is None else _label_text(path, labels),
-        instances=_instance_numbers(path, first(_INSTANCE)),
-        incidence=first_numbers(_INCIDENCE),
+        intensity=numbers.get("intensity"),
+        labels=_label_text(path, by_name["label"]) if "label" in by_name else None,
+        instances=_instance_numbers(numbers.get("instance")),
+        incidence=numbers.get("incidence"),
         rings=rings,
         times_s=times_s,
         label_names=label_names or {},
-        notes=_notes(columns, intensity is not None, rings),
+        notes=_notes(in_lower_case.keys(), "intensity" in numbers, rings),
     )
 
 
@@ -185,42 +172,10 @@ def check_names(path: Path, names: Iterable[str], remedy: str = "") -> None:
     """Raise `ScanError` if x, y or z, in upper or lower case, is not among the names of a file's columns."""
     known = list(names)
     in_lower_case = {name.lower() for name in known}
-    missing = [of_axis[0] for of_axis in _COORDINATES if in_lower_case.isdisjoint(of_axis)]
+    missing = [axis for axis in "xyz" if in_lower_case.isdisjoint(_NAMES[axis])]
     if missing:
         found = cause_of(", ".join(known)) if known else "none"
         raise ScanError(f"{path}: missing columns {', '.join(missing)}; got {found}{remedy}")
-
-
-def check_promise(path: Path, n_points: int, point_bytes: float) -> None:
-    """Raise `ScanError` if a header promises more points than the file can hold, before memory is taken for them.
-
-    Parameters
-    ----------
-    point_bytes : that a point takes in the file, at least
-    """
-    n_bytes = path.stat().st_size
-    if n_points < 0 or n_points * point_bytes > n_bytes:
-        promised = n_points if abs(n_points) < 10**30 else "10^30 and more"
-        raise ScanError(
-            f"{path}: the header says {promised} points, in {n_bytes} bytes; the file is truncated or wrong",
-        )
-
-
-def check_unpacked(path: Path, n_unpacked: int) -> None:
-    """Raise `ScanError` if a header promises to unpack to far more than a scan.
-
-    Parameters
-    ----------
-    n_unpacked : bytes, as the header has it
-    """
-    n_bytes = path.stat().st_size
-    most = MOST_UNPACKED_BYTES + MOST_UNPACKED_A_BYTE * n_bytes
-    if n_unpacked > most:
-        raise ScanError(
-            f"{path}: {n_bytes} bytes would unpack to {n_unpacked}, at most {most} are read; the "
-            "file is wrong, or made to fill the memory; if it is right, write it without "
-            "compression and dictionaries"
-        )
 
 
 def cause_of(error: object) -> str:
@@ -280,21 +235,16 @@ def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
     return bool(spreads_deg) and float(np.median(spreads_deg)) <= _MAX_RING_SPREAD_DEG
 
 
-def _notes(
-    columns: Mapping[str, NDArray[Any]],
-    has_intensity: bool,
-    rings: IntArray | None,
-) -> tuple[str, ...]:
+def _notes(names: Set[str], has_intensity: bool, rings: IntArray | None) -> tuple[str, ...]:
     """Notes of a scan, see `Scan`."""
     notes = []
-    names = {name.lower() for name in columns}
     if "laser_number" in names and rings is not None and rings.max(initial=-1) >= _ARGOVERSE_BEAMS:
         notes.append(
             f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams "
             "(Argoverse, VLP-32C), in the vehicle's frame; for beams and rays, write numbers "
             f"below {_ARGOVERSE_BEAMS} alone, in their frame"
         )
-    colours = sorted({"rgb", "rgba", "red"}.intersection(names))
+    colours = sorted(names & {"rgb", "rgba", "red"})
     if colours and not has_intensity:
         notes.append(
             f"no intensity, but colours ({colours[0]}): if their red is the intensity (OpenCOOD), "
@@ -330,11 +280,10 @@ def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
         ) from None
 
 
-def _instance_numbers(path: Path, column: NDArray[Any] | None) -> IntArray | None:
+def _instance_numbers(numbers: FloatArray | None) -> IntArray | None:
     """Numbers of objects from 1; 0 for none, which files also write as a negative number or leave out."""
-    if column is None:
+    if numbers is None:
         return None
-    numbers = _numbers(path, "instance", column)
     is_object = numbers > 0  # not where it is NaN
     objects, ids = np.unique(numbers[is_object], return_inverse=True)
     if len(objects) and (objects[-1] >= 2**31 or np.any(objects != np.round(objects))):
@@ -344,11 +293,11 @@ def _instance_numbers(path: Path, column: NDArray[Any] | None) -> IntArray | Non
     return instances
 
 
-def _ring_numbers(path: Path, column: NDArray[Any] | None) -> IntArray | None:
+def _ring_numbers(numbers: FloatArray | None) -> IntArray | None:
     """Numbers of beams; None if the column holds other than integers."""
-    if column is None:
+    if numbers is None:
         return None
-    numbers = np.nan_to_num(_numbers(path, "ring", column), nan=-1.0)
+    numbers = np.nan_to_num(numbers, nan=-1.0)
     is_whole = bool(np.all((np.abs(numbers) < 2**31) & (numbers == np.round(numbers))))
     return numbers.astype(np.int32) if is_whole else None
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import lru_cache
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,6 @@ from .scan_ref import ScanRef, frame_number
 
 _PACKET_BYTES = 1206
 _LINUX_COOKED = 113
-_MODEL_PACKETS = 5
 
 
 class _Revolution(NamedTuple):
@@ -136,25 +135,11 @@ def _packets(
 
 @lru_cache(maxsize=16)
 def _config(file: Path, _mtime_ns: int) -> Any:
-    """Configuration of a decoder, with the model and calibration that an HDL-64E sends among its packets.
-
-    As `velodyne_decoder.hdl64e.detect_hdl64e` finds them, which opens `.pcap` files alone.
-    """
+    """Configuration of a decoder, with the model and calibration that an HDL-64E sends among its packets."""
     import velodyne_decoder as vd
-    import yaml
 
     config = vd.Config()
-    if file.suffix.lower() not in (".pcap", ".pcapng"):
-        return config
-    endings = [data[-2:] for _, _, data in islice(_packets(file), _MODEL_PACKETS)]
-    if len(endings) < _MODEL_PACKETS or len(set(endings)) == 1:  # model and return mode: the same in newer sensors
-        return config
-    status = vd.hdl64e.read_status_info(data for _, _, data in _packets(file))
-    calibration = vd.hdl64e.status_info_to_calib_dict(status)
-    laser_ids = [laser["laser_id"] for laser in calibration["lasers"]]
-    if calibration["status"]["Calibration Time"] is None or laser_ids != list(range(64)):
-        raise ValueError("packets of an HDL-64E without its calibration")
-    is_s2 = calibration["status"]["Model"] == "S2"
-    config.model = vd.Model.HDL64E_S2 if is_s2 else vd.Model.HDL64E_S3
-    config.calibration = vd.Calibration.from_string(yaml.dump(calibration))
+    if file.suffix.lower() == ".pcap":
+        with suppress(ValueError):  # a capture in the newer format, which the library does not search
+            config.model, config.calibration = vd.hdl64e.detect_hdl64e(str(file))
     return config

@@ -7,28 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from io import BytesIO
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ....stages.arrays import FloatArray
-from ...storage.files import write_whole
 from ..look import GREY, RAMPS, clipped
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from .shown_figure import ShownFigure
 
 #: Where points in space are seen from.
 VIEW = {"elev": 20, "azim": -60}
-
-#: Formats in which each figure is written, each with the metadata of its file.
-KINDS: dict[str, dict[str, None]] = {
-    "png": {},
-    "svg": {"Date": None},
-    "pdf": {"CreationDate": None},
-}
 
 
 def in_our_style() -> Any:
@@ -50,28 +42,24 @@ def new_figure(width_in: float, height_in: float, title: str = "") -> Iterator[S
         yield figure
 
 
-def save(figure: Any, folder: Path, name: str) -> list[Path]:
-    """Write a figure as PNG, SVG and PDF; in the last two, clouds of points are pictures.
+@contextmanager
+def axes_for(ax: Any, width_in: float, height_in: float, **look: Any) -> Iterator[Any]:
+    """The given axes, or those of a new figure, to be drawn into in our style.
 
-    Raises
-    ------
-    RunError
-        A file cannot be written.
+    look : of the new axes, such as their projection
     """
-    paths = []
-    for kind, metadata in KINDS.items():
-        content = BytesIO()
+    if ax is None:
+        with new_figure(width_in, height_in) as figure:
+            yield figure.add_subplot(**look)
+    else:
         with in_our_style():
-            figure.savefig(
-                content, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=0.08
-            )
-        figure.set_layout_engine(
-            "none"
-        )  # all is in its place now; finding it took half of the time
-        path = folder / f"{name}.{kind}"
-        write_whole(path, content.getvalue())
-        paths.append(path)
-    return paths
+            yield ax
+
+
+def figure_of(axis: Any) -> Figure:
+    """The figure that axes belong to."""
+    figure: Figure = axis.figure
+    return figure
 
 
 def fidelity_colours() -> Any:
@@ -79,16 +67,6 @@ def fidelity_colours() -> Any:
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("fidelity", RAMPS["light"])
-
-
-def community_colours(n: int) -> Any:
-    """(n, 3) colours in which neighbours in number differ; they repeat, and none is grey."""
-    from matplotlib import colormaps
-
-    maps = (colormaps["tab20"], colormaps["tab20b"])
-    wheel = np.concatenate([colours(np.arange(20)) for colours in maps])[:, :3]
-    wheel = wheel[np.ptp(wheel, axis=1) > 0.1]
-    return wheel[np.arange(n) % len(wheel)]
 
 
 def dots(axis: Any, points: FloatArray, size: float, colour: Any, **look: Any) -> Any:
@@ -111,20 +89,17 @@ def frame_of(*clouds: FloatArray) -> FloatArray:
 
 
 @contextmanager
-def new_maps(frame: FloatArray, n_maps: int, title: str) -> Iterator[tuple[ShownFigure, Any]]:
-    """A figure of maps side by side, and their axes; what is drawn on them is seen from above.
+def new_maps(frame: FloatArray, title: str) -> Iterator[tuple[ShownFigure, Any]]:
+    """A figure of two maps side by side, and their axes; what is drawn on them is seen from above.
 
     Parameters
     ----------
     frame : (2, 2) corners of the area, see `frame_of`
-    n_maps : 2 or 3
     """
     width, height = frame[1] - frame[0]
-    map_in = {2: 4.0, 3: 3.2}[n_maps]
-    width_in = map_in * n_maps + 1.4
-    height_in = float(np.clip(map_in * height / width, 1.5, 6)) + 1.25
-    with new_figure(width_in, height_in, title) as figure:
-        axes = figure.subplots(1, n_maps, sharex=True, sharey=True)
+    height_in = float(np.clip(4.0 * height / width, 1.5, 6)) + 1.25
+    with new_figure(9.4, height_in, title) as figure:
+        axes = figure.subplots(1, 2, sharex=True, sharey=True)
         yield figure, axes
         for axis in axes:
             from_above(axis, frame)
@@ -142,18 +117,10 @@ def from_above(axis: Any, frame: FloatArray) -> None:
     axis.set_aspect("equal")
     axis.plot(0, 0, marker="+", color="black", markersize=8, markeredgewidth=1.2)
     axis.set_xlabel("x, forward (m)")
-    if axis.get_subplotspec().is_first_col():
-        axis.set_ylabel("y, left (m)")
+    axis.set_ylabel("y, left (m)")
     if axis.get_legend_handles_labels()[0]:  # a fixed way under the axis, clear of its label
-        legend = axis.legend(
-            loc="upper center",
-            bbox_to_anchor=(0.5, 0),
-            borderaxespad=4.3,
-            ncols=3,
-            handletextpad=0.1,
-        )
-        for handle in legend.legend_handles:
-            handle.set(sizes=[22], alpha=1)
+        below = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "borderaxespad": 4.3}
+        axis.legend(ncols=3, markerscale=4, **below)
 
 
 def box_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -173,10 +140,11 @@ def draw_object(
     colour: str,
     box: tuple[FloatArray, FloatArray],
     zoom: float = 0.87,
+    **look: Any,
 ) -> None:
     """Draw points in space, in metres from the corner of their box (see `box_of`)."""
     corner, size = box
-    dots(axis, points - corner, 2, colour)
+    dots(axis, points - corner, 2, colour, **look)
     _metres(axis, size, zoom)
 
 

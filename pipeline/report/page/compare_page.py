@@ -4,46 +4,27 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from ....schemas.columns import Row
+import numpy as np
+
+from ...results.causes import read_causes
 from ...results.compare import Comparison
-from ...results.families import MARKS_NOTE
 from ...results.finished import FinishedRun
 from ...results.followed import worst_changes
-from ...storage.table_files import file_stem
 from ...terminal import STEERING
-from ..charts import change_chart
-from ..look import PAGE_COLOURS
-from ..pictures import draw_change, object_address
-from ..view import Table, signed
-from ..views.best_case_view import both_excesses_table
-from ..views.compare_view import (
-    OBJECTS_NOTE,
-    cause_table,
-    chance,
-    changed,
-    decision,
-    family_table,
-    object_table,
-    object_view,
-    remarks,
-    score_table,
-)
+from ..look import PAGE_COLOURS, SIGNED_RAMP_M
+from ..pictures import draw_around_sensor, draw_change
+from ..views.compare_view import answer, decision, numbers_view, place_words
 from .page_templates import render
-from .run_page import PAGE, PAGES
+from .run_page import PAGE
 
-MOST_OBJECTS = 300
-MOST_PAIRS = 200
-#: Verdicts that decide.
-DECIDED = ("worse", "mixed", "better")
 _METHOD = (
     "Changes are after minus before, means over independent pairs. Intervals: 95 %, each of its "
     "score alone (Student's t). Verdicts: exact sign-flip test per family (maxT over its scores), "
-    f"Holm over the families. {OBJECTS_NOTE}"
+    "Holm over the families."
 )
 
 
@@ -57,95 +38,55 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
     Raises
     ------
     RunError
-        A table that pictures are drawn from is damaged or gone.
+        A table that points are read from is damaged or gone.
     """
-    sections = [_section(comparison, start) for comparison in comparisons]
-    charts = {}
-    places = []
-    for i, section in enumerate(sections):
-        if section["decided"]:
-            charts[f"changes_{i}"] = change_chart(section["decided"])
-        if section["open"]:
-            charts[f"undecided_{i}"] = change_chart(section["open"])
-        places.append([draw_change(change, section["runs"]) for change in section["worst"]])
+    sections = []
+    drawn = []
+    for comparison in comparisons:
+        runs = [FinishedRun(folder) for folder in (comparison.base, comparison.other)]
+        places = _places(comparison, runs)
+        drawn.append(list(places.values()))
+        sections.append(
+            {
+                "comparison": comparison,
+                "decision": decision(comparison),
+                "answer": [answer(comparison)],
+                "numbers": numbers_view(comparison, with_all=True),
+                "places": list(places),
+                "reports": [_report_link(run.folder, start) for run in runs],
+            }
+        )
     data = {
-        "charts": charts,
+        "charts": {},
         "steering": STEERING,
         "colours": PAGE_COLOURS,
-        "places": places,
+        "signed_ramp_m": SIGNED_RAMP_M,
+        "places": drawn,
     }
-    return render("compare.html", data, sections=sections, method=_METHOD, arrows=MARKS_NOTE)
+    return render("compare.html", data, sections=sections, method=_METHOD)
 
 
-def _section(comparison: Comparison, start: Path) -> dict[str, Any]:
-    """One run against the base: `comparison` itself, its tables, its worst changes, and links."""
-    objects = changed(comparison)
-    decided = [score for score in comparison.scores if score.verdict in DECIDED]
-    undecided = [score for score in comparison.scores if score.verdict not in DECIDED]
-    for scores in (decided, undecided):
-        scores.sort(key=lambda score: -abs(score.clarity))
-    families = [family for family in comparison.families if family.verdict in DECIDED]
-    open_families = [family for family in comparison.families if family.verdict not in DECIDED]
-    runs = [FinishedRun(folder) for folder in (comparison.base, comparison.other)]
-    links = []
-    for change in objects[:MOST_OBJECTS]:
-        links.append([_report_link(run.folder, change, start) for run in runs])
-    without_report = []
-    for place, run in enumerate(runs):
-        if links and not any(of_object[place] for of_object in links):
-            without_report.append(run.folder)
-    objects_title = "Objects that have changed"
-    if len(objects) > MOST_OBJECTS:
-        objects_title += f" (the first {MOST_OBJECTS} of {len(objects)})"
-    more = list(object_view(comparison))
-    if comparison.excess:
-        more.insert(0, both_excesses_table(*comparison.excess))
-    family_title = "Decided, the clearest change first"
-    return {
-        "comparison": comparison,
-        "decision": decision(comparison),
-        "chance": chance(comparison),
-        "decided": decided,
-        "open": undecided,
-        "families": [
-            replace(family_table(comparison, families), title=family_title),
-            score_table(comparison, decided),
-        ],
-        "undecided": [
-            family_table(comparison, open_families),
-            score_table(comparison, undecided),
-        ],
-        "n_decided": (len(families), len(open_families)),
-        "causes": [cause_table(comparison)] if comparison.changes.causes else [],
-        "remarks": remarks(comparison),
-        "runs": runs,
-        "worst": worst_changes(comparison.objects),
-        "without_report": without_report,
-        "more": more,
-        "objects": object_table(objects_title, objects[:MOST_OBJECTS]),
-        "links": links,
-        "pairs": _pairs_table(comparison),
-    }
+def _places(comparison: Comparison, runs: Sequence[FinishedRun]) -> dict[str, dict[str, Any]]:
+    """By words what is shown in 3D: the first cause around the sensor, then the worst objects."""
+    places = {}
+    causes = [change for change in comparison.changes.causes if change.cause.kind == "sensor"]
+    if causes:
+        pair_id = _clearest_pair(comparison, runs, causes[0].cause.name)
+        words = f"{causes[0].words}: around the sensor, pair {pair_id}"
+        places[words] = draw_around_sensor(pair_id, runs)
+    for row in worst_changes(comparison.objects):
+        words = f"{place_words(row)}, pair {row['pair_id']}, object {row['real_id']}"
+        places[words] = draw_change(row, runs)
+    return places
 
 
-def _pairs_table(comparison: Comparison) -> Table:
-    """Change of the clearest score of each family by pair."""
-    leading = [family.scores[0] for family in comparison.families]
-    title = "Pairs"
-    if len(comparison.pairs) > MOST_PAIRS:
-        title += f" (the first {MOST_PAIRS} of {len(comparison.pairs)})"
-    headings = ("pair (change)", *(score.name for score in leading))
-    rows = []
-    for name in comparison.pairs[:MOST_PAIRS]:
-        rows.append((name, *(signed(score.of_pairs[name]) for score in leading)))
-    return Table(title, headings, rows)
+def _clearest_pair(comparison: Comparison, runs: Sequence[FinishedRun], cause: str) -> str:
+    """The pair in which a cause changed most."""
+    before, after = [read_causes(run.store, comparison.pairs)[cause].amount for run in runs]
+    return comparison.pairs[int(np.argmax(np.nan_to_num(np.abs(after - before))))]
 
 
-def _report_link(run: Path, change: Row, start: Path) -> str:
-    """The address of an object in its run's report, relative to a folder; "" without a report."""
-    pages = (run / PAGE, run / PAGES / f"pair-{file_stem(change['pair_id'])}.html")
-    page = next((page for page in pages if page.exists()), None)
-    if page is None:
-        return ""
-    address = object_address(change["pair_id"], f"real {change['real_id']}")
-    return f"{quote(os.path.relpath(page.resolve(), start.resolve()))}{address}"
+def _report_link(run: Path, start: Path) -> str:
+    """The address of a run's report, relative to a folder; "" without a report."""
+    page = run / PAGE
+    return quote(os.path.relpath(page.resolve(), start.resolve())) if page.exists() else ""

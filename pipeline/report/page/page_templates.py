@@ -7,7 +7,6 @@ Everything is inside the page: style, code, data, and plotly.js as installed.
 
 from __future__ import annotations
 
-import json
 import re
 from functools import cache
 from importlib import resources
@@ -54,7 +53,6 @@ def _environment() -> Environment:
         "shown": shown,
         "sentence": sentence,
         "clipped": clipped,
-        "plain": _in_words,
         "with_code": _with_code,
     }
     environment.globals |= {
@@ -90,10 +88,3 @@ def _code(*names: str) -> Markup:
 def _with_code(text: str) -> Markup:
     """Text in which no line ends within an option of the command."""
     return Markup(re.sub(r"--[a-z][a-z-]+", r"<code>\g<0></code>", str(escape(shown(text)))))
-
-
-def _in_words(value: Any) -> str:
-    """A setting or a version as a reader writes it."""
-    if value is None:
-        return "none"
-    return value if isinstance(value, str) else json.dumps(value)

@@ -1,14 +1,12 @@
-"""Content of a page about one pair: its objects, the points of both sides, road, aligned nodes.
+"""Content of a page about one pair: its objects, the points of both sides, road.
 
 Points are 16-bit integers in units of a small step. Each array is packed as base64 of its deflated
-bytes, which the browser reads as a typed array. Points are sorted so that neighbours follow one
-another, which compresses well.
+bytes, which the browser reads as a typed array.
 """
 
 from __future__ import annotations
 
 import base64
-import math
 import zlib
 from collections.abc import Iterable
 from typing import Any
@@ -17,10 +15,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ....schemas.columns import SIDES, Row
+from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import scores_in
-from ....stages.arrays import FloatArray, IndexArray, IntArray
+from ....stages.arrays import FloatArray, IndexArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
+from ....stages.statistics.findings import evenly
 from ....stages.surface import signed_distances
 from ...results.object_frame import plain_rows
 from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults, frames_of
@@ -49,11 +48,10 @@ _FEWEST_OF_OBJECT = 80
 _MOST_ROAD_POINTS = 4000
 _ROAD_CELL_M = 0.4
 _STEPS = 32767
-_RINGS_PER_RADIAN = 400
 
 
 def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS) -> dict[str, Any]:
-    """One pair for the page: points of both sides, objects, aligned nodes.
+    """One pair for the page: points of both sides, and objects.
 
     Parameters
     ----------
@@ -66,25 +64,13 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
     """
     tables = frames_of(results, pair_id)
     step_m = _step_m(tables)
-    shown = {}
-    for side, cloud in tables.clouds.items():
-        chosen = thinned(cloud.community, most_points // 2)
-        shown[side] = chosen[_ring_by_ring(cloud.points[chosen], cloud.community[chosen])]
-    lines = _lines(tables, shown)
-    sides = {}
-    for side in SIDES:
-        sides[side] = _side_data(tables, side, shown[side], step_m)
-        sides[side]["line"] = _packed(lines[side])
-    moves = {}
-    for real_id, move in tables.alignment_moves.items():
-        moves[str(real_id)] = np.round(move, 4).tolist()
+    objects = plain_rows(tables.objects)
+    for row in objects:
+        row["sentence"] = judgement(row) if row["partner"] >= 0 else alone_judgement(row)
     return {
         "step_m": step_m,
-        "n_beams": len(tables.ray_image),
-        "rays": _packed(tables.ray_image),
-        "sides": sides,
-        "moves": moves,
-        "objects": columns_of(_with_sentences(tables.objects), OBJECT_COLUMNS),
+        "sides": {side: _side_data(tables, side, most_points // 2, step_m) for side in SIDES},
+        "objects": columns_of(objects, OBJECT_COLUMNS),
     }
 
 
@@ -95,15 +81,6 @@ def _step_m(tables: PairFrames) -> float:
         for points in (cloud.points, cloud.road):
             farthest_m = max(farthest_m, float(np.abs(points).max(initial=0.0)))
     return farthest_m / _STEPS
-
-
-def _with_sentences(objects: pd.DataFrame) -> list[Row]:
-    """The objects, each with a `sentence` on what is wrong with it."""
-    rows = plain_rows(objects)
-    for row in rows:
-        is_matched = row["partner"] >= 0
-        row["sentence"] = judgement(row) if is_matched else alone_judgement(row)
-    return rows
 
 
 def thinned(community: Iterable[int], most: int) -> IndexArray:
@@ -120,47 +97,34 @@ def thinned(community: Iterable[int], most: int) -> IndexArray:
     """
     ids = np.asarray(community)
     share = min(1.0, most / max(1, len(ids)))
-    rng = np.random.default_rng(0)
-    chosen = []
-    by_object = np.argsort(ids, kind="stable")
-    ends = np.cumsum(np.bincount(ids))
-    for members in np.split(by_object, ends[:-1]):
-        n = max(_FEWEST_OF_OBJECT, math.ceil(share * len(members)))
-        n = min(n, len(members), _MOST_OF_OBJECT)
-        chosen.append(rng.choice(members, n, replace=False))
-    kept: IndexArray = np.sort(np.concatenate(chosen))
+    n_all = np.bincount(ids)[ids]
+    n_kept = np.maximum(_FEWEST_OF_OBJECT, np.ceil(share * n_all))
+    n_kept = np.minimum(np.minimum(n_kept, n_all), _MOST_OF_OBJECT)
+    place = pd.Series(ids).groupby(ids).cumcount().to_numpy()
+    steps = np.floor(place * n_kept / n_all)
+    kept: IndexArray = np.flatnonzero(np.floor((place + 1) * n_kept / n_all) > steps)
     return kept
 
 
-def _ring_by_ring(points: FloatArray, first: Any) -> IndexArray:
-    """Order of points by `first`, by elevation and by azimuth: neighbours follow one another."""
-    x, y, z = points.T
-    elevation = np.arctan2(z, np.hypot(x, y))
-    azimuth = np.arctan2(y, x)
-    order: IndexArray = np.lexsort((azimuth, np.rint(elevation * _RINGS_PER_RADIAN), first))
-    return order
-
-
-def _side_data(tables: PairFrames, side: str, shown: IndexArray, step_m: float) -> dict[str, Any]:
+def _side_data(tables: PairFrames, side: str, most: int, step_m: float) -> dict[str, Any]:
     """The points of a side: how many of each object, and the packed arrays of objects and road."""
     cloud = tables.clouds[side]
+    shown = thinned(cloud.community, most)
+    shown = shown[np.argsort(cloud.community[shown], kind="stable")]
     points = cloud.points[shown]
     road = _some_road(cloud.road)
     ids, counts = np.unique(cloud.community[shown], return_counts=True)
-    is_kept = np.isin(cloud.point_ids[shown], tables.selection[f"{side}_point_id"])
     data = {
         "n": len(cloud.points),
         "ids": ids.tolist(),
         "counts": counts.tolist(),
         "points": _packed_points(points, step_m),
         "distance": _packed(_in_bytes(tables.distances_m[side][shown] / FAR_M, _FAR)),
-        "kept": _packed(is_kept),
         "piece": _packed(tables.is_piece[side][shown]),
         "road": _packed_points(road, step_m),
     }
     if side == "sim":
-        real = tables.clouds["real"]
-        surface = np.concatenate([real.points, real.road])
+        surface = tables.clouds["real"].everything
         signed = signed_distances(np.concatenate([points, road]), surface, SIGNED_M)
         steps = _in_bytes((signed / SIGNED_M + 1) / 2, _NO_SIGN - 1)
         data["signed"] = _packed(steps[: len(points)])
@@ -168,26 +132,11 @@ def _side_data(tables: PairFrames, side: str, shown: IndexArray, step_m: float) 
     return data
 
 
-def _lines(tables: PairFrames, shown: dict[str, IndexArray]) -> dict[str, IntArray]:
-    """By side the places, among the shown points, of the aligned nodes that both sides show."""
-    places = {}
-    for side, cloud in tables.clouds.items():
-        place = np.full(len(cloud.points), -1, dtype=np.int32)
-        place[shown[side]] = np.arange(len(shown[side]))
-        nodes = np.searchsorted(cloud.point_ids, tables.selection[f"{side}_point_id"])
-        places[side] = place[nodes]
-    is_shown = (places["real"] >= 0) & (places["sim"] >= 0)
-    return {side: places[side][is_shown] for side in SIDES}
-
-
 def _some_road(road: FloatArray) -> FloatArray:
     """Road points evenly over the ground, one per cell; for display only."""
     cells = np.floor(road[:, :2] / _ROAD_CELL_M)
     _, first = np.unique(cells, axis=0, return_index=True)
-    if len(first) > _MOST_ROAD_POINTS:
-        first = np.random.default_rng(0).choice(first, _MOST_ROAD_POINTS, replace=False)
-    points = road[first]
-    return points[_ring_by_ring(points, np.zeros(len(points)))]
+    return road[first[evenly(len(first), _MOST_ROAD_POINTS)]]
 
 
 def _in_bytes(share: FloatArray, whole: int) -> Any:

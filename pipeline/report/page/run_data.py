@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,53 +11,44 @@ import orjson
 import pandas as pd
 from pydantic import TypeAdapter
 
-from ....schemas.columns import SIDES
 from ....schemas.errors import RunError
-from ....schemas.metric_catalogue import METRIC, metric_of, pair_columns_in, scores_in
-from ....schemas.results import Cause, Evidence
+from ....schemas.metric_catalogue import (
+    COVERAGE_REACHES,
+    METRIC,
+    metric_of,
+    pair_columns_in,
+    scores_in,
+)
+from ....schemas.results import Evidence
 from ....stages.sensor_description import sensor_lines
 from ...results.best_case import RunExcess
-from ...results.causes import MOST_SHOWN, no_cause_words
 from ...results.diagnosis import unexplained_words
 from ...results.gate import Criterion, judge_run
-from ...results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT, plain_rows
+from ...results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT, UNKNOWN, plain_rows
 from ...terminal import STEERING
-from ..charts import MOST_DOTS, along_the_sequence, evidence_chart, run_charts
-from ..look import PAGE_COLOURS, SIGNED_RAMP_M
+from ..charts import MOST_DOTS, evidence_chart, run_charts
+from ..look import FATE_WORDS, PAGE_COLOURS, SIGNED_RAMP_M
 from ..pictures import FRAME, draw_pieces
 from ..run_frames import OBJECT_COVERAGE, SCORES, RunResults, frames_of, quadrants
-from ..view import Note, columns_of, number, percent, sentence
-from ..views.answer_view import (
-    amount_words,
-    caution_words,
-    change_words,
-    pieces_words,
-    surface_words,
-    task_words,
-    trust_words,
-)
+from ..view import Answers, Table, columns_of, items_of, percent, sentence
+from ..views.answer_view import amount_words, answer_sections, caution_words
 from ..views.best_case_view import excess_view
-from ..views.run_view import (
-    coverage_table,
-    dataset_table,
-    preset_line,
-    range_table,
-    surface_line,
-    surface_table,
-    tasks_view,
-    unmatched_lines,
-)
+from ..views.gate_view import gate_checks
+from ..views.run_view import details_view, preset_line
 from .pair_data import FACTS, FAR_M, OBJECT_COLUMNS, SIGNED_M
 
 #: More rows would make the page slow; the table then says what part it shows.
-_MOST_ROWS = 5000
-_MOST_FAILURES = 5
+_MOST_ROWS = 1000
 _DIGITS = 6
 #: Quantiles of a score at the ends of its colours.
 _COLOURED = (0.02, 0.98)
 
 #: Parts of a bar of surface: within each reach of coverage, beyond the one before.
-_REACHES = {"0p1m": "within 0.1 m", "0p3m": "0.1 to 0.3 m", "1m": "0.3 to 1 m"}
+_REACHES = ("within 0.1 m", "0.1 to 0.3 m", "0.3 to 1 m")
+
+#: Sections of the answer in the first sentence, and below it.
+_SENTENCES = ("  surface", "  pieces", "  tasks")
+_FIRST = ("Check first", "Fix first", "Doubtful", "Last run", "Next")
 
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
 #: Columns of the tables of pairs and objects.
@@ -106,8 +96,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
     return {
         "steering": STEERING,
         "names": results.pairs.pair_id.tolist(),
-        "charts": {name: chart for name, (chart, _) in charts.items()},
-        "alternatives": {name: words for name, (_, words) in charts.items()},
+        "charts": charts,
         "colours": PAGE_COLOURS,
         "far_m": FAR_M,
         "signed_m": SIGNED_M,
@@ -182,50 +171,49 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
     record = results.run.record
     diagnosis = results.run.diagnosis
     sensor_pair = results.pairs.pair_id.min()
-    sensors = frames_of(results, sensor_pair).sensors
-    run_values = {
-        name: getattr(record, name) for name in ("fidpipe", "written", "dataset", "seed", "workers")
-    }
-    run_values["seconds"] = round(record.wall_s["total"], 1)
+    sensors = {}
+    for side, sensor in frames_of(results, sensor_pair).sensors.items():
+        sensors[side] = sensor_lines(sensor)
+    names = ("fidpipe", "written", "dataset", "seed", "workers")
+    failures = [row for row in results.run.rows if row["status"] == "failed"]
     return {
         "title": results.run.folder.resolve().name,
         "preset": preset_line(record),
         "verdict": verdict_of(results, excess),
+        "details": details_view(record),
         "frame": FRAME,
         "limits": (CDC_LIMIT, R_LAMBDA_LIMIT),
-        "class_is": results.class_is,
-        "most_dots": MOST_DOTS,
-        "n_scored": int(results.matched.r_lambda.notna().sum()),
-        "n_matched": len(results.matched),
-        "n_unmatched": len(results.unmatched),
-        "has_times": along_the_sequence(results, results.run.record.times_s)[0],
+        "drawn": (
+            min(int(results.matched.r_lambda.notna().sum()), MOST_DOTS),
+            len(results.matched),
+        ),
         "diagnosis": diagnosis,
-        "diagnosed": _with_amounts(diagnosis.causes if diagnosis else ()),
+        "diagnosed": [
+            (cause, amount_words(cause)) for cause in (diagnosis.causes if diagnosis else ())
+        ],
         "unexplained": sentence(unexplained_words(diagnosis)) if diagnosis else "",
-        "failures": {
-            row["pair_id"]: row["reason"] for row in results.run.rows if row["status"] == "failed"
-        },
-        "most_failures": _MOST_FAILURES,
+        "failures": {row["pair_id"]: row["reason"] for row in failures},
         "best_case": excess_view(excess) if excess else [],
         "sensor_pair": sensor_pair,
-        "sensors": {side: sensor_lines(sensors[side]) for side in SIDES},
-        "ranges": [range_table(record.findings)] if record.findings else [],
-        "settings": record.settings,
-        "versions": {
-            "": run_values,
-            "stage version": record.stages,
-            "library": record.libraries,
-            "machine": record.machine.as_dict(),
-        },
+        "sensors": [Answers([(side, items_of(*lines)) for side, lines in sensors.items()])],
+        "made": [
+            _key_table("Settings", record.settings),
+            _key_table("Run", {"": {name: getattr(record, name) for name in names}}),
+            _key_table("Stages and libraries", {"": record.stages | record.libraries}),
+            _key_table("Machine", {"": record.machine.as_dict()}),
+        ],
     }
 
 
-def _with_amounts(causes: Sequence[Cause]) -> list[tuple[Cause, str]]:
-    return [(cause, amount_words(cause)) for cause in causes]
+def _key_table(title: str, groups: Mapping[str, Any]) -> Table:
+    """Settings and the like by name."""
+    values = pd.json_normalize(dict(groups)).iloc[0]
+    rows = [(str(name).removeprefix("."), str(value)) for name, value in values.items()]
+    return Table(title, ("", ""), rows, words=(0, 1))
 
 
 def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
-    """The first screen of a run's page, over a best case if any, and the section `details`.
+    """The first screen of a run's page, over a best case if any, and what limits the trust in it.
 
     is_met is True if the acceptance criteria of the last gate are met, None without any.
     """
@@ -235,38 +223,27 @@ def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str
         raise RunError(
             f"run {results.run.folder}: no pair is scored, so there is nothing to report"
         )
-    tasks = task_words(record, excess)
+    sections = answer_sections(
+        results.run.folder,
+        record,
+        overview,
+        results.run.diagnosis,
+        excess,
+        with_all=True,
+        is_page=True,
+    )
+    texts = [sections[heading][0][0] for heading in _SENTENCES if heading in sections]
+    first = [(heading, sections[heading]) for heading in _FIRST if heading in sections]
     is_met, good_enough = _good_enough(results, excess)
-    warning = [f"Warning: {words}" for words in caution_words(overview, ("frames",))]
     return {
-        "sentence": sentence(surface_words(record, excess)),
-        "pieces": sentence(pieces_words(record).replace(" missing", " pieces missing", 1)),
-        "tasks": sentence(tasks) if tasks else "",
+        "sentence": " ".join(map(sentence, texts)).replace(" missing", " pieces missing", 1),
+        "warnings": [f"Warning: {words}" for words in caution_words(overview, ("frames",))],
         "bars": _bars(results, excess),
-        "causes": _with_amounts(overview.causes[:MOST_SHOWN]),
-        "no_cause": sentence(no_cause_words(overview.unknown)),
-        "doubts": [sentence(words) for words in overview.doubts],
+        "answer": [Answers(first)],
         "worst": draw_pieces(results, overview.pieces),
         "is_met": is_met,
         "good_enough": good_enough,
-        "warning": " ".join(warning),
-        "change": sentence(change_words(record)) if record.previous else "",
-        "trust": [sentence(words) for words in trust_words(results.run.folder, overview)],
-        "details": [
-            dataset_table(record, pair_columns_in("numbers")),
-            Note(
-                "Unmatched as worst: each missing and each invented object counted with the worst "
-                "value."
-            ),
-            *tasks_view(record.tasks),
-            coverage_table(record),
-            surface_table(overview),
-            Note(
-                "Real points that are not covered are missing surface, simulated ones invented "
-                "surface."
-            ),
-            *map(Note, (*unmatched_lines(record), surface_line(record))),
-        ],
+        "trust": [sentence(words) for words, _, _ in sections.get("Trust", [])],
     }
 
 
@@ -275,65 +252,52 @@ def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]
 
     The parts of each, from good to bad, are kind (its look), words, and share of the whole.
     """
-    surfaces = (("real", "Real surface", "missing"), ("sim", "Simulated surface", "invented"))
-    bars = [_surface_bar(results, excess, *surface) for surface in surfaces]
     counts = {name: quadrant["n"] for name, quadrant in quadrants(results).items()}
-    counts["missing"] = int((results.unmatched.status == "missing").sum())
-    n_all = max(1, len(results.matched) + counts["missing"])
-    kinds = (*QUADRANTS, "unknown", "real step3")
-    parts = []
-    for kind, (name, n) in zip(kinds, counts.items(), strict=True):
-        parts.append((kind, name, n / n_all))
+    not_found = FATE_WORDS["missing"]
+    counts[not_found] = int((results.unmatched.status == "missing").sum())
+    n_all = max(1, sum(counts.values()))
+    looks = {UNKNOWN: "unknown", not_found: "real step3"}
+    parts = [(looks.get(name, name), name, n / n_all) for name, n in counts.items()]
     value = f"{percent(parts[0][2])} faithful"
-    return [*bars, {"name": "Real objects", "value": value, "note": "", "parts": parts}]
+    return [
+        _surface_bar(results, excess, "real", "Real surface", "missing"),
+        _surface_bar(results, excess, "sim", "Simulated surface", "invented"),
+        {"name": "Real objects", "value": value, "note": "", "parts": parts},
+    ]
 
 
 def _surface_bar(
     results: RunResults, excess: RunExcess | None, side: str, name: str, alone: str
 ) -> dict[str, Any]:
     """The surface of a side by distance to the other one; `alone` is what the other side lacks."""
+    summary = results.run.record.summary
+    covered = [summary[f"covered_{side}_{reach}"].mean or 0.0 for reach in COVERAGE_REACHES]
     parts = []
-    covered = 0.0
-    for i, (reach, words) in enumerate(_REACHES.items()):
-        farther = results.run.record.summary[f"covered_{side}_{reach}"].mean or 0.0
-        parts.append((f"{side} step{i}", words, farther - covered))
-        covered = farther
-    parts.append((f"{side} step{len(_REACHES)}", alone, 1.0 - covered))
+    for i, share in enumerate(np.diff([0.0, *covered, 1.0]).tolist()):
+        parts.append((f"{side} step{i}", (*_REACHES, alone)[i], share))
     near = f"covered_{side}_0p3m"
-    share = percent(results.run.record.summary[near].mean or 0.0)
     note = f"best case {percent(excess.scores[near].best_case)}" if excess else ""
-    return {"name": name, "value": f"{share} within 0.3 m", "note": note, "parts": parts}
+    value = f"{percent(summary[near].mean or 0.0)} within 0.3 m"
+    return {"name": name, "value": value, "note": note, "parts": parts}
 
 
 def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | None, list[str]]:
     """The criteria of the folder's last gate, evaluated again; or how to set some."""
     folder = results.run.folder
     path = folder / "gate.json"
-    criteria = _last_criteria(path)
-    if criteria is None:
+    if not path.exists():
         command = f"fidpipe gate {folder} --max r_lambda.mean=0.4"
         return None, [f"No acceptance limits are set yet: {command} sets one."]
     try:
+        criteria = _CRITERIA.validate_python(orjson.loads(path.read_bytes())["criteria"])
         result = judge_run(folder, criteria, None if excess is None else excess.best_case)
-    except (RunError, ValueError) as error:
+    except (RunError, ValueError, LookupError, TypeError) as error:
         return None, [f"The criteria of {path} cannot be evaluated again: {error}"]
-    on_scores = [judged for judged in result.judged if not judged.measure.startswith("pairs.")]
-    n_met = sum(judged.passed for judged in on_scores)
-    met = f"{n_met} of {len(on_scores)} acceptance criteria on scores are met"
-    unmet = [judged for judged in result.judged if not judged.passed]
-    if not unmet:
-        on_run = "and those on the run itself (complete, no pair failed, nothing changed since)"
-        return True, [f"Yes: {met}, {on_run}."]
-    why = [f"{judged.name}: {judged.why or number(judged.value)}" for judged in unmet[:3]]
-    return False, [f"No: {met}.", *map(sentence, why)]
+    checks = gate_checks(result)
+    failed = [sentence(check.found) for check in checks if check.fault]
+    word = "No" if failed else "Yes"
+    n_met = len(checks) - len(failed)
+    return not failed, [f"{word}: {n_met} of {len(checks)} criteria are met.", *failed]
 
 
 _CRITERIA = TypeAdapter(list[Criterion])
-
-
-def _last_criteria(path: Path) -> list[Criterion] | None:
-    """The criteria that a gate wrote down; None if none can be read."""
-    try:
-        return _CRITERIA.validate_python(orjson.loads(path.read_bytes())["criteria"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None

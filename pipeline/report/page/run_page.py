@@ -1,4 +1,4 @@
-"""Writes the report of a run: the page, or a folder of pages with an index; and the figures."""
+"""Writes the report of a run: the page, or a folder of pages with an index."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from .run_data import page_data, page_words
 
 PAGE = "report.html"
 PAGES = "report"
-FIGURES = "figures"
 #: Number of pairs with points on a page, a third each of the worst, the middle and the best.
 MOST_VIEWS = 15
 _PLOTLY = "plotly.min.js"
@@ -28,11 +27,10 @@ _INDEX = "index.html"
 
 @dataclass(frozen=True)
 class ReportFiles:
-    """Files written: the page to open, number of pages, figures, and number of pairs in 3D."""
+    """Files written: the page to open, number of pages, and number of pairs in 3D."""
 
     page: Path
     n_pages: int
-    figures: list[Path]
     n_views: int
     n_pairs: int
 
@@ -54,7 +52,6 @@ def write_report(
     out: Path | None = None,
     html: Path | None = None,
     best_case: Path | None = None,
-    with_figures: bool = False,
     reporter: Reporter | None = None,
 ) -> ReportFiles:
     """Write the page of a finished run, in place of that of an earlier report.
@@ -68,7 +65,6 @@ def write_report(
     html : file of the single page; by default report.html in that folder
     best_case : the run of fidpipe best-case that scores are also shown over
     one_page_a_pair : write a folder of pages, one for each of those pairs, instead of the page
-    with_figures : write the figures for print, too
     reporter : shows the progress over pairs
 
     Raises
@@ -77,8 +73,6 @@ def write_report(
         The folder is not a finished run, has no scored pair or a damaged table, no pair matches, or
         a file cannot be written; or the best case is another's.
     """
-    if with_figures:
-        from ..figures.run_figures import draw_figures  # matplotlib takes a second to load
     results = read_results(folder)
     excess = None if best_case is None else excess_over(results.run, best_case)
     folder = out or folder
@@ -91,7 +85,7 @@ def write_report(
         plotly_source = _PLOTLY
         write_whole(folder / PAGES / _PLOTLY, plotly_js().encode())
     else:
-        pages = [_run_page(html or folder / PAGE, results, chosen, pattern)]
+        pages = [_run_page(html or folder / PAGE, results, chosen)]
     # An address must escape the per cent signs that the names of the files hold.
     links = {name: quote(file) for name, file in files.items()}
     data = page_data(results) | {"links": links}
@@ -108,16 +102,15 @@ def write_report(
         content = render("report.html", report, plotly_source, view_note=page.note, **words)
         write_whole(page.path, content.encode())
     show.stop()
-    figures = draw_figures(results, chosen, folder / FIGURES) if with_figures else []
-    return ReportFiles(pages[-1].path, len(pages), figures, n_views, len(results.pairs))
+    return ReportFiles(pages[-1].path, len(pages), n_views, len(results.pairs))
 
 
-def _run_page(path: Path, results: RunResults, chosen: list[str], pattern: str | None) -> _Page:
+def _run_page(path: Path, results: RunResults, chosen: list[str]) -> _Page:
     """The single page, which shows some pairs in 3D."""
     overview = results.run.overview
     of_worst = {piece.pair_id for piece in overview.pieces} if overview else set()
     shown = views_of(chosen, of_worst)
-    return _Page(path, shown, _view_note(len(shown), len(chosen), len(results.pairs), pattern))
+    return _Page(path, shown, _view_note(len(shown), len(results.pairs)))
 
 
 def _pair_pages(folder: Path, files: dict[str, str]) -> list[_Page]:
@@ -154,15 +147,11 @@ def some_of(names: list[str], most: int) -> list[str]:
     return names[:n] + names[middle : middle + n] + names[-n:]
 
 
-def _view_note(n_shown: int, n_chosen: int, n_all: int, pattern: str | None) -> str:
+def _view_note(n_shown: int, n_all: int) -> str:
     if n_shown == n_all:
         return f"All {n_all} pairs, worst first." if n_all > 1 else ""
-    chosen = f"the {n_chosen} pairs that match {pattern}" if pattern else f"{n_all} pairs"
-    if n_shown == n_chosen:
-        return f"{chosen.capitalize() if pattern else chosen}, worst first."
-    n = MOST_VIEWS // 3
-    of_pieces = " and those of the largest pieces" if n_shown > MOST_VIEWS else ""
     return (
-        f"Of {chosen} the page holds the points of {n_shown}: the {n} worst, {n} in the middle, "
-        f"the {n} best{of_pieces}. --pairs PATTERN chooses others, --folder makes a page for each."
+        f"Of {n_all} pairs the page holds the points of {n_shown}, worst first: mainly the worst, "
+        "the best, some in the middle, and those of the largest pieces. --pairs PATTERN chooses "
+        "others, --folder makes a page for each."
     )

@@ -65,8 +65,26 @@ def answer_view(
     overview = with_gains(record.overview, diagnosis)
     if overview is None:
         return [line]
-    causes = overview.causes if with_all else overview.causes[:MOST_SHOWN]
-    first = cause_items(causes)
+    sections = answer_sections(folder, record, overview, diagnosis, excess, with_all=with_all)
+    return [line, Answers(list(sections.items()))]
+
+
+def answer_sections(
+    folder: Path,
+    record: RunRecord,
+    overview: Overview,
+    diagnosis: Diagnosis | None = None,
+    excess: RunExcess | None = None,
+    *,
+    with_all: bool = False,
+    is_page: bool = False,
+) -> dict[str, list[Item]]:
+    """The items of an answer by their heading, as `answer_view` shows them.
+
+    is_page : names the commands that lead on from a page
+    """
+    recipe = read_recipe(folder)
+    first = cause_items(overview.causes if with_all else overview.causes[:MOST_SHOWN])
     if not first:
         first = items_of(_NOT_YET if record.frames else no_cause_words(overview.unknown))
     if diagnosis is not None:
@@ -78,6 +96,7 @@ def answer_view(
     trust = trust_words(folder, overview, most, has_best_case=bool(excess or recipe))
     if not with_all:
         trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(folder), '--all'])}")
+    commands = next_commands(folder, record, diagnosis, recipe, is_page=is_page)
     sections = {
         "  surface": items_of(surface_words(record, excess)),
         "  pieces": items_of(pieces_words(record)),
@@ -89,9 +108,9 @@ def answer_view(
         "Objects": items_of(scores_words(record)),
         "Last run": items_of(change_words(record)),
         "Trust": items_of(*trust),
-        "Next": items_of(*_next_commands(folder, record, diagnosis, recipe)),
+        "Next": items_of(*commands),
     }
-    return [line, Answers([(heading, items) for heading, items in sections.items() if items])]
+    return {heading: items for heading, items in sections.items() if items}
 
 
 def run_options(record: RunHeader) -> list[str]:
@@ -117,7 +136,7 @@ def _worst_places(overview: Overview, with_all: bool) -> list[Item]:
 
 
 def trust_words(
-    folder: Path, overview: Overview, most: int | None = None, *, has_best_case: bool = False
+    folder: Path, overview: Overview, most: int | None, *, has_best_case: bool
 ) -> list[str]:
     """What limits the trust in a run, at most so many cautions; then causes that are unknown.
 
@@ -145,18 +164,23 @@ def caution_words(overview: Overview, kinds: Container[str]) -> list[str]:
     return [caution.words for caution in overview.trust if caution.kind in kinds]
 
 
-def _next_commands(
-    folder: Path, record: RunRecord, diagnosis: Diagnosis | None, recipe: BestCaseRecipe | None
+def next_commands(
+    folder: Path,
+    record: RunRecord,
+    diagnosis: Diagnosis | None,
+    recipe: BestCaseRecipe | None = None,
+    *,
+    is_page: bool = False,
 ) -> list[str]:
+    """The commands that lead on from a run, or from its page."""
     run = url_or_path(folder)
     if recipe is not None:
         commands = [["show", run_of_best_case(folder, recipe), "--best-case", run]]
     elif record.frames:
         commands = [["check", record.dataset, *run_options(record)]]
     else:
-        commands = [["report", run, "--open"]]
-        if diagnosis is None:
-            commands.insert(0, ["diagnose", run])
+        last = ["compare", run, "NEW_RUN"] if is_page else ["report", run, "--open"]
+        commands = [last] if diagnosis else [["diagnose", run], last]
     return [shlex.join(["fidpipe", *words]) for words in commands]
 
 

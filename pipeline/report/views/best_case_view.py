@@ -59,18 +59,6 @@ def pair_excess_table(excess: RunExcess, pair_id: str) -> Table:
     return Table(f"Pair {pair_id} {_over(excess)}", headings, rows)
 
 
-def both_excesses_table(base: RunExcess, other: RunExcess) -> Table:
-    """The headline scores of two runs over one best case: excess and area before and after."""
-    rows = []
-    for before in _known(base, HEADLINES):
-        after = other.scores[before.column]
-        label = metric_of(before.column).label
-        excesses = (signed(before.excess), signed(after.excess))
-        rows.append((label, before.best_case, *excesses, before.area, after.area))
-    headings = ("score", "best case", "excess before", "after", "area before", "after")
-    return Table(f"O{_over(base)[1:]}", headings, rows)
-
-
 def _over(excess: RunExcess) -> str:
     return f"over the best case {excess.best_case} ({excess.recipe.words})"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,16 +12,37 @@ from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS, Differen
 from ...results.causes import interval_words
 from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, score_rows
-from ...results.followed import by_change, by_class, by_range
+from ...results.followed import by_change, by_class, by_range, worst_changes
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
-from ..view import Note, Part, Table, View, first_of, number, percent, signed, warnings
-from .best_case_view import both_excesses_table, excess_notes
+from ..view import (
+    Answers,
+    Item,
+    Note,
+    Part,
+    Table,
+    View,
+    first_of,
+    items_of,
+    number,
+    percent,
+    signed,
+    warnings,
+)
+from .best_case_view import excess_notes
 
 _MOST_OBJECTS = 5
-_MOST_CAUSES = 3
 _MOST_LEFT_OUT = 5
+_MOST_PLACES = 3
+#: Headings of the causes and families with a verdict.
+_HEADINGS = {
+    "worse": "Worse",
+    "mixed": "Both ways",
+    "better": "Better",
+    "changed": "Changed",
+    "": "In the world",
+}
 _COLOURS = {"worse": "red", "mixed": "red", "better": "green", "undecided": "yellow"}
 #: Fates of an object that are listed; unchanged ones are not.
 _CHANGED = ("vanished", "worse", "mixed", "better", "appeared")
@@ -37,123 +59,143 @@ GROUPS_NOTE = (
 
 
 def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
-    """The decision, the causes that changed, the families, and their limits.
+    """The decision in a line, the causes and families behind it, and their limits.
 
     Parameters
     ----------
     with_all : also every score, and the real objects by class, by range and one by one
     """
-    parts: list[Part] = [
-        Note(decision(comparison), f"bold {_COLOURS.get(comparison.decision, '')}"),
-        Note(f"{comparison.other} against {comparison.base}: {chance(comparison)}"),
-    ]
-    if comparison.changes.causes:
-        parts.append(cause_table(comparison))
-    if comparison.families:
-        parts.append(family_table(comparison))
-    if with_all:
-        parts += _details(comparison)
-    else:
-        kinds = ", ".join(f"{n} {kind}" for kind, n in comparison.kinds.items() if n)
-        if kinds:
-            parts.append(Note(f"{len(comparison.objects)} real objects: {kinds}"))
-    parts += remarks(comparison)
+    style = f"bold {_COLOURS.get(comparison.decision, '')}"
+    parts: list[Part] = [Note(decision(comparison), style), answer(comparison)]
+    parts += numbers_view(comparison, with_all=with_all)
     if not with_all:
         parts.append(Note("all scores and objects: --all; as a page: --html FILE"))
     return [*parts, Note("")]
 
 
-def _details(comparison: Comparison) -> list[Part]:
-    """Every score, and the real objects by class, by range and one by one."""
-    parts: list[Part] = [score_table(comparison), Note(MARKS_NOTE)]
-    if comparison.excess:
-        parts.append(both_excesses_table(*comparison.excess))
-    parts += object_view(comparison)
-    objects = changed(comparison)
-    few: list[Row] = []
-    for kind in _CHANGED:
-        of_kind = [row for row in objects if row["kind"] == kind]
-        few += of_kind[:_MOST_OBJECTS]
-    if few:
-        more = f" (of each kind the first {_MOST_OBJECTS})" if len(few) < len(objects) else ""
-        parts += [object_table(f"Objects that have changed{more}", few), Note(OBJECTS_NOTE)]
-    return parts
+def numbers_view(comparison: Comparison, *, with_all: bool) -> View:
+    """The families of scores and the limits; with `with_all` every score and object."""
+    parts: list[Part] = [family_table(comparison)] if comparison.families else []
+    if with_all:
+        parts += [score_table(comparison), Note(MARKS_NOTE)]
+        parts += object_view(comparison)
+    return [*parts, *remarks(comparison)]
 
 
 def object_view(comparison: Comparison) -> View:
-    """The real objects by fate, by class or shape, and by range."""
+    """The real objects by class or shape, by range, and those that have changed."""
     objects = comparison.objects
-    n_all = len(objects)
-    if not n_all:
+    if objects.empty:
         return []
-    rows = [(kind, str(n), percent(n / n_all)) for kind, n in comparison.kinds.items()]
-    kind = "class" if objects["label"].notna().any() else "shape"
-    return [
-        Table("Real objects", ("what has become of them", "objects", "share"), rows),
-        _group_table(kind, by_class(objects)),
+    group = "class" if objects["label"].notna().any() else "shape"
+    parts: list[Part] = [
+        _group_table(group, by_class(objects)),
         _group_table("range", by_range(objects)),
         Note(GROUPS_NOTE),
     ]
+    changed = by_change(objects[objects["kind"].isin(_CHANGED)])
+    first = plain_rows(changed.groupby("kind").head(_MOST_OBJECTS))
+    first.sort(key=lambda row: _CHANGED.index(row["kind"]))
+    if first:
+        title = f"Objects that have changed ({len(first)} of {len(changed)})"
+        parts += [_object_table(title, first), Note(OBJECTS_NOTE)]
+    return parts
 
 
 def decision(comparison: Comparison) -> str:
-    """The answer in one line: the decision, and the causes and families behind it."""
+    """The answer in one short line: the decision, and the first cause or family behind it."""
     parts = []
     if comparison.failed:
         n_base = len(comparison.pairs) + len(comparison.lost)
         n_failed = len(comparison.failed)
         which = f"all {n_base}" if n_failed == n_base else f"{n_failed} of {n_base}"
         parts.append(f"{which} pairs that were scored before fail now")
+    behind = reasons(comparison)
     for verdict in ("worse", "mixed", "better"):
-        reasons = _reasons(comparison, verdict)
-        if reasons:
+        if behind[verdict]:
             heading = "" if verdict == comparison.decision else f"{verdict}: "
-            parts.append(f"{heading}{', '.join(reasons)}")
-    if comparison.pairs and len(parts) == bool(comparison.failed):
+            n_more = len(behind[verdict]) - 1
+            parts.append(
+                heading + behind[verdict][0][0] + (f" and {n_more} more" if n_more else "")
+            )
+    if not parts:
         parts.append(_nothing_decided(comparison))
     return f"{comparison.decision}: {'; '.join(parts)}"
 
 
-def _reasons(comparison: Comparison, verdict: str) -> list[str]:
-    """Causes of the sensor and families with a verdict, the clearest first."""
-    causes = [change for change in comparison.changes.causes if change.verdict == verdict]
-    reasons = [f"{change.words} ({change.cause.setting})" for change in causes[:_MOST_CAUSES]]
-    if len(causes) > _MOST_CAUSES:
-        reasons.append(f"{len(causes) - _MOST_CAUSES} more causes")
+def reasons(comparison: Comparison) -> dict[str, list[Item]]:
+    """Causes and families with their verdict, the clearest first.
+
+    By verdict: worse, mixed, better; changed if that is neither worse nor better, and "" for causes
+    of the world, about which the families decide.
+    """
+    behind: dict[str, list[Item]] = {verdict: [] for verdict in _HEADINGS}
+    for change in comparison.changes.causes:
+        amount = f"95 %: {interval_words(change.cause)}"
+        behind[change.verdict].append((change.words, amount, change.cause.setting))
     for family in comparison.families:
-        if family.verdict == verdict and not family.why:
-            reasons.append(_both_ways(family) if verdict == "mixed" else family.name)
-    return reasons
+        if family.verdict in ("worse", "mixed", "better") and not family.why:
+            behind[family.verdict].append((family.name, _score_words(family), ""))
+    return behind
 
 
-def _both_ways(family: FamilyChange) -> str:
-    """A family some scores of which are better and some worse."""
+def answer(comparison: Comparison) -> Answers:
+    """The causes and families behind a decision, where to look, and how pairs were counted."""
+    sections: list[tuple[str, Sequence[Item]]] = []
+    for verdict, items in reasons(comparison).items():
+        if items:
+            sections.append((_HEADINGS[verdict], items))
+    if comparison.lacks_places:
+        sections.append(("These frames", items_of(*_moved(comparison))))
+    where = []
+    for row in worst_changes(comparison.objects, _MOST_PLACES):
+        where.append(f"{row['pair_id']}  {place_words(row)}")
+    kinds = ", ".join(f"{n} {kind}" for kind, n in comparison.kinds.items() if n)
+    again = (comparison.other, "--since", comparison.base)
+    sections += [
+        ("Where", items_of(*where)),
+        ("Objects", items_of(kinds)),
+        ("Compared", items_of(f"{comparison.other} against {comparison.base}", chance(comparison))),
+        ("Next", items_of(shlex.join(["fidpipe", "diagnose", *map(str, again)]))),
+    ]
+    return Answers([(heading, items) for heading, items in sections if items])
+
+
+def place_words(row: Row) -> str:
+    """A changed real object in words."""
+    return f"{row['label'] or row['shape']}, {row['range_m']:.0f} m away: {row['kind']}"
+
+
+def _score_words(family: FamilyChange) -> str:
+    """The clearest score of a family; of a mixed one the scores that are better or worse."""
+    if family.verdict != "mixed":
+        score = family.scores[0]
+        return f"{score.name} {_interval(score.difference)}"
     verdicts = []
     for score in family.scores:
         if not score.why and score.verdict in ("worse", "better"):
             verdicts.append(f"{score.name} {score.verdict}")
-    return f"{family.name} ({', '.join(verdicts)})"
+    return ", ".join(verdicts)
 
 
 def _nothing_decided(comparison: Comparison) -> str:
-    """Sentence for a comparison in which nothing is worse or better."""
+    """Why nothing is worse or better."""
     if comparison.decision == "same":
         return "no score changed"
-    uncertain = [
-        change.words for change in comparison.changes.causes if change.verdict == "changed"
-    ]
-    if uncertain:
-        return f"changed, neither better nor worse: {', '.join(uncertain[:_MOST_CAUSES])}"
     counted = pairs_and_places(len(comparison.pairs), comparison.n_places)
-    if not comparison.lacks_places:
-        return f"no change stands out from chance over {counted}"
-    parts = [counted]
-    these = "frames" if comparison.n_places < len(comparison.pairs) else "pairs"
+    if comparison.lacks_places:
+        return f"{counted}. {NEEDED.capitalize()}"
+    return f"no change stands out from chance over {counted}"
+
+
+def _moved(comparison: Comparison) -> list[str]:
+    """The families that moved clearly on the scans at hand."""
+    moved = []
     for towards in ("worse", "better"):
-        moved = [family.name for family in comparison.families if _clearly(family) == towards]
-        if moved:
-            parts.append(f"on these {these} {towards}: {', '.join(moved)}")
-    return f"{'; '.join(parts)}. {NEEDED.capitalize()}"
+        names = [family.name for family in comparison.families if _clearly(family) == towards]
+        if names:
+            moved.append(f"{towards}: {', '.join(names)}")
+    return moved
 
 
 def _clearly(family: FamilyChange) -> str:
@@ -162,7 +204,7 @@ def _clearly(family: FamilyChange) -> str:
 
 
 def chance(comparison: Comparison) -> str:
-    """The second line: how pairs were counted, and the rate of false alarms."""
+    """How pairs were counted, and the rate of false alarms."""
     counted = comparison.counted
     if comparison.by_direction:
         counted += (
@@ -232,60 +274,47 @@ def _on_chance(comparison: Comparison) -> list[str]:
     return lines
 
 
-def changed(comparison: Comparison) -> list[Row]:
-    """The objects that have changed: vanished ones, worse ones, most first, then the others."""
-    objects = by_change(comparison.objects[comparison.objects["kind"].isin(_CHANGED)])
-    return sorted(plain_rows(objects), key=lambda row: _CHANGED.index(row["kind"]))
-
-
-def family_table(comparison: Comparison, families: Sequence[FamilyChange] | None = None) -> Table:
-    """One row per family, or per family chosen: verdict, its clearest score before and after."""
+def family_table(comparison: Comparison) -> Table:
+    """One row per family: verdict, its clearest score before and after."""
     rows = []
-    for family in comparison.families if families is None else families:
+    for family in comparison.families:
         score = family.scores[0]
         change = score.difference
         numbers = (change.before, change.after, _interval(change), _p(family.p))
         rows.append((family.name, family.called, score.name, *numbers))
     headings = ("family", "verdict", "clearest change", "before", "after", "change, 95 %", "p")
-    return Table("", headings, rows, words=(0, 1, 2), wide=(6,))
-
-
-def cause_table(comparison: Comparison) -> Table:
-    """One row per cause that changed: interval of the change, verdict, and setting."""
-    rows = []
-    for change in comparison.changes.causes:
-        verdict = change.verdict or "see families"
-        rows.append((change.words, interval_words(change.cause), verdict, change.cause.setting))
-    headings = ("cause", "change, 95 %", "verdict", "setting")
-    return Table("Causes that changed", headings, rows, words=(0, 1, 2, 3))
+    return Table("", headings, rows, words=(0, 1, 2), wide=(6,), whole=(1,))
 
 
 def changed_since(comparison: Comparison) -> View:
     """The causes that changed since an earlier build; not those against the real scans."""
     title = Note(f"Changed since {comparison.base}", "bold")
-    if not comparison.changes.causes:
+    sections = []
+    for verdict, items in reasons(replace(comparison, families=())).items():
+        if items:
+            sections.append((_HEADINGS[verdict], items))
+    if not sections:
         return [title, Note("no cause changed by more than the accuracy of its estimate")]
-    return [title, replace(cause_table(comparison), title="")]
+    return [title, Answers(sections)]
 
 
-def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = None) -> Table:
-    """One row per score, or per score chosen, with its numbers, and an arrow to where it is better.
+def score_table(comparison: Comparison) -> Table:
+    """One row per score with its numbers, and an arrow to where it is better.
 
-    Not in a terminal: the pairs if all have each score; if both runs were repeated under other
-    seeds, whether the change is more than they alone make; with a best case, whether it is more
-    than a second measurement makes.
+    Not in a terminal: the pairs; if both runs were repeated under other seeds, whether the change
+    is more than they alone make; with a best case, whether it is more than a second measurement
+    makes.
     """
     scores = comparison.scores
     with_seeds = any(score.seed_noise is not None for score in scores)
     with_best_case = any(score.best_case is not None for score in scores)
-    have_all = all(score.difference.n_pairs == len(comparison.pairs) for score in scores)
     headings = ["family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict"]
     if with_seeds:
         headings.append("more than seeds make")
     if with_best_case:
         headings.append("more than the best case")
     rows = []
-    for score in scores if chosen is None else chosen:
+    for score in scores:
         change = score.difference
         row: list[object] = [
             *(_family_of(comparison, score), f"{score.name} {score.mark}", change.n_pairs),
@@ -298,8 +327,7 @@ def score_table(comparison: Comparison, chosen: Sequence[ScoreChange] | None = N
             row.append(_beyond(score, score.best_case))
         rows.append(row)
     title = f"Means over {len(comparison.pairs)} pairs; in brackets: does not count"
-    wide = (0, 2, 8, 9) if have_all else (0, 8, 9)
-    return Table(title, headings, rows, words=(0, 1, 7), wide=wide)
+    return Table(title, headings, rows, words=(0, 1, 7), wide=(0, 2, 8, 9), whole=(7,))
 
 
 def _family_of(comparison: Comparison, score: ScoreChange) -> str:
@@ -314,7 +342,7 @@ def _beyond(score: ScoreChange, noise: float | None) -> str:
     return f"{'yes' if is_beyond else 'no'} ({number(noise)})"
 
 
-def object_table(title: str, changes: Sequence[Row]) -> Table:
+def _object_table(title: str, changes: Sequence[Row]) -> Table:
     """One row per real object: pair, fate, class, place, scores before and after."""
     columns = ["range_m", "n_points"]
     headings = ["pair", "what", "real object", "range\n(m)", "points"]
@@ -326,7 +354,7 @@ def object_table(title: str, changes: Sequence[Row]) -> Table:
         name = f"{change['label'] or change['shape']} {change['real_id']}"
         values = [change[column] for column in columns]
         rows.append((change["pair_id"], change["kind"], name, *values))
-    return Table(title, headings, rows, words=(0, 1, 2), digits={3: 1})
+    return Table(title, headings, rows, words=(0, 1, 2), digits={3: 1}, whole=(1,))
 
 
 def _group_table(what: str, groups: Sequence[Row]) -> Table:

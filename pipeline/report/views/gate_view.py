@@ -43,7 +43,7 @@ def base_view(result: BaseResult) -> View:
     return [
         *(Note(f"failed: {check.name}: {check.found}", "red") for check in failed),
         *warnings([result.note] if result.note else []),
-        Note(f"gate on {' or '.join(result.fail_on)}: {outcome}", "red" if failed else "green"),
+        Note(f"gate on {result.fail_on}: {outcome}", "red" if failed else "green"),
     ]
 
 

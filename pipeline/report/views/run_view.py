@@ -7,29 +7,24 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from ....schemas.columns import Row
+from ....schemas.columns import SIDES, Row
 from ....schemas.metric_catalogue import (
     COVERAGE_REACHES,
     DISTRIBUTED,
     METRIC,
-    QUADRANT_SCORES,
-    headline_scores,
     labels,
     metric_of,
     narrow_labels,
     pair_columns_in,
-    reach_words,
     unit_words,
 )
 from ....schemas.record import (
-    OF_OBJECTS,
-    OF_SCAN,
     SURFACE_STATES,
     BaselineSummary,
     RunRecord,
     SeedSummary,
-    SurfaceStates,
     TaskSummary,
+    UnmatchedSurface,
 )
 from ....schemas.results import Diagnosis, Findings, Overview, Unmatched
 from ....stages.coverage import ABSENT, THERE
@@ -38,6 +33,7 @@ from ...results.diagnosis import diagnosis_of
 from ...storage.folder import RunFolder
 from ...storage.run_record import unmatched_worst
 from ...storage.urls import url_or_path
+from ..look import FATE_WORDS
 from ..view import (
     Note,
     Part,
@@ -58,11 +54,12 @@ if TYPE_CHECKING:
 _MOST_PAIRS = 20
 _MOST_CLASSES = 8
 _SCORES = pair_columns_in("run")
-#: The scores whose spread over seeds is shown of each pair; more would not fit.
-_SEED_SCORES = headline_scores("paper")
-#: A score of scans or objects whose mean is below this has a digit more.
-_SMALL = 0.1
-_LARGE = 100
+#: All scores of the summary, displacement and roughness of the surface last.
+_DATASET = (
+    *pair_columns_in("numbers"),
+    *(f"covered_{side}_{reach}" for side in SIDES for reach in COVERAGE_REACHES),
+    *("shift_x_m", "shift_y_m", "shift_z_m", "roughness_real_m", "roughness_sim_m"),
+)
 
 
 def outcome_view(outcome: RunOutcome) -> View:
@@ -115,20 +112,28 @@ def summary_view(
 
 
 def _all_tables(rows: Sequence[Row], record: RunRecord) -> View:
-    """The pairs of a run and their summary."""
+    """The pairs of a run, their summary and the statistics over all objects."""
     if record.findings is None:
         return []
-    parts: list[Part] = [
-        *tasks_view(record.tasks),
+    scored = [row for row in rows if row["status"] == "scored"]
+    return [
         Note(preset_line(record)),
-        _pairs_table([row for row in rows if row["status"] == "scored"]),
-        dataset_table(record, ("found", *_SCORES)),
-        coverage_table(record),
-        *map(Note, (surface_line(record), *unmatched_lines(record), "")),
+        _pairs_table(scored),
+        *details_view(record),
+        *_findings_parts(record.findings),
     ]
+
+
+def details_view(record: RunRecord) -> View:
+    """Tasks, all scores, and surface and objects by range and class."""
+    parts: list[Part] = [*tasks_view(record.tasks), dataset_table(record)]
     if record.overview:
         parts.append(surface_table(record.overview))
-    return [*parts, *_findings_parts(record.findings)]
+    if record.findings:
+        parts.append(_objects_table(record.findings))
+    if record.metrics:
+        parts.append(_unmatched_table(record.metrics.unmatched, record.pairs.scored))
+    return parts
 
 
 def surface_table(overview: Overview) -> Table:
@@ -166,79 +171,44 @@ def baselines_view(summaries: Sequence[BaselineSummary]) -> View:
 
     Of matched objects and of whole scans.
     """
-    by_name: dict[str, dict[str, BaselineSummary]] = {}
+    rows = []
     notes = []
     for summary in summaries:
-        by_name.setdefault(summary.baseline, {})[summary.level] = summary
+        metric = METRIC[summary.baseline]
+        mean = f"{number(summary.mean, 4)} ± {number(summary.std, 4)}"
+        seconds = "" if summary.seconds is None else number(summary.seconds)
+        unit = unit_words(metric.unit)
+        rows.append((metric.heading, summary.level, unit, mean, seconds))
         if summary.n_null:
             n = summary.n + summary.n_null
             notes.append(f"{summary.baseline} is null for {summary.n_null} of {n} {summary.level}")
-    rows = []
-    for name, by_level in by_name.items():
-        metric = METRIC[name]
-        objects = _baseline_cells(by_level.get(OF_OBJECTS))
-        scans = _baseline_cells(by_level.get(OF_SCAN))
-        rows.append((metric.heading, unit_words(metric.unit), *objects, *scans))
-    headings = ("baseline", "unit", "objects", "s", "whole scans", "s")
+    headings = ("baseline", "of", "unit", "mean", "s")
     title = "Baselines (mean and standard deviation over pairs)"
-    total_s = sum(summary.seconds or 0.0 for summary in summaries)
     lines = (
         "A pair counts with the mean over its matched objects, or with all object points of its "
         "two scans (nvs: ground as well).",
-        f"s: seconds per pair, next to the first number of a method; in total {total_s:.1f}",
+        "s: seconds per pair, next to the first number of a method",
         *notes,
     )
-    return [Table(title, headings, rows, words=(0, 1)), *map(Note, lines)]
-
-
-def _baseline_cells(summary: BaselineSummary | None) -> tuple[str, str]:
-    """Mean and deviation, and seconds; empty where the baseline has no such value."""
-    if summary is None:
-        return "", ""
-    size = abs(summary.mean or 0.0)
-    digits = 3
-    if 0 < size < _SMALL:
-        digits = 4
-    elif size >= _LARGE:
-        digits = 0
-    seconds = "" if summary.seconds is None else number(summary.seconds)
-    return mean_and_spread(summary.mean, summary.std, digits), seconds
+    return [Table(title, headings, rows, words=(0, 1, 2)), *map(Note, lines)]
 
 
 def seeds_view(seeds: SeedSummary) -> View:
-    """Spread over seeds next to spread over pairs; mean and deviation over seeds of each pair."""
-    spreads = []
+    """Spread of each score over seeds next to its spread over pairs."""
+    rows = []
     for column in _SCORES:
-        spreads.append((metric_of(column).label, *vars(seeds.dataset[column]).values()))
+        rows.append((metric_of(column).label, *vars(seeds.dataset[column]).values()))
     headings = (
         *("score", "mean", "std over\npairs", "std over\nseeds"),
         *("repeatability\n(one pair)", "repeatability\n(all pairs)"),
     )
     title = f"How stable the scores are ({seeds.n_seeds} seeds, {seeds.n_pairs} pairs)"
-    pairs = list(seeds.pairs.items())
-    pairs_title = "Pairs (mean ± standard deviation over seeds)"
-    if len(pairs) > _MOST_PAIRS:
-        pairs = sorted(pairs, key=lambda pair: -(pair[1]["match_rate"].std or 0.0))[:_MOST_PAIRS]
-        pairs_title = (
-            f"The {_MOST_PAIRS} pairs whose match rate depends most on the seed "
-            "(mean ± standard deviation)"
-        )
-    rows = []
-    for pair_id, scores in pairs:
-        spread = [scores[column] for column in _SEED_SCORES]
-        rows.append((pair_id, *(mean_and_spread(score.mean, score.std) for score in spread)))
-    return [
-        Table(title, headings, spreads),
-        Note(
-            "repeatability limit (ISO 5725): two results with different seeds, of one pair or the "
-            "means of all pairs,"
-        ),
-        Note(
-            "that differ by less may do so by chance alone (95 %); a simulator is better only if "
-            "it is so by more"
-        ),
-        Table(pairs_title, ("pair", *labels(_SEED_SCORES)), rows),
-    ]
+    text = (
+        "repeatability limit (ISO 5725): two results with different seeds, of one pair or the "
+        "means of all pairs, that differ by less may do so by chance alone (95 %); a simulator is "
+        "better only if it is so by more"
+    )
+    return [Table(title, headings, rows), Note(text)]
 
 
 def tasks_view(summaries: Sequence[TaskSummary]) -> View:
@@ -265,7 +235,7 @@ def _pairs_table(scored: Sequence[Row]) -> Table:
     return Table(title, headings, columns_of(scored, columns))
 
 
-def dataset_table(record: RunRecord, columns: Sequence[str]) -> Table:
+def dataset_table(record: RunRecord) -> Table:
     """Means over pairs, number of pairs, and means with unmatched objects as worst.
 
     Under the paper's preset also the paper's means.
@@ -275,7 +245,7 @@ def dataset_table(record: RunRecord, columns: Sequence[str]) -> Table:
     if with_paper:
         headings.append("paper")
     rows = []
-    for column in columns:
+    for column in _DATASET:
         metric = metric_of(column)
         score = record.summary[column]
         worst = record.summary.get(unmatched_worst(metric.column))
@@ -290,76 +260,26 @@ def dataset_table(record: RunRecord, columns: Sequence[str]) -> Table:
         if with_paper:
             row.append("" if metric.paper_mean is None else metric.paper_mean)
         rows.append(row)
-    title = (
-        "Dataset (mean and standard deviation over pairs; pairs without a match have no object "
-        "scores)"
-    )
-    return Table(title, headings, rows, words=(0, 5), wide=(6,))
+    title = "Dataset (mean and standard deviation over pairs)"
+    return Table(title, headings, rows, words=(0, 5), wide=(5,), whole=(0,))
 
 
-def coverage_table(record: RunRecord) -> Table:
-    """Share of each side's surface that the other side has, mean and deviation over pairs."""
+def _unmatched_table(unmatched: UnmatchedSurface, n_pairs: int) -> Table:
+    """Whether the surface of the unmatched objects is on the other side."""
     rows = []
-    for side, words in (
-        ("real", "real points with a simulated one"),
-        ("sim", "simulated points with a real one"),
+    for status, states in (
+        ("missing", unmatched.missing),
+        ("hallucinated", unmatched.hallucinated),
     ):
-        scores = [record.summary[f"covered_{side}_{reach}"] for reach in COVERAGE_REACHES]
-        rows.append((words, *(mean_and_spread(score.mean, score.std) for score in scores)))
-    headings = ("share of", *(f"within {reach_words(reach)}" for reach in COVERAGE_REACHES))
-    title = "Surface (mean and std over pairs; the rest is missing or invented)"
-    return Table(title, headings, rows)
-
-
-def surface_line(record: RunRecord) -> str:
-    """The displacement vector of the simulated surface, and the median roughness of both sides.
-
-    Means over pairs.
-    """
-    mean = {name: number(score.mean) for name, score in record.summary.items()}
-    return (
-        f"the simulated surface is displaced by x {mean['shift_x_m']}, y {mean['shift_y_m']}, "
-        f"z {mean['shift_z_m']} m (mean over pairs; mean length {mean['shift_m']} m); its median "
-        f"roughness is {mean['roughness_sim_m']} m, that of the real one "
-        f"{mean['roughness_real_m']} m"
+        n_states = [getattr(states, name) / max(1, n_pairs) for name in SURFACE_STATES]
+        rows.append((FATE_WORDS[status], *n_states, states.road / max(1, n_pairs)))
+    title = (
+        "Unmatched objects per pair (on the other side: over "
+        f"{100 * THERE:.0f} % of their points have one within 0.3 m, but in other objects; absent: "
+        f"at most {100 * ABSENT:.0f} %; road: below the other side's ground cut)"
     )
-
-
-def unmatched_lines(record: RunRecord) -> list[str]:
-    """State of the unmatched objects, a line for each side that has some."""
-    lines: list[str] = []
-    if record.metrics is None:
-        return lines
-    n_pairs = max(1, record.pairs.scored)
-    for status, other in (("missing", "simulated"), ("hallucinated", "real")):
-        states: SurfaceStates = getattr(record.metrics.unmatched, status)
-        objects = {"missing": "objects not found", "hallucinated": "extra objects"}[status]
-        n_states = [getattr(states, name) for name in SURFACE_STATES]
-        there, partly, absent = [n / n_pairs for n in n_states]
-        total = there + partly + absent
-        near = f"of their points have a {other} one within 0.3 m"
-        if there or partly:
-            lines.append(
-                f"of {total:.1f} {objects} per pair, {there:.1f} exist on the other side, "
-                f"partitioned differently (over {100 * THERE:.0f} % {near}), {partly:.1f} partly, "
-                f"{absent:.1f} absent"
-            )
-        elif absent:
-            lines.append(
-                f"the {total:.1f} {objects} per pair are all absent from the {other} side "
-                f"(at most {100 * ABSENT:.0f} % {near})"
-            )
-        if states.road:
-            lines.append(
-                f"{states.road} of the {sum(n_states)} {objects} are road that the ground "
-                f"cut of the {other} side removed and that of their side kept (column road_share)"
-            )
-    if lines:
-        lines.append(
-            "missing and invented pieces are parts of a surface without a counterpart, also of "
-            "matched objects"
-        )
-    return lines
+    headings = ("objects", "on the other side", "partly", "absent", "road")
+    return Table(title, headings, rows, digits=dict.fromkeys(range(1, 5), 1))
 
 
 def preset_line(record: RunRecord) -> str:
@@ -370,7 +290,7 @@ def preset_line(record: RunRecord) -> str:
 
 
 def _findings_parts(findings: Findings) -> View:
-    """Distributions, ranges, classes and four scans, as in the paper's "Real experiments"."""
+    """Distributions over all objects, as in the paper's "Real experiments"."""
     rank = findings.rank_correlation
     ratio = findings.density_ratio
     return [
@@ -384,20 +304,12 @@ def _findings_parts(findings: Findings) -> View:
             f"{number(ratio.median, 2)}; below 1/4 in {percent(ratio.share_below_quarter)}, "
             f"above 4 in {percent(ratio.share_above_four)} of the objects\n"
         ),
-        range_table(findings),
-        *(_classes(findings) if findings.classes else ()),
-        _scans(findings),
     ]
 
 
 def _distributions(findings: Findings) -> Table:
     values = ("min", "q05", "q25", "median", "q75", "q95", "max", "std", "cv")
-    headings = (
-        "score",
-        *("min", "5 %", "25 %", "median", "75 %", "95 %", "max"),
-        "std",
-        "std/mean",
-    )
+    headings = ("score", "min", "5 %", "25 %", "median", "75 %", "95 %", "max", "std", "std/mean")
     rows = []
     for name in DISTRIBUTED:
         distribution = getattr(findings.distributions, name)
@@ -406,64 +318,25 @@ def _distributions(findings: Findings) -> Table:
     return Table(title, headings, rows)
 
 
-def range_table(findings: Findings) -> Table:
-    """Objects that only one side has, by range."""
+def _objects_table(findings: Findings) -> Table:
+    """Objects that only one side has, by range and by class, and mean scores of the classes."""
     ranges = findings.range_m
-    rows = []
+    rows: list[tuple[object, ...]] = []
     for band in ranges.bands:
-        end = "and more" if band.to_m is None else f"to {band.to_m:.0f}"
-        rows.append((f"{band.from_m:.0f} {end}", *_unmatched(band)))
-    title = (
-        f"By range (median range of matched objects {number(ranges.median_matched, 1)} m, of "
-        f"unmatched ones {number(ranges.median_unmatched, 1)} m)"
-    )
-    return Table(title, ("range (m)", "real", "not found", "sim", "extra"), rows)
-
-
-def _classes(findings: Findings) -> View:
-    classes = findings.classes[:_MOST_CLASSES]
-    title = "By class (of the real object where both sides have it)"
-    if len(classes) < len(findings.classes):
-        title = (
-            f"The {_MOST_CLASSES} most frequent of {len(findings.classes)} classes (of the real "
-            "object where both have it)"
+        name = (
+            f"{band.from_m:.0f} to {band.to_m:.0f} m" if band.to_m else f"over {band.from_m:.0f} m"
         )
-    rows = []
-    fewer = []
-    for group in classes:
-        means = []
-        for score in DISTRIBUTED:
-            mean = group.scores[score]
-            is_of_all = mean.n == group.n_matched
-            means.append(number(mean.mean) + ("" if is_of_all else "*"))
-            if not is_of_all:
-                fewer.append(f"{group.label} {METRIC[score].label} of {mean.n}")
+        rows.append((name, *_unmatched(band), None, None, None, None))
+    for group in (findings.classes or ())[:_MOST_CLASSES]:
+        means = [group.scores[score].mean for score in DISTRIBUTED]
         rows.append((group.label, *_unmatched(group), group.n_matched, *means))
-    headings = ("class", "real", "not found", "sim", "extra", "both", *labels(DISTRIBUTED))
-    parts: list[Part] = [Table(title, headings, rows)]
-    if fewer:
-        parts.append(Note(f"* some objects are too small for the score: {', '.join(fewer)}\n"))
-    return parts
-
-
-def _scans(findings: Findings) -> Table:
-    """Quartiles of the scores in a few scans, those of the paper's box plots."""
-    scans = findings.scans
-    kind = "evenly spaced by name (quartiles; no timestamps say that they are a minute apart)"
-    if scans.apart:
-        kind = "more than a minute apart (quartiles over their objects)"
-    headings = ["pair", "time (s)", "objects"]
-    for name in QUADRANT_SCORES:
-        headings += [f"{METRIC[name].label} 25 %", "50 %", "75 %"]
-    rows = []
-    for scan in scans.scans:
-        row: list[object] = [scan.pair, scan.timestamp_s, scan.cdc.n]
-        for name in QUADRANT_SCORES:
-            score = getattr(scan, name)
-            row += [score.q25, score.median, score.q75]
-        rows.append(row)
-    digits = {1: 0, **dict.fromkeys(range(3, 9), 2)}
-    return Table(f"{len(scans.scans)} scans {kind}", headings, rows, digits=digits)
+    title = (
+        "Objects by range and by the most frequent classes (median range of matched objects "
+        f"{number(ranges.median_matched, 1)} m, of unmatched ones "
+        f"{number(ranges.median_unmatched, 1)} m)"
+    )
+    headings = ("", "real", "not found", "sim", "extra", "both", *labels(DISTRIBUTED))
+    return Table(title, headings, rows)
 
 
 def _unmatched(group: Unmatched) -> tuple[object, ...]:

@@ -28,7 +28,7 @@ from ...results.finished import (
     run_facts,
 )
 from ...results.object_frame import UNKNOWN
-from ...results.overview import BAD_ALIGNMENT_WORDS, alignment_is_bad
+from ...results.overview import alignment_is_bad
 from ...storage.urls import url_or_path
 from ..look import FATE_WORDS
 from ..view import Note, Part, Table, View, columns_of, number, percent, warnings
@@ -37,11 +37,9 @@ from .run_view import summary_view
 
 _NEAR = "covered_0p3m"
 _COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
-_MOST_UNCOVERED = 10
 #: An object of which less surface is covered on a side is not called faithful.
 _LEAST_COVERED = 0.6
 _LEAST_ROAD = 0.005  # share that rounds to a per cent
-_MOST_ALIGNMENTS = 3
 _MOST_UNMATCHED = 10
 #: Columns of `objects` and `coverage`: place, shape, and how much of it the other side has.
 _OBJECT_COLUMNS = (
@@ -58,9 +56,6 @@ _OUTCOMES = {
     "rays_sim_only": "sim\nonly",
 }
 _RAY_GROUPS = ("all", "range", "incidence", "class")
-
-#: A matched object: its row of the frame of objects, and those of both sides.
-_Matched = tuple[Row, Row, Row]
 
 
 def show_view(
@@ -117,7 +112,7 @@ def show_records(run: FinishedRun, pair: str | None, name: str | None) -> Table:
 
 
 def pair_view(facts: PairFacts, command: str = "") -> View:
-    """The counts of a pair and its surfaces, its matched objects worst first, and the unmatched.
+    """A sentence on a pair, its sides, its rays, its matched objects worst first, the unmatched.
 
     Parameters
     ----------
@@ -126,62 +121,48 @@ def pair_view(facts: PairFacts, command: str = "") -> View:
     row = facts.pair
     if row["status"] != "scored":
         return [Note(f"pair {row['pair_id']} failed: {row['reason']}", "red")]
-    matched = [
-        (entry.row, entry.real, entry.sim)
-        for entry in facts.objects
-        if entry.scores and entry.real and entry.sim
-    ]
-    parts: list[Part] = [
-        _counts_table(row),
-        _surface_table(row),
-        _rays(facts),
-        _matched_table(matched),
-    ]
+    matched = [entry for entry in facts.objects if entry.scores and entry.real and entry.sim]
+    parts: list[Part] = [Note(_pair_sentence(row), "bold"), _sides_table(row), _rays(facts)]
+    parts.append(_matched_table(matched))
     if matched:
         words = "offset: distance between the centroids; align: RMS distance of the aligned nodes"
         parts.append(Note(words))
-    parts += alignment_warning(facts.objects)
-    parts += [Note(""), _least_covered(matched), *_unmatched(facts.objects, command)]
-    return parts
+    return [*parts, *_unmatched(facts.objects, command)]
 
 
-def _counts_table(row: Row) -> Table:
-    title = (
-        f"Pair {row['pair_id']}: match rate {number(row['match_rate'])} (of the side with more "
-        f"objects), found {number(row['found'])} of the real objects; {row['n_matched']} objects "
-        f"on both sides, {row['n_missing']} not found, {row['n_hallucinated']} extra"
+def _pair_sentence(row: Row) -> str:
+    return (
+        f"pair {row['pair_id']}: {percent(row['covered_real_0p3m'])} of the real surface is "
+        f"simulated within 0.3 m, {percent(row['covered_sim_0p3m'])} of the simulated surface is "
+        f"real; {row['n_matched']} objects on both sides, {row['n_missing']} not found, "
+        f"{row['n_hallucinated']} extra: match rate {number(row['match_rate'], 2)}, found "
+        f"{number(row['found'], 2)} of the real objects"
     )
-    headings = ("side", "points read", "clean", "not ground", "ground below (m)", "objects")
-    columns = ("n_{}_raw", "n_{}_clean", "n_{}_points", "ground_{}_threshold_m", "n_communities_{}")
-    return Table(title, headings, _sides_of(row, columns), digits={4: 2})
 
 
-def _sides_of(row: Row, columns: Sequence[str]) -> list[list[Any]]:
-    """A row per side of the columns of a pair, whose names have the side in the place of braces."""
+def _sides_table(row: Row) -> Table:
+    """Points and objects of both sides, and how much of their surface the other side has."""
+    reaches = [f"within\n{reach_words(reach)}" for reach in COVERAGE_REACHES]
+    headings = ("side", "points", "clean", "not\nground", "ground\nbelow (m)", "objects", *reaches)
+    columns = ["n_{}_raw", "n_{}_clean", "n_{}_points", "ground_{}_threshold_m", "n_communities_{}"]
+    columns += [f"covered_{{}}_{reach}" for reach in COVERAGE_REACHES]
     rows = []
     for side in SIDES:
         rows.append([side, *(row[column.format(side)] for column in columns)])
-    return rows
-
-
-def _surface_table(row: Row) -> Table:
-    headings = ("side", *(f"within {reach_words(reach)}" for reach in COVERAGE_REACHES))
-    columns = [f"covered_{{}}_{reach}" for reach in COVERAGE_REACHES]
-    title = "Surface (share of the object points with one of the other side)"
-    return Table(title, headings, _sides_of(row, columns))
+    title = "Sides (within: share of the object points with one of the other side)"
+    return Table(title, headings, rows, digits={4: 2})
 
 
 def _rays(facts: PairFacts) -> Part:
     """Outcomes of the rays and errors of range by range, incidence and class; or why not."""
     if facts.pair["rays_reason"]:
         return Note(f"no rays: {facts.pair['rays_reason']}", "yellow")
-    groups = [row for row in facts.rays if row["by"] in _RAY_GROUPS]
-    groups.sort(key=lambda row: (_RAY_GROUPS.index(row["by"]), *_lower_edge(row["band"])))
     scores = (*_OUTCOMES, "rays_bias_m", "rays_rmse_m")
     rows = []
-    for row in groups:
-        band = row["band"] if row["by"] == "class" else _short(row["band"])
-        rows.append((band or "all", row["n_rays"], *(row[score] for score in scores)))
+    for group in _RAY_GROUPS:
+        for row in [row for row in facts.rays if row["by"] == group]:
+            band = row["band"] if group == "class" else _short(row["band"])
+            rows.append((band or "all", row["n_rays"], *(row[score] for score in scores)))
     headings = ("rays", "number", *_OUTCOMES.values(), "bias", "RMSE")
     title = "Rays (share of those with a return on either side), and simulated minus real range (m)"
     return Table(title, headings, rows, digits=dict.fromkeys(range(2, 10), 2))
@@ -193,30 +174,22 @@ def _short(band: str) -> str:
     return short.replace(" degrees", "°").replace(" m", "m")
 
 
-def _lower_edge(band: str) -> tuple[float, str]:
-    """Order of bands such as `10 to 20 m` and `over 50 m`; classes by name."""
-    first = band.removeprefix("over ").split(" ")[0]
-    return (float(first), "") if first.replace(".", "").isdigit() else (0.0, band)
-
-
-def _matched_table(matched: Sequence[_Matched]) -> Table:
+def _matched_table(matched: Sequence[ObjectFacts]) -> Table:
     scores = scores_in("pair")
     columns = ("label", "community_id", "partner", "range_m", "n_real", "n_sim", *scores)
     rows = []
-    for row, real, sim in matched:
-        rows.append([*(row[column] for column in columns), real[_NEAR], sim[_NEAR]])
+    for entry in matched:
+        covered = [percent(side[_NEAR]) for side in (entry.real, entry.sim) if side]
+        rows.append([*(entry.row[column] for column in columns), *covered])
     headings = (
         *("class", "real", "sim", "range\n(m)", "points\nreal", "\nsim"),
-        *(*narrow_labels(scores), "real covered", "sim covered"),
+        *(*narrow_labels(scores), "real in\n0.3 m", "sim in\n0.3 m"),
     )
     title = "Objects that both sides have, largest r_lambda first"
-    last = len(headings) - 1
-    wide = (last - 1, last)
     digits = {3: 1}
-    for i, score in enumerate(scores, start=6):
-        if METRIC[score].unit == "m":
-            digits[i] = 2
-    return Table(title, headings, rows, digits=digits, wide=wide)
+    digits |= dict.fromkeys(range(6, 6 + len(scores)), 2)
+    last = len(headings) - 1
+    return Table(title, headings, rows, digits=digits, wide=(last - 1, last), whole=(0,))
 
 
 def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
@@ -228,18 +201,10 @@ def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
         of_status.sort(key=lambda row: -row["n_points"])
         n_shown = _MOST_UNMATCHED if command else len(of_status)
         for row in of_status[:n_shown]:
-            rows.append(
-                (
-                    row["label"],
-                    FATE_WORDS[row["fate"]],
-                    f"{row['side']}:{row['community_id']}",
-                    row["range_m"],
-                    row["n_points"],
-                    row["cz"],
-                    row[_NEAR],
-                    surface_state(row[_NEAR]),
-                )
-            )
+            name = f"{row['side']}:{row['community_id']}"
+            place = (row["range_m"], row["n_points"], row["cz"], row[_NEAR])
+            state = surface_state(row[_NEAR])
+            rows.append((row["label"], FATE_WORDS[row["fate"]], name, *place, state))
         if len(of_status) > n_shown:
             left_out.append(f"{len(of_status) - n_shown} more {FATE_WORDS[status]}")
     headings = (
@@ -247,30 +212,11 @@ def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
         *("within\n0.3 m", "surface"),
     )
     title = "Objects that only one side has"
-    parts: list[Part] = [Table(title, headings, rows, words=(0, 1, 7), digits={3: 1, 5: 1})]
+    digits = {3: 1, 5: 1}
+    parts: list[Part] = [Table(title, headings, rows, (0, 1, 7), digits=digits, whole=(0,))]
     if left_out:
         parts.append(Note(f"{' and '.join(left_out)}, with fewer points: {command}"))
     return parts
-
-
-def _least_covered(matched: Sequence[_Matched]) -> Table:
-    """The matched objects of which the other side has least."""
-    by_coverage = sorted(matched, key=lambda sides: sides[1][_NEAR] + sides[2][_NEAR])
-    least = by_coverage[:_MOST_UNCOVERED]
-    rows = []
-    for _, real, sim in least:
-        covered = [side[column] for side in (real, sim) for column in _COVERED]
-        rows.append((real["label"], real["community_id"], sim["community_id"], *covered))
-    first, *others = [reach_words(reach) for reach in COVERAGE_REACHES]
-    headings = ["class", "real", "sim"]
-    for side in SIDES:
-        headings.append(f"{side} within\n{first}")
-        headings += [f"\n{reach}" for reach in others]
-    near = reach_words("0p3m")
-    title = f"Surface of the matched objects, least within {near} of the other side first"
-    if len(matched) > len(least):
-        title += f" ({len(least)} of {len(matched)})"
-    return Table(title, headings, rows, digits=dict.fromkeys(range(3, 9), 2))
 
 
 def pair_records(facts: PairFacts) -> Table:
@@ -296,7 +242,7 @@ def pair_records(facts: PairFacts) -> Table:
 
 
 def object_view(pair_id: str, facts: ObjectFacts) -> View:
-    """Warnings and scores of an object, then its place and shape on both sides."""
+    """A sentence on an object, its scores, and its place and shape on both sides."""
     rows = _by_side(facts, ("community_id", *_OBJECT_COLUMNS))
     rows[0][0] = "object"
     table = Table(f"Object of pair {pair_id}: {facts.status}", ("", "real", "simulated"), rows)
@@ -312,10 +258,8 @@ def object_view(pair_id: str, facts: ObjectFacts) -> View:
     for name in scores_in("object"):
         values.append((METRIC[name].label, scores[name], METRIC[name].reading))
     headings = ("score", "value", "how to read it")
-    covered = {
-        "covered_real_0p3m": facts.real and facts.real[_NEAR],
-        "covered_sim_0p3m": facts.sim and facts.sim[_NEAR],
-    }
+    real, sim = rows[1 + _OBJECT_COLUMNS.index(_NEAR)][1:]
+    covered = {"covered_real_0p3m": real, "covered_sim_0p3m": sim}
     return [
         Note(judgement(facts.row | covered)),
         Table(title, headings, values, words=(0, 2), digits={1: 4}),
@@ -325,12 +269,9 @@ def object_view(pair_id: str, facts: ObjectFacts) -> View:
 
 def _by_side(facts: ObjectFacts, columns: Sequence[str]) -> list[list[Any]]:
     """One row per column of an object: its name, and the values of both sides."""
-    rows = []
-    for column in columns:
-        real = facts.real and facts.real[column]
-        sim = facts.sim and facts.sim[column]
-        rows.append([column, real, sim])
-    return rows
+    real = facts.real or {}
+    sim = facts.sim or {}
+    return [[column, real.get(column), sim.get(column)] for column in columns]
 
 
 def judgement(row: Mapping[str, Any]) -> str:
@@ -387,23 +328,3 @@ def object_records(facts: ObjectFacts) -> Table:
     for name, value in (facts.scores or {"status": facts.status}).items():
         rows.append([name, None, None, value])
     return Table("", ("", "real", "simulated", "score"), rows)
-
-
-def alignment_warning(objects: Sequence[ObjectFacts]) -> list[Note]:
-    """Objects whose r_lambda depends on a poor alignment, worst first; no note without any."""
-    scored = [entry.row for entry in objects if entry.row["r_lambda"] is not None]
-    bad = [row for row in scored if alignment_is_bad(row["alignment_rms_m"], row["diagonal_m"])]
-    if not bad:
-        return []
-    bad.sort(key=lambda row: -row["alignment_rms_m"])
-    named = []
-    for row in bad[:_MOST_ALIGNMENTS]:
-        apart = f"{row['alignment_rms_m']:.1f} m apart, {row['diagonal_m']:.1f} m large"
-        named.append(f"real:{row['community_id']} ({apart})")
-    if len(bad) > _MOST_ALIGNMENTS:
-        named.append("...")
-    text = (
-        f"warning: r_lambda of {len(bad)} of {len(scored)} objects depends on a poor alignment "
-        f"({BAD_ALIGNMENT_WORDS}), which alone lowers it: {', '.join(named)}"
-    )
-    return [Note(text, "yellow")]

@@ -1,26 +1,26 @@
-// The comparison of runs: charts, and the worst changes in 3D, before and after side by side.
+// The comparison of runs: places in 3D, before and after side by side, coloured by the signed distance to the real side.
 
-import { drawInView, paint, ready, report, startCharts } from "./draw.js";
-import { cameraOn, dots, drawInSpace, extent, say, sideColour, turnTogether } from "./points.js";
+import { byId, drawInView, paint, ready, report, startCharts } from "./draw.js";
+import { cameraOn, dots, drawInSpace, extent, say, signedColour, signedLegend, turnTogether } from "./points.js";
 
 const MARGIN_M = 0.3;
-const WHEN = ["before", "after"];
 const setOf = ([x, y, z]) => ({ x, y, z });
 
-// Both views of a place: real points, and the simulated ones of the run.
+// Both views of a place: real points, and the simulated ones of each run.
 function drawPlace(section, place) {
-  const [real, ...sims] = report.places[section][place];
-  const sets = [setOf(real.own), ...sims.flatMap(({ own, others }) => [setOf(own), setOf(others)])];
-  const ranges = extent(sets, MARGIN_M);
-  const ids = WHEN.map((when) => `${when}_${section}`);
+  const { real, sims } = report.places[section][place];
+  const ranges = extent([setOf(real), ...sims.map(({ points }) => setOf(points))], MARGIN_M);
+  const ids = ["before", "after"].map((when) => `${when}_${section}`);
+  byId(`legend_${section}`).replaceChildren(...signedLegend());
   ids.forEach((id, k) => {
-    say(`${id}_words`, `real: ${real.words}; simulated: ${sims[k].words}`);
-    const data = [
-      dots("other objects", paint("var(--line)"), 1.6, { ...setOf(sims[k].others), hoverinfo: "skip" }),
-      dots("real", sideColour("real"), 2.4, setOf(real.own)),
-      dots("simulated", sideColour("sim"), 2.4, setOf(sims[k].own)),
-    ];
+    const { words, points, signed_m } = sims[k];
+    say(`${id}_words`, words);
     drawInView(id, () => {
+      const look = { ...setOf(points), text: signed_m, hovertemplate: "%{text} m<extra></extra>" };
+      const data = [
+        dots("real", paint("var(--line)"), 1.8, { ...setOf(real), hoverinfo: "skip" }),
+        dots("simulated", signed_m.map(signedColour), 2.6, look),
+      ];
       drawInSpace(id, data, cameraOn(id, ranges, ranges), ranges);
       turnTogether(ids);
     });

@@ -15,7 +15,6 @@ export function describe(pair, object, link) {
   const facts = report.facts.filter(isKnown).map((key) => factOf(object, key));
   byId("panel_numbers").replaceChildren(...facts.slice(0, MOST_FIRST));
   byId("more_numbers").replaceChildren(...facts.slice(MOST_FIRST));
-  for (const id of ["lie", "show_lines"]) byId(id).disabled = !object.move;
 }
 
 function factOf(object, key) {
@@ -26,22 +25,14 @@ function factOf(object, key) {
   return element("div", null, {}, element("span", column.title, { class: "name" }), shownValue);
 }
 
-// places: of the drawn points by side; isAligned: simulated ones are moved onto the real ones.
-export function describePoints(object, places, isAligned) {
+// places: of the drawn points by side.
+export function describePoints(object, places) {
   const all = (side) => object[`n_${side}`];
   const sides = Object.keys(object.owns);
   const parts = sides.map(
     (side) => `${counted(places[side].length)} of ${counted(all(side))} ${SIDE_WORDS[side]} points`,
   );
   const isThinned = sides.some((side) => places[side].length < all(side));
-  const notes = [`${parts.join(", ")}${isThinned ? ", thinned for display only" : ""}.`];
-  if (!object.side) notes.push(`${counted(object.n_keep)} nodes a side are kept for the spectral scores.`);
-  if (isAligned) {
-    const move = object.move.map((value) => value.toFixed(2)).join(", ");
-    notes.push(
-      `Aligned: simulated points moved by (${move}) m, so that the kept nodes of both sides have one mean, as ` +
-        "node alignment uses; without rotation. CDC and all distances are those of the points as given.",
-    );
-  }
-  say("overlay_note", notes.join(" "));
+  const nodes = object.side ? "" : ` ${counted(object.n_keep)} nodes a side are kept for the spectral scores.`;
+  say("overlay_note", `${parts.join(", ")}${isThinned ? ", thinned for display only" : ""}.${nodes}`);
 }

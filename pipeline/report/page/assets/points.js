@@ -34,28 +34,24 @@ export function objectsOf(view) {
   return records(report.object_columns, view.objects).map((row) => {
     const owns = Object.fromEntries(SIDES.map((side) => [side, row[`${side}_id`]]).filter(([, id]) => id >= 0));
     const [side, partner] = Object.keys(owns);
-    if (!partner) return { ...row, owns, side, fate: row.status };
-    return { ...row, owns, fate: row.status === "too_small" ? "too small" : "matched", move: view.moves[row.real_id] };
+    return partner ? { ...row, owns, fate: "matched" } : { ...row, owns, side, fate: row.status };
   });
 }
 
-// By side the points, each with the place of its object among the objects (`object`), whether it is a kept node, its
-// distance to the other side (`distance`), whether a piece that only one side has holds it (`piece`), if simulated its
-// signed distance to the planes of the real side (`signed`), and by place where the points of an object are (`ranges`);
-// the road points; and between which points lines of alignment are.
+// By side the points, each with the place of its object among the objects (`object`), its distance to the other side
+// (`distance`), whether a piece that only one side has holds it (`piece`), if simulated its signed distance to the
+// planes of the real side (`signed`), and by place where the points of an object are (`ranges`); and the road points.
 export async function pointsOf(view, objects) {
-  const points = { road: {}, lines: {}, rays: await unpack(view.rays, Uint8Array) };
+  const points = { road: {} };
   for (const side of SIDES) {
     const packed = view.sides[side];
     points[side] = {
       ...(await unpackPoints(packed.points, view.step_m)),
       ...placesOf(packed, ownersOf(objects, side)),
       distance: await unpack(packed.distance, Uint8Array),
-      kept: await unpack(packed.kept, Uint8Array),
       piece: await unpack(packed.piece, Uint8Array),
     };
     points.road[side] = await unpackPoints(packed.road, view.step_m);
-    points.lines[side] = await unpack(packed.line, Int32Array);
   }
   points.sim.signed = await unpack(view.sides.sim.signed, Uint8Array);
   points.road.sim.signed = await unpack(view.sides.sim.road_signed, Uint8Array);
@@ -115,13 +111,6 @@ export function objectTitle(object) {
   return `${ids}: ${shorten(object.group)}, ${scores}`;
 }
 
-// Share of an unmatched object that is road to the other side, as text; "" for 0.
-export function roadWords(object) {
-  const share = object.side ? object[`road_share_${object.side}`] : null;
-  const other = object.side === "real" ? "simulated" : "real";
-  return share >= 0.005 ? `${Math.round(100 * share)} % of it is road on the ${other} side` : "";
-}
-
 // plotly reads a little markup in its texts: its meaning is taken away.
 export const plotText = (text) =>
   shorten(shown(text), 80).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
@@ -143,6 +132,17 @@ const signedWords = (step) =>
 export const distanceWords = (step) =>
   step === FAR ? `${report.far_m} m or more` : `${number((step / FAR) * report.far_m, 2)} m`;
 
+// The colour of a signed distance to the real side in metres, null for none.
+export const signedColour = (metres) =>
+  metres === null ? paint("var(--line)") : rampColour((metres / report.signed_ramp_m + 1) / 2, report.colours.signed);
+export const signedLegend = () => {
+  const reach = `${report.signed_ramp_m} m or more`;
+  return [
+    rampBar(`${reach} behind `, report.colours.signed, ` ${reach} in front of the real surface, seen from the sensor`),
+    swatch("var(--line)", "real, or no real plane next to it"),
+  ];
+};
+
 // An entry of a legend: a colour, or a ramp from one value to another.
 export const swatch = (colour, text) =>
   element("span", null, {}, element("i", null, { style: `background: ${colour}` }), text);
@@ -154,7 +154,7 @@ const rampBar = (from, stops, to) => {
 // How points are coloured: `colours` of some places of a side (one for all or one each), `words` of a place (or none),
 // the colour of a road point, the side that is context only (`faint`), and the legend.
 export function colouring({ objects, points }, by) {
-  const { none, sides, fates, quadrants, signed, ramps } = report.colours;
+  const { none, sides, quadrants, ramps } = report.colours;
   const ramp = ramps[isDark() ? "dark" : "light"];
   const bytes = Array.from({ length: FAR + 1 }, (_, step) => step);
   const ofPoints = (shade) => (side, places) => places.map((i) => shade(side, i));
@@ -164,11 +164,6 @@ export function colouring({ objects, points }, by) {
   };
   const kinds = {
     side: () => ({ colours: sideColour, legend: SIDES.map((side) => swatch(sides[side], SIDE_WORDS[side])) }),
-    status: () => {
-      const known = Object.entries(fates).filter(([fate]) => objects.some((object) => object.fate === fate));
-      const legend = known.map(([fate, colour]) => swatch(colour, fate));
-      return { colours: ofObjects(({ fate }) => paint(fates[fate])), legend };
-    },
     quadrant: () => ({
       colours: ofObjects(({ quadrant }) => paint(quadrants[quadrant] ?? none)),
       legend: Object.entries(quadrants).map(([quadrant, colour]) => swatch(colour, quadrant)),
@@ -179,36 +174,25 @@ export function colouring({ objects, points }, by) {
       ),
       legend: ["One colour per object; matched objects have the same on both sides.", swatch(none, "unmatched")],
     }),
-    kept: () => ({
-      colours: ofPoints((side, i) => (points[side].kept[i] ? sideColour(side) : none)),
-      legend: [...kinds.side().legend, swatch(none, "left out of the spectral scores")],
-    }),
     distance: () => {
       const shades = bytes.map((step) => rampColour(step / FAR, ramp));
       return {
         colours: ofPoints((side, i) => shades[points[side].distance[i]]),
         words: (side, i) => `${distanceWords(points[side].distance[i])} to the other side`,
         legend: [
-          rampBar("0", ramp, `${report.far_m} m or more to the nearest point of the other side`),
+          rampBar("0 ", ramp, ` ${report.far_m} m or more to the nearest point of the other side`),
           "Far real points are missing surface, far simulated ones invented surface.",
         ],
       };
     },
     signed: () => {
-      const line = paint("var(--line)");
-      const shades = bytes.map((step) =>
-        step === FAR ? line : rampColour((signedMetres(step) / report.signed_ramp_m + 1) / 2, signed),
-      );
-      const reach = `${report.signed_ramp_m} m or more`;
+      const shades = bytes.map((step) => signedColour(step === FAR ? null : signedMetres(step)));
       return {
         faint: "real",
-        colours: ofPoints((side, i) => (side === "real" ? line : shades[points.sim.signed[i]])),
+        colours: ofPoints((side, i) => (side === "real" ? signedColour(null) : shades[points.sim.signed[i]])),
         road: (step) => shades[step],
         words: (side, i) => (side === "sim" ? signedWords(points.sim.signed[i]) : ""),
-        legend: [
-          rampBar(`${reach} behind`, signed, `${reach} in front of the real surface, seen from the sensor`),
-          swatch("var(--line)", "real, or no real plane next to it"),
-        ],
+        legend: signedLegend(),
       };
     },
   };

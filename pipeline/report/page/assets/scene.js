@@ -18,7 +18,6 @@ import {
   plotText,
   pointsOf,
   roadDots,
-  roadWords,
   SIDE_WORDS,
   SIDES,
   say,
@@ -27,7 +26,6 @@ import {
   strokes,
   swatch,
   turnTogether,
-  xyz,
 } from "./points.js";
 import { counted, element, number, shorten } from "./tables.js";
 
@@ -70,8 +68,6 @@ async function openPair(name) {
   const thinned = "thinned for display only; all scores are of all points";
   say("scene_note", `Shown: ${parts.join(", ")}, ${thinned}. A click on a point shows its object below.`);
   setChosen(null);
-  byId("ray_figure").hidden = !view.n_beams;
-  if (view.n_beams) drawInView("ray_image", drawRays);
   drawInView("signed", drawSigned);
   look(wholePair());
   return true;
@@ -112,22 +108,6 @@ function drawSigned() {
   say("signed_note", `Signed distance of the simulated points to the real planes next to them: ${words}`);
 }
 
-// The range image of the outcomes: a byte a ray, row by row from the highest beam; 255 for a ray that returned nothing.
-function drawRays() {
-  const { view, points } = scene.pair;
-  const canvas = byId("ray_image");
-  const outcomes = Object.values(report.colours.outcomes);
-  canvas.height = view.n_beams;
-  canvas.width = points.rays.length / view.n_beams;
-  const context = canvas.getContext("2d");
-  outcomes.forEach(({ colour }, outcome) => {
-    context.fillStyle = paint(colour);
-    for (let i = points.rays.indexOf(outcome); i >= 0; i = points.rays.indexOf(outcome, i + 1))
-      context.fillRect(i % canvas.width, Math.floor(i / canvas.width), 1, 1);
-  });
-  byId("ray_legend").replaceChildren(...outcomes.map(({ colour, words }) => swatch(colour, words)));
-}
-
 // Every Nth point of each object, so that about MOST_DRAWN remain.
 function drawnOf({ object, ranges }) {
   const every = Math.ceil(object.length / MOST_DRAWN);
@@ -164,9 +144,7 @@ function contextTraces({ points }, shades) {
 function drawScene(camera) {
   const { pair } = scene;
   const shades = colouring(pair, byId("colour").value);
-  const titles = pair.objects.map((object) =>
-    [objectTitle(object), roadWords(object)].filter(Boolean).map(plotText).join("<br>"),
-  );
+  const titles = pair.objects.map((object) => plotText(objectTitle(object)));
   const traces = SIDES.map((side) => {
     const [own, places] = [pair.points[side], pair.drawn[side]];
     const words = (i) => [titles[own.object[i]], shades.words?.(side, i)].filter(Boolean).join("<br>");
@@ -192,51 +170,29 @@ function redrawPair() {
   showPanel(false);
 }
 
-// The points of one object of both sides in one box, coloured as the scene; simulated ones moved onto the real ones if
-// that is chosen. isNew: seen from the side of the sensor, else by the camera of now.
+// The points of one object of both sides in one box, coloured as the scene.
+// isNew: seen from the side of the sensor, else by the camera of now.
 function drawObject({ objects, points }, place, isNew) {
-  const object = objects[place];
-  const isAligned = Boolean(object.move) && byId("lie").value === "aligned";
   const by = byId("colour").value;
   const shades = colouring({ objects, points }, by);
   const places = Object.fromEntries(SIDES.map((side) => [side, ownPlaces(points, side, place)]));
-  const moved = (set, move = [0, 0, 0]) => xyz((axis) => set[axis].map((value) => value + move["xyz".indexOf(axis)]));
-  const given = at(points.sim, places.sim);
-  const sets = { real: at(points.real, places.real), sim: isAligned ? moved(given, object.move) : given };
-  // The box is that of both ways to lie, so that the eye can compare them.
-  const ranges = extent([sets.real, given, moved(given, object.move)], PANEL_MARGIN_M);
+  const ranges = extentOf(place, PANEL_MARGIN_M);
   const data = [];
   for (const side of SIDES.filter((one) => byId(`show_${one}`).checked)) {
-    if (!(isAligned && side === "sim")) {
-      const others = insideOf(points[side], ranges).filter((i) => points[side].object[i] !== place);
-      const text = others.map((i) => plotText(objectTitle(objects[points[side].object[i]])));
-      const hovertemplate = `other object, ${SIDE_WORDS[side]}: %{text}<extra></extra>`;
-      const look = { ...at(points[side], others), text, hovertemplate, opacity: 0.3 };
-      data.push(dots(`others ${side}`, sideColour(side), 1.6, look));
-      const road = points.road[side];
-      if (byId("show_road").checked) data.push(roadDots(side, road, insideOf(road, ranges), shades));
-    }
+    const others = insideOf(points[side], ranges).filter((i) => points[side].object[i] !== place);
+    const faint = { ...at(points[side], others), hoverinfo: "skip", opacity: 0.3 };
+    data.push(dots(`others ${side}`, sideColour(side), 1.6, faint));
+    const road = points.road[side];
+    if (byId("show_road").checked) data.push(roadDots(side, road, insideOf(road, ranges), shades));
     const text = places[side].map((i) => distanceWords(points[side].distance[i]));
     const hovertemplate = `${SIDE_WORDS[side]}: %{x:.2f}, %{y:.2f}, %{z:.2f} m<br>%{text} to the other side<extra></extra>`;
     const [symbol, size] = by !== "side" && side === "sim" ? ["diamond", 3.2] : ["circle", 2.2];
-    const look = { ...sets[side], text, hovertemplate, symbol };
+    const look = { ...at(points[side], places[side]), text, hovertemplate, symbol };
     data.push(dots(`own ${side}`, shades.colours(side, places[side]), size, look));
-  }
-  if (object.move && byId("show_lines").checked) {
-    const own = [...points.lines.real.keys()].filter((k) => points.real.object[points.lines.real[k]] === place);
-    const [from, to] = SIDES.map((side) =>
-      at(
-        points[side],
-        Array.from(own, (k) => points.lines[side][k]),
-      ),
-    );
-    const ends = [from, isAligned ? moved(to, object.move) : to];
-    const lines = own.flatMap((_, k) => ends.map((end) => xyz((axis) => end[axis][k])));
-    data.push(strokes("lines", paint("var(--soft)"), lines, 1.5));
   }
   const camera = (!isNew && byId("overlay").layout?.scene?.camera) || cameraOn("overlay", ranges, ranges);
   drawInSpace("overlay", data, camera, ranges);
-  describePoints(object, places, isAligned);
+  describePoints(objects[place], places);
 }
 
 function insideOf({ x, y, z }, ranges) {
@@ -298,7 +254,6 @@ function setChosen(name) {
   scene.chosen = name;
   byId("object").value = name ?? "";
   byId("panel").hidden = name === null;
-  markRow();
 }
 
 // Shows an object, or none, in list, table, address and panel; looksAt: whether the camera goes there too.
@@ -315,14 +270,6 @@ function chooseObject(name, looksAt = false, isAsked = true) {
   look(looksAt ? (name === null ? wholePair() : objectInPair(placeOf(name))) : undefined);
 }
 
-// Marks the row of the chosen object in the table of objects, if that shows it now.
-export function markRow() {
-  const link = scene.chosen === null ? null : linkWithin(scene.pair.name, scene.chosen);
-  for (const row of byId("objects_table").querySelectorAll("tbody tr"))
-    if (row.querySelector("a")?.getAttribute("href") === link) row.setAttribute("aria-current", "true");
-    else row.removeAttribute("aria-current");
-}
-
 // Shows the pair and object of the address, #pair=...&object=..., or a note if they do not exist.
 export async function showAsked() {
   const asked = new URLSearchParams(window.location.hash.slice(1));
@@ -332,15 +279,14 @@ export async function showAsked() {
     window.location.replace(report.links[pair] + window.location.hash);
     return;
   }
-  const refuse = (text) => {
-    say("asked", text);
-    byId("view").scrollIntoView();
-  };
+  byId("view").scrollIntoView();
   if (!report.views[pair]) {
-    refuse(
-      report.names.includes(pair)
-        ? `Pair ${shorten(pair, 60)} is not among those that this page shows in 3D; fidpipe report with --pairs or --folder shows it.`
-        : `This run has no scored pair ${shorten(pair, 60)}.`,
+    const elsewhere =
+      " is not among those that this page shows in 3D; fidpipe report with --pairs or --folder shows it.";
+    const isKnown = report.names.includes(pair);
+    say(
+      "asked",
+      `${isKnown ? "Pair" : "This run has no scored pair"} ${shorten(pair, 60)}${isKnown ? elsewhere : "."}`,
     );
     return;
   }
@@ -349,12 +295,12 @@ export async function showAsked() {
   const found =
     objects.find((object) => object.name === name) ?? objects.find(({ sim_id }) => `sim ${sim_id}` === name);
   if (name !== null && !found) {
-    refuse(
+    say(
+      "asked",
       `Pair ${shorten(pair, 60)} has no object ${shorten(name, 60)}; its objects are called as in the list below.`,
     );
     return;
   }
-  byId("view").scrollIntoView();
   chooseObject(found?.name ?? null, true);
   byId(found ? "panel_title" : "pair").focus({ preventScroll: true });
 }
@@ -379,11 +325,10 @@ export async function startScene() {
     if (link && link.getAttribute("href") === window.location.hash) showAsked();
   });
   window.addEventListener("hashchange", showAsked);
-  for (const id of ["quadrants", "polar"])
-    byId(id).addEventListener("dot", ({ detail: [pair, name] }) => {
-      const link = linkTo(report.names[pair], name);
-      if (link !== null) window.location.href = link;
-    });
+  byId("quadrants").addEventListener("dot", ({ detail: [pair, name] }) => {
+    const link = linkTo(report.names[pair], name);
+    if (link !== null) window.location.href = link;
+  });
   if (pairs.length) {
     byId("viewer").hidden = false;
     byId("pair").append(...pairs.map((pair) => element("option", shorten(pair, 60), { value: pair, title: pair })));
@@ -391,16 +336,7 @@ export async function startScene() {
       if (await openPair(byId("pair").value)) chooseObject(null, true);
     });
     byId("object").addEventListener("change", () => chooseObject(byId("object").value || null, true));
-    for (const id of [
-      "colour",
-      "show_real",
-      "show_sim",
-      "show_road",
-      "show_missing",
-      "show_invented",
-      "lie",
-      "show_lines",
-    ])
+    for (const id of ["colour", "show_real", "show_sim", "show_road", "show_missing", "show_invented"])
       byId(id).addEventListener("change", redrawPair);
     byId("previous").addEventListener("click", () => stepObject(-1));
     byId("next").addEventListener("click", () => stepObject(1));

@@ -4,7 +4,6 @@
 
 import { report } from "./draw.js";
 
-const ROWS_AT_ONCE = 100;
 const NULL_SIGN = "–";
 const steering = new RegExp(report.steering, "g");
 export const shown = (text) =>
@@ -48,10 +47,9 @@ function order(a, b, isUp) {
 export function startTable(place, what, { keys, rows: lists, note }, linkOf) {
   const rows = records(keys, lists);
   const columns = keys.map((key) => ({ key, ...report.columns[key] }));
-  const state = { sort: null, isUp: true, n: ROWS_AT_ONCE };
+  const state = { sort: null, isUp: true };
   const part = (selector) => place.querySelector(selector);
   const [filter, count, body] = ["input", ".count", "tbody"].map(part);
-  const [clear, more] = [".clear", ".more"].map(part);
   const heads = columns.map((column) => {
     const title = column.about ? `${column.title}. ${column.about}` : column.title;
     const button = element("button", column.title, { type: "button", title });
@@ -63,13 +61,7 @@ export function startTable(place, what, { keys, rows: lists, note }, linkOf) {
     return element("th", null, { scope: "col", class: column.text ? "text" : "" }, button);
   });
   part("thead tr").replaceChildren(...heads);
-  more.addEventListener("click", () => fill(state.n + 5 * ROWS_AT_ONCE));
-  filter.addEventListener("input", () => fill(ROWS_AT_ONCE));
-  clear.addEventListener("click", () => {
-    filter.value = "";
-    fill();
-    filter.focus();
-  });
+  filter.addEventListener("input", fill);
 
   function cellOf(row, column, isFirst) {
     const text = cellText(row[column.key], column);
@@ -81,22 +73,17 @@ export function startTable(place, what, { keys, rows: lists, note }, linkOf) {
 
   const rowText = (row) => columns.map((column) => cellText(row[column.key], column)).join(" ");
 
-  function fill(n = state.n) {
-    state.n = n;
+  function fill() {
     const asked = filter.value.toLowerCase();
     const chosen = rows.filter((row) => rowText(row).toLowerCase().includes(asked));
     if (state.sort !== null) chosen.sort((a, b) => order(a[state.sort], b[state.sort], state.isUp));
-    const first = chosen.slice(0, n);
     body.replaceChildren(
-      ...first.map((row) => element("tr", null, {}, ...columns.map((column, k) => cellOf(row, column, k === 0)))),
+      ...chosen.map((row) => element("tr", null, {}, ...columns.map((column, k) => cellOf(row, column, k === 0)))),
     );
     heads.forEach((head, k) => {
       head.setAttribute("aria-sort", columns[k].key !== state.sort ? "none" : state.isUp ? "ascending" : "descending");
     });
-    const some = first.length < chosen.length ? `, the first ${first.length} shown` : "";
-    count.textContent = `${counted(chosen.length)} of ${counted(rows.length)} ${what}${some}. ${state.sort === null ? note : ""}`;
-    more.hidden = first.length === chosen.length;
-    clear.hidden = chosen.length > 0 || filter.value === "";
+    count.textContent = `${counted(chosen.length)} of ${counted(rows.length)} ${what}. ${state.sort === null ? note : ""}`;
   }
   fill();
 }
