@@ -255,8 +255,6 @@ def best_case(
 
     fidpipe show runs/dataset --best-case runs/dataset-best-case
 
-    fidpipe best-case runs/dataset --noise-m 0.02 --dropout 0.005
-
     fidpipe best-case twins/ --preset reference --neighbours    real against real
     """
     from ...schemas.settings import load
@@ -264,10 +262,7 @@ def best_case(
 
     check_machines(workers, scheduler)
     if neighbours and (noise_m is not None or dropout is not None):
-        raise typer.BadParameter(
-            "--neighbours takes neither --noise-m nor --dropout: its second measurement is a real "
-            "scan"
-        )
+        raise typer.BadParameter("--neighbours takes neither --noise-m nor --dropout")
     is_run = path_exists(source / "run.json")
     if is_run and (preset or settings or assignments):
         raise typer.BadParameter("a run has its settings; leave out --preset, --settings and --set")

@@ -15,7 +15,7 @@ from ..engine.progress import Reporter
 from ..engine.survey import InputFiles, PlanPair, Survey, remove_stale
 from ..jobs import stages_under
 from ..jobs.gains_job import gains_stage
-from ..results.diagnosis import diagnosis_of
+from ..results.diagnosis import causes_to_correct, diagnosis_of
 from ..results.finished import FinishedRun
 from ..stage import Stage
 from .latency import latency_note
@@ -38,7 +38,7 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
         raise RunError(f"run {folder}: no pair is scored; fidpipe status {folder} says why")
     groups = {name: values for name, values in run.record.settings.items() if name in Settings.model_fields}
     settings = parse(groups)
-    stage = gains_stage({cause.name: cause.estimate for cause in overview.causes})
+    stage = gains_stage({cause.name: cause.estimate for cause in causes_to_correct(overview)})
     planner = Planner((*stages_under(settings), stage), settings, {})
 
     def plan_pair(pair: ScanPair) -> PairPlan:

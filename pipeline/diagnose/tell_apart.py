@@ -235,7 +235,7 @@ def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: boo
 def _ranks(intensity: FloatArray, seed: int) -> FloatArray:
     """Ranks up to 1: scales differ. Equal values in random order, as their common rank would mark the frame."""
     shuffled = pd.Series(intensity).sample(frac=1.0, random_state=seed)
-    return shuffled.rank(method="first", pct=True).sort_index().to_numpy()
+    return np.asarray(shuffled.rank(method="first", pct=True).sort_index(), dtype=np.float64)
 
 
 def both_sides(a: pd.DataFrame, b: pd.DataFrame, *, is_paired: bool) -> tuple[pd.DataFrame, list[Fold]]:
@@ -250,7 +250,7 @@ def both_sides(a: pd.DataFrame, b: pd.DataFrame, *, is_paired: bool) -> tuple[pd
     points = pd.concat([a.assign(is_sim=False), b.assign(is_sim=True)], ignore_index=True)
     n_places = points.groupby("is_sim").place.max() + 1
     points["place"] = points.place * n_places.min() // points.is_sim.map(n_places)
-    azimuth_deg = np.degrees(np.arctan2(points.y, points.x)).to_numpy()
+    azimuth_deg = np.degrees(np.arctan2(points.y.to_numpy(), points.x.to_numpy()))
     return points, usable_folds(points.place.to_numpy(np.int32), azimuth_deg, points.is_sim.to_numpy())
 
 

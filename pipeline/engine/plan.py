@@ -21,9 +21,7 @@ from ..storage.run_record import library_versions
 from ..storage.table_files import JobId, JobName, JobRecord
 from .time_limit import TimeLimit
 
-OUT_OF_DATE = (
-    "out of date"  #: reason why a result that was made from or with something else is stale
-)
+OUT_OF_DATE = "out of date"  #: reason why a result made from or with something else is stale
 
 
 class Source(NamedTuple):
@@ -180,13 +178,8 @@ class Planner:
         keys = {
             (SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in SIDES
         }
-        for (
-            name,
-            job,
-        ) in self._jobs.items():  # keys are hexadecimal digits, so that a space ends each
-            keys[name] = hashlib.sha256(
-                " ".join((job.key, *_reads(job, keys))).encode()
-            ).hexdigest()
+        for name, job in self._jobs.items():
+            keys[name] = _key(job, keys)
         return PairPlan(pair, self._jobs, keys, {}, inputs, self.label_names)
 
     def jobs(self) -> tuple[Job, ...]:
@@ -206,9 +199,7 @@ class Planner:
         name = (stage.name, "")
         jobs = {job: self._jobs[job] for job in self._jobs if job in records or job == name}
         keys = {job: record.key for job, record in records.items()}
-        keys[name] = hashlib.sha256(
-            " ".join((jobs[name].key, *_reads(jobs[name], keys))).encode()
-        ).hexdigest()
+        keys[name] = _key(jobs[name], keys)
         others = {job: record for job, record in records.items() if job in jobs and job != name}
         return PairPlan(pair, jobs, keys, others, {}, self.label_names)
 
@@ -326,6 +317,11 @@ def with_results(
         if not set(plan.keys.values()).issuperset(record.reads):
             unwanted[record.name] = OUT_OF_DATE
     return replace(plan, folder=folder.folder, token=folder.token).with_records(whole), unwanted
+
+
+def _key(job: Job, keys: Mapping[JobId, str]) -> str:
+    """The key of a job's result: keys are hexadecimal digits, so that a space ends each."""
+    return hashlib.sha256(" ".join((job.key, *_reads(job, keys))).encode()).hexdigest()
 
 
 def _reads(job: Job, keys: Mapping[JobId, str]) -> tuple[str, ...]:

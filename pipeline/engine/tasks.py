@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import TypeVar, cast
 
 from ...schemas.errors import DiskFullError, FidpipeError
+from ..storage.scratch import temporary_space
 from .cluster import start_pool
 from .pool import Pool, WorkerDied
 from .progress import Reporter
@@ -111,7 +112,8 @@ def counting(reporter: Reporter) -> Iterator[Callable[[int, int], None]]:
 def _call(function: Callable[[Task], Result], task: Task) -> tuple[Result | None, str]:
     """Call a function; returns its result and "", or None and the reason why it failed."""
     try:
-        return function(task), ""
+        with temporary_space():
+            return function(task), ""
     except DiskFullError:
         raise
     except FidpipeError as error:

@@ -152,7 +152,8 @@ def make_job(tables: PairTables, job: Job, rows: tuple[ObjectRows, ...] | None =
     rows : see `PairBatch`
     """
     if rows is None:
-        inputs = tables.inputs(job, tables.objects_of(job))
+        objects = tables.plan.objects if job.stage.grain is Grain.OBJECT else None
+        inputs = tables.inputs(job, tuple(number for number, _ in objects or []))
         result = job.stage.make(inputs)
         parts = [result.tables]
     else:
@@ -194,11 +195,6 @@ class PairTables:
         if job.stage.grain is Grain.OBJECT:
             n_bytes += costs.object_bytes(largest_object(self.plan.objects or [])[1])
         return n_bytes
-
-    def objects_of(self, job: Job) -> tuple[int, ...]:
-        """The matched objects that a job scores, if it scores objects."""
-        objects = self.plan.objects or []
-        return tuple(number for number, _ in objects) if job.stage.grain is Grain.OBJECT else ()
 
     def inputs(
         self,

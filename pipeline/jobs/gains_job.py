@@ -29,7 +29,7 @@ from ..stage import (
 )
 from .causes_job import POINT_COLUMNS, pair_scans, pose_of
 
-_SEED = 20240917
+SEED = 20240917  #: of corrections at random
 
 
 def make_gains(inputs: Inputs) -> JobResult:
@@ -39,7 +39,7 @@ def make_gains(inputs: Inputs) -> JobResult:
     if pose is None:
         return _result(inputs, Shares(0.0, 0.0, 0.0, {}), {})
     scans = pair_scans(inputs)
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(SEED)
     of_pair = _amounts_of_pair(inputs)
     with inputs.step("gains"):
         made = corrections(scans, pose, of_pair, amounts, rng)

@@ -7,7 +7,7 @@ between two runs, if it lies beyond the resolution of the estimate. Causes are o
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,8 @@ from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, mea
 from ..storage.folder import RunFolder
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from ...stages.causes.estimates import Amount
 
 #: Most causes that are shown at first.
@@ -57,6 +59,7 @@ _OF_POSE = (*PARAMETERS, "elevation scale")
 #: Independent places that all lie beyond a resolution.
 _ENOUGH = 4
 _COLUMNS = ["cause", "amount", "real", "sim", "share", "reason"]
+_OTHER_VERSION = "the run was made by a version without this cause"
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class CauseValues:
 
 
 def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseValues]:
-    """The table `causes` of some pairs, by name of the cause.
+    """The table `causes` of some pairs, for each cause of the catalogue; tables of another version may have others.
 
     Raises
     ------
@@ -85,33 +88,32 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseVal
     table, n_rows = store.read_pairs(pair_ids, {("causes", ""): _COLUMNS})["causes", ""]
     frame = table.to_pandas()
     frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
-    values = {}
-    for name, group in frame.groupby("cause"):
-        rows = group.set_index("pair").reindex(range(len(pair_ids)))
-        columns = {
-            column: rows[column].to_numpy(np.float64)
-            for column in ("amount", "real", "sim", "share")
-        }
-        reasons = rows["reason"].dropna()
-        values[str(name)] = CauseValues(
-            **columns, reason=str(reasons.iloc[0]) if len(reasons) else ""
-        )
-    return values
+    return _by_cause(frame, sorted(CAUSES), len(pair_ids))
 
 
 def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, CauseValues]:
     """Estimates of some pairs, by name of the cause; those that no pair has are left out."""
+    import pandas as pd
+
+    rows = []
+    for pair, of_pair in enumerate(amounts):
+        rows += [{"pair": pair, "cause": name} | vars(amount) for name, amount in of_pair.items()]
+    frame = pd.DataFrame(rows)
+    return _by_cause(frame, frame["cause"].unique(), len(amounts))
+
+
+def _by_cause(frame: pd.DataFrame, names: Iterable[str], n_pairs: int) -> dict[str, CauseValues]:
+    """Values of some causes, from a row per pair and cause."""
     values = {}
-    for name in CAUSES:
-        of_pairs = [pair[name] for pair in amounts if name in pair]
-        if of_pairs:
-            columns = {}
-            for column in ("amount", "real", "sim", "share"):
-                columns[column] = np.array(
-                    [getattr(amount, column) for amount in of_pairs], dtype=np.float64
-                )
-            reasons = [amount.reason for amount in of_pairs if amount.reason]
-            values[name] = CauseValues(**columns, reason=reasons[0] if reasons else "")
+    for name in names:
+        of_cause = frame[frame["cause"] == name]
+        rows = of_cause.set_index("pair").reindex(range(n_pairs))
+        columns = {
+            column: rows[column].to_numpy(np.float64)
+            for column in ("amount", "real", "sim", "share")
+        }
+        reasons = rows["reason"].dropna().tolist() if len(of_cause) else [_OTHER_VERSION]
+        values[name] = CauseValues(**columns, reason=reasons[0] if reasons else "")
     return values
 
 
@@ -123,27 +125,31 @@ def independent_blocks(blocks: IntArray) -> IntArray:
 
 
 def named_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Cause]:
-    """The causes whose interval lies beyond the tolerance, those that affect most of the surface first.
+    """The causes whose interval lies beyond the tolerance, those that affect most of the surface first."""
+    return named_and_small(values, blocks)[0]
+
+
+def named_and_small(
+    values: Mapping[str, CauseValues], blocks: IntArray
+) -> tuple[list[Cause], list[str]]:
+    """The named causes, and displacements that explain too little of the distance to be named, as sentences.
 
     Parameters
     ----------
     values : from `read_causes`
     blocks : (n,) independent place of each pair; pairs of one place count once, with their mean
     """
-    causes = [cause for cause in _beyond_tolerance(values, blocks) if not _is_small(cause)]
-    return sorted(causes, key=lambda cause: -cause.share)
-
-
-def small_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[str]:
-    """Displacements beyond their tolerance that explain too little of the distance to be named, as sentences."""
-    return [cause.words for cause in _beyond_tolerance(values, blocks) if _is_small(cause)]
-
-
-def _beyond_tolerance(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Cause]:
     amounts = {name: of_cause.amount for name, of_cause in values.items()}
     blocks = independent_blocks(blocks)
-    names = _named(amounts, blocks, is_change=False)
-    return [_cause(CAUSES[name], values[name], values[name].amount, blocks) for name in names]
+    named = []
+    small = []
+    for name in _named(amounts, blocks, is_change=False):
+        cause = _cause(CAUSES[name], values[name], values[name].amount, blocks)
+        if _is_small(cause):
+            small.append(cause.words)
+        else:
+            named.append(cause)
+    return sorted(named, key=lambda cause: -cause.share), small
 
 
 def _is_small(cause: Cause) -> bool:

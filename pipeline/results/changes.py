@@ -23,9 +23,11 @@ from ...stages.causes.pose import fit_pose
 from ...stages.causes.sides import Side
 from ...stages.frame_search import FrameCheck
 from ...stages.sensor_description import SensorDescription
+from ...stages.statistics.comparison import block_means
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..jobs.causes_job import POINT_COLUMNS, side_of
+from ..jobs.gains_job import SEED
 from ..stage import FRAMES
 from ..storage.folder import RunFolder
 from ..storage.run_record import read_run
@@ -47,7 +49,6 @@ MOST_BETWEEN, MOST_CORRECTED = 40, 10
 LEAST_ELSEWHERE = 0.03
 #: From this number of pairs on, processes are started.
 _FEW = 8
-_SEED = 20240917
 #: Changes that must bring the simulated scans closer if they are undone: all that moves surface.
 _CONFIRMED = frozenset(
     (
@@ -273,7 +274,7 @@ def undo_changes(task: _PairTask) -> tuple[Shares, float, float] | None:
     pose = fit_pose(base, sim)
     if pose is None:
         return None
-    return changes(base, sim, pose, dict(task.excess), np.random.default_rng(_SEED))
+    return changes(base, sim, pose, dict(task.excess), np.random.default_rng(SEED))
 
 
 def _changed(
@@ -297,11 +298,7 @@ def _mean(amounts: FloatArray, blocks: IntArray) -> float | None:
     """Mean over places of the amounts that are known; None if none is."""
     if np.isnan(amounts).all():
         return None
-    blocks = independent_blocks(blocks)
-    means = [
-        np.nanmean(amounts[blocks == block]) for block in np.unique(blocks[~np.isnan(amounts)])
-    ]
-    return float(np.mean(means))
+    return float(np.nanmean(block_means(amounts, independent_blocks(blocks))))
 
 
 def _verdict(before: float | None, after: float | None, resolution: float) -> str:

@@ -65,12 +65,19 @@ def read_gains(store: RunFolder, pair_ids: Sequence[str], causes: Sequence[Cause
     distances_m = np.array([record.metadata[DISTANCES] for record in records])
     curves: dict[str, dict[str, FloatArray]] = {}
     for kind, sides in records[0].metadata[CURVES].items():
-        drawn = [record.metadata[CURVES][kind] for record in records if kind in record.metadata[CURVES]]
+        drawn = [
+            record.metadata[CURVES][kind] for record in records if kind in record.metadata[CURVES]
+        ]
         curves[kind] = {}
         for side in sides:
             of_pairs = [values[side] for values in drawn]
             curves[kind][side] = np.mean(of_pairs, axis=0)
     return Gains(by_cause, distances_m, curves)
+
+
+def causes_to_correct(overview: Overview) -> list[Cause]:
+    """The causes of a run that the catalogue has; a run of another version may have others."""
+    return [cause for cause in overview.causes if cause.name in CAUSES]
 
 
 def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -> Diagnosis | None:
@@ -82,12 +89,13 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
     """
     if record.overview is None:
         return None
-    gains = read_gains(store, pair_ids, record.overview.causes)
+    causes = causes_to_correct(record.overview)
+    gains = read_gains(store, pair_ids, causes)
     if gains is None:
         return None
     before_m, after_m, best_case_m = gains.distances_m.mean(axis=0).tolist()
     gains_m = {name: float(values.mean()) for name, values in gains.by_cause.items()}
-    confirmed, doubtful = confirm(record.overview.causes, gains_m, (before_m, after_m, best_case_m))
+    confirmed, doubtful = confirm(causes, gains_m, (before_m, after_m, best_case_m))
     shown = []
     for cause in confirmed:
         evidence = _evidence(CAUSES[cause.name].curve, gains)
@@ -126,7 +134,9 @@ def confirm(
             doubtful.append(diagnosed)
         else:
             confirmed.append(diagnosed)
-    return sorted(confirmed, key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0))), doubtful
+    return sorted(
+        confirmed, key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0))
+    ), doubtful
 
 
 def unexplained_share(distances_m: tuple[float, float, float]) -> float | None:

@@ -198,7 +198,7 @@ STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", *DISTRIBUTED)
 def arrays_of(objects: pd.DataFrame) -> Objects:
     """The objects for the statistics over all of them; remnants do not count."""
     counted = objects[objects["fate"] != "remnant"]
-    numbers = [name for name in ("pair", *STATISTICS_COLUMNS) if name != "label"]
+    numbers = [name for name in STATISTICS_COLUMNS if name != "label"]
     return Objects(
         is_real=(counted["side"] == "real").to_numpy(),
         label=counted["label"].fillna("").to_numpy(dtype=np.str_),

@@ -34,7 +34,7 @@ from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.urls import recorded_path
 from .best_case import BEST_CASE_RECIPE
-from .causes import named_causes, read_causes, small_causes, unknown_causes
+from .causes import named_and_small, read_causes, unknown_causes
 from .independence import NEEDED, find_places, pairs_and_places
 from .object_frame import PAIRS_AT_ONCE, STATISTICS_COLUMNS, arrays_of, object_parts, plain_rows
 from .places import moved_words, place_words
@@ -120,17 +120,17 @@ def describe_objects(
     parts = object_parts(store, pair_ids, columns, by_reference=by_reference)
     objects = pd.concat([part.loc[part["fate"] != "remnant", [*_KEYS, *columns]] for part in parts])
     objects["label"] = objects["label"].fillna("")
-    times = [timestamps_s.get(pair_id) for pair_id in pair_ids]
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
-    found = summarise_objects(arrays_of(objects), pair_ids, times)
+    found = summarise_objects(arrays_of(objects), len(pair_ids))
     places = dict(zip(pair_ids, blocks.tolist(), strict=True))
     findings = Findings(n_places=len(np.unique(blocks)), places=places, **vars(found))
     causes = read_causes(store, pair_ids)
+    named, small = named_and_small(causes, blocks)
     overview = Overview(
-        causes=tuple(named_causes(causes, blocks)),
+        causes=tuple(named),
         unknown=tuple(unknown_causes(causes)),
         doubts=tuple(_doubts(store, pair_ids)),
-        small=tuple(small_causes(causes, blocks)),
+        small=tuple(small),
         pieces=tuple(largest_pieces(store, pair_ids)),
         surface=tuple(_surface(objects)),
         **_alignment(objects),

@@ -68,9 +68,10 @@ def write_whole(
             if before_rename is not None:
                 before_rename()
             temporary.replace(path)
-    finally:
-        with suppress(OSError):  # it is gone, or its folder is what cannot be written
+    except BaseException:
+        with suppress(OSError):  # its folder may be what cannot be written
             temporary.unlink()
+        raise
 
 
 def csv_bytes(head: Iterable[object], rows: Iterable[Iterable[object]]) -> bytes:

@@ -78,7 +78,7 @@ def _lock(folder: Path) -> int | None:
 
 @contextmanager
 def temporary_space() -> Iterator[None]:
-    """Context of what is written into the folder for temporary files.
+    """Context of what is written into the folder for temporary files, also by readers with errors of their own.
 
     Raises
     ------
@@ -87,8 +87,13 @@ def temporary_space() -> Iterator[None]:
     """
     try:
         yield
-    except OSError as error:
-        if error.errno not in NO_SPACE:
+    except DiskFullError:
+        raise
+    except Exception as error:
+        cause: BaseException | None = error
+        while cause is not None and not (isinstance(cause, OSError) and cause.errno in NO_SPACE):
+            cause = cause.__cause__ or cause.__context__
+        if cause is None:
             raise
         folder = tempfile.gettempdir()
         raise DiskFullError(

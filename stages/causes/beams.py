@@ -147,20 +147,15 @@ def blurred_elevation_deg(grid: RayGrid, side: Side) -> float | None:
     resultant = float(direction.mean().real)
     if coherence < _COHERENT or resultant < _LEAST_RESULTANT:
         return None
-    return _noise_of_resultant(resultant, spacing_deg[below], float(spacing_deg.max()))
+    from scipy.optimize import brentq  # takes a third of a second to load
 
+    spacings_deg = spacing_deg[below]
 
-def _noise_of_resultant(resultant: float, spacing_deg: FloatArray, high: float) -> float:
-    """Standard deviation, up to `high`, at which phases between beams spaced so have a resultant; by bisection."""
-    low = 0.0
-    for _ in range(40):
-        sigma = (low + high) / 2
-        expected = np.exp(-2 * np.pi**2 * sigma**2 / spacing_deg**2).mean()
-        if expected > resultant:
-            low = sigma
-        else:
-            high = sigma
-    return (low + high) / 2
+    def excess(sigma_deg: float) -> float:
+        """Resultant of this noise over that of the side."""
+        return float(np.exp(-2 * np.pi**2 * sigma_deg**2 / spacings_deg**2).mean()) - resultant
+
+    return float(brentq(excess, 0.0, float(spacing_deg.max())))
 
 
 def road_blur_deg2(side: Side) -> float | None:

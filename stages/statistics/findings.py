@@ -5,7 +5,6 @@ Counts and distributions pool the objects of all pairs. Means over pairs are in 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,8 +21,6 @@ from ...schemas.results import (
     RangeBand,
     RangeFindings,
     RankCorrelation,
-    ScanFindings,
-    Scans,
     ScoreDistributions,
     Unmatched,
 )
@@ -36,9 +33,6 @@ BAND_NAMES = (
     *(f"{low:.0f} to {high:.0f} m" for low, high in pairwise(BAND_EDGES_M)),
     f"over {BAND_EDGES_M[-1]:.0f} m",
 )
-#: Scans of the paper's box plots, and how far apart in time they must be.
-N_SCANS = 4
-SCAN_GAP_S = 60.0
 #: The paper: n_sim is from under a quarter to over four times n_real.
 SPARSE_RATIO = 0.25
 DENSE_RATIO = 4.0
@@ -57,7 +51,6 @@ _QUANTILES = {
 class Objects:
     """Objects of both sides of all pairs.
 
-    pair : (n,) index of the pair
     is_real : (n,) True if it is of the real side
     range_m : (n,) distance of the centroid from the sensor
     label : (n,) class, "" if the object has none
@@ -66,7 +59,6 @@ class Objects:
     cdc, r_lambda, r_gap : (n,) scores of a matched object, NaN for null
     """
 
-    pair: IntArray
     is_real: BoolArray
     range_m: FloatArray
     label: NDArray[np.str_]
@@ -84,23 +76,18 @@ class Objects:
         return Objects(**{name: values[chosen] for name, values in vars(self).items()})
 
 
-def summarise_objects(
-    objects: Objects,
-    pair_ids: Sequence[str],
-    timestamps_s: Sequence[float | None],
-) -> ObjectFindings:
-    """Compute distributions, ranges, classes, density ratios, correlation, and the four scans; None for missing values.
+def summarise_objects(objects: Objects, n_pairs: int) -> ObjectFindings:
+    """Compute distributions, ranges, classes, density ratios and correlation; None for missing values.
 
     Parameters
     ----------
     objects : of both sides
-    pair_ids : name of each pair
-    timestamps_s : time of the scan of each pair; None if unknown
+    n_pairs : number of pairs, also of those without objects
     """
     matched = objects.matched
     return ObjectFindings(
-        n_pairs=len(pair_ids),
-        n_matched=len(matched.pair),
+        n_pairs=n_pairs,
+        n_matched=len(matched.range_m),
         distributions=ScoreDistributions(
             cdc=distribution(matched.cdc),
             r_lambda=distribution(matched.r_lambda),
@@ -114,7 +101,6 @@ def summarise_objects(
             bands=by_range(objects),
         ),
         classes=by_class(objects),
-        scans=compare_scans(matched, pair_ids, timestamps_s),
     )
 
 
@@ -221,48 +207,6 @@ def by_class(objects: Objects) -> tuple[ClassFindings, ...]:
 def _group_mean(values: FloatArray) -> GroupMean:
     mean, std = mean_and_std(values)
     return GroupMean(mean=mean, std=std, n=int(np.count_nonzero(~np.isnan(values))))
-
-
-def compare_scans(
-    matched: Objects,
-    pair_ids: Sequence[str],
-    timestamps_s: Sequence[float | None],
-) -> Scans:
-    """CDC and r_lambda in four scans that were taken more than a minute apart (the paper's box plots).
-
-    If fewer than two scans are known to be a minute apart, four pairs evenly spaced by name are used instead, and
-    `apart` is false.
-    """
-    chosen = scans_apart(timestamps_s)
-    apart = len(chosen) > 1
-    if not apart:
-        chosen = evenly(len(timestamps_s), N_SCANS)
-    scans = [
-        ScanFindings(
-            pair=pair_ids[i],
-            timestamp_s=timestamps_s[i],
-            cdc=distribution(matched.cdc[matched.pair == i]),
-            r_lambda=distribution(matched.r_lambda[matched.pair == i]),
-        )
-        for i in chosen
-    ]
-    return Scans(apart=apart, scans=tuple(scans))
-
-
-def scans_apart(timestamps_s: Sequence[float | None]) -> list[int]:
-    """At most four scans, evenly spread over a longest chain of scans each more than a minute after the one before.
-
-    Examples
-    --------
-    >>> scans_apart([0.0, 30.0, 61.0, None, 500.0])
-    [0, 2, 4]
-    """
-    known = sorted((time_s, i) for i, time_s in enumerate(timestamps_s) if time_s is not None)
-    chain: list[tuple[float, int]] = []
-    for time_s, i in known:
-        if not chain or time_s - chain[-1][0] > SCAN_GAP_S:
-            chain.append((time_s, i))
-    return [chain[place][1] for place in evenly(len(chain), N_SCANS)]
 
 
 def evenly(n: int, most: int) -> list[int]:

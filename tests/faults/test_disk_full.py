@@ -10,7 +10,8 @@ from fidpipe.pipeline.cli.output import print_view
 from fidpipe.pipeline.engine.costs import CostModel
 from fidpipe.pipeline.inspect import check_view
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
-from fidpipe.schemas.errors import DiskFullError
+from fidpipe.pipeline.storage.scratch import temporary_space
+from fidpipe.schemas.errors import DiskFullError, ScanError
 from fidpipe.schemas.settings import Settings
 from runs import JOBS_PER_PAIR, assert_same_tables, run
 
@@ -40,6 +41,19 @@ def test_a_full_disk_stops_a_run_once_with_path_and_need(dataset, tmp_path, monk
     assert run(dataset, tmp_path / "run").n_made == 3 * JOBS_PER_PAIR
     run(dataset, tmp_path / "fresh")
     assert_same_tables(tmp_path / "run", tmp_path / "fresh")
+
+
+def test_a_reader_that_is_out_of_temporary_space_is_a_full_folder_and_not_a_broken_file():
+    def read():
+        try:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            raise ScanError("000.bag: cannot be read") from error
+
+    with pytest.raises(DiskFullError, match="TMPDIR: no space left in"), temporary_space():
+        read()
+    with pytest.raises(ScanError), temporary_space():
+        raise ScanError("000.bag: cannot be read")
 
 
 @pytest.mark.exhaustive

@@ -16,7 +16,7 @@ import pytest
 from fidpipe.pipeline.cli import completion
 from fidpipe.pipeline.generate import synth, twin
 from fidpipe.pipeline.generate.recordings import Recording
-from fidpipe.pipeline.report.page.run_data import _last_criteria
+from fidpipe.pipeline.report.page.run_data import _good_enough
 from fidpipe.pipeline.report.render import csv_table, terminal
 from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.results.best_case import BEST_CASE_DATASET, BEST_CASE_RECIPE, read_recipe
@@ -125,6 +125,26 @@ def test_an_entry_of_another_shape_counts_as_absent(again, content):
     assert RunFolder(again).ledger.jobs("000") == {}
 
 
+def test_a_cause_that_only_another_version_knew_is_left_out(again):
+    """And one of this version that its table lacks is unknown."""
+
+    def rename(causes):
+        names = ["old cause" if name == "height" else name for name in causes["cause"].to_pylist()]
+        return causes.set_column(causes.schema.get_field_index("cause"), causes.schema.field("cause"), [names])
+
+    for path in (again / "causes").glob("*.parquet"):
+        rewrite(again, f"causes/{path.name}", rename)
+    causes = FinishedRun(again).mean_amounts
+    assert "old cause" not in causes
+    assert causes["height"].reason == "the run was made by a version without this cause"
+    record = read_run(again)
+    for cause in record["overview"]["causes"]:
+        cause["name"] = "old cause"
+    (again / "run.json").write_text(json.dumps(record))
+    assert FinishedRun(again).diagnosis is None
+    assert command("gate", again, "--max", "causes.height=0.05").returncode == 4
+
+
 @pytest.mark.parametrize("name", ["metrics", "ledger", ".writer", "run.json", "pairs.parquet", "report"])
 def test_a_link_in_a_run_folder_is_refused_and_what_it_leads_to_stays(again, dataset, tmp_path, name):
     outside = tmp_path / "outside"
@@ -217,4 +237,6 @@ def test_no_cell_begins_a_formula():
 def test_criteria_that_no_gate_wrote_are_not_believed(tmp_path, criteria):
     path = tmp_path / "gate.json"
     path.write_text(f'{{"criteria": {criteria * (50_000 if criteria == "[" else 1)}}}')
-    assert _last_criteria(path) is None
+    is_met, (line,) = _good_enough(SimpleNamespace(run=SimpleNamespace(folder=tmp_path)), None)
+    assert is_met is None
+    assert "gate.json cannot be evaluated again" in line

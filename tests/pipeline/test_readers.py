@@ -171,6 +171,11 @@ def test_times_are_seconds_or_whole_nanoseconds(tmp_path, dtype, times):
     np.testing.assert_allclose(read_scan(tmp_path / "a.npy").times_s, times, rtol=1e-12)
 
 
+def test_a_pcd_without_counts_has_one_number_per_field(tmp_path):
+    (tmp_path / "a.pcd").write_text(ascii_pcd(POINTS, [1, 2, 3]).replace("COUNT 1 1 1 1\n", ""))
+    np.testing.assert_array_equal(read_scan(tmp_path / "a.pcd").points, POINTS)
+
+
 def test_an_organised_pcd_keeps_missing_returns_in_their_places(tmp_path):
     points = np.repeat(POINTS, 4, axis=0)
     points[[1, 5]] = np.nan

@@ -47,7 +47,8 @@ def _header(path: Path, file: BinaryIO) -> bytes:
             lines[name] = values
         if name == "DATA" or len(lines) == _HEADER_LINES:
             break
-    counts = lines.get("COUNT", [])
+    counts = lines.setdefault("COUNT", ["1" for _ in lines.get("FIELDS", [])])
+    lines["DATA"] = lines.pop("DATA", [])  # the last line
     n_columns = sum(map(int, counts))
     if n_columns > _MOST_COLUMNS:
         raise ScanError(
