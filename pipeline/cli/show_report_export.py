@@ -78,12 +78,13 @@ def report(
     run: RunFolder,
     pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
     folder: bool = False,
+    figures: bool = False,
     best_case: BestCase = None,
     out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
     html: Path | None = None,
     opens: Annotated[bool, typer.Option("--open")] = False,
 ) -> None:
-    """Make a self-contained web page of a finished run.
+    """Make a self-contained web page of a finished run, and with --figures the paper's figures.
 
     RUN/report.html: surface, what to fix first, worst places, scores, tables, points of some pairs
     in 3D (the worst, the middle and the best ones, or those of --pairs).
@@ -94,7 +95,8 @@ def report(
     ----------
     pairs : Show pairs whose name matches in 3D, such as '0000*'.
     folder : One page per pair and an index, in RUN/report.
-    out : Folder for the pages.
+    figures : Also draw the figures for print, in RUN/figures, as PNG, SVG and PDF.
+    out : Folder for pages and figures.
     html : Write the page to this file.
     opens : Open the page in the browser.
 
@@ -105,6 +107,8 @@ def report(
     fidpipe report runs/dataset --pairs '0007'
 
     fidpipe report runs/dataset --folder
+
+    fidpipe report runs/dataset --figures
 
     fidpipe report runs/dataset --best-case runs/dataset-best-case
     """
@@ -123,10 +127,14 @@ def report(
         out=out,
         html=html,
         best_case=best_case,
+        with_figures=figures,
         reporter=Reporter(),
     )
     pages = f" and {files.n_pages - 1} more" if files.n_pages > 1 else ""
     print_line(f"page:    {files.page}{pages} ({files.n_views} of {files.n_pairs} pairs in 3D)")
+    if files.figures:
+        names = ", ".join(dict.fromkeys(path.stem for path in files.figures))
+        print_line(f"figures: {files.figures[0].parent} ({names}; PNG, SVG and PDF)")
     if opens and not webbrowser.open(files.page.resolve().as_uri()):
         Reporter().warn(f"no browser could be started; open {files.page} in one")
 

@@ -1,4 +1,4 @@
-"""Writes the report of a run: the page, or a folder of pages with an index."""
+"""Writes the report of a run: the page, or a folder of pages with an index; and the figures."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from .run_data import page_data, page_words
 
 PAGE = "report.html"
 PAGES = "report"
+FIGURES = "figures"
 #: Number of pairs with points on a page, a third each of the worst, the middle and the best.
 MOST_VIEWS = 15
 _PLOTLY = "plotly.min.js"
@@ -27,10 +28,11 @@ _INDEX = "index.html"
 
 @dataclass(frozen=True)
 class ReportFiles:
-    """Files written: the page to open, number of pages, and number of pairs in 3D."""
+    """Files written: the page to open, number of pages, figures, and number of pairs in 3D."""
 
     page: Path
     n_pages: int
+    figures: list[Path]
     n_views: int
     n_pairs: int
 
@@ -52,6 +54,7 @@ def write_report(
     out: Path | None = None,
     html: Path | None = None,
     best_case: Path | None = None,
+    with_figures: bool = False,
     reporter: Reporter | None = None,
 ) -> ReportFiles:
     """Write the page of a finished run, in place of that of an earlier report.
@@ -65,6 +68,7 @@ def write_report(
     html : file of the single page; by default report.html in that folder
     best_case : the run of fidpipe best-case that scores are also shown over
     one_page_a_pair : write a folder of pages, one for each of those pairs, instead of the page
+    with_figures : also write the paper's figures; maps are of the median of those pairs
     reporter : shows the progress over pairs
 
     Raises
@@ -73,6 +77,8 @@ def write_report(
         The folder is not a finished run, has no scored pair or a damaged table, no pair matches, or
         a file cannot be written; or the best case is another's.
     """
+    if with_figures:
+        from ..figures.run_figures import draw_figures  # matplotlib takes a second to load
     results = read_results(folder)
     excess = None if best_case is None else excess_over(results.run, best_case)
     folder = out or folder
@@ -102,7 +108,10 @@ def write_report(
         content = render("report.html", report, plotly_source, view_note=page.note, **words)
         write_whole(page.path, content.encode())
     show.stop()
-    return ReportFiles(pages[-1].path, len(pages), n_views, len(results.pairs))
+    figures = []
+    if with_figures:
+        figures = draw_figures(results, chosen[len(chosen) // 2], folder / FIGURES)
+    return ReportFiles(pages[-1].path, len(pages), figures, n_views, len(results.pairs))
 
 
 def _run_page(path: Path, results: RunResults, chosen: list[str]) -> _Page:
