@@ -230,7 +230,7 @@ def variants():
         "gaps of 4 deg in 10 directions, simulated": Variant("", gaps(10, 4), allowed=("blind sector",)),
         "gaps of 8 deg in 5 directions, simulated": Variant("", gaps(5, 8), allowed=("blind sector",)),
         "one point repeated, 30 %": Variant("one repeated point", repeated([1.2, 0, 1.8], 0.3)),
-        "misses around 80 m, 25 %": Variant("rays without", misses(80, 0.25, 0.3), allowed=("maximum range",)),
+        "misses around 80 m, 25 %": Variant("rays without", misses(80, 0.25, 0.3)),
         "misses at 60 and 120 m": Variant(
             "rays without", after(misses(60, 0.15), far_misses(120, 0.15)), allowed=("maximum range",)
         ),

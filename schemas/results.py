@@ -105,19 +105,11 @@ class Unmatched(Result):
     """Objects of each side in a group, and how many of them the other side lacks; a share of no objects is null."""
 
     n_real: int
-    n_missing: int
-    missing_share: float | None
+    n_not_found: int
+    not_found_share: float | None
     n_sim: int
-    n_hallucinated: int
-    hallucinated_share: float | None
-
-    def count(self, side: str) -> int:
-        """Objects of a side, "real" or "sim"."""
-        return self.n_real if side == "real" else self.n_sim
-
-    def alone(self, side: str) -> int:
-        """Objects of a side that the other side lacks."""
-        return self.n_missing if side == "real" else self.n_hallucinated
+    n_extra: int
+    extra_share: float | None
 
 
 class _Band(Result):
@@ -163,22 +155,6 @@ class ClassFindings(Unmatched, _Label):  # in this order the label comes first i
     scores: dict[str, GroupMean]
 
 
-class ScanFindings(Result):
-    """One of the four scans of the paper's box plots."""
-
-    pair: str
-    timestamp_s: float | None
-    cdc: Distribution
-    r_lambda: Distribution
-
-
-class Scans(Result):
-    """The scans; `apart` says whether they are known to be more than a minute apart."""
-
-    apart: bool
-    scans: tuple[ScanFindings, ...]
-
-
 class ObjectFindings(Result):
     """Summary of the objects of all pairs: the numbers of the paper's section "Real experiments"."""
 
@@ -189,7 +165,6 @@ class ObjectFindings(Result):
     density_ratio: DensityRatio
     range_m: RangeFindings
     classes: tuple[ClassFindings, ...]
-    scans: Scans
 
 
 class Findings(ObjectFindings):

@@ -23,10 +23,11 @@ from .coverage import nearest_distances
 from .linalg.assignment import assign_nodes
 from .linalg.heat import heat_change, heat_trace
 from .linalg.laplacian import induced_laplacian, normalised_laplacian
+from .linalg.nearest import nearest_points
 from .linalg.spectrum import spectral_norm
 from .linalg.subgraph import Subgraph
 from .metrics import IDENTICAL_CHANGE, MIN_NODES
-from .reference import nearest_points, visiting_order
+from .reference import visiting_order
 from .selection import Selection
 
 _SEED = 0  # of samples and directions

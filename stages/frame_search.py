@@ -61,30 +61,14 @@ _FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name
 
 
 def _rotations() -> dict[str, FloatArray]:
-    """Rotations and mirrors by name: usual mistakes, and those of either scan in one of the known frames."""
-    mistakes = read_data("axis_mistakes")
-    turns = {name: np.array(rows, dtype=np.float64) for name, rows in mistakes.items()}
-    for real, F_real in _FRAMES.items():
-        for sim, F_sim in _FRAMES.items():
-            turn = F_real.T @ F_sim
-            if not any(np.array_equal(turn, known) for known in turns.values()):
-                turns[_frames_words(real, sim)] = turn
+    """All 48 orders and signs of the axes by name, usual mistakes first."""
+    turns = {name: np.array(rows, dtype=np.float64) for name, rows in read_data("axis_mistakes").items()}
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             turn = np.eye(3)[list(order)].T * signs
             if not any(np.array_equal(turn, known) for known in turns.values()):
                 turns[f"read as {_axes_words(turn)}"] = turn
     return turns
-
-
-def _frames_words(real: FrameName, sim: FrameName) -> str:
-    """Frames in which the scans are read, other than the usual one."""
-    words = []
-    if sim != "ros":
-        words.append(f"read as {sim}")
-    if real != "ros":
-        words.append(f"with the real one read as {real}")
-    return " and ".join(words)
 
 
 def _axes_words(turn: FloatArray) -> str:

@@ -13,7 +13,7 @@ import scipy
 from ..schemas.errors import StageError
 from ..schemas.settings import GroundSettings
 from .arrays import BoolArray, FloatArray
-from .reference import nearest_points
+from .linalg.nearest import nearest_points
 
 MIN_OBJECT_POINTS = 8
 MAX_TILT_DEG = 10.0

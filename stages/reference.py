@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ..schemas.errors import StageError
 from ..schemas.settings import CommunitySettings
 from .arrays import FloatArray, IndexArray, IntArray
 from .communities import canonical_ids, find_communities
+from .linalg.nearest import nearest_points
 from .linalg.subgraph import Edges, connected_nodes, connected_points
 
 #: Sources of the annotations that the settings may request.
@@ -23,7 +23,6 @@ _SOURCES = {
     "labels": "a column label, or a .label file next to the scan",
     "instances": "a column instance, or the upper 16 bits of a .label file next to the scan",
 }
-_SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last bits
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ def assign_to_reference(
     settings: CommunitySettings,
     link_m: float,
 ) -> IntArray:
-    """Object of each point of the simulated side: the ids of real objects, then those of hallucinated ones.
+    """Object of each point of the simulated side: the ids of real objects, then those of extra ones.
 
     A point with its nearest real point (for equal distances the first by x, y, z) at most reach_m away belongs to the
     object of that point, or like it to none (-1). Points out of reach form connected components, as surface pieces do:
@@ -193,16 +192,3 @@ def _merge_small(
             place = np.searchsorted(of_small[closest], np.arange(len(ids)))
             merged[small] = components[large[nearest[closest[place]]]][of_small]
     return merged
-
-
-def nearest_points(reference: FloatArray, points: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Index and distance of each point's nearest reference point, (n,); for equal distances the first by x, y, z."""
-    tree = scipy.spatial.cKDTree(reference)
-    distance_m, nearest = tree.query(points, k=min(2, len(reference)))
-    if len(reference) == 1:
-        return nearest, distance_m
-    for i in np.flatnonzero(distance_m[:, 1] <= distance_m[:, 0] * (1 + _SLACK)):
-        ball = np.array(tree.query_ball_point(points[i], distance_m[i, 0] * (1 + _SLACK)))
-        squared = ((reference[ball] - points[i]) ** 2).sum(axis=1)
-        nearest[i, 0] = ball[np.lexsort((*reference[ball].T[::-1], squared))[0]]
-    return nearest[:, 0], distance_m[:, 0]

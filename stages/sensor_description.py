@@ -23,6 +23,7 @@ from .trust import (
     RETURNS,
     SWEEPS_IN_A_ROW,
     find_misses,
+    grid_text,
     later_returns,
     misses_text,
     position_text,
@@ -37,6 +38,7 @@ from .trust import (
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
 #: Columns of table `sensor` that `pairs` has for both sides.
 _PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
+_YES = {True: "yes", False: "no"}
 _MIN_POINTS = 500
 _HOLE = 5  # pulses that a gap within a surface may lack, at most
 _QUANTA_M = (0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
@@ -155,8 +157,10 @@ def describe_with_gaps(
             sensor.doubts[POSITION] = text
         elif _is_several_sweeps(points):
             sensor.doubts[ONE_SWEEP] = SWEEPS_IN_A_ROW
+        elif text := grid_text(points):
+            sensor.doubts[BEAMS] = text
         return _undetected(sensor, pattern), NO_GAPS
-    sensor, (gaps, n_lost) = _describe_beams(_with_pattern(sensor, pattern), points, pattern)
+    sensor, (gaps, n_lost) = _describe_beams(sensor, points, pattern)
     return sensor, (rows[gaps], n_lost)
 
 
@@ -164,18 +168,6 @@ def _field_of_view(points: FloatArray) -> tuple[float, float, float]:
     slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
     around_deg = 360.0 - widest_azimuth_gap_deg(points)
     return round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1)
-
-
-def _with_pattern(sensor: SensorDescription, pattern: BeamPattern) -> SensorDescription:
-    return replace(
-        sensor,
-        elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
-        is_even=pattern.is_even,
-        is_sharp=pattern.is_sharp,
-        origin_height_m=pattern.origin_height_m,
-        block_deg=pattern.block_deg,
-        focal_m=pattern.focal_m,
-    )
 
 
 def _describe_beams(
@@ -197,7 +189,7 @@ def _describe_beams(
         untold["azimuth_step_deg"] = several_sweeps
     elif several_returns:
         doubts[RETURNS] = several_returns
-    if step is not None and (thinned := thinned_text(sweep.gap_deg, sweep.range_m)):
+    if not several_sweeps and (thinned := thinned_text(sweep.gap_deg, sweep.range_m, points)):
         doubts[BEAMS] = thinned
         step = None
         untold["azimuth_step_deg"] = thinned
@@ -209,6 +201,12 @@ def _describe_beams(
     untold["model"] = known.reason
     sensor = replace(
         sensor,
+        elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
+        is_even=pattern.is_even,
+        is_sharp=pattern.is_sharp,
+        origin_height_m=pattern.origin_height_m,
+        block_deg=pattern.block_deg,
+        focal_m=pattern.focal_m,
         azimuth_step_deg=step,
         range_quantum_m=quantum,
         range_noise_m=noise,
@@ -310,7 +308,7 @@ def sensor_lines(sensor: SensorDescription) -> list[str]:
     if sensor.elevation_deg:
         rows.append(("angular noise", _angular_text(sensor)))
     rows += _property(sensor, "pulses lost in surfaces", "lost_share", _lost_text)
-    rows.append(("for each point", f"ring: {_yes(sensor.has_ring)}, time: {_yes(sensor.has_time)}"))
+    rows.append(("for each point", f"ring: {_YES[sensor.has_ring]}, time: {_YES[sensor.has_time]}"))
     return [f"{name}: {text}" for name, text in rows]
 
 
@@ -360,10 +358,6 @@ def _heights_text(sensor: SensorDescription) -> str:
         return f"{' and '.join(texts)} m {'above' if max(heights) > 0 else 'below'} the origin"
     texts = [f"{height:+g}" for height in heights]
     return f"{' and '.join(texts)} m from the origin"
-
-
-def _yes(has: bool) -> str:
-    return "yes" if has else "no"
 
 
 @dataclass(frozen=True)

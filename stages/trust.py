@@ -14,6 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from .arrays import BoolArray, FloatArray, IndexArray
+from .thinning import shares_voxel
 
 MISSES, RETURNS = "misses", "single_returns"
 ONE_SWEEP, POSITION, BEAMS = "one_sweep", "sensor_position", "beams"
@@ -40,6 +41,8 @@ _SAME_DEPTH = 0.05  # of the range: two returns of one surface
 _NEAREST_GRID_M, _NEAR_GRID_M, _FAR_GRID_M = 2.0, 8.0, 15.0
 _FEWEST_OF_GRID = 200
 _WIDER_NEAR = 1.4  # grids of 5 to 20 cm have 1.6 to 8 mostly, other scans at most 1.01
+_THINNED = "{}: thinned by a voxel grid? Compare scans as recorded"
+_GRIDS_M = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 _MOST_GROUPS = 30_000
 _MOST_SWEEPS = 5
 _UNEVEN = 0.2  # sweeps have 0.25 at least, other scans up to 0.18
@@ -183,24 +186,48 @@ def turns_text(beam: IndexArray, azimuth_deg: FloatArray, row: IndexArray) -> st
     return _SEVERAL_SWEEPS.format("Its rows go around more than once")
 
 
-def thinned_text(gap_deg: FloatArray, range_m: FloatArray) -> str | None:
+def thinned_text(gap_deg: FloatArray, range_m: FloatArray, points: FloatArray) -> str | None:
     """The doubt that a scan was thinned by a grid: steps of its beams are wider near the sensor; None if they are not.
+
+    With too few returns near or far, see `grid_text`.
 
     Parameters
     ----------
     gap_deg : (n - 1,) azimuth from each return to the next of its beam, NaN without one
     range_m : (n,)
+    points : (m, 3) all points, metres
     """
     nearer_m = np.minimum(range_m[1:], range_m[:-1])
     is_surface = (np.abs(np.diff(range_m)) < _SAME_DEPTH * nearer_m) & (gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)
     near_deg = gap_deg[is_surface & (nearer_m > _NEAREST_GRID_M) & (nearer_m < _NEAR_GRID_M)]
     far_deg = gap_deg[is_surface & (nearer_m > _FAR_GRID_M)]
     if min(len(near_deg), len(far_deg)) < _FEWEST_OF_GRID:
-        return None
+        return grid_text(points)
     for average in (np.median, np.mean):  # of a scan with many losses only one may differ
         if average(near_deg) < _WIDER_NEAR * average(far_deg):
             return None
-    return "steps of a beam are wider near the sensor: thinned by a voxel grid? Compare scans as recorded"
+    return _THINNED.format("steps of a beam are wider near the sensor")
+
+
+def grid_text(points: FloatArray) -> str | None:
+    """The doubt that a scan was thinned by a grid: a voxel has one point each, though most have nearer neighbours.
+
+    Voxels have a corner at the origin, or half an edge below the lowest coordinates.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    """
+    from scipy.spatial import cKDTree
+
+    apart_m, _ = cKDTree(points).query(points[:: -(-len(points) // _SAMPLE)], k=2)
+    for size_m in _GRIDS_M:
+        if np.median(apart_m[:, 1]) > size_m:
+            continue
+        for origin in (np.zeros(3), points.min(axis=0) - size_m / 2):
+            if not shares_voxel(points - origin, size_m).any():
+                return _THINNED.format(f"no two points share a voxel of {size_m:g} m")
+    return None
 
 
 def _repetition(gap_deg: FloatArray, n: int, most_deg: float) -> tuple[float, float, float]:

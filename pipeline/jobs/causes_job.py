@@ -153,6 +153,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=5,
+    version=6,
     libraries=("scikit-learn",),
 )

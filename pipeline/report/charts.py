@@ -189,7 +189,7 @@ def _sequence(results: RunResults) -> Chart:
                 "marker": {"color": colour, "size": 7, "symbol": symbol},
             }
         )
-    along = "time since the first scan (s), or number of the pair by name"
+    along = "seconds, or number of the pair"
     layout = {
         "xaxis": {"title": {"text": along}, "nticks": min(10, len(rows))},
         "yaxis": {"rangemode": "tozero", "title": {"text": "match rate, means of scores"}},

@@ -23,7 +23,7 @@ from ...stages.statistics.validation import double_validation_metric
 from ...stages.summary import mean_and_std
 from ..storage.run_record import read_run
 from ..storage.urls import url_or_path
-from .finished import OF_SIM_FILES, FinishedRun, differences, settings_changes
+from .finished import FinishedRun, differences, settings_changes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,8 +35,8 @@ AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real
 #: What has a best case: columns of `pairs`.
 SCORES = (
     "match_rate",
-    "n_missing",
-    "n_hallucinated",
+    "n_not_found",
+    "n_extra",
     *(name for name in RUN_SCORES if name != "match_rate"),
 )
 
@@ -212,7 +212,7 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
 
 def _refuse_other_best_case(run: FinishedRun, best_case: FinishedRun) -> None:
     runs = f"run {run.folder} and best case {best_case.folder}"
-    differing = settings_changes(run, best_case, but=OF_SIM_FILES)
+    differing = settings_changes(run, best_case)
     if differing:
         raise RunError(
             f"{runs}: settings differ ({'; '.join(differing)}); make one for it: {_command(run)}"

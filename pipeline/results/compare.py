@@ -24,7 +24,7 @@ from ..engine.progress import Reporter
 from .best_case import RunExcess, excess_over
 from .changes import Changes, change_rows, find_changes
 from .families import FamilyChange, ScoreChange, judge_families, overall, score_rows
-from .finished import OF_SIM_FILES, FinishedRun, differences, partition_note, settings_changes
+from .finished import FinishedRun, differences, partition_note, settings_changes
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, follow
 from .independence import how_found, pairs_and_places
 from .object_frame import plain_rows
@@ -169,7 +169,7 @@ def compare_runs(
     base, *others = [FinishedRun(folder) for folder in folders]
     comparisons = []
     for other in others:
-        settings = settings_changes(base, other, but=OF_SIM_FILES)
+        settings = settings_changes(base, other)
         if settings and not allow_different_settings:
             raise RunError(_settings_differ(base, other, settings))
         comparisons.append(_compare(base, other, settings, best_case, independent, reporter))

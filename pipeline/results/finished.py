@@ -119,7 +119,7 @@ class FinishedRun:
         """One row per object of either side of all scored pairs, with place, coverage, class, fate and scores.
 
         Columns are those of the tables `objects`, `coverage` and `metrics` with units in their names, and `fate`
-        (matched, missing, hallucinated; remnant: a few simulated points of a missing object), `partner` (the matched
+        (matched, not_found, extra; remnant: a few simulated points of an object not found), `partner` (the matched
         object of the other side, -1 without one), `shape`, `bearing_deg`, `diagonal_m` and `quadrant`. Scores are
         those of the pair of objects, on both rows; null for unmatched objects.
         """
@@ -342,11 +342,11 @@ def _frame(table: pa.Table) -> pd.DataFrame:
 
 
 #: How the files of the simulated side are read: runs that differ in these alone can be compared.
-OF_SIM_FILES = ("input.sim_columns", "input.sim_flip_y", "input.sim_frame")
+_OF_SIM_FILES = ("sim_columns", "sim_flip_y", "sim_frame")
 
 
-def settings_changes(base: FinishedRun, other: FinishedRun, but: Sequence[str] = ()) -> list[str]:
-    """Settings of the stages that every run has and that differ, as text; `but` names some that may."""
+def settings_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
+    """Settings of the stages that every run has and that differ, as text; not how simulated files are read."""
     from ..jobs import STAGES  # with all libraries of the stages
 
     groups: dict[str, None] = {}
@@ -354,9 +354,11 @@ def settings_changes(base: FinishedRun, other: FinishedRun, but: Sequence[str] =
         groups |= dict.fromkeys(stage.settings)
     changes = []
     for group in groups:
-        before, after = base.record.settings.get(group, {}), other.record.settings.get(group, {})
-        changes += [(f"{group}.{name}", a, b) for name, a, b in differences(before, after)]
-    return [f"{name} is {a} and {b}" for name, a, b in changes if name not in but]
+        settings = [run.record.settings.get(group, {}) for run in (base, other)]
+        for name, before, after in differences(*settings):
+            if name not in _OF_SIM_FILES:
+                changes.append(f"{group}.{name} is {before} and {after}")
+    return changes
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
@@ -391,7 +393,7 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
 class ObjectFacts:
     """One object of a pair; without the columns that name pair and side.
 
-    status : matched, missing or hallucinated
+    status : matched, not_found or extra
     real, sim : the rows of `objects`, each with that of `coverage`; None if the side does not have it. Of a missing
         object with a number fixed by the real side, `sim` is its few simulated points
     scores : the row of `metrics`; None if it is not matched

@@ -84,7 +84,7 @@ def shape_of(
 
 
 #: Fate of an object that only one side has.
-_ALONE = {"real": "missing", "sim": "hallucinated"}
+_ALONE = {"real": "not_found", "sim": "extra"}
 #: Scores that are counts.
 _COUNTS = [field.name for field in TABLES["metrics"].schema if pa.types.is_integer(field.type)]
 _EXTENTS = ("extent_x", "extent_y", "extent_z")
@@ -120,7 +120,7 @@ def object_parts(
 
     - pair_id, side, community_id, n_points
     - pair : index in `pair_ids`
-    - fate : matched, missing, hallucinated, or remnant (the few simulated points of a missing object where the real
+    - fate : matched, not_found, extra, or remnant (the few simulated points of an unmatched object where the real
       side fixes the objects; it does not count as a simulated object)
     - partner : id of the matched object of the other side, -1 without one
 
@@ -198,7 +198,7 @@ STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", *DISTRIBUTED)
 def arrays_of(objects: pd.DataFrame) -> Objects:
     """The objects for the statistics over all of them; remnants do not count."""
     counted = objects[objects["fate"] != "remnant"]
-    numbers = [name for name in ("pair", *STATISTICS_COLUMNS) if name != "label"]
+    numbers = [name for name in STATISTICS_COLUMNS if name != "label"]
     return Objects(
         is_real=(counted["side"] == "real").to_numpy(),
         label=counted["label"].fillna("").to_numpy(dtype=np.str_),

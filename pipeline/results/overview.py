@@ -113,16 +113,15 @@ def describe_objects(
         return (
             None,
             None,
-            MetricsSummary(unmatched=UnmatchedSurface(missing=none, hallucinated=none)),
+            MetricsSummary(unmatched=UnmatchedSurface(not_found=none, extra=none)),
         )
     pair_ids = scored["pair_id"].to_pylist()
     columns = list({*STATISTICS_COLUMNS, *OVERVIEW_COLUMNS})
     parts = object_parts(store, pair_ids, columns, by_reference=by_reference)
     objects = pd.concat([part.loc[part["fate"] != "remnant", [*_KEYS, *columns]] for part in parts])
     objects["label"] = objects["label"].fillna("")
-    times = [timestamps_s.get(pair_id) for pair_id in pair_ids]
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
-    found = summarise_objects(arrays_of(objects), pair_ids, times)
+    found = summarise_objects(arrays_of(objects), len(pair_ids))
     places = dict(zip(pair_ids, blocks.tolist(), strict=True))
     findings = Findings(n_places=len(np.unique(blocks)), places=places, **vars(found))
     causes = read_causes(store, pair_ids)

@@ -277,6 +277,8 @@ def _maximum_range(real: Side, sim: Side, missing: Unmatched, invented: Unmatche
 
 
 def _stray_amount(real: Side, sim: Side) -> Amount:
+    if not real.sensor.elevation_deg and not sim.sensor.elevation_deg:  # the sensor may be elsewhere
+        return Amount(None, reason=_why_unknown(real.sensor, sim.sensor, "elevation_deg"))
     real_share = _stray_share(real)
     sim_share = _stray_share(sim)
     return _difference(real_share, sim_share, abs(sim_share - real_share))

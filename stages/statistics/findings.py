@@ -5,7 +5,6 @@ Counts and distributions pool the objects of all pairs. Means over pairs are in 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,8 +21,6 @@ from ...schemas.results import (
     RangeBand,
     RangeFindings,
     RankCorrelation,
-    ScanFindings,
-    Scans,
     ScoreDistributions,
     Unmatched,
 )
@@ -36,9 +33,6 @@ BAND_NAMES = (
     *(f"{low:.0f} to {high:.0f} m" for low, high in pairwise(BAND_EDGES_M)),
     f"over {BAND_EDGES_M[-1]:.0f} m",
 )
-#: Scans of the paper's box plots, and how far apart in time they must be.
-N_SCANS = 4
-SCAN_GAP_S = 60.0
 #: The paper: n_sim is from under a quarter to over four times n_real.
 SPARSE_RATIO = 0.25
 DENSE_RATIO = 4.0
@@ -57,7 +51,6 @@ _QUANTILES = {
 class Objects:
     """Objects of both sides of all pairs.
 
-    pair : (n,) index of the pair
     is_real : (n,) True if it is of the real side
     range_m : (n,) distance of the centroid from the sensor
     label : (n,) class, "" if the object has none
@@ -66,7 +59,6 @@ class Objects:
     cdc, r_lambda, r_gap : (n,) scores of a matched object, NaN for null
     """
 
-    pair: IntArray
     is_real: BoolArray
     range_m: FloatArray
     label: NDArray[np.str_]
@@ -84,23 +76,18 @@ class Objects:
         return Objects(**{name: values[chosen] for name, values in vars(self).items()})
 
 
-def summarise_objects(
-    objects: Objects,
-    pair_ids: Sequence[str],
-    timestamps_s: Sequence[float | None],
-) -> ObjectFindings:
-    """Compute distributions, ranges, classes, density ratios, correlation, and the four scans; None for missing values.
+def summarise_objects(objects: Objects, n_pairs: int) -> ObjectFindings:
+    """Compute distributions, ranges, classes, density ratios and correlation; None for missing values.
 
     Parameters
     ----------
     objects : of both sides
-    pair_ids : name of each pair
-    timestamps_s : time of the scan of each pair; None if unknown
+    n_pairs : number of pairs, also of those without objects
     """
     matched = objects.matched
     return ObjectFindings(
-        n_pairs=len(pair_ids),
-        n_matched=len(matched.pair),
+        n_pairs=n_pairs,
+        n_matched=len(matched.range_m),
         distributions=ScoreDistributions(
             cdc=distribution(matched.cdc),
             r_lambda=distribution(matched.r_lambda),
@@ -114,7 +101,6 @@ def summarise_objects(
             bands=by_range(objects),
         ),
         classes=by_class(objects),
-        scans=compare_scans(matched, pair_ids, timestamps_s),
     )
 
 
@@ -185,7 +171,7 @@ def density_ratio(n_real: IntArray, n_sim: IntArray) -> DensityRatio:
 
 
 def by_range(objects: Objects) -> tuple[RangeBand, ...]:
-    """Missing and hallucinated objects by distance from the sensor on their side; the last band has no end."""
+    """Objects not found and extra ones by distance from the sensor on their side; the last band has no end."""
     bands = []
     for low, high in pairwise([*BAND_EDGES_M, np.inf]):
         counts = _unmatched(objects, (objects.range_m >= low) & (objects.range_m < high))
@@ -194,7 +180,7 @@ def by_range(objects: Objects) -> tuple[RangeBand, ...]:
 
 
 def by_class(objects: Objects) -> tuple[ClassFindings, ...]:
-    """Missing, hallucinated and scores by class, the class with most objects first; () without labels.
+    """Objects not found, extra ones and scores by class, the class with most objects first; () without labels.
 
     A matched object has the class of its real side. Each score has its mean, standard deviation (n - 1) and number of
     objects.
@@ -223,48 +209,6 @@ def _group_mean(values: FloatArray) -> GroupMean:
     return GroupMean(mean=mean, std=std, n=int(np.count_nonzero(~np.isnan(values))))
 
 
-def compare_scans(
-    matched: Objects,
-    pair_ids: Sequence[str],
-    timestamps_s: Sequence[float | None],
-) -> Scans:
-    """CDC and r_lambda in four scans that were taken more than a minute apart (the paper's box plots).
-
-    If fewer than two scans are known to be a minute apart, four pairs evenly spaced by name are used instead, and
-    `apart` is false.
-    """
-    chosen = scans_apart(timestamps_s)
-    apart = len(chosen) > 1
-    if not apart:
-        chosen = evenly(len(timestamps_s), N_SCANS)
-    scans = [
-        ScanFindings(
-            pair=pair_ids[i],
-            timestamp_s=timestamps_s[i],
-            cdc=distribution(matched.cdc[matched.pair == i]),
-            r_lambda=distribution(matched.r_lambda[matched.pair == i]),
-        )
-        for i in chosen
-    ]
-    return Scans(apart=apart, scans=tuple(scans))
-
-
-def scans_apart(timestamps_s: Sequence[float | None]) -> list[int]:
-    """At most four scans, evenly spread over a longest chain of scans each more than a minute after the one before.
-
-    Examples
-    --------
-    >>> scans_apart([0.0, 30.0, 61.0, None, 500.0])
-    [0, 2, 4]
-    """
-    known = sorted((time_s, i) for i, time_s in enumerate(timestamps_s) if time_s is not None)
-    chain: list[tuple[float, int]] = []
-    for time_s, i in known:
-        if not chain or time_s - chain[-1][0] > SCAN_GAP_S:
-            chain.append((time_s, i))
-    return [chain[place][1] for place in evenly(len(chain), N_SCANS)]
-
-
 def evenly(n: int, most: int) -> list[int]:
     """Places of at most `most` of n things, evenly over their order, the first and the last among them.
 
@@ -282,15 +226,15 @@ def _unmatched(objects: Objects, in_group: BoolArray) -> Unmatched:
     in_sim = in_group & ~objects.is_real
     n_real = int(np.count_nonzero(in_real))
     n_sim = int(np.count_nonzero(in_sim))
-    n_missing = int(np.count_nonzero(in_real & ~objects.is_matched))
-    n_hallucinated = int(np.count_nonzero(in_sim & ~objects.is_matched))
+    n_not_found = int(np.count_nonzero(in_real & ~objects.is_matched))
+    n_extra = int(np.count_nonzero(in_sim & ~objects.is_matched))
     return Unmatched(
         n_real=n_real,
-        n_missing=n_missing,
-        missing_share=n_missing / n_real if n_real else None,
+        n_not_found=n_not_found,
+        not_found_share=n_not_found / n_real if n_real else None,
         n_sim=n_sim,
-        n_hallucinated=n_hallucinated,
-        hallucinated_share=n_hallucinated / n_sim if n_sim else None,
+        n_extra=n_extra,
+        extra_share=n_extra / n_sim if n_sim else None,
     )
 
 

@@ -162,9 +162,9 @@ def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset)
     done = command("run", dataset, "--out", again, *words, code=0)
     assert f"0 jobs done, {2 * (JOBS_PER_PAIR + 2)} reused" in done.stdout
     assert "How stable the scores are (2 seeds, 2 pairs)" in done.stdout
-    for name in ("chamfer_squared_m2", "sliced_wasserstein_m", "icp_rmse_m", "netlsd", "r_h", "whole scans", "m²"):
+    for name in ("chamfer_squared_m2", "sliced_wasserstein_m", "icp_rmse_m", "netlsd", "r_h", "objects", "scans", "m²"):
         assert name in done.stdout
-    for word in ("match rate", "r_lambda", "repeatability limit", "000", "001"):
+    for word in ("match rate", "r_lambda", "repeatability limit"):
         assert word in done.stdout
 
 

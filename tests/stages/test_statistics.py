@@ -23,7 +23,6 @@ from fidpipe.stages.statistics.findings import (
     density_ratio,
     distribution,
     rank_correlation,
-    scans_apart,
     summarise_objects,
 )
 from fidpipe.stages.statistics.neighbours import SAME_PLACE, map_place, neighbours, overlap
@@ -220,23 +219,22 @@ def test_the_same_values_are_no_distance_apart_and_nulls_are_left_out(rng):
 
 
 def both_sides(real, sim):
-    """Objects of ten points each; of each side pair, range_m, label, is_matched, and perhaps cdc and r_lambda."""
-    columns = [[] for _ in range(7)]
-    for is_real, (pair, range_m, label, is_matched, *scores) in ((True, real), (False, sim)):
-        nothing = [np.nan] * len(pair)
-        values = (pair, [is_real] * len(pair), range_m, label, is_matched, *(scores or (nothing, nothing)))
+    """Objects of ten points each; of each side range_m, label, is_matched, and perhaps cdc and r_lambda."""
+    columns = [[] for _ in range(6)]
+    for is_real, (range_m, label, is_matched, *scores) in ((True, real), (False, sim)):
+        n = len(range_m)
+        values = ([is_real] * n, range_m, label, is_matched, *(scores or ([np.nan] * n, [np.nan] * n)))
         for column, of_side in zip(columns, values, strict=True):
             column.extend(of_side)
-    pair, is_real, range_m, label, is_matched, cdc, r_lambda = columns
-    n_points = np.full((2, len(pair)), 10)
+    is_real, range_m, label, is_matched, cdc, r_lambda = columns
+    n = len(range_m)
     return Objects(
-        np.array(pair, dtype=np.int32),
         np.array(is_real, dtype=bool),
         np.array(range_m, dtype=float),
         np.array(label, dtype=str),
         np.array(is_matched, dtype=bool),
-        *n_points,
-        *np.array([cdc, r_lambda, [0.0] * len(pair)], dtype=float),
+        *np.full((2, n), 10),
+        *np.array([cdc, r_lambda, [0.0] * n], dtype=float),
     )
 
 
@@ -244,16 +242,16 @@ def both_sides(real, sim):
 def by_hand():
     """Two pairs: cars near and matched, trees far; one tree missing, one invented."""
     place = [5.0, 25.0, 5.0, 45.0], ["car", "tree", "car", "tree"], [True, True, True, False]
-    real = [0, 0, 1, 1], *place, [0.1, 0.9, 0.3, np.nan], [0.2, 0.5, np.nan, np.nan]
-    sim = [0, 0, 1, 1], [5.0, 25.0, 6.0, 60.0], *place[1:]
-    return summarise_objects(both_sides(real, sim), ["a", "b"], [0.0, 61.0])
+    real = *place, [0.1, 0.9, 0.3, np.nan], [0.2, 0.5, np.nan, np.nan]
+    sim = [5.0, 25.0, 6.0, 60.0], *place[1:]
+    return summarise_objects(both_sides(real, sim), 2)
 
 
 def test_unmatched_objects_are_counted_by_range_of_their_own_side(by_hand):
     bands = {band.from_m: band for band in by_hand.range_m.bands}
-    assert (bands[0.0].n_real, bands[0.0].n_missing, bands[0.0].missing_share) == (2, 0, 0.0)
-    assert (bands[30.0].n_real, bands[30.0].missing_share, bands[30.0].n_sim) == (1, 1.0, 0)
-    assert (bands[50.0].n_hallucinated, bands[50.0].missing_share) == (1, None)
+    assert (bands[0.0].n_real, bands[0.0].n_not_found, bands[0.0].not_found_share) == (2, 0, 0.0)
+    assert (bands[30.0].n_real, bands[30.0].not_found_share, bands[30.0].n_sim) == (1, 1.0, 0)
+    assert (bands[50.0].n_extra, bands[50.0].not_found_share) == (1, None)
     assert by_hand.range_m.median_matched == 5.0
     assert by_hand.range_m.median_unmatched == 52.5
 
@@ -263,18 +261,18 @@ def test_a_class_is_that_of_the_real_object_and_nulls_are_left_out(by_hand):
     car = classes["car"]
     assert (car.n_matched, car.scores["cdc"].mean) == (2, 0.2)
     assert car.scores["r_lambda"] == GroupMean(mean=0.2, std=None, n=1)
-    assert (classes["tree"].missing_share, classes["tree"].hallucinated_share) == (0.5, 0.5)
+    assert (classes["tree"].not_found_share, classes["tree"].extra_share) == (0.5, 0.5)
 
 
 def test_scans_without_labels_have_no_classes():
-    one = [0], [5.0], [""], [True], [0.1], [0.2]
-    found = summarise_objects(both_sides(one, one), ["a"], [None])
+    one = [5.0], [""], [True], [0.1], [0.2]
+    found = summarise_objects(both_sides(one, one), 1)
     assert found.classes == ()
 
 
 def test_nothing_at_all_gives_nulls_and_no_error():
-    nothing = [], [], [], []
-    found = summarise_objects(both_sides(nothing, nothing), ["a"], [None])
+    nothing = [], [], []
+    found = summarise_objects(both_sides(nothing, nothing), 1)
     assert found.distributions.cdc.mean is None
     assert found.rank_correlation == RankCorrelation(n=0, spearman=None, kendall=None)
     assert found.density_ratio.min is None
@@ -306,27 +304,6 @@ def test_density_ratios_are_simulated_over_real():
     found = density_ratio(np.array([100, 10, 10]), np.array([10, 10, 50]))
     assert (found.min, found.median, found.max) == (0.1, 1.0, 5.0)
     assert found.share_below_quarter == found.share_above_four == pytest.approx(1 / 3)
-
-
-def test_scans_apart_are_more_than_a_minute_apart_and_spread_over_time():
-    times = [10.0 * i for i in range(100)]
-    chosen = scans_apart(times)
-    assert len(chosen) == 4
-    assert np.diff([times[i] for i in chosen]).min() > 60
-    assert chosen[0] == 0 and times[chosen[-1]] > 900
-
-
-def test_exactly_a_minute_is_not_more_than_one():
-    assert scans_apart([0.0, 60.0]) == [0]
-
-
-def test_without_timestamps_pairs_are_evenly_spaced_and_it_is_said():
-    n = 9
-    scores = np.linspace(0.1, 0.9, n)
-    one = range(n), [5.0] * n, [""] * n, [True] * n, scores, scores
-    found = summarise_objects(both_sides(one, one), list("abcdefghi"), [None] * n).scans
-    assert found.apart is False
-    assert [scan.pair for scan in found.scans] == ["a", "d", "f", "i"]
 
 
 def town(seed):

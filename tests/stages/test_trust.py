@@ -10,7 +10,7 @@ from fidpipe.schemas.cause_catalogue import CAUSES, LOSSES
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.causes.beams import second_returns
-from fidpipe.stages.causes.estimates import Amount, _losses, doubts_of, only_known
+from fidpipe.stages.causes.estimates import Amount, _losses, _stray_amount, doubts_of, only_known
 from fidpipe.stages.causes.sides import Side
 from fidpipe.stages.frame_search import check_frames
 from fidpipe.stages.generate.street_scans import make_pair
@@ -55,6 +55,7 @@ def turned(scan, degrees):
         (lambda scan: with_misses(scan, 0.25, np.random.default_rng(1).normal(150.0, 0.3, 9999)), MISSES),
         (lambda scan: with_misses(with_misses(scan, 0.2, 150.0), 0.2, 200.0), MISSES),
         (thinned, BEAMS),
+        (lambda scan: thinned(scan[np.linalg.norm(scan, axis=1) < 15.0]), BEAMS),
         (lambda scan: np.vstack([scan, scan]), RETURNS),
         (lambda scan: with_second_returns(scan, 0.4), RETURNS),
         (lambda scan: scan + [300.0, 120.0, 4.0], POSITION),
@@ -145,6 +146,13 @@ def test_second_returns_of_exactly_one_direction_are_all_found():
     rows = np.arange(len(points))
     assert not (side.near_rays(rows, 8)[1] == rows[:, None]).any()
     assert second_returns(side).tolist() == [False] * 500 + [True] * 500
+
+
+def test_strays_are_unknown_if_no_side_has_beams(scan):
+    above = scan + [0.0, 0.0, 1.5]
+    side = Side(above, np.zeros(len(above), dtype=bool), describe_sensor(above))
+    amount = _stray_amount(side, side)
+    assert amount.amount is None and "do not lie on rings" in amount.reason
 
 
 def test_losses_are_unknown_if_the_other_causes_take_all_points():
