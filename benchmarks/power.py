@@ -53,7 +53,7 @@ BASELINES = "chamfer,hausdorff,f_score,dcd,sliced_wasserstein,icp"
 NONE = "none"
 OWN = (
     *("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "eigenspectrum_distance_mean"),
-    *("centroid_distance_m_mean", "n_missing", "n_hallucinated"),
+    *("centroid_distance_m_mean", "n_not_found", "n_extra"),
     *(f"covered_{side}_{reach}" for side in ("real", "sim") for reach in ("0p1m", "0p3m", "1m")),
     *("shift_x_m", "shift_y_m", "shift_z_m", "shift_m", "roughness_bias_m", "roughness_area_m"),
 )

@@ -261,7 +261,7 @@ def scored(real, points):
     sim = prepare(points, real)
     summary = compare(real.objects, sim.objects, SETTINGS).summary
     row = {name: summary[name] for name in SCORES if name in summary}
-    row["found"] = summary["n_matched"] / (summary["n_matched"] + summary["n_missing"])
+    row["found"] = summary["n_matched"] / (summary["n_matched"] + summary["n_not_found"])
     both = (real.objects.points, sim.objects.points)
     for side, distance_m in zip(("real", "sim"), nearest_distances(*both), strict=True):
         row[f"covered_{side}_0p1m"] = (distance_m <= 0.1).mean()

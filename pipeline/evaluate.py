@@ -71,8 +71,8 @@ class PairResult:
     def __repr__(self) -> str:
         names = (
             "n_matched",
-            "n_missing",
-            "n_hallucinated",
+            "n_not_found",
+            "n_extra",
             "match_rate",
             "cdc_mean",
             "r_lambda_mean",

@@ -165,8 +165,8 @@ SURFACE_STATES = tuple(name for name in SurfaceStates.model_fields if name != "r
 class UnmatchedSurface(Result):
     """Causes of the objects that only one side has."""
 
-    missing: SurfaceStates
-    hallucinated: SurfaceStates
+    not_found: SurfaceStates
+    extra: SurfaceStates
 
 
 class MetricsSummary(Result):

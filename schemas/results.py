@@ -105,11 +105,11 @@ class Unmatched(Result):
     """Objects of each side in a group, and how many of them the other side lacks; a share of no objects is null."""
 
     n_real: int
-    n_missing: int
-    missing_share: float | None
+    n_not_found: int
+    not_found_share: float | None
     n_sim: int
-    n_hallucinated: int
-    hallucinated_share: float | None
+    n_extra: int
+    extra_share: float | None
 
 
 class _Band(Result):

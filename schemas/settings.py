@@ -277,7 +277,7 @@ class PieceSettings(_Group):
     """Definition of a missing or invented piece of surface.
 
     reach_m : object points with no point of the other side within this distance form pieces
-    link_m : points within this distance belong to the same piece, or to the same hallucinated object
+    link_m : points within this distance belong to the same piece, or to the same extra object
     min_points : fewest points of a piece
     """
 

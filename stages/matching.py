@@ -17,15 +17,15 @@ class Matching:
 
     real_ids, sim_ids : (m,) int32, matched communities, by real id
     distance_m : (m,) float64, distance between their centroids
-    missing : (a,) int32, real communities without a partner
-    hallucinated : (b,) int32, simulated communities without a partner
+    not_found : (a,) int32, real communities without a partner
+    extra : (b,) int32, simulated communities without a partner
     """
 
     real_ids: IntArray
     sim_ids: IntArray
     distance_m: FloatArray
-    missing: IntArray
-    hallucinated: IntArray
+    not_found: IntArray
+    extra: IntArray
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
@@ -50,7 +50,7 @@ def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSetti
     >>> import numpy as np
     >>> real, sim = np.array([[0.0, 0, 0], [9, 0, 0]]), np.array([[1.0, 0, 0], [30, 0, 0]])
     >>> matching = match_communities(real, sim, MatchingSettings())
-    >>> matching.real_ids.tolist(), matching.missing.tolist(), matching.hallucinated.tolist()
+    >>> matching.real_ids.tolist(), matching.not_found.tolist(), matching.extra.tolist()
     ([0], [1], [1])
     """
     match = _greedy if settings.method == "greedy" else _optimal
@@ -59,8 +59,8 @@ def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSetti
         real_ids=real_ids.astype(np.int32),
         sim_ids=sim_ids.astype(np.int32),
         distance_m=distance_m,
-        missing=np.setdiff1d(np.arange(len(real), dtype=np.int32), real_ids),
-        hallucinated=np.setdiff1d(np.arange(len(sim), dtype=np.int32), sim_ids),
+        not_found=np.setdiff1d(np.arange(len(real), dtype=np.int32), real_ids),
+        extra=np.setdiff1d(np.arange(len(sim), dtype=np.int32), sim_ids),
     )
 
 
@@ -74,7 +74,7 @@ def match_reference(
     """Match reference objects, whose ids are the same on both sides, if enough of them is simulated.
 
     A real object is matched with the simulated one of its id, regardless of the distance, if that has at least
-    min(min_points, n_real) points; else it is missing. Simulated objects with higher ids are hallucinated.
+    min(min_points, n_real) points; else it is not found. Simulated objects with higher ids are extra.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def match_reference(
     >>> import numpy as np
     >>> places, sizes = np.arange(9.0).reshape(3, 3), np.array([20, 8, 30], dtype=np.int32)
     >>> matching = match_reference(places[:2], places, sizes[:2], sizes, 10)
-    >>> matching.real_ids.tolist(), matching.missing.tolist(), matching.hallucinated.tolist()
+    >>> matching.real_ids.tolist(), matching.not_found.tolist(), matching.extra.tolist()
     ([0, 1], [], [2])
     """
     is_matched = n_sim[: len(n_real)] >= np.minimum(min_points, n_real)
@@ -98,8 +98,8 @@ def match_reference(
         real_ids=matched,
         sim_ids=matched,
         distance_m=np.linalg.norm(real[matched] - sim[matched], axis=1),
-        missing=shared[~is_matched],
-        hallucinated=ids[len(n_real) :],
+        not_found=shared[~is_matched],
+        extra=ids[len(n_real) :],
     )
 
 

@@ -264,8 +264,8 @@ def n_communities(summary: Mapping[str, Number]) -> dict[str, int]:
     """Number of objects of each side, by column of `pairs`; the few points of a missing object do not count."""
     n_matched = int(summary["n_matched"] or 0)
     return {
-        "n_communities_real": n_matched + int(summary["n_missing"] or 0),
-        "n_communities_sim": n_matched + int(summary["n_hallucinated"] or 0),
+        "n_communities_real": n_matched + int(summary["n_not_found"] or 0),
+        "n_communities_sim": n_matched + int(summary["n_extra"] or 0),
     }
 
 
@@ -354,6 +354,6 @@ def _summarise(
         scores,
         [scored.scores.status for scored in objects],
         real.objects.range_m[matching.real_ids],
-        real.objects.range_m[matching.missing],
-        sim.objects.range_m[matching.hallucinated],
+        real.objects.range_m[matching.not_found],
+        sim.objects.range_m[matching.extra],
     )

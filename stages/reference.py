@@ -119,7 +119,7 @@ def assign_to_reference(
     settings: CommunitySettings,
     link_m: float,
 ) -> IntArray:
-    """Object of each point of the simulated side: the ids of real objects, then those of hallucinated ones.
+    """Object of each point of the simulated side: the ids of real objects, then those of extra ones.
 
     A point with its nearest real point (for equal distances the first by x, y, z) at most reach_m away belongs to the
     object of that point, or like it to none (-1). Points out of reach form connected components, as surface pieces do:

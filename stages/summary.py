@@ -14,8 +14,8 @@ def summarise_pair(
     scores: Mapping[str, FloatArray],
     statuses: Sequence[str],
     matched_range_m: FloatArray,
-    missing_range_m: FloatArray,
-    hallucinated_range_m: FloatArray,
+    not_found_range_m: FloatArray,
+    extra_range_m: FloatArray,
 ) -> dict[str, Number]:
     """Counts, match rate, median ranges, and mean and standard deviation of each object score.
 
@@ -27,25 +27,25 @@ def summarise_pair(
     scores : by metric, (m,) float64, NaN for null
     statuses : (m,) scored, identical or too_small
     matched_range_m : (m,) distance of the matched real objects from the sensor
-    missing_range_m, hallucinated_range_m : distance of the unmatched real and simulated objects from the sensor
+    not_found_range_m, extra_range_m : distance of the unmatched real and simulated objects from the sensor
     """
-    n_matched, n_missing, n_hallucinated = (
+    n_matched, n_not_found, n_extra = (
         len(matched_range_m),
-        len(missing_range_m),
-        len(hallucinated_range_m),
+        len(not_found_range_m),
+        len(extra_range_m),
     )
     summary: dict[str, Number] = {
         "n_matched": n_matched,
-        "n_missing": n_missing,
-        "n_hallucinated": n_hallucinated,
+        "n_not_found": n_not_found,
+        "n_extra": n_extra,
         "n_scored": statuses.count("scored"),
         "n_identical": statuses.count("identical"),
         "n_too_small": statuses.count("too_small"),
-        "match_rate": n_matched / (n_matched + max(n_missing, n_hallucinated)),
-        "found": n_matched / (n_matched + n_missing),
+        "match_rate": n_matched / (n_matched + max(n_not_found, n_extra)),
+        "found": n_matched / (n_matched + n_not_found),
         "median_range_matched_m": median_of(matched_range_m),
         "median_range_unmatched_m": median_of(
-            np.concatenate([missing_range_m, hallucinated_range_m]),
+            np.concatenate([not_found_range_m, extra_range_m]),
         ),
     }
     for metric, values in scores.items():
@@ -77,7 +77,7 @@ def with_unmatched_as_worst(mean: Number, n: int, n_unmatched: int, worst: float
     Parameters
     ----------
     mean : mean over the n matched objects that have the score; None if n is 0
-    n_unmatched : missing and hallucinated objects
+    n_unmatched : objects not found and extra ones
     worst : upper bound of the score
 
     Examples

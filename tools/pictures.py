@@ -204,13 +204,13 @@ def matching(axis, view):
     axis.add_collection(LineCollection(pairs, colors="black", linewidths=1))
     for column, side in enumerate(SIDES):
         axis.scatter(*pairs[:, column].T, s=14, c=SIDE_COLOURS[side], zorder=3, label=f"matched, {WORDS[side]}")
-    for status, side in (("missing", "real"), ("hallucinated", "sim")):
+    for status, side in (("not_found", "real"), ("extra", "sim")):
         unmatched = view.results.unmatched
         is_alone = (unmatched.pair_id == view.pair_id) & (unmatched.status == status)
         alone = unmatched[is_alone].community_id
         look = {"marker": "X", "s": 34, "edgecolors": "white", "linewidths": 0.5, "zorder": 3}
         axis.scatter(*centroids[side][alone].T, c=FATE_COLOURS[status], label=f"{len(alone)} {status}", **look)
-        for place in centroids[side][alone] if status == "missing" else ():
+        for place in centroids[side][alone] if status == "not_found" else ():
             axis.add_patch(Circle(place, Settings().matching.delta_m, fill=False, linewidth=0.4, color="#777777"))
     axis.set_title(f"{len(matched)} matched: match rate {view.row.match_rate:.2f}")
     axis.set(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,6 +22,9 @@ from .options import (
     format_of,
 )
 from .output import print_as
+
+if TYPE_CHECKING:
+    from pydantic import JsonValue
 
 
 def diagnose(
@@ -193,20 +196,15 @@ def tasks(
     finished = FinishedRun(run)
     if predictions:
         agreement = compare_predictions(finished, *predictions)
-        print_as(
-            output,
-            lambda: views.agreement_view(agreement),
-            lambda: views.records(agreement.objects),
-            agreement.as_dict,
-        )
+        view = views.agreement_view(agreement)
+        rows = [*agreement.objects]
+        plain: JsonValue = agreement.as_dict()
     elif odometry:
         rows = compare_odometry(finished)
-        print_as(
-            output, lambda: views.odometry_view(rows), lambda: views.records(rows), lambda: [*rows]
-        )
+        view = views.odometry_view(rows)
+        plain = [*rows]
     else:
-        summaries = finished.task_summaries
-        rows = [summary.as_dict() for summary in summaries]
-        print_as(
-            output, lambda: tasks_view(summaries), lambda: views.records(rows), lambda: [*rows]
-        )
+        rows = [summary.as_dict() for summary in finished.task_summaries]
+        view = tasks_view(finished.task_summaries)
+        plain = [*rows]
+    print_as(output, lambda: view, lambda: views.records(rows), lambda: plain)

@@ -46,8 +46,8 @@ def gate(
     pairs.changed have other bounds. If the run's folder is read-only, the result is only printed.
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over
-    objects), missing.within_20m, hallucinated.share, class.car.r_lambda.mean,
-    class.car.missing.total, causes.height (its size; spaces are underscores),
+    objects), not_found.within_20m, extra.share, class.car.r_lambda.mean,
+    class.car.not_found.total, causes.height (its size; spaces are underscores),
     tasks.objects.lost; with --best-case also excess.r_lambda.mean and excess.cdc.area;
     docs/gate.md has all.
 
@@ -64,7 +64,7 @@ def gate(
     --------
     fidpipe gate runs/dataset --max r_lambda.mean=0.4 --min match_rate.mean=0.55
 
-    fidpipe gate runs/dataset --max missing.within_20m=3 --max pairs.failed=1 --junit build/gate.xml
+    fidpipe gate runs/dataset --max not_found.within_20m=3 --max pairs.failed=1 --junit gate.xml
 
     fidpipe gate runs/dataset --max causes.height=0.05 --max causes.missing_parts=0.02
 

@@ -143,7 +143,7 @@ def export(
 
     Each clean point has x, y, z, community (its object, -1: ground), r_lambda, cdc, distance_m (to
     the other side; NaN if it has no points) and status: 0 ground, 1 scored, 2 identical, 3
-    too_small, 4 missing, 5 hallucinated.
+    too_small, 4 not_found, 5 extra.
 
     MCAP topics: /fidpipe/real and /fidpipe/sim, /fidpipe/real_objects and /fidpipe/sim_objects (a
     point per object, at its centroid), all sensor_msgs/msg/PointCloud2, and /fidpipe/scores (a

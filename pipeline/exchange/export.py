@@ -187,7 +187,7 @@ def pair_clouds(
     )
     status = objects["status"].where(
         objects["fate"] == "matched",
-        objects["fate"].replace("remnant", "missing"),
+        objects["fate"].replace("remnant", "not_found"),
     )
     objects["status"] = [Status[word.upper()].value for word in status]
     frames = {side: run.points(pair_id, side) for side in SIDES}

@@ -31,8 +31,8 @@ def make_matching(inputs: Inputs) -> JobResult:
     ):
         both = {"real_id": real_id, "sim_id": sim_id}
         rows.append(both | {"centroid_distance_m": distance_m, "status": "matched"})
-    rows += [{"real_id": i, "status": "missing"} for i in matching.missing.tolist()]
-    rows += [{"sim_id": i, "status": "hallucinated"} for i in matching.hallucinated.tolist()]
+    rows += [{"real_id": i, "status": "not_found"} for i in matching.not_found.tolist()]
+    rows += [{"sim_id": i, "status": "extra"} for i in matching.extra.tolist()]
     table = TABLES["matching"].from_rows({"pair_id": inputs.pair_id} | row for row in rows)
     matched = list(zip(real_ids, n_keep.tolist(), strict=True))
     return JobResult({"matching": table}, {OBJECTS: matched})
@@ -50,6 +50,6 @@ STAGE = Stage(
     gives=("matching",),
     settings=("communities", "matching"),
     grain=Grain.PAIR,
-    version=1,
+    version=2,
     make=make_matching,
 )

@@ -51,8 +51,8 @@ def gather_metrics(inputs: Inputs, tables: Tables) -> Metadata:
         {metric: metrics.column(metric).to_numpy() for metric in OBJECT_METRICS},
         metrics.column("status").to_pylist(),
         range_of("real", "matched"),
-        range_of("real", "missing"),
-        range_of("sim", "hallucinated"),
+        range_of("real", "not_found"),
+        range_of("sim", "extra"),
     )
     return {OF_PAIR: summary | n_communities(summary)}
 
@@ -62,7 +62,7 @@ STAGE = Stage(
     takes={**MATCHED_OBJECTS, "objects": ("range_m",), "selection": NODE_COLUMNS},
     gives=("metrics",),
     grain=Grain.OBJECT,
-    version=1,
+    version=2,
     make=make_metrics,
     gather=gather_metrics,
 )

@@ -26,8 +26,8 @@ BEHIND = "#762a83"
 IN_FRONT = "#9A8500"
 SIDE_COLOURS = {"real": BLUE, "sim": VERMILION}
 #: Words for the fate of an object; missing and invented are said of surface and pieces.
-FATE_WORDS = {"matched": "matched", "missing": "not found", "hallucinated": "extra"}
-FATE_COLOURS = {"missing": BLUE, "hallucinated": VERMILION}
+FATE_WORDS = {"matched": "matched", "not_found": "not found", "extra": "extra"}
+FATE_COLOURS = {"not_found": BLUE, "extra": VERMILION}
 #: Outcomes of rays, as `stages.rays` names them.
 OUTCOME_COLOURS = {
     "same": GREY,

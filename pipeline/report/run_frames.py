@@ -56,7 +56,7 @@ class RunResults:
     - pair : index of their pair in `pairs`
     - name, object : such as "real 3" (a matched one that of its real side), and "real 3, sim 5"
     - real_id, sim_id : -1 for a side that does not have the object
-    - status : that of the scores if matched, else missing or hallucinated
+    - status : that of the scores if matched, else not_found or extra
     - group : class or shape
     - n_real, n_sim, `OBJECT_COVERAGE`, `OBJECT_ROAD` : null for a side without the object
     - n_keep, quadrant : null if it is not matched

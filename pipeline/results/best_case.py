@@ -35,8 +35,8 @@ AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real
 #: What has a best case: columns of `pairs`.
 SCORES = (
     "match_rate",
-    "n_missing",
-    "n_hallucinated",
+    "n_not_found",
+    "n_extra",
     *(name for name in RUN_SCORES if name != "match_rate"),
 )
 

@@ -119,7 +119,7 @@ class FinishedRun:
         """One row per object of either side of all scored pairs, with place, coverage, class, fate and scores.
 
         Columns are those of the tables `objects`, `coverage` and `metrics` with units in their names, and `fate`
-        (matched, missing, hallucinated; remnant: a few simulated points of a missing object), `partner` (the matched
+        (matched, not_found, extra; remnant: a few simulated points of an object not found), `partner` (the matched
         object of the other side, -1 without one), `shape`, `bearing_deg`, `diagonal_m` and `quadrant`. Scores are
         those of the pair of objects, on both rows; null for unmatched objects.
         """
@@ -393,7 +393,7 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
 class ObjectFacts:
     """One object of a pair; without the columns that name pair and side.
 
-    status : matched, missing or hallucinated
+    status : matched, not_found or extra
     real, sim : the rows of `objects`, each with that of `coverage`; None if the side does not have it. Of a missing
         object with a number fixed by the real side, `sim` is its few simulated points
     scores : the row of `metrics`; None if it is not matched

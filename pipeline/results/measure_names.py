@@ -57,11 +57,7 @@ INTERVAL_ENDS = ("low", "high")
 PLAIN_NAMES = (
     *(f"{value}.{stat}" for value in (*PAIR_SCORES, *DOTTED, *SENSOR_VALUES) for stat in OF_PAIRS),
     *(f"objects.{score}.{stat}" for score in DISTRIBUTED for stat in OF_OBJECTS),
-    *(
-        f"{what}.{count}"
-        for what in ("missing", "hallucinated")
-        for count in (*COUNTS, "within_20m")
-    ),
+    *(f"{what}.{count}" for what in ("not_found", "extra") for count in (*COUNTS, "within_20m")),
     *(f"matched.{count}" for count in ("total", "mean", "min")),
     *(f"pairs.{state}" for state in STATES),
     *(f"causes.{name}" for name in CAUSE_NAMES),

@@ -1,4 +1,4 @@
-"""The numbers of a finished run by name, such as `r_lambda.mean` or `missing.within_20m`, for criteria of a gate."""
+"""The numbers of a finished run by name, such as `r_lambda.mean` or `not_found.within_20m`, for criteria of a gate."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class Measures:
     def _unmatched(
         self, label: str | None, what: str, within: str | None, count: str | None
     ) -> float:
-        side = {"missing": "real", "hallucinated": "sim"}[what]
+        side = {"not_found": "real", "extra": "sim"}[what]
         own = self._objects_of(side, label)
         own = own if within is None else own[own["range_m"] < float(within)]
         if count == "share":
@@ -237,7 +237,7 @@ _WITHIN = r"(?:\.within_(?P<within>[0-9]+(?:\.[0-9]+)?)m)?"
 _SCORE = _either("score", (*PAIR_SCORES, *map(re.escape, DOTTED)))
 _SENSOR_VALUE = _either("score", map(re.escape, SENSOR_VALUES))
 _OBJECT_SCORE = _either("score", DISTRIBUTED)
-_UNMATCHED = _either("what", ("missing", "hallucinated"))
+_UNMATCHED = _either("what", ("not_found", "extra"))
 _TASK = _either("measure", map(re.escape, TASK_MEASURES))
 _OF_PAIRS = _either("stat", OF_PAIRS)
 _OF_BEST_CASE = _either("stat", (*OF_PAIRS, *OF_DISTRIBUTIONS))

@@ -84,7 +84,7 @@ def shape_of(
 
 
 #: Fate of an object that only one side has.
-_ALONE = {"real": "missing", "sim": "hallucinated"}
+_ALONE = {"real": "not_found", "sim": "extra"}
 #: Scores that are counts.
 _COUNTS = [field.name for field in TABLES["metrics"].schema if pa.types.is_integer(field.type)]
 _EXTENTS = ("extent_x", "extent_y", "extent_z")
@@ -120,7 +120,7 @@ def object_parts(
 
     - pair_id, side, community_id, n_points
     - pair : index in `pair_ids`
-    - fate : matched, missing, hallucinated, or remnant (the few simulated points of a missing object where the real
+    - fate : matched, not_found, extra, or remnant (the few simulated points of an unmatched object where the real
       side fixes the objects; it does not count as a simulated object)
     - partner : id of the matched object of the other side, -1 without one
 

@@ -113,7 +113,7 @@ def describe_objects(
         return (
             None,
             None,
-            MetricsSummary(unmatched=UnmatchedSurface(missing=none, hallucinated=none)),
+            MetricsSummary(unmatched=UnmatchedSurface(not_found=none, extra=none)),
         )
     pair_ids = scored["pair_id"].to_pylist()
     columns = list({*STATISTICS_COLUMNS, *OVERVIEW_COLUMNS})

@@ -73,8 +73,8 @@ def _object_parts(objects: pd.DataFrame, rows: Sequence[Row]) -> dict[str, Float
         n_known = np.bincount(known["pair"], minlength=n_pairs)
         parts = known[name] / n_known[known["pair"]]
         columns[METRIC[name].mean_column] = _parts(known, parts, n_pairs)
-    n_real = np.array([row["n_matched"] + row["n_missing"] for row in rows])
-    n_sim = np.array([row["n_matched"] + row["n_hallucinated"] for row in rows])
+    n_real = np.array([row["n_matched"] + row["n_not_found"] for row in rows])
+    n_sim = np.array([row["n_matched"] + row["n_extra"] for row in rows])
     n_larger = np.maximum(n_real, n_sim)
     columns["found"] = _parts(matched, 1 / n_real[matched["pair"]], n_pairs)
     columns["match_rate"] = _parts(matched, 1 / n_larger[matched["pair"]], n_pairs)

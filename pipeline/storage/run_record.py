@@ -260,18 +260,18 @@ def unmatched_worst(metric: str) -> str:
 
 
 def _with_unmatched(scored: pa.Table, name: str) -> list[float | None]:
-    """Mean of an object score of each pair with missing and hallucinated objects counted at its upper bound."""
+    """Mean of an object score of each pair with objects that are not found or extra counted at its upper bound."""
     worst = METRIC[name].high
     if worst is None:
         raise ValueError(f"{name} has no upper bound that an unmatched object could count as")
-    names = METRIC[name].mean_column, "n_matched", "n_too_small", "n_missing", "n_hallucinated"
+    names = METRIC[name].mean_column, "n_matched", "n_too_small", "n_not_found", "n_extra"
     columns = [scored[name].to_pylist() for name in names]
     is_left_out = "required" not in METRIC[name].flags
     return [
         with_unmatched_as_worst(
-            mean, n_matched - is_left_out * n_too_small, n_missing + n_extra, worst
+            mean, n_matched - is_left_out * n_too_small, n_not_found + n_extra, worst
         )
-        for mean, n_matched, n_too_small, n_missing, n_extra in zip(*columns, strict=True)
+        for mean, n_matched, n_too_small, n_not_found, n_extra in zip(*columns, strict=True)
     ]
 
 

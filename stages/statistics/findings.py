@@ -171,7 +171,7 @@ def density_ratio(n_real: IntArray, n_sim: IntArray) -> DensityRatio:
 
 
 def by_range(objects: Objects) -> tuple[RangeBand, ...]:
-    """Missing and hallucinated objects by distance from the sensor on their side; the last band has no end."""
+    """Objects not found and extra ones by distance from the sensor on their side; the last band has no end."""
     bands = []
     for low, high in pairwise([*BAND_EDGES_M, np.inf]):
         counts = _unmatched(objects, (objects.range_m >= low) & (objects.range_m < high))
@@ -180,7 +180,7 @@ def by_range(objects: Objects) -> tuple[RangeBand, ...]:
 
 
 def by_class(objects: Objects) -> tuple[ClassFindings, ...]:
-    """Missing, hallucinated and scores by class, the class with most objects first; () without labels.
+    """Objects not found, extra ones and scores by class, the class with most objects first; () without labels.
 
     A matched object has the class of its real side. Each score has its mean, standard deviation (n - 1) and number of
     objects.
@@ -226,15 +226,15 @@ def _unmatched(objects: Objects, in_group: BoolArray) -> Unmatched:
     in_sim = in_group & ~objects.is_real
     n_real = int(np.count_nonzero(in_real))
     n_sim = int(np.count_nonzero(in_sim))
-    n_missing = int(np.count_nonzero(in_real & ~objects.is_matched))
-    n_hallucinated = int(np.count_nonzero(in_sim & ~objects.is_matched))
+    n_not_found = int(np.count_nonzero(in_real & ~objects.is_matched))
+    n_extra = int(np.count_nonzero(in_sim & ~objects.is_matched))
     return Unmatched(
         n_real=n_real,
-        n_missing=n_missing,
-        missing_share=n_missing / n_real if n_real else None,
+        n_not_found=n_not_found,
+        not_found_share=n_not_found / n_real if n_real else None,
         n_sim=n_sim,
-        n_hallucinated=n_hallucinated,
-        hallucinated_share=n_hallucinated / n_sim if n_sim else None,
+        n_extra=n_extra,
+        extra_share=n_extra / n_sim if n_sim else None,
     )
 
 

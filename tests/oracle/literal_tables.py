@@ -248,9 +248,9 @@ def matching(pair):
         row["centroid_distance_m"] = math.dist(real[i], sim[j])
         rows.append(row)
     missing = [i for i in range(len(real)) if i not in matched]
-    hallucinated = [j for j in range(n_fixed, len(sim)) if j not in matched.values()]
-    rows += [{"real_id": i, "sim_id": -1, "status": "missing"} for i in missing]
-    rows += [{"real_id": -1, "sim_id": j, "status": "hallucinated"} for j in hallucinated]
+    extra = [j for j in range(n_fixed, len(sim)) if j not in matched.values()]
+    rows += [{"real_id": i, "sim_id": -1, "status": "not_found"} for i in missing]
+    rows += [{"real_id": -1, "sim_id": j, "status": "extra"} for j in extra]
     yield pair.rows("matching", rows)
 
 
@@ -583,17 +583,17 @@ def _baselines_of_object(pair, match):
 def pairs(pair):
     """Counts, match rate, means, deviations and medians over the objects of the pair."""
     fates = pair.table("matching")
-    n_matched, n_missing, n_hallucinated = [
-        int((fates["status"] == status).sum()) for status in ("matched", "missing", "hallucinated")
+    n_matched, n_not_found, n_extra = [
+        int((fates["status"] == status).sum()) for status in ("matched", "not_found", "extra")
     ]
     row = {"status": "scored"}
     row["n_matched"] = n_matched
-    row["n_missing"] = n_missing
-    row["n_hallucinated"] = n_hallucinated
-    row["n_communities_real"] = n_matched + n_missing
-    row["n_communities_sim"] = n_matched + n_hallucinated
-    row["match_rate"] = n_matched / (n_matched + max(n_missing, n_hallucinated))
-    row["found"] = n_matched / (n_matched + n_missing)
+    row["n_not_found"] = n_not_found
+    row["n_extra"] = n_extra
+    row["n_communities_real"] = n_matched + n_not_found
+    row["n_communities_sim"] = n_matched + n_extra
+    row["match_rate"] = n_matched / (n_matched + max(n_not_found, n_extra))
+    row["found"] = n_matched / (n_matched + n_not_found)
     scores = pair.table("metrics")
     for status in ("scored", "identical", "too_small"):
         row[f"n_{status}"] = int((scores["status"] == status).sum())
@@ -603,10 +603,10 @@ def pairs(pair):
     real_m = pair.table("objects", "real")["range_m"]
     sim_m = pair.table("objects", "sim")["range_m"]
     matched_m = real_m[fates["real_id"][fates["status"] == "matched"]]
-    missing_m = real_m[fates["real_id"][fates["status"] == "missing"]]
-    hallucinated_m = sim_m[fates["sim_id"][fates["status"] == "hallucinated"]]
+    missing_m = real_m[fates["real_id"][fates["status"] == "not_found"]]
+    extra_m = sim_m[fates["sim_id"][fates["status"] == "extra"]]
     row["median_range_matched_m"] = matched_m.median()
-    row["median_range_unmatched_m"] = pd.concat([missing_m, hallucinated_m]).median()
+    row["median_range_unmatched_m"] = pd.concat([missing_m, extra_m]).median()
     yield pair.summary(row)
 
 

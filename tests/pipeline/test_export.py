@@ -122,10 +122,10 @@ def test_the_points_in_mcap_are_those_of_the_tables(run, folder):
             for name in ("x", "y", "z", "r_lambda", "cdc"):
                 np.testing.assert_array_equal(points[name], wanted[name].to_numpy(dtype=float), err_msg=name)
             np.testing.assert_array_equal(points["community"], wanted.community_id.fillna(-1))
-            status = wanted.status.fillna(wanted.fate).where(wanted.community_id.notna(), "ground").fillna("missing")
+            status = wanted.status.fillna(wanted.fate).where(wanted.community_id.notna(), "ground").fillna("not_found")
             assert [Status(code).name.lower() for code in points["status"]] == status.tolist()
             seen |= set(status)
-    assert seen >= {"ground", "scored", "identical", "missing", "hallucinated"}
+    assert seen >= {"ground", "scored", "identical", "not_found", "extra"}
     sim = topics["/fidpipe/sim"][0][1]
     remnants = np.unique(sim["community"][sim["status"] == Status.MISSING])
     assert remnants.tolist() == ([5] if run.preset == "reference" else [])  # the box that is simulated by a few points
@@ -249,5 +249,5 @@ def test_the_command_says_what_it_wrote(run):
     result = command("export", run.folder, "--mcap", "--ply", "--pairs", "00[01]", "--out", run.folder / "two", code=0)
     assert "streets.mcap, stamps one second apart" in result.stdout
     assert "PLY:    4 files in" in result.stdout
-    assert "0 ground, 1 scored, 2 identical, 3 too_small, 4 missing, 5 hallucinated" in result.stdout
+    assert "0 ground, 1 scored, 2 identical, 3 too_small, 4 not_found, 5 extra" in result.stdout
     assert result.stderr == ""

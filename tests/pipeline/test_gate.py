@@ -42,20 +42,20 @@ def test_measures_are_the_numbers_of_the_tables(finished):
     assert of("match_rate.min") == pairs.match_rate.min()
     assert of("alignment_rms_m.std") == pytest.approx(pairs.alignment_rms_m_mean.std())
     assert of("objects.cdc.q95") == pytest.approx(metrics.cdc.quantile(0.95))
-    alone = matching[matching.status == "missing"].merge(
+    alone = matching[matching.status == "not_found"].merge(
         objects[objects.side == "real"], left_on=["pair_id", "real_id"], right_on=["pair_id", "community_id"]
     )
-    assert of("missing.total") == of("missing") == len(alone) > 0
-    assert of("missing.max") == alone.groupby("pair_id").size().max()
-    assert of("missing.within_12m") == (alone.range_m < 12).sum()
+    assert of("not_found.total") == of("not_found") == len(alone) > 0
+    assert of("not_found.max") == alone.groupby("pair_id").size().max()
+    assert of("not_found.within_12m") == (alone.range_m < 12).sum()
     near = objects[(objects.side == "real") & (objects.range_m < 12)]
-    assert of("missing.within_12m.share") == pytest.approx((alone.range_m < 12).sum() / len(near))
+    assert of("not_found.within_12m.share") == pytest.approx((alone.range_m < 12).sum() / len(near))
     assert of("matched.mean") == pytest.approx(pairs.n_matched.mean())
     assert [of(f"pairs.{state}") for state in ("scored", "failed", "to_do", "changed")] == [3, 0, 0, 0]
 
 
 KNOWN = r"known are ([\w.]+, ){4}[\w.]+ and \d+ more"
-UNKNOWN = ["r_lambda", "r_lambda.", "missing.within_20", "objects.match_rate.mean", "x", "", "class.car.x", "pairs.x"]
+UNKNOWN = ["r_lambda", "r_lambda.", "not_found.within_20", "objects.match_rate.mean", "x", "", "class.car.x", "pairs.x"]
 
 
 @pytest.mark.parametrize("name", [*UNKNOWN, "r_lamda.mean"])
@@ -74,8 +74,8 @@ def test_bounds_are_inclusive(finished):
 
 
 def test_what_could_not_be_computed_fails_whatever_the_bound(finished):
-    found = judged(finished, "max class.car.r_lambda.mean=1000", "min class.car.missing.total=-1")
-    for of in (found["class.car.r_lambda.mean"], found["class.car.missing.total"]):
+    found = judged(finished, "max class.car.r_lambda.mean=1000", "min class.car.not_found.total=-1")
+    for of in (found["class.car.r_lambda.mean"], found["class.car.not_found.total"]):
         assert (of.value, of.passed) == (None, False)
         assert "could not be computed: no" in of.why
 
@@ -168,7 +168,7 @@ def test_a_run_without_a_scored_pair_fails_with_files_for_ci(tmp_path):
     data = write_dataset(tmp_path / "streets", 1)
     (data / "sim" / "000.bin").write_bytes(b"")
     run(data, tmp_path / "run")
-    measures = ("missing.within_20m", "objects.cdc.mean", "class.car.missing.total", "class.car.cdc.mean", "cdc.mean")
+    measures = ("not_found.within_20m", "objects.cdc.mean", "class.car.not_found.total", "cdc.mean")
     words = [word for measure in measures for word in ("--max", f"{measure}=1")]
     command("gate", tmp_path / "run", *words, code=4)
     assert (tmp_path / "run" / "gate.xml").exists()

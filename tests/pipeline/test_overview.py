@@ -224,7 +224,7 @@ def test_the_findings_agree_with_the_tables(finished):
     assert found["distributions"]["cdc"]["q95"] == pytest.approx(metrics.cdc.quantile(0.95))
     assert found["density_ratio"]["max"] == pytest.approx((metrics.n_sim / metrics.n_real).max())
     assert found["rank_correlation"]["spearman"] == pytest.approx(metrics.cdc.corr(metrics.r_lambda, method="spearman"))
-    for side, what in (("real", "missing"), ("sim", "hallucinated")):
+    for side, what in (("real", "not_found"), ("sim", "extra")):
         assert sum(band[f"n_{side}"] for band in found["range_m"]["bands"]) == (objects.side == side).sum()
         assert sum(band[f"n_{what}"] for band in found["range_m"]["bands"]) == (matching.status == what).sum()
         assert sum(row[f"n_{side}"] for row in found["classes"]) == (objects.side == side).sum()

@@ -124,14 +124,14 @@ def test_road_that_only_one_cut_left_is_counted(tmp_path):
     write_bin(tmp_path / "data/sim/000.bin", np.vstack([rest - [0, 0, 2.2], patch, house]))
     run(tmp_path / "data", tmp_path / "run", load(None, ["ground.max_variance_loss=1"]))
     coverage = pd.read_parquet(tmp_path / "run" / "coverage").query("side == 'sim'")
-    matching = pd.read_parquet(tmp_path / "run" / "matching").query("status == 'hallucinated'")
+    matching = pd.read_parquet(tmp_path / "run" / "matching").query("status == 'extra'")
     of_object = coverage.dropna(subset="community_id").set_index("community_id").road_share
     invented = of_object[matching.sim_id.astype(int)]
     assert (invented == 1).sum() >= 1
     assert set(of_object) <= {0.0, 1.0}
     record = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert record["metrics"]["unmatched"]["hallucinated"]["road"] == (invented > 0.5).sum()
-    assert record["metrics"]["unmatched"]["missing"]["road"] == 0
+    assert record["metrics"]["unmatched"]["extra"]["road"] == (invented > 0.5).sum()
+    assert record["metrics"]["unmatched"]["not_found"]["road"] == 0
 
 
 def test_missing_and_invented_objects_are_told_alike_everywhere(by_reference):
@@ -140,13 +140,13 @@ def test_missing_and_invented_objects_are_told_alike_everywhere(by_reference):
     matching = pd.read_parquet(by_reference / "matching" / "0.parquet")
     objects = {side: pd.read_parquet(by_reference / "objects" / f"0.{side}.parquet") for side in ("real", "sim")}
     counts = matching.status.value_counts()
-    assert counts.get("missing", 0) == row["n_missing"] > 0
-    assert counts.get("hallucinated", 0) == row["n_hallucinated"] > 0
-    assert (matching.sim_id[matching.status == "hallucinated"] >= len(objects["real"])).all()
+    assert counts.get("not_found", 0) == row["n_not_found"] > 0
+    assert counts.get("extra", 0) == row["n_extra"] > 0
+    assert (matching.sim_id[matching.status == "extra"] >= len(objects["real"])).all()
     empty = objects["sim"].n_points == 0
     assert objects["sim"].loc[empty, ["cx", "range_m", "linearity"]].isna().all(axis=None)
     facts = pair_facts(FinishedRun(by_reference), "0")
-    assert [each.status for each in facts.objects].count("hallucinated") == row["n_hallucinated"]
+    assert [each.status for each in facts.objects].count("extra") == row["n_extra"]
     findings = json.loads((by_reference / "run.json").read_text())["findings"]
-    n_hallucinated = sum(band["n_hallucinated"] for band in findings["range_m"]["bands"])
-    assert n_hallucinated == pairs.n_hallucinated.sum()
+    n_extra = sum(band["n_extra"] for band in findings["range_m"]["bands"])
+    assert n_extra == pairs.n_extra.sum()

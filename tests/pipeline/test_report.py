@@ -157,7 +157,7 @@ def test_object_scores_say_of_how_many_pairs_they_are_and_their_value_with_unmat
     report_run, results, written
 ):
     pairs = pd.read_parquet(report_run / "pairs.parquet").query("status == 'scored'")
-    n_unmatched = pairs.n_missing + pairs.n_hallucinated
+    n_unmatched = pairs.n_not_found + pairs.n_extra
     worst = (pairs.cdc_mean.fillna(0) * pairs.n_matched + 2 * n_unmatched) / (pairs.n_matched + n_unmatched)
     scores = dataset_table(results.run.record)
     of = {row[0]: dict(zip(scores.headings, row, strict=True)) for row in scores.cells}

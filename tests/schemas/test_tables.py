@@ -28,9 +28,9 @@ def test_a_null_where_none_is_allowed_is_refused():
 
 def test_rows_are_sorted_by_key_with_nulls_last():
     rows = [
-        {"sim_id": 4, "status": "hallucinated"},
-        {"real_id": 3, "status": "missing"},
-        {"real_id": 1, "status": "missing"},
+        {"sim_id": 4, "status": "extra"},
+        {"real_id": 3, "status": "not_found"},
+        {"real_id": 1, "status": "not_found"},
     ]
     table = TABLES["matching"].from_rows([{"pair_id": "a", **row} for row in rows])
     assert table.column("real_id").to_pylist() == [1, 3, None]

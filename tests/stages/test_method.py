@@ -73,7 +73,7 @@ def test_paths_scans_and_arrays_with_intensity_have_the_same_results(scans, tmp_
         pd.testing.assert_frame_equal(result.points["sim"], results[0].points["sim"])
     matched = results[0].summary["n_matched"]
     assert matched > 0
-    assert repr(results[0]).startswith(f"<evaluated pair, preset paper: n_matched {matched}, n_missing ")
+    assert repr(results[0]).startswith(f"<evaluated pair, preset paper: n_matched {matched}, n_not_found ")
     with pytest.raises(ScanError, match=r"sim: .*\(60, 5\)"):
         evaluate_pair(columns[0], np.ones((60, 5)))
 

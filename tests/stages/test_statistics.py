@@ -249,9 +249,9 @@ def by_hand():
 
 def test_unmatched_objects_are_counted_by_range_of_their_own_side(by_hand):
     bands = {band.from_m: band for band in by_hand.range_m.bands}
-    assert (bands[0.0].n_real, bands[0.0].n_missing, bands[0.0].missing_share) == (2, 0, 0.0)
-    assert (bands[30.0].n_real, bands[30.0].missing_share, bands[30.0].n_sim) == (1, 1.0, 0)
-    assert (bands[50.0].n_hallucinated, bands[50.0].missing_share) == (1, None)
+    assert (bands[0.0].n_real, bands[0.0].n_not_found, bands[0.0].not_found_share) == (2, 0, 0.0)
+    assert (bands[30.0].n_real, bands[30.0].not_found_share, bands[30.0].n_sim) == (1, 1.0, 0)
+    assert (bands[50.0].n_extra, bands[50.0].not_found_share) == (1, None)
     assert by_hand.range_m.median_matched == 5.0
     assert by_hand.range_m.median_unmatched == 52.5
 
@@ -261,7 +261,7 @@ def test_a_class_is_that_of_the_real_object_and_nulls_are_left_out(by_hand):
     car = classes["car"]
     assert (car.n_matched, car.scores["cdc"].mean) == (2, 0.2)
     assert car.scores["r_lambda"] == GroupMean(mean=0.2, std=None, n=1)
-    assert (classes["tree"].missing_share, classes["tree"].hallucinated_share) == (0.5, 0.5)
+    assert (classes["tree"].not_found_share, classes["tree"].extra_share) == (0.5, 0.5)
 
 
 def test_scans_without_labels_have_no_classes():

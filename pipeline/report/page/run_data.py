@@ -53,7 +53,7 @@ _FIRST = ("Check first", "Fix first", "Doubtful", "Last run", "Next")
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
 #: Columns of the tables of pairs and objects.
 _PAIRS = (
-    *("pair_id", "n_matched", "n_missing", "n_hallucinated", "match_rate"),
+    *("pair_id", "n_matched", "n_not_found", "n_extra", "match_rate"),
     *(*pair_columns_in("page"), *OBJECT_COVERAGE),
 )
 _OBJECTS = (
@@ -253,8 +253,8 @@ def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]
     The parts of each, from good to bad, are kind (its look), words, and share of the whole.
     """
     counts = {name: quadrant["n"] for name, quadrant in quadrants(results).items()}
-    not_found = FATE_WORDS["missing"]
-    counts[not_found] = int((results.unmatched.status == "missing").sum())
+    not_found = FATE_WORDS["not_found"]
+    counts[not_found] = int((results.unmatched.status == "not_found").sum())
     n_all = max(1, sum(counts.values()))
     looks = {UNKNOWN: "unknown", not_found: "real step3"}
     parts = [(looks.get(name, name), name, n / n_all) for name, n in counts.items()]

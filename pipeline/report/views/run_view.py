@@ -231,7 +231,7 @@ def _pairs_table(scored: Sequence[Row]) -> Table:
         scored = sorted(scored, key=lambda row: row["match_rate"])[:_MOST_PAIRS]
         title = f"The {_MOST_PAIRS} pairs with the lowest match rate (means over matched objects)"
     headings = ("pair", "objects\nboth", "only\nreal", "only\nsim", *narrow_labels(_SCORES))
-    columns = ("pair_id", "n_matched", "n_missing", "n_hallucinated", *_SCORES)
+    columns = ("pair_id", "n_matched", "n_not_found", "n_extra", *_SCORES)
     return Table(title, headings, columns_of(scored, columns))
 
 
@@ -268,8 +268,8 @@ def _unmatched_table(unmatched: UnmatchedSurface, n_pairs: int) -> Table:
     """Whether the surface of the unmatched objects is on the other side."""
     rows = []
     for status, states in (
-        ("missing", unmatched.missing),
-        ("hallucinated", unmatched.hallucinated),
+        ("not found", unmatched.not_found),
+        ("extra", unmatched.extra),
     ):
         n_states = [getattr(states, name) / max(1, n_pairs) for name in SURFACE_STATES]
         rows.append((FATE_WORDS[status], *n_states, states.road / max(1, n_pairs)))
@@ -342,7 +342,7 @@ def _objects_table(findings: Findings) -> Table:
 def _unmatched(group: Unmatched) -> tuple[object, ...]:
     return (
         group.n_real,
-        f"{group.n_missing} ({percent(group.missing_share)})",
+        f"{group.n_not_found} ({percent(group.not_found_share)})",
         group.n_sim,
-        f"{group.n_hallucinated} ({percent(group.hallucinated_share)})",
+        f"{group.n_extra} ({percent(group.extra_share)})",
     )

@@ -134,8 +134,8 @@ def _pair_sentence(row: Row) -> str:
     return (
         f"pair {row['pair_id']}: {percent(row['covered_real_0p3m'])} of the real surface is "
         f"simulated within 0.3 m, {percent(row['covered_sim_0p3m'])} of the simulated surface is "
-        f"real; {row['n_matched']} objects on both sides, {row['n_missing']} not found, "
-        f"{row['n_hallucinated']} extra: match rate {number(row['match_rate'], 2)}, found "
+        f"real; {row['n_matched']} objects on both sides, {row['n_not_found']} not found, "
+        f"{row['n_extra']} extra: match rate {number(row['match_rate'], 2)}, found "
         f"{number(row['found'], 2)} of the real objects"
     )
 
@@ -196,7 +196,7 @@ def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
     """The unmatched objects, real ones first; only the largest if a command shows the others."""
     rows = []
     left_out = []
-    for status in ("missing", "hallucinated"):
+    for status in ("not_found", "extra"):
         of_status = [entry.row for entry in objects if entry.status == status]
         of_status.sort(key=lambda row: -row["n_points"])
         n_shown = _MOST_UNMATCHED if command else len(of_status)

@@ -63,7 +63,7 @@ export async function pointsOf(view, objects) {
 function ownersOf(objects, side) {
   const owners = new Map();
   objects.forEach(({ fate, owns }, place) => {
-    if (fate === "missing") owners.set(owns.real, place);
+    if (fate === "not_found") owners.set(owns.real, place);
   });
   objects.forEach(({ owns }, place) => {
     if (side in owns) owners.set(owns[side], place);
