@@ -27,6 +27,10 @@ _FINE_REACH_M, _FINE_STEPS = 0.5, 8
 _TUKEY, _LEAST_SPREAD_M = 4.685, 0.01  # efficiency of 95 % under normal errors
 #: Standard deviations of the parameters; radians.
 _PRIOR = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05, 0.05, 0.5, 3.0, 3.0, 0.5])
+#: If the variance of the road's height stays above this part of its prior, hardly anything but the road shows a height:
+#: then the road is as high as the world, and large information keeps the difference at 0.
+_UNKNOWN, _FIXED = 0.5, 1e9
+_ROAD = PARAMETERS.index("road height")
 _NOISE_M, _CORRELATED = 0.1, 20  # of a distance to a plane, and the places that share an error
 
 
@@ -152,10 +156,10 @@ class _Fit:
         weighted = slopes[met] / (_NOISE_M**2 * _CORRELATED)
         if is_fine:
             weighted *= _biweight(gap - slopes[met] @ values)[:, None]
-        better: FloatArray = np.linalg.solve(
-            weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0),
-            weighted.T @ gap,
-        )
+        information = weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0)
+        if np.linalg.inv(information)[_ROAD, _ROAD] > _UNKNOWN * _PRIOR[_ROAD] ** 2:
+            information[_ROAD, _ROAD] += _FIXED
+        better: FloatArray = np.linalg.solve(information, weighted.T @ gap)
         return better
 
     def misfit(self, values: FloatArray, seam_deg: float) -> float:

@@ -44,8 +44,8 @@ class Status(IntEnum):
     SCORED = 1
     IDENTICAL = 2
     TOO_SMALL = 3
-    MISSING = 4
-    HALLUCINATED = 5
+    NOT_FOUND = 4
+    EXTRA = 5
 
 
 _DRAWN = QUADRANT_SCORES[::-1]

@@ -127,7 +127,7 @@ def test_the_points_in_mcap_are_those_of_the_tables(run, folder):
             seen |= set(status)
     assert seen >= {"ground", "scored", "identical", "not_found", "extra"}
     sim = topics["/fidpipe/sim"][0][1]
-    remnants = np.unique(sim["community"][sim["status"] == Status.MISSING])
+    remnants = np.unique(sim["community"][sim["status"] == Status.NOT_FOUND])
     assert remnants.tolist() == ([5] if run.preset == "reference" else [])  # the box that is simulated by a few points
 
 

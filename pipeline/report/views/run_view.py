@@ -267,12 +267,10 @@ def dataset_table(record: RunRecord) -> Table:
 def _unmatched_table(unmatched: UnmatchedSurface, n_pairs: int) -> Table:
     """Whether the surface of the unmatched objects is on the other side."""
     rows = []
-    for status, states in (
-        ("not found", unmatched.not_found),
-        ("extra", unmatched.extra),
-    ):
+    for fate in ("not_found", "extra"):
+        states = getattr(unmatched, fate)
         n_states = [getattr(states, name) / max(1, n_pairs) for name in SURFACE_STATES]
-        rows.append((FATE_WORDS[status], *n_states, states.road / max(1, n_pairs)))
+        rows.append((FATE_WORDS[fate], *n_states, states.road / max(1, n_pairs)))
     title = (
         "Unmatched objects per pair (on the other side: over "
         f"{100 * THERE:.0f} % of their points have one within 0.3 m, but in other objects; absent: "
