@@ -6,10 +6,12 @@ import re
 import shutil
 from types import SimpleNamespace
 from urllib.parse import parse_qs
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.report.charts import along_the_sequence, run_charts
@@ -55,6 +57,22 @@ def page_of(folder):
 def words(page):
     """Text of a page without its scripts."""
     return page.read_text("utf-8").partition('<script type="application/json"')[0]
+
+
+def test_the_papers_figures_are_written_as_png_svg_and_pdf_and_keep_other_files(report_run, tmp_path):
+    mine = tmp_path / "figures" / "mine.png"
+    mine.parent.mkdir()
+    mine.write_bytes(b"")
+    files = write_report(report_run, out=tmp_path, with_figures=True)
+    assert {path.stem for path in files.figures} >= {"r_lambda", "pieces", "scores", "objects"}
+    assert set(mine.parent.iterdir()) == {*files.figures, mine}
+    for path in files.figures:
+        if path.suffix == ".png":
+            assert np.asarray(Image.open(path).convert("L")).std() > 5, "an empty picture"
+        elif path.suffix == ".pdf":
+            assert path.read_bytes().startswith(b"%PDF-")
+        else:
+            assert ElementTree.parse(path).getroot().tag.endswith("svg")
 
 
 def test_the_head_of_the_page_names_the_preset_and_what_departs_from_it(report_run, by_reference):
@@ -261,10 +279,11 @@ def test_charts_have_every_object_once_and_no_name_as_markup(results):
     assert "<img" not in json.dumps(charts)
 
 
-def test_a_run_in_which_nothing_matches_has_a_report(tmp_path):
+def test_a_run_in_which_nothing_matches_has_a_report_and_figures(tmp_path):
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
     run(dataset, tmp_path / "run", load(None, ["matching.delta_m=0.001"]))
-    made = write_report(tmp_path / "run")
+    made = write_report(tmp_path / "run", with_figures=True)
+    assert made.figures
     assert "preset paper" in words(made.page).lower()
 
 
