@@ -14,7 +14,14 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
 
 from fidpipe.pipeline.report.figures import style
-from fidpipe.pipeline.report.look import FATE_COLOURS, QUADRANT_COLOURS, SIDE_COLOURS
+from fidpipe.pipeline.report.look import (
+    FATE_COLOURS,
+    FATE_WORDS,
+    OUTCOME_COLOURS,
+    OUTCOME_WORDS,
+    QUADRANT_COLOURS,
+    SIDE_COLOURS,
+)
 from fidpipe.pipeline.report.run_frames import PairFrames, read_results
 from fidpipe.pipeline.results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT
 from fidpipe.schemas.cause_catalogue import CAUSES, UNEVEN
@@ -24,7 +31,6 @@ from fidpipe.schemas.settings import Settings
 from fidpipe.stages.coverage import COVERAGE_DISTANCES_M
 from fidpipe.stages.ground import WINDOW_M
 from fidpipe.stages.pieces import CutScan, find_pieces
-from fidpipe.stages.rays import OUTCOMES
 from fidpipe.stages.surface import describe_surface, measure_offsets
 from object_pictures import (
     GOOD_ALIGNMENT_M,
@@ -209,7 +215,9 @@ def matching(axis, view):
         is_alone = (unmatched.pair_id == view.pair_id) & (unmatched.status == status)
         alone = unmatched[is_alone].community_id
         look = {"marker": "X", "s": 34, "edgecolors": "white", "linewidths": 0.5, "zorder": 3}
-        axis.scatter(*centroids[side][alone].T, c=FATE_COLOURS[status], label=f"{len(alone)} {status}", **look)
+        axis.scatter(
+            *centroids[side][alone].T, c=FATE_COLOURS[status], label=f"{len(alone)} {FATE_WORDS[status]}", **look
+        )
         for place in centroids[side][alone] if status == "not_found" else ():
             axis.add_patch(Circle(place, Settings().matching.delta_m, fill=False, linewidth=0.4, color="#777777"))
     axis.set_title(f"{len(matched)} matched: match rate {view.row.match_rate:.2f}")
@@ -223,7 +231,7 @@ def draw_matching(view, path):
     with style.new_figure(8.4, 4.2) as figure:
         above, apart = figure.subplots(1, 2, width_ratios=(1.9, 1))
         matching(above, view)
-        above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=4, handletextpad=0.1)
+        above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.25), ncols=4, handletextpad=0.1)
         distances = view.run.metrics.centroid_distance_m
         apart.hist(distances, bins=np.arange(0, 5.26, 0.25), color=GROUND_COLOUR)
         apart.axvline(Settings().matching.delta_m, color="black", linewidth=0.8)
@@ -309,15 +317,12 @@ def draw_pieces(view, path):
         save(figure, path)
 
 
-OUTCOME_COLOURS = ("#bbbbbb", "#d62728", "#1f77b4", "#9467bd", "#2ca02c", "#ff7f0e")
-
-
 def rays(axis, view):
     """The rays by column and beam, coloured by their outcomes."""
     found = view.run.read_table("rays", view.pair_id).to_pandas()
-    for outcome, colour in zip(OUTCOMES, OUTCOME_COLOURS, strict=False):
+    for outcome, colour in OUTCOME_COLOURS.items():
         own = found[found.outcome == outcome]
-        axis.plot(own.column, own.beam, ".", color=colour, markersize=1.2, label=outcome.replace("_", " "))
+        axis.plot(own.column, own.beam, ".", color=colour, markersize=1.2, label=OUTCOME_WORDS[outcome])
     axis.set_title("outcome of each ray")
     axis.set_xlabel("column")
     axis.set_ylabel("beam")
@@ -333,14 +338,14 @@ def draw_rays(view, path):
             "band", key=lambda band: band.str.extract(r"(\d+)")[0].astype(int) + band.str.startswith("over")
         )
         bottom = np.zeros(len(scores))
-        for outcome, colour in zip(OUTCOMES, OUTCOME_COLOURS, strict=False):
+        for outcome, colour in OUTCOME_COLOURS.items():
             share = 100 * scores[f"rays_{outcome}"].to_numpy()
-            right.bar(scores.band, share, bottom=bottom, color=colour, label=outcome.replace("_", " "))
+            right.bar(scores.band, share, bottom=bottom, color=colour, label=OUTCOME_WORDS[outcome])
             bottom += share
         right.set_title("outcomes by range")
         right.set_ylabel("% of the rays")
         right.tick_params(axis="x", labelrotation=30)
-        figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+        figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
         save(figure, path)
 
 
