@@ -19,7 +19,15 @@ from ...stages.arrays import IntArray
 from .files import is_locked
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, read_run
-from .table_files import AT_URL, JobId, JobRecord, StoredFile, TableFolder, table_name
+from .table_files import (
+    AT_URL,
+    JobId,
+    JobRecord,
+    StoredFile,
+    TableFolder,
+    file_stem,
+    table_name,
+)
 from .urls import is_url, name_in_records, url_of_cache
 
 _LOCK = ".lock"
@@ -81,6 +89,19 @@ class RunFolder(TableFolder):
             raise RunError(
                 f"run {self.folder}: expected a file, got the symbolic link {link}; remove the link"
             )
+
+    def finished_jobs(self, pair_id: str) -> dict[JobId, JobRecord]:
+        """The jobs of a scored pair.
+
+        Raises
+        ------
+        RunError
+            The file of the pair in the ledger is damaged or gone.
+        """
+        jobs = self.ledger.jobs(pair_id)
+        if not jobs:
+            raise self.damaged(f"{LEDGER}/{file_stem(pair_id)}.json")
+        return jobs
 
     def read_table(
         self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 import fidpipe
-from fidpipe.pipeline.datasets.pairs import read_dataset, scans_of
+from fidpipe.pipeline.datasets.pairs import read_dataset, read_label_names, scans_of
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
 from fidpipe.pipeline.datasets.readers.formats import FORMATS
 from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
@@ -169,6 +169,12 @@ def test_a_table_of_text_is_bounded(tmp_path):
     else:
         with pytest.raises(ScanError, match="row 2, column ring"):
             read_scan(big)
+
+
+def test_a_class_name_is_not_a_book(tmp_path):
+    (tmp_path / "labels.toml").write_text(f'1 = "{"a" * 1000}"\n')
+    with pytest.raises(DatasetError, match="1000"):
+        read_label_names(tmp_path)
 
 
 def test_a_name_that_no_file_can_have_is_a_fault_of_its_pair(tmp_path):
