@@ -189,17 +189,20 @@ class RunFolder(TableFolder):
 
     def _unknown_files(self) -> list[str]:
         """Files among the tables of pairs and of the whole run that no finished job wrote, relative to the run."""
-        names = [
-            f"{table}.parquet" for table in TABLES if (self.folder / f"{table}.parquet").is_file()
-        ]
-        for table in TABLES:
-            if (self.folder / table).is_dir():
-                with os.scandir(self.folder / table) as entries:
-                    for entry in entries:
-                        if not entry.is_dir(follow_symlinks=False):
-                            names.append(f"{table}/{entry.name}")
         known = self.ledger.files()
-        return [name for name in names if name not in known]
+        unknown = []
+        for table in TABLES:
+            name = f"{table}.parquet"
+            if name not in known and (self.folder / name).is_file():
+                unknown.append(name)
+            if not (self.folder / table).is_dir():
+                continue
+            with os.scandir(self.folder / table) as entries:
+                for entry in entries:
+                    name = f"{table}/{entry.name}"
+                    if name not in known and not entry.is_dir(follow_symlinks=False):
+                        unknown.append(name)
+        return unknown
 
 
 def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
