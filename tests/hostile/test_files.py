@@ -18,8 +18,9 @@ from fidpipe.pipeline.datasets.readers import frames_of, read_scan
 from fidpipe.pipeline.datasets.readers.formats import FORMATS
 from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
 from fidpipe.schemas.errors import DatasetError, ScanError
+from recordings import write_pcap
 from runs import command
-from scan_files import POINTS, WRITERS, read, write_packets
+from scan_files import POINTS, WRITERS, read, velodyne_packets, write_packets
 from scenes import write_dataset
 
 PACKAGE = Path(fidpipe.__file__).parent
@@ -155,6 +156,12 @@ def test_a_capture_in_the_newer_format_has_the_same_points(tmp_path):
     write_packets(tmp_path / "a.pcap")
     write_packets(tmp_path / "b.pcapng")
     np.testing.assert_array_equal(read_scan(tmp_path / "a.pcap").points, read_scan(tmp_path / "b.pcapng").points)
+
+
+def test_a_sensor_whose_packets_lack_their_calibration_is_not_read_as_another(tmp_path):
+    packets = [(stamp, data[:-1] + bytes([0x22 + number])) for number, (stamp, data) in enumerate(4 * velodyne_packets())]
+    with pytest.raises(ScanError, match="metadata"):
+        read(write_pcap(tmp_path / "a.pcap", packets))
 
 
 def test_a_table_of_text_is_bounded(tmp_path):
