@@ -317,7 +317,8 @@ def _is_better(as_given: float, coverage: float, unit: str) -> bool:
 
 def _reach_m(points: FloatArray) -> float:
     """Median distance of the points, but for missing returns."""
-    return float(np.median(np.linalg.norm(points[points.any(axis=1)], axis=1)))
+    x, y, z = points[points.any(axis=1)].T
+    return float(np.median(np.hypot(np.hypot(x, y), z)))
 
 
 def _levelled(target: _Side, source: _Side, candidate: _Candidate) -> _Candidate | None:

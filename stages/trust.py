@@ -101,7 +101,7 @@ def find_misses(range_m: FloatArray) -> list[Misses]:
         middle_m = np.median(left_m[first:])
         limit_m = min(limit_m, middle_m - _TAIL * (left_m[-1] - middle_m))
         left_m = left_m[: np.searchsorted(left_m, limit_m, side="right")]
-        groups.append(Misses(float(middle_m), n / len(range_m), float(limit_m)))
+        groups.append(Misses(float(middle_m), float(n / len(range_m)), float(limit_m)))
     return groups
 
 

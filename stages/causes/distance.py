@@ -90,7 +90,8 @@ def _by_other_rays(side: Side, step: float, rng: Generator) -> FloatArray:
     toward = (side.rays * side.normals).sum(axis=1)
     is_plane = (np.abs(toward) > 0.1) & ~side.is_ground  # NaN is not
     # the ray turns across by a small angle: it meets the plane where the offset along the ray cancels that along n
-    along_ray = np.where(is_plane, -(across * side.normals).sum(axis=1) / toward, 0.0)
+    along_ray = np.zeros(len(toward))
+    np.divide(-(across * side.normals).sum(axis=1), toward, out=along_ray, where=is_plane)
     direction = across + along_ray[:, None] * side.rays
     returns: FloatArray = side.points + direction * (step * side.range_m)[:, None]
     rows = np.flatnonzero(~is_plane)
