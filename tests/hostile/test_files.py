@@ -159,7 +159,9 @@ def test_a_capture_in_the_newer_format_has_the_same_points(tmp_path):
 
 
 def test_a_sensor_whose_packets_lack_their_calibration_is_not_read_as_another(tmp_path):
-    packets = [(stamp, data[:-1] + bytes([0x22 + number])) for number, (stamp, data) in enumerate(4 * velodyne_packets())]
+    packets = []
+    for number, (stamp, data) in enumerate(4 * velodyne_packets()):
+        packets.append((stamp, data[:-1] + bytes([0x22 + number])))
     with pytest.raises(ScanError, match="metadata"):
         read(write_pcap(tmp_path / "a.pcap", packets))
 
