@@ -503,7 +503,10 @@ def load(
         group, _, setting = name.strip().partition(".")
         if not equals or not group or not setting or "." in setting:
             raise SettingsError(f"--set {word!r}: expected GROUP.NAME=VALUE, such as graph.k=60")
-        values.setdefault(group, {})[setting] = _toml_value(text.strip())
+        table = values.setdefault(group, {})
+        if not isinstance(table, dict):
+            raise SettingsError(f"--set {word!r}: {group} is not a group of settings")
+        table[setting] = _toml_value(text.strip())
     return parse(values)
 
 
@@ -530,8 +533,8 @@ def parse(values: Mapping[str, Any]) -> Settings:
     """
     values = dict(values)
     preset = values.pop("preset", "paper")
-    if preset not in PRESETS:
-        raise SettingsError(f"preset {preset!r}: no such preset; {suggestion(preset, PRESETS)}")
+    if not isinstance(preset, str) or preset not in PRESETS:
+        raise SettingsError(f"preset {preset!r}: no such preset; {suggestion(str(preset), PRESETS)}")
     for group, departures in PRESETS[preset].items():
         given = values.get(group, {})
         values[group] = departures | given if isinstance(given, dict) else given

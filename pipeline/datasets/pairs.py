@@ -25,6 +25,7 @@ from ..storage.files import path_exists
 from ..storage.urls import STUB, is_stub, is_url, url_of_cache
 from .readers import frames_of
 from .readers.formats import known_formats
+from .readers.scan import LONGEST_LABEL
 from .readers.scan_ref import ScanRef, scan_ref
 
 MANIFEST = "pairs.csv"
@@ -128,6 +129,9 @@ def read_label_names(folder: Path) -> dict[int, str]:
         names = {int(number): str(name) for number, name in lines.items()}
     except (OSError, ValueError) as error:  # TOML and unicode errors are ValueErrors
         raise DatasetError(f'{path}: expected lines such as 4 = "tree" ({error})') from error
+    longest = max(map(len, names.values()), default=0)
+    if longest > LONGEST_LABEL:  # each point takes room for the longest
+        raise DatasetError(f"{path}: expected names of at most {LONGEST_LABEL} characters, got one of {longest}")
     return names
 
 

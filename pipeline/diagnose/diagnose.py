@@ -43,7 +43,7 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
 
     def plan_pair(pair: ScanPair) -> PairPlan:
         """The job that measures the gains of a pair, with its other results as they are."""
-        return planner.plan_on_results(pair, run.store.ledger.jobs(pair.pair_id), stage)
+        return planner.plan_on_results(pair, run.store.finished_jobs(pair.pair_id), stage)
 
     with run.store.locked():
         survey = _survey(run, plan_pair, stage)

@@ -109,7 +109,7 @@ def _level_table(
         shown = [cells.get((level, name), "-") for name in headings]
         rows.append((KINDS[level.kind].text.format(level), *shown))
         last[level.kind] = i
-    title = f"{title}: mean ± std over {means['n'].max()} repeats"
+    title = f"{title}: mean ± std over {count(means['n'].max(), 'repeat')}"
     return Table(title, ("altered by", *headings.values()), rows, fixed=(0,), ruled=last.values())
 
 

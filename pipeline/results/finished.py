@@ -331,7 +331,7 @@ class FinishedRun:
 
     def check_tables(self, pair_id: str) -> None:
         """Raises `RunError` if any table of a scored pair is damaged or gone."""
-        for record in self.store.ledger.jobs(pair_id).values():
+        for record in self.store.finished_jobs(pair_id).values():
             for name, stored in record.files.items():
                 self.store.content(stored, name)
 

@@ -19,7 +19,15 @@ from ...stages.arrays import IntArray
 from .files import is_locked
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, read_run
-from .table_files import AT_URL, JobId, JobRecord, StoredFile, TableFolder, table_name
+from .table_files import (
+    AT_URL,
+    JobId,
+    JobRecord,
+    StoredFile,
+    TableFolder,
+    file_stem,
+    table_name,
+)
 from .urls import is_url, name_in_records, url_of_cache
 
 _LOCK = ".lock"
@@ -81,6 +89,19 @@ class RunFolder(TableFolder):
             raise RunError(
                 f"run {self.folder}: expected a file, got the symbolic link {link}; remove the link"
             )
+
+    def finished_jobs(self, pair_id: str) -> dict[JobId, JobRecord]:
+        """The jobs of a scored pair.
+
+        Raises
+        ------
+        RunError
+            The file of the pair in the ledger is damaged or gone.
+        """
+        jobs = self.ledger.jobs(pair_id)
+        if not jobs:
+            raise self.damaged(f"{LEDGER}/{file_stem(pair_id)}.json")
+        return jobs
 
     def read_table(
         self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None
@@ -168,17 +189,20 @@ class RunFolder(TableFolder):
 
     def _unknown_files(self) -> list[str]:
         """Files among the tables of pairs and of the whole run that no finished job wrote, relative to the run."""
-        names = [
-            f"{table}.parquet" for table in TABLES if (self.folder / f"{table}.parquet").is_file()
-        ]
-        for table in TABLES:
-            if (self.folder / table).is_dir():
-                with os.scandir(self.folder / table) as entries:
-                    for entry in entries:
-                        if not entry.is_dir(follow_symlinks=False):
-                            names.append(f"{table}/{entry.name}")
         known = self.ledger.files()
-        return [name for name in names if name not in known]
+        unknown = []
+        for table in TABLES:
+            name = f"{table}.parquet"
+            if name not in known and (self.folder / name).is_file():
+                unknown.append(name)
+            if not (self.folder / table).is_dir():
+                continue
+            with os.scandir(self.folder / table) as entries:
+                for entry in entries:
+                    name = f"{table}/{entry.name}"
+                    if name not in known and not entry.is_dir(follow_symlinks=False):
+                        unknown.append(name)
+        return unknown
 
 
 def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:

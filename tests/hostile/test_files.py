@@ -13,13 +13,14 @@ import pandas as pd
 import pytest
 
 import fidpipe
-from fidpipe.pipeline.datasets.pairs import read_dataset, scans_of
+from fidpipe.pipeline.datasets.pairs import read_dataset, read_label_names, scans_of
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
 from fidpipe.pipeline.datasets.readers.formats import FORMATS
 from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
 from fidpipe.schemas.errors import DatasetError, ScanError
+from recordings import write_pcap
 from runs import command
-from scan_files import POINTS, WRITERS, read, write_packets
+from scan_files import POINTS, WRITERS, read, velodyne_packets, write_packets
 from scenes import write_dataset
 
 PACKAGE = Path(fidpipe.__file__).parent
@@ -157,6 +158,14 @@ def test_a_capture_in_the_newer_format_has_the_same_points(tmp_path):
     np.testing.assert_array_equal(read_scan(tmp_path / "a.pcap").points, read_scan(tmp_path / "b.pcapng").points)
 
 
+def test_a_sensor_whose_packets_lack_their_calibration_is_not_read_as_another(tmp_path):
+    packets = []
+    for number, (stamp, data) in enumerate(4 * velodyne_packets()):
+        packets.append((stamp, data[:-1] + bytes([0x22 + number])))
+    with pytest.raises(ScanError, match="metadata"):
+        read(write_pcap(tmp_path / "a.pcap", packets))
+
+
 def test_a_table_of_text_is_bounded(tmp_path):
     wide = "x,y,z" + ",a" * 2000 + "\n" + "1,2,3" + ",0" * 2000 + "\n"
     with pytest.raises(ScanError, match="2003"):
@@ -169,6 +178,12 @@ def test_a_table_of_text_is_bounded(tmp_path):
     else:
         with pytest.raises(ScanError, match="row 2, column ring"):
             read_scan(big)
+
+
+def test_a_class_name_is_not_a_book(tmp_path):
+    (tmp_path / "labels.toml").write_text(f'1 = "{"a" * 1000}"\n')
+    with pytest.raises(DatasetError, match="1000"):
+        read_label_names(tmp_path)
 
 
 def test_a_name_that_no_file_can_have_is_a_fault_of_its_pair(tmp_path):

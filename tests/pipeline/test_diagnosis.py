@@ -16,6 +16,8 @@ from fidpipe.pipeline.jobs import gains_job
 from fidpipe.pipeline.report.page.run_data import page_data
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.finished import FinishedRun
+from fidpipe.pipeline.storage.ledger import LEDGER
+from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.results import Diagnosis
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import load
@@ -89,6 +91,14 @@ def test_gains_are_computed_once(low, monkeypatch):
     before = diagnose_run(low, QUIET, Machines(1))
     monkeypatch.setattr("fidpipe.pipeline.jobs.gains_job.shares", lambda *_: pytest.fail("computed again"))
     assert diagnose_run(low, QUIET, Machines(1)) == before
+
+
+def test_a_pair_that_the_ledger_has_lost_is_named(low):
+    (low / LEDGER / "1.json").write_text("")
+    with pytest.raises(RunError, match=r"1\.json is damaged or gone; run it again"):
+        diagnose_run(low, QUIET)
+    with pytest.raises(RunError, match=r"1\.json is damaged or gone"):
+        FinishedRun(low).check_tables("1")
 
 
 def test_an_interrupted_diagnosis_resumes_with_equal_gains(low, low_run, tmp_path, monkeypatch):

@@ -10,9 +10,11 @@ from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.pipeline.paper import perturb as experiment_module
+from fidpipe.pipeline.paper.experiment_views import perturb_view
 from fidpipe.pipeline.paper.perturb import LEVELS as DEFAULT_LEVELS
 from fidpipe.pipeline.paper.perturb import NULL, chosen_objects, parse_levels, perturb_source
 from fidpipe.pipeline.paper.perturb_objects import choose_objects
+from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, ScanError, SettingsError
 from fidpipe.schemas.settings import load
@@ -287,7 +289,7 @@ def test_the_folder_of_another_command_is_refused(done, scan, tmp_path):
 def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
     out = tmp_path / "run"
     settings = load(None, ["graph.k=12", "metrics.baselines=chamfer,f_score"])
-    perturbed(scan, out, settings=settings)
+    outcome = perturbed(scan, out, settings=settings)
     assert rows(out).equals(rows(done.folder))
     baselines, objects = rows(out, "perturb_baselines"), rows(out)
     assert set(baselines.seed) == set(objects.seed)
@@ -299,6 +301,10 @@ def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
     there = cKDTree(altered).query(points)[0]
     back = cKDTree(points).query(altered)[0]
     assert row.value == pytest.approx(there.mean() + back.mean())
+    (table,) = [part for part in perturb_view(outcome) if isinstance(part, Table) and "Reaction" in part.title]
+    reactions = {metric: most for metric, *_, most in table.rows}
+    assert reactions["f_score"] == "rigid"
+    assert reactions["r_lambda"] == "drop"
 
 
 def test_the_command_prints_the_scores_of_the_whole_scan_and_draws_its_figure(scan, tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -136,10 +135,14 @@ def _packets(
 @lru_cache(maxsize=16)
 def _config(file: Path, _mtime_ns: int) -> Any:
     """Configuration of a decoder, with the model and calibration that an HDL-64E sends among its packets."""
+    import dpkt
     import velodyne_decoder as vd
 
     config = vd.Config()
-    if file.suffix.lower() == ".pcap":
-        with suppress(ValueError):  # a capture in the newer format, which the library does not search
-            config.model, config.calibration = vd.hdl64e.detect_hdl64e(str(file))
+    if file.suffix.lower() != ".pcap":
+        return config
+    with file.open("rb") as stream:
+        is_newer = isinstance(dpkt.pcap.UniversalReader(stream), dpkt.pcapng.Reader)
+    if not is_newer:  # which the library does not search
+        config.model, config.calibration = vd.hdl64e.detect_hdl64e(str(file))
     return config
