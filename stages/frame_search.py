@@ -120,7 +120,7 @@ class FrameCheck:
 
 def is_only_lifted(reading: str, gain: float) -> bool:
     """True if a scan fits a little better with its ground at another height, and all else as given."""
-    return gain < MIN_GAIN and reading.startswith(_LIFTED)
+    return gain < MIN_GAIN and reading.startswith(_LIFTED) and ", in " not in reading  # a unit
 
 
 @dataclass(frozen=True)

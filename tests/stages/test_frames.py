@@ -8,7 +8,7 @@ import pytest
 
 from fidpipe.schemas.settings import FRAME_AXES, InputSettings
 from fidpipe.stages.clean import as_ros
-from fidpipe.stages.frame_search import check_frames, ground_height
+from fidpipe.stages.frame_search import FrameCheck, check_frames, ground_height
 from fidpipe.stages.generate.perturbations import add_noise, drop_points
 from fidpipe.stages.inspect.sequence_checks import (
     SequenceScan,
@@ -308,3 +308,10 @@ def test_too_few_points_compare_as_nothing():
     assert np.isnan(moved_m([few])) and np.isnan(few[0].misfit_m(few[1]))
     assert find_time_offset([(few * 3, few * 3)]) is None
     assert find_static_side(float("nan"), 0.5) is None
+
+
+def test_another_size_is_another_frame_also_if_the_ground_is_lifted():
+    lifted = FrameCheck(0.86, "shifted by +0.30 m in z", 0.95, True, "")
+    scaled = FrameCheck(0.86, "shifted by +0.30 m in z, in units of 0.9 m", 0.95, True, "")
+    assert lifted.doubt is None
+    assert scaled.doubt == f"the simulated scan is in another frame: {scaled.reading}"
