@@ -127,6 +127,8 @@ def _compare_labels(
         parts.append(seen)
         objects += _labelled_objects(run, pair_id, seen, label_names)
     points = pd.concat(parts)
+    if points.empty:  # no common surface
+        return [], objects
     numbers = np.unique(points[["predicted", "counterpart"]])
     confusion = confusion_matrix(points["predicted"], points["counterpart"], labels=numbers)
     n_real = confusion.sum(axis=1)

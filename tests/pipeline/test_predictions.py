@@ -10,8 +10,10 @@ from scipy.spatial import cKDTree
 from sklearn.ensemble import RandomForestClassifier
 
 import fidpipe
+from fidpipe.pipeline.diagnose import predictions
 from fidpipe.pipeline.diagnose.prediction_files import read_kitti_boxes, read_nuscenes_boxes
 from fidpipe.pipeline.diagnose.predictions import compare_predictions
+from fidpipe.pipeline.diagnose.predictions_view import agreement_view
 from fidpipe.schemas.errors import DatasetError
 from fidpipe.schemas.settings import TaskSettings, load
 from fidpipe.stages.pieces import CutScan
@@ -23,6 +25,7 @@ from fidpipe.stages.predictions import (
     match_detections,
 )
 from fidpipe.stages.tasks import find_obstacles
+from reports import text_of
 from runs import command, run
 from scenes import street, write_dataset
 
@@ -103,6 +106,13 @@ def test_a_segmenter_is_compared_by_class_and_by_object(folder, labels):
     assert (values["kind"], len(values["objects"])) == ("labels", len(names))
     rows = list(csv.DictReader(io.StringIO(command(*words, "--csv", code=0).stdout)))
     assert [(row["pair_id"], int(row["community_id"])) for row in rows] == names
+
+
+def test_sides_without_common_surface_have_no_classes(folder, labels, monkeypatch):
+    monkeypatch.setattr(predictions, "counterparts", lambda points, _: np.full(len(points), -1))
+    result = compare_predictions(fidpipe.open_run(folder / "run"), labels / "real", labels / "sim")
+    assert (result.classes, result.objects) == ((), ())
+    assert "0 objects with predictions" in text_of(agreement_view(result))
 
 
 def test_boxes_of_clusters_are_compared_and_joined_with_the_objects(folder, boxes):
