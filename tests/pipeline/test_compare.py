@@ -26,13 +26,14 @@ from fidpipe.pipeline.report.views.compare_view import (
     object_view,
     reasons,
 )
-from fidpipe.pipeline.results.changes import Changes
+from fidpipe.pipeline.results.changes import ChangedCause, Changes
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.followed import by_class, by_range, worst_changes
 from fidpipe.pipeline.results.gate import judge_comparison
 from fidpipe.pipeline.results.object_frame import plain_rows
 from fidpipe.schemas.errors import RunError
+from fidpipe.schemas.results import Cause
 from fidpipe.schemas.settings import load
 from reports import text_of
 from runs import command, copied, run
@@ -250,6 +251,27 @@ def test_the_first_line_is_the_decision_with_its_first_cause_and_short(versions)
         text = " ".join(text_of(compare_view(found)).split())
         assert text.startswith(f"{word}: ")
         assert chance(found).startswith("6 pairs of 6 places")
+
+
+def test_the_first_line_names_what_changed_neither_for_better_nor_worse(versions):
+    found = compare_runs([versions[0]] * 2)[0]
+    cause = Cause(
+        name="height",
+        kind="sensor",
+        words="world 5 cm too high",
+        setting="mount height",
+        estimate=0.05,
+        low=0.04,
+        high=0.06,
+        unit="m",
+        n_pairs=6,
+        real=None,
+        sim=None,
+        share=1.0,
+    )
+    change = ChangedCause(cause, -0.025, 0.025, "changed", "height: +2 cm, before -2 cm")
+    found = replace(found, changes=Changes((change,)), families=())
+    assert decision(found) == f"undecided: changed, neither better nor worse: {change.words}"
 
 
 def test_classes_and_ranges_count_every_real_object_and_average_those_in_both(found):

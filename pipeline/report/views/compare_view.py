@@ -182,6 +182,11 @@ def _nothing_decided(comparison: Comparison) -> str:
     """Why nothing is worse or better."""
     if comparison.decision == "same":
         return "no score changed"
+    changed = [words for words, _, _ in reasons(comparison)["changed"]]
+    if changed:
+        n_more = len(changed) - 1
+        more = f" and {n_more} more" if n_more else ""
+        return f"changed, neither better nor worse: {changed[0]}{more}"
     counted = pairs_and_places(len(comparison.pairs), comparison.n_places)
     if comparison.lacks_places:
         return f"{counted}. {NEEDED.capitalize()}"
