@@ -6,12 +6,13 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
+from fidpipe.pipeline.report.figures.object_plots import plot_object
 from fidpipe.pipeline.report.view import Table
-from fidpipe.pipeline.report.views.show_view import pair_view
+from fidpipe.pipeline.report.views.show_view import object_view, pair_view
 from fidpipe.pipeline.results.finished import FinishedRun, object_facts, pair_facts
 from fidpipe.pipeline.storage.run_record import read_run
 from fidpipe.schemas.errors import RunError
-from reports import HOSTILE_PAIRS
+from reports import HOSTILE_PAIRS, text_of
 from runs import command
 
 FIRST = HOSTILE_PAIRS[0]
@@ -64,6 +65,9 @@ def test_an_object_is_named_by_its_side_and_number(report_run):
     assert object_facts(run_, FIRST, f"sim:{partner}") == real == object_facts(run_, FIRST, "real:0")
     alone = next(of for of in pair_facts(run_, FIRST).objects if of.status == "not_found")
     assert object_facts(run_, FIRST, str(alone.real["community_id"])).scores is None
+    assert ": not found" in " ".join(text_of(object_view("000", alone)).split())
+    axis = plot_object(run_, FIRST, str(alone.real["community_id"])).axes[0]
+    assert axis.get_title().endswith(", not found")
 
 
 @pytest.mark.parametrize("name", ["99", "sim:99", "nose:1", "-1", "٣", ""])

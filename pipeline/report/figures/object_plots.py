@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ...results.finished import FinishedRun, ObjectFacts, object_facts
-from ..look import SIDE_COLOURS
+from ..look import FATE_WORDS, SIDE_COLOURS
 from ..pictures import box_around, surroundings
 from ..run_frames import read_cloud
 from ..view import number
@@ -55,7 +55,7 @@ def _object_title(facts: ObjectFacts, pair_id: str) -> str:
     if row["label"]:
         name = f"{style.shown_name(row['label'])} ({name})"
     words = [f"pair {style.shown_name(pair_id)}, {name}\n{row['range_m']:.0f} m away"]
-    words.append(facts.status)
+    words.append(FATE_WORDS[facts.status])
     if facts.scores:
         for score in QUADRANT_SCORES:
             words.append(f"{METRIC[score].label} {number(facts.scores[score])}")

@@ -245,7 +245,8 @@ def object_view(pair_id: str, facts: ObjectFacts) -> View:
     """A sentence on an object, its scores, and its place and shape on both sides."""
     rows = _by_side(facts, ("community_id", *_OBJECT_COLUMNS))
     rows[0][0] = "object"
-    table = Table(f"Object of pair {pair_id}: {facts.status}", ("", "real", "simulated"), rows)
+    title = f"Object of pair {pair_id}: {FATE_WORDS[facts.status]}"
+    table = Table(title, ("", "real", "simulated"), rows)
     if facts.scores is None:
         parts: list[Part] = [Note(alone_judgement(facts.row)), table]
         if facts.real and facts.sim:
