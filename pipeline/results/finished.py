@@ -122,8 +122,13 @@ class FinishedRun:
         (matched, not_found, extra; remnant: a few simulated points of an object not found), `partner` (the matched
         object of the other side, -1 without one), `shape`, `bearing_deg`, `diagonal_m` and `quadrant`. Scores are
         those of the pair of objects, on both rows; null for unmatched objects.
+
+        Raises
+        ------
+        RunError
+            No pair is scored, or a table is damaged.
         """
-        frame = self.objects_of([row["pair_id"] for row in self.scored]).rename(columns=WITH_UNITS)
+        frame = self.objects_of(self.select()).rename(columns=WITH_UNITS)
         first = ["pair_id", "side", "community_id", "fate", "partner", "label", "shape"]
         others = frame.columns.difference([*first, "pair", "band"], sort=False)
         return frame[[*first, *others]]

@@ -87,6 +87,13 @@ def test_what_is_not_there_is_named(run, report_run):
     assert repr(run) == f"<fidpipe run {report_run}: 4 pairs scored, 1 failed, preset paper>"
 
 
+def test_a_run_without_a_scored_pair_says_that_it_has_no_objects(report_run):
+    failed = fidpipe.open_run(report_run)
+    failed.rows = [row for row in failed.rows if row["status"] == "failed"]
+    with pytest.raises(RunError, match="no pair is scored"):
+        _ = failed.objects
+
+
 def test_the_public_names_are_those_of_dir_and_each_loads():
     assert dir(fidpipe) == sorted(fidpipe.__all__)
     assert all(hasattr(fidpipe, name) for name in dir(fidpipe))
