@@ -567,6 +567,11 @@ def test_the_scene_is_drawn_when_a_third_of_it_is_in_view(browser, page_path):
         )
         settle(browser)
         assert browser.execute_script(f"return {IN_3D}") == is_drawn
+    camera = "return document.getElementById('scene').layout.scene.camera.center"
+    first = browser.execute_script(camera)
+    browser.execute_script("arguments[0].dispatchEvent(new Event('change'))", by_id(browser, "object"))
+    settle(browser)
+    assert browser.execute_script(camera) == pytest.approx(first), "seen as when it is chosen in view"
 
 
 @pytest.mark.exhaustive
