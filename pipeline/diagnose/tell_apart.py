@@ -41,6 +41,7 @@ from ..results.finished import FinishedRun
 #: Points per side, and frames that they are drawn from at most.
 POINTS, MOST_FRAMES = 20_000, 40
 _ROAD_M = 0.3
+_RANDOM_HALVES = "two random halves of the points"
 _AXES = ["x", "y", "z"]
 
 
@@ -188,24 +189,11 @@ def _compare(
         notes.append(
             f"fewer than {LEAST_PLACES} places, hence cross-validated by sectors: other places are not tested"
         )
-    half = len(real) // 2
-    frames = np.arange(2 * half)
-    if second:
-        base_of = "second measurements of the best case"
-        base = sides[0], draw(second)
-    elif half and is_paired and sides[0].place.nunique() <= half:
-        base_of = "even and odd frames"
-        base = _of_frames(sides[0], frames[::2]), _of_frames(sides[0], frames[1::2])
-    elif half and not is_paired:
-        base_of = "first and second half of the frames"
-        base = _of_frames(sides[0], frames[:half]), _of_frames(sides[0], frames[half:])
-    else:
-        base_of = "two random halves of the points"
+    base, base_of = _base_samples(sides[0], draw(second) if second else None, is_paired=is_paired)
+    if base_of == _RANDOM_HALVES:
         notes.append(
             "no second real frame of the same place: random halves of one frame differ less than two frames"
         )
-        some = sides[0].sample(frac=0.5, random_state=0)
-        base = some, sides[0].drop(some.index)
     families = {}
     features = {}
     for family, names in FAMILIES.items():
@@ -230,6 +218,26 @@ def _compare(
         by_place=by_place,
         notes=tuple(notes),
     )
+
+
+def _base_samples(
+    real: pd.DataFrame, second: pd.DataFrame | None, *, is_paired: bool
+) -> tuple[tuple[pd.DataFrame, pd.DataFrame], str]:
+    """Two samples of the real side, which a classifier should hardly tell apart, and what they are."""
+    if second is not None:
+        return (real, second), "second measurements of the best case"
+    half = (int(real.frame.max()) + 1) // 2
+    frames = np.arange(2 * half)
+    if half and is_paired and real.place.nunique() <= half:
+        return (
+            _of_frames(real, frames[::2]),
+            _of_frames(real, frames[1::2]),
+        ), "even and odd frames"
+    if half and not is_paired:
+        halves = _of_frames(real, frames[:half]), _of_frames(real, frames[half:])
+        return halves, "first and second half of the frames"
+    some = real.sample(frac=0.5, random_state=0)
+    return (some, real.drop(some.index)), _RANDOM_HALVES
 
 
 def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: bool) -> pd.DataFrame:
