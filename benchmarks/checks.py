@@ -70,9 +70,15 @@ FAULTS = {
     "simulated 1 frame early": (lambda real, sim: (real[:-1], sim[1:]), "early"),
     "simulated side static": (lambda real, sim: (real, still(sim)), "static sim"),
     "real side static": (lambda real, sim: (still(real), sim), "static real"),
-    "simulated side nearly empty (1 point in 40)": (lambda real, sim: (real, [each[::40] for each in sim]), "empty"),
+    "simulated side nearly empty (1 point in 40)": (
+        lambda real, sim: (real, [each[::40] for each in sim]),
+        "empty",
+    ),
     "300 hits on the bonnet, real": (lambda real, sim: (with_bonnet(real, 300), sim), "ego real"),
-    "3000 hits on the bonnet, simulated": (lambda real, sim: (real, with_bonnet(sim, 3000)), "ego sim"),
+    "3000 hits on the bonnet, simulated": (
+        lambda real, sim: (real, with_bonnet(sim, 3000)),
+        "ego sim",
+    ),
 }
 
 
@@ -95,9 +101,15 @@ def sequences(data):
     """Real and simulated scans in order of time, by what they are."""
     return {
         "kitti_sequence": with_copies(points_of(sorted((data / "kitti_sequence").glob("*.bin")))),
-        "kitti_twin": tuple(points_of(sorted((data / "kitti_twin" / side).iterdir())) for side in ("real", "sim")),
-        "VLP-32C, parked": with_copies(points_of(frames_of(data / "velodyne_vlp32c/sweeps.pcap")[:4])),
-        "carla, 2 frames": with_copies(points_of(data / "carla" / f"0000{i}.bin" for i in (30, 31))),
+        "kitti_twin": tuple(
+            points_of(sorted((data / "kitti_twin" / side).iterdir())) for side in ("real", "sim")
+        ),
+        "VLP-32C, parked": with_copies(
+            points_of(frames_of(data / "velodyne_vlp32c/sweeps.pcap")[:4])
+        ),
+        "carla, 2 frames": with_copies(
+            points_of(data / "carla" / f"0000{i}.bin" for i in (30, 31))
+        ),
         "synth --seed 0": streets(0, 8, "vlp32c"),
         "held out: synth --seed 31 --sensor os1-64": streets(31, 8, "os1-64"),
         "held out: registration": with_copies(
@@ -122,7 +134,11 @@ def seen(real, sim):
     counts = {"real": cleaned_counts(real), "sim": cleaned_counts(sim)}
     lines = samples.warnings(counts)
     seconds = time.process_time() - start
-    return {name for name, pattern in SEEN.items() for line in lines if re.search(pattern, line)}, lines, seconds
+    return (
+        {name for name, pattern in SEEN.items() for line in lines if re.search(pattern, line)},
+        lines,
+        seconds,
+    )
 
 
 def sides(data):
@@ -148,7 +164,9 @@ def sides(data):
     print("\nNot as wanted:")
     for fault, name, line in odd:
         print(f"- {fault}; {name}: {line}")
-    print(f"\n{np.median(seconds):.2f} s of one core a pair that is looked at, cleaning and benchmark included")
+    print(
+        f"\n{np.median(seconds):.2f} s of one core a pair that is looked at, cleaning and benchmark included"
+    )
 
 
 def turned(points):
@@ -164,16 +182,28 @@ def by_beam(points):
 
 STAMP_FAULTS = {
     "none": (lambda times, rng: times, ""),
-    "half are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.5, np.nan, times), "have no time"),
-    "every other is 0": (lambda times, rng: np.where(np.arange(len(times)) % 2, times, 0.0), "have no time"),
+    "half are NaN": (
+        lambda times, rng: np.where(rng.random(len(times)) < 0.5, np.nan, times),
+        "have no time",
+    ),
+    "every other is 0": (
+        lambda times, rng: np.where(np.arange(len(times)) % 2, times, 0.0),
+        "have no time",
+    ),
     "half as many": (lambda times, rng: times[::2], "one per point"),
     "one for all": (lambda times, rng: np.full(len(times), 5.0), "all points have one time"),
     "milliseconds": (lambda times, rng: 1e3 * times, "milliseconds"),
     "nanoseconds": (lambda times, rng: 1e9 * times, "nanoseconds"),
     "of other points": (lambda times, rng: rng.permutation(times), "go round"),
     "by row, not by turn": (lambda times, rng: np.linspace(0, 0.1, len(times)), "go round"),
-    "5 % are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.05, np.nan, times), "have no time"),
-    "1 % are NaN": (lambda times, rng: np.where(rng.random(len(times)) < 0.01, np.nan, times), "have no time"),
+    "5 % are NaN": (
+        lambda times, rng: np.where(rng.random(len(times)) < 0.05, np.nan, times),
+        "have no time",
+    ),
+    "1 % are NaN": (
+        lambda times, rng: np.where(rng.random(len(times)) < 0.01, np.nan, times),
+        "have no time",
+    ),
     "backwards": (lambda times, rng: times.max() - times, "go round"),
 }
 
@@ -193,7 +223,8 @@ def stamps(data):
         ],
         "held out: rellis OS1-64, times made": [(points, turned(points)) for points in os1],
         "held out: nuscenes, times made": [
-            (points, turned(points)) for points in map(by_beam, points_of((data / "nuscenes").glob("*.bin")))
+            (points, turned(points))
+            for points in map(by_beam, points_of((data / "nuscenes").glob("*.bin")))
         ],
     }
     print("\n| times | " + " | ".join(named) + " |\n" + "|---" * (len(named) + 1) + "|")
@@ -212,21 +243,33 @@ def stamps(data):
             relative = scan.times_s - scan.times_s.min() - at * np.ptp(scan.times_s)
             place = describe_stamps(relative, scan.points, 0.0).place
             places[at, place] = places.get((at, place), 0) + 1
-    print(f"\nTime of the scan moved to its first (0), middle (0.5), last (1) point, and what is told: {places}")
+    print(
+        f"\nTime of the scan moved to its first (0), middle (0.5), last (1) point, and what is told: {places}"
+    )
 
 
 def frames(data):
     twin = list(
-        zip(*(points_of(sorted((data / "kitti_twin" / side).iterdir())) for side in ("real", "sim")), strict=True)
+        zip(
+            *(
+                points_of(sorted((data / "kitti_twin" / side).iterdir()))
+                for side in ("real", "sim")
+            ),
+            strict=True,
+        )
     )
     carla = points_of([data / "carla/000030.bin"])
     nuscenes = points_of((data / "nuscenes").glob("*.bin"))
     held = points_of([data / "registration/source.ply"])
     named = {
         "kitti_twin": twin,
-        "carla, nuscenes, measured again": [(points, again(points, 0)) for points in carla + nuscenes],
+        "carla, nuscenes, measured again": [
+            (points, again(points, 0)) for points in carla + nuscenes
+        ],
         "synth --seed 0": list(zip(*streets(0, 8, "vlp32c"), strict=True)),
-        "held out: synth --seed 31 --sensor os1-64": list(zip(*streets(31, 8, "os1-64"), strict=True)),
+        "held out: synth --seed 31 --sensor os1-64": list(
+            zip(*streets(31, 8, "os1-64"), strict=True)
+        ),
         "held out: registration, measured again": [(points, again(points, 0)) for points in held],
     }
     print("\n| real | simulated | " + " | ".join(named) + " |\n" + "|---" * (len(named) + 2) + "|")
@@ -248,17 +291,30 @@ def frames(data):
                     if "T_real_sim" not in check.setting:
                         mended = check_frames(*own, InputSettings(**words))
                         n_mended += mended is not None and not mended.is_suspect
-                cells.append(f"{n_seen} of {len(pairs)}" + (f", mended {n_mended}" if n_seen else ""))
+                cells.append(
+                    f"{n_seen} of {len(pairs)}" + (f", mended {n_mended}" if n_seen else "")
+                )
             print(f"| {real_frame} | {sim_frame} | " + " | ".join(cells) + " |", flush=True)
 
 
 def camera(data):
     """Scans by themselves, as they are and in camera axes: what both sides in one wrong frame leave to see."""
-    names = ["kitti_twin/*/000000.bin", "kitti_sequence/000000.bin", "carla/000030.bin", "carla/half_sweep.bin"]
+    names = [
+        "kitti_twin/*/000000.bin",
+        "kitti_sequence/000000.bin",
+        "carla/000030.bin",
+        "carla/half_sweep.bin",
+    ]
     names += ["rellis/*.bin", "registration/source.ply", "velodyne_vlp32c/*.pcd", "nuscenes/*.bin"]
-    scans = points_of(path for name in names for path in sorted(data.glob(name))) + streets(0, 4, "vlp32c")[1]
+    scans = (
+        points_of(path for name in names for path in sorted(data.glob(name)))
+        + streets(0, 4, "vlp32c")[1]
+    )
     scans = [points[np.isfinite(points).all(axis=1) & points.any(axis=1)] for points in scans]
-    for name, turn in (("as they are", np.eye(3)), ("in camera axes", as_ros(np.eye(3), "kitti-cam").T)):
+    for name, turn in (
+        ("as they are", np.eye(3)),
+        ("in camera axes", as_ros(np.eye(3), "kitti-cam").T),
+    ):
         texts = [" ".join(implausible(points @ turn, "real", 2.5)) for points in scans]
         n_told = sum("camera axes" in text for text in texts)
         print(f"\n{name}: {n_told} of {len(scans)} scans are said to be in camera axes")

@@ -26,7 +26,18 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from flawed_scans import ALL, CONTROL, FLAWS, Scan, find_car, find_poles, random, ray_noise, read, write
+from flawed_scans import (
+    ALL,
+    CONTROL,
+    FLAWS,
+    Scan,
+    find_car,
+    find_poles,
+    random,
+    ray_noise,
+    read,
+    write,
+)
 from measure import FIDPIPE
 
 from fidpipe.pipeline.results.compare import compare_runs
@@ -78,7 +89,9 @@ def run_of(args, campaign, flaw):
 def fidpipe(*words):
     done = subprocess.run([FIDPIPE, *map(str, words)], capture_output=True, text=True, check=False)
     if done.returncode:
-        raise SystemExit(f"fidpipe {' '.join(map(str, words))}: exit {done.returncode}\n{done.stderr[-2000:]}")
+        raise SystemExit(
+            f"fidpipe {' '.join(map(str, words))}: exit {done.returncode}\n{done.stderr[-2000:]}"
+        )
     return done.stdout
 
 
@@ -88,7 +101,17 @@ def run_all(args):
     def run(task):
         base, preset = task[0].split("-")
         out = run_of(args, *task)
-        fidpipe("run", dataset(args, base, task[1]), "--preset", preset, "--out", out, "--workers", 1, "--replace")
+        fidpipe(
+            "run",
+            dataset(args, base, task[1]),
+            "--preset",
+            preset,
+            "--out",
+            out,
+            "--workers",
+            1,
+            "--replace",
+        )
         print(*task, "done", file=sys.stderr, flush=True)
 
     with ThreadPoolExecutor(args.jobs) as pool:
@@ -101,14 +124,17 @@ def decide(args, campaign, flaw, *, independent=False):
     found = compare_runs(runs, independent=independent)[0].as_dict()
     moved = [one for one in found["families"] if one["verdict"] in ("better", "worse", "mixed")]
     families = [
-        f"({one['name']} {one['verdict']})" if one["why"] else f"{one['name']} {one['verdict']}" for one in moved
+        f"({one['name']} {one['verdict']})" if one["why"] else f"{one['name']} {one['verdict']}"
+        for one in moved
     ]
     causes = [f"{changed['words']} {changed['verdict']}".strip() for changed in found["causes"]]
     return found["decision"], ", ".join(families) or "-", ", ".join(causes) or "-"
 
 
 def first_cause(args, campaign, flaw):
-    causes = json.loads((run_of(args, campaign, flaw) / "run.json").read_text())["overview"]["causes"]
+    causes = json.loads((run_of(args, campaign, flaw) / "run.json").read_text())["overview"][
+        "causes"
+    ]
     return causes[0]["words"] if causes else "-"
 
 
@@ -136,12 +162,15 @@ def decision_table(args, campaign, cars):
         decisions[flaw], families, causes = decide(args, campaign, flaw)
         independent[flaw] = decide(args, campaign, flaw, independent=True)[0]
         first = first_cause(args, campaign, flaw)
-        lines.append(f"| {flaw} | {decisions[flaw]} | {independent[flaw]} | {families} | {first} | {causes} |")
+        lines.append(
+            f"| {flaw} | {decisions[flaw]} | {independent[flaw]} | {families} | {first} | {causes} |"
+        )
     lines.append("")
     for title, own in (("by default", decisions), ("with `--independent`", independent)):
         counted = [own[flaw] for flaw in FLAWS if flaw in own and flaw != CONTROL]
         counts = ", ".join(
-            f"{counted.count(word)} {word}" for word in ("worse", "mixed", "better", "undecided", "same")
+            f"{counted.count(word)} {word}"
+            for word in ("worse", "mixed", "better", "undecided", "same")
         )
         lines.append(f"Of {len(counted)} flaws {title}: {counts}; control: {own.get(CONTROL)}.")
     lines.append(f"First cause of the base: {first_cause(args, campaign, NONE)}.")
@@ -163,14 +192,22 @@ def changes(args, campaign):
             t = 0.0
             if change.any():
                 t = change.mean() / error if error else np.sign(change.mean()) * np.inf
-            rows.append((campaign, flaw, column, before[column].mean(), change.mean(), t, len(change)))
-    return pd.DataFrame(rows, columns=["campaign", "flaw", "column", "before", "change", "t", "pairs"])
+            rows.append(
+                (campaign, flaw, column, before[column].mean(), change.mean(), t, len(change))
+            )
+    return pd.DataFrame(
+        rows, columns=["campaign", "flaw", "column", "before", "change", "t", "pairs"]
+    )
 
 
 def pieces_table(found, campaign):
     columns = ("n_missing_pieces", "n_invented_pieces", "cdc_mean")
     t = found[found.campaign == campaign].pivot(index="flaw", columns="column", values="t")
-    lines = [f"`{campaign}`, t over pairs:", "| flaw | missing pieces | invented pieces | CDC |", "|---|---|---|---|"]
+    lines = [
+        f"`{campaign}`, t over pairs:",
+        "| flaw | missing pieces | invented pieces | CDC |",
+        "|---|---|---|---|",
+    ]
     for flaw in dict.fromkeys(found.flaw):
         cells = [f"{t.loc[flaw, column]:.1f}" for column in columns]
         lines.append(f"| {flaw} | {' | '.join(cells)} |")
@@ -178,12 +215,20 @@ def pieces_table(found, campaign):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("datasets", type=Path, nargs="+", help="folders with real/ and sim/")
-    parser.add_argument("--out", type=Path, default=Path(".cache/decisions"), help="datasets and runs; resumed")
-    parser.add_argument("--campaigns", nargs="+", choices=CAMPAIGNS, default=list(CAMPAIGNS), help="base and preset")
+    parser.add_argument(
+        "--out", type=Path, default=Path(".cache/decisions"), help="datasets and runs; resumed"
+    )
+    parser.add_argument(
+        "--campaigns", nargs="+", choices=CAMPAIGNS, default=list(CAMPAIGNS), help="base and preset"
+    )
     parser.add_argument("--flaws", nargs="+", choices=ALL, default=list(ALL))
-    parser.add_argument("--every-pair", type=int, default=1, help="take each n-th pair, to try the script")
+    parser.add_argument(
+        "--every-pair", type=int, default=1, help="take each n-th pair, to try the script"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="runs at the same time")
     arguments = parser.parse_args()
     cars_of_pairs = make_datasets(arguments)
@@ -191,4 +236,9 @@ if __name__ == "__main__":
     measured = pd.concat([changes(arguments, campaign) for campaign in arguments.campaigns])
     measured.to_csv(arguments.out / "changes.csv", index=False)
     for one in arguments.campaigns:
-        print(decision_table(arguments, one, cars_of_pairs), pieces_table(measured, one), sep="\n\n", end="\n\n")
+        print(
+            decision_table(arguments, one, cars_of_pairs),
+            pieces_table(measured, one),
+            sep="\n\n",
+            end="\n\n",
+        )

@@ -52,7 +52,9 @@ PARTS = ("missing parts", "invented parts")
 
 
 def far_drop(share):
-    return lambda scan, rng: scan.points[(ranges(scan.points) < 25) | (rng.random(len(scan.points)) >= share)]
+    return lambda scan, rng: scan.points[
+        (ranges(scan.points) < 25) | (rng.random(len(scan.points)) >= share)
+    ]
 
 
 def grazing_drop(share):
@@ -60,7 +62,9 @@ def grazing_drop(share):
         planes = fit_planes(scan.points, scan.points, 30)
         normal = np.where(fs.is_ground(scan.points)[:, None], [[0, 0, 1.0]], planes.normal)
         cosine = np.abs((normal * scan.points).sum(axis=1)) / ranges(scan.points)
-        is_grazing = (cosine < np.cos(np.radians(75))) & (fs.is_ground(scan.points) | (planes.scattering < 0.1))
+        is_grazing = (cosine < np.cos(np.radians(75))) & (
+            fs.is_ground(scan.points) | (planes.scattering < 0.1)
+        )
         return scan.points[~is_grazing | (rng.random(len(scan.points)) >= share)]
 
     return drop
@@ -114,7 +118,9 @@ def rain(n):
 def mixed(share):
     def mix(scan, rng):
         is_mixed = rng.random(len(scan.points)) < share
-        return along_ray(scan.points, ranges(scan.points) + is_mixed * rng.uniform(0.2, 1.5, len(scan.points)))
+        return along_ray(
+            scan.points, ranges(scan.points) + is_mixed * rng.uniform(0.2, 1.5, len(scan.points))
+        )
 
     return mix
 
@@ -193,7 +199,10 @@ def as_boxes(scan, rng):
 FLAWS = {
     "drop": (("lost returns",), [(fs.drop(a), a) for a in (0.05, 0.15, 0.4)]),
     "drop beyond 25 m": (("lost far returns",), [(far_drop(a), a) for a in (0.3, 0.5, 0.8)]),
-    "drop at grazing incidence": (("lost grazing returns",), [(grazing_drop(a), a) for a in (0.3, 0.5, 0.8)]),
+    "drop at grazing incidence": (
+        ("lost grazing returns",),
+        [(grazing_drop(a), a) for a in (0.3, 0.5, 0.8)],
+    ),
     "holes": (PARTS[:1], [(holes(n), None) for n in (5, 12, 25)]),
     "ghosts": (PARTS[1:], [(ghosts(a), a / (1 + a)) for a in (0.01, 0.02, 0.04)]),
     "noise": (("range noise",), [(ray_noise(a), None) for a in (0.04, 0.1, 0.2)]),
@@ -203,12 +212,18 @@ FLAWS = {
     "offset sideways": (("sideways",), [(shifted(0, a), a) for a in (-0.1, 0.2, -0.4)]),
     "solid foliage": (("solid foliage",), [(fs.solid_foliage, None)]),
     "pitch": (("pitch",), [(pitch(a), a) for a in (0.3, -1, 2)]),
-    "range scale": (("range scale",), [(lambda scan, rng, a=a: scan.points * (1 + a), a) for a in (0.01, -0.02, 0.04)]),
+    "range scale": (
+        ("range scale",),
+        [(lambda scan, rng, a=a: scan.points * (1 + a), a) for a in (0.01, -0.02, 0.04)],
+    ),
     "range quantum": (("range steps",), [(quantum(a), a) for a in (0.05, 0.1, 0.2)]),
     "car moved": ((*PARTS, "moved parts"), [(car_moved(a), None) for a in (0.3, 0.6, 1.2)]),
     "car removed": (PARTS[:1], [(fs.car_removed, None), (fs.car_removed_road_seen, None)]),
     "poles removed": (PARTS[:1], [(fs.poles_removed, None)]),
-    "azimuth": (("azimuth step",), [(lambda scan, rng, n=n: scan.points[::n], None) for n in (2, 3, 4)]),
+    "azimuth": (
+        ("azimuth step",),
+        [(lambda scan, rng, n=n: scan.points[::n], None) for n in (2, 3, 4)],
+    ),
     "ground raised": (("road height",), [(raised(a), a) for a in (0.06, 0.1, -0.2)]),
     "motion": (("motion forward",), [(motion(v), -v / 10) for v in (4, 8, 16)]),
     "rain": (("clutter",), [(rain(n), None) for n in (60, 200, 600)]),
@@ -247,7 +262,9 @@ def wobbling(scan, rng):
 
 def sheared(scan, rng):
     """Everything leans: 20 cm ahead per metre above the road."""
-    return scan.points + np.maximum(scan.points[:, 2:] - np.quantile(scan.points[:, 2], 0.1), 0) * [[0.2, 0, 0]]
+    return scan.points + np.maximum(scan.points[:, 2:] - np.quantile(scan.points[:, 2], 0.1), 0) * [
+        [0.2, 0, 0]
+    ]
 
 
 def melted(scan, rng):
@@ -292,7 +309,12 @@ def wavy(scan, rng):
 #: No cause of the catalogue is right. The first four were seen before the rules for naming a cause were set, the others
 #: were not.
 UNKNOWN = {
-    **{"warped world": warped, "voxel world": boxed, "wobbling beams": wobbling, "bent world": bent},
+    **{
+        "warped world": warped,
+        "voxel world": boxed,
+        "wobbling beams": wobbling,
+        "bent world": bent,
+    },
     **{"leaning world": sheared, "melted surface": melted, "two poses": double},
     **{"stretched": stretched, "jumping sectors": jumping, "wavy ranges": wavy},
 }
@@ -317,7 +339,10 @@ def read_scenes(folder, every, first=0):
             car = np.full((1, 3), 1e6)
         scan = Scan(full[::EVERY], car, fs.find_poles(full), [*find_cars(full)])
         own = replace(scan, points=full[first::EVERY])
-        bases = {"good": remeasured(own, random(path, "base")), "poor": read(folder / "sim" / path.name)[first::EVERY]}
+        bases = {
+            "good": remeasured(own, random(path, "base")),
+            "poor": read(folder / "sim" / path.name)[first::EVERY],
+        }
         scenes.append((f"{folder.name}-{path.stem}", scan, bases, side_of(scan.points)))
     return scenes
 
@@ -365,7 +390,9 @@ def diagnose(pairs):
         pose = pair.estimates.pose
         amounts = {name: amount.amount for name, amount in pair.estimates.amounts.items()}
         made = corrections(pair.scans, pose, amounts, excess, rng)
-        gains.append(shares(pair.scans, made, pose.displacement.seam_deg, rng, pair.estimates.best_case_m))
+        gains.append(
+            shares(pair.scans, made, pose.displacement.seam_deg, rng, pair.estimates.best_case_m)
+        )
     confirmed, _ = confirm(causes, mean_gains(gains), mean_distances(gains))
     rows = [cause_row(cause) for cause in confirmed]
     unexplained = unexplained_share(mean_distances(gains))
@@ -375,11 +402,17 @@ def diagnose(pairs):
 
 
 def mean_gains(gains):
-    return {name: float(np.mean([pair.by_cause[name] for pair in gains])) for name in gains[0].by_cause}
+    return {
+        name: float(np.mean([pair.by_cause[name] for pair in gains])) for name in gains[0].by_cause
+    }
 
 
 def mean_distances(gains):
-    return tuple(np.mean([(pair.before_m, pair.after_m, pair.best_case_m) for pair in gains], axis=0).tolist())
+    return tuple(
+        np.mean(
+            [(pair.before_m, pair.after_m, pair.best_case_m) for pair in gains], axis=0
+        ).tolist()
+    )
 
 
 def cause_row(cause):
@@ -401,7 +434,9 @@ def compare(pairs, base_pairs):
     excess = {cause.name: cause.estimate for cause in causes}
     undone = []
     for i, (pair, base, pose) in enumerate(zip(pairs, base_pairs, poses, strict=True)):
-        undone.append(changes(base.scans.sim, pair.scans.sim, pose, excess, np.random.default_rng(i)))
+        undone.append(
+            changes(base.scans.sim, pair.scans.sim, pose, excess, np.random.default_rng(i))
+        )
     confirmed, _ = confirm_changes(causes, [gain for gain, _, _ in undone])
     rows = [cause_row(cause) for cause in confirmed]
     elsewhere = elsewhere_share([off_shares for _, *off_shares in undone])
@@ -439,7 +474,9 @@ def prepare(folders, every, has_other_rays):
     for folder in folders:
         SCENES[folder] = read_scenes(folder, every)
         for base in ("good", "poor"):
-            BASES[folder, base] = [estimated(pair_of(scene, scene[2][base])) for scene in SCENES[folder]]
+            BASES[folder, base] = [
+                estimated(pair_of(scene, scene[2][base])) for scene in SCENES[folder]
+            ]
         if has_other_rays:
             for scene, other in zip(SCENES[folder], read_scenes(folder, every, 1), strict=True):
                 scene[2].update(other[2])
@@ -455,7 +492,8 @@ def is_possible(flaw, folder):
     if flaw == "poles removed":
         return all(len(scan.poles) for scan in scans)
     return flaw != "azimuth" or all(
-        np.median(np.abs(np.diff(scan.points[:, 2] / ranges(scan.points)))) < 0.002 for scan in scans
+        np.median(np.abs(np.diff(scan.points[:, 2] / ranges(scan.points)))) < 0.002
+        for scan in scans
     )
 
 
@@ -473,13 +511,22 @@ def tasks_of(args):
             for a, b in mixtures.tolist():
                 if not (is_possible(a, folder) and is_possible(b, folder)):
                     continue
-                chosen = [(name, FLAWS[name][1][-1 if len(FLAWS[name][1]) < 3 else 1][0]) for name in (a, b)]
+                chosen = [
+                    (name, FLAWS[name][1][-1 if len(FLAWS[name][1]) < 3 else 1][0])
+                    for name in (a, b)
+                ]
                 yield args, folder, base, ("mixture", f"{a} + {b}", 0), chosen
         for i in range(args.healthy):
             rng = random("healthy", i)
             amounts = rng.uniform(0.01, 0.03), rng.uniform(0.01, 0.04)
             yield args, folder, "real", ("healthy", str(i), 0), [(f"healthy {i}", again(*amounts))]
-            yield args, folder, "real", ("repeated", str(i), 0), [(f"repeated {i}", again(BASE_NOISE_M, BASE_LOSS))]
+            yield (
+                args,
+                folder,
+                "real",
+                ("repeated", str(i), 0),
+                [(f"repeated {i}", again(BASE_NOISE_M, BASE_LOSS))],
+            )
 
 
 def again(noise_m, lost):
@@ -496,7 +543,9 @@ def run_all(args):
     tasks = [task for task in tasks_of(args) if not args.kinds or task[3][0] in args.kinds]
     ALL.extend(tasks)
     with ProcessPoolExecutor(args.jobs) as pool:
-        return [row for rows in pool.map(judge_number, range(len(tasks)), chunksize=2) for row in rows]
+        return [
+            row for rows in pool.map(judge_number, range(len(tasks)), chunksize=2) for row in rows
+        ]
 
 
 ALL = []
@@ -518,8 +567,15 @@ def tables(rows):
     frame["named"] = [[name for name, *_ in causes] for causes in frame.causes]
     single = frame[frame.kind == "single"].copy()
     single["first"] = [named[0] if named else "none" for named in single.named]
-    single["right"] = [first in FLAWS[flaw][0] for first, flaw in zip(single["first"], single.flaw, strict=True)]
-    print(single.groupby(["scenes", "base", "against", "pairs"]).right.agg(["mean", "count"]).round(3).to_string())
+    single["right"] = [
+        first in FLAWS[flaw][0] for first, flaw in zip(single["first"], single.flaw, strict=True)
+    ]
+    print(
+        single.groupby(["scenes", "base", "against", "pairs"])
+        .right.agg(["mean", "count"])
+        .round(3)
+        .to_string()
+    )
     errors = []
     for row in single.itertuples():
         truth = FLAWS[row.flaw][1][row.amount][1]
@@ -527,8 +583,12 @@ def tables(rows):
             truth = 1 - (1 - truth) * (1 - BASE_LOSS)
         for name, mean, low, high in row.causes:
             if truth is not None and name in FLAWS[row.flaw][0]:
-                errors.append((row.base, row.against, row.pairs, abs(mean / truth - 1), low <= truth <= high))
-    errors = pd.DataFrame(errors, columns=["base", "against", "pairs", "relative error", "interval holds"])
+                errors.append(
+                    (row.base, row.against, row.pairs, abs(mean / truth - 1), low <= truth <= high)
+                )
+    errors = pd.DataFrame(
+        errors, columns=["base", "against", "pairs", "relative error", "interval holds"]
+    )
     print(
         errors.groupby(["base", "against", "pairs"])
         .agg({"relative error": "median", "interval holds": ["mean", "count"]})
@@ -545,7 +605,12 @@ def tables(rows):
         truths = [FLAWS[name][0] for name in row.flaw.split(" + ")]
         hit.append(all(is_named_early(row.named, truth) for truth in truths))
     mixture["both"] = hit
-    print(mixture.groupby(["scenes", "base", "against", "pairs"]).both.agg(["mean", "count"]).round(3).to_string())
+    print(
+        mixture.groupby(["scenes", "base", "against", "pairs"])
+        .both.agg(["mean", "count"])
+        .round(3)
+        .to_string()
+    )
     print(
         mixture[(mixture.pairs == 10) & (mixture.against == "base") & ~mixture.both][
             ["scenes", "base", "flaw", "named"]
@@ -554,23 +619,49 @@ def tables(rows):
     print("\nany cause named: healthy (other noise and loss than the base), repeated (the same)")
     again = frame[frame.kind.isin(["healthy", "repeated"])]
     is_named = again.assign(named=again.named.str.len() > 0)
-    print(is_named.groupby(["kind", "scenes", "against", "pairs"]).named.agg(["mean", "count"]).to_string())
+    print(
+        is_named.groupby(["kind", "scenes", "against", "pairs"])
+        .named.agg(["mean", "count"])
+        .to_string()
+    )
     print(again.named[again.named.str.len() > 0].astype(str).value_counts().to_string())
-    print(frame[frame.kind == "unknown"][["scenes", "base", "against", "pairs", "flaw", "named"]].to_string())
+    print(
+        frame[frame.kind == "unknown"][
+            ["scenes", "base", "against", "pairs", "flaw", "named"]
+        ].to_string()
+    )
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("datasets", type=Path, nargs="+", help="folders with real/ and sim/")
-    parser.add_argument("--out", type=Path, default=Path(".cache/diagnosis"), help="results; resumed")
+    parser.add_argument(
+        "--out", type=Path, default=Path(".cache/diagnosis"), help="results; resumed"
+    )
     parser.add_argument("--mixed", type=int, default=N_MIXED, help="mixtures of two flaws")
     parser.add_argument("--healthy", type=int, default=N_HEALTHY, help="healthy re-measurements")
-    parser.add_argument("--kinds", nargs="*", help="only these: single, mixture, unknown, healthy, repeated")
+    parser.add_argument(
+        "--kinds", nargs="*", help="only these: single, mixture, unknown, healthy, repeated"
+    )
     parser.add_argument("--bases", nargs="*", default=["good", "poor"], help="bases of flaws")
-    parser.add_argument("--amounts", nargs="*", type=int, default=[0, 1, 2], help="single flaws in these amounts only")
-    parser.add_argument("--pairs", nargs="*", type=int, default=[5, 10], help="diagnoses of these numbers of pairs")
+    parser.add_argument(
+        "--amounts",
+        nargs="*",
+        type=int,
+        default=[0, 1, 2],
+        help="single flaws in these amounts only",
+    )
+    parser.add_argument(
+        "--pairs", nargs="*", type=int, default=[5, 10], help="diagnoses of these numbers of pairs"
+    )
     parser.add_argument("--every-pair", type=int, default=1, help="take each n-th pair")
-    parser.add_argument("--other-rays", action="store_true", help="runs have other rows of the scans than their bases")
+    parser.add_argument(
+        "--other-rays",
+        action="store_true",
+        help="runs have other rows of the scans than their bases",
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

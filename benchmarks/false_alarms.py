@@ -58,9 +58,15 @@ def shares(rng, n):
 #: Changes of equal simulators by distribution, each of standard deviation 1, with the smallest step of the scores.
 DISTRIBUTIONS = {
     "normal": (correlated, 0.0),
-    "skewed scores": (lambda rng, n: (stats.expon.ppf(shares(rng, n)) - stats.expon.ppf(shares(rng, n))) / 2**0.5, 0.0),
+    "skewed scores": (
+        lambda rng, n: (stats.expon.ppf(shares(rng, n)) - stats.expon.ppf(shares(rng, n))) / 2**0.5,
+        0.0,
+    ),
     "heavy tails (t, 3 degrees)": (lambda rng, n: stats.t.ppf(shares(rng, n), 3) / 3**0.5, 0.0),
-    "discrete (-1, 0, 1)": (lambda rng, n: (np.floor(3 * shares(rng, n)) - 1) / (2 / 3) ** 0.5, (3 / 2) ** 0.5),
+    "discrete (-1, 0, 1)": (
+        lambda rng, n: (np.floor(3 * shares(rng, n)) - 1) / (2 / 3) ** 0.5,
+        (3 / 2) ** 0.5,
+    ),
     "skewed changes of mean 0": (lambda rng, n: stats.expon.ppf(shares(rng, n)) - 1, 0.0),
 }
 
@@ -84,7 +90,9 @@ def rates(make, step, n, repeats, seed=0):
 
 def of_compare(repeats):
     print(f"{repeats} repeats; binomial error of 5 %: {np.sqrt(0.05 * 0.95 / repeats):.1%}")
-    print("False alarms; power at 0.5, 1, 2 standard deviations, by the number of independent pairs")
+    print(
+        "False alarms; power at 0.5, 1, 2 standard deviations, by the number of independent pairs"
+    )
     print("| changes | " + " | ".join(map(str, SIZES)) + " |")
     print("|---" * (len(SIZES) + 1) + "|")
     for name, (make, step) in DISTRIBUTIONS.items():
@@ -141,12 +149,17 @@ def make_worlds(sequence, out):
         for i in range(WORLDS):
             rng = np.random.default_rng([i, *path.stem.encode()])
             write(out / f"w{i:02d}" / "real" / path.name, read(path))
-            write(out / f"w{i:02d}" / "sim" / path.name, in_world(remeasured(read(path), rng), pose, i))
+            write(
+                out / f"w{i:02d}" / "sim" / path.name,
+                in_world(remeasured(read(path), rng), pose, i),
+            )
 
 
 def scored(name, draw, real, sim):
     points = remeasured(read(sim), np.random.default_rng([draw, *name.encode()]))
-    return {"pair": name, "draw": draw} | fidpipe.evaluate_pair(read(real), points, {"preset": "reference"}).summary
+    return {"pair": name, "draw": draw} | fidpipe.evaluate_pair(
+        read(real), points, {"preset": "reference"}
+    ).summary
 
 
 def measure_draws(args):
@@ -154,7 +167,11 @@ def measure_draws(args):
     rows = pd.read_csv(args.out).to_dict("records") if args.out.exists() else []
     done = {(row["pair"], row["draw"]) for row in rows}
     datasets = [(folder.name, pair) for folder in args.draws for pair in read_dataset(folder).pairs]
-    tasks = [(f"{name}/{own.pair_id}", i, own.real, own.sim) for name, own in datasets for i in range(DRAWS)]
+    tasks = [
+        (f"{name}/{own.pair_id}", i, own.real, own.sim)
+        for name, own in datasets
+        for i in range(DRAWS)
+    ]
     with ProcessPoolExecutor(args.workers) as pool:
         futures = [pool.submit(scored, *task) for task in tasks if task[:2] not in done]
         for n, future in enumerate(futures, 1):
@@ -162,7 +179,10 @@ def measure_draws(args):
             if n % 20 == 0 or n == len(futures):
                 pd.DataFrame(rows).to_csv(args.out, index=False)
     rows = pd.DataFrame(rows)
-    return {(row["pair"], row["draw"]): row for row in rows.astype(object).where(rows.notna(), None).to_dict("records")}
+    return {
+        (row["pair"], row["draw"]): row
+        for row in rows.astype(object).where(rows.notna(), None).to_dict("records")
+    }
 
 
 def print_rate(words, decisions):
@@ -187,9 +207,14 @@ def of_runs(args):
             decisions.append(overall({family.verdict for family in families if not family.why}))
         print_rate(f"independent draws of {len(names)} pairs", decisions)
     couples = list(combinations(args.worlds or [], 2))
-    for words, independent in (("defects fixed in the world, as neighbouring frames", False), ("--independent", True)):
+    for words, independent in (
+        ("defects fixed in the world, as neighbouring frames", False),
+        ("--independent", True),
+    ):
         if couples:
-            print_rate(words, [compare_runs(both, independent=independent)[0].decision for both in couples])
+            print_rate(
+                words, [compare_runs(both, independent=independent)[0].decision for both in couples]
+            )
 
 
 if __name__ == "__main__":
@@ -197,8 +222,12 @@ if __name__ == "__main__":
     parser.add_argument("--repeats", type=int, default=400)
     parser.add_argument("--of", choices=("compare", "runs"), default="compare")
     parser.add_argument("--draws", type=Path, nargs="+", help="folders of pairs, for --of runs")
-    parser.add_argument("--worlds", type=Path, nargs="+", help="finished runs of the datasets of --make")
-    parser.add_argument("--make", type=Path, nargs=2, metavar=("SEQUENCE", "OUT"), help="write those and stop")
+    parser.add_argument(
+        "--worlds", type=Path, nargs="+", help="finished runs of the datasets of --make"
+    )
+    parser.add_argument(
+        "--make", type=Path, nargs=2, metavar=("SEQUENCE", "OUT"), help="write those and stop"
+    )
     parser.add_argument("--out", type=Path, default=Path("false_alarms.csv"))
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     chosen = parser.parse_args()

@@ -97,7 +97,9 @@ def find_car(points):
     """Points of the car-sized cluster with the most points: 4 to 15 m away, 3 to 5.5 m long, 1.3 to 2.2 m high."""
     road_m = road_height(points)
     height_m = points[:, 2] - road_m
-    near = points[~is_ground(points) & (height_m > -0.5) & (height_m < 2.5) & (np.hypot(*points.T[:2]) < 22)]
+    near = points[
+        ~is_ground(points) & (height_m > -0.5) & (height_m < 2.5) & (np.hypot(*points.T[:2]) < 22)
+    ]
     links = cKDTree(near).query_pairs(0.35, output_type="ndarray")
     graph = coo_matrix((np.ones(len(links)), links.T), shape=(len(near), len(near)))
     _, cluster = connected_components(graph, directed=False)
@@ -167,7 +169,9 @@ def ghosts(scan, rng):
 
 
 def ray_noise(std_m):
-    return lambda scan, rng: along_ray(scan.points, ranges(scan.points) + rng.normal(0, std_m, len(scan.points)))
+    return lambda scan, rng: along_ray(
+        scan.points, ranges(scan.points) + rng.normal(0, std_m, len(scan.points))
+    )
 
 
 def offset(scan, rng):
@@ -188,7 +192,9 @@ def solid_foliage(scan, rng):
     is_hull = is_leaf_near & (range_m[around] >= range_m[:, None] - 3) & is_leaf[:, None]
     is_before = is_leaf_near & (range_m[around] < range_m[:, None] - 0.5)
     shadowed = is_before.sum(axis=1) >= 0.5 * (angle < np.radians(2)).sum(axis=1)
-    hull_m = np.where(is_hull | (is_before & shadowed[:, None]), range_m[around], np.inf).min(axis=1)
+    hull_m = np.where(is_hull | (is_before & shadowed[:, None]), range_m[around], np.inf).min(
+        axis=1
+    )
     return along_ray(points, np.minimum(range_m, hull_m))
 
 
@@ -208,7 +214,9 @@ def range_quantum(scan, rng):
 
 def car_moved(scan, rng):
     angle = rng.uniform(0, 2 * np.pi)
-    return scan.points + belongs_to_car(scan)[:, None] * (0.5 * np.array([np.cos(angle), np.sin(angle), 0]))
+    return scan.points + belongs_to_car(scan)[:, None] * (
+        0.5 * np.array([np.cos(angle), np.sin(angle), 0])
+    )
 
 
 def car_removed(scan, rng):
@@ -260,7 +268,9 @@ def range_limit(limit_m):
 
 def mixed_pixels(scan, rng):
     is_mixed = rng.random(len(scan.points)) < 0.03
-    return along_ray(scan.points, ranges(scan.points) + is_mixed * rng.uniform(0.2, 1.5, len(scan.points)))
+    return along_ray(
+        scan.points, ranges(scan.points) + is_mixed * rng.uniform(0.2, 1.5, len(scan.points))
+    )
 
 
 def mixed_edges(scan, rng):
@@ -298,6 +308,9 @@ FLAWS = {
     "control: 1 cm noise": ray_noise(0.01),
 }
 #: Harder versions of two flaws; not counted.
-FURTHER = {"car removed, road seen behind": car_removed_road_seen, "3 % mixed pixels, at edges": mixed_edges}
+FURTHER = {
+    "car removed, road seen behind": car_removed_road_seen,
+    "3 % mixed pixels, at edges": mixed_edges,
+}
 ALL = FLAWS | FURTHER
 CONTROL = "control: 1 cm noise"

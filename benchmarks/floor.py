@@ -38,7 +38,9 @@ def main(dataset, every):
         whole = weigh("run", dataset, "--out", out, "--workers", 2, "--from", "ground")
         pairs = sorted(path.stem for path in (out / "metrics").glob("*.parquet"))
         floors = {pair: floor(out, pair) for pair in pairs}
-        size_mb = sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) / 1e6 / len(pairs)
+        size_mb = (
+            sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) / 1e6 / len(pairs)
+        )
         again = repeated(dataset, repeats * len(pairs), folder / "again")
         more = weigh("run", again, "--out", folder / "more", "--workers", 2, "--from", "ground")
         timings = pd.read_parquet(folder / "floor" / "timings.parquet")
@@ -50,15 +52,22 @@ def main(dataset, every):
     print(f"  wall {whole.wall_s:.1f} s, {whole.wall_s / total:.2f} times the floor")
     pace = (more.wall_s - whole.wall_s) / ((repeats - 1) * len(pairs))
     start_s = whole.wall_s - pace * len(pairs)
-    print(f"  start-up aside: {pace:.2f} s per pair (from {repeats} times as many pairs); start-up {start_s:.1f} s")
+    print(
+        f"  start-up aside: {pace:.2f} s per pair (from {repeats} times as many pairs); start-up {start_s:.1f} s"
+    )
     print(f"run directory {size_mb:.1f} MB per pair")
     inside_once, files_once = split(timings)
     inside, files = split(timings_of_more)
     inside -= inside_once
     files -= files_once
     waiting = 2 * (more.wall_s - whole.wall_s) - inside - files
-    print(f"of {(repeats - 1) * len(pairs)} further pairs: stages {inside:.1f} s, tables {files:.1f} s, ", end="")
-    print(f"scheduling and waiting {waiting:.1f} s: both together {(files + waiting) / inside:.1%} of the stages")
+    print(
+        f"of {(repeats - 1) * len(pairs)} further pairs: stages {inside:.1f} s, tables {files:.1f} s, ",
+        end="",
+    )
+    print(
+        f"scheduling and waiting {waiting:.1f} s: both together {(files + waiting) / inside:.1%} of the stages"
+    )
     print(timings.groupby(["stage", "step"]).seconds.sum().round(2).to_string())
 
 
@@ -80,8 +89,14 @@ def floor(out, pair):
         ids = ground.point_id.to_numpy()
         points = np.ascontiguousarray(ground[["x", "y", "z"]].to_numpy())
         graph = pd.read_parquet(out / "graph" / f"{pair}.{side}.parquet")
-        labels = pd.read_parquet(out / "communities" / f"{pair}.{side}.parquet").community_id.to_numpy()
-        edges = Edges(np.searchsorted(ids, graph.src), np.searchsorted(ids, graph.dst), graph.length_m.to_numpy())
+        labels = pd.read_parquet(
+            out / "communities" / f"{pair}.{side}.parquet"
+        ).community_id.to_numpy()
+        edges = Edges(
+            np.searchsorted(ids, graph.src),
+            np.searchsorted(ids, graph.dst),
+            graph.length_m.to_numpy(),
+        )
         objects[side] = split_by_community(ids, points, edges, labels, metrics[f"{side}_id"])
         start = time.process_time()
         tree = cKDTree(points)
@@ -99,7 +114,9 @@ def floor(out, pair):
         for graph, column in ((real, "real_point_id"), (sim, "sim_point_id")):
             if row.n_keep < 3:
                 continue
-            dense = induced_laplacian(graph, np.searchsorted(graph.point_ids, own[column])).toarray()
+            dense = induced_laplacian(
+                graph, np.searchsorted(graph.point_ids, own[column])
+            ).toarray()
             start = time.process_time()
             eigvalsh(dense)
             spent += time.process_time() - start
@@ -111,12 +128,16 @@ def thinned(dataset, every, out):
     for side in ("real", "sim"):
         (out / side).mkdir(parents=True, exist_ok=True)
         for path in sorted((dataset / side).glob("*.bin")):
-            np.fromfile(path, dtype=np.float32).reshape(-1, 4)[::every].tofile(out / side / path.name)
+            np.fromfile(path, dtype=np.float32).reshape(-1, 4)[::every].tofile(
+                out / side / path.name
+            )
     return out
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--every", type=int, default=1)
     asked = parser.parse_args()

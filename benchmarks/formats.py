@@ -51,8 +51,16 @@ def main(folder):
             seconds.append(took)
         points = str(counts[0]) if len(set(counts)) == 1 else f"{min(counts)} to {max(counts)}"
         listed = f"{to_list:.3f}" if known.format.holds_frames else ""
-        columns = [path.relative_to(folder), f"`{known.suffix}`", len(frames), points, fields_of(scan)]
-        print("|", " | ".join(map(str, [*columns, f"{sum(seconds) / len(seconds):.3f}", listed])), "|")
+        columns = [
+            path.relative_to(folder),
+            f"`{known.suffix}`",
+            len(frames),
+            points,
+            fields_of(scan),
+        ]
+        print(
+            "|", " | ".join(map(str, [*columns, f"{sum(seconds) / len(seconds):.3f}", listed])), "|"
+        )
 
 
 if __name__ == "__main__":

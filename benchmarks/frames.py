@@ -27,7 +27,9 @@ from fidpipe.stages.generate.street_scans import make_pair
 
 
 def turned(degrees, axis="z", shift=(0, 0, 0)):
-    return Rotation.from_euler(axis, degrees, degrees=True).as_matrix(), np.array(shift, dtype=float)
+    return Rotation.from_euler(axis, degrees, degrees=True).as_matrix(), np.array(
+        shift, dtype=float
+    )
 
 
 FAULTS = {
@@ -61,7 +63,9 @@ def again(points, seed=0):
 
 
 def lumpi(folder):
-    return [np.fromfile(path, "<f4").reshape(-1, 3).astype(float) for path in sorted(folder.iterdir())]
+    return [
+        np.fromfile(path, "<f4").reshape(-1, 3).astype(float) for path in sorted(folder.iterdir())
+    ]
 
 
 def scan(path):
@@ -70,7 +74,8 @@ def scan(path):
 
 def twin(data):
     return [
-        (scan(path), scan(data / "kitti_twin/sim" / path.name)) for path in sorted((data / "kitti_twin/real").iterdir())
+        (scan(path), scan(data / "kitti_twin/sim" / path.name))
+        for path in sorted((data / "kitti_twin/real").iterdir())
     ]
 
 
@@ -78,7 +83,11 @@ def rellis(data):
     lines = (data / "rellis/vel2os1.yaml").read_text().splitlines()
     w, x, y, z, *t = [float(line.split(":")[1]) for line in lines if line.split(":")[1].strip()]
     R = Rotation.from_quat([x, y, z, w]).as_matrix()
-    return scan(data / "rellis/000104.bin"), scan(data / "rellis/vel000104.bin"), np.column_stack([R, t])
+    return (
+        scan(data / "rellis/000104.bin"),
+        scan(data / "rellis/vel000104.bin"),
+        np.column_stack([R, t]),
+    )
 
 
 def sequence(data, step):
@@ -88,7 +97,9 @@ def sequence(data, step):
 
 def streets(seed, n, sensor="vlp32c"):
     pairs = (make_pair(seed, i, SENSORS[sensor]) for i in range(n))
-    return [(pair.real.rows[:, :3].astype(float), pair.sim.rows[:, :3].astype(float)) for pair in pairs]
+    return [
+        (pair.real.rows[:, :3].astype(float), pair.sim.rows[:, :3].astype(float)) for pair in pairs
+    ]
 
 
 def sources(data, is_choice):
@@ -102,7 +113,9 @@ def sources(data, is_choice):
             "synth --seed 7 --sensor hdl64": [(*pair, None) for pair in streets(7, 4, "hdl64")],
             "VLP-32C, parked, measured again": [(sweep, again(sweep), None)],
             "carla 000031, measured again": [(carla, again(carla), None)],
-            "kitti_sequence, every third against the next": [(*pair, None) for pair in sequence(data, 3)[::3]],
+            "kitti_sequence, every third against the next": [
+                (*pair, None) for pair in sequence(data, 3)[::3]
+            ],
         }
     nuscenes = scan(next((data / "nuscenes").glob("*.bin")))
     carla = scan(data / "carla/000030.bin")
@@ -127,7 +140,9 @@ FLAWS = {
     ],
     "range limited to 30 m": lambda points, rng: points[np.linalg.norm(points, axis=1) < 30],
     "range limited to 18 m": lambda points, rng: points[np.linalg.norm(points, axis=1) < 18],
-    "every third, 10 cm noise": lambda points, rng: points[::3] + rng.normal(0, 0.1, points[::3].shape),
+    "every third, 10 cm noise": lambda points, rng: (
+        points[::3] + rng.normal(0, 0.1, points[::3].shape)
+    ),
 }
 
 
@@ -144,27 +159,50 @@ def places(data):
     errors = []
     in_feet = []
     for real, sim in [*twins, *streets(0, 8)[2::5]]:
-        own = np.array([_height(check_frames(real, sim + np.array([0, 0, lift]), settings)) + lift for lift in LIFTS_M])
+        own = np.array(
+            [
+                _height(check_frames(real, sim + np.array([0, 0, lift]), settings)) + lift
+                for lift in LIFTS_M
+            ]
+        )
         errors += [*(own - np.median(own))]
         in_feet.append(check_frames(real, sim * 3.28084, settings).reading == "in feet")
-    print(f"lifts of {LIFTS_M} m: the printed heights differ by at most {1e3 * np.ptp(errors) / 2:.0f} mm per pair")
+    print(
+        f"lifts of {LIFTS_M} m: the printed heights differ by at most {1e3 * np.ptp(errors) / 2:.0f} mm per pair"
+    )
     print(f"in feet: {sum(in_feet)} of {len(in_feet)} recognised")
     same = {name: [(real, flaw(sim, rng)) for real, sim in twins] for name, flaw in FLAWS.items()}
     same["rellis"] = [(finite(os1), finite(vlp) @ T[:, :3].T + T[:, 3])]
     same["kitti_sequence, neighbours"] = sequence(data, 1)
     same["synth"] = streets(0, 12)
-    same["lumpi"] = [(real, sim) for real in lumpi(data / "lumpi/real") for sim in lumpi(data / "lumpi/sim")]
+    same["lumpi"] = [
+        (real, sim) for real in lumpi(data / "lumpi/real") for sim in lumpi(data / "lumpi/sim")
+    ]
     print("| one place | pairs | alarms | least best coverage |\n|---|---|---|---|")
     for name, pairs in same.items():
         found = [check_frames(finite(real), finite(sim), settings) for real, sim in pairs]
         n_alarms = sum(check.is_elsewhere or check.is_suspect for check in found)
-        print(f"| {name} | {len(pairs)} | {n_alarms} | {min(check.coverage for check in found):.2f} |", flush=True)
-    scans = [twins[0][0], same["kitti_sequence, neighbours"][0][0], scan(next((data / "nuscenes").glob("*.bin"))), os1]
-    scans += [scan(data / "carla/000030.bin"), scan(data / "velodyne_vlp32c/one_sweep.pcd"), same["synth"][3][0]]
+        print(
+            f"| {name} | {len(pairs)} | {n_alarms} | {min(check.coverage for check in found):.2f} |",
+            flush=True,
+        )
+    scans = [
+        twins[0][0],
+        same["kitti_sequence, neighbours"][0][0],
+        scan(next((data / "nuscenes").glob("*.bin"))),
+        os1,
+    ]
+    scans += [
+        scan(data / "carla/000030.bin"),
+        scan(data / "velodyne_vlp32c/one_sweep.pcd"),
+        same["synth"][3][0],
+    ]
     scans = [*map(finite, scans), same["synth"][7][1]]
     found = [check_frames(a, b, settings) for a in scans for b in scans if a is not b]
     n_seen = sum(check.is_elsewhere for check in found)
-    print(f"two places: {n_seen} of {len(found)} seen, largest best coverage {max(c.coverage for c in found):.2f}")
+    print(
+        f"two places: {n_seen} of {len(found)} seen, largest best coverage {max(c.coverage for c in found):.2f}"
+    )
 
 
 def _height(check):
@@ -191,7 +229,9 @@ def main(data, is_choice):
             after = []
             for real, sim, T in pairs:
                 start = time.process_time()
-                check = check_frames(real, sim if fault == "none" else altered(sim, fault), settings, T)
+                check = check_frames(
+                    real, sim if fault == "none" else altered(sim, fault), settings, T
+                )
                 seconds.append(time.process_time() - start)
                 if check is None:
                     missed.append((fault, name, check))
@@ -206,7 +246,9 @@ def main(data, is_choice):
     print("\nIn brackets: mean coverage as it lies, and of the best reading. Missed and false:")
     for fault, name, check in missed:
         print(f"- {fault}; {name}: {check}")
-    print(f"\n{1e3 * np.median(seconds):.0f} ms of one core per pair (median), at most {1e3 * max(seconds):.0f}")
+    print(
+        f"\n{1e3 * np.median(seconds):.0f} ms of one core per pair (median), at most {1e3 * max(seconds):.0f}"
+    )
 
 
 if __name__ == "__main__":

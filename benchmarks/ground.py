@@ -21,7 +21,12 @@ from fidpipe.stages.generate.perturbations import remeasure
 from fidpipe.stages.ground import remove_ground
 
 SCANS = (
-    *("kitti_sequence/000000.bin", "kitti_twin/real/000000.bin", "rellis/vel000104.bin", "rellis/000104.bin"),
+    *(
+        "kitti_sequence/000000.bin",
+        "kitti_twin/real/000000.bin",
+        "rellis/vel000104.bin",
+        "rellis/000104.bin",
+    ),
     *("carla/000030.bin", "nuscenes/*.pcd.bin", "lumpi/real/0001.bin"),
 )
 GROUNDS = {
@@ -35,17 +40,27 @@ LIFTS_M = (0.0, -0.5, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.5)
 
 def main() -> None:
     """Prints a row per scan and ground, and scores where they are asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("data", type=Path)
-    parser.add_argument("--scores", action="append", default=[], help="also scores of scans with this in their name")
+    parser.add_argument(
+        "--scores", action="append", default=[], help="also scores of scans with this in their name"
+    )
     args = parser.parse_args()
     settings = load(None, preset="reference")
-    with_peak = {peak: settings.ground.model_copy(update={"peak": peak}) for peak in ("own", "real")}
-    print("| scan | ground | own, re-measured | own, other half | real, re-measured | real, other half | axes (deg) |")
+    with_peak = {
+        peak: settings.ground.model_copy(update={"peak": peak}) for peak in ("own", "real")
+    }
+    print(
+        "| scan | ground | own, re-measured | own, other half | real, re-measured | real, other half | axes (deg) |"
+    )
     print("|---|---|---|---|---|---|---|")
     for pattern in SCANS:
         columns = ("x", "y", "z") if "lumpi" in pattern else None
-        scan = clean_scan(read_scan(next(args.data.glob(pattern)), columns).points, settings.input).points
+        scan = clean_scan(
+            read_scan(next(args.data.glob(pattern)), columns).points, settings.input
+        ).points
         for name, change in GROUNDS.items():
             points = change(scan)
             errors_m = []
@@ -57,7 +72,10 @@ def main() -> None:
                 is_first = rng.random(len(points)) < 0.5
                 half = points[is_first]
                 other = remeasure(points[~is_first], 0.03, 0.03, rng)[0]
-                pairs = [(points, again, 0.0), *((half, other + np.array([0, 0, lift]), lift) for lift in LIFTS_M)]
+                pairs = [
+                    (points, again, 0.0),
+                    *((half, other + np.array([0, 0, lift]), lift) for lift in LIFTS_M),
+                ]
                 for real, sim, lift_m in pairs:
                     cut = remove_ground(real, with_peak["own"])
                     own = remove_ground(sim, with_peak["own"])
@@ -73,8 +91,13 @@ def main() -> None:
             print(f"| {pattern} | {name} |", *lengths, f"{max(angles_deg):.2f} |", flush=True)
             for peak, ground in with_peak.items():
                 if jumped and any(word in pattern for word in args.scores):
-                    scores = evaluate_pair(*jumped, settings.model_copy(update={"ground": ground})).summary
-                    print(f"peak {peak}:", *(f"{key} {scores[key]:.3f}" for key in ("covered_real_0p3m", "cdc_mean")))
+                    scores = evaluate_pair(
+                        *jumped, settings.model_copy(update={"ground": ground})
+                    ).summary
+                    print(
+                        f"peak {peak}:",
+                        *(f"{key} {scores[key]:.3f}" for key in ("covered_real_0p3m", "cdc_mean")),
+                    )
 
 
 if __name__ == "__main__":

@@ -22,7 +22,16 @@ def main(sizes):
             data = folder / f"points{size}"
             out = folder / f"run{size}"
             weigh("synth", data, "--pairs", 1, "--sensor", "hdl64", "--points", size)
-            words = ["run", data, "--out", out, "--workers", 2, "--set", f"machine.memory_gib={MEMORY_GIB}"]
+            words = [
+                "run",
+                data,
+                "--out",
+                out,
+                "--workers",
+                2,
+                "--set",
+                f"machine.memory_gib={MEMORY_GIB}",
+            ]
             run = weigh(*words, "--from", "ground")
             idle = weigh(*words)
             row = pd.read_parquet(out / "pairs.parquet").iloc[0]

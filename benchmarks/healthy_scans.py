@@ -100,7 +100,9 @@ SCANS = {}
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("data", type=Path, help="folder of the recordings")
     parser.add_argument("--cases", type=int, default=5, help="per sensor and kind of rays")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
@@ -116,5 +118,9 @@ if __name__ == "__main__":
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for case, causes in zip(cases, pool.map(evaluate, cases), strict=True):
             n_clean += not causes
-            print(case.sensor, f"{case.ray} rays", case.number, causes or "-", sep=" | ", flush=True)
-    print(f"no cause and nothing unexplained: {n_clean} of {len(cases)}, {n_clean / len(cases):.1%}")
+            print(
+                case.sensor, f"{case.ray} rays", case.number, causes or "-", sep=" | ", flush=True
+            )
+    print(
+        f"no cause and nothing unexplained: {n_clean} of {len(cases)}, {n_clean / len(cases):.1%}"
+    )

@@ -127,7 +127,9 @@ class Harmed:
             return []
         of_workers = [sizes[member.pid] for member in workers]
         seconds = time.monotonic() - self._begun
-        self._samples.append((seconds, sizes[command.pid], max(of_workers, default=np.nan), sum(sizes.values())))
+        self._samples.append(
+            (seconds, sizes[command.pid], max(of_workers, default=np.nan), sum(sizes.values()))
+        )
         return workers
 
 
@@ -187,7 +189,16 @@ def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
         out = folder / f"load-run{n_pairs}"
         listed = folder / f"load{n_pairs}"
         if not data.exists():
-            weigh("synth", data, "--pairs", min(N_FILES, n_pairs), "--points", points, "--workers", WORKERS)
+            weigh(
+                "synth",
+                data,
+                "--pairs",
+                min(N_FILES, n_pairs),
+                "--points",
+                points,
+                "--workers",
+                WORKERS,
+            )
         poisoned = poison(repeated(data, n_pairs, listed))
         install_reader(folder / f"site{n_pairs}")
         paths = [str(folder / f"site{n_pairs}"), os.environ.get("PYTHONPATH")]
@@ -202,24 +213,37 @@ def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
         told = (folder / "errors.txt").read_text()
         size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
         left = [str(path) for path in out.rglob(".*") if path.name not in (".lock", ".writer")]
-        status = subprocess.run([FIDPIPE, "status", out], env=environment, capture_output=True, text=True, check=False)
+        status = subprocess.run(
+            [FIDPIPE, "status", out], env=environment, capture_output=True, text=True, check=False
+        )
         begun = time.monotonic()
         again = subprocess.run(
-            [FIDPIPE, *map(str, words)], env=environment, capture_output=True, text=True, check=False
+            [FIDPIPE, *map(str, words)],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         again_s = time.monotonic() - begun
         found_again = judge(out, listed, poisoned)
     print(json.dumps(found, indent=1))
     print(
-        f"exit code {harmed.code}, {harmed.wall_s:.0f} s wall, {first_s:.0f} s of them until the first table", end=", "
+        f"exit code {harmed.code}, {harmed.wall_s:.0f} s wall, {first_s:.0f} s of them until the first table",
+        end=", ",
     )
     print(f"{harmed.n_killed} workers killed, load {os.getloadavg()}")
-    print(f"tracebacks told: {told.count('Traceback')}; temporary files left: {left}; {size / 1e6:.0f} MB")
+    print(
+        f"tracebacks told: {told.count('Traceback')}; temporary files left: {left}; {size / 1e6:.0f} MB"
+    )
     for column, name in NAMES.items():
         second, last, most = growth(harmed.samples[column])
-        print(f"memory of {name}: {second} MiB in the second quarter of the run, {last} in the last; at most {most}")
+        print(
+            f"memory of {name}: {second} MiB in the second quarter of the run, {last} in the last; at most {most}"
+        )
     print(f"status: exit code {status.returncode}\n{status.stdout}")
-    is_same = all(found_again[name] == of for name, of in found.items() if name != "reasons")  # those name the worker
+    is_same = all(
+        found_again[name] == of for name, of in found.items() if name != "reasons"
+    )  # those name the worker
     print(f"second run: exit code {again.returncode}, {again_s:.1f} s, the same: {is_same}")
 
 

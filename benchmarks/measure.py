@@ -37,7 +37,9 @@ def weigh(*words):
     """Runs `fidpipe WORDS` to its end. FIDPIPE_BENCH_COMMAND names another command, to weigh another version of it."""
     command = os.environ.get("FIDPIPE_BENCH_COMMAND", FIDPIPE)
     start = time.perf_counter()
-    process = subprocess.Popen([command, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [command, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     peaks = {}
     seconds = {}
     watcher = threading.Thread(target=_watch, args=(process, peaks, seconds))
@@ -70,7 +72,9 @@ def repeated(dataset, n_pairs, out):
         rows = pd.read_csv(listed)
     else:
         names = sorted(path.name for path in (dataset / "real").iterdir() if path.suffix == ".bin")
-        rows = pd.DataFrame({"real": [f"real/{name}" for name in names], "sim": [f"sim/{name}" for name in names]})
+        rows = pd.DataFrame(
+            {"real": [f"real/{name}" for name in names], "sim": [f"sim/{name}" for name in names]}
+        )
     rows = pd.concat([rows] * -(-n_pairs // len(rows)), ignore_index=True).head(n_pairs)
     rows["pair_id"] = [f"{i:06d}" for i in range(n_pairs)]
     for side in ("real", "sim"):
@@ -82,7 +86,9 @@ def repeated(dataset, n_pairs, out):
 
 def machine():
     """One line on the machine."""
-    model = next((of for of in _cpuinfo() if of.startswith("model name")), "").partition(":")[2].strip()
+    model = (
+        next((of for of in _cpuinfo() if of.startswith("model name")), "").partition(":")[2].strip()
+    )
     return (
         f"{model or platform.processor()}, {os.cpu_count()} cores, {psutil.virtual_memory().total / 2**30:.0f} GiB, "
         f"Python {platform.python_version()}"
@@ -98,7 +104,10 @@ def _watch(process, peaks, seconds):
     """Looks at the command and all that it started, each tenth of a second: of what ends less than that is lost."""
     while process.poll() is None:
         try:
-            family = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
+            family = [
+                psutil.Process(process.pid),
+                *psutil.Process(process.pid).children(recursive=True),
+            ]
         except psutil.NoSuchProcess:
             return
         for member in family:

@@ -78,7 +78,9 @@ def scored(name, flaw, amount, preset, real, sim, every):
         seed = 0 if FLAWS[flaw].is_systematic else zlib.crc32(f"{name} {flaw}".encode())
         points[1] = FLAWS[flaw](points[1], amount, np.random.default_rng(seed))
     # Distances of whole scans do not depend on the objects: once is enough
-    settings = load(None, [f"metrics.baselines={BASELINES}"] if preset == PRESETS[0] else [], preset=preset)
+    settings = load(
+        None, [f"metrics.baselines={BASELINES}"] if preset == PRESETS[0] else [], preset=preset
+    )
     row = {"pair": name, "flaw": flaw, "amount": amount, "preset": preset}
     try:
         result = fidpipe.evaluate_pair(*points, settings)
@@ -119,8 +121,12 @@ def changes(rows):
     scores = [name for name in rows.columns if name not in (*keys, "flaw", "amount", "reason")]
     base = rows[rows.flaw == NONE].set_index(keys)[scores]
     found = []
-    for (preset, flaw, amount), own in rows[rows.flaw != NONE].groupby(["preset", "flaw", "amount"]):
-        change = own.set_index(keys)[scores].astype(float) - base.loc[own.set_index(keys).index].astype(float)
+    for (preset, flaw, amount), own in rows[rows.flaw != NONE].groupby(
+        ["preset", "flaw", "amount"]
+    ):
+        change = own.set_index(keys)[scores].astype(float) - base.loc[
+            own.set_index(keys).index
+        ].astype(float)
         for score in scores:
             values = change[score].to_numpy()
             if np.isnan(values).all():
@@ -145,10 +151,15 @@ def changes(rows):
 
 def table(found):
     """Markdown: for each flaw and preset the scores that answer most, and those that are far on the wrong side."""
-    lines = ["| flaw | amount | preset | best scores: t (pairs) | says better, t below -2.3 |", "|---|---|---|---|---|"]
+    lines = [
+        "| flaw | amount | preset | best scores: t (pairs) | says better, t below -2.3 |",
+        "|---|---|---|---|---|",
+    ]
     order = {name: i for i, name in enumerate(AMOUNTS)}
     found = found.assign(rank=found.flaw.map(order)).sort_values(["rank", "amount", "preset"])
-    for (_, flaw, amount, preset), own in found.groupby(["rank", "flaw", "amount", "preset"], sort=False):
+    for (_, flaw, amount, preset), own in found.groupby(
+        ["rank", "flaw", "amount", "preset"], sort=False
+    ):
         right = own[(own.t > 0) | ~own.signed]
         best = right.reindex(right.t.abs().sort_values(ascending=False).index).head(4)
         wrong = own[own.signed & (own.t < -2.3)].sort_values("t").head(3)
@@ -163,12 +174,18 @@ def _cell(rows):
 def core_table(found):
     """Markdown: the flaws that every preset should see, CDC, r_lambda and match rate beside the best score."""
     names = ("cdc_mean", "r_lambda_mean", "match_rate")
-    heads = [f"{preset}: {what}" for preset in PRESETS for what in ("CDC, r_lambda, match rate", "best score")]
+    heads = [
+        f"{preset}: {what}"
+        for preset in PRESETS
+        for what in ("CDC, r_lambda, match rate", "best score")
+    ]
     lines = [f"| flaw | {' | '.join(heads)} |", "|---|" + "---|" * len(heads)]
     for flaw, amount in CORE:
         cells = []
         for preset in PRESETS:
-            own = found[(found.preset == preset) & (found.flaw == flaw) & (found.amount == amount)].set_index("score")
+            own = found[
+                (found.preset == preset) & (found.flaw == flaw) & (found.amount == amount)
+            ].set_index("score")
             cells.append(", ".join(f"{own.t[name]:.1f}" for name in names))
             right = own[(own.t > 0) | ~own.signed]
             best = right.t.abs().idxmax()
@@ -187,18 +204,26 @@ def draw(found, path):
     strongest = found[found.amount == found.groupby("flaw").amount.transform("max")]
     flaws = [name for name in AMOUNTS if name in set(strongest.flaw)]
     scores = list(dict.fromkeys(found.score))
-    figure, axes = plt.subplots(len(PRESETS), 1, figsize=(11, 7.5), sharex=True, layout="constrained")
+    figure, axes = plt.subplots(
+        len(PRESETS), 1, figsize=(11, 7.5), sharex=True, layout="constrained"
+    )
     for axis, preset in zip(axes, PRESETS, strict=True):
         own = strongest[strongest.preset == preset].pivot(index="flaw", columns="score", values="t")
         values = own.reindex(index=flaws, columns=scores).to_numpy(dtype=float)
-        image = axis.imshow(np.clip(values, -10, 10), cmap="RdBu_r", vmin=-10, vmax=10, aspect="auto")
+        image = axis.imshow(
+            np.clip(values, -10, 10), cmap="RdBu_r", vmin=-10, vmax=10, aspect="auto"
+        )
         for (i, j), value in np.ndenumerate(values):
             if abs(value) >= 2.3:
                 colour = "white" if abs(value) > 6 else "black"
                 axis.text(j, i, f"{value:.0f}", ha="center", va="center", fontsize=6, color=colour)
         if (unknown := np.flatnonzero(np.isnan(values).all(axis=0))).size:
             axis.text(
-                unknown.mean(), len(flaws) / 2, "as above: does not depend on the objects", ha="center", fontsize=8
+                unknown.mean(),
+                len(flaws) / 2,
+                "as above: does not depend on the objects",
+                ha="center",
+                fontsize=8,
             )
         axis.set_yticks(range(len(flaws)), [f"{n} {max(AMOUNTS[n]):g}" for n in flaws], fontsize=8)
         axis.set_title(f"preset {preset}", fontsize=10, loc="left")
@@ -215,12 +240,16 @@ def _count(pairs):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("datasets", type=Path, nargs="+", help="folders of pairs")
     parser.add_argument("--every", type=int, default=4, help="take each n-th row of both scans")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--flaws", nargs="+", choices=AMOUNTS, default=list(AMOUNTS))
-    parser.add_argument("--out", type=Path, default=Path("power"), help="name of the table and the figure")
+    parser.add_argument(
+        "--out", type=Path, default=Path("power"), help="name of the table and the figure"
+    )
     arguments = parser.parse_args()
     measured = changes(measure(arguments, arguments.out.with_suffix(".csv")))
     measured.to_csv(arguments.out.with_name(arguments.out.name + "-t.csv"), index=False)

@@ -26,7 +26,13 @@ from fidpipe.stages.rays import OUTCOMES, RANGE_EDGES_M, find_rays, score_rays
 from fidpipe.stages.sensor_description import describe_sensor
 
 FLAWS = ALL | {"range +0.5 %": lambda scan, rng: 1.005 * scan.points}
-SCORES = (*(f"rays_{name}" for name in OUTCOMES[:-1]), "rays_bias_m", "rays_scale", "rays_medae_m", "rays_rmse_m")
+SCORES = (
+    *(f"rays_{name}" for name in OUTCOMES[:-1]),
+    "rays_bias_m",
+    "rays_scale",
+    "rays_medae_m",
+    "rays_rmse_m",
+)
 
 
 def read(path):
@@ -54,13 +60,17 @@ def by_range(rays):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("datasets", type=Path, nargs="+", help="folders with real/ and sim/")
     parser.add_argument("--flaws", nargs="*", default=list(FLAWS))
     args = parser.parse_args()
     scores = {}
     bands = {"twin": [], "best case": []}
-    for path in (path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))):
+    for path in (
+        path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))
+    ):
         name = f"{path.parent.parent.name}-{path.stem}"
         real, sim = read(path), read(path.parent.with_name("sim") / path.name)
         sensor = describe_sensor(real)
@@ -69,11 +79,15 @@ def main():
         base = find_rays(real, sim, (sensor, describe_sensor(sim)))
         scores[name, ""] = score_rays(base)
         kept = real[random(name, "loss").random(len(real)) >= 0.03]
-        best_case = find_rays(real, ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), (sensor, sensor))
+        best_case = find_rays(
+            real, ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), (sensor, sensor)
+        )
         for which, rays in (("twin", base), ("best case", best_case)):
             bands[which].append(by_range(rays))
         for flaw in args.flaws:
-            scores[name, flaw] = scores_of(real, FLAWS[flaw](Scan(sim, car, poles), random(name, flaw)), sensor)
+            scores[name, flaw] = scores_of(
+                real, FLAWS[flaw](Scan(sim, car, poles), random(name, flaw)), sensor
+            )
         print(name, flush=True)
     table = pd.DataFrame(scores).T[list(SCORES)].astype(float)
     base = table.xs("", level=1)
@@ -84,7 +98,14 @@ def main():
         rows[flaw] = (change.mean() / spread.where(spread > 0)).round(1)
     t = pd.DataFrame(rows).T
     best = t.abs().idxmax(axis=1)
-    t.insert(0, "best", [f"{column.removeprefix('rays_')} {t.loc[flaw, column]:+.0f}" for flaw, column in best.items()])
+    t.insert(
+        0,
+        "best",
+        [
+            f"{column.removeprefix('rays_')} {t.loc[flaw, column]:+.0f}"
+            for flaw, column in best.items()
+        ],
+    )
     t.columns = [name.removeprefix("rays_") for name in t.columns]
     print(t.to_string())
     for which, frames in bands.items():

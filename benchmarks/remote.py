@@ -90,11 +90,18 @@ def pair_of_runs(server, folder, dataset, url, name):
     used = server.requests() - before
     server_s = server.cpu_s() - server_s
     local = weigh("run", dataset, "--out", folder / name, "--workers", WORKERS)
-    print(f"{name}: wall {local.wall_s:.1f} s local, {remote.wall_s:.1f} s remote: {remote.wall_s / local.wall_s:.2f}")
-    print(f"  CPU {local.cpu_s:.1f} s local, {remote.cpu_s:.1f} s remote: {remote.cpu_s / local.cpu_s:.2f}", end="")
+    print(
+        f"{name}: wall {local.wall_s:.1f} s local, {remote.wall_s:.1f} s remote: {remote.wall_s / local.wall_s:.2f}"
+    )
+    print(
+        f"  CPU {local.cpu_s:.1f} s local, {remote.cpu_s:.1f} s remote: {remote.cpu_s / local.cpu_s:.2f}",
+        end="",
+    )
     print(f" (and {server_s:.1f} s of the server)")
     stored = list_objects(f"{URL}/runs/{name}") if used else []
-    print(f"  requests {dict(used)}; {len(stored)} objects, {sum(one.size for one in stored) / 1e6:.1f} MB written")
+    print(
+        f"  requests {dict(used)}; {len(stored)} objects, {sum(one.size for one in stored) / 1e6:.1f} MB written"
+    )
     peaks = [f"{of:.0f}" for of in (local.peaks[0], remote.peaks[0])]
     print(f"  peak memory of the command: {peaks[0]} MiB local, {peaks[1]} MiB remote", flush=True)
 
@@ -112,7 +119,10 @@ def on_a_cluster(server, folder, url):
         before = server.requests()
         address = json.loads(file.read_text())["address"]
         run = weigh("run", url, "--out", f"{URL}/runs/cluster", "--scheduler", address)
-        print(f"cluster: wall {run.wall_s:.1f} s; requests {dict(server.requests() - before)}", flush=True)
+        print(
+            f"cluster: wall {run.wall_s:.1f} s; requests {dict(server.requests() - before)}",
+            flush=True,
+        )
     finally:
         workers.terminate()
         workers.wait()
@@ -130,7 +140,16 @@ def main(dataset, n_small=1000, points=300):
                     pair_of_runs(server, folder, dataset, f"{URL}/set", f"whole{i}")
                 on_a_cluster(server, folder, f"{URL}/set")
             small = folder / "small"
-            weigh("synth", small, "--pairs", min(N_FILES, n_small), "--points", points, "--workers", WORKERS)
+            weigh(
+                "synth",
+                small,
+                "--pairs",
+                min(N_FILES, n_small),
+                "--points",
+                points,
+                "--workers",
+                WORKERS,
+            )
             upload(small, f"{URL}/small")
             listed = repeated(small, n_small, folder / "listed")
             remote = folder / "remote"

@@ -95,7 +95,10 @@ def sweeps(n_sweeps):
     """Sweeps of a parked sensor in one scan, with random phases."""
 
     def accumulate(points, rng):
-        turns = [Rotation.from_euler("z", rng.uniform(0, 0.4), degrees=True).as_matrix() for _ in range(n_sweeps)]
+        turns = [
+            Rotation.from_euler("z", rng.uniform(0, 0.4), degrees=True).as_matrix()
+            for _ in range(n_sweeps)
+        ]
         return np.concatenate([remeasured(points @ turn.T, rng) for turn in turns])
 
     return accumulate
@@ -204,18 +207,26 @@ def repeated(place, share):
 
 def variants():
     found = {
-        "misses at 120 m, 15 %": Variant("rays without a return", misses(120, 0.15), allowed=("maximum range",)),
-        "misses at 60 m, 40 %": Variant("rays without a return", misses(60, 0.4), allowed=("maximum range",)),
+        "misses at 120 m, 15 %": Variant(
+            "rays without a return", misses(120, 0.15), allowed=("maximum range",)
+        ),
+        "misses at 60 m, 40 %": Variant(
+            "rays without a return", misses(60, 0.4), allowed=("maximum range",)
+        ),
         "misses at 200 m, 5 %": Variant("rays without a return", misses(200, 0.05)),
         "two sweeps, parked": Variant("two or more", sweeps(2)),
         "three sweeps, parked": Variant("two or more", sweeps(3)),
         "two sweeps, 8 m/s": Variant("two or more", with_next_sweep, scans=("HDL-64E",)),
         "each return twice": Variant("second returns", each_twice(0.0)),
-        "second returns 1 m behind": Variant("second returns", each_twice(1.0), allowed=("second returns",)),
+        "second returns 1 m behind": Variant(
+            "second returns", each_twice(1.0), allowed=("second returns",)
+        ),
         "both in the world, 200 m off": Variant(
             "not in the sensor's frame", moved(200, 120, 3, 30), moved(200, 120, 3, 30)
         ),
-        "both in the world, 25 m off": Variant("not in the sensor's frame", moved(-25, 10), moved(-25, 10)),
+        "both in the world, 25 m off": Variant(
+            "not in the sensor's frame", moved(-25, 10), moved(-25, 10)
+        ),
         "simulated in the world, 60 m off": Variant("frame", moved(60, -40, 0, 45)),
         "simulated size 0.5": Variant(UNITS, scaled(0.5)),
         "simulated size 0.9": Variant("", scaled(0.9), allowed=("range scale",)),
@@ -223,18 +234,30 @@ def variants():
         "simulated size 0.8": Variant(UNITS, scaled(0.8)),
         "simulated size 1.3": Variant(UNITS, scaled(1.3)),
         "simulated size 3.28": Variant(UNITS, scaled(3.28)),
-        "points without rings": Variant("", not_rings, allowed=("maximum range", "elevation noise")),
+        "points without rings": Variant(
+            "", not_rings, allowed=("maximum range", "elevation noise")
+        ),
         "degrees and range as x y z": Variant(ANGLES, as_angles("deg")),
         "radians and range as x y z": Variant(ANGLES, as_angles("rad")),
-        "gaps of 4 deg in 10 directions, both": Variant("", gaps(10, 4), gaps(10, 4), ("blind sector",)),
-        "gaps of 4 deg in 10 directions, simulated": Variant("", gaps(10, 4), allowed=("blind sector",)),
-        "gaps of 8 deg in 5 directions, simulated": Variant("", gaps(5, 8), allowed=("blind sector",)),
+        "gaps of 4 deg in 10 directions, both": Variant(
+            "", gaps(10, 4), gaps(10, 4), ("blind sector",)
+        ),
+        "gaps of 4 deg in 10 directions, simulated": Variant(
+            "", gaps(10, 4), allowed=("blind sector",)
+        ),
+        "gaps of 8 deg in 5 directions, simulated": Variant(
+            "", gaps(5, 8), allowed=("blind sector",)
+        ),
         "one point repeated, 30 %": Variant("one repeated point", repeated([1.2, 0, 1.8], 0.3)),
         "misses around 80 m, 25 %": Variant("rays without", misses(80, 0.25, 0.3)),
         "misses at 60 and 120 m": Variant(
-            "rays without", after(misses(60, 0.15), far_misses(120, 0.15)), allowed=("maximum range",)
+            "rays without",
+            after(misses(60, 0.15), far_misses(120, 0.15)),
+            allowed=("maximum range",),
         ),
-        "second returns interleaved, 30 %": Variant("second returns", interleaved(0.3), allowed=("second returns",)),
+        "second returns interleaved, 30 %": Variant(
+            "second returns", interleaved(0.3), allowed=("second returns",)
+        ),
         "voxel grid of 0.1 m": Variant("voxel grid", gridded(0.1)),
         "voxel grid of 0.2 m": Variant("voxel grid|not in the sensor's frame", gridded(0.2)),
         "simulated in inches": Variant("in inches", scaled(39.37)),
@@ -243,9 +266,13 @@ def variants():
         "y up, left-handed, turned by 90 deg": Variant(
             "frame|read as", after(moved(0, 0, 0, 90), axes([1, 2, 0], (-1, 1, 1)))
         ),
-        "simulated turned by 45 deg": Variant("the same place|frame", moved(0, 0, 0, 45), allowed=("yaw",)),
+        "simulated turned by 45 deg": Variant(
+            "the same place|frame", moved(0, 0, 0, 45), allowed=("yaw",)
+        ),
         "both 1.5 m above base_link": Variant("", moved(0, 0, 1.5), moved(0, 0, 1.5)),
-        "gaps of 2 deg in 20 directions, simulated": Variant("", gaps(20, 2), allowed=("blind sector",)),
+        "gaps of 2 deg in 20 directions, simulated": Variant(
+            "", gaps(20, 2), allowed=("blind sector",)
+        ),
         "one point repeated, 10 %": Variant("one repeated point", repeated([-0.4, 0, 2.1], 0.1)),
     }
     for number in range(12):
@@ -273,7 +300,11 @@ def check(folder, points, variant, rng, settings):
     (folder / "pairs.csv").write_text("pair_id,real,sim\n0,real.npy,sim.npy\n")
     checked = check_dataset(folder, settings)
     texts = [*checked.doubts, *checked.faults, *checked.warnings]
-    return texts, [cause.words for cause in checked.causes.causes], [cause.name for cause in checked.causes.causes]
+    return (
+        texts,
+        [cause.words for cause in checked.causes.causes],
+        [cause.name for cause in checked.causes.causes],
+    )
 
 
 def main(only=""):
@@ -288,7 +319,9 @@ def main(only=""):
                 continue
             points = points_of(sorted(DATA.glob(pattern))[0])
             with tempfile.TemporaryDirectory() as folder:
-                texts, words, names = check(Path(folder), points, variant, random(name, scan), settings)
+                texts, words, names = check(
+                    Path(folder), points, variant, random(name, scan), settings
+                )
             is_named = not variant.named or any(re.search(variant.named, text) for text in texts)
             right = [w for w, n in zip(words, names, strict=True) if n in variant.allowed]
             wrong = [w for w, n in zip(words, names, strict=True) if n not in variant.allowed]
@@ -296,7 +329,10 @@ def main(only=""):
             number["named"] += is_named
             number["wrong"] += bool(wrong)
             number["warnings of healthy scans"] += "healthy" in name and bool(texts)
-            print(f"| {name} | {scan} | {is_named} | {'; '.join(right)} | {'; '.join(wrong)} |", flush=True)
+            print(
+                f"| {name} | {scan} | {is_named} | {'; '.join(right)} | {'; '.join(wrong)} |",
+                flush=True,
+            )
             if not is_named or only:
                 print("    ", texts, flush=True)
     print(dict(number))

@@ -40,7 +40,9 @@ def sleeping_graph(inputs):
 
 async def serve(address, n_workers):
     """Workers of one thread each in this process, until it is ended."""
-    workers = [distributed.Worker(address, nthreads=1, memory_limit="1GiB") for _ in range(n_workers)]
+    workers = [
+        distributed.Worker(address, nthreads=1, memory_limit="1GiB") for _ in range(n_workers)
+    ]
     await asyncio.gather(*workers)
     await asyncio.gather(*(worker.finished() for worker in workers))
 
@@ -53,13 +55,17 @@ def start(words, folder):
 def used(processes):
     """CPU seconds, and largest resident memory of one, MiB."""
     times = [process.cpu_times() for process in processes]
-    return sum(own.user + own.system for own in times), max(own.memory_info().rss for own in processes) / MIB
+    return sum(own.user + own.system for own in times), max(
+        own.memory_info().rss for own in processes
+    ) / MIB
 
 
 def main(n_pairs=320, seconds=16.0, n_workers=32):
     print(machine())
     os.environ["SLEEP_S"] = str(seconds / 2)
-    stages = tuple(replace(stage, make=sleeping_graph) if stage.name == "graph" else stage for stage in STAGES)
+    stages = tuple(
+        replace(stage, make=sleeping_graph) if stage.name == "graph" else stage for stage in STAGES
+    )
     with scratch() as folder:
         weigh("synth", folder / "small", "--pairs", min(N_FILES, n_pairs), "--points", POINTS)
         listed = repeated(folder / "small", n_pairs, folder / "listed")
@@ -69,7 +75,9 @@ def main(n_pairs=320, seconds=16.0, n_workers=32):
         while not (file.exists() and file.read_text()):
             time.sleep(0.1)
         address = json.loads(file.read_text())["address"]
-        workers = start([sys.executable, Path(__file__).resolve(), "serve", address, str(n_workers)], folder)
+        workers = start(
+            [sys.executable, Path(__file__).resolve(), "serve", address, str(n_workers)], folder
+        )
         try:
             with distributed.Client(address, set_as_default=False) as client:
                 client.wait_for_workers(n_workers)
@@ -79,7 +87,12 @@ def main(n_pairs=320, seconds=16.0, n_workers=32):
             of_command = used([own])[0]
             out = folder / "run"
             ended = run_dataset(
-                listed, out, Settings(), Reporter(Console(quiet=True)), machines=machines, stages=stages
+                listed,
+                out,
+                Settings(),
+                Reporter(Console(quiet=True)),
+                machines=machines,
+                stages=stages,
             )
             wall_s = time.perf_counter() - begun
             of_command = used([own])[0] - of_command
@@ -91,7 +104,9 @@ def main(n_pairs=320, seconds=16.0, n_workers=32):
             workers.wait()
             scheduler.kill()
         stages_s = ended.record.wall_s["stages"]
-    print(f"{n_pairs} pairs, {len(ended.failures)} failed; {wall_s:.0f} s wall, {stages_s:.0f} s of them in stages")
+    print(
+        f"{n_pairs} pairs, {len(ended.failures)} failed; {wall_s:.0f} s wall, {stages_s:.0f} s of them in stages"
+    )
     print(f"workers asleep: {n_pairs * seconds / (n_workers * stages_s):.0%} of the time")
     for name, cpu_s, mib in (
         ("command", of_command, memory),

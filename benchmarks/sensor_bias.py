@@ -14,7 +14,12 @@ from fidpipe.stages.beam_patterns import find_beams
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.sensor_description import _by_beam, describe_sensor
 
-FILES = ("kitti_twin/sim/000000.bin", "kitti_twin/real/000000.bin", "kitti_sequence/000000.bin", "rellis/000104.bin")
+FILES = (
+    "kitti_twin/sim/000000.bin",
+    "kitti_twin/real/000000.bin",
+    "kitti_sequence/000000.bin",
+    "rellis/000104.bin",
+)
 STREETS = ("vlp32c", "os1-64", "xt32", "hdl64")
 ADDED_M = (0.0, 0.02, 0.05)
 
@@ -39,7 +44,9 @@ def noise_table(scans, rng):
             cells = []
             for n in (1, 2, 3):
                 sensor = describe_sensor(thinned(noisy(points, added_m, rng), n))
-                cells.append(f"{1e3 * sensor.range_noise_low_m:.0f} to {1e3 * sensor.range_noise_m:.0f}")
+                cells.append(
+                    f"{1e3 * sensor.range_noise_low_m:.0f} to {1e3 * sensor.range_noise_m:.0f}"
+                )
             print(f"| {name} | {1e3 * added_m:.0f} | {' | '.join(cells)} |", flush=True)
 
 
@@ -58,7 +65,9 @@ def properties_table(scans, rng):
                 sensor = describe_sensor(sparse[rng.random(len(sparse)) >= lost])
                 share = 1 - (1 - sensor.lost_in_all) / (1 - whole.lost_in_all)
                 step = sensor.azimuth_step_deg / (n * whole.azimuth_step_deg)
-                cells.append(f"{len(sensor.elevation_deg) - len(whole.elevation_deg):+d}, {step:.3f}, {share:.0%}")
+                cells.append(
+                    f"{len(sensor.elevation_deg) - len(whole.elevation_deg):+d}, {step:.3f}, {share:.0%}"
+                )
             print(f"| {name} | {n_removed} | {lost:.0%} | {' | '.join(cells)} |", flush=True)
 
 
@@ -66,7 +75,10 @@ def main(data):
     scans = {name: read_scan(data / name, None, {}).points for name in FILES}
     for sensor in STREETS:
         scans[f"synth, {sensor}"] = make_pair(0, 3, SENSORS[sensor]).sim.rows[:, :3].astype(float)
-    scans = {name: points[np.isfinite(points).all(axis=1) & points.any(axis=1)] for name, points in scans.items()}
+    scans = {
+        name: points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
+        for name, points in scans.items()
+    }
     rng = np.random.default_rng(0)
     noise_table(scans, rng)
     properties_table(scans, rng)

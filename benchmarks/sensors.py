@@ -27,7 +27,9 @@ from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.sensor_description import beams_text, describe_sensor
 
-HEIGHTS_M = {"hdl64": (0.12, 0.21)}  # of the lower and the upper block above the origin of its recordings
+HEIGHTS_M = {
+    "hdl64": (0.12, 0.21)
+}  # of the lower and the upper block above the origin of its recordings
 RECORDINGS = {
     "rellis/vel000104.bin": "Velodyne VLP-32C",
     "rellis/000104.bin": "Ouster OS1-64 (gen 1)",
@@ -78,7 +80,9 @@ def street(sensor, seed, index):
 
 
 def turned(degrees, axis):
-    return lambda points, rng: points @ Rotation.from_euler(axis, degrees, degrees=True).as_matrix().T
+    return lambda points, rng: (
+        points @ Rotation.from_euler(axis, degrees, degrees=True).as_matrix().T
+    )
 
 
 def crossing(focal_m):
@@ -86,7 +90,9 @@ def crossing(focal_m):
 
     def change(points, rng):
         level = np.hypot(points[:, 0], points[:, 1])
-        return points * np.column_stack([1 + focal_m / level, 1 + focal_m / level, np.ones(len(level))])
+        return points * np.column_stack(
+            [1 + focal_m / level, 1 + focal_m / level, np.ones(len(level))]
+        )
 
     return change
 
@@ -96,7 +102,9 @@ def lost(share):
 
 
 def without_outer_beams(points, rng):
-    elevation = np.round(np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))), 1)
+    elevation = np.round(
+        np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))), 1
+    )
     common, count = np.unique(elevation, return_counts=True)
     common = common[count > 0.001 * len(points)]
     return points[(elevation > common[0] + 0.15) & (elevation < common[-1] - 0.15)]
@@ -156,10 +164,14 @@ def no_counts():
 
 
 def show(title, counts):
-    print(f"\n| {title} | scans | hits | misses | false names | beams told |\n|---|---|---|---|---|---|")
+    print(
+        f"\n| {title} | scans | hits | misses | false names | beams told |\n|---|---|---|---|---|---|"
+    )
     for key, row in counts.items():
         total = row["hit"] + row["miss"] + row["false name"]
-        print(f"| {key} | {total} | {row['hit']} | {row['miss']} | {row['false name']} | {row['told']} |")
+        print(
+            f"| {key} | {total} | {row['hit']} | {row['miss']} | {row['false name']} | {row['told']} |"
+        )
 
 
 def scans(data, pattern):
@@ -168,7 +180,9 @@ def scans(data, pattern):
 
 
 def recordings(data):
-    print("| recording | points | beams | step (deg) | quantum (mm) | noise (mm) | lost (%) by range | seconds |")
+    print(
+        "| recording | points | beams | step (deg) | quantum (mm) | noise (mm) | lost (%) by range | seconds |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     counts = no_counts()
     for pattern, truth in RECORDINGS.items():
@@ -178,7 +192,9 @@ def recordings(data):
             facts = describe_sensor(scan.points, scan.rings, scan.times_s is not None)
             seconds = time.perf_counter() - start
             count(facts, counts[pattern], truth)
-            share = " ".join("-" if value is None else f"{100 * value:.0f}" for value in facts.lost_share)
+            share = " ".join(
+                "-" if value is None else f"{100 * value:.0f}" for value in facts.lost_share
+            )
             quantum = "-" if facts.range_quantum_m is None else f"{1e3 * facts.range_quantum_m:g}"
             noise = "-" if facts.range_noise_m is None else f"{1e3 * facts.range_noise_m:.0f}"
             name = path.relative_to(data)
@@ -204,18 +220,36 @@ def main(data, seed):
                     told(points, by_sensor, model.title, model.title)
                     measured[model.title].append(facts)
             if model.focal_m:
-                told(crossing(model.focal_m)(points, rng), harmless, "beams cross before the axis", model.title)
+                told(
+                    crossing(model.focal_m)(points, rng),
+                    harmless,
+                    "beams cross before the axis",
+                    model.title,
+                )
             else:
-                told(crossing(0.0424)(points, rng), out_of_frame, "beams cross 42.4 mm before the axis", model.title)
+                told(
+                    crossing(0.0424)(points, rng),
+                    out_of_frame,
+                    "beams cross 42.4 mm before the axis",
+                    model.title,
+                )
             for change, function in OUT_OF_FRAME.items():
                 told(function(points, rng), out_of_frame, change, model.title)
     for name, elevation in UNKNOWN.items():
         sensor = replace(
-            SENSORS["hdl64"], name=name, elevation_deg=tuple(elevation), azimuth_offset_deg=(0.0,) * len(elevation)
+            SENSORS["hdl64"],
+            name=name,
+            elevation_deg=tuple(elevation),
+            azimuth_offset_deg=(0.0,) * len(elevation),
         )
         for index in range(3):
             told(street(sensor, seed, index), unknown, name, None)
-            told(crossing(0.0424)(street(sensor, seed, index), rng), unknown, "the same, 42.4 mm before the axis", None)
+            told(
+                crossing(0.0424)(street(sensor, seed, index), rng),
+                unknown,
+                "the same, 42.4 mm before the axis",
+                None,
+            )
     cloud = rng.uniform((-40, -40, -2), (40, 40, 8), (60_000, 3))
     told(cloud, unknown, "points anywhere in a box", None)
     told(
@@ -228,11 +262,16 @@ def main(data, seed):
     show("change that leaves the sensor's frame", harmless)
     show("change out of the sensor's frame", out_of_frame)
     show("not in the table (a hit names none)", unknown)
-    print("\n| known sensor | quantum told (mm) | true | noise told (mm) | true |\n|---|---|---|---|---|")
+    print(
+        "\n| known sensor | quantum told (mm) | true | noise told (mm) | true |\n|---|---|---|---|---|"
+    )
     for model in SENSORS.values():
         own = measured[model.title]
         quanta = " ".join(f"{1e3 * (facts.range_quantum_m or 0):g}" for facts in own)
-        noise = " ".join("-" if facts.range_noise_m is None else f"{1e3 * facts.range_noise_m:.0f}" for facts in own)
+        noise = " ".join(
+            "-" if facts.range_noise_m is None else f"{1e3 * facts.range_noise_m:.0f}"
+            for facts in own
+        )
         true = f"{1e3 * model.range_quantum_m:g}", f"{1e3 * model.range_noise_m:g}"
         print(f"| {model.title} | {quanta} | {true[0]} | {noise} | {true[1]} |")
 

@@ -47,7 +47,8 @@ def leaves(points):
 def solid(share):
     """A share of the returns of foliage comes from 1 m in front of it."""
     return lambda scan, rng: along_ray(
-        scan.points, ranges(scan.points) - (leaves(scan.points) & (rng.random(len(scan.points)) < share))
+        scan.points,
+        ranges(scan.points) - (leaves(scan.points) & (rng.random(len(scan.points)) < share)),
     )
 
 
@@ -68,17 +69,41 @@ def share_cut(scene, before, after, amount):
 #: By cause: the altered scan by amount, the amounts, and the true share, given the scans without the flaw and with it.
 FLAWS = {
     "solid foliage": (solid, (0.1, 0.2, 0.4, 0.6), share_early),
-    "moved parts": (car_moved, (0.6, 0.9, 1.2, 1.5), lambda scene, *_: fs.belongs_to_car(scene[1]).mean()),
-    "lost returns": (fs.drop, (0.05, 0.1, 0.2, 0.4), lambda *scans_and_amount: scans_and_amount[-1]),
-    "lost far returns": (far_drop, (0.2, 0.4, 0.6, 0.8), lambda *scans_and_amount: scans_and_amount[-1]),
-    "lost grazing returns": (grazing_drop, (0.2, 0.4, 0.6, 0.8), lambda *scans_and_amount: scans_and_amount[-1]),
-    "mixed pixels": (mixed, (0.015, 0.03, 0.06, 0.1), lambda *scans_and_amount: scans_and_amount[-1]),
+    "moved parts": (
+        car_moved,
+        (0.6, 0.9, 1.2, 1.5),
+        lambda scene, *_: fs.belongs_to_car(scene[1]).mean(),
+    ),
+    "lost returns": (
+        fs.drop,
+        (0.05, 0.1, 0.2, 0.4),
+        lambda *scans_and_amount: scans_and_amount[-1],
+    ),
+    "lost far returns": (
+        far_drop,
+        (0.2, 0.4, 0.6, 0.8),
+        lambda *scans_and_amount: scans_and_amount[-1],
+    ),
+    "lost grazing returns": (
+        grazing_drop,
+        (0.2, 0.4, 0.6, 0.8),
+        lambda *scans_and_amount: scans_and_amount[-1],
+    ),
+    "mixed pixels": (
+        mixed,
+        (0.015, 0.03, 0.06, 0.1),
+        lambda *scans_and_amount: scans_and_amount[-1],
+    ),
     "invented parts": (
         ghosts,
         (0.005, 0.01, 0.02, 0.04),
         lambda scene, before, after, _: 1 - len(before) / len(after),
     ),
-    "clutter": (rain, (60, 120, 200, 600), lambda scene, before, after, amount: amount / len(after)),
+    "clutter": (
+        rain,
+        (60, 120, 200, 600),
+        lambda scene, before, after, amount: amount / len(after),
+    ),
     "missing parts": (holes, (3, 6, 12, 25), share_cut),
 }
 

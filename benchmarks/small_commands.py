@@ -40,8 +40,12 @@ setTimeout(() => done([
 def cpu_seconds(*words):
     """User and system seconds of the command and its processes; Python may cache compiled modules, as at a user's."""
     command = [os.environ.get("FIDPIPE_BENCH_COMMAND", FIDPIPE), *map(str, words)]
-    cached = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    process = subprocess.Popen(command, env=cached, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    cached = {
+        name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"
+    }
+    process = subprocess.Popen(
+        command, env=cached, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     _, status, used = os.wait4(process.pid, 0)
     if status:
         sys.exit(f"{command}: failed")
@@ -79,7 +83,9 @@ def page_seconds(page):
         browser.get(page.resolve().as_uri())
         main_thread, whole = seconds_when_quiet(browser)
         times = [own / 1000 for own in browser.execute_async_script(TIMES)]
-        browser.execute_script("for (const one of document.querySelectorAll('details')) one.open = true")
+        browser.execute_script(
+            "for (const one of document.querySelectorAll('details')) one.open = true"
+        )
         for chart in browser.find_elements("css selector", ".chart"):
             browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", chart)
             settle(browser)
@@ -102,4 +108,7 @@ def main(paths, repeats=5):
 
 
 if __name__ == "__main__":
-    main([Path(word) for word in sys.argv[1:] if not word.isdigit()], *map(int, filter(str.isdigit, sys.argv[1:])))
+    main(
+        [Path(word) for word in sys.argv[1:] if not word.isdigit()],
+        *map(int, filter(str.isdigit, sys.argv[1:])),
+    )

@@ -33,9 +33,12 @@ def main(n_pairs=10_000, points=2000):
     inside = timings.seconds[~is_file].sum()
     files = timings.seconds[is_file].sum()
     beyond = WORKERS * wall_s["stages"] - inside - files
-    print(f"{n_pairs} pairs of about {points} points: {run.wall_s:.0f} s wall, {run.cpu_s:.0f} s CPU")
     print(
-        f"per pair: {1e3 * inside / n_pairs:.1f} ms inside the stages, {1e3 * files / n_pairs:.1f} ms Parquet, ", end=""
+        f"{n_pairs} pairs of about {points} points: {run.wall_s:.0f} s wall, {run.cpu_s:.0f} s CPU"
+    )
+    print(
+        f"per pair: {1e3 * inside / n_pairs:.1f} ms inside the stages, {1e3 * files / n_pairs:.1f} ms Parquet, ",
+        end="",
     )
     print(f"{1e3 * beyond / n_pairs:.1f} ms beyond ({beyond / (inside + files):.1%})")
     workers = ", ".join(f"{of:.0f}" for of in sorted(run.peaks[1:])[-WORKERS:])

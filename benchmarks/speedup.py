@@ -25,23 +25,32 @@ def main(dataset, pair="000000"):
     print(machine())
     with scratch() as folder:
         out = folder / "speedup"
-        ours = weigh("run", dataset, "--out", out, "--workers", 2, "--pairs", pair, "--from", "ground")
+        ours = weigh(
+            "run", dataset, "--out", out, "--workers", 2, "--pairs", pair, "--from", "ground"
+        )
         points = {}
         labels = {}
         for side in ("real", "sim"):
             ground = pd.read_parquet(out / "ground" / f"{pair}.{side}.parquet")
             points[side] = ground.loc[~ground.is_ground, ["x", "y", "z"]].to_numpy()
-            labels[side] = pd.read_parquet(out / "communities" / f"{pair}.{side}.parquet").community_id.to_numpy()
+            labels[side] = pd.read_parquet(
+                out / "communities" / f"{pair}.{side}.parquet"
+            ).community_id.to_numpy()
         metrics = pd.read_parquet(out / "metrics" / f"{pair}.parquet")
     _, seconds = textbook_pipeline.evaluate(points["real"], points["sim"])
     total = sum(seconds.values())
     print(f"pair {pair}, {len(points['real'])} and {len(points['sim'])} object points")
     print(f"by hand, own Louvain   {total:7.1f} s  ({steps(seconds)})")
-    print(f"fidpipe, two workers   {ours.wall_s:7.1f} s wall, {ours.cpu_s:.1f} s CPU: {total / ours.wall_s:.1f} times")
+    print(
+        f"fidpipe, two workers   {ours.wall_s:7.1f} s wall, {ours.cpu_s:.1f} s CPU: {total / ours.wall_s:.1f} times"
+    )
     by_hand, _ = textbook_pipeline.evaluate(points["real"], points["sim"], labels)
     names = [name for name in by_hand.columns if name in metrics.columns]
     worst = {name: largest_difference(by_hand[name], metrics[name]) for name in names}
-    print("same labels: largest difference " + ", ".join(f"{name} {value:.1e}" for name, value in worst.items()))
+    print(
+        "same labels: largest difference "
+        + ", ".join(f"{name} {value:.1e}" for name, value in worst.items())
+    )
     if len(by_hand) != len(metrics) or not all(value <= TOLERANCE for value in worst.values()):
         sys.exit(f"the tables differ by more than {TOLERANCE}")
     print(f"{len(metrics)} objects agree within {TOLERANCE}")
@@ -56,7 +65,9 @@ def largest_difference(a, b):
 
 
 def steps(seconds):
-    return ", ".join(f"{name} {value:.1f}" for name, value in sorted(seconds.items(), key=lambda step: -step[1]))
+    return ", ".join(
+        f"{name} {value:.1f}" for name, value in sorted(seconds.items(), key=lambda step: -step[1])
+    )
 
 
 if __name__ == "__main__":

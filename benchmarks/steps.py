@@ -40,7 +40,9 @@ def main(dataset):
         out = folder / "steps"
         weigh("run", dataset, "--out", out, "--workers", 2)
         pairs = sorted(path.stem for path in (out / "metrics").glob("*.parquet"))
-        sides = {pair: {side: read_side(out, pair, side) for side in ("real", "sim")} for pair in pairs}
+        sides = {
+            pair: {side: read_side(out, pair, side) for side in ("real", "sim")} for pair in pairs
+        }
         laplacians = []
         aligned = []
         for pair in pairs:
@@ -60,7 +62,11 @@ def read_side(out, pair, side):
     graph = pd.read_parquet(out / "graph" / f"{pair}.{side}.parquet")
     src = np.searchsorted(ids, graph["src"]).astype(np.int32)
     dst = np.searchsorted(ids, graph["dst"]).astype(np.int32)
-    return ids, np.ascontiguousarray(ground[["x", "y", "z"]].to_numpy()), Edges(src, dst, graph.length_m.to_numpy())
+    return (
+        ids,
+        np.ascontiguousarray(ground[["x", "y", "z"]].to_numpy()),
+        Edges(src, dst, graph.length_m.to_numpy()),
+    )
 
 
 def read_objects(out, pair, sides):
@@ -69,7 +75,9 @@ def read_objects(out, pair, sides):
     selection = pd.read_parquet(out / "selection" / f"{pair}.parquet")
     objects = {}
     for side, (ids, points, edges) in sides.items():
-        labels = pd.read_parquet(out / "communities" / f"{pair}.{side}.parquet").community_id.to_numpy()
+        labels = pd.read_parquet(
+            out / "communities" / f"{pair}.{side}.parquet"
+        ).community_id.to_numpy()
         objects[side] = split_by_community(ids, points, edges, labels, metrics[f"{side}_id"])
     laplacians = []
     aligned = []

@@ -74,14 +74,22 @@ from fidpipe.stages.ground import GroundResult
 from fidpipe.stages.method import PartitionedScan, compare, partition, remove_road
 from fidpipe.stages.odometry import compare_trajectories, trajectory
 from fidpipe.stages.pieces import CutScan
-from fidpipe.stages.tasks import ALL, compare_free_space, compare_ground, compare_obstacles, compare_occupancy
+from fidpipe.stages.tasks import (
+    ALL,
+    compare_free_space,
+    compare_ground,
+    compare_obstacles,
+    compare_occupancy,
+)
 
 EVERY = 4
 EVERY_OF_DRIVE = 8
 BASES = ("good", "poor", "VLP-32C", "HDL-32E", "drive")
 NONE = "none"
 CONTROL = "control: range noise, m"
-SETTINGS = load(None, ["tasks.names=all", "metrics.baselines=chamfer,f_score,dcd"], preset="reference")
+SETTINGS = load(
+    None, ["tasks.names=all", "metrics.baselines=chamfer,f_score,dcd"], preset="reference"
+)
 #: Scores by column, and 1 if a larger one is worse, -1 if it is better.
 SCORES = {
     "r_lambda_mean": 1,
@@ -201,8 +209,14 @@ def of_points(flaw):
 FLAWS = {
     CONTROL: ((0.005, 0.01, 0.02), ray_noise),
     "lost points, share": ((0.1, 0.3, 0.6), drop),
-    "lost beyond 25 m, share": ((0.3, 0.6, 0.9), lambda a: by_chance(a, lambda scan: ranges(scan.points) > 25)),
-    "lost road, share": ((0.3, 0.6, 0.9), lambda a: by_chance(a, lambda scan: is_ground(scan.points))),
+    "lost beyond 25 m, share": (
+        (0.3, 0.6, 0.9),
+        lambda a: by_chance(a, lambda scan: ranges(scan.points) > 25),
+    ),
+    "lost road, share": (
+        (0.3, 0.6, 0.9),
+        lambda a: by_chance(a, lambda scan: is_ground(scan.points)),
+    ),
     "holes of 1.5 m": ((6, 12, 24), holes),
     "ghosts in free air, share": ((0.02, 0.05, 0.1), ghosts),
     "noise along the ray, m": ((0.05, 0.1, 0.2), ray_noise),
@@ -223,7 +237,10 @@ FLAWS = {
     "rain, points": ((50, 100, 200), rain),
     "maximum range, m": ((50, 30, 20), range_limit),
     "minimum range, m": ((5, 8, 12), lambda a: keep(lambda scan, rng: ranges(scan.points) >= a)),
-    "highest elevation, degrees": ((0, -2, -5), lambda a: keep(lambda scan, rng: elevation_deg(scan) <= a)),
+    "highest elevation, degrees": (
+        (0, -2, -5),
+        lambda a: keep(lambda scan, rng: elevation_deg(scan) <= a),
+    ),
     "mixed pixels, share": ((0.01, 0.03, 0.1), lambda a: mixed(a, at_edges=False)),
     "mixed pixels at edges, share": ((0.01, 0.03, 0.1), lambda a: mixed(a, at_edges=True)),
     "solid foliage, share": ((0.3, 0.6, 1), solid),
@@ -250,7 +267,9 @@ def prepare(points, real=None):
     if real is None:
         clean, cut = remove_road(points, SETTINGS, "real")
     else:
-        clean, cut = remove_road(points, SETTINGS, "sim", real_cut=real.cut, real_points=real.scan.points)
+        clean, cut = remove_road(
+            points, SETTINGS, "sim", real_cut=real.cut, real_points=real.scan.points
+        )
     reference = None if real is None else real.objects.reference
     objects = partition(clean.points[~cut.is_ground], SETTINGS, reference=reference)
     return Side(CutScan(clean.points, cut.is_ground, cut.height_m), cut, objects)
@@ -265,7 +284,11 @@ def scored(real, points):
     both = (real.objects.points, sim.objects.points)
     for side, distance_m in zip(("real", "sim"), nearest_distances(*both), strict=True):
         row[f"covered_{side}_0p1m"] = (distance_m <= 0.1).mean()
-    row |= {value.name: value.value for value in compare_points(*both, SETTINGS.metrics) if value.name in SCORES}
+    row |= {
+        value.name: value.value
+        for value in compare_points(*both, SETTINGS.metrics)
+        if value.name in SCORES
+    }
     row["log_points"] = abs(np.log(len(sim.scan.points) / len(real.scan.points)))
     gaps = [*compare_obstacles(real.scan, sim.scan, SETTINGS.tasks).gaps]
     for task in (compare_ground, compare_occupancy, compare_free_space):
@@ -371,7 +394,11 @@ def real_pairs(data):
     sweeps = [read_scan(f"{data}/velodyne_vlp32c/sweeps.pcap#{i}").points for i in range(5)]
     for i, (first, second) in enumerate(pairwise(sweeps[:4])):
         yield f"parked {i}", "parked", lambda a=first, b=second: scored(prepare(a), b)
-    yield "odometry", "parked", lambda: odometry_gaps(trajectory(sweeps[:4]), trajectory(sweeps[1:]))
+    yield (
+        "odometry",
+        "parked",
+        lambda: odometry_gaps(trajectory(sweeps[:4]), trajectory(sweeps[1:])),
+    )
     scans = [read(path) for path in sorted((data / "kitti_sequence").glob("*.bin"))]
     rows = np.loadtxt(data / "kitti_sequence" / "poses.tum")
     poses = [(Rotation.from_quat(row[4:8]).as_matrix(), row[1:4]) for row in rows]
@@ -499,16 +526,24 @@ def print_correlations(table, base):
         best = max(SCORES, key=lambda score: values[score, task])
         names = np.array([*SCORES])
         left = names[np.nanargmax([without[score, task] for score in SCORES], axis=0)]
-        moved = max(np.nanmax(np.abs(without[score, task] - values[score, task])) for score in SCORES)
+        moved = max(
+            np.nanmax(np.abs(without[score, task] - values[score, task])) for score in SCORES
+        )
         n_same = (left == best).sum()
-        print(f"{task}: best {best}, also without {n_same} of {len(left)} flaws; no value moves by over {moved:.2f}")
+        print(
+            f"{task}: best {best}, also without {n_same} of {len(left)} flaws; no value moves by over {moved:.2f}"
+        )
     return cells
 
 
 def print_thresholds(table, real):
     """The score with the least left-out error of each task, and its values at the gaps of two real measurements."""
     print_row(
-        "task", "score", "left-out error", "error of the mean", *(f"gap and score, {kind}" for kind in real.index)
+        "task",
+        "score",
+        "left-out error",
+        "error of the mean",
+        *(f"gap and score, {kind}" for kind in real.index),
     )
     print_row(*["---"] * (4 + len(real)))
     for task in known_tasks(table):
@@ -560,12 +595,22 @@ def print_tables(path, bases):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path, help="folder with kitti_twin, kitti_sequence and velodyne_vlp32c")
-    parser.add_argument("--out", type=Path, default=Path(".cache/tasks.csv"), help="scores and gaps; resumed")
-    parser.add_argument("--frames", type=int, nargs="+", default=[0, 4], help="of kitti_twin, from 0")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "data", type=Path, help="folder with kitti_twin, kitti_sequence and velodyne_vlp32c"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path(".cache/tasks.csv"), help="scores and gaps; resumed"
+    )
+    parser.add_argument(
+        "--frames", type=int, nargs="+", default=[0, 4], help="of kitti_twin, from 0"
+    )
     parser.add_argument("--bases", nargs="+", choices=BASES, default=list(BASES))
-    parser.add_argument("--amounts", type=int, nargs="+", default=[0, 1, 2], help="of each flaw, from 0")
+    parser.add_argument(
+        "--amounts", type=int, nargs="+", default=[0, 1, 2], help="of each flaw, from 0"
+    )
     parser.add_argument("--print", action="store_true", help="only print the tables")
     arguments = parser.parse_args()
     if not arguments.print:

@@ -48,7 +48,10 @@ def cleaned(points):
 
 
 def sources(clouds):
-    return [lambda own=own: Frame(own[0], own[0], own[1].height_m, own[1].is_ground, None) for own in clouds]
+    return [
+        lambda own=own: Frame(own[0], own[0], own[1].height_m, own[1].is_ground, None)
+        for own in clouds
+    ]
 
 
 def sample(clouds):
@@ -56,7 +59,10 @@ def sample(clouds):
 
 
 def show(name, found):
-    print(f"| {name} | {found.auc:.3f} | {found.low:.3f} to {found.high:.3f} | {len(found.by_fold)} |", flush=True)
+    print(
+        f"| {name} | {found.auc:.3f} | {found.low:.3f} to {found.high:.3f} | {len(found.by_fold)} |",
+        flush=True,
+    )
 
 
 def real_against_real(name, scans):
@@ -78,11 +84,18 @@ def scores(real, sim):
     both = (real, sim)
     points = [own[~cut.is_ground] for own, cut in both]
     ids = [np.zeros(len(own), dtype=np.int32) for own in points]
-    covered = measure_coverage(points, ids, (1, 1), [(cut.axis, cut.threshold_m) for _, cut in both])
-    values = {f"covered {side}": whole.covered[0, 1] for side, (_, whole) in zip(("real", "sim"), covered, strict=True)}
+    covered = measure_coverage(
+        points, ids, (1, 1), [(cut.axis, cut.threshold_m) for _, cut in both]
+    )
+    values = {
+        f"covered {side}": whole.covered[0, 1]
+        for side, (_, whole) in zip(("real", "sim"), covered, strict=True)
+    }
     surfaces = [describe_surface(own) for own in points]
     values |= compare_roughness(*surfaces) | {"shift": measure_offsets(*surfaces).distance_m[0]}
-    pieces = find_pieces(*(CutScan(own, cut.is_ground, cut.height_m) for own, cut in both), SETTINGS.pieces)
+    pieces = find_pieces(
+        *(CutScan(own, cut.is_ground, cut.height_m) for own, cut in both), SETTINGS.pieces
+    )
     values |= {"missing pieces": pieces[0].share, "invented pieces": pieces[1].share}
     sensors = [describe_sensor(scan) for scan, _ in both]
     values |= {name: getattr(sensors[1], name) for name in SENSOR}
@@ -100,7 +113,9 @@ def t_of(change):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("datasets", type=Path, nargs="+", help="folders with real/ and sim/")
     parser.add_argument("--flaws", nargs="*", default=list(ALL))
     parser.add_argument("--bases", nargs="*", choices=("good", "poor"), default=["good"])
@@ -116,7 +131,9 @@ def main():
     names = []
     scans = {"real": [], "poor": [], "good": []}
     full = []
-    for path in (path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))):
+    for path in (
+        path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))
+    ):
         name = f"{path.parent.parent.name}-{path.stem}"
         cloud = read(path)
         car = find_car(cloud)
@@ -126,8 +143,12 @@ def main():
         names.append(name)
         full.append(cloud)
         scans["real"].append(Scan(real, car, poles))
-        scans["poor"].append(Scan(read(path.parent.with_name("sim") / path.name)[::EVERY], car, poles))
-        scans["good"].append(Scan(ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), car, poles))
+        scans["poor"].append(
+            Scan(read(path.parent.with_name("sim") / path.name)[::EVERY], car, poles)
+        )
+        scans["good"].append(
+            Scan(ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), car, poles)
+        )
     print("\n| real against itself re-measured | AUC | 95 % interval | folds |\n|---|---|---|---|")
     whole = sample([cleaned(cloud) for cloud in full])
     for name, (noise_m, lost) in MILD.items():
@@ -139,7 +160,11 @@ def main():
     reals = [cleaned(own.points) for own in scans["real"]]
     real_sample = sample(reals)
     for base in args.bases:
-        print(f"\n| flaw, {base} base | AUC | surface alone | change | t | best other score | t |\n" + "|---" * 7 + "|")
+        print(
+            f"\n| flaw, {base} base | AUC | surface alone | change | t | best other score | t |\n"
+            + "|---" * 7
+            + "|"
+        )
         before = None
         for flaw in (NONE, *args.flaws):
             sims = [
@@ -149,7 +174,9 @@ def main():
             drawn = sample(sims)
             found = compare_samples(real_sample, drawn, "")
             surface = compare_samples(real_sample, drawn, "surface")
-            table = pd.DataFrame([scores(*pair) for pair in zip(reals, sims, strict=True)]).astype(float)
+            table = pd.DataFrame([scores(*pair) for pair in zip(reals, sims, strict=True)]).astype(
+                float
+            )
             row = f"| {flaw} | {found.auc:.3f} | {surface.auc:.3f} |"
             if before is None:
                 before = found, table
@@ -161,7 +188,11 @@ def main():
             }
             best = max(t, key=lambda column: abs(t[column]))
             change = found.by_fold - before[0].by_fold
-            print(row, f"{change.mean():+.3f} | {t_of(change):+.0f} | {best} | {t[best]:+.0f} |", flush=True)
+            print(
+                row,
+                f"{change.mean():+.3f} | {t_of(change):+.0f} | {best} | {t[best]:+.0f} |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

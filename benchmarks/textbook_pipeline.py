@@ -57,7 +57,9 @@ def evaluate(real, sim, labels=None):
         kept = {}
         reduced = {}
         for side in points:
-            A = nx.to_numpy_array(graphs[side].subgraph(own[side]), nodelist=own[side].tolist(), weight="weight")
+            A = nx.to_numpy_array(
+                graphs[side].subgraph(own[side]), nodelist=own[side].tolist(), weight="weight"
+            )
             clock.lap("subgraph")
             influence = np.round(expm(-T * laplacian(A)).sum(axis=1), 9)
             clock.lap("heat")
@@ -93,10 +95,14 @@ def evaluate(real, sim, labels=None):
                 "r_gap": abs(gaps[1] - gaps[0]) / (2 * change) if scored else few,
                 "max_eigenvalue_shift": shift if n_keep >= 3 else np.nan,
                 "laplacian_change": change if n_keep >= 3 else np.nan,
-                "eigenspectrum_distance": np.linalg.norm(values[1] - values[0]) if n_keep >= 3 else np.nan,
+                "eigenspectrum_distance": np.linalg.norm(values[1] - values[0])
+                if n_keep >= 3
+                else np.nan,
                 "gap_real": gaps[0] if n_keep >= 3 else np.nan,
                 "gap_sim": gaps[1] if n_keep >= 3 else np.nan,
-                "alignment_rms_m": np.sqrt(np.mean(np.sum((a_centred - b_centred[aligned]) ** 2, axis=1))),
+                "alignment_rms_m": np.sqrt(
+                    np.mean(np.sum((a_centred - b_centred[aligned]) ** 2, axis=1))
+                ),
             }
         )
     return pd.DataFrame(rows), clock.seconds
@@ -122,7 +128,9 @@ def communities(G):
     for node, label in found.items():
         members.setdefault(label, []).append(node)
     labels = np.empty(len(G), dtype=int)
-    for new, own in enumerate(sorted(members.values(), key=lambda nodes: (-len(nodes), min(nodes)))):
+    for new, own in enumerate(
+        sorted(members.values(), key=lambda nodes: (-len(nodes), min(nodes)))
+    ):
         labels[own] = new
     return labels
 
@@ -130,7 +138,11 @@ def communities(G):
 def match(real, sim):
     used = set()
     for i, centroid in enumerate(real):
-        free = [(float(np.linalg.norm(centroid - other)), j) for j, other in enumerate(sim) if j not in used]
+        free = [
+            (float(np.linalg.norm(centroid - other)), j)
+            for j, other in enumerate(sim)
+            if j not in used
+        ]
         if free and min(free)[0] < DELTA_M:
             distance, j = min(free)
             used.add(j)

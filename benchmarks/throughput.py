@@ -25,7 +25,16 @@ def main(dataset):
             tables[workers] = pd.read_parquet(out / "pairs.parquet")
             n = len(tables[workers])
             twice = twice or repeated(dataset, 2 * n, folder / "twice")
-            more = weigh("run", twice, "--out", folder / f"twice{workers}", "--workers", workers, "--from", "ground")
+            more = weigh(
+                "run",
+                twice,
+                "--out",
+                folder / f"twice{workers}",
+                "--workers",
+                workers,
+                "--from",
+                "ground",
+            )
             paces[workers] = 60 * n / (more.wall_s - once.wall_s)
             print(f"workers {workers}: {paces[workers]:.1f} pairs per minute", flush=True)
     if not tables[1].equals(tables[2]):

@@ -42,7 +42,9 @@ def spherical(points):
 
 def cartesian(range_m, azimuth, elevation):
     level_m = range_m * np.cos(elevation)
-    return np.column_stack([level_m * np.cos(azimuth), level_m * np.sin(azimuth), range_m * np.sin(elevation)])
+    return np.column_stack(
+        [level_m * np.cos(azimuth), level_m * np.sin(azimuth), range_m * np.sin(elevation)]
+    )
 
 
 def remeasured(points, rng):
@@ -207,7 +209,9 @@ def run_of(args, base, flaw):
 def fidpipe(*words):
     done = subprocess.run([FIDPIPE, *map(str, words)], capture_output=True, text=True, check=False)
     if done.returncode not in (0, 4):
-        raise SystemExit(f"fidpipe {' '.join(map(str, words))}: exit {done.returncode}\n{done.stderr[-2000:]}")
+        raise SystemExit(
+            f"fidpipe {' '.join(map(str, words))}: exit {done.returncode}\n{done.stderr[-2000:]}"
+        )
     return done.stdout
 
 
@@ -224,9 +228,13 @@ def evaluate(args, base, flaw):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("dataset", type=Path, help="folder with real/ and sim/")
-    parser.add_argument("--out", type=Path, default=Path(".cache/unseen"), help="datasets and runs; resumed")
+    parser.add_argument(
+        "--out", type=Path, default=Path(".cache/unseen"), help="datasets and runs; resumed"
+    )
     parser.add_argument("--flaws", nargs="+", choices=FLAWS, default=list(FLAWS))
     arguments = parser.parse_args()
     make_datasets(arguments)

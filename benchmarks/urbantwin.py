@@ -30,7 +30,11 @@ from fidpipe.stages.pieces import CutScan, find_pieces
 BOX = np.array([[-40.0, -40.0, -5.0], [40.0, 40.0, 5.0]])
 SAMPLE, SEED = 10_000, 1234
 LIMITS = {"CD": (2.0, 30.0), "MMD": (0.0, 0.5), "EMD": (0.0, 5.0), "FPD": (0.0, 50.0)}
-WORDS = ['input.columns=["x","y","z"]', "input.min_range_m=0", "input.include_box=[-40,-40,-5,40,40,5]"]
+WORDS = [
+    'input.columns=["x","y","z"]',
+    "input.min_range_m=0",
+    "input.include_box=[-40,-40,-5,40,40,5]",
+]
 ROAD_M = 1.0
 REACHES_M = (0.1, 0.3, 1.0)
 
@@ -58,9 +62,14 @@ def contest(real, sim):
         "CD": (to_b**2).mean() + (to_a**2).mean(),
         "MMD": kernel[0, 0] + kernel[1, 1] - 2 * kernel[0, 1],
         "EMD": float(ot.emd2([], [], cdist(a, b), numItermax=10**8)),
-        "FPD": float(((a.mean(axis=0) - b.mean(axis=0)) ** 2).sum() + np.trace(A + B - 2 * sqrtm(A @ B).real)),
+        "FPD": float(
+            ((a.mean(axis=0) - b.mean(axis=0)) ** 2).sum() + np.trace(A + B - 2 * sqrtm(A @ B).real)
+        ),
     }
-    kept = [1 - np.clip((found[name] - low) / (high - low), 0, 1) for name, (low, high) in LIMITS.items()]
+    kept = [
+        1 - np.clip((found[name] - low) / (high - low), 0, 1)
+        for name, (low, high) in LIMITS.items()
+    ]
     return found | {"realism": float(np.mean(kept))}
 
 
@@ -77,7 +86,9 @@ def align(real, sim, fixed):
         start[:2, :2] = [[c, -s], [s, c]]
         start[:2, 3] = (x, y)
         options = {"downsampling_resolution": 0.25, "max_correspondence_distance": 4.0}
-        T = small_gicp.align(real, sim, init_T_target_source=start, registration_type="GICP", **options).T_target_source
+        T = small_gicp.align(
+            real, sim, init_T_target_source=start, registration_type="GICP", **options
+        ).T_target_source
         found.append((covered(fixed, moved(T, [sim]))[1], T))
     return sorted(found, key=lambda each: -each[0])
 
@@ -112,14 +123,20 @@ def covered(points, others):
 def pieces(real, sim):
     """Share of the object points of each side in missing and invented pieces."""
     cuts = [remove_ground(cloud, load().ground) for cloud in (real, sim)]
-    scans = [CutScan(cloud, cut.is_ground, cut.height_m) for cloud, cut in zip((real, sim), cuts, strict=True)]
+    scans = [
+        CutScan(cloud, cut.is_ground, cut.height_m)
+        for cloud, cut in zip((real, sim), cuts, strict=True)
+    ]
     return [own.share for own in find_pieces(*scans, load().pieces)]
 
 
 def show(name, rows):
     rows = np.array(rows, dtype=float).reshape(-1, np.shape(rows)[-1])
     cells = [
-        f"{np.mean(own):.3g} ({min(own):.3g} to {max(own):.3g})" if len(rows) > 1 else f"{own[0]:.3g}" for own in rows.T
+        f"{np.mean(own):.3g} ({min(own):.3g} to {max(own):.3g})"
+        if len(rows) > 1
+        else f"{own[0]:.3g}"
+        for own in rows.T
     ]
     print(f"| {name} | {' | '.join(cells)} |", flush=True)
 
@@ -129,7 +146,9 @@ def moved(T, clouds):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path)
     args = parser.parse_args()
     real = list(read(args.folder / "real"))
@@ -141,7 +160,11 @@ def main():
     starts = align(np.vstack(real), np.vstack(sim), fixed[0])
     T = starts[0][1]
     aligned = moved(T, sim)
-    twins = {"twin": sim, "twin, entrant's affine step": affine(sim, real), "twin, aligned": aligned}
+    twins = {
+        "twin": sim,
+        "twin, entrant's affine step": affine(sim, real),
+        "twin, aligned": aligned,
+    }
     measured = [list(contest(real[i], real[j]).values()) for i, j in pairs]
     show("real against real", measured)
     for name, twin in twins.items():
@@ -149,12 +172,20 @@ def main():
     cloud = np.vstack(real)
     means = cloud.mean(axis=0)
     stds = cloud.std(axis=0)
-    blob = [np.random.default_rng(i).normal(means, stds, (len(own), 3)) for i, own in enumerate(sim)]
-    show("Gaussian cloud of the real moments", [list(contest(real[i], blob[i]).values()) for i in n])
+    blob = [
+        np.random.default_rng(i).normal(means, stds, (len(own), 3)) for i, own in enumerate(sim)
+    ]
+    show(
+        "Gaussian cloud of the real moments", [list(contest(real[i], blob[i]).values()) for i in n]
+    )
 
     print("\nbest of 117 starts: covered 0.3 m, x y z (m), yaw (deg)")
     for share, one in starts[:4]:
-        print(f"{share:.3f}", np.round(one[:3, 3], 2), round(float(np.degrees(np.arctan2(one[1, 0], one[0, 0]))), 2))
+        print(
+            f"{share:.3f}",
+            np.round(one[:3, 3], 2),
+            round(float(np.degrees(np.arctan2(one[1, 0], one[0, 0]))), 2),
+        )
     print("\n| static surface over 1 m | covered 0.1 m | 0.3 m | 1 m |\n|---|---|---|---|")
     show("real, by the other real frames", [covered(fixed[i], real[:i] + real[i + 1 :]) for i in n])
     for name, twin in twins.items():
@@ -169,7 +200,9 @@ def main():
     print("\n| tell apart | AUC | 95 % interval |\n|---|---|---|")
     for name, one in (("twin", found.test), (f"real against real, {found.base_of}", found.base)):
         print(f"| {name} | {one.auc:.3f} | {one.low:.3f} to {one.high:.3f} |")
-    print({name: round(auc, 3) for name, auc in found.families["surface"].alone.items()}, found.where)
+    print(
+        {name: round(auc, 3) for name, auc in found.families["surface"].alone.items()}, found.where
+    )
 
 
 if __name__ == "__main__":

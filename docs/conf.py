@@ -41,7 +41,9 @@ nb_execution_raise_on_error = True
 nb_merge_streams = True
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 os.environ["COLUMNS"] = "100"
-os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (sys.path[0], os.environ.get("PYTHONPATH"))))  # shell_cells
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    filter(None, (sys.path[0], os.environ.get("PYTHONPATH")))
+)  # shell_cells
 
 html_theme = "furo"
 html_title = "fidpipe"
@@ -67,7 +69,9 @@ def block_math(writer: HTML5Translator, node: nodes.math_block) -> None:
 
 def mathml(node: nodes.math | nodes.math_block, *, as_block: bool) -> str:
     """The formula of a node; both bars of a norm are as high as the letters, else one of them is higher."""
-    return tex2mathml(node.astext(), as_block=as_block).replace("<mo>‖</mo>", '<mo stretchy="false">‖</mo>')
+    return tex2mathml(node.astext(), as_block=as_block).replace(
+        "<mo>‖</mo>", '<mo stretchy="false">‖</mo>'
+    )
 
 
 def setup(app: Sphinx) -> None:

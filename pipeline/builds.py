@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 #: Names of folders of scans that do not tell which build they are of.
 _PLAIN_NAME = re.compile(
-    r"(sim|scans?|lidar|velodyne|points?|clouds?|pcd|ply|bin|npy|frames?|sweeps?|out|output|data|_|-)+", re.IGNORECASE
+    r"(sim|scans?|lidar|velodyne|points?|clouds?|pcd|ply|bin|npy|frames?|sweeps?|out|output|data|_|-)+",
+    re.IGNORECASE,
 )
 
 
@@ -36,7 +37,11 @@ def side_run_folder(sim: Path) -> Path:
     'runs/build42'
     """
     path = _normal(sim)
-    named = [folder.name for folder in (path, *path.parents) if not _PLAIN_NAME.fullmatch(folder.name or "-")]
+    named = [
+        folder.name
+        for folder in (path, *path.parents)
+        if not _PLAIN_NAME.fullmatch(folder.name or "-")
+    ]
     return Path("runs") / named[0] if named else run_folder(sim)
 
 
@@ -95,7 +100,10 @@ def is_side(folder: Path) -> bool:
 
 
 def runs_of(
-    folders: Sequence[Path], settings: Settings, reporter: Reporter, machines: Machines | None = None
+    folders: Sequence[Path],
+    settings: Settings,
+    reporter: Reporter,
+    machines: Machines | None = None,
 ) -> list[Path]:
     """Folders of runs. Datasets, or several simulated sides after a real one, are evaluated first.
 
@@ -121,7 +129,9 @@ def runs_of(
     if is_side(folders[0]):
         real, *sims = folders
         if len(sims) < 2:
-            raise RunError(f"{real}: holds real scans; expected the simulated folders of two or more builds after it")
+            raise RunError(
+                f"{real}: holds real scans; expected the simulated folders of two or more builds after it"
+            )
         outs = side_run_folders(sims)
         datasets = [paired(real, sim, out) for sim, out in zip(sims, outs, strict=True)]
     else:
@@ -129,7 +139,9 @@ def runs_of(
         outs = list(folders)
         rows = [i for i, folder in enumerate(folders) if not is_run(folder)]
         unevaluated = [folders[i] for i in rows]
-        for i, out in zip(rows, _told_apart(unevaluated, [run_folder(each) for each in unevaluated]), strict=True):
+        for i, out in zip(
+            rows, _told_apart(unevaluated, [run_folder(each) for each in unevaluated]), strict=True
+        ):
             outs[i] = out
     for folder, dataset, out in zip(folders[-len(outs) :], datasets, outs, strict=True):
         if dataset != out:

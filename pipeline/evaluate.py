@@ -77,7 +77,9 @@ class PairResult:
             "cdc_mean",
             "r_lambda_mean",
         )
-        known = [f"{name} {self.summary[name]:.4g}" for name in names if self.summary[name] is not None]
+        known = [
+            f"{name} {self.summary[name]:.4g}" for name in names if self.summary[name] is not None
+        ]
         return f"<evaluated pair, preset {self.preset}: {', '.join(known)}>"
 
 

@@ -60,7 +60,9 @@ class Run(FinishedRun):
 
         return plot_pieces(self, pair_id, ax)
 
-    def plot_range_image(self, pair_id: str, value: str = "outcome", ax: Axes | None = None) -> Figure:
+    def plot_range_image(
+        self, pair_id: str, value: str = "outcome", ax: Axes | None = None
+    ) -> Figure:
         """Plot the rays of a pair over azimuth and beam.
 
         Parameters

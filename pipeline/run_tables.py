@@ -248,7 +248,9 @@ def _scored(pairs: pa.Table) -> pa.Table:
     return pairs if all(is_scored) else pairs.filter(is_scored)
 
 
-def _extras(folder: RunFolder, stages: Sequence[Stage], settings: Settings, pair_ids: Sequence[str]) -> dict[str, Any]:
+def _extras(
+    folder: RunFolder, stages: Sequence[Stage], settings: Settings, pair_ids: Sequence[str]
+) -> dict[str, Any]:
     """Entries of the record about stages that summarise their jobs."""
     extras: dict[str, Any] = {}
     for stage in stages:

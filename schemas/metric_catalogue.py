@@ -162,7 +162,9 @@ BASELINES = _of_group("baseline")
 SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
 #: Scores of rays whose mean over pairs describes a run.
 RAY_MEANS = tuple(
-    metric.column for metric in RAY_SCORES if metric.column not in ("n_rays", "rays_bias_low_m", "rays_bias_high_m")
+    metric.column
+    for metric in RAY_SCORES
+    if metric.column not in ("n_rays", "rays_bias_low_m", "rays_bias_high_m")
 )
 #: Object scores with mean and standard deviation in `pairs`, in that order.
 OBJECT_METRICS = tuple(metric.column for metric in OBJECT_SCORES if "no-mean" not in metric.flags)

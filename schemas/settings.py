@@ -534,7 +534,9 @@ def parse(values: Mapping[str, Any]) -> Settings:
     values = dict(values)
     preset = values.pop("preset", "paper")
     if not isinstance(preset, str) or preset not in PRESETS:
-        raise SettingsError(f"preset {preset!r}: no such preset; {suggestion(str(preset), PRESETS)}")
+        raise SettingsError(
+            f"preset {preset!r}: no such preset; {suggestion(str(preset), PRESETS)}"
+        )
     for group, departures in PRESETS[preset].items():
         given = values.get(group, {})
         values[group] = departures | given if isinstance(given, dict) else given

@@ -14,7 +14,9 @@ _UNITS = (
     "# Lengths are in metres, angles in degrees, times in seconds; scans have x forward, y left, z up (ros) unless\n"
     "# input.real_frame or input.sim_frame says otherwise.\n"
 )
-_PRESET_MEANING = "settings that belong together; those that the file does not name are the preset's"
+_PRESET_MEANING = (
+    "settings that belong together; those that the file does not name are the preset's"
+)
 
 
 def to_toml(settings: Settings) -> str:
@@ -81,7 +83,9 @@ def _line(name: str, value: Any, allowed: str) -> str:
     """A setting with its value on one line; tomli_w breaks arrays into several."""
     import tomli_w
 
-    assignment = " ".join(tomli_w.dumps({name: value}).split()).replace("[ ", "[").replace(", ]", "]")
+    assignment = (
+        " ".join(tomli_w.dumps({name: value}).split()).replace("[ ", "[").replace(", ]", "]")
+    )
     return f"{assignment}  # {allowed}".replace("`", "")
 
 

@@ -134,7 +134,9 @@ def _without_value(reason: str, *names: str) -> Baselines:
     return tuple(Baseline(name, None, reason) for name in names)
 
 
-def _too_large(real: FloatArray, sim: FloatArray, settings: MetricsSettings, limit: str) -> str | None:
+def _too_large(
+    real: FloatArray, sim: FloatArray, settings: MetricsSettings, limit: str
+) -> str | None:
     """Reason if a side has more points than a setting allows, else None."""
     n_most = max(len(real), len(sim))
     allowed = getattr(settings, limit)
@@ -362,7 +364,9 @@ def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
     return fitness, Baseline("icp_rmse_m", float(np.sqrt(np.mean(near**2))), reason)
 
 
-def _emd(real: FloatArray, sim: FloatArray, selection: Selection, settings: MetricsSettings) -> Baselines:
+def _emd(
+    real: FloatArray, sim: FloatArray, selection: Selection, settings: MetricsSettings
+) -> Baselines:
     """Earth mover's distance of all points, of the aligned nodes as given, and of these with both sides centred."""
     reason = _too_large(real, sim, settings, "emd_max_points")
     exact_m = None if reason else earth_movers(real, sim)

@@ -182,7 +182,9 @@ def recognise(
         return Recognition(None, "no sensor of the table has such beams")
     best = max(fit.score for fit in fits.values())
     closest = {title: fit for title, fit in fits.items() if fit.score >= best - 0.02}
-    objections = {title: _disagreement(fit.sensor, step_deg, quantum_m) for title, fit in closest.items()}
+    objections = {
+        title: _disagreement(fit.sensor, step_deg, quantum_m) for title, fit in closest.items()
+    }
     agreeing = [title for title in closest if not objections[title]]
     if not agreeing:
         texts = [f"the beams of {title}, but {objections[title]}" for title in closest]
@@ -203,7 +205,9 @@ class _Fit(NamedTuple):
 def _disagreement(sensor: SensorModel, step_deg: float | None, quantum_m: float | None) -> str:
     """Reason why a step or quantum is not the sensor's, or ""."""
     if quantum_m and sensor.range_quantum_m and abs(quantum_m / sensor.range_quantum_m - 1.0) > 0.1:
-        return f"its range quantum is {1e3 * sensor.range_quantum_m:g} mm, not {1e3 * quantum_m:g} mm"
+        return (
+            f"its range quantum is {1e3 * sensor.range_quantum_m:g} mm, not {1e3 * quantum_m:g} mm"
+        )
     columns = step_deg / sensor.column_deg if step_deg and sensor.column_deg else 1.0
     if abs(columns - max(1, round(columns))) > _STEP_TOLERANCE * columns:
         return f"its azimuth steps are multiples of {sensor.column_deg:.3g} degrees, not {step_deg:.3f}"

@@ -39,7 +39,13 @@ _MIN_SHIFT_M = 0.8
 _MAX_LIFT_LEFT_M = 0.05
 _MAX_COVERAGE_LOST = 0.02
 _LIFT_STEPS = 4
-_SCALES = {"centimetres": 0.01, "millimetres": 0.001, "decimetres": 0.1, "feet": 0.3048, "inches": 0.0254}
+_SCALES = {
+    "centimetres": 0.01,
+    "millimetres": 0.001,
+    "decimetres": 0.1,
+    "feet": 0.3048,
+    "inches": 0.0254,
+}
 #: Ratio of the reach of both sides in a unit; 10 in units that are farther apart.
 _SIMILAR_REACH = {"decimetres": 1.6, "feet": 1.6, "inches": 1.6}
 _GROUND_STEP_M = 0.1
@@ -62,7 +68,9 @@ _FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name
 
 def _rotations() -> dict[str, FloatArray]:
     """All 48 orders and signs of the axes by name, usual mistakes first."""
-    turns = {name: np.array(rows, dtype=np.float64) for name, rows in read_data("axis_mistakes").items()}
+    turns = {
+        name: np.array(rows, dtype=np.float64) for name, rows in read_data("axis_mistakes").items()
+    }
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             turn = np.eye(3)[list(order)].T * signs
@@ -115,7 +123,11 @@ class FrameCheck:
         """Reason why no cause can be named; None if both scans are in one frame, and show one place."""
         if self.is_elsewhere:
             return "the two scans do not show the same place"
-        return f"the simulated scan is in another frame: {self.reading}" if self.is_other_frame else None
+        return (
+            f"the simulated scan is in another frame: {self.reading}"
+            if self.is_other_frame
+            else None
+        )
 
 
 def is_only_lifted(reading: str, gain: float) -> bool:

@@ -82,7 +82,9 @@ def _reject_crowd(points: FloatArray, near_m: float, settings: GraphSettings) ->
     if n_pairs <= MAX_CLOSE_PAIRS:
         return
     voxel_m = smallest_voxel(points, lambda few: _n_close_pairs(few, near_m) <= MAX_CLOSE_PAIRS)
-    thin = "" if voxel_m is None else f"set input.voxel_m={voxel_m:g}, which thins both sides alike, "
+    thin = (
+        "" if voxel_m is None else f"set input.voxel_m={voxel_m:g}, which thins both sides alike, "
+    )
     raise StageError(
         f"expected at most {MAX_CLOSE_PAIRS} pairs of points within {near_m:g} m of each other, "
         f"got {n_pairs}; {thin}lower graph.tau_m (now {settings.tau_m:g}), or raise input.min_range_m"
@@ -99,7 +101,9 @@ def _n_close_pairs(points: FloatArray, near_m: float) -> int:
     return (int(tree.count_neighbors(tree, near_m * (1 + _SLACK))) - n) // 2
 
 
-def _nearest(points: FloatArray, k: int, near_m: float, settings: GraphSettings) -> tuple[IntArray, FloatArray]:
+def _nearest(
+    points: FloatArray, k: int, near_m: float, settings: GraphSettings
+) -> tuple[IntArray, FloatArray]:
     """The k nearest neighbours of each point, (n, k), and the distance of the last one as the tree has it, (n,).
 
     Raises

@@ -238,7 +238,9 @@ def _on_real_road(
     ground = real_points[cut.is_ground]
     if not len(ground):
         return on_road
-    distance_m, _ = scipy.spatial.cKDTree(objects).query(points, distance_upper_bound=2 * NO_OBJECT_M)
+    distance_m, _ = scipy.spatial.cKDTree(objects).query(
+        points, distance_upper_bound=2 * NO_OBJECT_M
+    )
     alone = np.flatnonzero(distance_m > NO_OBJECT_M)
     nearest, ground_m = nearest_points(ground, points[alone])
     above_m = height_m[alone] - cut.height_m[cut.is_ground][nearest]

@@ -83,7 +83,9 @@ def score_object(
     return _compare_spectra(cdc, rms_m, change, spectrum_real, spectrum_sim)
 
 
-def _compare_spectra(cdc: float, rms_m: float, change: float, real: FloatArray, sim: FloatArray) -> Scores:
+def _compare_spectra(
+    cdc: float, rms_m: float, change: float, real: FloatArray, sim: FloatArray
+) -> Scores:
     """Scores of an object from the change of its Laplacian and the spectra of both sides."""
     shift = min(MAX_CHANGE, float(np.max(np.abs(sim - real))))
     gap_real = float(real[1] - real[0])

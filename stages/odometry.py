@@ -28,7 +28,9 @@ def trajectory(scans: Iterable[FloatArray]) -> FloatArray:
         kiss-icp is not installed.
     """
     if find_spec("kiss_icp") is None:
-        raise StageError('odometry needs kiss-icp; install it with: pip install "fidpipe[odometry]"')
+        raise StageError(
+            'odometry needs kiss-icp; install it with: pip install "fidpipe[odometry]"'
+        )
     from kiss_icp.config import load_config
     from kiss_icp.kiss_icp import KissICP
 
@@ -43,7 +45,9 @@ def trajectory(scans: Iterable[FloatArray]) -> FloatArray:
     return np.array(poses)
 
 
-def compare_trajectories(real: FloatArray, sim: FloatArray, known: FloatArray | None = None) -> tuple[Gap, ...]:
+def compare_trajectories(
+    real: FloatArray, sim: FloatArray, known: FloatArray | None = None
+) -> tuple[Gap, ...]:
     """Differences of two trajectories of one drive.
 
     - drift_m: distance of the last poses. `real` and `sim` are the distances from the last known

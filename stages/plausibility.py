@@ -91,7 +91,9 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
             + _axes_question(points, spread, side)
         )
     if are_angles:
-        odd.append("one column is spread evenly over a turn, and one is never negative: are they angles and ranges?")
+        odd.append(
+            "one column is spread evenly over a turn, and one is never negative: are they angles and ranges?"
+        )
     place, n_there = _most_repeated(points)
     if n_there > _REPEATED_SHARE * len(points):
         words = ", ".join(f"{value:.4g}" for value in place)
@@ -137,7 +139,9 @@ def _are_angles(points: FloatArray) -> bool:
         uneven = np.abs(np.diff(quantiles, axis=0) / np.maximum(spans, 1e-9) - 0.25).max(axis=0)
         is_azimuth = (spans > 0.9 * turn) & (spans < 1.001 * turn) & (uneven < _EVEN)
         is_small = (np.abs(quantiles) <= right_angle).all(axis=0)
-        is_around_horizon = (quantiles[-1] <= 2 * right_angle) & (np.abs(quantiles[2] - right_angle) < right_angle / 3)
+        is_around_horizon = (quantiles[-1] <= 2 * right_angle) & (
+            np.abs(quantiles[2] - right_angle) < right_angle / 3
+        )
         is_elevation = (is_small & (quantiles[0] < 0) | is_around_horizon) & ~is_azimuth
         is_range = (quantiles[0] >= 0) & ~is_azimuth & ~is_elevation
         if is_azimuth.any() and is_elevation.any() and is_range.any():

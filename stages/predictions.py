@@ -76,7 +76,9 @@ def lost_auc(scores: FloatArray, is_lost: BoolArray) -> float | None:
     return float(roc_auc_score(is_lost, scores))
 
 
-def jackknife_interval(scores: FloatArray, is_lost: BoolArray, scan_of: IndexArray) -> tuple[float, float] | None:
+def jackknife_interval(
+    scores: FloatArray, is_lost: BoolArray, scan_of: IndexArray
+) -> tuple[float, float] | None:
     """95 % interval of `lost_auc` by leaving out one scan at a time; None for fewer than three.
 
     se^2 = (k - 1) / k sum (a_i - mean a)^2, a_i without scan i (Efron 1979), k scans.

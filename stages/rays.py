@@ -385,7 +385,9 @@ class _Side:
             unit: FloatArray = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         return unit
 
-    def _edges(self, at: IndexArray | IntArray, near: IndexArray, distance: FloatArray) -> FloatArray:
+    def _edges(
+        self, at: IndexArray | IntArray, near: IndexArray, distance: FloatArray
+    ) -> FloatArray:
         """(k, 3) metres from some returns to that of their neighbours with the least distance; NaN without one."""
         best = distance.argmin(axis=1)[:, None]
         nearest = np.take_along_axis(near, best, 1)[:, 0]

@@ -108,7 +108,9 @@ SurfaceGaps = tuple[IndexArray, IndexArray]
 NO_GAPS: SurfaceGaps = (np.empty((0, 2), dtype=np.intp), np.empty(0, dtype=np.intp))
 
 
-def describe_sensor(points: FloatArray, ring: IntArray | None = None, has_time: bool = False) -> SensorDescription:
+def describe_sensor(
+    points: FloatArray, ring: IntArray | None = None, has_time: bool = False
+) -> SensorDescription:
     """Describe the sensor of a scan from its points, see `describe_with_gaps`."""
     return describe_with_gaps(points, ring, has_time)[0]
 
@@ -182,7 +184,9 @@ def _describe_beams(
     if several_returns:
         sweep = sweep.first_returns(is_later)
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
-    several_sweeps = sweeps_text(sweep.gap_deg) or turns_text(sweep.beam, sweep.azimuth_deg, sweep.row)
+    several_sweeps = sweeps_text(sweep.gap_deg) or turns_text(
+        sweep.beam, sweep.azimuth_deg, sweep.row
+    )
     if several_sweeps:
         doubts = {ONE_SWEEP: several_sweeps, **doubts}
         step = None
@@ -327,7 +331,11 @@ def _noise_text(sensor: SensorDescription) -> str:
     noise_m = sensor.range_noise_m or 0.0
     low_m = sensor.range_noise_low_m
     text = f"{1e3 * noise_m:.0f} mm on smooth surfaces"
-    return text if low_m is None or low_m > _CLEAR * noise_m else f"at most {text}, as their roughness counts"
+    return (
+        text
+        if low_m is None or low_m > _CLEAR * noise_m
+        else f"at most {text}, as their roughness counts"
+    )
 
 
 def _angular_text(sensor: SensorDescription) -> str:
@@ -488,7 +496,9 @@ def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, s
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4), ""
 
 
-def _least_range_noise(sweep: _Sweep, step_deg: float | None, noise_m: float | None) -> float | None:
+def _least_range_noise(
+    sweep: _Sweep, step_deg: float | None, noise_m: float | None
+) -> float | None:
     """Range noise without the roughness of the surface, whose variance is about proportional to the step.
 
     It is extrapolated from the noise of all returns and of every second one. The noise need not lie between both:

@@ -285,7 +285,9 @@ def _number_cells(cells: FloatArray) -> tuple[IndexArray, IndexArray]:
     return number, n_points
 
 
-def _matched(obstacles: Obstacles, rows: IndexArray, partners: IndexArray, iou: FloatArray) -> Obstacles:
+def _matched(
+    obstacles: Obstacles, rows: IndexArray, partners: IndexArray, iou: FloatArray
+) -> Obstacles:
     """The obstacles with the partners of some of them."""
     partner = obstacles.partner.copy()
     partner[rows] = partners

@@ -28,7 +28,9 @@ _LEAST_DEPTH_M = 5.0
 #: Distance from the farthest point, metres, in which rays without a return are written, and their least share.
 _SHELLS = ((0.1, 0.03), (0.5, 0.1), (2.0, 0.2))
 _BEFORE = 5.0  # widths of a shell
-_TAIL = 1.5  # of the distance from the middle of a shell to the farthest point, below which no miss is
+_TAIL = (
+    1.5  # of the distance from the middle of a shell to the farthest point, below which no miss is
+)
 _MOST_SHELL_SHARE = 0.95
 _FEWEST_RETURNS = 500
 _SAME_DEG = 0.005  # azimuth between returns of a ray
@@ -92,9 +94,13 @@ def find_misses(range_m: FloatArray) -> list[Misses]:
     while len(left_m) >= _FEWEST_RETURNS and left_m[-1] - left_m[0] >= _LEAST_DEPTH_M:
         for width_m, least_share in _SHELLS:
             limit_m = left_m[-1] - width_m
-            first, first_before = np.searchsorted(left_m, [limit_m, limit_m - _BEFORE * width_m], side="right")
+            first, first_before = np.searchsorted(
+                left_m, [limit_m, limit_m - _BEFORE * width_m], side="right"
+            )
             n = len(left_m) - first
-            if least_share <= n / len(left_m) <= _MOST_SHELL_SHARE and n >= 2 * (first - first_before):
+            if least_share <= n / len(left_m) <= _MOST_SHELL_SHARE and n >= 2 * (
+                first - first_before
+            ):
                 break
         else:
             break
@@ -107,7 +113,9 @@ def find_misses(range_m: FloatArray) -> list[Misses]:
 
 def misses_text(groups: list[Misses]) -> str:
     """The doubt, with the setting that drops the points."""
-    places = " and ".join(f"{group.share:.0%} of the points lie at {group.range_m:.1f} m" for group in groups)
+    places = " and ".join(
+        f"{group.share:.0%} of the points lie at {group.range_m:.1f} m" for group in groups
+    )
     limit_m = np.floor(10 * groups[-1].limit_m) / 10
     return f"{places}: rays without a return? They are left out; set input.max_range_m={limit_m:g} to confirm"
 
@@ -155,7 +163,9 @@ def sweeps_text(gap_deg: FloatArray) -> str | None:
     for n_sweeps in range(2, _MOST_SWEEPS + 1):
         share, unevenness, likeness = _repetition(gap_deg, n_sweeps, n_sweeps * two_steps_deg)
         if unevenness >= _UNEVEN and likeness >= _ALIKE and share * unevenness >= _REPEATED:
-            return _SEVERAL_SWEEPS.format(f"The steps of a beam alternate, and repeat after {n_sweeps} returns")
+            return _SEVERAL_SWEEPS.format(
+                f"The steps of a beam alternate, and repeat after {n_sweeps} returns"
+            )
     return None
 
 
@@ -198,7 +208,11 @@ def thinned_text(gap_deg: FloatArray, range_m: FloatArray, points: FloatArray) -
     points : (m, 3) all points, metres
     """
     nearer_m = np.minimum(range_m[1:], range_m[:-1])
-    is_surface = (np.abs(np.diff(range_m)) < _SAME_DEPTH * nearer_m) & (gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)
+    is_surface = (
+        (np.abs(np.diff(range_m)) < _SAME_DEPTH * nearer_m)
+        & (gap_deg > _SAME_DEG)
+        & (gap_deg < _MOST_DEG)
+    )
     near_deg = gap_deg[is_surface & (nearer_m > _NEAREST_GRID_M) & (nearer_m < _NEAR_GRID_M)]
     far_deg = gap_deg[is_surface & (nearer_m > _FAR_GRID_M)]
     if min(len(near_deg), len(far_deg)) < _FEWEST_OF_GRID:

@@ -44,7 +44,11 @@ def open_page(browser, path, fragment=""):
     browser.get(path.as_uri() + fragment)
     wait_for(browser, "return document.documentElement.dataset.ready === 'yes'")
     browser.execute_script("document.getElementById('scene')?.scrollIntoView({block: 'center'})")
-    wait_for(browser, "const viewer = document.getElementById('viewer'); return !viewer || viewer.hidden || " + IN_3D)
+    wait_for(
+        browser,
+        "const viewer = document.getElementById('viewer'); return !viewer || viewer.hidden || "
+        + IN_3D,
+    )
     settle(browser)
 
 
@@ -65,7 +69,8 @@ def settle(browser):
 
 def resize(browser, width, dark=False):
     browser.execute_cdp_cmd(
-        "Emulation.setDeviceMetricsOverride", {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        "Emulation.setDeviceMetricsOverride",
+        {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False},
     )
     theme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": theme})
@@ -78,6 +83,8 @@ def by_id(browser, name):
 def choose(browser, name, value):
     """Chooses in a list by value; selenium's own way fails on values with control characters."""
     place = by_id(browser, name)
-    values = browser.execute_script("return [...arguments[0].options].map((option) => option.value)", place)
+    values = browser.execute_script(
+        "return [...arguments[0].options].map((option) => option.value)", place
+    )
     place.find_elements("css selector", "option")[values.index(value)].click()
     settle(browser)

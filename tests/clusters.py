@@ -11,7 +11,9 @@ from distributed import Client
 from runs import FIDPIPE
 
 _TESTS = Path(__file__).parent
-TEST_MODULES = os.pathsep.join([str(_TESTS), str(_TESTS / "pipeline"), *filter(None, [os.environ.get("PYTHONPATH")])])
+TEST_MODULES = os.pathsep.join(
+    [str(_TESTS), str(_TESTS / "pipeline"), *filter(None, [os.environ.get("PYTHONPATH")])]
+)
 
 
 class Cluster:
@@ -21,7 +23,9 @@ class Cluster:
         folder.mkdir()
         self._folder = folder
         self._file = folder / "scheduler.json"
-        self.scheduler = self._start("scheduler", "--port", "0", "--dashboard-address", "127.0.0.1:0")
+        self.scheduler = self._start(
+            "scheduler", "--port", "0", "--dashboard-address", "127.0.0.1:0"
+        )
         while not (self._file.exists() and self._file.read_text()):
             time.sleep(0.05)
         self.address = json.loads(self._file.read_text())["address"]
@@ -35,7 +39,8 @@ class Cluster:
         environment : and `before`, words of a command that starts the worker
         """
         self.workers += [
-            self._start("worker", "--no-dashboard", "--nthreads", "1", *options, **environment) for _ in range(n)
+            self._start("worker", "--no-dashboard", "--nthreads", "1", *options, **environment)
+            for _ in range(n)
         ]
         with Client(self.address, set_as_default=False) as client:
             client.wait_for_workers(len(self.workers), timeout=60)
@@ -44,7 +49,16 @@ class Cluster:
     def _start(self, what, *options, before=(), **environment):
         dask = str(Path(FIDPIPE).with_name("dask"))
         return subprocess.Popen(
-            [*before, dask, what, "--scheduler-file", str(self._file), "--host", "127.0.0.1", *options],
+            [
+                *before,
+                dask,
+                what,
+                "--scheduler-file",
+                str(self._file),
+                "--host",
+                "127.0.0.1",
+                *options,
+            ],
             cwd=self._folder,
             env={**os.environ, "PYTHONPATH": TEST_MODULES, **environment},
             stdout=subprocess.DEVNULL,

@@ -23,8 +23,12 @@ REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def pytest_addoption(parser):
-    parser.addoption("--slice", type=int, metavar="DAY", help=f"one of {N_SLICES} parts of the exhaustive tests")
-    parser.addoption("--minutes", type=float, metavar="N", help="skip the tests that have not begun by then")
+    parser.addoption(
+        "--slice", type=int, metavar="DAY", help=f"one of {N_SLICES} parts of the exhaustive tests"
+    )
+    parser.addoption(
+        "--minutes", type=float, metavar="N", help="skip the tests that have not begun by then"
+    )
 
 
 def pytest_collection_modifyitems(config, items):
@@ -33,7 +37,8 @@ def pytest_collection_modifyitems(config, items):
         kept = [
             item
             for item in items
-            if item.get_closest_marker("exhaustive") and crc32(item.nodeid.encode()) % N_SLICES == day % N_SLICES
+            if item.get_closest_marker("exhaustive")
+            and crc32(item.nodeid.encode()) % N_SLICES == day % N_SLICES
         ]
         config.hook.pytest_deselected(items=[item for item in items if item not in kept])
         items[:] = kept
@@ -87,7 +92,10 @@ def by_reference(scenario) -> Path:
 def dataset(request, scenario) -> Path:
     """Two small pairs, or as many and as large ones as the module says by N_PAIRS and N_POINTS."""
     module = request.module
-    return scenario("plain", getattr(module, "N_PAIRS", 2), getattr(module, "N_POINTS", 150)) / "streets"
+    return (
+        scenario("plain", getattr(module, "N_PAIRS", 2), getattr(module, "N_POINTS", 150))
+        / "streets"
+    )
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,9 @@ class WatchedPool(Pool):
             self.batches.append(jobs)
         handle = super().submit(function, *args, **options)
         self._needs[handle] = bytes_needed(function, args, self._costs)
-        self.at_once.append((len(self._needs), sum(sorted(self._needs.values())[-self.n_workers :])))
+        self.at_once.append(
+            (len(self._needs), sum(sorted(self._needs.values())[-self.n_workers :]))
+        )
         return handle
 
     def next_done(self):
@@ -59,7 +61,9 @@ class DyingPool(WatchedPool):
 
     def submit(self, function, *args, **options):
         handle = super().submit(function, *args, **options)
-        if self.n_deaths < self._left and self._is_fatal(jobs_in(function, args), name_of(function, args)):
+        if self.n_deaths < self._left and self._is_fatal(
+            jobs_in(function, args), name_of(function, args)
+        ):
             self.n_deaths += 1
             self._doomed.add(handle)
         return handle
@@ -101,4 +105,6 @@ def bytes_needed(function, args, costs):
 def _bytes_of_batch(batch, costs):
     if batch.most_bytes is not None:
         return batch.most_bytes
-    return costs.pair_bytes(batch.plan.n_points) + costs.object_bytes(largest_object(batch.plan.objects or [])[1])
+    return costs.pair_bytes(batch.plan.n_points) + costs.object_bytes(
+        largest_object(batch.plan.objects or [])[1]
+    )

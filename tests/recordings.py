@@ -12,7 +12,9 @@ _PACKETS = {
 }
 
 
-FIELDS = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")])
+FIELDS = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")]
+)
 
 
 def rows(points, fields=FIELDS):
@@ -48,7 +50,8 @@ def cloud(types, rows, time_ns=0, height=1, padding=0, big_endian=False):
     rows = rows.astype(rows.dtype.newbyteorder(">")) if big_endian else rows
     Field = types.types["sensor_msgs/msg/PointField"]
     fields = [
-        Field(name, rows.dtype.fields[name][1], _NUMBERS[rows.dtype[name].str[1:]], 1) for name in rows.dtype.names
+        Field(name, rows.dtype.fields[name][1], _NUMBERS[rows.dtype[name].str[1:]], 1)
+        for name in rows.dtype.names
     ]
     lines = rows.reshape(height, -1)
     content = b"".join(line.tobytes() + bytes(padding) for line in lines)
@@ -93,7 +96,11 @@ def write_bag(path, messages, packed=None):
             kind = message.__msgtype__
             if topic not in connections:
                 connections[topic] = bag.add_connection(topic, kind, typestore=types)
-            content = types.serialize_ros1(message, kind) if is_ros1 else types.serialize_cdr(message, kind)
+            content = (
+                types.serialize_ros1(message, kind)
+                if is_ros1
+                else types.serialize_cdr(message, kind)
+            )
             bag.write(connections[topic], time_ns, content)
     return path
 
@@ -114,14 +121,23 @@ def write_pcap(path, packets):
     content = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
     for stamp, data in packets:
         udp = struct.pack(">HHHH", 2368, 2368, 8 + len(data), 0) + data
-        ip = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0, bytes(4), bytes(4)) + udp
+        ip = (
+            struct.pack(
+                ">BBHHHBBH4s4s", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0, bytes(4), bytes(4)
+            )
+            + udp
+        )
         frame = bytes(12) + b"\x08\x00" + ip
-        content += struct.pack("<IIII", int(stamp), round(stamp % 1 * 1e6), len(frame), len(frame)) + frame
+        content += (
+            struct.pack("<IIII", int(stamp), round(stamp % 1 * 1e6), len(frame), len(frame)) + frame
+        )
     path.write_bytes(content)
     return path
 
 
-def write_las(path, points, intensity=0, classes=0, *, version="1.4", point_format=6, scale=0.001, offset=0.0):
+def write_las(
+    path, points, intensity=0, classes=0, *, version="1.4", point_format=6, scale=0.001, offset=0.0
+):
     """A LAS file, or LAZ by its suffix."""
     import laspy
 
@@ -143,17 +159,27 @@ def carla_ply(points, columns):
     kinds = {"ObjIdx": "uint32", "ObjTag": "uint32"}
     text = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n"
     text += "".join(f"property float32 {name}\n" for name in "xyz")
-    text += "".join(f"property {kinds.get(name, 'float32')} {name}\n" for name in columns) + "end_header\n"
+    text += (
+        "".join(f"property {kinds.get(name, 'float32')} {name}\n" for name in columns)
+        + "end_header\n"
+    )
     for row, point in enumerate(points):
         values = [f"{value:.4f}" for value in point]
-        values += [str(each[row]) if name in kinds else f"{each[row]:.4f}" for name, each in columns.items()]
+        values += [
+            str(each[row]) if name in kinds else f"{each[row]:.4f}"
+            for name, each in columns.items()
+        ]
         text += " ".join(values) + "\n"
     return text
 
 
 def columns_of(scan):
     """The columns of a scan, bit by bit."""
-    columns = {name: np.asarray(own) for name, own in vars(scan).items() if name not in ("stamp_s", "label_names")}
+    columns = {
+        name: np.asarray(own)
+        for name, own in vars(scan).items()
+        if name not in ("stamp_s", "label_names")
+    }
     return {name: (own.dtype, own.shape, own.tobytes()) for name, own in columns.items()}
 
 
@@ -168,13 +194,21 @@ def write_foxglove(path, scans, encoding="protobuf"):
         "Time": [("seconds", "int64"), ("nanos", "int32")],
         "PackedElementField": [("name", "string"), ("offset", "fixed32"), ("type", "int32")],
         "PointCloud": [("timestamp", ".foxglove.Time"), ("frame_id", "string"), ("pose", "bytes")]
-        + [("point_stride", "fixed32"), ("fields", ".foxglove.PackedElementField"), ("data", "bytes")],
+        + [
+            ("point_stride", "fixed32"),
+            ("fields", ".foxglove.PackedElementField"),
+            ("data", "bytes"),
+        ],
     }
-    file = descriptor_pb2.FileDescriptorProto(name="foxglove.proto", package="foxglove", syntax="proto3")
+    file = descriptor_pb2.FileDescriptorProto(
+        name="foxglove.proto", package="foxglove", syntax="proto3"
+    )
     for name, fields in messages.items():
         message = file.message_type.add(name=name)
         for number, (field, kind) in enumerate(fields, start=1):
-            added = message.field.add(name=field, number=number, label=3 if field == "fields" else 1)
+            added = message.field.add(
+                name=field, number=number, label=3 if field == "fields" else 1
+            )
             added.type = kinds.get(kind, 11)
             if kind.startswith("."):
                 added.type_name = kind
@@ -188,7 +222,9 @@ def write_foxglove(path, scans, encoding="protobuf"):
         schema_id = writer.register_schema("foxglove.PointCloud", encoding, schema)
         channel = writer.register_channel("/lidar", encoding, schema_id)
         for number, scan in enumerate(scans):
-            cloud = PointCloud(frame_id="lidar", point_stride=scan.dtype.itemsize, data=scan.tobytes())
+            cloud = PointCloud(
+                frame_id="lidar", point_stride=scan.dtype.itemsize, data=scan.tobytes()
+            )
             cloud.timestamp.seconds = 5 + number
             cloud.timestamp.nanos = 500_000_000
             for name in scan.dtype.names:

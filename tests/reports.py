@@ -29,7 +29,9 @@ def text_of(view, width=80, **options):
 
 def embedded(page):
     """Data that the JavaScript of a page reads, from the page's text."""
-    return json.loads(re.search(r'<script type="application/json" id="report">(.*?)</script>', page, re.S)[1])
+    return json.loads(
+        re.search(r'<script type="application/json" id="report">(.*?)</script>', page, re.S)[1]
+    )
 
 
 def unpacked(text, dtype=np.uint8):

@@ -55,7 +55,15 @@ def run(
 ):
     """A run in this process, or on workers or a pool; it may replace what was made with other settings."""
     machines = Machines(workers, scheduler, pool, policy or Policy(), pair_timeout_s)
-    return run_dataset(dataset, out, settings or Settings(), reporter, machines=machines, replace=replace, **options)
+    return run_dataset(
+        dataset,
+        out,
+        settings or Settings(),
+        reporter,
+        machines=machines,
+        replace=replace,
+        **options,
+    )
 
 
 def listening(**options):
@@ -67,7 +75,9 @@ def listening(**options):
 def own_process(*words, code=None, timeout=300, **options):
     """Run the command in a separate process; returns exit code and output, and `code` is the exit code if given."""
     words = [FIDPIPE, *map(str, words)]
-    ended = subprocess.run(words, capture_output=True, text=True, timeout=timeout, check=False, **options)
+    ended = subprocess.run(
+        words, capture_output=True, text=True, timeout=timeout, check=False, **options
+    )
     assert code in (None, ended.returncode), ended.stdout + ended.stderr
     return ended
 
@@ -85,7 +95,9 @@ def command(*words, code=None, cwd=None, **options):
         contextlib.redirect_stdout(streams[0]),
         contextlib.redirect_stderr(streams[1]),
         mock.patch.object(sys, "argv", [FIDPIPE, *words]),
-        mock.patch.object(sys.modules["__main__"], "__package__", None),  # a script, also under `python -m pytest`
+        mock.patch.object(
+            sys.modules["__main__"], "__package__", None
+        ),  # a script, also under `python -m pytest`
         warnings.catch_warnings(),
     ):
         warnings.resetwarnings()
@@ -129,12 +141,20 @@ def assert_same_tables(a, b):
 
 def contents(folder):
     """The bytes of all tables and records of a run or an experiment."""
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.suffix in (".parquet", ".json", ".toml")}
+    return {
+        path: path.read_bytes()
+        for path in folder.rglob("*")
+        if path.suffix in (".parquet", ".json", ".toml")
+    }
 
 
 def files_in(folder):
     """The bytes of all files by relative path."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def copied(dataset, out, folder):
@@ -170,13 +190,18 @@ def changed_tables(run_folder, before):
 
 def marks(run_folder):
     """Modification times of the tables of sides, pairs and objects by relative path."""
-    return {str(path.relative_to(run_folder)): path.stat().st_mtime_ns for path in run_folder.glob("*/*.parquet")}
+    return {
+        str(path.relative_to(run_folder)): path.stat().st_mtime_ns
+        for path in run_folder.glob("*/*.parquet")
+    }
 
 
 def job_of_file(store, name):
     """The finished job that wrote a file of a run."""
     ledger = store.ledger
-    records = (record for pair_id in ("", *ledger.pair_ids()) for record in ledger.jobs(pair_id).values())
+    records = (
+        record for pair_id in ("", *ledger.pair_ids()) for record in ledger.jobs(pair_id).values()
+    )
     return next(record for record in records if name in record.files)
 
 
@@ -190,7 +215,9 @@ def rewrite(folder, name, change):
         footer = pq.read_metadata(folder / name).metadata
         with pq.ParquetWriter(content, rows.schema, store_schema=False) as writer:
             writer.write_table(rows)
-            writer.add_key_value_metadata({key: value for key, value in footer.items() if key.startswith(b"fidpipe.")})
+            writer.add_key_value_metadata(
+                {key: value for key, value in footer.items() if key.startswith(b"fidpipe.")}
+            )
         (folder / name).write_bytes(content.getvalue())
         status = (folder / name).stat()
         digest = hashlib.sha256(content.getvalue()).hexdigest()

@@ -14,7 +14,9 @@ from recordings import cloud, write_bag, write_las, write_pcap
 
 COLUMNS = ("x", "y", "z", "intensity")
 #: A few points that every format holds without rounding.
-POINTS = np.array([[1.5, -2.25, 0.5, 7], [4, 5, 6, 8], [-7, 8, 9.125, 9], [3, 3, 3, 1], [10, 0, -1.5, 2]], "<f4")
+POINTS = np.array(
+    [[1.5, -2.25, 0.5, 7], [4, 5, 6, 8], [-7, 8, 9.125, 9], [3, 3, 3, 1], [10, 0, -1.5, 2]], "<f4"
+)
 
 
 def write_pcd(path, rows, encoding, height=1):
@@ -37,7 +39,9 @@ def write_ply(path, rows, encoding):
 
 def write_frame(path, rows, height=1, packed=None):
     records = np.ascontiguousarray(rows, "<f4").view([(name, "<f4") for name in COLUMNS]).ravel()
-    write_bag(path, [("/points", 10**9, lambda types: cloud(types, records, height=height))], packed)
+    write_bag(
+        path, [("/points", 10**9, lambda types: cloud(types, records, height=height))], packed
+    )
 
 
 def write_las_rows(path, rows):
@@ -47,16 +51,30 @@ def write_las_rows(path, rows):
 #: By name: the file or folder, and what writes rows into it.
 WRITERS = {
     "bin": ("a.bin", lambda path, rows: rows.astype("<f4").tofile(path)),
-    "pcd.bin": ("a.pcd.bin", lambda path, rows: rows[:, [0, 1, 2, 3, 3]].astype("<f4").tofile(path)),
+    "pcd.bin": (
+        "a.pcd.bin",
+        lambda path, rows: rows[:, [0, 1, 2, 3, 3]].astype("<f4").tofile(path),
+    ),
     "npy": ("a.npy", np.save),
     "pcd as text": ("a.pcd", lambda path, rows: write_pcd(path, rows, "ascii")),
     "pcd": ("a.pcd", lambda path, rows: write_pcd(path, rows, "binary")),
     "packed pcd": ("a.pcd", lambda path, rows: write_pcd(path, rows, "binary_compressed")),
     "ply as text": ("a.ply", lambda path, rows: write_ply(path, rows, "ascii")),
     "ply": ("a.ply", lambda path, rows: write_ply(path, rows, "binary_little_endian")),
-    "csv": ("a.csv", lambda path, rows: np.savetxt(path, rows, "%.9g", ",", header=",".join(COLUMNS), comments="")),
-    "parquet": ("a.parquet", lambda path, rows: pd.DataFrame(rows, columns=COLUMNS).to_parquet(path)),
-    "feather": ("a.feather", lambda path, rows: pd.DataFrame(rows, columns=COLUMNS).to_feather(path)),
+    "csv": (
+        "a.csv",
+        lambda path, rows: np.savetxt(
+            path, rows, "%.9g", ",", header=",".join(COLUMNS), comments=""
+        ),
+    ),
+    "parquet": (
+        "a.parquet",
+        lambda path, rows: pd.DataFrame(rows, columns=COLUMNS).to_parquet(path),
+    ),
+    "feather": (
+        "a.feather",
+        lambda path, rows: pd.DataFrame(rows, columns=COLUMNS).to_feather(path),
+    ),
     "las": ("a.las", write_las_rows),
     "laz": ("a.laz", write_las_rows),
     "bag": ("a.bag", write_frame),

@@ -46,7 +46,9 @@ def reference(folder):
     for i in range(2):
         real = street(seed=10 * i)
         invented = box([14, 14, 1], [1, 1, 1], 40, i)
-        write_pair(folder / "streets", real, np.vstack([drifted(real, seed=i), real[-3:], invented]), i)
+        write_pair(
+            folder / "streets", real, np.vstack([drifted(real, seed=i), real[-3:], invented]), i
+        )
     run(folder / "streets", folder / "run", load(None, ["graph.k=20"], preset="reference"))
 
 
@@ -69,7 +71,9 @@ def best_case(folder):
     run_best_case(folder / "streets", folder / "best_case", Settings(), QUIET, machines=Machines(1))
 
 
-SCENARIOS = {make.__name__: make for make in (plain, labelled, reference, failed, extras, best_case)}
+SCENARIOS = {
+    make.__name__: make for make in (plain, labelled, reference, failed, extras, best_case)
+}
 
 
 class Shared:

@@ -15,7 +15,9 @@ def seeded(seed=3):
 def road(n=1200, half_width=18.0, z=-1.7, seed=0):
     """Points of a flat road around the sensor, 1 cm rough."""
     rng = np.random.default_rng(seed)
-    return np.column_stack([rng.uniform(-half_width, half_width, (n, 2)), z + rng.normal(0, 0.01, n)])
+    return np.column_stack(
+        [rng.uniform(-half_width, half_width, (n, 2)), z + rng.normal(0, 0.01, n)]
+    )
 
 
 def box(centre, size, n, seed=0):
@@ -121,7 +123,10 @@ def degenerate_scenes():
         "every point several times": (np.repeat(some, 3, axis=0), np.repeat(some, 2, axis=0)),
         "points a rounding apart": (np.vstack([some, np.nextafter(some, 99)]), some),
         "on a line": (line, line[::2] + [0, 0.1, 0]),
-        "on a vertical line": ((line - line[0]) * [0, 0, 1] + [5, 5, 0], (line[::2] - line[0]) * [0, 0, 1] + [5, 5, 0]),
+        "on a vertical line": (
+            (line - line[0]) * [0, 0, 1] + [5, 5, 0],
+            (line[::2] - line[0]) * [0, 0, 1] + [5, 5, 0],
+        ),
         "in a plane": (plane, plane[:-9]),
         "a lattice, all distances tied": (lattice, lattice[:-7]),
         "one giant community": (giant, giant[:-50]),
@@ -132,10 +137,16 @@ def degenerate_scenes():
         "a fifth of the coordinates NaN": (broken, some),
         "a fifth of the coordinates infinite": (np.where(np.isnan(broken), np.inf, some), some),
         "nothing but NaN": (some * np.nan, some),
-        "a street at 1e6 m (projected)": (street() + [1e6, 1e6, 0], drifted(street()) + [1e6, 1e6, 0]),
+        "a street at 1e6 m (projected)": (
+            street() + [1e6, 1e6, 0],
+            drifted(street()) + [1e6, 1e6, 0],
+        ),
         "one point at 1e9 m": (np.vstack([some, [9e8, 0, 0]]), some),
         "one point at 1e300 m": (np.vstack([some, [1e300, 0, 0]]), some),
-        "the largest float64 of either sign": (np.sign(some - cloud(1)) * np.finfo(np.float64).max, some),
+        "the largest float64 of either sign": (
+            np.sign(some - cloud(1)) * np.finfo(np.float64).max,
+            some,
+        ),
         "two scales, 1 and 1e-200": (np.vstack([some, some * 1e-200]), some),
     }
     for exponent in (300, 40, 12, -10, -50, -162, -200, -310):

@@ -34,7 +34,9 @@ def test_the_snippets_of_results_run(report_run, tmp_path, monkeypatch, capsys):
     for _, code in blocks("results.md", "python"):
         exec(code.replace('"0000"', ascii(first)), names)
     assert "r_lambda" in capsys.readouterr().out
-    assert (tmp_path / "object.png").stat().st_size > 10_000 < (tmp_path / "pieces.png").stat().st_size
+    assert (
+        (tmp_path / "object.png").stat().st_size > 10_000 < (tmp_path / "pieces.png").stat().st_size
+    )
     assert names["result"].summary["status"] == "scored"
     ((_, query),) = blocks("results.md", "sql")
     found = duckdb.sql(query).df().set_index("label")
@@ -71,7 +73,9 @@ def test_a_script_of_twelve_lines_does_the_same_in_python(tmp_path, monkeypatch,
     assert names["diagnosed"].diagnosis.n_pairs == 2
 
 
-def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(tmp_path, monkeypatch):
+def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(
+    tmp_path, monkeypatch
+):
     write_builds(tmp_path, 8)
     monkeypatch.chdir(tmp_path)
     output, n_commands = "", 0
@@ -87,7 +91,9 @@ def test_a_new_user_gets_from_two_folders_to_the_first_cause_in_three_commands(t
     assert {path.name for path in tmp_path.glob("*.html")} == {"compare.html", "build42.html"}
     assert not list(tmp_path.rglob("report.html"))
     times = read_dataset(tmp_path / "runs" / "datasets" / "build42").pairs
-    assert {pair.pair_id: pair.timestamp_s for pair in times} == {f"{20 * i}.000": 20.0 * i for i in range(8)}
+    assert {pair.pair_id: pair.timestamp_s for pair in times} == {
+        f"{20 * i}.000": 20.0 * i for i in range(8)
+    }
     assert "8 of 8 pairs can be evaluated" in command("check", "drive", "build42").stdout
     assert "0 jobs done" in command("run", "drive", "build42", "--preset", "reference").stdout
 
@@ -115,10 +121,14 @@ def test_the_snippets_of_how_do_i_run(report_run, tmp_path, monkeypatch):
 def test_the_intervals_of_the_tutorial_are_as_it_says(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (DOCS / "tutorial.md").read_text("utf-8")
-    assert "The interval of the range bias contains the 10 cm. That of the lost returns ends" in text
+    assert (
+        "The interval of the range bias contains the 10 cm. That of the lost returns ends" in text
+    )
     command("synth", "streets", "--pairs", 8, "--points", 6000, code=0)
     (change,) = [
-        code for _, code in blocks("tutorial.md", r"\{code-cell\} ipython3") if code.startswith("import shutil")
+        code
+        for _, code in blocks("tutorial.md", r"\{code-cell\} ipython3")
+        if code.startswith("import shutil")
     ]
     exec(change, {})
     found = fidpipe.compare("streets", "streets-build2", workers=None).causes.set_index("cause")

@@ -22,4 +22,11 @@ def test_the_examples_of_a_module_are_true(name):
 
 def test_there_are_examples():
     finder = doctest.DocTestFinder()
-    assert sum(bool(test.examples) for name in MODULES for test in finder.find(importlib.import_module(name))) >= 8
+    assert (
+        sum(
+            bool(test.examples)
+            for name in MODULES
+            for test in finder.find(importlib.import_module(name))
+        )
+        >= 8
+    )

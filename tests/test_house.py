@@ -16,7 +16,12 @@ PACKAGE = [Path(fidpipe.__file__).parent / name for name in ("pipeline", "stages
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "development.md"
 PAGES = sorted(
-    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *ROOT.glob("runs/*.md"), *ROOT.glob("benchmarks/*.md")]
+    [
+        *ROOT.glob("*.md"),
+        *(ROOT / "docs").rglob("*.md"),
+        *ROOT.glob("runs/*.md"),
+        *ROOT.glob("benchmarks/*.md"),
+    ]
 )
 
 
@@ -25,7 +30,9 @@ def test_a_stage_s_function_is_at_most_seven_calls_from_the_command(tmp_path, mo
 
     def watched(points, settings):
         frames = traceback.extract_stack()
-        ways.append([frame.name for frame in frames if set(PACKAGE) & set(Path(frame.filename).parents)])
+        ways.append(
+            [frame.name for frame in frames if set(PACKAGE) & set(Path(frame.filename).parents)]
+        )
         return build_graph(points, settings)
 
     monkeypatch.setattr(graph_job, "build_graph", watched)

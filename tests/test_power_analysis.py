@@ -34,7 +34,9 @@ def paired_limit(n_pairs):
     return {4: 3.182, 5: 2.776, 9: 2.306, 10: 2.262, 23: 2.074, 24: 2.069}[n_pairs]
 
 
-@pytest.mark.parametrize(("effect", "wanted"), [(0.0, None), (1e-9, None), (0.2, 199), (0.5, 34), (0.8, 15), (1e9, 2)])
+@pytest.mark.parametrize(
+    ("effect", "wanted"), [(0.0, None), (1e-9, None), (0.2, 199), (0.5, 34), (0.8, 15), (1e9, 2)]
+)
 def test_pairs_needed_as_in_tables(effect, wanted):
     assert pairs_needed(effect) == pairs_needed(-effect) == wanted
 

@@ -39,17 +39,29 @@ def test_a_page_has_equation_source_picture_and_its_sections(name):
 
 def test_every_setting_that_a_stage_reads_is_on_a_page():
     named = {
-        group for name in STAGE_NAMES for own in re.findall(":settings: (.*)", page(name)) for group in own.split()
+        group
+        for name in STAGE_NAMES
+        for own in re.findall(":settings: (.*)", page(name))
+        for group in own.split()
     }
     assert {*named, *STAGE_NAMES} >= {group for stage in STAGES for group in stage.settings}
 
 
 def test_every_stage_has_a_picture_and_all_that_is_shown_is_there():
     assert list(pictures.STAGE_PICTURES) == list(pictures.STAGE_PANELS) == STAGE_NAMES
-    texts = [(DOCS / "scores.md").read_text(encoding="utf-8"), page("index"), *map(page, STAGE_NAMES)]
+    texts = [
+        (DOCS / "scores.md").read_text(encoding="utf-8"),
+        page("index"),
+        *map(page, STAGE_NAMES),
+    ]
     shown = {name for text in texts for name in re.findall(r"pictures/([\w.]+\.png)\)", text)}
-    assert shown == {path.name for path in (DOCS / "pictures").iterdir() if not path.name.startswith("read_")}
-    assert shown == {f"{name}.png" for name in ("pipeline", *STAGE_NAMES, *(example.name for example in EXAMPLES))}
+    assert shown == {
+        path.name for path in (DOCS / "pictures").iterdir() if not path.name.startswith("read_")
+    }
+    assert shown == {
+        f"{name}.png"
+        for name in ("pipeline", *STAGE_NAMES, *(example.name for example in EXAMPLES))
+    }
 
 
 @pytest.mark.exhaustive
@@ -69,5 +81,7 @@ def test_the_worked_objects_are_those_of_the_page_and_the_pictures_can_be_drawn(
         with Image.open(path) as picture:
             assert picture.width > 600
             assert len(picture.convert("RGB").getcolors(picture.width * picture.height)) > 20
-    stored = {path.name for path in (DOCS / "pictures").iterdir() if not path.name.startswith("read_")}
+    stored = {
+        path.name for path in (DOCS / "pictures").iterdir() if not path.name.startswith("read_")
+    }
     assert {path.name for path in tmp_path.glob("*.png")} == stored

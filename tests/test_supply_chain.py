@@ -43,9 +43,12 @@ sys.addaudithook(_guard)
 def locked(name):
     """Version and hashes of each library of a lock, by name."""
     text = (HOUSE / name).read_text(encoding="utf-8")
-    entries = re.findall(r"^([\w.-]+)(?:\[.*?\])?==([^ \\;]+)(.*?)(?=^\w|\Z)", text, flags=re.MULTILINE | re.DOTALL)
+    entries = re.findall(
+        r"^([\w.-]+)(?:\[.*?\])?==([^ \\;]+)(.*?)(?=^\w|\Z)", text, flags=re.MULTILINE | re.DOTALL
+    )
     return {
-        canonicalize_name(name): (version, re.findall(r"sha256:[0-9a-f]{64}", rest)) for name, version, rest in entries
+        canonicalize_name(name): (version, re.findall(r"sha256:[0-9a-f]{64}", rest))
+        for name, version, rest in entries
     }
 
 
@@ -62,20 +65,26 @@ def test_the_lock_has_each_requirement_with_a_version_that_fits_and_hashes(file,
         requirement = Requirement(text)
         if requirement.name != "fidpipe":
             found, _ = versions[canonicalize_name(requirement.name)]
-            assert requirement.specifier.contains(found), f"{text} is {found} in {file}; run make lock"
+            assert requirement.specifier.contains(found), (
+                f"{text} is {found} in {file}; run make lock"
+            )
     assert [name for name, (_, hashes) in versions.items() if not hashes] == []
 
 
 def test_runs_and_tests_have_the_same_versions():
     everything = locked("requirements.lock")
-    assert {name: version for name, (version, _) in locked("requirements-run.lock").items()}.items() <= {
-        name: version for name, (version, _) in everything.items()
-    }.items()
+    assert {
+        name: version for name, (version, _) in locked("requirements-run.lock").items()
+    }.items() <= {name: version for name, (version, _) in everything.items()}.items()
 
 
 def test_every_extra_but_those_of_development_is_looked_at():
     (everything,) = PROJECT["optional-dependencies"]["all"]
-    assert Requirement(everything).extras == PROJECT["optional-dependencies"].keys() - {"all", "dev", "docs"}
+    assert Requirement(everything).extras == PROJECT["optional-dependencies"].keys() - {
+        "all",
+        "dev",
+        "docs",
+    }
 
 
 @pytest.fixture
@@ -86,10 +95,17 @@ def guarded(tmp_path):
     log = tmp_path / "network.log"
 
     def start(*words, check=True):
-        path = os.pathsep.join([str(tmp_path / "guard"), *filter(None, [os.environ.get("PYTHONPATH")])])
+        path = os.pathsep.join(
+            [str(tmp_path / "guard"), *filter(None, [os.environ.get("PYTHONPATH")])]
+        )
         environment = os.environ | {"PYTHONPATH": path, "NETWORK_LOG": str(log)}
         done = subprocess.run(
-            [str(word) for word in words], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+            [str(word) for word in words],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert not check or done.returncode == 0, done.stderr
         return log.read_text() if log.exists() else ""
@@ -110,7 +126,19 @@ def all_commands(dataset):
     yield FIDPIPE, "export", "a", "--ply", "--mcap"
     yield FIDPIPE, "status", "a"
     yield FIDPIPE, "best-case", dataset, "--out", "best_case", "--workers", "1", "--pairs", "000"
-    yield FIDPIPE, "perturb", dataset, "--out", "perturbed", "--workers", "1", "--pairs", "000", "--repeats", "1"
+    yield (
+        FIDPIPE,
+        "perturb",
+        dataset,
+        "--out",
+        "perturbed",
+        "--workers",
+        "1",
+        "--pairs",
+        "000",
+        "--repeats",
+        "1",
+    )
     yield FIDPIPE, "ablate", dataset, "--out", "ablated", "--workers", "1", "--pairs", "000"
     yield FIDPIPE, "settings"
 
@@ -136,4 +164,7 @@ def test_no_command_reaches_out(guarded, dataset, n_commands):
 
 
 def test_an_extra_that_is_not_installed_has_no_version_and_stops_no_plan():
-    assert library_versions(["no-such-library", "numpy"]) == {"no-such-library": "absent", "numpy": version("numpy")}
+    assert library_versions(["no-such-library", "numpy"]) == {
+        "no-such-library": "absent",
+        "numpy": version("numpy"),
+    }

@@ -19,13 +19,21 @@ REAL_ID = column("real_id", pa.int32(), "community of the real side")
 
 CROWDS = Table(
     "toy_crowds",
-    pa.schema([PAIR, SIDE, COMMUNITY, column("n_over", pa.int32(), "points over toy.least_points")]),
+    pa.schema(
+        [PAIR, SIDE, COMMUNITY, column("n_over", pa.int32(), "points over toy.least_points")]
+    ),
     ("community_id",),
 )
 RATIOS = Table(
-    "toy_ratios", pa.schema([PAIR, REAL_ID, column("ratio", pa.float64(), "of simulated points")]), ("real_id",)
+    "toy_ratios",
+    pa.schema([PAIR, REAL_ID, column("ratio", pa.float64(), "of simulated points")]),
+    ("real_id",),
 )
-MARKS = Table("toy_marks", pa.schema([PAIR, REAL_ID, column("mark", pa.float64(), "cdc times ratio")]), ("real_id",))
+MARKS = Table(
+    "toy_marks",
+    pa.schema([PAIR, REAL_ID, column("mark", pa.float64(), "cdc times ratio")]),
+    ("real_id",),
+)
 TOY_TABLES = (CROWDS, RATIOS, MARKS)
 TABLES.update({table.name: table for table in TOY_TABLES})
 
@@ -49,7 +57,9 @@ def make_crowds(inputs):
     n_over = np.maximum(n_points - inputs.settings.toy.least_points, 0).astype(np.int32)
     ids = np.arange(len(n_over), dtype=np.int32)
     rows = {"pair_id": inputs.pair_id, "side": inputs.part, "community_id": ids, "n_over": n_over}
-    return JobResult({"toy_crowds": CROWDS.build(rows)}, {"n_crowds": int(np.count_nonzero(n_over))})
+    return JobResult(
+        {"toy_crowds": CROWDS.build(rows)}, {"n_crowds": int(np.count_nonzero(n_over))}
+    )
 
 
 def make_ratios(inputs):
@@ -63,7 +73,10 @@ def make_ratios(inputs):
             ratio = n_over["sim"][sim_id] / (1 + n_over["real"][real_id])
             rows.append({"pair_id": inputs.pair_id, "real_id": real_id, "ratio": ratio})
     facts = {side: inputs.metadata("toy_crowds", side)["n_crowds"] for side in SIDES}
-    return JobResult({"toy_ratios": RATIOS.from_rows(rows)}, facts | {"n_kept": inputs.table("selection").num_rows})
+    return JobResult(
+        {"toy_ratios": RATIOS.from_rows(rows)},
+        facts | {"n_kept": inputs.table("selection").num_rows},
+    )
 
 
 def make_marks(inputs):
@@ -72,7 +85,11 @@ def make_marks(inputs):
     metrics = inputs.table("metrics")
     own = metrics.filter(pc.is_in(metrics.column("real_id"), pa.array(inputs.objects, pa.int32())))
     rows = [
-        {"pair_id": inputs.pair_id, "real_id": row["real_id"], "mark": row["cdc"] * ratio_of[row["real_id"]]}
+        {
+            "pair_id": inputs.pair_id,
+            "real_id": row["real_id"],
+            "mark": row["cdc"] * ratio_of[row["real_id"]],
+        }
         for row in own.to_pylist()
     ]
     return JobResult({"toy_marks": MARKS.from_rows(rows)})

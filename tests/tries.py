@@ -36,7 +36,10 @@ class Started:
         found = []
         for process in psutil.process_iter():
             try:
-                if os.getsid(process.pid) == self.process.pid and process.status() != psutil.STATUS_ZOMBIE:
+                if (
+                    os.getsid(process.pid) == self.process.pid
+                    and process.status() != psutil.STATUS_ZOMBIE
+                ):
                     found.append(process)
             except (ProcessLookupError, psutil.NoSuchProcess):
                 continue
@@ -94,4 +97,8 @@ def assert_resumes(dataset, out, undisturbed, workers=1, code=0, start=command):
 
 def lines_of(errors):
     """Lines of standard error without those of progress."""
-    return [line for line in errors.splitlines() if line.strip() and not re.search(r"\d+ pairs?, \d+ failed", line)]
+    return [
+        line
+        for line in errors.splitlines()
+        if line.strip() and not re.search(r"\d+ pairs?, \d+ failed", line)
+    ]

@@ -29,7 +29,9 @@ def write_build(source, build, noise_m, shift_z_m):
 def main(folder):
     """Write the three datasets into a folder."""
     first = folder / "build41"
-    subprocess.run(["fidpipe", "synth", str(first), "--pairs", "8", "--points", "20000"], check=True)
+    subprocess.run(
+        ["fidpipe", "synth", str(first), "--pairs", "8", "--points", "20000"], check=True
+    )
     for name, (noise_m, shift_z_m) in FLAWS.items():
         write_build(first, folder / name, noise_m, shift_z_m)
 

@@ -23,15 +23,23 @@ def measure():
     return {
         "tables": {name: columns(table) for name, table in TABLES.items()},
         "settings": Settings().model_dump(mode="json"),
-        "presets": {name: load(preset=name).model_dump(mode="json", exclude_defaults=True) for name in PRESETS},
+        "presets": {
+            name: load(preset=name).model_dump(mode="json", exclude_defaults=True)
+            for name in PRESETS
+        },
         "commands": commands(),
-        "exit codes": {name: value for name, value in vars(options).items() if name.startswith("EXIT_")},
+        "exit codes": {
+            name: value for name, value in vars(options).items() if name.startswith("EXIT_")
+        },
     }
 
 
 def columns(table):
     """Type of each column of a table, and whether it may be null."""
-    return {field.name: f"{field.type} or null" if field.nullable else str(field.type) for field in table.schema}
+    return {
+        field.name: f"{field.type} or null" if field.nullable else str(field.type)
+        for field in table.schema
+    }
 
 
 def commands():

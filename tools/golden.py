@@ -40,24 +40,39 @@ def measure():
     rays = find_rays(real, sim, tuple(sensors))
     numbers = {
         "ground": [
-            [row[name] for name in row if "ground_" in name or name.endswith(("_raw", "_clean"))] for row in rows
+            [row[name] for name in row if "ground_" in name or name.endswith(("_raw", "_clean"))]
+            for row in rows
         ],
-        "sensor": [[value for value in sensor_row(sensors[0]).values() if isinstance(value, int | float)]],
-        "graph": frames["graph"].groupby(["pair_id", "side"])[["src", "dst", "length_m"]].sum().astype(float),
+        "sensor": [
+            [value for value in sensor_row(sensors[0]).values() if isinstance(value, int | float)]
+        ],
+        "graph": frames["graph"]
+        .groupby(["pair_id", "side"])[["src", "dst", "length_m"]]
+        .sum()
+        .astype(float),
         "communities": objects.drop(columns=["pair_id", "side", "label"]).astype(float),
-        "matching": frames["matching"][["real_id", "sim_id", "centroid_distance_m"]].astype(float).fillna(-1.0),
+        "matching": frames["matching"][["real_id", "sim_id", "centroid_distance_m"]]
+        .astype(float)
+        .fillna(-1.0),
         "coverage": frames["coverage"].drop(columns=["pair_id", "side"]).astype(float).fillna(-1.0),
         "surface": frames["surface"].drop(columns=["pair_id"]).astype(float).fillna(-1.0),
-        "pieces": frames["pieces"].drop(columns=["pair_id", "side", "label", "fate"]).astype(float).fillna(-1.0),
+        "pieces": frames["pieces"]
+        .drop(columns=["pair_id", "side", "label", "fate"])
+        .astype(float)
+        .fillna(-1.0),
         "rays": [[*score_rays(rays).values()]],
         "causes": frames["causes"][["amount"]].round(4).fillna(-1.0),
-        "selection": frames["selection"].groupby(["pair_id", "real_id"])[["real_influence", "sim_influence"]].sum(),
+        "selection": frames["selection"]
+        .groupby(["pair_id", "real_id"])[["real_influence", "sim_influence"]]
+        .sum(),
         "metrics": frames["metrics"].drop(columns=["pair_id", "status", "reason"]).astype(float),
     }
     return {
         stage.name: {
             "version": stage.version,
-            "numbers": of if isinstance(of := numbers[stage.name], list) else of.to_numpy().tolist(),
+            "numbers": of
+            if isinstance(of := numbers[stage.name], list)
+            else of.to_numpy().tolist(),
         }
         for stage in STAGES
     }
@@ -69,7 +84,9 @@ def differs(a, b):
 
 
 def row_differs(x, y):
-    return len(x) != len(y) or any(abs(p - q) > ABSOLUTE + RELATIVE * abs(q) for p, q in zip(x, y, strict=True))
+    return len(x) != len(y) or any(
+        abs(p - q) > ABSOLUTE + RELATIVE * abs(q) for p, q in zip(x, y, strict=True)
+    )
 
 
 def renew():

@@ -46,13 +46,24 @@ class Example:
 
 
 EXAMPLES = (
-    *(Example(f"r_lambda_{value}", "r_lambda", value, most_rms_m=GOOD_ALIGNMENT_M) for value in (0.1, 0.4, 0.7)),
+    *(
+        Example(f"r_lambda_{value}", "r_lambda", value, most_rms_m=GOOD_ALIGNMENT_M)
+        for value in (0.1, 0.4, 0.7)
+    ),
     *(Example(f"cdc_{value}", "cdc", value) for value in (0.1, 0.5, 1.0)),
     Example("r_lambda_misaligned", "r_lambda", 0.1, least_rms_m=BAD_ALIGNMENT_M),
 )
 #: What the table under a picture has of its object, by column of `metrics`.
 NUMBERS = (
-    *("n_real", "n_sim", "n_keep", "cdc", "centroid_distance_m", "max_eigenvalue_shift", "laplacian_change"),
+    *(
+        "n_real",
+        "n_sim",
+        "n_keep",
+        "cdc",
+        "centroid_distance_m",
+        "max_eigenvalue_shift",
+        "laplacian_change",
+    ),
     *("r_lambda", "r_gap", "alignment_rms_m"),
 )
 
@@ -72,7 +83,10 @@ def numbers_table(rows):
     cells = [f"`{row.pair_id} {row.real_id}`, {row.group}" for row in rows.values()]
     lines.append(f"| pair and object | {' | '.join(cells)} |")
     for column in NUMBERS:
-        cells = [f"{row[column]:.0f}" if column[:2] == "n_" else f"{row[column]:.3f}" for row in rows.values()]
+        cells = [
+            f"{row[column]:.0f}" if column[:2] == "n_" else f"{row[column]:.3f}"
+            for row in rows.values()
+        ]
         lines.append(f"| `{column}` | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
@@ -93,14 +107,21 @@ class MatchedObject:
         for side in SIDES:
             cloud = tables.clouds[side]
             edges = results.run.edges(row.pair_id, side)
-            ends = (np.searchsorted(cloud.point_ids, edges[end]).astype(np.int32) for end in ("src", "dst"))
+            ends = (
+                np.searchsorted(cloud.point_ids, edges[end]).astype(np.int32)
+                for end in ("src", "dst")
+            )
             graph = Edges(*ends, edges.length_m.to_numpy())
             own_id = row[f"{side}_id"]
-            own = split_by_community(cloud.point_ids, cloud.points, graph, cloud.community, [own_id])[own_id]
+            own = split_by_community(
+                cloud.point_ids, cloud.points, graph, cloud.community, [own_id]
+            )[own_id]
             self.graphs[side] = own
             self.nodes[side] = np.searchsorted(own.point_ids, kept[f"{side}_point_id"])
         flat = np.concatenate([graph.points for graph in self.graphs.values()])[:, :2]
-        self.across = np.append(np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)[2][0], 0.0)
+        self.across = np.append(
+            np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)[2][0], 0.0
+        )
 
     def seen(self, points):
         """Points as the picture has them, (n, 2): metres across and up."""
@@ -140,13 +161,24 @@ def draw_structure(own, path):
             places = own.kept(side)
             ends = own.kept_edges(side)
             shown = ends[:: len(ends) // MOST_EDGES + 1]
-            look = {"colors": SIDE_COLOURS[side], "linewidths": 0.3, "alpha": 0.12, "rasterized": True}
+            look = {
+                "colors": SIDE_COLOURS[side],
+                "linewidths": 0.3,
+                "alpha": 0.12,
+                "rasterized": True,
+            }
             axis.add_collection(LineCollection(places[shown], **look))
             style.dots(axis, places, 2.5, "black")
-            title = f"{WORDS[side]}:", f"{row.n_keep} of {row[f'n_{side}']} nodes,", f"{len(ends):,} edges"
+            title = (
+                f"{WORDS[side]}:",
+                f"{row.n_keep} of {row[f'n_{side}']} nodes,",
+                f"{len(ends):,} edges",
+            )
             axis.set_title(between.join(title))
         real, sim = own.kept("real"), own.kept("sim")
-        axes[2].add_collection(LineCollection(np.stack([real, sim], axis=1), colors="black", linewidths=0.3))
+        axes[2].add_collection(
+            LineCollection(np.stack([real, sim], axis=1), colors="black", linewidths=0.3)
+        )
         for side, places in (("real", real), ("sim", sim)):
             style.dots(axes[2], places, 4, SIDE_COLOURS[side])
         axes[2].set_title(between.join(["aligned:", f"{row.alignment_rms_m:.2f} m apart"]))
@@ -168,7 +200,9 @@ def draw_structure(own, path):
             xlabel="number of the eigenvalue, logarithmic", ylabel="|λ(sim) - λ(real)|",
             ylim=(0, 1.25 * row.laplacian_change),
         )  # fmt: skip
-        apart.text(1, row.laplacian_change, " change: by Weyl no eigenvalue shifts more", va="bottom")
+        apart.text(
+            1, row.laplacian_change, " change: by Weyl no eigenvalue shifts more", va="bottom"
+        )
         is_late = (at + 1) ** 2 > len(index)
         apart.annotate(
             "largest shift", (at + 1, shifts[at]), (-7 if is_late else 7, 2), textcoords="offset points",
@@ -189,27 +223,55 @@ def draw_geometry(own, path):
     costs = {side: 1 - np.exp(-(distances[side] ** 2)) for side in SIDES}
     with style.new_figure(9, 5, _title(row)) as figure:
         left, right = figure.subfigures(1, 2, width_ratios=(1.35, 1))
-        axes, between = three_views(left, np.concatenate([own.seen(points[side]) for side in SIDES]))
+        axes, between = three_views(
+            left, np.concatenate([own.seen(points[side]) for side in SIDES])
+        )
         far, total = right.subplots(2, 1, height_ratios=(1.8, 1))
         for axis, side in zip(axes, SIDES, strict=False):
             look = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": 1}
             coloured = style.dots(axis, own.seen(points[side]), 4, costs[side], **look)
-            title = f"{WORDS[side]}:", f"{len(points[side]):,} points,", f"mean cost {costs[side].mean():.3f}"
+            title = (
+                f"{WORDS[side]}:",
+                f"{len(points[side]):,} points,",
+                f"mean cost {costs[side].mean():.3f}",
+            )
             axis.set_title(between.join(title))
             style.dots(axes[2], own.seen(points[side]), 2.5, SIDE_COLOURS[side])
-        axes[2].set_title(between.join(["both as given,", "centroids", f"{row.centroid_distance_m:.2f} m apart"]))
+        axes[2].set_title(
+            between.join(["both as given,", "centroids", f"{row.centroid_distance_m:.2f} m apart"])
+        )
         left.colorbar(
-            coloured, ax=axes, label="cost of a point, 1 - exp(-d²)", location="bottom", shrink=0.7, aspect=40
+            coloured,
+            ax=axes,
+            label="cost of a point, 1 - exp(-d²)",
+            location="bottom",
+            shrink=0.7,
+            aspect=40,
         )
 
         reach = max(2.0, *(np.quantile(own_m, 0.99) for own_m in distances.values()))
         for side, own_m in distances.items():
             shares = np.arange(len(own_m) + 1) / len(own_m)
-            look = {"where": "post", "color": SIDE_COLOURS[side], "label": f"{WORDS[side]} points nearer than d"}
+            look = {
+                "where": "post",
+                "color": SIDE_COLOURS[side],
+                "label": f"{WORDS[side]} points nearer than d",
+            }
             far.step(np.append(0, np.sort(own_m)), shares, **look)
         d = np.linspace(0, reach, 200)
-        far.plot(d, 1 - np.exp(-(d**2)), color="black", linewidth=1, linestyle="--", label="cost, 1 - exp(-d²)")
-        far.set(xlabel="d, distance to the other side (m)", ylabel="share of the points", xlim=(0, reach))
+        far.plot(
+            d,
+            1 - np.exp(-(d**2)),
+            color="black",
+            linewidth=1,
+            linestyle="--",
+            label="cost, 1 - exp(-d²)",
+        )
+        far.set(
+            xlabel="d, distance to the other side (m)",
+            ylabel="share of the points",
+            xlim=(0, reach),
+        )
         far.set_ylim(0, 1.02)
         far.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0))
         sum_so_far = 0.0
@@ -234,7 +296,11 @@ def three_views(figure, places):
     axes = figure.subplots(3, 1, sharex=True) if is_wide else figure.subplots(1, 3, sharey=True)
     margin = 0.03 * (high - low).max()
     for axis in axes:
-        axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal")
+        axis.set(
+            xlim=(low[0] - margin, high[0] + margin),
+            ylim=(low[1] - margin, high[1] + margin),
+            aspect="equal",
+        )
         axis.locator_params(nbins=8 if is_wide else 3, axis="x")
         axis.locator_params(nbins=3 if is_wide else 8, axis="y")
     for axis in axes[2:] if is_wide else axes:
@@ -248,7 +314,9 @@ def save(figure, path):
     """Writes a figure as PNG of few colours: a page of them is small."""
     content = BytesIO()
     figure.savefig(content, format="png", dpi=DPI, bbox_inches="tight", pad_inches=0.08)
-    Image.open(content).convert("RGB").quantize(N_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    Image.open(content).convert("RGB").quantize(N_COLOURS, dither=Image.Dither.NONE).save(
+        path, optimize=True
+    )
 
 
 def _title(row):

@@ -65,8 +65,14 @@ class PairView:
         self.tables = PairFrames(results, pair_id)
         self.row = results.pairs.set_index("pair_id").loc[pair_id]
         matched = results.matched[results.matched.pair_id == pair_id]
-        aligned = matched[matched.alignment_rms_m <= max(GOOD_ALIGNMENT_M, matched.alignment_rms_m.min())]
-        typical = aligned.assign(off=(aligned.n_keep - TYPICAL_NODES).abs()).sort_values(["off", "real_id"]).iloc[0]
+        aligned = matched[
+            matched.alignment_rms_m <= max(GOOD_ALIGNMENT_M, matched.alignment_rms_m.min())
+        ]
+        typical = (
+            aligned.assign(off=(aligned.n_keep - TYPICAL_NODES).abs())
+            .sort_values(["off", "real_id"])
+            .iloc[0]
+        )
         self.own = MatchedObject(results, typical)
         self.matched = matched
         self.points = {side: cloud.points for side, cloud in self.tables.clouds.items()}
@@ -82,13 +88,21 @@ def ground(axis, view):
     """The real scan from the side, what is cut away in grey."""
     clean = view.run.points(view.pair_id, "real")
     reach = np.hypot(clean.x, clean.y)
-    for is_ground, colour, words in ((True, GROUND_COLOUR, "ground"), (False, SIDE_COLOURS["real"], "object points")):
+    for is_ground, colour, words in (
+        (True, GROUND_COLOUR, "ground"),
+        (False, SIDE_COLOURS["real"], "object points"),
+    ):
         rows = clean.is_ground == is_ground
         places = np.column_stack([reach[rows], clean.height_m[rows]])
         style.dots(axis, places, 1.2, colour, label=f"{rows.sum():,} {words}")
     cut = view.row.ground_real_threshold_m - view.row.ground_real_peak_m
     axis.axhline(cut, color="black", linewidth=0.8)
-    axis.set(xlim=(0, 40), ylim=(-1, 6), xlabel="distance from the sensor (m)", ylabel="height above the road (m)")
+    axis.set(
+        xlim=(0, 40),
+        ylim=(-1, 6),
+        xlabel="distance from the sensor (m)",
+        ylabel="height above the road (m)",
+    )
     axis.set_title("what is cut away, seen from the side")
 
 
@@ -100,14 +114,22 @@ def draw_ground(view, path):
         scan.legend(loc="upper left", markerscale=4, handletextpad=0.1)
         clean = view.run.points(view.pair_id, "real")
         near = clean[np.linalg.norm(clean[["x", "y", "z"]], axis=1) <= 30].height_m
-        heights.hist(near, bins=np.arange(-1, 2, 0.02), orientation="horizontal", color=GROUND_COLOUR)
+        heights.hist(
+            near, bins=np.arange(-1, 2, 0.02), orientation="horizontal", color=GROUND_COLOUR
+        )
         cut = view.row.ground_real_threshold_m - view.row.ground_real_peak_m
-        heights.axhspan(-WINDOW_M / 2, WINDOW_M / 2, color=SIDE_COLOURS["sim"], alpha=0.35, linewidth=0)
+        heights.axhspan(
+            -WINDOW_M / 2, WINDOW_M / 2, color=SIDE_COLOURS["sim"], alpha=0.35, linewidth=0
+        )
         heights.axhline(cut, color="black", linewidth=0.8)
         right = heights.get_xlim()[1]
         heights.text(right, cut, f"threshold, {cut:.2f} m", va="bottom", ha="right")
         heights.text(right, -0.09, "fullest window of 0.1 m: the road", va="top", ha="right")
-        heights.set(ylim=(-0.5, 1.2), xlabel="points within 30 m, by 2 cm", ylabel="height above the road (m)")
+        heights.set(
+            ylim=(-0.5, 1.2),
+            xlabel="points within 30 m, by 2 cm",
+            ylabel="height above the road (m)",
+        )
         heights.set_title(
             f"variance loss {view.row.ground_real_loss:.4f}, lowered {view.row.ground_real_iterations} times"
         )
@@ -120,7 +142,12 @@ def sensor(axis, view):
         points = view.run.points(view.pair_id, side)
         elevation = np.degrees(np.arctan2(points.z, np.hypot(points.x, points.y)))
         shares = np.full(len(points), 100 / len(points))
-        style_of = {"color": SIDE_COLOURS[side], "histtype": "step", "linewidth": 0.7, "label": WORDS[side]}
+        style_of = {
+            "color": SIDE_COLOURS[side],
+            "histtype": "step",
+            "linewidth": 0.7,
+            "label": WORDS[side],
+        }
         axis.hist(elevation, np.arange(-26, 16, 0.1), weights=shares, **style_of)
     axis.set(xlabel="elevation (degrees)", ylabel="points (%), by 0.1 degrees")
     axis.set_title("points by elevation")
@@ -132,9 +159,16 @@ def draw_sensor(view, path):
         beams, noise, lost = figure.subplots(1, 3, width_ratios=(3, 1, 1))
         sensor(beams, view)
         beams.legend(loc="upper left")
-        for axis, name, factor, unit in ((noise, "range_noise_m", 1e3, "mm"), (lost, "lost_share", 100, "%")):
+        for axis, name, factor, unit in (
+            (noise, "range_noise_m", 1e3, "mm"),
+            (lost, "lost_share", 100, "%"),
+        ):
             values = [factor * view.row[f"sensor_{side}_{name}"] for side in SIDES]
-            axis.bar([WORDS[side] for side in SIDES], values, color=[SIDE_COLOURS[side] for side in SIDES])
+            axis.bar(
+                [WORDS[side] for side in SIDES],
+                values,
+                color=[SIDE_COLOURS[side] for side in SIDES],
+            )
             axis.set_title(f"{name.rsplit('_', 1)[0].replace('_', ' ')} ({unit})")
         save(figure, path)
 
@@ -154,7 +188,9 @@ def graph(axis, view):
     axis.add_collection(LineCollection(rays, colors=SIDE_COLOURS["sim"], linewidths=0.5))
     style.dots(axis, places, 3, "black")
     axis.set(aspect="equal", xlabel="across (m)", ylabel="up (m)")
-    axis.set_title(f"one object: {len(places)} nodes, {len(ends):,} edges; {len(around)} of one node")
+    axis.set_title(
+        f"one object: {len(places)} nodes, {len(ends):,} edges; {len(around)} of one node"
+    )
 
 
 def draw_graph(view, path):
@@ -169,10 +205,17 @@ def draw_graph(view, path):
     with style.new_figure(8.4, 3.4) as figure:
         own, reach = figure.subplots(1, 2, width_ratios=(1.7, 1))
         graph(own, view)
-        style.dots(reach, np.column_stack([np.linalg.norm(points, axis=1), longest]), 1.5, SIDE_COLOURS["real"])
+        style.dots(
+            reach,
+            np.column_stack([np.linalg.norm(points, axis=1), longest]),
+            1.5,
+            SIDE_COLOURS["real"],
+        )
         reach.axhline(Settings().graph.tau_m, color="black", linewidth=0.8)
         reach.text(reach.get_xlim()[1], Settings().graph.tau_m, "tau", va="bottom", ha="right")
-        reach.set(yscale="log", xlabel="distance from the sensor (m)", ylabel="longest edge of a node (m)")
+        reach.set(
+            yscale="log", xlabel="distance from the sensor (m)", ylabel="longest edge of a node (m)"
+        )
         ticks = (0.1, 0.3, 1, 3, 10, 30)
         reach.set_yticks(ticks, map(str, ticks))
         reach.set_title("how far edges reach")
@@ -209,20 +252,37 @@ def matching(axis, view):
     pairs = np.stack([centroids[side][matched[f"{side}_id"]] for side in SIDES], axis=1)
     axis.add_collection(LineCollection(pairs, colors="black", linewidths=1))
     for column, side in enumerate(SIDES):
-        axis.scatter(*pairs[:, column].T, s=14, c=SIDE_COLOURS[side], zorder=3, label=f"matched, {WORDS[side]}")
+        axis.scatter(
+            *pairs[:, column].T,
+            s=14,
+            c=SIDE_COLOURS[side],
+            zorder=3,
+            label=f"matched, {WORDS[side]}",
+        )
     for status, side in (("not_found", "real"), ("extra", "sim")):
         unmatched = view.results.unmatched
         is_alone = (unmatched.pair_id == view.pair_id) & (unmatched.status == status)
         alone = unmatched[is_alone].community_id
         look = {"marker": "X", "s": 34, "edgecolors": "white", "linewidths": 0.5, "zorder": 3}
         axis.scatter(
-            *centroids[side][alone].T, c=FATE_COLOURS[status], label=f"{len(alone)} {FATE_WORDS[status]}", **look
+            *centroids[side][alone].T,
+            c=FATE_COLOURS[status],
+            label=f"{len(alone)} {FATE_WORDS[status]}",
+            **look,
         )
         for place in centroids[side][alone] if status == "not_found" else ():
-            axis.add_patch(Circle(place, Settings().matching.delta_m, fill=False, linewidth=0.4, color="#777777"))
+            axis.add_patch(
+                Circle(
+                    place, Settings().matching.delta_m, fill=False, linewidth=0.4, color="#777777"
+                )
+            )
     axis.set_title(f"{len(matched)} matched: match rate {view.row.match_rate:.2f}")
     axis.set(
-        xlim=view.frame[:, 0], ylim=view.frame[:, 1], aspect="equal", xlabel="x, forward (m)", ylabel="y, left (m)"
+        xlim=view.frame[:, 0],
+        ylim=view.frame[:, 1],
+        aspect="equal",
+        xlabel="x, forward (m)",
+        ylabel="y, left (m)",
     )
 
 
@@ -247,7 +307,9 @@ def coverage(axis, view, side="real"):
     order = np.argsort(distance_m, kind="stable")
     ramp = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
     coloured = style.dots(axis, view.points[side][order], 1.2, distance_m[order], **ramp)
-    shares = " / ".join(f"{100 * np.mean(distance_m <= reach_m):.0f}" for reach_m in COVERAGE_DISTANCES_M)
+    shares = " / ".join(
+        f"{100 * np.mean(distance_m <= reach_m):.0f}" for reach_m in COVERAGE_DISTANCES_M
+    )
     axis.set_title(f"{WORDS[side]}: {shares} % covered\nwithin 0.1 / 0.3 / 1 m")
     style.from_above(axis, view.frame)
     return coloured
@@ -259,7 +321,9 @@ def draw_coverage(view, path):
         axes = figure.subplots(1, 2, sharex=True, sharey=True)
         for axis, side in zip(axes, SIDES, strict=True):
             coloured = coverage(axis, view, side)
-        figure.colorbar(coloured, ax=axes, label="distance to the other side (m)", extend="max", shrink=0.8)
+        figure.colorbar(
+            coloured, ax=axes, label="distance to the other side (m)", extend="max", shrink=0.8
+        )
         save(figure, path)
 
 
@@ -284,10 +348,24 @@ def draw_surface(view, path):
         for side in SIDES:
             roughness = np.sort(describe_surface(view.points[side]).roughness_m)
             shares = np.arange(1, len(roughness) + 1) / len(roughness)
-            rough.plot(roughness, shares, color=SIDE_COLOURS[side], linewidth=1.4, label=WORDS[side])
-            rough.axvline(view.row[f"roughness_{side}_m"], color=SIDE_COLOURS[side], linewidth=0.8, linestyle="--")
-        rough.set(xlim=(0, 0.5), ylim=(0, 1.02), xlabel="roughness (m); dashed: median", ylabel="share of the points")
-        rough.set_title(f"bias {view.row.roughness_bias_m:+.3f} m, area {view.row.roughness_area_m:.3f} m")
+            rough.plot(
+                roughness, shares, color=SIDE_COLOURS[side], linewidth=1.4, label=WORDS[side]
+            )
+            rough.axvline(
+                view.row[f"roughness_{side}_m"],
+                color=SIDE_COLOURS[side],
+                linewidth=0.8,
+                linestyle="--",
+            )
+        rough.set(
+            xlim=(0, 0.5),
+            ylim=(0, 1.02),
+            xlabel="roughness (m); dashed: median",
+            ylabel="share of the points",
+        )
+        rough.set_title(
+            f"bias {view.row.roughness_bias_m:+.3f} m, area {view.row.roughness_area_m:.3f} m"
+        )
         rough.legend(loc="lower right")
         save(figure, path)
 
@@ -305,7 +383,9 @@ def pieces(axis, view, side="real"):
     places = points[side][["x", "y", "z"]].to_numpy()[inside]
     style.dots(axis, places, 1.5, colours_of(found.labels[inside]))
     word = "missing" if side == "real" else "invented"
-    axis.set_title(f"{len(found.partner)} {word} pieces, {100 * found.share:.1f} % of the {WORDS[side]} points")
+    axis.set_title(
+        f"{len(found.partner)} {word} pieces, {100 * found.share:.1f} % of the {WORDS[side]} points"
+    )
     style.from_above(axis, view.frame)
 
 
@@ -322,7 +402,9 @@ def rays(axis, view):
     found = view.run.read_table("rays", view.pair_id).to_pandas()
     for outcome, colour in OUTCOME_COLOURS.items():
         own = found[found.outcome == outcome]
-        axis.plot(own.column, own.beam, ".", color=colour, markersize=1.2, label=OUTCOME_WORDS[outcome])
+        axis.plot(
+            own.column, own.beam, ".", color=colour, markersize=1.2, label=OUTCOME_WORDS[outcome]
+        )
     axis.set_title("outcome of each ray")
     axis.set_xlabel("column")
     axis.set_ylabel("beam")
@@ -335,7 +417,10 @@ def draw_rays(view, path):
         rays(left, view)
         scores = view.run.read_table("ray_scores", view.pair_id).to_pandas().query("by == 'range'")
         scores = scores.sort_values(
-            "band", key=lambda band: band.str.extract(r"(\d+)")[0].astype(int) + band.str.startswith("over")
+            "band",
+            key=lambda band: (
+                band.str.extract(r"(\d+)")[0].astype(int) + band.str.startswith("over")
+            ),
         )
         bottom = np.zeros(len(scores))
         for outcome, colour in OUTCOME_COLOURS.items():
@@ -345,7 +430,9 @@ def draw_rays(view, path):
         right.set_title("outcomes by range")
         right.set_ylabel("% of the rays")
         right.tick_params(axis="x", labelrotation=30)
-        figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+        figure.legend(
+            *right.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False
+        )
         save(figure, path)
 
 
@@ -356,7 +443,9 @@ def causes(axis, view):
     table["size"] = table.amount / table.cause.map(lambda name: CAUSES[name].tolerance)
     table = table.loc[table["size"].abs().sort_values(ascending=False).index[:MOST_CAUSES][::-1]]
     is_beyond = table["size"].abs() > 1
-    axis.barh(table.cause, table["size"], color=np.where(is_beyond, SIDE_COLOURS["sim"], GROUND_COLOUR))
+    axis.barh(
+        table.cause, table["size"], color=np.where(is_beyond, SIDE_COLOURS["sim"], GROUND_COLOUR)
+    )
     for limit in (-1, 1):
         axis.axvline(limit, color="black", linewidth=0.6)
     axis.set_xscale("symlog")
@@ -394,7 +483,10 @@ def draw_selection(view, path):
     """One object on both sides by influence, and its alignment."""
     with style.new_figure(8.4, 3.4) as figure:
         whole = [view.own.seen(view.own.graphs[side].points) for side in SIDES]
-        kept = [view.own.kept(side) + view.own.kept("real", centred=False).mean(axis=0) for side in SIDES]
+        kept = [
+            view.own.kept(side) + view.own.kept("real", centred=False).mean(axis=0)
+            for side in SIDES
+        ]
         axes, between = three_views(figure, np.concatenate(whole + kept))
         for axis, side in zip(axes, SIDES, strict=False):
             coloured = selection(axis, view, side)
@@ -407,10 +499,16 @@ def draw_selection(view, path):
                 )
             )
         figure.colorbar(coloured, ax=axes, label="influence", shrink=0.7, pad=0.02)
-        axes[2].add_collection(LineCollection(np.stack(kept, axis=1), colors="black", linewidths=0.3))
+        axes[2].add_collection(
+            LineCollection(np.stack(kept, axis=1), colors="black", linewidths=0.3)
+        )
         for side, places in zip(SIDES, kept, strict=True):
             style.dots(axes[2], places, 4, SIDE_COLOURS[side])
-        axes[2].set_title(between.join(["aligned about their means:", f"{view.own.row.alignment_rms_m:.2f} m apart"]))
+        axes[2].set_title(
+            between.join(
+                ["aligned about their means:", f"{view.own.row.alignment_rms_m:.2f} m apart"]
+            )
+        )
         save(figure, path)
 
 
@@ -425,7 +523,9 @@ def metrics(axis, view, score="r_lambda"):
     style.dots(axis, cloud.points[~is_known], 1.5, "#cccccc")
     look = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": 1}
     coloured = style.dots(axis, cloud.points[is_known], 1.5, of_point[is_known], **look)
-    axis.set_title(f"{METRIC[score].heading} of the real objects, mean {view.row[f'{score}_mean']:.2f}")
+    axis.set_title(
+        f"{METRIC[score].heading} of the real objects, mean {view.row[f'{score}_mean']:.2f}"
+    )
     style.from_above(axis, view.frame)
     return coloured
 
@@ -439,7 +539,13 @@ def draw_metrics(view, path):
         figure.colorbar(coloured, ax=maps, label="score", extend="max", shrink=0.8)
         matched = view.results.matched
         for name, rows in matched.groupby("quadrant"):
-            style.dots(both, rows[["cdc", "r_lambda"]].to_numpy(dtype=float), 9, QUADRANT_COLOURS[name], clip_on=False)
+            style.dots(
+                both,
+                rows[["cdc", "r_lambda"]].to_numpy(dtype=float),
+                9,
+                QUADRANT_COLOURS[name],
+                clip_on=False,
+            )
         both.axvline(CDC_LIMIT, color="black", linewidth=0.6)
         both.axhline(R_LAMBDA_LIMIT, color="black", linewidth=0.6)
         both.set(xlim=(0, 2), ylim=(0, 1), xlabel="CDC: geometry", ylabel="r_lambda: structure")
@@ -484,7 +590,9 @@ def fill_panel(axis):
     width = max(high[0] - low[0], (high[1] - low[1]) / PANEL_SHAPE)
     half = np.array([width, width * PANEL_SHAPE]) / 2
     middle = (low + high) / 2
-    for set_limits, low_end, high_end in zip((axis.set_xlim, axis.set_ylim), middle - half, middle + half, strict=True):
+    for set_limits, low_end, high_end in zip(
+        (axis.set_xlim, axis.set_ylim), middle - half, middle + half, strict=True
+    ):
         set_limits(low_end, high_end)
 
 
@@ -494,7 +602,9 @@ def draw_pipeline(view, path):
         axes = figure.subplots(2, -(-len(STAGE_PANELS) // 2)).ravel()
         for spare in axes[len(STAGE_PANELS) :]:
             spare.set_axis_off()
-        for number, (axis, (name, panel)) in enumerate(zip(axes, STAGE_PANELS.items(), strict=False), 1):
+        for number, (axis, (name, panel)) in enumerate(
+            zip(axes, STAGE_PANELS.items(), strict=False), 1
+        ):
             panel(axis, view)
             axis.set(title=f"{number} {name}", xlabel="", ylabel="")
             if name in ("ground", "sensor", "rays", "causes"):

@@ -34,7 +34,10 @@ MISSING = {  # a command on a machine with the required libraries alone, and wha
     "ros": (["pair", "scan.bag", "scan.bag", "--out", "paired"], "ros"),
     "velodyne": (["pair", "scan.pcap", "scan.pcap", "--out", "paired"], "velodyne"),
     "las": (["run", "las", "--workers", "1"], "las"),
-    "patchwork": (["run", "dataset", "--set", "ground.method=patchwork", "--out", "patchwork"], "patchwork"),
+    "patchwork": (
+        ["run", "dataset", "--set", "ground.method=patchwork", "--out", "patchwork"],
+        "patchwork",
+    ),
 }
 
 
@@ -42,7 +45,15 @@ def main():
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         folder.chmod(0o755)
-        for step in (build, check_contents, try_wheel, try_extras, check_licences, try_sdist, try_dockerfile):
+        for step in (
+            build,
+            check_contents,
+            try_wheel,
+            try_extras,
+            check_licences,
+            try_sdist,
+            try_dockerfile,
+        ):
             began = monotonic()
             print(f"{step.__name__}: {step(folder)} ({monotonic() - began:.0f} s)", flush=True)
 
@@ -51,17 +62,26 @@ def build(folder):
     """Both archives; the wheel is built from the unpacked source archive."""
     run(BIN / "python", "-m", "build", "--no-isolation", "--outdir", folder / "dist", HOUSE)
     run(BIN / "twine", "check", "--strict", wheel(folder), sdist(folder))
-    return ", ".join(f"{path.name} {path.stat().st_size:,} B" for path in (wheel(folder), sdist(folder)))
+    return ", ".join(
+        f"{path.name} {path.stat().st_size:,} B" for path in (wheel(folder), sdist(folder))
+    )
 
 
 def check_contents(folder):
     """The source archive is what git has; the wheel is the package alone, each of its files in git."""
     kept = set(run("git", "-C", HOUSE, "ls-files").split()) - {".gitignore"}
     with tarfile.open(sdist(folder)) as archive:
-        packed = {name.partition("/")[2] for name in archive.getnames() if archive.getmember(name).isfile()}
+        packed = {
+            name.partition("/")[2]
+            for name in archive.getnames()
+            if archive.getmember(name).isfile()
+        }
         archive.extractall(folder / "source", filter="data")
     packed = {name for name in packed if not GENERATED.fullmatch(name)}
-    demand(packed == kept, f"source archive: too much {sorted(packed - kept)}, missing {sorted(kept - packed)}")
+    demand(
+        packed == kept,
+        f"source archive: too much {sorted(packed - kept)}, missing {sorted(kept - packed)}",
+    )
     names = zipfile.ZipFile(wheel(folder)).namelist()
     own = {name.removeprefix("fidpipe/") for name in names if name.startswith("fidpipe/")}
     rooms = {name for name in kept if name.startswith(("pipeline/", "stages/", "schemas/"))} | {
@@ -83,7 +103,9 @@ def try_wheel(folder):
     scenes = f"import sys; sys.path.insert(0, {str(HOUSE / 'tests')!r}); import scenes; from pathlib import Path; "
     run(bin_ / "python", "-c", scenes + "scenes.write_dataset(Path('dataset'), 2)", cwd=place)
     fidpipe = bin_ / "fidpipe"
-    demand(run(fidpipe, "--version").split()[1] == version(folder), "the command tells another version")
+    demand(
+        run(fidpipe, "--version").split()[1] == version(folder), "the command tells another version"
+    )
     for words in (
         "check dataset",
         "run dataset",
@@ -100,9 +122,18 @@ def try_wheel(folder):
         (place / "las" / side).mkdir(parents=True)
         (place / "las" / side / "scan.las").write_bytes(b"LASF")
     for extra, (words, advised) in MISSING.items():
-        refused = subprocess.run([fidpipe, *words], cwd=place, capture_output=True, text=True, check=False)
-        lines = [line for line in refused.stderr.splitlines() if re.search(rf"pip install .fidpipe\[{advised}\]", line)]
-        demand(refused.returncode in {1, 3} and lines, f"extra {extra} missing: {refused.returncode}, {refused.stderr}")
+        refused = subprocess.run(
+            [fidpipe, *words], cwd=place, capture_output=True, text=True, check=False
+        )
+        lines = [
+            line
+            for line in refused.stderr.splitlines()
+            if re.search(rf"pip install .fidpipe\[{advised}\]", line)
+        ]
+        demand(
+            refused.returncode in {1, 3} and lines,
+            f"extra {extra} missing: {refused.returncode}, {refused.stderr}",
+        )
         demand("Traceback" not in refused.stderr, refused.stderr)
     n_packages = len(run(BIN / "uv", "pip", "freeze", "--python", bin_ / "python").splitlines())
     return f"run and report with {n_packages} packages; {len(MISSING)} hints"
@@ -114,7 +145,14 @@ def try_extras(folder):
         install(folder / "clean" / "bin", f"{wheel(folder)}[{extra}]", "--dry-run")
     install(folder / "clean" / "bin", f"{wheel(folder)}[all]")
     run(BIN / "uv", "pip", "check", "--python", folder / "clean" / "bin" / "python")
-    run(folder / "clean" / "bin" / "fidpipe", "synth", "streets", "--pairs", "1", cwd=folder / "place")
+    run(
+        folder / "clean" / "bin" / "fidpipe",
+        "synth",
+        "streets",
+        "--pairs",
+        "1",
+        cwd=folder / "place",
+    )
     return ", ".join(PROJECT["optional-dependencies"])
 
 
@@ -131,11 +169,18 @@ def check_licences(folder):
 def try_sdist(folder):
     """Installed from source; the tests in the archive run on it."""
     bin_ = environment(folder / "from-source")
-    install(bin_, "--compile-bytecode", "--require-hashes", "--requirement", HOUSE / "requirements.lock")
+    install(
+        bin_, "--compile-bytecode", "--require-hashes", "--requirement", HOUSE / "requirements.lock"
+    )
     install(bin_, "--no-deps", "--no-build-isolation", sdist(folder))
     [source] = (folder / "source").iterdir()
     told = run(
-        bin_ / "pytest", "-q", "tests/schemas", "tests/stages/test_metrics.py", "tests/pipeline/test_cli.py", cwd=source
+        bin_ / "pytest",
+        "-q",
+        "tests/schemas",
+        "tests/stages/test_metrics.py",
+        "tests/pipeline/test_cli.py",
+        cwd=source,
     )
     return told.strip().splitlines()[-1]
 
@@ -144,7 +189,9 @@ def try_dockerfile(folder):
     """Its COPY and RUN steps in a folder instead of an image, then its command as another user, without network."""
     python = base_python()
     root = folder / "image"
-    stages = re.split(r"^FROM ", (HOUSE / "Dockerfile").read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+    stages = re.split(
+        r"^FROM ", (HOUSE / "Dockerfile").read_text(encoding="utf-8"), flags=re.MULTILINE
+    )[1:]
     variables = {}
     work = root
     user = None
@@ -165,7 +212,13 @@ def try_dockerfile(folder):
                 path.mkdir(exist_ok=True)
                 if not (path / "python").exists():
                     (path / "python").symlink_to(python)
-                run("/bin/sh", "-c", rest, cwd=work, env=os.environ | {"PATH": f"{path}:{os.environ['PATH']}"})
+                run(
+                    "/bin/sh",
+                    "-c",
+                    rest,
+                    cwd=work,
+                    env=os.environ | {"PATH": f"{path}:{os.environ['PATH']}"},
+                )
             elif word == "ENV":
                 variables |= [rest.split("=")]
             elif word == "USER":
@@ -173,29 +226,43 @@ def try_dockerfile(folder):
             elif word == "ENTRYPOINT":
                 entry = [part.strip('[]" ') for part in rest.split(",")]
             else:
-                demand(word in {"", "#", "COPY", "CMD"}, f"Dockerfile: this check does not know {word}")
+                demand(
+                    word in {"", "#", "COPY", "CMD"}, f"Dockerfile: this check does not know {word}"
+                )
             n_steps += bool(word)
     shutil.rmtree(root / "build")  # the second stage has the installed environment alone
     shutil.copytree(folder / "place" / "dataset", work / "dataset")
     if os.getuid() == 0:
         shutil.chown(work, int(user[0]), int(user[1]))
-        as_user = [shutil.which("setpriv"), f"--reuid={user[0]}", f"--regid={user[1]}", "--clear-groups"]
+        as_user = [
+            shutil.which("setpriv"),
+            f"--reuid={user[0]}",
+            f"--regid={user[1]}",
+            "--clear-groups",
+        ]
         entry = ["unshare", "--net", sys.executable, "-c", LOOPBACK, *as_user, *entry]
     told = run(*entry, "run", "dataset", cwd=work, env=variables | {"PATH": os.defpath})
     demand("Fix first" in told, told)
-    return f"{n_steps} steps with {python}" + (f"; a run as user {user[0]} without network" if os.getuid() == 0 else "")
+    return f"{n_steps} steps with {python}" + (
+        f"; a run as user {user[0]} without network" if os.getuid() == 0 else ""
+    )
 
 
 def copy_context(target):
     """What `COPY .` would copy: the house without what .dockerignore names."""
     from pathspec import GitIgnoreSpec
 
-    ignored = GitIgnoreSpec.from_lines((HOUSE / ".dockerignore").read_text(encoding="utf-8").splitlines())
+    ignored = GitIgnoreSpec.from_lines(
+        (HOUSE / ".dockerignore").read_text(encoding="utf-8").splitlines()
+    )
     kept = set(run("git", "-C", HOUSE, "ls-files").split())
     for path in sorted(HOUSE.rglob("*")):
         name = str(path.relative_to(HOUSE))
         if path.is_file() and not ignored.match_file(name):
-            demand(name in kept, f".dockerignore: {name} would be in the image, and is not under version control")
+            demand(
+                name in kept,
+                f".dockerignore: {name} would be in the image, and is not under version control",
+            )
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(path, target / name)
 
@@ -233,8 +300,13 @@ def version(folder):
 
 def run(*words, **options):
     """Standard output of a command that must succeed."""
-    done = subprocess.run([str(word) for word in words], capture_output=True, text=True, check=False, **options)
-    demand(done.returncode == 0, f"{shlex.join(map(str, words))}: code {done.returncode}\n{done.stdout}\n{done.stderr}")
+    done = subprocess.run(
+        [str(word) for word in words], capture_output=True, text=True, check=False, **options
+    )
+    demand(
+        done.returncode == 0,
+        f"{shlex.join(map(str, words))}: code {done.returncode}\n{done.stdout}\n{done.stderr}",
+    )
     return done.stdout
 
 

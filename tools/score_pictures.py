@@ -33,7 +33,13 @@ def draw_surface(results, pair_id, path):
         axis = figure.subplots()
         style.dots(axis, points[is_covered], 3, SIDE_COLOURS["real"])
         style.dots(axis, points[~is_covered], 3, MISSING_COLOUR)
-        axis.set(xlim=(-REACH_M, REACH_M), ylim=(-0.7 * REACH_M, 0.7 * REACH_M), aspect="equal", xticks=[], yticks=[])
+        axis.set(
+            xlim=(-REACH_M, REACH_M),
+            ylim=(-0.7 * REACH_M, 0.7 * REACH_M),
+            aspect="equal",
+            xticks=[],
+            yticks=[],
+        )
         axis.set_title(f"{100 * is_covered.mean():.0f} % of the real surface is simulated (blue)")
         save(figure, path)
 
@@ -54,7 +60,10 @@ def draw_piece(results, pair_id, path):
     with style.new_figure(*SIZE_IN) as figure:
         axes = figure.subplots(2, 1, sharex=True, sharey=True)
         for axis, side in zip(axes, SIDES, strict=True):
-            near = np.linalg.norm(places[side][:, :2] - centre[:2], axis=1) < np.abs(spread).max() + MARGIN_M
+            near = (
+                np.linalg.norm(places[side][:, :2] - centre[:2], axis=1)
+                < np.abs(spread).max() + MARGIN_M
+            )
             seen = np.column_stack([(places[side] - centre) @ across, places[side][:, 2]])
             style.dots(axis, seen[near], 2, "#aaaaaa")
             if side == "real":
@@ -79,8 +88,15 @@ def draw_objects(results, examples, path, *, is_graph):
                 if is_graph:
                     places = own.kept(side)
                     ends = own.kept_edges(side)
-                    look = {"colors": SIDE_COLOURS[side], "linewidths": 0.3, "alpha": 0.2, "rasterized": True}
-                    axis.add_collection(LineCollection(places[ends[:: len(ends) // MOST_EDGES + 1]], **look))
+                    look = {
+                        "colors": SIDE_COLOURS[side],
+                        "linewidths": 0.3,
+                        "alpha": 0.2,
+                        "rasterized": True,
+                    }
+                    axis.add_collection(
+                        LineCollection(places[ends[:: len(ends) // MOST_EDGES + 1]], **look)
+                    )
                     style.dots(axis, places, 1.5, "black")
                 else:
                     style.dots(axis, own.seen(own.graphs[side].points), 2, SIDE_COLOURS[side])

@@ -20,7 +20,9 @@ _SHOWN = {"double": "float64", "float": "float32"}
 
 def all_tables() -> str:
     """Markdown of all tables: a heading and the columns of each, except the pair and side that they begin with."""
-    return "\n".join(f"### {table.name}\n\n{columns_of(table, table.of_file)}" for table in TABLES.values())
+    return "\n".join(
+        f"### {table.name}\n\n{columns_of(table, table.of_file)}" for table in TABLES.values()
+    )
 
 
 def columns_of(table: Table, without: Sequence[str] = ()) -> str:
@@ -31,11 +33,18 @@ def columns_of(table: Table, without: Sequence[str] = ()) -> str:
             continue
         kind = _SHOWN.get(str(field.type), str(field.type))
         unit, meaning = (field.metadata.get(name, b"").decode() for name in (b"unit", b"meaning"))
-        meaning = re.sub(r"^(mean|standard deviation \(n - 1\)) of \w+ over", r"\1 of the score over", meaning)
-        columns.setdefault((kind, unit, "yes" if field.nullable else "", meaning), []).append(f"`{field.name}`")
+        meaning = re.sub(
+            r"^(mean|standard deviation \(n - 1\)) of \w+ over", r"\1 of the score over", meaning
+        )
+        columns.setdefault((kind, unit, "yes" if field.nullable else "", meaning), []).append(
+            f"`{field.name}`"
+        )
     rows = [f"| {', '.join(names)} | {' | '.join(cells)} |" for cells, names in columns.items()]
     head = ["| column | type | unit | null | meaning |", "|---|---|---|---|---|"]
-    return "\n".join([f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", "", *head, *rows]) + "\n"
+    return (
+        "\n".join([f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", "", *head, *rows])
+        + "\n"
+    )
 
 
 def all_scores() -> str:
@@ -45,7 +54,14 @@ def all_scores() -> str:
         high = "" if metric.high is None else f" to {metric.high:g}"
         values = f"{metric.low:g}{high or ' or more'}" if metric.low is not None else "any"
         paper = "" if metric.paper_mean is None else f"{metric.paper_mean:g} ± {metric.paper_std:g}"
-        cells = (metric.label, f"`{metric.column}`", values, metric.better or "", paper, metric.reading)
+        cells = (
+            metric.label,
+            f"`{metric.column}`",
+            values,
+            metric.better or "",
+            paper,
+            metric.reading,
+        )
         rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows) + "\n"
 
@@ -54,19 +70,30 @@ def all_baselines() -> str:
     """Markdown table of the baseline metrics: name, columns, range, direction, and definition."""
     rows = ["| name | column | range | better | definition |", "|---|---|---|---|---|"]
     for metric in BASELINES:
-        bounds = f"{metric.low:g} to {metric.high:g}" if metric.high is not None else f"{metric.low:g} or more"
+        bounds = (
+            f"{metric.low:g} to {metric.high:g}"
+            if metric.high is not None
+            else f"{metric.low:g} or more"
+        )
         meaning = metric.meaning + (f" ({metric.source})" if metric.source else "")
-        rows.append(f"| `{metric.method}` | `{metric.column}` | {bounds} | {metric.better} | {meaning} |")
+        rows.append(
+            f"| `{metric.method}` | `{metric.column}` | {bounds} | {metric.better} | {meaning} |"
+        )
     return "\n".join(rows) + "\n"
 
 
 def all_sensors() -> str:
     """Markdown table of the known sensors: name, model, beams, elevations, and where these are published."""
-    rows = ["| name | sensor | beams | degrees | elevations | source |", "|---|---|---|---|---|---|"]
+    rows = [
+        "| name | sensor | beams | degrees | elevations | source |",
+        "|---|---|---|---|---|---|",
+    ]
     for own in SENSORS.values():
         degrees = f"{min(own.elevation_deg):.4g} to {max(own.elevation_deg):.4g}"
         units = "differ per unit" if own.unit_deg else "as tabulated"
-        rows.append(f"| `{own.name}` | {own.title} | {own.n_beams} | {degrees} | {units} | {own.source} |")
+        rows.append(
+            f"| `{own.name}` | {own.title} | {own.n_beams} | {degrees} | {units} | {own.source} |"
+        )
     return "\n".join(rows) + "\n"
 
 

@@ -33,7 +33,9 @@ def to_rst(lines: list[str]) -> list[str]:
     return found
 
 
-def _rewrite(app: Sphinx, what: str, name: str, found: object, options: object, lines: list[str]) -> None:
+def _rewrite(
+    app: Sphinx, what: str, name: str, found: object, options: object, lines: list[str]
+) -> None:
     lines[:] = to_rst(lines)
 
 

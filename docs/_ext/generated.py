@@ -44,11 +44,19 @@ class StageContract(SphinxDirective):
         """A table for each group of settings, one of the inputs, and one for each output table."""
         stage = next((own for own in (*STAGES, *EXTRAS) if own.name == self.arguments[0]), None)
         if stage is None:
-            raise self.error(f"stage {self.arguments[0]!r}: no such stage; known are {', '.join(_names())}")
-        groups = self.options.get("settings", [stage.name] if stage.name in Settings.model_fields else [])
+            raise self.error(
+                f"stage {self.arguments[0]!r}: no such stage; known are {', '.join(_names())}"
+            )
+        groups = self.options.get(
+            "settings", [stage.name] if stage.name in Settings.model_fields else []
+        )
         if unknown := [group for group in groups if group not in Settings.model_fields]:
-            raise self.error(f"settings {unknown[0]!r}: no such group; known are {', '.join(Settings.model_fields)}")
-        return self.parse_text_to_nodes("\n".join([*map(contracts.settings_of, groups), tables_of(stage)]))
+            raise self.error(
+                f"settings {unknown[0]!r}: no such group; known are {', '.join(Settings.model_fields)}"
+            )
+        return self.parse_text_to_nodes(
+            "\n".join([*map(contracts.settings_of, groups), tables_of(stage)])
+        )
 
 
 class PipelineTable(SphinxDirective):
@@ -74,7 +82,11 @@ def tables_of(stage: Stage) -> str:
     lines = [f"One job for {_GRAINS[stage.grain]}.", ""]
     lines += ["| input | columns |", "|---|---|"]
     for table, columns in stage.takes.items():
-        words = "points, and labels if present" if table == SCAN else ", ".join(f"`{name}`" for name in columns)
+        words = (
+            "points, and labels if present"
+            if table == SCAN
+            else ", ".join(f"`{name}`" for name in columns)
+        )
         lines.append(f"| {_table_word(table)} | {words or 'metadata of its job only'} |")
     lines += [f"\nOutput: `{name}`. {contracts.columns_of(TABLES[name])}" for name in stage.gives]
     return "\n".join(lines) + "\n"

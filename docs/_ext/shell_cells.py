@@ -9,7 +9,9 @@ from typing import Any
 
 def bash(_: str, commands: str) -> None:
     """Print the output of commands; a command that fails fails the page."""
-    done = subprocess.run(["bash", "-e", "-c", commands], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["bash", "-e", "-c", commands], capture_output=True, text=True, check=False
+    )
     if done.returncode:
         raise RuntimeError(done.stdout + done.stderr)
     print(done.stdout.rstrip())  # noqa: T201

@@ -19,7 +19,16 @@ from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
 from ...stages.arrays import FloatArray, IntArray
 from ..storage.files import csv_bytes, write_whole
-from .pairs import LIST_NAMES, MANIFEST, NO_PARTNER, UNPAIRED, Dataset, folders_of_scans, read_manifest, scans_in
+from .pairs import (
+    LIST_NAMES,
+    MANIFEST,
+    NO_PARTNER,
+    UNPAIRED,
+    Dataset,
+    folders_of_scans,
+    read_manifest,
+    scans_in,
+)
 from .readers import frames_of
 from .readers.formats import known_formats
 from .readers.scan_ref import ScanRef, scan_ref
@@ -304,7 +313,9 @@ def pair_times(
         return Pairing(*matches[0], 0.0)
     best = int(np.argmin(np.round(np.array(mean_gaps) / step)))
     limit_s = mean_gaps[best] + tolerance_s / 10
-    others_s = [float(offsets_s[i]) for i, gap in enumerate(mean_gaps) if i != best and gap <= limit_s]
+    others_s = [
+        float(offsets_s[i]) for i, gap in enumerate(mean_gaps) if i != best and gap <= limit_s
+    ]
     return Pairing(*matches[best], float(offsets_s[best]), tuple(others_s))
 
 
@@ -413,7 +424,9 @@ def _has_pairs(manifest: Path, rows: Sequence[tuple[str, ...]]) -> bool:
     if not manifest.exists():
         return False
     with manifest.open(encoding="utf-8", newline="") as file:
-        before = [(row.get("pair_id"), row.get("real"), row.get("sim")) for row in csv.DictReader(file)]
+        before = [
+            (row.get("pair_id"), row.get("real"), row.get("sim")) for row in csv.DictReader(file)
+        ]
     return before == [(row[0], row[1], row[2]) for row in rows]
 
 

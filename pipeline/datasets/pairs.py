@@ -103,7 +103,9 @@ def read_dataset(folder: Path) -> Dataset:
         raise DatasetError(f"dataset {folder}: no such folder")
     manifest = folder / MANIFEST
     warnings: list[str] = []
-    pairs = read_manifest(manifest, warnings) if manifest.exists() else _from_folders(folder, warnings)
+    pairs = (
+        read_manifest(manifest, warnings) if manifest.exists() else _from_folders(folder, warnings)
+    )
     if not pairs:
         why = f"expected scans in real/ and sim/, or a {MANIFEST}, {_FORMATS}"
         if manifest.exists():
@@ -131,7 +133,9 @@ def read_label_names(folder: Path) -> dict[int, str]:
         raise DatasetError(f'{path}: expected lines such as 4 = "tree" ({error})') from error
     longest = max(map(len, names.values()), default=0)
     if longest > LONGEST_LABEL:  # each point takes room for the longest
-        raise DatasetError(f"{path}: expected names of at most {LONGEST_LABEL} characters, got one of {longest}")
+        raise DatasetError(
+            f"{path}: expected names of at most {LONGEST_LABEL} characters, got one of {longest}"
+        )
     return names
 
 
@@ -176,7 +180,9 @@ def _missing_folder_hint(folder: Path, side: str) -> str:
         if (folder / name / "real").is_dir():
             return f"; it is one level below: {folder / name}"
     if not paths:
-        return f"; the folder is empty: expected scans of the same names in real/ and sim/, {_FORMATS}"
+        return (
+            f"; the folder is empty: expected scans of the same names in real/ and sim/, {_FORMATS}"
+        )
     alike = [name for name in names if name.lower().startswith(side)]
     near = alike[0] if alike else nearest(side, names)
     if near is not None:
@@ -231,7 +237,9 @@ def folders_of_scans(folder: Path) -> list[Path]:
     """The folder itself if it holds scans, else those one level down that do."""
     if scans_in(folder):
         return [folder]
-    inner = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
+    inner = [
+        path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")
+    ]
     return [path for path in inner if scans_in(path)]
 
 
@@ -255,7 +263,9 @@ def _scans_by_stem(folder: Path) -> tuple[dict[str, ScanRef], list[Path]]:
             unread.append(path)
             continue
         stem = scan.stem
-        if not stem or any("\ud800" <= character <= "\udfff" for character in stem):  # bytes that are not UTF-8
+        if not stem or any(
+            "\ud800" <= character <= "\udfff" for character in stem
+        ):  # bytes that are not UTF-8
             raise DatasetError(f"{path}: the name is not UTF-8; rename the file")
         if stem in scans:
             raise DatasetError(

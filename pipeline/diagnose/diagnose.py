@@ -36,7 +36,11 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     overview = run.record.overview
     if overview is None:
         raise RunError(f"run {folder}: no pair is scored; fidpipe status {folder} says why")
-    groups = {name: values for name, values in run.record.settings.items() if name in Settings.model_fields}
+    groups = {
+        name: values
+        for name, values in run.record.settings.items()
+        if name in Settings.model_fields
+    }
     settings = parse(groups)
     stage = gains_stage({cause.name: cause.estimate for cause in causes_to_correct(overview)})
     planner = Planner((*stages_under(settings), stage), settings, {})

@@ -10,7 +10,10 @@ from ..report.views.answer_view import cause_items
 from ..results.causes import no_cause_words
 from ..results.diagnosis import unexplained_words
 
-_COLUMNS = (*("name", "words", "estimate", "low", "high", "unit"), *("n_pairs", "gain_m", "gain", "setting"))
+_COLUMNS = (
+    *("name", "words", "estimate", "low", "high", "unit"),
+    *("n_pairs", "gain_m", "gain", "setting"),
+)
 
 
 def diagnosis_records(diagnosis: Diagnosis) -> Table:

@@ -51,7 +51,11 @@ def _real_scan(run: FinishedRun, pair_id: str) -> RealScan:
 def follow(times_s: Mapping[str, float], names: Sequence[str]) -> dict[str, tuple[str, float]]:
     """For each pair the next one within half a second, and the seconds until then."""
     timed = sorted((times_s[name], name) for name in names if name in times_s)
-    return {a: (b, after - before) for (before, a), (after, b) in pairwise(timed) if 0 < after - before <= _LONGEST_S}
+    return {
+        a: (b, after - before)
+        for (before, a), (after, b) in pairwise(timed)
+        if 0 < after - before <= _LONGEST_S
+    }
 
 
 def speed_m_s(scan: RealScan, later: RealScan, duration_s: float) -> float:

@@ -147,7 +147,9 @@ def _labelled_points(run: FinishedRun, pair_id: str, side: str, path: Path) -> p
     return points.assign(predicted=labels[points["point_id"]])
 
 
-def _labelled_objects(run: FinishedRun, pair_id: str, seen: pd.DataFrame, label_names: Mapping[int, str]) -> list[Row]:
+def _labelled_objects(
+    run: FinishedRun, pair_id: str, seen: pd.DataFrame, label_names: Mapping[int, str]
+) -> list[Row]:
     """The real objects among points that both sides see."""
     objects = _real_objects(run, pair_id)
     rows = []

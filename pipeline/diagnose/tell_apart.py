@@ -41,6 +41,7 @@ from ..results.finished import FinishedRun
 #: Points per side, and frames that they are drawn from at most.
 POINTS, MOST_FRAMES = 20_000, 40
 _ROAD_M = 0.3
+_RANDOM_HALVES = "two random halves of the points"
 _AXES = ["x", "y", "z"]
 
 
@@ -93,7 +94,10 @@ class TellApart:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        features = [{"family": names[0], "name": names[1], "auc": auc} for names, auc in self.features.items()]
+        features = [
+            {"family": names[0], "name": names[1], "auc": auc}
+            for names, auc in self.features.items()
+        ]
         return _summary(self.test) | {
             "folds": "places" if self.by_place else "sectors",
             "n_folds": len(self.test.by_fold),
@@ -127,7 +131,10 @@ def tell_apart_run(run: FinishedRun, best_case: FinishedRun | None = None) -> Te
     sim = [partial(_read_stored, run, name, "sim") for name in chosen]
     second = []
     if best_case is not None:
-        second = [partial(_read_stored, best_case, best_case.row(name)["pair_id"], "sim") for name in chosen]
+        second = [
+            partial(_read_stored, best_case, best_case.row(name)["pair_id"], "sim")
+            for name in chosen
+        ]
     return _compare(str(run.folder), real, sim, second, is_paired=True)
 
 
@@ -147,42 +154,46 @@ def tell_apart_folders(real: Path, sim: Path, settings: Settings) -> TellApart:
     for side, source in zip(SIDES, (real, sim), strict=True):
         scans = scans_of(source)
         if not scans:
-            raise DatasetError(f"{source}: no {side} scans found; expected a folder of scans, or a recording")
+            raise DatasetError(
+                f"{source}: no {side} scans found; expected a folder of scans, or a recording"
+            )
         sides.append([partial(_read_clean, scan, side, settings) for scan in _evenly(scans)])
     return _compare(f"{real} and {sim}", sides[0], sides[1], [], is_paired=False)
 
 
 def _compare(
-    title: str, real: Sequence[Source], sim: Sequence[Source], second: Sequence[Source], *, is_paired: bool
+    title: str,
+    real: Sequence[Source],
+    sim: Sequence[Source],
+    second: Sequence[Source],
+    *,
+    is_paired: bool,
 ) -> TellApart:
     first = [side[0]() for side in (real, sim)]
-    has_rays = all(describe_sensor(frame.own_points).azimuth_step_deg is not None for frame in first)
-    has_intensity = all(frame.intensity is not None and np.ptp(frame.intensity) > 0 for frame in first)
+    has_rays = all(
+        describe_sensor(frame.own_points).azimuth_step_deg is not None for frame in first
+    )
+    has_intensity = all(
+        frame.intensity is not None and np.ptp(frame.intensity) > 0 for frame in first
+    )
     draw = partial(draw_sample, has_rays=has_rays, has_intensity=has_intensity)
     sides = draw(real), draw(sim)
     points, splits = both_sides(*sides, is_paired=is_paired)
     by_place = int(points.place.max()) + 1 >= LEAST_PLACES
     notes = []
     if not is_paired:
-        notes.append("the two folders may show different places; so do the two halves of the real frames")
+        notes.append(
+            "the two folders may show different places; so do the two halves of the real frames"
+        )
     if not by_place:
-        notes.append(f"fewer than {LEAST_PLACES} places, hence cross-validated by sectors: other places are not tested")
-    half = len(real) // 2
-    frames = np.arange(2 * half)
-    if second:
-        base_of = "second measurements of the best case"
-        base = sides[0], draw(second)
-    elif half and is_paired and sides[0].place.nunique() <= half:
-        base_of = "even and odd frames"
-        base = _of_frames(sides[0], frames[::2]), _of_frames(sides[0], frames[1::2])
-    elif half and not is_paired:
-        base_of = "first and second half of the frames"
-        base = _of_frames(sides[0], frames[:half]), _of_frames(sides[0], frames[half:])
-    else:
-        base_of = "two random halves of the points"
-        notes.append("no second real frame of the same place: random halves of one frame differ less than two frames")
-        some = sides[0].sample(frac=0.5, random_state=0)
-        base = some, sides[0].drop(some.index)
+        notes.append(
+            f"fewer than {LEAST_PLACES} places, hence cross-validated by sectors: other places are not tested"
+        )
+    base, base_of = _base_samples(sides[0], draw(second) if second else None, is_paired=is_paired)
+    if base_of == _RANDOM_HALVES:
+        notes.append(
+            "no second real frame of the same place: random halves of one frame differ less than two frames"
+        )
     families = {}
     features = {}
     for family, names in FAMILIES.items():
@@ -191,7 +202,9 @@ def _compare(
             for name in names:
                 features[family, name] = _separate(points, splits, [name]).auc
     is_sim = points.is_sim.to_numpy()
-    points["probability"] = simulated_probability(points[[*FAMILIES["surface"]]].to_numpy(), is_sim, splits)
+    points["probability"] = simulated_probability(
+        points[[*FAMILIES["surface"]]].to_numpy(), is_sim, splits
+    )
     return TellApart(
         title=title,
         n_points=min(len(side) for side in sides),
@@ -207,6 +220,26 @@ def _compare(
     )
 
 
+def _base_samples(
+    real: pd.DataFrame, second: pd.DataFrame | None, *, is_paired: bool
+) -> tuple[tuple[pd.DataFrame, pd.DataFrame], str]:
+    """Two samples of the real side, which a classifier should hardly tell apart, and what they are."""
+    if second is not None:
+        return (real, second), "second measurements of the best case"
+    half = (int(real.frame.max()) + 1) // 2
+    frames = np.arange(2 * half)
+    if half and is_paired and real.place.nunique() <= half:
+        return (
+            _of_frames(real, frames[::2]),
+            _of_frames(real, frames[1::2]),
+        ), "even and odd frames"
+    if half and not is_paired:
+        halves = _of_frames(real, frames[:half]), _of_frames(real, frames[half:])
+        return halves, "first and second half of the frames"
+    some = real.sample(frac=0.5, random_state=0)
+    return (some, real.drop(some.index)), _RANDOM_HALVES
+
+
 def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: bool) -> pd.DataFrame:
     """Points of a side: x, y, z, frame, place and features.
 
@@ -220,8 +253,12 @@ def draw_sample(sources: Sequence[Source], *, has_rays: bool, has_intensity: boo
         n = min(POINTS // len(sources), len(frame.points))
         rows = np.sort(np.random.default_rng(i).choice(len(frame.points), n, replace=False))
         rays = frame.own_points if has_rays else None
-        ranks = _ranks(frame.intensity, i) if has_intensity and frame.intensity is not None else None
-        features, names = describe_points(frame.points, frame.height_m, rows, own_points=rays, intensity=ranks)
+        ranks = (
+            _ranks(frame.intensity, i) if has_intensity and frame.intensity is not None else None
+        )
+        features, names = describe_points(
+            frame.points, frame.height_m, rows, own_points=rays, intensity=ranks
+        )
         seen = map_place(frame.points[~frame.is_ground])
         if first is None or overlap(first, seen) < SAME_PLACE:
             first = seen
@@ -238,7 +275,9 @@ def _ranks(intensity: FloatArray, seed: int) -> FloatArray:
     return np.asarray(shuffled.rank(method="first", pct=True).sort_index(), dtype=np.float64)
 
 
-def both_sides(a: pd.DataFrame, b: pd.DataFrame, *, is_paired: bool) -> tuple[pd.DataFrame, list[Fold]]:
+def both_sides(
+    a: pd.DataFrame, b: pd.DataFrame, *, is_paired: bool
+) -> tuple[pd.DataFrame, list[Fold]]:
     """The points of two samples with a column `is_sim`, and the folds of a test.
 
     Parameters
@@ -251,10 +290,14 @@ def both_sides(a: pd.DataFrame, b: pd.DataFrame, *, is_paired: bool) -> tuple[pd
     n_places = points.groupby("is_sim").place.max() + 1
     points["place"] = points.place * n_places.min() // points.is_sim.map(n_places)
     azimuth_deg = np.degrees(np.arctan2(points.y.to_numpy(), points.x.to_numpy()))
-    return points, usable_folds(points.place.to_numpy(np.int32), azimuth_deg, points.is_sim.to_numpy())
+    return points, usable_folds(
+        points.place.to_numpy(np.int32), azimuth_deg, points.is_sim.to_numpy()
+    )
 
 
-def compare_samples(a: pd.DataFrame, b: pd.DataFrame, family: str = "", *, is_paired: bool = True) -> Separation:
+def compare_samples(
+    a: pd.DataFrame, b: pd.DataFrame, family: str = "", *, is_paired: bool = True
+) -> Separation:
     """Test two samples by all features, or by those of a family."""
     points, splits = both_sides(a, b, is_paired=is_paired)
     return _separate(points, splits, FAMILIES[family] if family else _features_of(points))
@@ -298,7 +341,9 @@ def _read_stored(run: FinishedRun, name: str, side: str) -> Frame:
     T = np.array(moved).reshape(3, 4) if moved and side == "sim" else np.eye(3, 4)
     intensity = None if ground.column("intensity").null_count else column(ground, "intensity")
     own_points = (points - T[:, 3]) @ T[:, :3]
-    return Frame(points, own_points, column(ground, "height_m"), column(ground, "is_ground"), intensity)
+    return Frame(
+        points, own_points, column(ground, "height_m"), column(ground, "is_ground"), intensity
+    )
 
 
 def _read_clean(ref: ScanRef, side: str, settings: Settings) -> Frame:

@@ -61,7 +61,9 @@ def draw_map(found: TellApart, path: Path) -> None:
         sides.append((side[["x", "y", "z"]].to_numpy(), side.probability.to_numpy()))
     frame = style.frame_of(*(points for points, _ in sides))
     with style.new_maps(frame, style.shown_name(found.title, 80)) as (figure, axes):
-        for axis, name, (points, probability) in zip(axes, ("real", "simulated"), sides, strict=True):
+        for axis, name, (points, probability) in zip(
+            axes, ("real", "simulated"), sides, strict=True
+        ):
             coloured = style.dots(axis, points, 2.0, probability, cmap="coolwarm", vmin=0, vmax=1)
             axis.set_title(f"{name} points")
         style.colour_bar(axes[1], coloured, "probability of being simulated")

@@ -173,7 +173,9 @@ def _neighbours(dataset: Dataset) -> dict[str, ScanPair]:
                 "twin writes it"
             )
     if len(frames) < 2:
-        raise DatasetError(f"dataset {dataset.folder}: --neighbours: expected at least 2 real scans, got {len(frames)}")
+        raise DatasetError(
+            f"dataset {dataset.folder}: --neighbours: expected at least 2 real scans, got {len(frames)}"
+        )
     if all(pair.timestamp_s is not None for pair in frames):
         frames.sort(key=lambda pair: (pair.timestamp_s, pair.pair_id))
     nearest = {pair.pair_id: pair for pair in dataset.pairs}
@@ -256,7 +258,9 @@ def _report_amounts(measurements: list[_Measurement], folder: Path, reporter: Re
         return
     noise_m = np.median([float(row[1]) for row in rows])
     lost_share = np.median([float(row[2]) for row in rows])
-    reporter.say(f"range noise {1e3 * noise_m:.0f} mm, dropout {lost_share:.1%} (median of {len(rows)} scans)")
+    reporter.say(
+        f"range noise {1e3 * noise_m:.0f} mm, dropout {lost_share:.1%} (median of {len(rows)} scans)"
+    )
     reasons = [row[3] for row in rows if row[3]]
     if reasons:
         reporter.warn(

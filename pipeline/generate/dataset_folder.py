@@ -108,7 +108,9 @@ def generate_dataset(
     return Generated(len(done), failures)
 
 
-def _prepare(out: Path, recipe_name: str, recipe: Recipe, label_names: Mapping[int, str], *, replace: bool) -> None:
+def _prepare(
+    out: Path, recipe_name: str, recipe: Recipe, label_names: Mapping[int, str], *, replace: bool
+) -> None:
     """Create the folder, and remove files of an earlier dataset that this one lacks."""
     import tomli_w
 

@@ -175,7 +175,9 @@ def _kitti_motions(poses: Path, rows: FloatArray, calibration: Path) -> FloatArr
     for line, row in enumerate(rows, start=1):
         T_world_camera.append(square(check_rigid(f"{poses}, pose {line}", "the pose", row)))
     T_camera_sensor = square(_read_calibration(calibration, poses))
-    motions: FloatArray = np.linalg.inv(T_camera_sensor) @ np.array(T_world_camera) @ T_camera_sensor
+    motions: FloatArray = (
+        np.linalg.inv(T_camera_sensor) @ np.array(T_world_camera) @ T_camera_sensor
+    )
     return motions[:, :3]
 
 

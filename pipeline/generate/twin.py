@@ -112,7 +112,9 @@ def make_twins(
                 T_world_sensor=frame.T_world_sensor,
             )
         )
-    return generate_dataset(out, RECIPE, recipe, pairs, names, _write_twin, reporter, workers=workers, replace=replace)
+    return generate_dataset(
+        out, RECIPE, recipe, pairs, names, _write_twin, reporter, workers=workers, replace=replace
+    )
 
 
 def _check_request(

@@ -96,9 +96,23 @@ class CauseSamples:
         settings = self._settings.input
         position, voxel_m = settings.sensor_position, settings.voxel_m
         return PairScans(
-            recorded_side(real.points, real_cut.is_ground, real_cut.height_m, sensors["real"], None, position, voxel_m),
             recorded_side(
-                sim.points, sim_cut.is_ground, sim_cut.height_m, sensors["sim"], T_real_sim, position, voxel_m
+                real.points,
+                real_cut.is_ground,
+                real_cut.height_m,
+                sensors["real"],
+                None,
+                position,
+                voxel_m,
+            ),
+            recorded_side(
+                sim.points,
+                sim_cut.is_ground,
+                sim_cut.height_m,
+                sensors["sim"],
+                T_real_sim,
+                position,
+                voxel_m,
             ),
         )
 
@@ -109,4 +123,6 @@ class CauseSamples:
         blocks = blocks_of(self._contents, [pair.timestamp_s for pair in self._pairs])
         values = cause_values(self._amounts)
         causes = tuple(named_causes(values, blocks))
-        return CauseCheck(tuple(pair.pair_id for pair in self._pairs), causes, tuple(unknown_causes(values)))
+        return CauseCheck(
+            tuple(pair.pair_id for pair in self._pairs), causes, tuple(unknown_causes(values))
+        )

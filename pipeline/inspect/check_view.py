@@ -88,10 +88,14 @@ def _pair_table(dataset: DatasetCheck) -> Table:
                     strict=True,
                 )
             )
-            dropped = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in scan.dropped.items() if n)
+            dropped = ", ".join(
+                f"{n} {reason.replace('_', ' ')}" for reason, n in scan.dropped.items() if n
+            )
             rows.append((name, side, scan.n_raw, scan.n_clean, extent, dropped or "none"))
     columns = ("pair", "side", "points", "clean", "extent x y z (m)", "dropped")
-    return Table(f"{dataset.folder}: {count(len(dataset.pairs), 'pair')}", columns, rows, words=(0, 1, 4, 5))
+    return Table(
+        f"{dataset.folder}: {count(len(dataset.pairs), 'pair')}", columns, rows, words=(0, 1, 4, 5)
+    )
 
 
 def _notes(prefix: str, texts: Iterable[str], style: str = "") -> list[Note]:

@@ -29,7 +29,12 @@ from ...stages.inspect.sequence_checks import (
 )
 from ...stages.inspect.stamps import StampCheck, describe_stamps, stamp_differences
 from ...stages.intensity import intensity_law
-from ...stages.sensor_description import SensorDescription, describe_sensor, has_other_beams, name_text
+from ...stages.sensor_description import (
+    SensorDescription,
+    describe_sensor,
+    has_other_beams,
+    name_text,
+)
 from ...stages.trust import SERIOUS
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
@@ -66,12 +71,16 @@ class SideSamples:
         self._sampled = {pair.pair_id for pair in chain(*self._stretches)}
         self._with_stamps = {pair.pair_id for pair in pairs[:_WITH_STAMPS]}
         self.pair_ids = self._sampled | self._with_stamps  # sampled pairs
-        self._points: dict[str, dict[str, FloatArray]] = {side: {} for side in SIDES}  # clean, own frame, z up
+        self._points: dict[str, dict[str, FloatArray]] = {
+            side: {} for side in SIDES
+        }  # clean, own frame, z up
         self._places: dict[str, dict[str, SequenceScan]] = {side: {} for side in SIDES}
         self._stamps: dict[str, StampCheck] = {}
         self._sensors: dict[str, dict[str, SensorDescription]] = {side: {} for side in SIDES}
         self._notes: dict[str, tuple[str, ...]] = {}
-        self._intensity: dict[str, tuple[FloatArray, FloatArray]] = {}  # of the first scan that has it, with its ranges
+        self._intensity: dict[
+            str, tuple[FloatArray, FloatArray]
+        ] = {}  # of the first scan that has it, with its ranges
 
     def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
         """Add the samples of one of `pair_ids`; scans that could not be read have no points."""
@@ -90,7 +99,11 @@ class SideSamples:
                 is_finite = np.isfinite(scan.points).all(axis=1) & np.isfinite(scan.intensity)
                 ranges_m = np.linalg.norm(scan.points[is_finite], axis=1)
                 self._intensity[side] = (scan.intensity[is_finite], ranges_m)
-            if pair.pair_id in self._with_stamps and scan.times_s is not None and side not in self._stamps:
+            if (
+                pair.pair_id in self._with_stamps
+                and scan.times_s is not None
+                and side not in self._stamps
+            ):
                 self._stamps[side] = describe_stamps(scan.times_s, points, scan.stamp_s)
             if pair.pair_id in self._sampled:
                 uncut = self._settings.model_copy(update={"include_box": None, "voxel_m": None})
@@ -116,7 +129,9 @@ class SideSamples:
 
     def sensors_of(self, pair_id: str) -> dict[str, SensorDescription]:
         """The sensors of a pair by side; a side that could not be read is left out."""
-        return {side: sensors[pair_id] for side, sensors in self._sensors.items() if pair_id in sensors}
+        return {
+            side: sensors[pair_id] for side, sensors in self._sensors.items() if pair_id in sensors
+        }
 
     def doubts(self, *, serious: bool) -> list[str]:
         """Doubts about the scans that make the check fail, or the others: one line for each side and kind."""
@@ -124,7 +139,9 @@ class SideSamples:
         for side, sensors in self._sensors.items():
             texts = []
             for sensor in sensors.values():
-                texts += [text for need, text in sensor.doubts.items() if (need in SERIOUS) == serious]
+                texts += [
+                    text for need, text in sensor.doubts.items() if (need in SERIOUS) == serious
+                ]
             lines += doubt_lines(side, texts, len(sensors))
         return lines
 
@@ -203,7 +220,11 @@ class SideSamples:
             if law:
                 question = "are materials simulated?" if side == "sim" else "is it recorded?"
                 lines.append(f"{SIDE_NAMES[side]} scans: intensity is {law}; {question}")
-        if len(highest) == len(SIDES) and min(highest.values()) <= 1.0 and max(highest.values()) > _UNIT_SCALE:
+        if (
+            len(highest) == len(SIDES)
+            and min(highest.values()) <= 1.0
+            and max(highest.values()) > _UNIT_SCALE
+        ):
             lines.append(
                 f"intensities have different scales: up to {highest['real']:.3g} on the real "
                 f"side, up to {highest['sim']:.3g} on the simulated side; expected 0 to 1 or 0 to "

@@ -40,7 +40,9 @@ class Sweep:
 def draw_perturbations(outcome: ExperimentOutcome) -> None:
     """Write `perturb.png` into the folder, unless there is nothing to draw."""
     summary = outcome.tables["perturb_summary"].to_pandas()
-    means = summary[summary["scope"] == "object"].rename(columns={"object": "curve", "amount": "level"})
+    means = summary[summary["scope"] == "object"].rename(
+        columns={"object": "curve", "amount": "level"}
+    )
     sweeps = []
     for name, kind in KINDS.items():
         of_kind = means[means["kind"] == name]

@@ -258,7 +258,9 @@ def _altered_object(before: Subgraph, names: Row, settings: Settings) -> tuple[R
     if settings.metrics.baselines:
         nodes = scored.selection
         values = compare_objects(before, after, nodes, settings.selection.t, settings.metrics)
-        baselines = [{"baseline": value.name, "unit": value.unit, **vars(value)} for value in values]
+        baselines = [
+            {"baseline": value.name, "unit": value.unit, **vars(value)} for value in values
+        ]
     return row, baselines
 
 

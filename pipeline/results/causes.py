@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 #: Most causes that are shown at first.
 MOST_SHOWN = 7
-#: From so many unknown causes on it is not said that there is none.
+#: From so many on, causes that are unknown for one reason are counted, not named.
 MANY_UNKNOWN = 8
 #: Intensity that is missing, as a share: over another run, of what that one has.
 SCALE = "intensity scale"
@@ -166,14 +166,16 @@ def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:
 
 
 def no_cause_words(unknown: Sequence[Unknown]) -> str:
-    """Sentence if no cause is named: there is none, or too many are unknown."""
-    largest = max(unknown, key=lambda group: len(group.causes), default=None)
-    if largest is None or len(largest.causes) < MANY_UNKNOWN:
-        return "no cause is larger than the differences between two measurements of one scene"
+    """Sentence if no cause is named: there is none, or most are unknown."""
+    none = "no cause is larger than the differences between two measurements of one scene"
+    n_unknown = sum(len(group.causes) for group in unknown)
+    if n_unknown == 0:
+        return none
     n_causes = len(CAUSES.keys() - {UNEVEN})
-    return (
-        f"no cause can be named: {len(largest.causes)} of {n_causes} are unknown ({largest.reason})"
-    )
+    if 2 * n_unknown <= n_causes:
+        return f"{none}; {n_unknown} of {n_causes} are unknown"
+    largest = max(unknown, key=lambda group: len(group.causes))
+    return f"no cause can be named: {n_unknown} of {n_causes} are unknown ({largest.reason})"
 
 
 def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | None:

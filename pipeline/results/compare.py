@@ -212,7 +212,8 @@ def _compare(
     excess = None
     changes = Changes()
     families: tuple[FamilyChange, ...] = ()
-    objects, unfollowed = pd.DataFrame(columns=CHANGE_COLUMNS), list[str]()
+    objects = pd.DataFrame(columns=CHANGE_COLUMNS)
+    unfollowed: list[str] = []
     if names:
         if best_case is not None:
             excess = excess_over(base, best_case, names), excess_over(other, best_case, names)

@@ -193,9 +193,10 @@ def judge_families(
     are_few = len(np.unique(blocks)) < LEAST_PAIRS
     for i, p in enumerate(holm(lowest)):
         judged[i] = _with_p(judged[i], p, lowest[i], are_few=are_few)
-    worse = {
-        family.name for family in judged if any(score.verdict == "worse" for score in family.scores)
-    }
+    worse = set()
+    for family in judged:
+        if "worse" in [score.verdict for score in family.scores]:
+            worse.add(family.name)
     is_more_right = _is_more_right(rows)
     decided = []
     for family in judged:

@@ -106,7 +106,10 @@ def elevation_scale(reference: Side, side: Side) -> float | None:
         return None
     heights_m = [g.origin_height_m or (0.0,) for g in (grid, beams)]
     apart_m = [heights_m[0][end] - heights_m[1][end] for end in (0, -1)]
-    if len(grid.elevation_deg) != len(beams.elevation_deg) or np.abs(apart_m).max() > _SAME_HEIGHT_M:
+    if (
+        len(grid.elevation_deg) != len(beams.elevation_deg)
+        or np.abs(apart_m).max() > _SAME_HEIGHT_M
+    ):
         return None
     scale, offset = np.polyfit(grid.elevation_deg, beams.elevation_deg, 1)
     residual_deg = np.abs(beams.elevation_deg - scale * grid.elevation_deg - offset)
@@ -181,5 +184,7 @@ def road_blur_deg2(side: Side) -> float | None:
 def second_returns(side: Side, behind_m: float = _BEHIND_M) -> BoolArray:
     """(n,) True for returns this far behind another one of the same ray: equal direction, larger range."""
     _, near = side.ray_tree.query(side.rays, k=_MOST_RETURNS, distance_upper_bound=_SAME_RAY)
-    nearest_m = np.append(side.range_m, np.inf)[near].min(axis=1)  # missing neighbours have the last row
+    nearest_m = np.append(side.range_m, np.inf)[near].min(
+        axis=1
+    )  # missing neighbours have the last row
     return np.greater(side.range_m, nearest_m + behind_m)

@@ -119,7 +119,9 @@ def _off_share_of(points: FloatArray, other: FloatArray) -> float:
     chosen = points[sample_rows(len(points))]
     planes = fit_planes(other, chosen, _NEIGHBOURS)
     offset = chosen - planes.mean
-    is_flat = (planes.scattering < SCATTERED) & ~planes.is_line & ((offset**2).sum(axis=1) < REACH_M**2)
+    is_flat = (
+        (planes.scattering < SCATTERED) & ~planes.is_line & ((offset**2).sum(axis=1) < REACH_M**2)
+    )
     limit_m = _OFF_STDS * np.maximum(np.sqrt(planes.variance[:, 0]), _LEAST_STD_M)
     is_off = np.abs((offset * planes.normal).sum(axis=1)) > limit_m
     return float(is_off[is_flat].mean()) if is_flat.any() else 0.0

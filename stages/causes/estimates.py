@@ -118,7 +118,11 @@ def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]
             doubts.setdefault(need, f"{side} scan: {text}")
     if (ONE_SWEEP in real.doubts) != (ONE_SWEEP in sim.doubts):
         doubts[SAME_SWEEPS] = doubts[ONE_SWEEP]
-    if real.elevation_deg and sim.elevation_deg and (real.azimuth_step_deg is None) != (sim.azimuth_step_deg is None):
+    if (
+        real.elevation_deg
+        and sim.elevation_deg
+        and (real.azimuth_step_deg is None) != (sim.azimuth_step_deg is None)
+    ):
         doubts.setdefault(BEAMS, _why_unknown(real, sim, "azimuth_step_deg"))
     return doubts
 
@@ -277,7 +281,9 @@ def _maximum_range(real: Side, sim: Side, missing: Unmatched, invented: Unmatche
 
 
 def _stray_amount(real: Side, sim: Side) -> Amount:
-    if not real.sensor.elevation_deg and not sim.sensor.elevation_deg:  # the sensor may be elsewhere
+    if (
+        not real.sensor.elevation_deg and not sim.sensor.elevation_deg
+    ):  # the sensor may be elsewhere
         return Amount(None, reason=_why_unknown(real.sensor, sim.sensor, "elevation_deg"))
     real_share = _stray_share(real)
     sim_share = _stray_share(sim)
@@ -326,7 +332,9 @@ def _flat_amount(real: Side, sim: Side) -> Amount:
     return Amount(flat, share=flat * len(places) / len(real.points))
 
 
-def _sensor_amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dict[str, Amount]:
+def _sensor_amounts(
+    real: Side, sim: Side, recorded: Side, explained: Explained
+) -> dict[str, Amount]:
     """Amounts that follow from the descriptions of both sensors."""
     a, b = real.sensor, sim.sensor
     unknown_step = _why_unknown(a, b, "azimuth_step_deg")

@@ -186,7 +186,9 @@ class _Pair:
         if name == "second returns":
             return Correction(keep=~second_returns(self.recorded))
         if name == "mixed pixels":
-            return Correction(keep=~self._some(find_strays(self.sim, np.arange(len(self.sim.points)))[0], part))
+            return Correction(
+                keep=~self._some(find_strays(self.sim, np.arange(len(self.sim.points)))[0], part)
+            )
         if name == "invented parts":
             return Correction(keep=~self._some(self.invented.is_part, part))
         if name == "clutter":

@@ -19,7 +19,9 @@ _N_AROUND = round(360.0 / _CELL_DEG)
 _N_CELLS = _N_AROUND * (_N_AROUND // 2 + 2)
 _EDGE_DEG = 0.15  # from a beam to the edge of a cell
 _FEWEST = 5  # returns of a cell
-_ALIKE = 0.1  # relative difference of the median ranges of a cell in which both sides see one surface
+_ALIKE = (
+    0.1  # relative difference of the median ranges of a cell in which both sides see one surface
+)
 _BEAM_MARGIN_DEG = 0.2  # beyond the outermost beams of both sides
 
 
@@ -73,7 +75,9 @@ def fit_losses(
     return _fit(n_real, n_sim[is_alike], firings, kinds)
 
 
-def _fit(n_real: IndexArray, n_sim: IndexArray, firings: float, kinds: dict[str, FloatArray]) -> Losses:
+def _fit(
+    n_real: IndexArray, n_sim: IndexArray, firings: float, kinds: dict[str, FloatArray]
+) -> Losses:
     """Poisson regression with a logarithmic link: the shares that remain are multiplied.
 
     Parameters

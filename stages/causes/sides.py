@@ -89,7 +89,9 @@ class Side:
         """Chord from some rays to the nearest others, and the rows of these, (k, n_around) each."""
         chord, near = self.ray_tree.query(self.rays[rows], k=n_around + 1)
         is_self = near == rows[:, None]
-        is_self[~is_self.any(axis=1), -1] = True  # more other rays than these have the same direction
+        is_self[~is_self.any(axis=1), -1] = (
+            True  # more other rays than these have the same direction
+        )
         return chord[~is_self].reshape(-1, n_around), near[~is_self].reshape(-1, n_around)
 
     @cached_property
@@ -128,7 +130,9 @@ class Side:
     def chosen(self, is_kept: BoolArray | IndexArray) -> Side:
         """The side with some of its points, or all of them in another order."""
         is_low = self.moves_with_road[is_kept]
-        return replace(self, points=self.points[is_kept], is_ground=self.is_ground[is_kept], is_low=is_low)
+        return replace(
+            self, points=self.points[is_kept], is_ground=self.is_ground[is_kept], is_low=is_low
+        )
 
 
 def recorded_side(
@@ -169,7 +173,9 @@ class PairScans:
     sim: Side
 
 
-def medians_by_group(values: FloatArray, group: IndexArray, n_groups: int) -> tuple[IndexArray, FloatArray]:
+def medians_by_group(
+    values: FloatArray, group: IndexArray, n_groups: int
+) -> tuple[IndexArray, FloatArray]:
     """(g,) number of values of each group, and (g,) their median, the larger of two; any value for an empty group.
 
     Parameters

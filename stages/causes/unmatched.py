@@ -123,7 +123,9 @@ class Unmatched:
     is_moved: BoolArray
 
 
-def find_unmatched(a: Side, b: Side, explained: Explained | None = None) -> tuple[Unmatched, Unmatched]:
+def find_unmatched(
+    a: Side, b: Side, explained: Explained | None = None
+) -> tuple[Unmatched, Unmatched]:
     """Points of both sides that are farther from the other side than 0.25 m and 1 % of their range or an azimuth step.
 
     Road is not moved: it is seen where an object is missing.
@@ -144,7 +146,9 @@ def find_unmatched(a: Side, b: Side, explained: Explained | None = None) -> tupl
     return missing, invented
 
 
-def _unmatched(side: Side, other: Side, step_deg: float, is_explained: BoolArray | None) -> Unmatched:
+def _unmatched(
+    side: Side, other: Side, step_deg: float, is_explained: BoolArray | None
+) -> Unmatched:
     """Points of a side without a counterpart; none of them is moved yet."""
     limit_m = APART_M + max(APART_PER_M, np.radians(step_deg)) * side.range_m
     apart_m, _ = other.tree.query(side.points, distance_upper_bound=1.001 * limit_m.max())
@@ -161,7 +165,9 @@ def _unmatched(side: Side, other: Side, step_deg: float, is_explained: BoolArray
     return Unmatched(is_apart, is_beyond, is_clutter, is_part, np.zeros(len(is_part), np.bool_))
 
 
-def _mark_moved(unmatched: Unmatched, is_object: BoolArray, points: FloatArray, counterparts: FloatArray) -> None:
+def _mark_moved(
+    unmatched: Unmatched, is_object: BoolArray, points: FloatArray, counterparts: FloatArray
+) -> None:
     """Mark the points of objects next to those of the other side as moved, no longer as parts."""
     apart_m, _ = cKDTree(counterparts).query(points, distance_upper_bound=_MOVED_M)
     unmatched.is_moved[is_object] = np.isfinite(apart_m)

@@ -94,7 +94,9 @@ def describe_points(
     scales = [min(k + 1, len(points)) for k in SCALES]  # with the point itself
     planes = [fit_planes(points, chosen, k) for k in scales]
     distance_m, _ = tree.query(chosen, k=scales)
-    columns = [(p.variance[:, 1] - p.variance[:, 0]) / np.maximum(p.variance[:, 2], 1e-12) for p in planes]
+    columns = [
+        (p.variance[:, 1] - p.variance[:, 0]) / np.maximum(p.variance[:, 2], 1e-12) for p in planes
+    ]
     columns += [np.sqrt(p.variance[:, 0]) for p in planes]
     columns += [radius_m / range_m for radius_m in distance_m.T]
     n_near = tree.query_ball_point(chosen, _DENSITY_M, return_length=True)
@@ -127,7 +129,9 @@ def separate(features: FloatArray, is_sim: BoolArray, splits: Sequence[Fold]) ->
     return Separation(by_fold, auc, max(0.0, low), min(1.0, high))
 
 
-def simulated_probability(features: FloatArray, is_sim: BoolArray, splits: Sequence[Fold]) -> FloatArray:
+def simulated_probability(
+    features: FloatArray, is_sim: BoolArray, splits: Sequence[Fold]
+) -> FloatArray:
     """(n,) probability of being simulated, by the classifier that has not seen the point's place; NaN if none."""
     probability = np.full(len(is_sim), np.nan)
     for train, test in splits:
@@ -186,7 +190,9 @@ def usable_folds(place: IntArray, azimuth_deg: FloatArray, is_sim: BoolArray) ->
         if _has_both(is_sim[train]) and _has_both(is_sim[test]):
             testable.append((train, test))
     if len(testable) < 2:
-        raise StageError(f"points of both sides in {len(testable)} of the places or sectors; at least 2 are needed")
+        raise StageError(
+            f"points of both sides in {len(testable)} of the places or sectors; at least 2 are needed"
+        )
     return testable
 
 
@@ -197,7 +203,9 @@ def _has_both(is_sim: BoolArray) -> bool:
 def _classifier(n_trees: int) -> Any:
     from sklearn.ensemble import HistGradientBoostingClassifier
 
-    return HistGradientBoostingClassifier(max_iter=n_trees, max_leaf_nodes=15, early_stopping=False, random_state=0)
+    return HistGradientBoostingClassifier(
+        max_iter=n_trees, max_leaf_nodes=15, early_stopping=False, random_state=0
+    )
 
 
 def _rays(points: FloatArray, rows: IndexArray) -> list[FloatArray]:

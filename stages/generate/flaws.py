@@ -16,7 +16,14 @@ from scipy.spatial import cKDTree
 from ...schemas.errors import FidpipeError, suggestion
 from ..arrays import BoolArray, FloatArray
 from ..surfels import fit_planes, voxel_means
-from .perturbations import add_clusters, add_noise, change_density, drop_points, grow_regions, move_rigidly
+from .perturbations import (
+    add_clusters,
+    add_noise,
+    change_density,
+    drop_points,
+    grow_regions,
+    move_rigidly,
+)
 
 SCATTERED = 0.1  # l3 / l1 of foliage, and more
 _NEIGHBOURS = 40
@@ -192,7 +199,9 @@ def _misalign_beams(points: FloatArray, std_deg: float, rng: Generator) -> Float
     planes = fit_planes(points, points, _NEIGHBOURS)
     with np.errstate(divide="ignore", invalid="ignore"):
         slid_m = (planes.normal * points).sum(axis=1) / (planes.normal * directions).sum(axis=1)
-    is_plane = (planes.variance[:, 1] > _THIN * planes.variance[:, 2]) & (planes.scattering < SCATTERED)
+    is_plane = (planes.variance[:, 1] > _THIN * planes.variance[:, 2]) & (
+        planes.scattering < SCATTERED
+    )
     slides = is_plane & (np.abs(slid_m - range_m) <= _MAX_SLIDE * range_m)
     return directions * np.where(slides, slid_m, range_m)[:, None]
 

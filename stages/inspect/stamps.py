@@ -92,7 +92,9 @@ def describe_stamps(
     times = times[~is_missing]
     span_s = float(np.ptp(times))
     if not _is_revolution(span_s):
-        units = [name for name, unit_s in _UNITS.items() if _is_revolution(unit_s * span_s)] or ["seconds"]
+        units = [name for name, unit_s in _UNITS.items() if _is_revolution(unit_s * span_s)] or [
+            "seconds"
+        ]
         faults.append(
             f"times span {span_s:.3g} s; a revolution takes {_FASTEST_S:g} to {_SLOWEST_S:g} s; "
             f"are they in {' or '.join(units)}?"

@@ -167,7 +167,9 @@ def _solve(a: FloatArray, b: FloatArray, arcs: IndexArray) -> tuple[IndexArray, 
     )
     chosen = plan.data > 0.5
     if log["warning"] or np.count_nonzero(chosen) != n:
-        raise StageError(f"alignment of {n} nodes: the network simplex found no assignment ({log['warning']})")
+        raise StageError(
+            f"alignment of {n} nodes: the network simplex found no assignment ({log['warning']})"
+        )
     sim_of_real = np.empty(n, dtype=np.intp)
     sim_of_real[plan.row[chosen]] = plan.col[chosen]
     return sim_of_real, (log["u"], log["v"])
@@ -223,7 +225,9 @@ def _check_certificate(
     """
     n = len(a)
     if not np.array_equal(np.sort(sim_of_real), np.arange(n)):
-        raise StageError(f"alignment of {n} nodes: the network simplex found no one-to-one assignment")
+        raise StageError(
+            f"alignment of {n} nodes: the network simplex found no one-to-one assignment"
+        )
     i, j = np.divmod(promising, n)
     excess_m = prices[0][i] + prices[1][j] - _lengths(a[i], b[j])
     cost_m = float(_lengths(a, b[sim_of_real]).sum())

@@ -36,7 +36,11 @@ N_FLIPS = 5  # of each table
 
 
 def tables_of(out, table):
-    return [out / f"{table}.parquet"] if table in WHOLE_RUN else sorted((out / table).glob("*.parquet"))
+    return (
+        [out / f"{table}.parquet"]
+        if table in WHOLE_RUN
+        else sorted((out / table).glob("*.parquet"))
+    )
 
 
 def truncate(path, rng):
@@ -56,14 +60,19 @@ def flip_bit(path, rng):
 
 
 HARMS = {"truncated": truncate, "zeroed": zero_the_end, "flipped": flip_bit}
-HARMS |= {"deleted": lambda path, rng: path.unlink(), "emptied": lambda path, rng: path.write_bytes(b"")}
+HARMS |= {
+    "deleted": lambda path, rng: path.unlink(),
+    "emptied": lambda path, rng: path.write_bytes(b""),
+}
 
 
 ALL_TABLES = [*FOLDERS, *WHOLE_RUN]
 FEW = [("metrics", "flipped"), ("communities", "truncated"), ("pairs", "zeroed")]
 
 
-@pytest.mark.parametrize(("table", "harm"), some_of([(table, harm) for table in ALL_TABLES for harm in HARMS], FEW))
+@pytest.mark.parametrize(
+    ("table", "harm"), some_of([(table, harm) for table in ALL_TABLES for harm in HARMS], FEW)
+)
 def test_a_damaged_table_is_seen_and_it_alone_is_made_again(again, finished, dataset, table, harm):
     rng = random.Random(f"{table} {harm}")
     for _ in range(N_FLIPS if harm == "flipped" else 1):
@@ -160,5 +169,10 @@ def test_a_cause_that_the_catalogue_does_not_have_is_ignored(again, finished):
     for cause in record["overview"]["causes"]:
         cause["name"] = "phase of the moon"
     (again / "run.json").write_text(json.dumps(record))
-    for words in (("show", again), ("show", again, "000"), ("report", again), ("compare", finished, again)):
+    for words in (
+        ("show", again),
+        ("show", again, "000"),
+        ("report", again),
+        ("compare", finished, again),
+    ):
         assert "Traceback" not in command(*words, code=0).stderr

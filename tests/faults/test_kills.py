@@ -41,9 +41,13 @@ TESTS = Path(broken_jobs.__file__).parent
 def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_path, how, stage):
     out = tmp_path / "run"
     died = subprocess.run(
-        [sys.executable, TESTS / "broken_jobs.py", how, stage, "2", dataset, out], check=False, capture_output=True
+        [sys.executable, TESTS / "broken_jobs.py", how, stage, "2", dataset, out],
+        check=False,
+        capture_output=True,
     )
-    assert died.returncode == -(signal.SIGXFSZ if how == "kill-writing" else signal.SIGKILL), died.stderr
+    assert died.returncode == -(signal.SIGXFSZ if how == "kill-writing" else signal.SIGKILL), (
+        died.stderr
+    )
     assert not (out / "pairs.parquet").exists()
     assert (temporary_files(out) == []) == (how == "kill")
     outcome = run(dataset, out)
@@ -55,7 +59,16 @@ def test_a_run_killed_in_a_stage_goes_on_where_it_was(dataset, finished, tmp_pat
 @pytest.mark.exhaustive
 def test_ctrl_c_on_a_terminal_ends_heavy_work_within_seconds(real_data, tmp_path):
     out = tmp_path / "run"
-    words = ["run", str(real_data / "kitti_twin"), "--out", str(out), "--workers", "2", "--pairs", "000002"]
+    words = [
+        "run",
+        str(real_data / "kitti_twin"),
+        "--out",
+        str(out),
+        "--workers",
+        "2",
+        "--pairs",
+        "000002",
+    ]
     terminal = pexpect.spawn(FIDPIPE, words, encoding="utf-8", timeout=60, dimensions=(40, 160))
     wait_until((out / "matching" / "000002.parquet").exists)  # only objects are left
     terminal.sendintr()

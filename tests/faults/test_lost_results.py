@@ -30,7 +30,9 @@ def test_a_run_without_its_cluster_removes_nothing(again, dataset, monkeypatch):
     assert run(dataset, again).n_made == 0
 
 
-@pytest.mark.parametrize("word", ["matching.delta_m=3", "communities.seed=3", "input.max_range_m=50"])
+@pytest.mark.parametrize(
+    "word", ["matching.delta_m=3", "communities.seed=3", "input.max_range_m=50"]
+)
 def test_a_finished_run_is_not_replaced_by_another_setting_unasked(again, dataset, word):
     before = contents(again)
     name, _, value = word.partition("=")
@@ -41,11 +43,16 @@ def test_a_finished_run_is_not_replaced_by_another_setting_unasked(again, datase
 
 
 def test_results_of_an_older_version_are_not_replaced_unasked(again, dataset):
-    record = json.loads((again / "run.json").read_text()) | {"fidpipe": "0.0.9", "written": "2025-01-02T03:04:05"}
+    record = json.loads((again / "run.json").read_text()) | {
+        "fidpipe": "0.0.9",
+        "written": "2025-01-02T03:04:05",
+    }
     del record["sha256"]
     (again / "run.json").write_text(json.dumps(record))
     before = contents(again)
-    stages = tuple(replace(stage, version=stage.version + (stage.name == "metrics")) for stage in STAGES)
+    stages = tuple(
+        replace(stage, version=stage.version + (stage.name == "metrics")) for stage in STAGES
+    )
     with pytest.raises(RunError, match=r"0\.0\.9 on 2025-01-02 .* metrics.*--replace"):
         run(dataset, again, stages=stages, replace=False)
     assert contents(again) == before
@@ -81,7 +88,14 @@ def test_the_hint_to_finish_a_run_keeps_its_settings(dataset, tmp_path):
     for words in (("show", out), ("status", out)):
         result = command(*words)
         hint = re.search("finish it with: fidpipe (.*)", result.stdout + result.stderr)[1]
-        assert shlex.split(hint) == ["run", str(dataset), "--out", str(out), "--settings", str(out / "settings.toml")]
+        assert shlex.split(hint) == [
+            "run",
+            str(dataset),
+            "--out",
+            str(out),
+            "--settings",
+            str(out / "settings.toml"),
+        ]
     assert command(*shlex.split(hint), "--workers", 1).returncode == 0
     after = marks(out)
     assert {name: after[name] for name in before} == before
@@ -119,8 +133,13 @@ main.main()
 
 def test_an_interrupt_while_python_collects_garbage_is_not_lost(dataset, tmp_path):
     words = ("run", dataset, "--out", tmp_path / "run", "--workers", "1")
-    ended = subprocess.run([sys.executable, "-c", COLLECTING, *words], check=False, capture_output=True, text=True)
-    assert (ended.returncode, ended.stderr) == (130, "interrupted; run the same command again to resume\n")
+    ended = subprocess.run(
+        [sys.executable, "-c", COLLECTING, *words], check=False, capture_output=True, text=True
+    )
+    assert (ended.returncode, ended.stderr) == (
+        130,
+        "interrupted; run the same command again to resume\n",
+    )
 
 
 def test_what_killed_workers_leave_is_removed_without_a_word():

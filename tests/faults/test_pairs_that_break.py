@@ -122,7 +122,9 @@ TRIES = [
 
 
 @pytest.mark.parametrize(
-    ("what", "workers", "words", "reason"), some_of(TRIES, TRIES[:1]), ids=[f"{t[0]}-{t[1]}" for t in TRIES]
+    ("what", "workers", "words", "reason"),
+    some_of(TRIES, TRIES[:1]),
+    ids=[f"{t[0]}-{t[1]}" for t in TRIES],
 )
 def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(
     dataset, undisturbed, tmp_path, what, workers, words, reason
@@ -146,7 +148,9 @@ def test_check_names_a_pair_whose_reader_crashes_and_reads_the_others(dataset):
     found = json.loads(done.stdout)
     assert (done.returncode, len(found["faults"])) == (1, 1)
     assert re.match(f"pair {POISON}: the worker process died", found["faults"][0])
-    assert [pair["real"] is None for pair in found["pairs"]] == [pair["pair_id"] == POISON for pair in found["pairs"]]
+    assert [pair["real"] is None for pair in found["pairs"]] == [
+        pair["pair_id"] == POISON for pair in found["pairs"]
+    ]
 
 
 @pytest.mark.exhaustive
@@ -158,5 +162,8 @@ def test_a_reader_that_is_interrupted_leaves_nothing(dataset, undisturbed, tmp_p
         time.sleep(0.5)
         started.process.terminate()
         code, errors = started.end()
-        assert (code, lines_of(errors)[-1:]) == (130, ["interrupted; run the same command again to resume"])
+        assert (code, lines_of(errors)[-1:]) == (
+            130,
+            ["interrupted; run the same command again to resume"],
+        )
     assert_resumes(dataset, out, undisturbed, start=own_process)

@@ -56,12 +56,19 @@ def test_a_killed_worker_costs_a_run_nothing(dataset, finished, tmp_path, work_s
     assert temporary_files(out) == []
 
 
-STOPS = [(number, n, seed) for number in (signal.SIGINT, signal.SIGTERM) for n in (1, 2) for seed in range(3)]
+STOPS = [
+    (number, n, seed)
+    for number in (signal.SIGINT, signal.SIGTERM)
+    for n in (1, 2)
+    for seed in range(3)
+]
 STOPS += [(signal.SIGKILL, 1, seed) for seed in range(10)]
 
 
 @pytest.mark.parametrize(("number", "n_signals", "seed"), some_of(STOPS, [STOPS[3], STOPS[6]]))
-def test_a_command_that_is_killed_or_told_to_stop_resumes(dataset, finished, tmp_path, work_s, number, n_signals, seed):
+def test_a_command_that_is_killed_or_told_to_stop_resumes(
+    dataset, finished, tmp_path, work_s, number, n_signals, seed
+):
     started, out, rng = at_work(dataset, tmp_path, work_s, f"{seed} {number} {n_signals}")
     for i in range(n_signals):
         time.sleep(rng.uniform(0.0, work_s / 4) if i else 0.0)
@@ -72,7 +79,11 @@ def test_a_command_that_is_killed_or_told_to_stop_resumes(dataset, finished, tmp
     elif number == signal.SIGKILL:
         assert code == -number
     else:
-        assert (code, lines_of(errors)[-1:], errors.count(INTERRUPTED)) == (130, [INTERRUPTED], 1), errors
+        assert (code, lines_of(errors)[-1:], errors.count(INTERRUPTED)) == (
+            130,
+            [INTERRUPTED],
+            1,
+        ), errors
     assert "Traceback" not in errors
     assert "preset paper" in assert_resumes(dataset, out, finished, workers=1 + seed % 2)
 

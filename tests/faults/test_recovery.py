@@ -65,7 +65,9 @@ def test_a_failure_that_the_ledger_has_lost_is_found_again(data, tmp_path):
     assert outcome.n_made == JOBS_PER_PAIR
 
 
-def test_a_run_with_nothing_to_do_leaves_the_finished_record_until_it_has_the_next(again, dataset, monkeypatch):
+def test_a_run_with_nothing_to_do_leaves_the_finished_record_until_it_has_the_next(
+    again, dataset, monkeypatch
+):
     """Readers next to it see the finished run, also if it dies."""
     before = FinishedRun(again).record
     seen = []
@@ -80,7 +82,9 @@ def test_a_run_with_nothing_to_do_leaves_the_finished_record_until_it_has_the_ne
     assert seen == [FinishedRun(again).record] == [before]
 
 
-def test_readers_next_to_a_working_run_say_so_and_then_that_it_has_not_ended(again, dataset, monkeypatch):
+def test_readers_next_to_a_working_run_say_so_and_then_that_it_has_not_ended(
+    again, dataset, monkeypatch
+):
     def dies(*_):
         with pytest.raises(RunError, match="another fidpipe"):
             FinishedRun(again)
@@ -93,21 +97,27 @@ def test_readers_next_to_a_working_run_say_so_and_then_that_it_has_not_ended(aga
         FinishedRun(again)
 
 
-def test_another_table_of_pairs_takes_the_finished_record_away_until_it_has_the_next(again, dataset, monkeypatch):
+def test_another_table_of_pairs_takes_the_finished_record_away_until_it_has_the_next(
+    again, dataset, monkeypatch
+):
     """A new pair that fails before all stages: nothing is computed, and the table of pairs has one more row."""
     larger = shutil.copytree(dataset, again.with_name("larger"))
     shutil.rmtree(again)
     run(larger, again)
     for side in ("real", "sim"):
         (larger / side / "more.bin").write_bytes(b"no points")
-    monkeypatch.setattr(run_module, "write_timings", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(
+        run_module, "write_timings", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)
+    )
     with pytest.raises(KeyboardInterrupt):
         run(larger, again)
     with pytest.raises(RunError, match="the run has not ended"):
         FinishedRun(again)
 
 
-def test_a_failed_stage_leaves_nothing_that_a_lost_ledger_could_bring_back(dataset, finished, tmp_path):
+def test_a_failed_stage_leaves_nothing_that_a_lost_ledger_could_bring_back(
+    dataset, finished, tmp_path
+):
     def fail(context):
         raise StageError("no such thing")
 

@@ -20,7 +20,10 @@ def other_scan(path):
 
 
 CHANGES = {
-    "another scan": (other_scan, "003.bin: the file changed while the run was using it; run the same command again"),
+    "another scan": (
+        other_scan,
+        "003.bin: the file changed while the run was using it; run the same command again",
+    ),
     "cut off": (lambda path: path.write_bytes(path.read_bytes()[:-7]), "003.bin: .*bytes"),
     "taken away": (Path.unlink, "003.bin: .*(No such file|not found|missing)"),
 }
@@ -32,7 +35,9 @@ def test_a_dataset_that_changes_during_the_run_gives_no_mixed_result(data, tmp_p
     harm, reason = CHANGES[change]
     started = Started("run", data, "--out", out, "--workers", 1)
     assert started.wait_for((out / "ground" / "000.real.parquet").exists)
-    started.process.send_signal(signal.SIGSTOP)  # so that it changes in the middle, regardless of the machine's load
+    started.process.send_signal(
+        signal.SIGSTOP
+    )  # so that it changes in the middle, regardless of the machine's load
     harm(data / "sim" / "003.bin")
     started.process.send_signal(signal.SIGCONT)
     code, errors = started.end()
@@ -46,7 +51,9 @@ def test_a_dataset_that_changes_during_the_run_gives_no_mixed_result(data, tmp_p
     assert_resumes(data, out, fresh, code=code)
 
 
-def test_scans_that_change_and_change_back_between_two_runs_change_nothing(data, finished, tmp_path):
+def test_scans_that_change_and_change_back_between_two_runs_change_nothing(
+    data, finished, tmp_path
+):
     out = tmp_path / "run"
     run(data, out)
     kept = (data / "sim" / "003.bin").read_bytes()
@@ -73,7 +80,9 @@ def temporary():
         yield Path(folder)
 
 
-def test_what_a_killed_command_left_among_temporary_files_is_removed_by_the_next(data, finished, tmp_path, temporary):
+def test_what_a_killed_command_left_among_temporary_files_is_removed_by_the_next(
+    data, finished, tmp_path, temporary
+):
     out = tmp_path / "run"
     started = Started("run", data, "--out", out, "--workers", 2, TMPDIR=str(temporary))
     assert started.wait_for(lambda: list(out.glob("ground/*.parquet")))
@@ -83,6 +92,15 @@ def test_what_a_killed_command_left_among_temporary_files_is_removed_by_the_next
         process.kill()
     started.end()
     assert list(temporary.iterdir())
-    own_process("run", data, "--out", out, "--workers", 2, code=0, env={**os.environ, "TMPDIR": str(temporary)})
+    own_process(
+        "run",
+        data,
+        "--out",
+        out,
+        "--workers",
+        2,
+        code=0,
+        env={**os.environ, "TMPDIR": str(temporary)},
+    )
     assert not list(temporary.iterdir())
     assert_resumes(data, out, finished)

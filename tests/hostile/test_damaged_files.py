@@ -27,8 +27,38 @@ MAX_BYTES = 64 * 2**20
 MAX_BYTES_PER_BYTE = 100
 #: Address space beyond that of the process when it starts.
 MAX_ADDRESS_SPACE = 2**30
-WHOLES = [0, 1, 2, 7, 255, 1000, 65535, 10**6, 10**9, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**63, 2**64 - 1]
-WORDS = [b"0", b"-1", b"1000000000", b"9" * 30, b"1e400", b"nan", b"inf", b"0.5", b"0x10", b"1_0", b"", b"x", b"\xff"]
+WHOLES = [
+    0,
+    1,
+    2,
+    7,
+    255,
+    1000,
+    65535,
+    10**6,
+    10**9,
+    2**31 - 1,
+    2**31,
+    2**32 - 1,
+    2**63 - 1,
+    2**63,
+    2**64 - 1,
+]
+WORDS = [
+    b"0",
+    b"-1",
+    b"1000000000",
+    b"9" * 30,
+    b"1e400",
+    b"nan",
+    b"inf",
+    b"0.5",
+    b"0x10",
+    b"1_0",
+    b"",
+    b"x",
+    b"\xff",
+]
 NUMBER = re.compile(rb"[-+]?\d+(?:\.\d+)?")
 #: Bytes in which headers are.
 HEAD = 512
@@ -180,10 +210,18 @@ def test_a_damaged_file_gives_points_or_one_line_of_error(child, tmp_path_factor
     assert child.read(path) == "points"
     valid = {part: part.read_bytes() for part in [path, *path.glob("*")] if part.is_file()}
     allowed = {"points", "error"}
-    if scan_ref(path).format.may_crash:  # runs read such files in workers with a limit, and replace a worker that ends
+    if (
+        scan_ref(path).format.may_crash
+    ):  # runs read such files in workers with a limit, and replace a worker that ends
         allowed.add("ended")
 
-    @settings(max_examples=100, derandomize=True, database=None, deadline=None, suppress_health_check=[*HealthCheck])
+    @settings(
+        max_examples=100,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        suppress_health_check=[*HealthCheck],
+    )
     @given(st.data())
     def damage(data):
         part = data.draw(st.sampled_from(list(valid)))

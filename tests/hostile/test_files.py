@@ -80,7 +80,8 @@ def test_nothing_of_ours_unpickles_or_asks_a_shell():
     found = [
         (path.name, word)
         for path in PACKAGE.rglob("*.py")
-        if not {"tests", "tools", "benchmarks", ".venv", "build"} & set(path.relative_to(PACKAGE).parts)
+        if not {"tests", "tools", "benchmarks", ".venv", "build"}
+        & set(path.relative_to(PACKAGE).parts)
         for word in words
         if word in path.read_text(encoding="utf-8")
     ]
@@ -88,14 +89,18 @@ def test_nothing_of_ours_unpickles_or_asks_a_shell():
 
 
 def test_a_las_of_four_billion_records_is_refused_at_once(tmp_path):
-    path = written(tmp_path, "a.las", patched(whole(tmp_path, "las"), 100, struct.pack("<I", 2**32 - 1)))
+    path = written(
+        tmp_path, "a.las", patched(whole(tmp_path, "las"), 100, struct.pack("<I", 2**32 - 1))
+    )
     with pytest.raises(ScanError, match="4294967295"):
         read_scan(path)
 
 
 def test_extended_records_of_a_las_are_not_read(tmp_path):
     content = whole(tmp_path, "las")
-    path = written(tmp_path, "a.las", patched(content, 235, struct.pack("<QI", len(content), 2**32 - 1)))
+    path = written(
+        tmp_path, "a.las", patched(content, 235, struct.pack("<QI", len(content), 2**32 - 1))
+    )
     assert len(read_scan(path).points) == len(POINTS)
 
 
@@ -127,7 +132,9 @@ def test_a_frame_of_a_bag_without_a_time_is_refused(tmp_path, time):
 
 
 def test_a_message_is_one_line_whatever_a_topic_is_called(tmp_path):
-    content = whole(tmp_path, "bag").replace(b"sensor_msgs/PointCloud2", b"sensor_msgs\n\x0bPointCloud2"[:23])
+    content = whole(tmp_path, "bag").replace(
+        b"sensor_msgs/PointCloud2", b"sensor_msgs\n\x0bPointCloud2"[:23]
+    )
     path = written(tmp_path, "a.bag", content)
     with pytest.raises(ScanError) as refused:
         frames_of(path)
@@ -155,7 +162,9 @@ def test_the_address_of_a_database_is_not_read_from_its_name(tmp_path):
 def test_a_capture_in_the_newer_format_has_the_same_points(tmp_path):
     write_packets(tmp_path / "a.pcap")
     write_packets(tmp_path / "b.pcapng")
-    np.testing.assert_array_equal(read_scan(tmp_path / "a.pcap").points, read_scan(tmp_path / "b.pcapng").points)
+    np.testing.assert_array_equal(
+        read_scan(tmp_path / "a.pcap").points, read_scan(tmp_path / "b.pcapng").points
+    )
 
 
 def test_a_sensor_whose_packets_lack_their_calibration_is_not_read_as_another(tmp_path):
@@ -171,7 +180,9 @@ def test_a_table_of_text_is_bounded(tmp_path):
     with pytest.raises(ScanError, match="2003"):
         read_scan(written(tmp_path, "wide.csv", wide.encode()))
     with pytest.raises(ScanError, match="label.*300"):
-        read_scan(written(tmp_path, "label.csv", b"x,y,z,label\n1,2,3,a\n1,2,3," + b"b" * 300 + b"\n"))
+        read_scan(
+            written(tmp_path, "label.csv", b"x,y,z,label\n1,2,3,a\n1,2,3," + b"b" * 300 + b"\n")
+        )
     big = written(tmp_path, "big.csv", b"x,y,z,ring\n1,2,3,4\n1,2,3," + b"9" * 400 + b"\n")
     if pd.__version__.startswith("2."):  # to which it is infinite
         assert len(read_scan(big).points) == 2
@@ -188,7 +199,9 @@ def test_a_class_name_is_not_a_book(tmp_path):
 
 def test_a_name_that_no_file_can_have_is_a_fault_of_its_pair(tmp_path):
     write_dataset(tmp_path, 1)
-    (tmp_path / "pairs.csv").write_text(f"pair_id,real,sim\na,{'x' * 400},sim/000.bin\nb,real/000.bin,sim/000.bin\n")
+    (tmp_path / "pairs.csv").write_text(
+        f"pair_id,real,sim\na,{'x' * 400},sim/000.bin\nb,real/000.bin,sim/000.bin\n"
+    )
     long, whole_pair = read_dataset(tmp_path).pairs
     assert long.fault
     assert whole_pair.fault is None
@@ -234,7 +247,9 @@ def test_a_few_points_are_read_to_the_last_bit(tmp_path, name, n):
     assert scan.intensity.tolist() == rows[:, 3].tolist()
 
 
-@pytest.mark.parametrize("name", ["bin", "npy", "pcd", "packed pcd", "ply", "parquet", "las", "laz"])
+@pytest.mark.parametrize(
+    "name", ["bin", "npy", "pcd", "packed pcd", "ply", "parquet", "las", "laz"]
+)
 def test_a_file_that_is_cut_off_is_refused(tmp_path, name):
     file, write = WRITERS[name]
     write(tmp_path / file, repeated(1000))

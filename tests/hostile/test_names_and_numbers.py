@@ -11,7 +11,12 @@ import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fidpipe.pipeline.datasets.pairs import check_rigid, read_dataset, read_label_names, read_manifest
+from fidpipe.pipeline.datasets.pairs import (
+    check_rigid,
+    read_dataset,
+    read_label_names,
+    read_manifest,
+)
 from fidpipe.pipeline.datasets.readers.scan import scan_from_columns
 from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
 from fidpipe.pipeline.results.gate import parse_word, read_criteria
@@ -21,13 +26,22 @@ from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import load, parse
 from fidpipe.schemas.settings_text import to_toml
 
-settings.register_profile("here", deadline=None, max_examples=50, suppress_health_check=list(HealthCheck))
+settings.register_profile(
+    "here", deadline=None, max_examples=50, suppress_health_check=list(HealthCheck)
+)
 settings.load_profile("here")
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=60)
-NAME = st.one_of(TEXT, st.sampled_from(["..", ".", "/", "a/../../b", "\0", "CON", "nul.txt", "x" * 300, "~", "-", " "]))
+NAME = st.one_of(
+    TEXT,
+    st.sampled_from(
+        ["..", ".", "/", "a/../../b", "\0", "CON", "nul.txt", "x" * 300, "~", "-", " "]
+    ),
+)
 SCALAR = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), TEXT)
-VALUE = st.recursive(SCALAR, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(TEXT, inner, max_size=4))
+VALUE = st.recursive(
+    SCALAR, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(TEXT, inner, max_size=4)
+)
 
 
 @given(NAME.filter(bool))
@@ -48,7 +62,9 @@ def test_two_pairs_never_share_a_file(a, b):
 @given(TEXT)
 def test_what_is_shown_steers_nothing_and_stays_as_it_is(text):
     assert shown(shown(text)) == shown(text)
-    assert all(sign.isprintable() or sign not in "\x1b\x07\x08\r\n\x9b\u202e" for sign in shown(text))
+    assert all(
+        sign.isprintable() or sign not in "\x1b\x07\x08\r\n\x9b\u202e" for sign in shown(text)
+    )
 
 
 @given(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=80))
@@ -68,7 +84,9 @@ def test_any_settings_are_taken_or_refused(values):
     assert parse(tomllib.loads(to_toml(taken))) == taken
 
 
-@given(st.sampled_from(["graph.k", "input.max_range_m", "matching.delta_m", "communities.seed"]), TEXT)
+@given(
+    st.sampled_from(["graph.k", "input.max_range_m", "matching.delta_m", "communities.seed"]), TEXT
+)
 def test_any_word_is_a_setting_or_is_refused(name, text):
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -78,12 +96,19 @@ def test_any_word_is_a_setting_or_is_refused(name, text):
             assert name.partition(".")[0] in str(error)
 
 
-@given(st.dictionaries(TEXT, st.lists(st.dictionaries(TEXT, VALUE.filter(lambda v: v is not None)), max_size=3)))
+@given(
+    st.dictionaries(
+        TEXT, st.lists(st.dictionaries(TEXT, VALUE.filter(lambda v: v is not None)), max_size=3)
+    )
+)
 def test_any_criteria_are_taken_or_refused(values):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "a.toml")
         try:
-            path.write_text(tomli_w.dumps(values | {"criterion": next(iter(values.values()), [])}), encoding="utf-8")
+            path.write_text(
+                tomli_w.dumps(values | {"criterion": next(iter(values.values()), [])}),
+                encoding="utf-8",
+            )
         except (TypeError, ValueError, UnicodeEncodeError):
             return  # not TOML at all
         with pytest.raises(FidpipeError):
@@ -102,7 +127,9 @@ def test_any_manifest_is_read_or_refused(rows):
 
     with tempfile.TemporaryDirectory() as folder:
         with Path(folder, "pairs.csv").open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file).writerows([["pair_id", "real", "sim", "timestamp_s", "T_real_sim"], *rows])
+            csv.writer(file).writerows(
+                [["pair_id", "real", "sim", "timestamp_s", "T_real_sim"], *rows]
+            )
         with suppress(FidpipeError):
             pairs = read_manifest(Path(folder, "pairs.csv"), [])
             read_dataset(Path(folder))
@@ -117,7 +144,11 @@ def test_any_numbers_are_a_rigid_motion_or_are_refused(numbers):
         assert np.isfinite(motion).all()
 
 
-@given(st.dictionaries(st.sampled_from(["x", "y", "z", "label", "ring", "time", "i"]), st.lists(SCALAR, max_size=4)))
+@given(
+    st.dictionaries(
+        st.sampled_from(["x", "y", "z", "label", "ring", "time", "i"]), st.lists(SCALAR, max_size=4)
+    )
+)
 def test_any_columns_are_a_scan_or_are_refused(columns):
     arrays = {}
     for name, values in columns.items():

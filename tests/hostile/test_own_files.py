@@ -38,7 +38,9 @@ def twins(out, replace=True):
     twin.make_twins(recording, out, QUIET, replace=replace)
 
 
-@pytest.mark.parametrize("files", ['["../../victim"]', '["/etc/hostname"]', '[".."]', "[5]", '"0.bin"', "5"])
+@pytest.mark.parametrize(
+    "files", ['["../../victim"]', '["/etc/hostname"]', '[".."]', "[5]", '"0.bin"', "5"]
+)
 def test_a_recipe_that_names_files_elsewhere_is_none_of_ours(tmp_path, files):
     victim = tmp_path / "victim"
     out = tmp_path / "out"
@@ -61,23 +63,36 @@ def test_a_side_that_is_a_link_is_not_cleared(tmp_path, side):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "0000.bin").write_text("precious")
-    for name, recipe in ((twin.RECIPE, TWIN.format('["0000.bin"]')), (synth.RECIPE, TWIN.format("[]"))):
+    for name, recipe in (
+        (twin.RECIPE, TWIN.format('["0000.bin"]')),
+        (synth.RECIPE, TWIN.format("[]")),
+    ):
         out = tmp_path / name
         out.mkdir()
         (out / name).write_text(recipe)
         (out / side).symlink_to(elsewhere)
         with pytest.raises(RunError, match=f"{side}: .*symbolic link"):
-            twins(out) if name == twin.RECIPE else synth.make_dataset(out, QUIET, n_pairs=1, replace=True)
+            twins(out) if name == twin.RECIPE else synth.make_dataset(
+                out, QUIET, n_pairs=1, replace=True
+            )
     assert (elsewhere / "0000.bin").read_text() == "precious"
 
 
 @pytest.mark.parametrize(
-    "change", ['noise_m = "much"', "kind = 5", 'dataset = ["a"]', "seed = 1.5", "[noise_m]", "version = nan"]
+    "change",
+    ['noise_m = "much"', "kind = 5", 'dataset = ["a"]', "seed = 1.5", "[noise_m]", "version = nan"],
 )
 def test_a_recipe_of_a_best_case_with_other_values_is_none(tmp_path, change):
     path = tmp_path / BEST_CASE_DATASET / BEST_CASE_RECIPE
     path.parent.mkdir()
-    lines = ["version = 1", 'kind = "again"', "noise_m = 0.02", "lost_share = 0.05", "seed = 0", 'dataset = "a"']
+    lines = [
+        "version = 1",
+        'kind = "again"',
+        "noise_m = 0.02",
+        "lost_share = 0.05",
+        "seed = 0",
+        'dataset = "a"',
+    ]
     path.write_text("\n".join(lines))
     assert "0.02 m" in read_recipe(tmp_path).words
     name = change.strip("[]").partition(" ")[0]
@@ -86,7 +101,8 @@ def test_a_recipe_of_a_best_case_with_other_values_is_none(tmp_path, change):
 
 
 @pytest.mark.parametrize(
-    "record", [[], 5, {"inputs": 5}, {"inputs": [5, {}]}, {"inputs": None, "stages": "graph"}, "[" * 100_000]
+    "record",
+    [[], 5, {"inputs": 5}, {"inputs": [5, {}]}, {"inputs": None, "stages": "graph"}, "[" * 100_000],
 )
 def test_a_record_of_any_content_offers_no_names(tmp_path, record):
     text = record if isinstance(record, str) else json.dumps(record)
@@ -106,7 +122,9 @@ def forged(folder, content):
     (folder / LEDGER / "000.json").write_bytes(digest + b"\n" + text + b"\n")
 
 
-@pytest.mark.parametrize("name", ["../victim", "metrics/../../victim", "/etc/hostname", "metrics/.hidden", "run.json"])
+@pytest.mark.parametrize(
+    "name", ["../victim", "metrics/../../victim", "/etc/hostname", "metrics/.hidden", "run.json"]
+)
 def test_a_ledger_that_names_a_file_elsewhere_is_not_believed(again, dataset, tmp_path, name):
     victim = tmp_path / "victim"
     victim.write_text("precious")
@@ -119,7 +137,9 @@ def test_a_ledger_that_names_a_file_elsewhere_is_not_believed(again, dataset, tm
     assert victim.read_text() == "precious"
 
 
-@pytest.mark.parametrize("content", [5, [[]], [None], "text", {"pair_id": "000", "jobs": [{"stage": 1}], "failure": 5}])
+@pytest.mark.parametrize(
+    "content", [5, [[]], [None], "text", {"pair_id": "000", "jobs": [{"stage": 1}], "failure": 5}]
+)
 def test_an_entry_of_another_shape_counts_as_absent(again, content):
     forged(again, content)
     assert RunFolder(again).ledger.jobs("000") == {}
@@ -130,7 +150,9 @@ def test_a_cause_that_only_another_version_knew_is_left_out(again):
 
     def rename(causes):
         names = ["old cause" if name == "height" else name for name in causes["cause"].to_pylist()]
-        return causes.set_column(causes.schema.get_field_index("cause"), causes.schema.field("cause"), [names])
+        return causes.set_column(
+            causes.schema.get_field_index("cause"), causes.schema.field("cause"), [names]
+        )
 
     for path in (again / "causes").glob("*.parquet"):
         rewrite(again, f"causes/{path.name}", rename)
@@ -145,8 +167,12 @@ def test_a_cause_that_only_another_version_knew_is_left_out(again):
     assert command("gate", again, "--max", "causes.height=0.05").returncode == 4
 
 
-@pytest.mark.parametrize("name", ["metrics", "ledger", ".writer", "run.json", "pairs.parquet", "report"])
-def test_a_link_in_a_run_folder_is_refused_and_what_it_leads_to_stays(again, dataset, tmp_path, name):
+@pytest.mark.parametrize(
+    "name", ["metrics", "ledger", ".writer", "run.json", "pairs.parquet", "report"]
+)
+def test_a_link_in_a_run_folder_is_refused_and_what_it_leads_to_stays(
+    again, dataset, tmp_path, name
+):
     outside = tmp_path / "outside"
     if (again / name).exists():
         shutil.move(again / name, outside)
@@ -155,7 +181,11 @@ def test_a_link_in_a_run_folder_is_refused_and_what_it_leads_to_stays(again, dat
     files = [outside] if outside.is_file() else [*outside.iterdir()]
     before = {path: path.read_bytes() for path in files}
     (again / name).symlink_to(outside)
-    for use in (lambda: run(dataset, again), lambda: FinishedRun(again), lambda: RunFolder(again).ledger):
+    for use in (
+        lambda: run(dataset, again),
+        lambda: FinishedRun(again),
+        lambda: RunFolder(again).ledger,
+    ):
         with pytest.raises(RunError, match="symbolic link"):
             use()
             raise RunError("not refused")
@@ -193,7 +223,9 @@ def test_a_record_of_any_content_is_read_or_refused_in_one_line(again, dataset, 
             assert "\n" not in str(error)
 
 
-@pytest.mark.parametrize("kind", ["without a column", "with one more", "of other types", "empty of columns"])
+@pytest.mark.parametrize(
+    "kind", ["without a column", "with one more", "of other types", "empty of columns"]
+)
 def test_a_table_of_other_columns_is_refused(again, kind):
     name = "pairs.parquet"
     table = pq.read_table(again / name)
@@ -230,10 +262,21 @@ def test_no_cell_begins_a_formula():
     names = ["=cmd|' /C calc'!A0", "+1+1", "-1+1", "@sum(A1)", "\t=1", "-5", "+2.5", "plain"]
     text = csv_table(Table("", ["pair"], [[name] for name in names]))
     cells = [line.strip('"') for line in text.splitlines()[1:]]
-    assert cells == ["'=cmd|' /C calc'!A0", "'+1+1", "'-1+1", "'@sum(A1)", "\\u0009=1", "-5", "+2.5", "plain"]
+    assert cells == [
+        "'=cmd|' /C calc'!A0",
+        "'+1+1",
+        "'-1+1",
+        "'@sum(A1)",
+        "\\u0009=1",
+        "-5",
+        "+2.5",
+        "plain",
+    ]
 
 
-@pytest.mark.parametrize("criteria", ["5", "[5]", '[{"name": "a"}]', '[{"name": 1, "measure": [], "limit": "x"}]', "["])
+@pytest.mark.parametrize(
+    "criteria", ["5", "[5]", '[{"name": "a"}]', '[{"name": 1, "measure": [], "limit": "x"}]', "["]
+)
 def test_criteria_that_no_gate_wrote_are_not_believed(tmp_path, criteria):
     path = tmp_path / "gate.json"
     path.write_text(f'{{"criteria": {criteria * (50_000 if criteria == "[" else 1)}}}')

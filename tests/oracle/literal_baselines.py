@@ -31,7 +31,8 @@ def of_points(
     precision = sum(d < settings["f_score_distance_m"] for d in to_real.tolist()) / len(sim)
     return {
         "chamfer_mean_m": math.fsum(to_sim) / len(to_sim) + math.fsum(to_real) / len(to_real),
-        "chamfer_squared_m2": math.fsum(to_sim**2) / len(to_sim) + math.fsum(to_real**2) / len(to_real),
+        "chamfer_squared_m2": math.fsum(to_sim**2) / len(to_sim)
+        + math.fsum(to_real**2) / len(to_real),
         "chamfer_one_way_sum_m": math.fsum(to_sim),
         "hausdorff_m": max(*to_sim.tolist(), *to_real.tolist()),
         "f_score": 2 * precision * recall / (precision + recall) if precision + recall else 0.0,
@@ -65,7 +66,9 @@ def dcd(real: NDArray[np.float64], sim: NDArray[np.float64], alpha: float) -> fl
     return (one_way(real, sim) + one_way(sim, real)) / 2
 
 
-def histogram(real: NDArray[np.float64], sim: NDArray[np.float64], settings: dict[str, float]) -> float | None:
+def histogram(
+    real: NDArray[np.float64], sim: NDArray[np.float64], settings: dict[str, float]
+) -> float | None:
     """Minkowski distance of two histograms of pairwise distances; None if all points of a side coincide.
 
     Parameters
@@ -84,7 +87,9 @@ def histogram(real: NDArray[np.float64], sim: NDArray[np.float64], settings: dic
     return float((abs(shares[0] - shares[1]) ** order).sum() ** (1 / order))
 
 
-def sliced_wasserstein(real: NDArray[np.float64], sim: NDArray[np.float64], n_projections: int) -> float:
+def sliced_wasserstein(
+    real: NDArray[np.float64], sim: NDArray[np.float64], n_projections: int
+) -> float:
     """Mean over random directions of the earth mover's distance along each.
 
     Parameters
@@ -107,7 +112,9 @@ def assignment_mean(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return float(cost[linear_sum_assignment(cost)].mean())
 
 
-def netlsd(L_real: NDArray[np.float64], L_sim: NDArray[np.float64], settings: dict[str, float]) -> float:
+def netlsd(
+    L_real: NDArray[np.float64], L_sim: NDArray[np.float64], settings: dict[str, float]
+) -> float:
     """Distance of the mean heat traces of two whole objects.
 
     Parameters
@@ -115,7 +122,9 @@ def netlsd(L_real: NDArray[np.float64], L_sim: NDArray[np.float64], settings: di
     L_real, L_sim : (n, n), (m, m) float64, normalised Laplacians
     """
     a, b = np.linalg.eigvalsh(L_real), np.linalg.eigvalsh(L_sim)
-    times = np.geomspace(settings["heat_time_min"], settings["heat_time_max"], int(settings["heat_times"])).tolist()
+    times = np.geomspace(
+        settings["heat_time_min"], settings["heat_time_max"], int(settings["heat_times"])
+    ).tolist()
     return math.sqrt(sum(float(np.exp(-t * a).mean() - np.exp(-t * b).mean()) ** 2 for t in times))
 
 

@@ -102,7 +102,9 @@ def _miss_range(ranges_m: list[float]) -> float | None:
     return float(np.median(farthest))
 
 
-Cut = dict[str, Any]  #: axis (3,), tilt_deg, peak_m, threshold_m, loss and iterations of a ground cut
+Cut = dict[
+    str, Any
+]  #: axis (3,), tilt_deg, peak_m, threshold_m, loss and iterations of a ground cut
 
 
 def ground(
@@ -119,14 +121,20 @@ def ground(
     scale = float(np.ptp(points, axis=0).max()) or 1.0  # squares of 1e-200 m would be 0
     values, vectors = np.linalg.eigh(np.cov(((points - points.mean(axis=0)) / scale).T))
     chosen = max(range(3), key=lambda i: abs(vectors[2, i]))
-    is_unique = min(abs(values[i] - values[chosen]) for i in range(3) if i != chosen) > _ALIKE * values[2]
+    is_unique = (
+        min(abs(values[i] - values[chosen]) for i in range(3) if i != chosen) > _ALIKE * values[2]
+    )
     axis = vectors[:, chosen] if is_unique else default_axis
     axis = axis if axis[2] > 0 else -axis
     tilt_deg = math.degrees(math.acos(min(1.0, axis[2])))
     if tilt_deg > _MAX_TILT_DEG:
         axis = np.array([0.0, 0.0, 1.0])
     height = np.array([float(p @ axis) for p in points])
-    near = [h for h, p in zip(height.tolist(), points.tolist(), strict=True) if math.hypot(*p) <= _NEAR_M]
+    near = [
+        h
+        for h, p in zip(height.tolist(), points.tolist(), strict=True)
+        if math.hypot(*p) <= _NEAR_M
+    ]
     peak = _median_of_fullest_window(near or height.tolist())
     z = peak + settings["prior_m"]
     iterations = 0
@@ -136,7 +144,14 @@ def ground(
         z = max(z - _STEP_M, peak)
         iterations += 1
         lost = variance_loss(points, height, z, peak, loss)
-    cut = {"axis": axis, "tilt_deg": tilt_deg, "peak_m": peak, "threshold_m": z, "loss": lost, "iterations": iterations}
+    cut = {
+        "axis": axis,
+        "tilt_deg": tilt_deg,
+        "peak_m": peak,
+        "threshold_m": z,
+        "loss": lost,
+        "iterations": iterations,
+    }
     return cut, height, bool(is_unique)
 
 
@@ -148,7 +163,9 @@ def _median_of_fullest_window(heights: Sequence[float]) -> float:
     return median(ascending[start : ends[start]])
 
 
-def road_offset(real: NDArray[np.float64], sim: NDArray[np.float64], axis: NDArray[np.float64]) -> float | None:
+def road_offset(
+    real: NDArray[np.float64], sim: NDArray[np.float64], axis: NDArray[np.float64]
+) -> float | None:
     """Height of the simulated road above the real one: the median of the fullest 0.1 m of the cells' differences.
 
     Parameters
@@ -162,12 +179,20 @@ def road_offset(real: NDArray[np.float64], sim: NDArray[np.float64], axis: NDArr
             if math.hypot(*p) <= _NEAR_M:
                 cell = (math.floor(p[0] / _CELL_M), math.floor(p[1] / _CELL_M))
                 cells.setdefault(cell, []).append(sum(axis[i] * p[i] for i in range(3)))
-    above = [median(own) - median(heights[0][cell]) for cell, own in heights[1].items() if cell in heights[0]]
+    above = [
+        median(own) - median(heights[0][cell])
+        for cell, own in heights[1].items()
+        if cell in heights[0]
+    ]
     return _median_of_fullest_window(above) if len(above) >= _FEWEST_CELLS else None
 
 
 def variance_loss(
-    points: NDArray[np.float64], height: NDArray[np.float64], threshold_m: float, peak_m: float, loss: str
+    points: NDArray[np.float64],
+    height: NDArray[np.float64],
+    threshold_m: float,
+    peak_m: float,
+    loss: str,
 ) -> float:
     """Share of the variance that is lost with the points below a threshold, by the definition that `loss` selects.
 
@@ -218,7 +243,9 @@ def nearest(points: NDArray[np.float64], i: int, k: int, ties: str = "point_id")
     return candidates[:k]
 
 
-def edges(points: NDArray[np.float64], k: int, tau_m: float, rule: str, ties: str) -> list[tuple[int, int]]:
+def edges(
+    points: NDArray[np.float64], k: int, tau_m: float, rule: str, ties: str
+) -> list[tuple[int, int]]:
     """Edges of the graph, each as its smaller and larger index: nearest neighbours, and points within tau.
 
     Parameters
@@ -237,7 +264,11 @@ def edges(points: NDArray[np.float64], k: int, tau_m: float, rule: str, ties: st
 
 
 def louvain(
-    n_nodes: int, src: NDArray[np.intp], dst: NDArray[np.intp], length_m: NDArray[np.float64], order: NDArray[np.intp]
+    n_nodes: int,
+    src: NDArray[np.intp],
+    dst: NDArray[np.intp],
+    length_m: NDArray[np.float64],
+    order: NDArray[np.intp],
 ) -> list[int]:
     """Communities by scikit-network's Louvain with nodes visited in a given order.
 
@@ -250,15 +281,22 @@ def louvain(
 
     place = np.argsort(order)
     ends = np.concatenate([place[src], place[dst]]), np.concatenate([place[dst], place[src]])
-    A = sparse.coo_matrix((np.concatenate([length_m, length_m]), ends), shape=(n_nodes, n_nodes)).tocsr()
+    A = sparse.coo_matrix(
+        (np.concatenate([length_m, length_m]), ends), shape=(n_nodes, n_nodes)
+    ).tocsr()
     A.eliminate_zeros()
-    found = Louvain(resolution=1, tol_optimization=1e-3, tol_aggregation=1e-7, shuffle_nodes=False).fit_predict(A)
+    found = Louvain(
+        resolution=1, tol_optimization=1e-3, tol_aggregation=1e-7, shuffle_nodes=False
+    ).fit_predict(A)
     labels: list[int] = found[place].tolist()
     return labels
 
 
 def best_merge_gain(
-    labels: NDArray[np.intp], src: NDArray[np.intp], dst: NDArray[np.intp], length_m: NDArray[np.float64]
+    labels: NDArray[np.intp],
+    src: NDArray[np.intp],
+    dst: NDArray[np.intp],
+    length_m: NDArray[np.float64],
 ) -> float:
     """Largest gain of Q by merging two communities that are connected by an edge; -inf without such communities.
 
@@ -280,7 +318,9 @@ def best_merge_gain(
     return float(gain[c != d].max(initial=-math.inf))
 
 
-def canonical(labels: Sequence[int] | NDArray[np.intp], order: Iterable[int] | None = None) -> list[int]:
+def canonical(
+    labels: Sequence[int] | NDArray[np.intp], order: Iterable[int] | None = None
+) -> list[int]:
     """Renumber communities by size, largest first, then by the first of their nodes in an order; -1 is kept."""
     members: dict[int, list[int]] = {}
     for node in range(len(labels)) if order is None else order:
@@ -350,7 +390,9 @@ def laplacian(A: NDArray[np.float64]) -> NDArray[np.float64]:
     degree = A.sum(axis=1)
     joined = degree > 0
     scale = np.sqrt(np.outer(degree, degree))
-    return np.diag(joined.astype(float)) - np.divide(A, scale, out=np.zeros_like(A), where=scale > 0)
+    return np.diag(joined.astype(float)) - np.divide(
+        A, scale, out=np.zeros_like(A), where=scale > 0
+    )
 
 
 def influence(L: NDArray[np.float64], t: float) -> NDArray[np.float64]:
@@ -407,7 +449,9 @@ def cdc(real: NDArray[np.float64], sim: NDArray[np.float64]) -> float:
     """
 
     def one_way(xs: NDArray[np.float64], ys: NDArray[np.float64]) -> float:
-        return math.fsum(1 - math.exp(-(d**2)) for d in nearest_distances(xs, ys).tolist()) / len(xs)
+        return math.fsum(1 - math.exp(-(d**2)) for d in nearest_distances(xs, ys).tolist()) / len(
+            xs
+        )
 
     return one_way(real, sim) + one_way(sim, real)
 

@@ -65,11 +65,15 @@ def pieces(
             place = {name: about[name] for name in PLACE}
             bearing_deg = math.degrees(math.atan2(about["cy"], about["cx"]))
             low = float(min(height_m[members]))
-            found.append((members, place | {"piece_id": piece, "bearing_deg": bearing_deg, "height_m": low}))
+            found.append(
+                (members, place | {"piece_id": piece, "bearing_deg": bearing_deg, "height_m": low})
+            )
     return found
 
 
-def fates(missing: Sequence[Mapping[str, Any]], invented: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def fates(
+    missing: Sequence[Mapping[str, Any]], invented: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
     """Fate of each piece, its partner and move by column of `pieces`: the rows of the real side, then of the other.
 
     A piece moved if one of the other side is near and of similar size, and each is the other's nearest.
@@ -83,19 +87,25 @@ def fates(missing: Sequence[Mapping[str, Any]], invented: Sequence[Mapping[str, 
         for j, b in enumerate(invented):
             distance_m = math.hypot(*(a[f"c{axis}"] - b[f"c{axis}"] for axis in "xyz"))
             sizes = [(a[f"extent_{axis}"], b[f"extent_{axis}"]) for axis in "xyz"]
-            is_like = all(abs(own - other) <= max(_SLACK_M, _SLACK * max(own, other)) for own, other in sizes)
+            is_like = all(
+                abs(own - other) <= max(_SLACK_M, _SLACK * max(own, other)) for own, other in sizes
+            )
             if is_like and round(distance_m, _ROUNDED_DIGITS) <= _MOVED_WITHIN_M:
                 apart[i, j] = round(distance_m, _ROUNDED_DIGITS)
     ids = [("real", i) for i in range(len(missing))] + [("sim", j) for j in range(len(invented))]
     move: dict[str, float | None] = {f"moved_{axis}_m": None for axis in "xyz"}
     rows: dict[tuple[str, int], dict[str, Any]] = {
-        (side, i): {"side": side, "piece_id": i, "fate": "gone", "partner_id": None} | move for side, i in ids
+        (side, i): {"side": side, "piece_id": i, "fate": "gone", "partner_id": None} | move
+        for side, i in ids
     }
     for i, j in apart:
         nearest_sim = min((d, b) for (a, b), d in apart.items() if a == i)[1]
         nearest_real = min((d, a) for (a, b), d in apart.items() if b == j)[1]
         if (nearest_real, nearest_sim) == (i, j):
-            move = {f"moved_{axis}_m": invented[j][f"c{axis}"] - missing[i][f"c{axis}"] for axis in "xyz"}
+            move = {
+                f"moved_{axis}_m": invented[j][f"c{axis}"] - missing[i][f"c{axis}"]
+                for axis in "xyz"
+            }
             rows["real", i] |= {"fate": "moved", "partner_id": j} | move
             rows["sim", j] |= {"fate": "moved", "partner_id": i} | move
     return list(rows.values())

@@ -18,7 +18,9 @@ _OUTCOMES = ("same", "in_front", "behind", "dropped", "no_surface", "sim_only", 
 
 Rays = Mapping[str, NDArray[Any]]  #: columns of table rays; NaN for no range, None for no label
 Sensor = Mapping[str, Any]  #: metadata of the stage sensor
-Near = list[tuple[float, float, int]]  #: azimuth and rows on to a return of the other side, and its index
+Near = list[
+    tuple[float, float, int]
+]  #: azimuth and rows on to a return of the other side, and its index
 
 
 def beam_of(point: NDArray[np.float64], sensor: Sensor) -> int:
@@ -28,7 +30,9 @@ def beam_of(point: NDArray[np.float64], sensor: Sensor) -> int:
     height = 0.0
     if heights := sensor["origin_height_m"]:
         middle = sum(heights) / len(heights)
-        height = heights[0 if math.degrees(math.atan2(z - middle, level)) < sensor["block_deg"] else -1]
+        height = heights[
+            0 if math.degrees(math.atan2(z - middle, level)) < sensor["block_deg"] else -1
+        ]
     elevation = math.degrees(math.atan2(z - height, level))
     beams = sensor["elevation_deg"]
     return min(range(len(beams)), key=lambda beam: abs(beams[beam] - elevation))
@@ -39,12 +43,16 @@ def rows_by_elevation(real: Sensor, sim: Sensor) -> NDArray[np.float64]:
     elevation = _STEP_DEG * np.arange(18_001) - 90.0
     wider = np.zeros(18_001)
     for beams in (np.array(sensor["elevation_deg"]) for sensor in (real, sim)):
-        wider = np.maximum(wider, np.interp(elevation, (beams[:-1] + beams[1:]) / 2, np.diff(beams)))
+        wider = np.maximum(
+            wider, np.interp(elevation, (beams[:-1] + beams[1:]) / 2, np.diff(beams))
+        )
     rows: NDArray[np.float64] = np.cumsum(_STEP_DEG / wider) - _STEP_DEG / wider[0]
     return rows
 
 
-def place(point: NDArray[np.float64], rows: NDArray[np.float64], step: float) -> tuple[float, float]:
+def place(
+    point: NDArray[np.float64], rows: NDArray[np.float64], step: float
+) -> tuple[float, float]:
     """Azimuth in cells from -180 degrees on, and row, of a return."""
     x, y, z = point.tolist()
     azimuth = (math.degrees(math.atan2(y, x)) + 180.0) / step % (360.0 / step)
@@ -73,7 +81,13 @@ def partners(
         upward = b[js, 1] - one[1]
         apart = np.hypot(azimuth, upward)
         order = np.argsort(apart, kind="stable")[:_CANDIDATES]
-        near.append([(azimuth[i], upward[i], int(js[i])) for i in order.tolist() if apart[i] <= _PHASE_REACH])
+        near.append(
+            [
+                (azimuth[i], upward[i], int(js[i]))
+                for i in order.tolist()
+                if apart[i] <= _PHASE_REACH
+            ]
+        )
     blocks = list(zip(beams, (a[:, 0] // _BLOCK).astype(int).tolist(), strict=True))
     of_beam, of_block = _phases(beams, near), _phases(blocks, near)
     pairs = []
@@ -98,7 +112,9 @@ def _phases(places: Sequence[Hashable], near: Sequence[Near]) -> dict[Hashable, 
             angle = 2.0 * math.pi * candidates[0][0]
             turns.setdefault(key, []).append(complex(math.cos(angle), math.sin(angle)))
     return {
-        key: math.atan2(sum(own).imag, sum(own).real) / (2.0 * math.pi) if abs(sum(own)) > 0.5 * len(own) else 0.0
+        key: math.atan2(sum(own).imag, sum(own).real) / (2.0 * math.pi)
+        if abs(sum(own)) > 0.5 * len(own)
+        else 0.0
         for key, own in turns.items()
     }
 
@@ -172,7 +188,9 @@ def intensity_scores(
             ("incidence", incidence_deg, 20),
             ("class", classes, 0),
         ):
-            shares[name] = found[f"intensity_{side}_by_{name}"] = _eta_squared(own[known], cause[known], n_groups)
+            shares[name] = found[f"intensity_{side}_by_{name}"] = _eta_squared(
+                own[known], cause[known], n_groups
+            )
         if known.sum() >= 100 and np.ptp(own[known]) == 0:
             notes.append(f"{side}: constant ({own[known][0]:g})")
         elif (shares["range"] or 0.0) >= 0.97:
@@ -186,11 +204,16 @@ def intensity_scores(
     ranks = [(stats.rankdata(own) - 0.5) / len(own) for own in (real, sim)]
     angle = np.nan_to_num(incidence_deg[both], nan=-1.0)
     bins = np.stack(
-        [np.digitize(rays["real_range_m"][both], (10, 20, 30, 50)), np.digitize(angle, (0, 30, 60, 75, 85))]
+        [
+            np.digitize(rays["real_range_m"][both], (10, 20, 30, 50)),
+            np.digitize(angle, (0, 30, 60, 75, 85)),
+        ]
     )
     groups = [np.flatnonzero((own == bins.T).all(axis=1)) for own in np.unique(bins, axis=1).T]
     large = [own for own in groups if len(own) >= 10]
-    total = sum(len(own) * float(stats.wasserstein_distance(ranks[0][own], ranks[1][own])) for own in large)
+    total = sum(
+        len(own) * float(stats.wasserstein_distance(ranks[0][own], ranks[1][own])) for own in large
+    )
     varies = np.ptp(real) > 0 and np.ptp(sim) > 0
     return found | {
         "intensity_rank_corr": float(stats.spearmanr(real, sim)[0]) if varies else None,
@@ -200,7 +223,9 @@ def intensity_scores(
     }
 
 
-def _eta_squared(values: NDArray[np.float64], cause: NDArray[np.float64], n_groups: int) -> float | None:
+def _eta_squared(
+    values: NDArray[np.float64], cause: NDArray[np.float64], n_groups: int
+) -> float | None:
     """Sum of squares of ranks between groups over the total: groups of equal cause, or of about equal size."""
     values = values[~np.isnan(cause)]
     cause = cause[~np.isnan(cause)]
@@ -210,5 +235,7 @@ def _eta_squared(values: NDArray[np.float64], cause: NDArray[np.float64], n_grou
     if n_groups:
         groups = np.searchsorted(np.quantile(cause, np.arange(1, n_groups) / n_groups), cause)
     ranks = stats.rankdata(values) - (len(values) + 1) / 2
-    between = sum((groups == own).sum() * ranks[groups == own].mean() ** 2 for own in np.unique(groups))
+    between = sum(
+        (groups == own).sum() * ranks[groups == own].mean() ** 2 for own in np.unique(groups)
+    )
     return float(between / (ranks**2).sum())

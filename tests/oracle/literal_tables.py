@@ -124,7 +124,9 @@ def _on_real_road(pair, side, heights_m):
             continue
         ground_m = np.where(is_real_ground, distances_m, np.inf)
         nearest = np.lexsort((*real_points.T[::-1], ground_m))[0]
-        on_road[i] = ground_m[nearest] <= 1.0 and heights_m[i] - real_heights_m[nearest] <= settings.prior_m
+        on_road[i] = (
+            ground_m[nearest] <= 1.0 and heights_m[i] - real_heights_m[nearest] <= settings.prior_m
+        )
     return on_road
 
 

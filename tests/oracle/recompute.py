@@ -63,7 +63,10 @@ def recompute(folder):
         stored_pair = StoredPair(run, pair, settings, dataset.label_names)
         for stage in STAGES:
             for recomputed in stage(stored_pair):
-                differences += [Difference(stage.__name__, pair.pair_id, *column) for column in compare(recomputed)]
+                differences += [
+                    Difference(stage.__name__, pair.pair_id, *column)
+                    for column in compare(recomputed)
+                ]
     return differences
 
 

@@ -24,7 +24,9 @@ VALUES = {"k": (8, 12), "tau_m": (0.2,), "delta_m": (0.5, 5.0), "t": (0.5, 1.0)}
 
 
 def ablated(dataset, out, **options):
-    return ablate_dataset(dataset, out, SETTINGS, QUIET, **{"values": VALUES, "n_workers": 1, **options})
+    return ablate_dataset(
+        dataset, out, SETTINGS, QUIET, **{"values": VALUES, "n_workers": 1, **options}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +34,9 @@ def done(dataset, tmp_path_factory):
     return ablated(dataset, tmp_path_factory.mktemp("ablate") / "run")
 
 
-def test_a_finished_ablation_takes_further_pairs_and_other_values_only_if_asked(done, dataset, tmp_path):
+def test_a_finished_ablation_takes_further_pairs_and_other_values_only_if_asked(
+    done, dataset, tmp_path
+):
     out = tmp_path / "run"
     ablated(dataset, out, pattern="000")
     assert ablated(dataset, out).tables["ablate"].equals(done.tables["ablate"])
@@ -83,11 +87,18 @@ def test_a_row_has_the_numbers_of_an_evaluation_under_its_settings(done, dataset
         assert row.match_rate == summary["match_rate"]
         assert row.n_communities_sim == summary["n_communities_sim"]
         for metric in OBJECT_METRICS:
-            assert row[f"{metric}_mean"] == pytest.approx(summary[f"{metric}_mean"], rel=1e-12), (metric, words)
+            assert row[f"{metric}_mean"] == pytest.approx(summary[f"{metric}_mean"], rel=1e-12), (
+                metric,
+                words,
+            )
 
 
 def test_two_workers_give_the_same_rows(done, dataset, tmp_path):
-    assert ablated(dataset, tmp_path / "run", n_workers=2).tables["ablate"].equals(done.tables["ablate"])
+    assert (
+        ablated(dataset, tmp_path / "run", n_workers=2)
+        .tables["ablate"]
+        .equals(done.tables["ablate"])
+    )
 
 
 def test_simulated_points_are_moved_into_the_real_frame(done, dataset, tmp_path):
@@ -130,7 +141,20 @@ def test_diffusion_time_cannot_change_the_match_rate(done):
 
 
 def test_the_command_prints_a_table_and_draws_its_figure(dataset, tmp_path):
-    words = ("--workers", 1, "--set", "graph.k=12", "--k", "8", "--tau", "0.2", "--delta", "5", "--t", "1")
+    words = (
+        "--workers",
+        1,
+        "--set",
+        "graph.k=12",
+        "--k",
+        "8",
+        "--tau",
+        "0.2",
+        "--delta",
+        "5",
+        "--t",
+        "1",
+    )
     result = command("ablate", dataset, *words, cwd=tmp_path, code=0)
     assert "graph.k: " in result.stdout
     assert len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate.parquet")) == 2 * 2

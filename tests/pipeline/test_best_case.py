@@ -34,7 +34,9 @@ REFERENCE = load(preset="reference")
 
 
 def best_case(dataset, out, reporter=QUIET, *, settings=None, **options):
-    return run_best_case(dataset, out, settings or Settings(), reporter, machines=Machines(1), **options)
+    return run_best_case(
+        dataset, out, settings or Settings(), reporter, machines=Machines(1), **options
+    )
 
 
 def shown(*words, code=0):
@@ -50,7 +52,12 @@ def folder(scenario):
 def test_without_noise_and_dropout_it_is_exactly_perfect(folder, tmp_path):
     reporter, said = listening()
     made = best_case(
-        folder / "streets", tmp_path / "best_case", reporter, settings=REFERENCE, noise_m=0.0, lost_share=0.0
+        folder / "streets",
+        tmp_path / "best_case",
+        reporter,
+        settings=REFERENCE,
+        noise_m=0.0,
+        lost_share=0.0,
     )
     assert "warning" not in said.getvalue()
     for row in made.rows:
@@ -59,7 +66,9 @@ def test_without_noise_and_dropout_it_is_exactly_perfect(folder, tmp_path):
         assert {row[metric.column] for metric in COVERAGE_SCORES} == {1}
 
 
-def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_none(folder, tmp_path):
+def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_none(
+    folder, tmp_path
+):
     rows = make_pair(0, 0, SENSORS["vlp16"], 12_000).real.rows
     for side in ("real", "sim"):
         write_bin(tmp_path / "data" / side / "cast.bin", rows[:, :3])
@@ -75,7 +84,9 @@ def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_n
     again = read_scan(tmp_path / "best_case" / "dataset" / "sim" / "cast.parquet").points
     second = describe_sensor(again)
     assert own.lost_in_all > 0.1 and second.lost_in_all == pytest.approx(own.lost_in_all, abs=0.02)
-    assert len(again) == pytest.approx(len(rows), rel=0.05)  # it loses other pulses, but not more of them
+    assert len(again) == pytest.approx(
+        len(rows), rel=0.05
+    )  # it loses other pulses, but not more of them
     assert "lost returns" not in {cause.name for cause in made.record.overview.causes}
 
 
@@ -89,7 +100,9 @@ def test_it_is_resumed_and_made_again_only_where_the_real_scan_changed(folder, t
     assert_same_tables(out, folder / "best_case")
     made = {path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()}
     assert best_case(data, out).n_made == 0
-    assert {path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()} == made
+    assert {
+        path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()
+    } == made
     write_bin(data / "real" / "001.bin", street(seed=77))
     assert best_case(data, out).n_made == first.n_made
     now = {path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()}
@@ -108,10 +121,14 @@ def test_t_real_sim_does_not_move_it_and_labels_stay(tmp_path):
     scan = street()
     write_bin(tmp_path / "data" / "a.bin", scan)
     write_bin(tmp_path / "data" / "b.bin", drifted(scan))
-    np.repeat(np.array([4, 7], dtype="<u4"), [len(scan) - 100, 100]).tofile(tmp_path / "data" / "a.label")
+    np.repeat(np.array([4, 7], dtype="<u4"), [len(scan) - 100, 100]).tofile(
+        tmp_path / "data" / "a.label"
+    )
     (tmp_path / "data" / "labels.toml").write_text('4 = "road"\n7 = "pole"\n')
     T = " ".join(map(str, rigid(30, [1, 2, 0]).ravel()))
-    (tmp_path / "data" / "pairs.csv").write_text(f"pair_id,real,sim,timestamp_s,T_real_sim\nx y,a.bin,b.bin,5.5,{T}\n")
+    (tmp_path / "data" / "pairs.csv").write_text(
+        f"pair_id,real,sim,timestamp_s,T_real_sim\nx y,a.bin,b.bin,5.5,{T}\n"
+    )
     made = best_case(tmp_path / "data", tmp_path / "best_case", settings=REFERENCE)
     assert made.rows[0]["match_rate"] == 1
     assert made.record.frames == {}
@@ -134,7 +151,9 @@ def test_a_finished_best_case_is_not_replaced_by_another_recipe_or_dataset(folde
         best_case(folder / "streets", out)
     with pytest.raises(RunError, match="--out"):
         best_case(folder / "streets", folder / "run")
-    assert best_case(data, out, noise_m=0.1, replace=True).n_made == n_made - 4  # all but those of the real side
+    assert (
+        best_case(data, out, noise_m=0.1, replace=True).n_made == n_made - 4
+    )  # all but those of the real side
 
 
 def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
@@ -148,9 +167,13 @@ def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
         rows.append(f"{i},{i}.bin,,{10 - i},{' '.join(map(str, T.ravel()))}")
     manifest = tmp_path / "drive" / "pairs.csv"
     manifest.write_text("pair_id,real,sim,timestamp_s,T_world_sensor\n" + "\n".join(rows) + "\n")
-    made = best_case(tmp_path / "drive", tmp_path / "best_case", settings=REFERENCE, neighbours=True)
+    made = best_case(
+        tmp_path / "drive", tmp_path / "best_case", settings=REFERENCE, neighbours=True
+    )
     assert made.record.frames == {}
-    assert min(row["covered_real_0p3m"] for row in made.rows) > 0.95  # what is too near one sensor is not to the other
+    assert (
+        min(row["covered_real_0p3m"] for row in made.rows) > 0.95
+    )  # what is too near one sensor is not to the other
     pairs = {pair.pair_id: pair for pair in read_dataset(tmp_path / "best_case" / "dataset").pairs}
     places = {name: np.reshape(pair.T_real_sim, (3, 4)) for name, pair in pairs.items()}
     for name, pair in pairs.items():
@@ -217,20 +240,30 @@ def test_pairs_without_a_best_case_are_left_out_and_named(folder, tmp_path):
     best_case(folder / "streets", tmp_path / "part", pattern="00[12]")
     found = excess_over(FinishedRun(folder / "run"), tmp_path / "part")
     assert (found.pairs, found.left_out) == (("001", "002"), ("000",))
-    assert "1 pairs are not in the best case" in shown("show", folder / "run", "--best-case", tmp_path / "part")
+    assert "1 pairs are not in the best case" in shown(
+        "show", folder / "run", "--best-case", tmp_path / "part"
+    )
 
 
 def test_people_and_programs_see_the_same_excess(folder, tmp_path):
     own = excess_over(FinishedRun(folder / "run"), folder / "best_case").scores["cdc_mean"]
     words = ("show", folder / "run", "--best-case", folder / "best_case")
     assert f"{own.excess:+.3f}" in shown(*words)
-    assert json.loads(shown(*words, "--json"))["excess"]["scores"]["cdc_mean"]["excess"] == own.excess
-    table = text_of(excess_view(excess_over(FinishedRun(folder / "run"), folder / "best_case"), HEADLINES))
-    assert {"extra", "objects"} <= {*table.split()} and "…" not in table, "whole words in 80 columns"
+    assert (
+        json.loads(shown(*words, "--json"))["excess"]["scores"]["cdc_mean"]["excess"] == own.excess
+    )
+    table = text_of(
+        excess_view(excess_over(FinishedRun(folder / "run"), folder / "best_case"), HEADLINES)
+    )
+    assert {"extra", "objects"} <= {*table.split()} and "…" not in table, (
+        "whole words in 80 columns"
+    )
     pair = ("show", folder / "run", "001", "--best-case", folder / "best_case")
     assert f"{own.of_pairs['001']:+.3f}" in shown(*pair)
     assert json.loads(shown(*pair, "--json"))["excess"]["pairs"] == ["001"]
-    page = write_report(folder / "run", out=tmp_path, best_case=folder / "best_case").page.read_text()
+    page = write_report(
+        folder / "run", out=tmp_path, best_case=folder / "best_case"
+    ).page.read_text()
     assert "Over the best case" in page
     assert f"<td>{own.excess:+.3f}</td>" in page
     assert "Over the best case" not in write_report(folder / "run", out=tmp_path).page.read_text()
@@ -251,7 +284,9 @@ def test_a_gate_judges_excess_and_wants_a_best_case_for_it(folder, tmp_path):
         shown(*with_best_case, "--max", f"{measure}={value + 1e-9!r}")
         shown(*with_best_case, "--max", f"{measure}={value - 1e-9!r}", code=4)
     refused = command(*words, "--max", "excess.cdc.mean=1", code=1)
-    assert "'excess.cdc.mean': needs a best case; add --best-case RUN" in " ".join(refused.stderr.split())
+    assert "'excess.cdc.mean': needs a best case; add --best-case RUN" in " ".join(
+        refused.stderr.split()
+    )
 
 
 def test_a_comparison_says_which_differences_are_smaller_than_the_best_case(folder, tmp_path):
@@ -262,10 +297,16 @@ def test_a_comparison_says_which_differences_are_smaller_than_the_best_case(fold
     run(data, tmp_path / "other")
     (found,) = compare_runs([folder / "run", tmp_path / "other"], best_case=folder / "best_case")
     scores = {score.name: score for score in found.scores}
-    best_case_mean = pd.read_parquet(folder / "best_case" / "pairs.parquet").covered_real_0p3m.mean()
+    best_case_mean = pd.read_parquet(
+        folder / "best_case" / "pairs.parquet"
+    ).covered_real_0p3m.mean()
     covered = scores["real covered 0.3 m"]
     assert covered.best_case == pytest.approx(1 - best_case_mean)
-    below = [score.name for score in found.scores if score.exceeds(score.best_case) is False and score.towards]
+    below = [
+        score.name
+        for score in found.scores
+        if score.exceeds(score.best_case) is False and score.towards
+    ]
     assert below
     (line,) = [note.text for note in remarks(found) if "no more than the best case" in note.text]
     assert all(name in line for name in below)
@@ -278,7 +319,16 @@ def test_a_comparison_says_which_differences_are_smaller_than_the_best_case(fold
 
 
 def test_the_command_takes_amounts_and_names_their_defaults(folder, tmp_path):
-    words = ("best-case", folder / "streets", "--preset", "reference", "--workers", 1, "--pairs", "000")
+    words = (
+        "best-case",
+        folder / "streets",
+        "--preset",
+        "reference",
+        "--workers",
+        1,
+        "--pairs",
+        "000",
+    )
     text = shown(*words, "--noise-m", 0, "--dropout", 0, "--out", tmp_path / "best_case")
     assert "preset reference" in text
     assert pd.read_parquet(tmp_path / "best_case" / "pairs.parquet").cdc_mean.tolist() == [0]
@@ -291,7 +341,9 @@ def test_the_command_takes_amounts_and_names_their_defaults(folder, tmp_path):
 def test_what_limits_trust_names_the_best_case_only_where_none_is_at_hand(folder):
     wanted = f"fidpipe best-case {folder / 'run'}"
     assert wanted in " ".join(shown("show", folder / "run", "--all").split())
-    assert "fidpipe best-case" not in shown("show", folder / "run", "--all", "--best-case", folder / "best_case")
+    assert "fidpipe best-case" not in shown(
+        "show", folder / "run", "--all", "--best-case", folder / "best_case"
+    )
     assert "fidpipe best-case" not in shown("show", folder / "best_case", "--all")
 
 
@@ -311,7 +363,9 @@ def test_a_best_case_of_scans_in_another_frame_is_that_of_the_turned_ones(tmp_pa
 def test_the_best_case_of_a_run_has_its_settings_and_lies_next_to_it(tmp_path):
     data = write_dataset(tmp_path / "streets", 1)
     settings = ("--set", "graph.k=20")
-    shown("run", data, "--preset", "reference", *settings, "--workers", 1, "--out", tmp_path / "run")
+    shown(
+        "run", data, "--preset", "reference", *settings, "--workers", 1, "--out", tmp_path / "run"
+    )
     shown("best-case", tmp_path / "run", *settings, code=2)
     shown("best-case", tmp_path / "run", "--workers", 1)
     assert "Over the best case" not in shown("show", tmp_path / "run")
@@ -326,4 +380,7 @@ def test_every_next_step_has_the_preset_and_the_settings(tmp_path):
     assert f"fidpipe run {data} --preset reference --set graph.k=20" in text
     shown("run", data, "--set", "graph.k=20", "--workers", 1, "--out", tmp_path / "run")
     text = " ".join(shown("show", tmp_path / "run", "--all").split())
-    assert f"fidpipe run {data} --preset reference --set graph.k=20 --out runs/streets-reference" in text
+    assert (
+        f"fidpipe run {data} --preset reference --set graph.k=20 --out runs/streets-reference"
+        in text
+    )

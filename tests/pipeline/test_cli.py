@@ -72,7 +72,9 @@ def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dat
 )
 def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, fault):
     (tmp_path / "loop").symlink_to("loop")
-    result = command("run", *[word.format(data=dataset) for word in words], "--workers", 1, cwd=tmp_path, code=1)
+    result = command(
+        "run", *[word.format(data=dataset) for word in words], "--workers", 1, cwd=tmp_path, code=1
+    )
     assert one_line(result.stderr).startswith(fault)
     assert result.stdout == ""
     assert not (tmp_path / "runs").exists()
@@ -102,7 +104,9 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
     ],
 )
 def test_wrong_usage_ends_with_two(dataset, finished, tmp_path, words, fault):
-    result = command(*(word.format(data=dataset, run=finished) for word in words.split()), cwd=tmp_path, code=2)
+    result = command(
+        *(word.format(data=dataset, run=finished) for word in words.split()), cwd=tmp_path, code=2
+    )
     (line,) = result.stderr.splitlines()
     assert line.startswith("error: ") and fault in line and line.endswith(" --help")
     assert result.stdout == ""
@@ -112,14 +116,18 @@ def test_wrong_usage_ends_with_two(dataset, finished, tmp_path, words, fault):
 def test_check_ends_with_zero_on_good_data_and_one_on_any_fault(dataset, data):
     good = command("check", dataset, code=0)
     assert good.stdout.endswith(f"next: fidpipe run {dataset} --preset reference\n")
-    with_settings = command("check", dataset, "--preset", "reference", "--set", "matching.delta_m=3")
+    with_settings = command(
+        "check", dataset, "--preset", "reference", "--set", "matching.delta_m=3"
+    )
     assert with_settings.stdout.endswith(" --set matching.delta_m=3\n")
     (data / "real" / "000.bin").unlink()
     bad = command("check", data, code=1)
     assert "error: pair 000:" in bad.stdout
 
 
-@pytest.mark.parametrize("name", ["ablate", "check", "compare", "gate", "perturb", "run", "show", "status", "synth"])
+@pytest.mark.parametrize(
+    "name", ["ablate", "check", "compare", "gate", "perturb", "run", "show", "status", "synth"]
+)
 def test_every_command_has_an_example_in_its_help(name):
     result = command(name, "--help", code=0)
     assert f"fidpipe {name} " in result.stdout
@@ -138,9 +146,29 @@ def test_status_show_and_a_run_with_nothing_to_do_import_no_numerics(scenario, t
     assert (
         command("run", streets, "--out", folder, "--workers", 1).returncode == 0
     )  # the first repetition rewrites the table timings
-    heavy = ("scipy.sparse", "scipy.spatial", "sklearn", "pandas", "dask", "matplotlib", "plotly", "pyarrow.compute")
-    heavy += ("rosbags", "mcap", "velodyne_decoder", "dpkt", "laspy", "lazrs")  # until their file is met
-    words = [["status", str(folder)], ["show", str(folder)], ["run", str(streets), "--out", str(folder)]]
+    heavy = (
+        "scipy.sparse",
+        "scipy.spatial",
+        "sklearn",
+        "pandas",
+        "dask",
+        "matplotlib",
+        "plotly",
+        "pyarrow.compute",
+    )
+    heavy += (
+        "rosbags",
+        "mcap",
+        "velodyne_decoder",
+        "dpkt",
+        "laspy",
+        "lazrs",
+    )  # until their file is met
+    words = [
+        ["status", str(folder)],
+        ["show", str(folder)],
+        ["run", str(streets), "--out", str(folder)],
+    ]
     code = (
         "import sys; from fidpipe.pipeline.cli.main import app\n"
         f"for words in {words}:\n"
@@ -148,7 +176,9 @@ def test_status_show_and_a_run_with_nothing_to_do_import_no_numerics(scenario, t
         "    except SystemExit as end: assert not end.code\n"
         f"print('loaded', [name for name in {heavy} if name in sys.modules])"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
     assert "0 jobs done" in found.stdout, found.stderr
     assert found.stdout.splitlines()[-1] == "loaded []"
 

@@ -25,7 +25,15 @@ from fidpipe.pipeline.jobs import metrics_job, selection_job
 from fidpipe.pipeline.storage.run_record import library_versions
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import Settings
-from runs import JOBS_PER_PAIR, QUIET, assert_same_tables, own_process, run, some_of, temporary_files
+from runs import (
+    JOBS_PER_PAIR,
+    QUIET,
+    assert_same_tables,
+    own_process,
+    run,
+    some_of,
+    temporary_files,
+)
 
 N_PAIRS = 6
 LIMIT_S = 3.0  # a healthy pair takes 0.2 s
@@ -88,7 +96,9 @@ def test_a_pair_whose_worker_dies_each_time_fails_and_says_so(dataset, tmp_path,
     outcome = run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
     assert list(outcome.failures) == [broken_jobs.POISON]
     reason = outcome.failures[broken_jobs.POISON]
-    assert reason.startswith("stage graph, real: the worker process died, and again when the pair ran alone")
+    assert reason.startswith(
+        "stage graph, real: the worker process died, and again when the pair ran alone"
+    )
     assert "4 workers each time, the last one tcp://127.0.0.1:" in reason
 
 
@@ -105,7 +115,12 @@ def test_relative_paths_are_those_of_the_command_not_of_workers_in_other_folders
     assert outcome.failures == {}
     assert outcome.n_made == JOBS_PER_PAIR
     assert run(named, tmp_path / "run", **one).n_reused == JOBS_PER_PAIR
-    assert run_best_case(named, Path("best_case"), Settings(), QUIET, machines=machines, **one).failures == {}
+    assert (
+        run_best_case(
+            named, Path("best_case"), Settings(), QUIET, machines=machines, **one
+        ).failures
+        == {}
+    )
     assert [path.name for path in (tmp_path / "cluster").iterdir() if path.is_dir()] == []
 
 
@@ -140,7 +155,13 @@ def test_a_run_that_loses_its_workers_or_its_scheduler_says_so_and_is_resumed(
 @pytest.mark.exhaustive
 def test_the_command_names_the_dashboard_of_a_cluster(dataset, finished, tmp_path, cluster):
     ended = own_process(
-        "run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.add_workers(2).address, code=0
+        "run",
+        dataset,
+        "--out",
+        tmp_path / "run",
+        "--scheduler",
+        cluster.add_workers(2).address,
+        code=0,
     )
     assert_same_tables(tmp_path / "run", finished)
     dashboard = re.search(r"dask dashboard: (http://127\.0\.0\.1:\d+/status)", ended.stderr)
@@ -149,7 +170,9 @@ def test_the_command_names_the_dashboard_of_a_cluster(dataset, finished, tmp_pat
 
 
 @pytest.mark.parametrize("library", some_of(["fidpipe", "scipy"], ["scipy"]))
-def test_a_worker_of_another_version_is_refused_before_anything_runs(dataset, tmp_path, cluster, library):
+def test_a_worker_of_another_version_is_refused_before_anything_runs(
+    dataset, tmp_path, cluster, library
+):
     there = tmp_path / f"{library}-0.0.9.dist-info"
     there.mkdir()
     (there / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {library}\nVersion: 0.0.9\n")
@@ -168,7 +191,9 @@ def test_a_cluster_that_starts_workers_for_tasks_is_asked_for_one(tmp_path):
         n_workers=0, threads_per_worker=1, host="127.0.0.1", scheduler_kwargs={"dashboard": False}
     ) as adaptive:
         adaptive.adapt(minimum=0, maximum=1, interval="100ms")
-        pool = DaskPool(1, adaptive.scheduler_address, [str(tmp_path / "file")], {"fidpipe": __version__})
+        pool = DaskPool(
+            1, adaptive.scheduler_address, [str(tmp_path / "file")], {"fidpipe": __version__}
+        )
         (tmp_path / "file").write_text("moved")  # a worker that joins from now on sees other files
         try:
             assert pool.dashboard == ""
@@ -180,9 +205,20 @@ def test_a_cluster_that_starts_workers_for_tasks_is_asked_for_one(tmp_path):
 
 
 @pytest.mark.exhaustive
-def test_workers_without_a_memory_limit_or_with_a_time_limit_but_no_nanny_are_refused(dataset, tmp_path, cluster):
+def test_workers_without_a_memory_limit_or_with_a_time_limit_but_no_nanny_are_refused(
+    dataset, tmp_path, cluster
+):
     cluster.add_workers(1, "--no-nanny", "--memory-limit", "0")
-    words = ("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address, "--pairs", "000")
+    words = (
+        "run",
+        dataset,
+        "--out",
+        tmp_path / "run",
+        "--scheduler",
+        cluster.address,
+        "--pairs",
+        "000",
+    )
     refused = own_process(*words, code=1)
     assert "--memory-limit" in refused.stderr
     named = (*words, "--set", "machine.memory_gib=2")
@@ -191,21 +227,37 @@ def test_workers_without_a_memory_limit_or_with_a_time_limit_but_no_nanny_are_re
     assert own_process(*named).returncode == 0
 
 
-@pytest.mark.parametrize("on", some_of(["one process", "two processes", "a cluster"], ["two processes"]))
+@pytest.mark.parametrize(
+    "on", some_of(["one process", "two processes", "a cluster"], ["two processes"])
+)
 def test_a_pair_that_never_ends_fails_alone_and_leaves_no_process(
     dataset, finished, tmp_path, request, monkeypatch, on
 ):
     monkeypatch.setenv("PYTHONPATH", TEST_MODULES)
-    address = request.getfixturevalue("cluster").add_workers(2, "--nanny").address if on == "a cluster" else None
+    address = (
+        request.getfixturevalue("cluster").add_workers(2, "--nanny").address
+        if on == "a cluster"
+        else None
+    )
     workers = {"one process": 1, "two processes": 2}.get(on)
     pids = tmp_path / "pids"
     pids.mkdir()
     stages = broken_jobs.with_job("graph", partial(never_ending_graph, pids))
     begun = time.monotonic()
-    outcome = run(dataset, tmp_path / "run", workers=workers, scheduler=address, stages=stages, pair_timeout_s=LIMIT_S)
+    outcome = run(
+        dataset,
+        tmp_path / "run",
+        workers=workers,
+        scheduler=address,
+        stages=stages,
+        pair_timeout_s=LIMIT_S,
+    )
     assert time.monotonic() - begun < ENDLESS_S / 3
     assert list(outcome.failures) == [broken_jobs.POISON]
-    assert f"not finished after {LIMIT_S:g} s of work in stage graph, real" in outcome.failures[broken_jobs.POISON]
+    assert (
+        f"not finished after {LIMIT_S:g} s of work in stage graph, real"
+        in outcome.failures[broken_jobs.POISON]
+    )
     assert not (tmp_path / "run" / ".time_limit").exists()
     assert len(list(pids.iterdir())) == 1
     assert not any(psutil.pid_exists(int(path.name)) for path in pids.iterdir())
@@ -232,8 +284,11 @@ def test_a_pair_in_many_batches_of_which_none_ends_fails_alone(dataset, tmp_path
     monkeypatch.setenv("PYTHONPATH", TEST_MODULES)
     stages = broken_jobs.with_job("selection", never_ending_selection)
     small = Policy(worth_splitting_s=0.0, batch_s=0.0)
-    outcome = run(dataset, tmp_path / "run", workers=2, stages=stages, policy=small, pair_timeout_s=LIMIT_S)
+    outcome = run(
+        dataset, tmp_path / "run", workers=2, stages=stages, policy=small, pair_timeout_s=LIMIT_S
+    )
     assert list(outcome.failures) == [broken_jobs.POISON]
     assert (
-        f"not finished after {LIMIT_S:g} s of work in stage selection; a larger" in outcome.failures[broken_jobs.POISON]
+        f"not finished after {LIMIT_S:g} s of work in stage selection; a larger"
+        in outcome.failures[broken_jobs.POISON]
     )

@@ -39,20 +39,34 @@ from reports import text_of
 from runs import command, copied, run
 from scenes import drifted, street, write_bin, write_pair
 
-HOSTILE = ("<script>alert(1)</script>", "ünï[bold]code[/bold] 雨", "x" * 300, "../x", "x&amp;", "x%41 '")
+HOSTILE = (
+    "<script>alert(1)</script>",
+    "ünï[bold]code[/bold] 雨",
+    "x" * 300,
+    "../x",
+    "x&amp;",
+    "x%41 '",
+)
 
 
 def run_versions(folder, n=6, signs=(1, 1, 1)):
     """Runs of a good and a bad simulator on the same real scans under the hostile names; `signs` mirror the bad one."""
-    for version, noise, keep, own_signs in (("good", 0.02, 0.95, (1, 1, 1)), ("bad", 0.3, 0.6, signs)):
+    for version, noise, keep, own_signs in (
+        ("good", 0.02, 0.95, (1, 1, 1)),
+        ("bad", 0.3, 0.6, signs),
+    ):
         data = folder / f"data-{version}"
         rows = []
         for i, name in enumerate(HOSTILE[:n]):
             scan = street(seed=10 * i)
             write_bin(data / f"real{i}.bin", scan)
-            write_bin(data / f"sim{i}.bin", drifted(scan, seed=i, noise=noise, keep=keep) * own_signs)
+            write_bin(
+                data / f"sim{i}.bin", drifted(scan, seed=i, noise=noise, keep=keep) * own_signs
+            )
             rows.append(f'"{name}",real{i}.bin,sim{i}.bin,{60 * i}')
-        (data / "pairs.csv").write_text("pair_id,real,sim,timestamp_s\n" + "\n".join(rows) + "\n", encoding="utf-8")
+        (data / "pairs.csv").write_text(
+            "pair_id,real,sim,timestamp_s\n" + "\n".join(rows) + "\n", encoding="utf-8"
+        )
         run(data, folder / version)
     return folder / "good", folder / "bad"
 
@@ -77,7 +91,9 @@ def test_a_worse_simulator_is_distinguished_from_a_better_one_both_ways(versions
     better = compare_runs(versions[::-1])[0]
     assert (worse.decision, better.decision) == ("worse", "better")
     assert "surface invented" in [words for words, _, _ in reasons(worse)["worse"]]
-    assert by_name(worse)["CDC"].difference.difference == pytest.approx(-by_name(better)["CDC"].difference.difference)
+    assert by_name(worse)["CDC"].difference.difference == pytest.approx(
+        -by_name(better)["CDC"].difference.difference
+    )
     assert worse.kinds["worse"] > worse.kinds["better"]
 
 
@@ -109,7 +125,9 @@ def test_scans_near_each_other_in_time_count_once(versions, tmp_path):
     for own in versions:
         data, out = copied(own.with_name(f"data-{own.name}"), own, tmp_path / own.name)
         manifest = (data / "pairs.csv").read_text("utf-8")
-        (data / "pairs.csv").write_text(re.sub(r",(\d+)\n", lambda own: f",{int(own[1]) / 300}\n", manifest), "utf-8")
+        (data / "pairs.csv").write_text(
+            re.sub(r",(\d+)\n", lambda own: f",{int(own[1]) / 300}\n", manifest), "utf-8"
+        )
         run(data, out)
         shutil.rmtree(data)  # the same where the dataset is not
         folders.append(out)
@@ -139,9 +157,14 @@ def test_objects_are_followed_through_the_real_side(found, versions):
     assert found.unfollowed == ()
     real = pd.read_parquet(versions[0] / "objects").query("side == 'real'")
     assert len(found.objects) == len(real) == sum(found.kinds.values())
-    matching = [pd.read_parquet(folder / "matching").query("status == 'matched'") for folder in versions]
+    matching = [
+        pd.read_parquet(folder / "matching").query("status == 'matched'") for folder in versions
+    ]
     matched = [set(zip(of.pair_id, of.real_id.astype(int), strict=True)) for of in matching]
-    of_kind = {kind: set(zip(own.pair_id, own.real_id, strict=True)) for kind, own in found.objects.groupby("kind")}
+    of_kind = {
+        kind: set(zip(own.pair_id, own.real_id, strict=True))
+        for kind, own in found.objects.groupby("kind")
+    }
     vanished = of_kind["vanished"]
     appeared = of_kind["appeared"]
     assert vanished == matched[0] - matched[1]
@@ -234,17 +257,26 @@ def test_a_difference_is_set_beside_what_seeds_alone_make(versions, tmp_path):
         runs.append(shutil.copytree(versions[0].parent / name, tmp_path / name))
         run(versions[0].parent / f"data-{name}", runs[-1], load(assignments=["stability.seeds=3"]))
     found = by_name(compare_runs(runs)[0])
-    of_seeds = [json.loads((folder / "run.json").read_text())["seeds"]["dataset"]["cdc_mean"] for folder in runs]
+    of_seeds = [
+        json.loads((folder / "run.json").read_text())["seeds"]["dataset"]["cdc_mean"]
+        for folder in runs
+    ]
     noise = sum(of["least_dataset"] ** 2 for of in of_seeds) ** 0.5 / 2**0.5
     assert found["CDC"].seed_noise == pytest.approx(noise)
-    assert found["CDC"].exceeds(found["CDC"].seed_noise) == (found["CDC"].difference.difference > noise)
+    assert found["CDC"].exceeds(found["CDC"].seed_noise) == (
+        found["CDC"].difference.difference > noise
+    )
     assert found["real covered 0.3 m"].exceeds(found["real covered 0.3 m"].seed_noise) is None
     assert by_name(compare_runs(versions)[0])["CDC"].seed_noise is None
     assert "more than seeds make" in compare_page(compare_runs(runs))
 
 
 def test_the_first_line_is_the_decision_with_its_first_cause_and_short(versions):
-    for order, word in ((versions, "worse"), (versions[::-1], "better"), ([versions[0]] * 2, "same")):
+    for order, word in (
+        (versions, "worse"),
+        (versions[::-1], "better"),
+        ([versions[0]] * 2, "same"),
+    ):
         found = compare_runs(order)[0]
         assert decision(found).startswith(f"{word}: ")
         assert len(decision(found)) < 80
@@ -300,8 +332,12 @@ def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
 def test_markdown_and_csv_hold_the_scores_and_the_notes_name_what_is_left_out(found):
     rows = list(csv.DictReader(io.StringIO(csv_table(compare_records([found])))))
     assert [row["score"] for row in rows] == [score.name for score in found.scores]
-    assert [float(row["change"]) for row in rows] == [score.difference.difference for score in found.scores]
-    assert {(row["family"], row["better is"]) for row in rows if row["score"] == "match rate"} == {("objects", "↑")}
+    assert [float(row["change"]) for row in rows] == [
+        score.difference.difference for score in found.scores
+    ]
+    assert {(row["family"], row["better is"]) for row in rows if row["score"] == "match rate"} == {
+        ("objects", "↑")
+    }
     text = markdown(compare_view(found, with_all=True))
     assert text.startswith("**worse: ")
     assert "| surface invented | worse |" in text
@@ -321,7 +357,9 @@ def test_the_worst_changes_are_in_3d_and_linked_into_both_reports(versions, tmp_
     page.feed(compare_page(found, tmp_path / "pages"))
     assert page.tags.count("option") >= len(worst) + 3, "and three themes"
     links = [unquote(link) for link in page.links if link != "data:," and not link.startswith("#")]
-    assert [(tmp_path / "pages" / link).resolve() for link in links] == [folder / "report.html" for folder in runs]
+    assert [(tmp_path / "pages" / link).resolve() for link in links] == [
+        folder / "report.html" for folder in runs
+    ]
 
 
 def test_a_changed_object_has_its_points_before_and_after(found, versions):
@@ -344,11 +382,16 @@ def test_the_first_place_is_around_the_sensor_if_the_first_cause_is_of_the_senso
 
 def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(versions, tmp_path):
     good, bad = versions
-    passed = command("compare", good, good, "--fail-on", "worse", "--out", tmp_path / "same", code=0)
+    passed = command(
+        "compare", good, good, "--fail-on", "worse", "--out", tmp_path / "same", code=0
+    )
     assert "gate on worse: passed" in passed.stdout
     files = ("--junit", tmp_path / "a.xml", "--json-file", tmp_path / "a.json")
     command("compare", good, bad, "--fail-on", "worse", *files, code=4)
-    assert command("compare", bad, good, "--fail-on", "worse", "--out", tmp_path / "better").returncode == 0
+    assert (
+        command("compare", bad, good, "--fail-on", "worse", "--out", tmp_path / "better").returncode
+        == 0
+    )
     (judged,) = json.loads((tmp_path / "a.json").read_text())["comparisons"]
     assert (judged["decision"], judged["passed"]) == ("worse", False)
     faults = {check["name"]: check["fault"] for check in judged["checks"]}
@@ -356,17 +399,27 @@ def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(v
         f"{family['name']} is not worse"
         for family in judged["families"]
         if family["verdict"] == "worse" and not family["why"]
-    } | {f"{cause['cause']} is not worse" for cause in judged["causes"] if cause["verdict"] == "worse"}
+    } | {
+        f"{cause['cause']} is not worse"
+        for cause in judged["causes"]
+        if cause["verdict"] == "worse"
+    }
     assert {name for name, fault in faults.items() if fault} == worse > set()
     suite = ElementTree.parse(tmp_path / "a.xml").getroot().find("testsuite")
     assert (suite.get("tests"), suite.get("failures")) == (str(len(faults)), str(len(worse)))
-    assert {case.get("name") for case in suite.iter("testcase") if case.find("failure") is not None} == {
-        name for name, fault in faults.items() if fault
+    assert {
+        case.get("name") for case in suite.iter("testcase") if case.find("failure") is not None
+    } == {name for name, fault in faults.items() if fault}
+    assert {path.name for path in (tmp_path / "same").iterdir()} == {
+        "compare.html",
+        "compare.json",
+        "compare.xml",
     }
-    assert {path.name for path in (tmp_path / "same").iterdir()} == {"compare.html", "compare.json", "compare.xml"}
 
 
-def test_a_pair_that_is_no_longer_scored_fails_a_gate_though_all_others_are_the_same(versions, tmp_path):
+def test_a_pair_that_is_no_longer_scored_fails_a_gate_though_all_others_are_the_same(
+    versions, tmp_path
+):
     data, out = copied(versions[0].parent / "data-good", versions[0], tmp_path)
     (data / "sim1.bin").write_bytes(b"")
     run(data, out)
@@ -389,7 +442,10 @@ def test_a_run_in_which_every_pair_fails_is_worse_and_leaves_files_for_ci(versio
     result = command("compare", versions[0], tmp_path / "run", "--fail-on", "worse", code=4)
     assert result.stdout.startswith("worse: all 6 pairs")
     assert (tmp_path / "run" / "compare.xml").exists()
-    assert json.loads((tmp_path / "run" / "compare.json").read_text())["comparisons"][0]["decision"] == "worse"
+    assert (
+        json.loads((tmp_path / "run" / "compare.json").read_text())["comparisons"][0]["decision"]
+        == "worse"
+    )
     page = compare_page(compare_runs([versions[0], tmp_path / "run"]))
     assert "all 6 pairs" in page
 
@@ -397,7 +453,8 @@ def test_a_run_in_which_every_pair_fails_is_worse_and_leaves_files_for_ci(versio
 def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_see(found):
     tendencies = {"objects": "worse"}
     open_ = tuple(
-        replace(family, verdict="undecided", tendency=tendencies.get(family.name, "")) for family in found.families
+        replace(family, verdict="undecided", tendency=tendencies.get(family.name, ""))
+        for family in found.families
     )
     for n_places in (5, 8):
         unsure = replace(found, n_places=n_places, families=open_, changes=Changes())
@@ -407,9 +464,15 @@ def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_se
         assert passed.note.partition(";")[0].endswith("objects")
         assert ("6 pairs of 5 places" in passed.note) == (n_places == 5)
         faults = [check.fault for check in judge_comparison(unsure, "worse").failed]
-        assert faults == (["undecided"] if n_places == 5 else []), "too few places fail, chance does not"
-        assert [check.fault for check in judge_comparison(unsure, "undecided").failed] == ["undecided"]
-    mixed = replace(found, families=(replace(found.families[0], verdict="mixed"),), changes=Changes())
+        assert faults == (["undecided"] if n_places == 5 else []), (
+            "too few places fail, chance does not"
+        )
+        assert [check.fault for check in judge_comparison(unsure, "undecided").failed] == [
+            "undecided"
+        ]
+    mixed = replace(
+        found, families=(replace(found.families[0], verdict="mixed"),), changes=Changes()
+    )
     assert [check.fault for check in judge_comparison(mixed, "worse").failed] == ["mixed"]
 
 

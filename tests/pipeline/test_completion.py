@@ -27,7 +27,11 @@ def place(finished, tmp_path_factory):
 def offered(place, line):
     """Words that bash offers for the last word of a line."""
     words = line.split(" ")
-    asked = {"COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1), "_FIDPIPE_COMPLETE": "complete_bash"}
+    asked = {
+        "COMP_WORDS": line,
+        "COMP_CWORD": str(len(words) - 1),
+        "_FIDPIPE_COMPLETE": "complete_bash",
+    }
     with mock.patch.dict(os.environ, asked):
         answer = command("", cwd=place)
     assert (answer.returncode, answer.stderr) == (0, "")
@@ -48,7 +52,10 @@ def offered(place, line):
         ("fidpipe run other --out runs/streets --from me", ["metrics"]),
         ("fidpipe run other --from ", []),
         ("fidpipe run streets --preset ", ["paper", "reference"]),
-        ("fidpipe run streets --set graph.", ["graph.k=", "graph.tau_m=", "graph.edges=", "graph.ties="]),
+        (
+            "fidpipe run streets --set graph.",
+            ["graph.k=", "graph.tau_m=", "graph.edges=", "graph.ties="],
+        ),
     ],
 )
 def test_names_are_offered(place, line, names):
@@ -65,7 +72,9 @@ def test_every_measure_that_is_offered_can_be_measured(place):
 
 
 def test_every_setting_is_offered(place):
-    assert len(offered(place, "fidpipe run streets --set ")) == sum(len(dict(group)) for _, group in Settings())
+    assert len(offered(place, "fidpipe run streets --set ")) == sum(
+        len(dict(group)) for _, group in Settings()
+    )
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
@@ -75,7 +84,13 @@ def test_a_shell_completes_after_install_completion(shell, place, tmp_path):
     path = f"{Path(FIDPIPE).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {"HOME": str(tmp_path), "PATH": path, "TERM": "xterm", "LANG": "C.UTF-8"}
     environment["PYTHONPATH"] = os.environ.get("PYTHONPATH", "")
-    options = {"cwd": str(place), "env": environment, "encoding": "utf-8", "timeout": 60, "dimensions": (40, 200)}
+    options = {
+        "cwd": str(place),
+        "env": environment,
+        "encoding": "utf-8",
+        "timeout": 60,
+        "dimensions": (40, 200),
+    }
     installed = pexpect.run(f"{shell} -c 'fidpipe --install-completion; echo code $?'", **options)
     assert "code 0" in installed
     assert f"{shell} completion installed" in installed
@@ -102,7 +117,9 @@ def completes(terminal, line, rest):
         terminal.expect_exact(line[-2:])  # a Tab among typed-ahead keys completes nothing in zsh
         terminal.send("\t")
         found = terminal.expect_exact([rest, pexpect.TIMEOUT], timeout=10)
-        terminal.sendcontrol("u")  # Ctrl-C would take along what is typed before the shell has dealt with it
+        terminal.sendcontrol(
+            "u"
+        )  # Ctrl-C would take along what is typed before the shell has dealt with it
         if found == 0:
             return True
     return False

@@ -89,7 +89,9 @@ def test_the_flaw_has_nearly_all_of_the_gain(low):
 
 def test_gains_are_computed_once(low, monkeypatch):
     before = diagnose_run(low, QUIET, Machines(1))
-    monkeypatch.setattr("fidpipe.pipeline.jobs.gains_job.shares", lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr(
+        "fidpipe.pipeline.jobs.gains_job.shares", lambda *_: pytest.fail("computed again")
+    )
     assert diagnose_run(low, QUIET, Machines(1)) == before
 
 
@@ -178,7 +180,9 @@ def test_the_speed_is_that_of_the_motion_to_the_next_scan(travel_m):
 def test_the_next_scan_is_at_most_half_a_second_later():
     times_s = {"a": 0.0, "c": 0.5, "b": 0.2, "far": 9.0}
     following = follow(times_s, ["a", "b", "c", "far", "unknown"])
-    rounded = {name: (later, round(duration_s, 3)) for name, (later, duration_s) in following.items()}
+    rounded = {
+        name: (later, round(duration_s, 3)) for name, (later, duration_s) in following.items()
+    }
     assert rounded == {"a": ("b", 0.2), "b": ("c", 0.3)}
 
 
@@ -187,7 +191,9 @@ def test_a_world_too_far_ahead_may_be_late(tmp_path):
     finished = FinishedRun(tmp_path / "run")
     causes = finished.record.overview.causes
     assert causes[0].name == "forward"
-    words = re.fullmatch(r"forward: or (\d+) ms of latency at 5 m/s", latency_note(finished, causes))
+    words = re.fullmatch(
+        r"forward: or (\d+) ms of latency at 5 m/s", latency_note(finished, causes)
+    )
     assert int(words[1]) == pytest.approx(60, abs=5)
     assert latency_note(finished, []) == ""
 
@@ -195,7 +201,9 @@ def test_a_world_too_far_ahead_may_be_late(tmp_path):
 def room(rng, low_m=(-18.0, -12.0, -1.8), high_m=(31.0, 9.0, 6.0)):
     """Returns of a VLP-16 in a room, with 5 mm of noise."""
     directions = fire(SENSORS["vlp16"], step_deg=0.4).directions()
-    range_m = (np.where(directions > 0, high_m, low_m) / np.where(directions == 0, 1e-9, directions)).min(axis=1)
+    range_m = (
+        np.where(directions > 0, high_m, low_m) / np.where(directions == 0, 1e-9, directions)
+    ).min(axis=1)
     return directions * (range_m + rng.normal(0, 0.005, len(range_m)))[:, None]
 
 
@@ -210,7 +218,9 @@ def test_the_scale_of_the_intensity_is_a_cause_if_both_sides_have_one_scale(tmp_
     run(tmp_path / "bright", tmp_path / "same", one_scale)
     run(tmp_path / "bright", tmp_path / "other", SETTINGS)
     (scale,) = [
-        cause for cause in diagnose_run(tmp_path / "same", QUIET, Machines(1)).causes if cause.name == "intensity scale"
+        cause
+        for cause in diagnose_run(tmp_path / "same", QUIET, Machines(1)).causes
+        if cause.name == "intensity scale"
     ]
     assert scale.estimate == pytest.approx(-0.3, abs=0.01)
     assert scale.words == "intensities 30 % too high"
@@ -248,7 +258,9 @@ def test_tell_apart_compares_the_run_with_its_best_case_and_draws_the_map(folder
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert found["low"] <= found["auc"] <= found["high"]
     assert found["real_against_real"]["of"] == "second measurements of the best case"
-    assert found["auc"] > found["real_against_real"]["auc"]  # the simulated side is drifted and thinned
+    assert (
+        found["auc"] > found["real_against_real"]["auc"]
+    )  # the simulated side is drifted and thinned
     assert {one["name"] for one in found["families"]} == {"surface"}  # random points have no beams
 
 

@@ -11,8 +11,13 @@ from fidpipe.schemas.settings import InputSettings
 
 def test_a_pair_of_many_points_is_announced_with_its_memory_and_minutes():
     text = large_pairs_text([400_000, 2_000_000], CostModel(), 0.1)
-    assert "1 of 2 pairs have 500,000 points or more; the largest has about 2,000,000; with all" in text
-    assert "some 11 GiB of memory and 17 minutes, more where points are dense; thin both sides" in text
+    assert (
+        "1 of 2 pairs have 500,000 points or more; the largest has about 2,000,000; with all"
+        in text
+    )
+    assert (
+        "some 11 GiB of memory and 17 minutes, more where points are dense; thin both sides" in text
+    )
     assert "input.voxel_m=0.1, lower" in text
 
 

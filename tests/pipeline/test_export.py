@@ -63,7 +63,10 @@ def timed(dataset, tmp_path_factory):
     base = tmp_path_factory.mktemp("timed")
 
     def run_with(*stamps):
-        rows = [f"{'ab'[i]},{dataset}/real/00{i}.bin,{dataset}/sim/00{i}.bin,{stamp}" for i, stamp in enumerate(stamps)]
+        rows = [
+            f"{'ab'[i]},{dataset}/real/00{i}.bin,{dataset}/sim/00{i}.bin,{stamp}"
+            for i, stamp in enumerate(stamps)
+        ]
         (base / "pairs.csv").write_text("\n".join(["pair_id,real,sim,timestamp_s", *rows]) + "\n")
         run_dataset(base, base / "run")
         return fidpipe.open_run(base / "run")
@@ -117,18 +120,28 @@ def test_the_points_in_mcap_are_those_of_the_tables(run, folder):
     topics = read_mcap(folder / "streets.mcap")
     seen = set()
     for side in SIDES:
-        for (_, points), pair_id in zip(topics[f"/fidpipe/{side}"], ["000", "001", "002"], strict=True):
+        for (_, points), pair_id in zip(
+            topics[f"/fidpipe/{side}"], ["000", "001", "002"], strict=True
+        ):
             wanted = wanted_points(run, pair_id, side)
             for name in ("x", "y", "z", "r_lambda", "cdc"):
-                np.testing.assert_array_equal(points[name], wanted[name].to_numpy(dtype=float), err_msg=name)
+                np.testing.assert_array_equal(
+                    points[name], wanted[name].to_numpy(dtype=float), err_msg=name
+                )
             np.testing.assert_array_equal(points["community"], wanted.community_id.fillna(-1))
-            status = wanted.status.fillna(wanted.fate).where(wanted.community_id.notna(), "ground").fillna("not_found")
+            status = (
+                wanted.status.fillna(wanted.fate)
+                .where(wanted.community_id.notna(), "ground")
+                .fillna("not_found")
+            )
             assert [Status(code).name.lower() for code in points["status"]] == status.tolist()
             seen |= set(status)
     assert seen >= {"ground", "scored", "identical", "not_found", "extra"}
     sim = topics["/fidpipe/sim"][0][1]
     remnants = np.unique(sim["community"][sim["status"] == Status.NOT_FOUND])
-    assert remnants.tolist() == ([5] if run.preset == "reference" else [])  # the box that is simulated by a few points
+    assert remnants.tolist() == (
+        [5] if run.preset == "reference" else []
+    )  # the box that is simulated by a few points
 
 
 def test_distances_are_to_the_other_side_and_have_the_median_of_the_table(run, folder):
@@ -145,7 +158,9 @@ def test_distances_are_to_the_other_side_and_have_the_median_of_the_table(run, f
             nearest, _ = cKDTree(there).query(here)
             np.testing.assert_allclose(own["distance_m"], nearest, atol=1e-12)
             for row in coverage[coverage.side == side].itertuples():
-                of_object = own if pd.isna(row.community_id) else own[own["community"] == row.community_id]
+                of_object = (
+                    own if pd.isna(row.community_id) else own[own["community"] == row.community_id]
+                )
                 if len(of_object):
                     assert np.median(of_object["distance_m"]) == row.median_distance_m
 
@@ -153,19 +168,37 @@ def test_distances_are_to_the_other_side_and_have_the_median_of_the_table(run, f
 def test_the_objects_in_mcap_are_those_of_the_tables(run, folder):
     topics = read_mcap(folder / "streets.mcap")
     for side, other in (SIDES, SIDES[::-1]):
-        for (_, objects), pair_id in zip(topics[f"/fidpipe/{side}_objects"], ["000", "001", "002"], strict=True):
+        for (_, objects), pair_id in zip(
+            topics[f"/fidpipe/{side}_objects"], ["000", "001", "002"], strict=True
+        ):
             wanted = run.objects.query("pair_id == @pair_id and side == @side and n_points > 0")
             metrics = run.metrics.query("pair_id == @pair_id").set_index(f"{side}_id")
-            covered = run.table("coverage", [pair_id]).to_pandas().query("side == @side").set_index("community_id")
+            covered = (
+                run.table("coverage", [pair_id])
+                .to_pandas()
+                .query("side == @side")
+                .set_index("community_id")
+            )
             ids = objects["community"]
             assert ids.tolist() == wanted.community_id.tolist()
-            for name, column in {"x": "x_m", "y": "y_m", "z": "z_m", "n_points": "n_points"}.items():
+            for name, column in {
+                "x": "x_m",
+                "y": "y_m",
+                "z": "z_m",
+                "n_points": "n_points",
+            }.items():
                 np.testing.assert_array_equal(objects[name], wanted[column])
             for name in ("r_lambda", "cdc", "r_gap", "centroid_distance_m", "alignment_rms_m"):
-                np.testing.assert_array_equal(objects[name], metrics[name].reindex(ids).to_numpy(dtype=float))
+                np.testing.assert_array_equal(
+                    objects[name], metrics[name].reindex(ids).to_numpy(dtype=float)
+                )
             for name in ("covered_0p3m", "median_distance_m"):
-                np.testing.assert_array_equal(objects[name], covered[name].loc[ids].to_numpy(dtype=float))
-            np.testing.assert_array_equal(objects["partner"], metrics[f"{other}_id"].reindex(ids).fillna(-1))
+                np.testing.assert_array_equal(
+                    objects[name], covered[name].loc[ids].to_numpy(dtype=float)
+                )
+            np.testing.assert_array_equal(
+                objects["partner"], metrics[f"{other}_id"].reindex(ids).fillna(-1)
+            )
 
 
 def test_the_scores_of_each_pair_are_a_message_of_json(run, folder):
@@ -176,7 +209,9 @@ def test_the_scores_of_each_pair_are_a_message_of_json(run, folder):
 def test_ply_read_by_trimesh_holds_the_same_points_as_scalar_fields(folder):
     topics = read_mcap(folder / "streets.mcap")
     for side in SIDES:
-        for (_, points), pair_id in zip(topics[f"/fidpipe/{side}"], ["000", "001", "002"], strict=True):
+        for (_, points), pair_id in zip(
+            topics[f"/fidpipe/{side}"], ["000", "001", "002"], strict=True
+        ):
             read = trimesh.load(folder / f"{pair_id}.{side}.ply")
             np.testing.assert_array_equal(read.vertices, np.array([points[c] for c in "xyz"]).T)
             rows = read.metadata["_ply_raw"]["vertex"]["data"]
@@ -216,7 +251,9 @@ def test_only_pairs_that_match_are_exported(run, tmp_path):
         export_run(run, tmp_path, "x*", ply=True)
 
 
-@pytest.mark.parametrize(("name", "options"), [("streets.mcap", {"mcap": True}), ("001.sim.ply", {"ply": True})])
+@pytest.mark.parametrize(
+    ("name", "options"), [("streets.mcap", {"mcap": True}), ("001.sim.ply", {"ply": True})]
+)
 def test_an_existing_file_stays_unless_it_is_to_be_replaced(run, folder, tmp_path, name, options):
     other = b"ply\nformat ascii 1.0\nend_header\n"
     (tmp_path / name).write_bytes(other)
@@ -246,7 +283,17 @@ def test_without_rosbags_the_install_command_is_said_and_ply_is_written(run, tmp
 
 
 def test_the_command_says_what_it_wrote(run):
-    result = command("export", run.folder, "--mcap", "--ply", "--pairs", "00[01]", "--out", run.folder / "two", code=0)
+    result = command(
+        "export",
+        run.folder,
+        "--mcap",
+        "--ply",
+        "--pairs",
+        "00[01]",
+        "--out",
+        run.folder / "two",
+        code=0,
+    )
     assert "streets.mcap, stamps one second apart" in result.stdout
     assert "PLY:    4 files in" in result.stdout
     assert "0 ground, 1 scored, 2 identical, 3 too_small, 4 not_found, 5 extra" in result.stdout

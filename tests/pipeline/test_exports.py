@@ -20,7 +20,9 @@ def write_pcd(path, columns, counts, fmt="binary"):
     kinds = {"f": "F", "u": "U", "i": "I"}
     names = [name.rstrip("0123456789") if name.startswith("_") else name for name in columns]
     fields = zip(columns.items(), counts, strict=True)
-    dtype = np.dtype([(name, own.dtype, (n,)) if n > 1 else (name, own.dtype) for (name, own), n in fields if n])
+    dtype = np.dtype(
+        [(name, own.dtype, (n,)) if n > 1 else (name, own.dtype) for (name, own), n in fields if n]
+    )
     records = np.zeros(len(POINTS), dtype)
     for name in dtype.names:
         records[name] = columns[name] if records[name].ndim == 1 else 7
@@ -52,7 +54,13 @@ def write_pcd(path, columns, counts, fmt="binary"):
 def test_padding_of_count_zero_takes_no_bytes(tmp_path, fmt):
     floats = {name: column.astype("<f4") for name, column in zip("xyz", POINTS.T, strict=True)}
     pad = np.zeros(3, "u1")
-    columns = {"x": floats["x"], "y": floats["y"], "z": floats["z"], "_1": pad, "intensity": np.arange(3, dtype="<f4")}
+    columns = {
+        "x": floats["x"],
+        "y": floats["y"],
+        "z": floats["z"],
+        "_1": pad,
+        "intensity": np.arange(3, dtype="<f4"),
+    }
     columns |= {"_2": pad, "ring": np.arange(3, dtype="<u2"), "_3": pad}
     scan = read_scan(write_pcd(tmp_path / "a.pcd", columns, (1, 1, 1, 4, 1, 0, 1, 12), fmt))
     np.testing.assert_array_equal(scan.points, POINTS)
@@ -88,10 +96,16 @@ def test_columns_of_other_exporters_are_known(tmp_path, header, row, seconds, ri
     ("content", "fault"),
     [
         ("1.5,2,3,7\n4,5,6,8\n", "expected a header .* name its 4 columns in input.columns"),
-        ("x;y;z\n1,5;2,5;3,5\n", "separated by commas, got x;y;z; for semicolons and decimal commas"),
+        (
+            "x;y;z\n1,5;2,5;3,5\n",
+            "separated by commas, got x;y;z; for semicolons and decimal commas",
+        ),
         ("x,y,z\n1,5,2,5,3,5\n", "expected 3 values in a row, got 6: .*decimal commas"),
         ('x,y,z\n"1,5","2,5","3,5"\n', "got '1,5'; is it a decimal comma"),
-        ("a,b,c,d\n1,2,3,4\n", "missing columns x, y, z; got a, b, c, d; .* name its 4 columns in input.columns"),
+        (
+            "a,b,c,d\n1,2,3,4\n",
+            "missing columns x, y, z; got a, b, c, d; .* name its 4 columns in input.columns",
+        ),
     ],
 )
 def test_a_csv_without_header_or_with_decimal_commas_is_named(tmp_path, content, fault):
@@ -111,7 +125,11 @@ def test_columns_of_a_csv_can_be_named(tmp_path, header):
 def test_argoverse_sweeps_have_rings_times_and_a_note_on_two_sensors(tmp_path):
     n = len(street())
     table = pd.DataFrame(street().astype(np.float16), columns=["x", "y", "z"])
-    table = table.assign(intensity=np.uint8(9), laser_number=np.arange(n) % 64, offset_ns=np.arange(n, dtype=np.int32))
+    table = table.assign(
+        intensity=np.uint8(9),
+        laser_number=np.arange(n) % 64,
+        offset_ns=np.arange(n, dtype=np.int32),
+    )
     table.to_feather(tmp_path / "a.feather")
     scan = read_scan(tmp_path / "a.feather")
     np.testing.assert_array_equal(scan.points, street().astype(np.float16).astype(float))
@@ -140,7 +158,9 @@ def test_a_line_of_livox_is_a_ring_if_it_has_one_elevation(tmp_path, repeats):
     elevation = np.radians(line if repeats else rng.uniform(-20, 20, 4000))
     azimuth, range_m = rng.uniform(-np.pi, np.pi, 4000), rng.uniform(5, 50, 4000)
     flat = range_m * np.cos(elevation)
-    table = pd.DataFrame({"x": flat * np.cos(azimuth), "y": flat * np.sin(azimuth), "z": range_m * np.sin(elevation)})
+    table = pd.DataFrame(
+        {"x": flat * np.cos(azimuth), "y": flat * np.sin(azimuth), "z": range_m * np.sin(elevation)}
+    )
     table.assign(line=line).to_csv(tmp_path / "a.csv", index=False)
     scan = read_scan(tmp_path / "a.csv")
     assert (scan.rings is not None) == repeats
@@ -155,8 +175,12 @@ def test_a_bin_of_another_width_is_rejected_until_its_columns_are_named(tmp_path
     others = [rng.random(len(points)), np.zeros(len(points)), rng.integers(0, 32, len(points))]
     others += [np.linspace(0, 0.1, len(points)), np.full(len(points), 1.7e9)]
     content = np.column_stack([points, *others])[:, :width].astype("<f4")
-    (tmp_path / "a.bin").write_bytes((rng.permutation(content) if order == "shuffled" else content).tobytes())
-    with pytest.raises(ScanError, match=f"do not fit 4 float32 columns .*, but {width}: .* in input.columns"):
+    (tmp_path / "a.bin").write_bytes(
+        (rng.permutation(content) if order == "shuffled" else content).tobytes()
+    )
+    with pytest.raises(
+        ScanError, match=f"do not fit 4 float32 columns .*, but {width}: .* in input.columns"
+    ):
         read_scan(tmp_path / "a.bin")
     names = ("x", "y", "z", "intensity", "a", "b", "c", "d")[:width]
     assert len(read_scan(tmp_path / "a.bin", names).points) == len(points)
@@ -165,8 +189,12 @@ def test_a_bin_of_another_width_is_rejected_until_its_columns_are_named(tmp_path
 
 def test_a_length_that_fits_no_row_names_the_width_that_does(tmp_path):
     points = street()[:1001]
-    (tmp_path / "a.bin").write_bytes(np.column_stack([points, np.zeros((1001, 2))]).astype("<f4").tobytes())
-    with pytest.raises(ScanError, match='expected a multiple of 16 bytes.* such as "x y z intensity column5"'):
+    (tmp_path / "a.bin").write_bytes(
+        np.column_stack([points, np.zeros((1001, 2))]).astype("<f4").tobytes()
+    )
+    with pytest.raises(
+        ScanError, match='expected a multiple of 16 bytes.* such as "x y z intensity column5"'
+    ):
         read_scan(tmp_path / "a.bin")
 
 
@@ -186,7 +214,9 @@ def test_projected_coordinates_are_named_without_a_larger_range(tmp_path):
 def test_foxglove_clouds_are_read_by_frame(tmp_path):
     scans = [street(seed) for seed in range(2)]
     path = write_foxglove(tmp_path / "a.mcap", [rows(scan) for scan in scans])
-    assert [str(frame) for frame in frames_of(path)] == [f"{path}#/lidar@{time_s}.000000000" for time_s in (5, 6)]
+    assert [str(frame) for frame in frames_of(path)] == [
+        f"{path}#/lidar@{time_s}.000000000" for time_s in (5, 6)
+    ]
     for address, scan in zip((f"{path}#0", f"{path}#/lidar@6.0"), scans, strict=True):
         frame = read_scan(address)
         np.testing.assert_array_equal(frame.points, scan.astype(np.float32))
@@ -196,7 +226,9 @@ def test_foxglove_clouds_are_read_by_frame(tmp_path):
 
 def test_other_mcap_files_are_named_with_their_topics(tmp_path):
     path = write_foxglove(tmp_path / "a.mcap", [rows(POINTS)], encoding="json")
-    with pytest.raises(ScanError, match=r"foxglove\.PointCloud.*got /lidar \(foxglove.PointCloud, json\)"):
+    with pytest.raises(
+        ScanError, match=r"foxglove\.PointCloud.*got /lidar \(foxglove.PointCloud, json\)"
+    ):
         read_scan(path)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
@@ -209,7 +241,10 @@ def test_other_mcap_files_are_named_with_their_topics(tmp_path):
 
 def test_a_file_of_six_columns_fails_check_and_run_until_its_columns_are_named(real_data, tmp_path):
     case = real_data / "reports" / "05_six_columns"
-    assert "do not fit 4 float32 columns (x y z intensity), but 6" in command("check", case, code=1).stdout
+    assert (
+        "do not fit 4 float32 columns (x y z intensity), but 6"
+        in command("check", case, code=1).stdout
+    )
     named = ["input.sim_columns=x y z intensity elongation label"]
     found = check_dataset(case, load(None, named))
     assert found.faults == []

@@ -62,7 +62,9 @@ class Extended(NamedTuple):
     def start(self, *words):
         environment = os.environ | {"PYTHONPATH": str(self.folder)}
         call = list(map(str, words))
-        return subprocess.run(call, capture_output=True, text=True, check=False, env=environment, cwd=self.folder)
+        return subprocess.run(
+            call, capture_output=True, text=True, check=False, env=environment, cwd=self.folder
+        )
 
     def fidpipe(self, *words, exit_code=0):
         """The command of the copy."""
@@ -114,7 +116,9 @@ def test_an_example_touches_the_files_that_its_section_names_and_they_are_few(ti
 def made_again(result):
     """The stages that the command says it replaces."""
     lines = [line for line in result.stderr.splitlines() if line.startswith("replacing ")]
-    return {name for line in lines for name in re.search(r"replacing (.*?) of ", line)[1].split(", ")}
+    return {
+        name for line in lines for name in re.search(r"replacing (.*?) of ", line)[1].split(", ")
+    }
 
 
 def test_the_setting_is_obeyed_checked_recorded_and_part_of_the_key(again, dataset, tmp_path):
@@ -129,14 +133,18 @@ def test_the_setting_is_obeyed_checked_recorded_and_part_of_the_key(again, datas
     assert pd.read_parquet(again / "graph").length_m.max() <= 0.5
     assert "max_edge_m = 0.5" in (again / "settings.toml").read_text()
     wrong = package.fidpipe(*run, "--set", "graph.max_edge_m=0", exit_code=1)
-    assert wrong.stderr.startswith("error: setting graph.max_edge_m: expected a number above 0, got 0")
+    assert wrong.stderr.startswith(
+        "error: setting graph.max_edge_m: expected a number above 0, got 0"
+    )
 
 
 @pytest.mark.exhaustive
 def test_the_baseline_is_computed_swept_and_timed(again, dataset, tmp_path):
     package, _ = extended("A baseline metric", tmp_path)
     assert package.breaks_no_layer() is True
-    package.fidpipe("run", dataset, "--out", again, "--workers", 1, "--set", "metrics.baselines=box_overlap")
+    package.fidpipe(
+        "run", dataset, "--out", again, "--workers", 1, "--set", "metrics.baselines=box_overlap"
+    )
     rows, metrics = pd.read_parquet(again / "baselines"), pd.read_parquet(again / "metrics")
     assert rows.real_id.notna().sum() == len(metrics)
     ground = pd.read_parquet(again / "ground").query("not is_ground and pair_id == '000'")
@@ -149,8 +157,14 @@ def test_the_baseline_is_computed_swept_and_timed(again, dataset, tmp_path):
     timings = pd.read_parquet(again / "timings.parquet").query("stage == 'baselines'")
     assert {"box_overlap", "box_overlap, whole scan"} <= set(timings.step)
     words = ("--sweep", "dropout=0.4", "--repeats", 1, "--global-repeats", 0, "--workers", 1)
-    package.fidpipe("perturb", dataset, "--out", tmp_path / "perturb", "--metrics", "box_overlap", *words)
-    assert pd.read_parquet(tmp_path / "perturb" / "perturb_baselines.parquet").value.between(0, 1).all()
+    package.fidpipe(
+        "perturb", dataset, "--out", tmp_path / "perturb", "--metrics", "box_overlap", *words
+    )
+    assert (
+        pd.read_parquet(tmp_path / "perturb" / "perturb_baselines.parquet")
+        .value.between(0, 1)
+        .all()
+    )
 
 
 @pytest.mark.exhaustive
@@ -171,18 +185,26 @@ def test_the_score_is_in_every_table_and_nothing_stale_is_kept(again, dataset, t
     shown = ("show", again, "000", metrics.query("pair_id == '000'").real_id.iloc[0])
     for words in (("show", again, "--all"), shown, ("compare", tmp_path / "copy", again, "--all")):
         assert "change, Frobenius" in package.fidpipe(*words).stdout, words
-    assert "frobenius_change" in package.fidpipe("show", again, "000", "--csv").stdout.splitlines()[0].split(",")
+    assert "frobenius_change" in package.fidpipe("show", again, "000", "--csv").stdout.splitlines()[
+        0
+    ].split(",")
     package.fidpipe("report", again)
     assert '"title":"change, Frobenius"' in (again / "report.html").read_text(encoding="utf-8")
     objects = "from fidpipe.pipeline.exchange.export import OBJECT; print(OBJECT.names)"
     assert "'frobenius_change'" in package.start(sys.executable, "-c", objects).stdout
     assert "replacing results of pair 000" in package.fidpipe(*perturb, "--replace").stderr
-    assert "frobenius_change_mean" in pd.read_parquet(tmp_path / "perturb" / "perturb_global.parquet")
+    assert "frobenius_change_mean" in pd.read_parquet(
+        tmp_path / "perturb" / "perturb_global.parquet"
+    )
     scan = dataset / "real" / "000.bin"
     for side in ("real", "sim"):
-        write_bin(tmp_path / "same" / side / "a.bin", np.fromfile(scan, "<f4").reshape(-1, 4)[:, :3])
+        write_bin(
+            tmp_path / "same" / side / "a.bin", np.fromfile(scan, "<f4").reshape(-1, 4)[:, :3]
+        )
     package.fidpipe("run", tmp_path / "same", "--out", tmp_path / "identical", "--workers", 1)
-    assert (pd.read_parquet(tmp_path / "identical" / "metrics").frobenius_change.dropna() == 0).all()
+    assert (
+        pd.read_parquet(tmp_path / "identical" / "metrics").frobenius_change.dropna() == 0
+    ).all()
 
 
 @pytest.mark.exhaustive
@@ -201,14 +223,24 @@ def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
     assert len(rows) == len(objects)
     for (pair_id, side), own in objects.groupby(["pair_id", "side"]):
         centroids = own.sort_values("community_id")[["cx", "cy", "cz"]].to_numpy()
-        apart = np.linalg.norm(centroids[:, None] - centroids[None], axis=2) + np.diag(np.full(len(own), np.inf))
-        nearest = rows[(rows.pair_id == pair_id) & (rows.side == side)].sort_values("community_id").nearest_m
-        np.testing.assert_allclose(nearest, np.where(apart.min(axis=1) <= 20, apart.min(axis=1), np.nan))
-    assert "nearest" in set(pd.read_parquet(again / "timings.parquet").query("stage == 'neighbours'").step)
+        apart = np.linalg.norm(centroids[:, None] - centroids[None], axis=2) + np.diag(
+            np.full(len(own), np.inf)
+        )
+        nearest = (
+            rows[(rows.pair_id == pair_id) & (rows.side == side)]
+            .sort_values("community_id")
+            .nearest_m
+        )
+        np.testing.assert_allclose(
+            nearest, np.where(apart.min(axis=1) <= 20, apart.min(axis=1), np.nan)
+        )
+    assert "nearest" in set(
+        pd.read_parquet(again / "timings.parquet").query("stage == 'neighbours'").step
+    )
     assert re.search(r"done of all pairs: .*neighbours", package.fidpipe("status", again).stdout)
-    assert made_again(package.fidpipe(*run, "--workers", 1, "--set", "neighbours.within_m=5", "--replace")) == {
-        "neighbours"
-    }
+    assert made_again(
+        package.fidpipe(*run, "--workers", 1, "--set", "neighbours.within_m=5", "--replace")
+    ) == {"neighbours"}
     package.fidpipe("run", dataset, "--out", tmp_path / "two", "--workers", 2)
     package.fidpipe(*run, "--workers", 1, "--replace")
     for path in (tmp_path / "two" / "neighbours").iterdir():
@@ -227,13 +259,17 @@ def write(folder, save):
 def test_a_new_format_is_checked_and_gives_the_numbers_of_a_known_one(tmp_path):
     package, _ = extended("A reader", tmp_path)
     as_text = lambda stem, points: np.savetxt(f"{stem}.xyz", points.astype(np.float64), fmt="%.17g")  # noqa: E731
-    streets = {name: write(tmp_path / name, save) for name, save in (("xyz", as_text), ("npy", np.save))}
+    streets = {
+        name: write(tmp_path / name, save) for name, save in (("xyz", as_text), ("npy", np.save))
+    }
     assert "no scan pairs found" in command("check", streets["xyz"]).stderr
     assert "1 of 1 pairs can be evaluated" in package.fidpipe("check", streets["xyz"]).stdout
     for name, dataset in streets.items():
         package.fidpipe("run", dataset, "--out", tmp_path / f"run-{name}", "--workers", 1)
     for table in ("objects/a.real", "objects/a.sim", "metrics/a"):
-        new, known = (pq.read_table(tmp_path / f"run-{name}" / f"{table}.parquet") for name in streets)
+        new, known = (
+            pq.read_table(tmp_path / f"run-{name}" / f"{table}.parquet") for name in streets
+        )
         assert new.num_rows
         assert new.equals(known)
     (streets["xyz"] / "sim" / "a.xyz").write_text("1 2\n3 4\n")

@@ -49,13 +49,19 @@ def record(finished):
 
 def extras(out):
     """The tables of the extras by stage and pair."""
-    return {(stage, path.stem): pq.read_table(path) for stage in EXTRAS for path in (out / stage).glob("*.parquet")}
+    return {
+        (stage, path.stem): pq.read_table(path)
+        for stage in EXTRAS
+        for path in (out / stage).glob("*.parquet")
+    }
 
 
 def test_a_run_to_which_they_are_added_later_reuses_everything_else(dataset, finished, tmp_path):
     out = tmp_path / "run"
     run(dataset, out)
-    assert not set(EXTRAS) & (json.loads((out / "run.json").read_text()).keys() | set(out.iterdir()))
+    assert not set(EXTRAS) & (
+        json.loads((out / "run.json").read_text()).keys() | set(out.iterdir())
+    )
     before = marks(out)
     outcome = run(dataset, out, ALL)
     assert (outcome.n_made, outcome.n_reused) == (2 * len(EXTRAS), 2 * JOBS_PER_PAIR)
@@ -68,9 +74,15 @@ def test_a_run_to_which_they_are_added_later_reuses_everything_else(dataset, fin
 
 def test_the_seeds_of_a_pair_are_what_runs_under_them_give(dataset, finished, tmp_path):
     for seed in range(2):
-        for row in run(dataset, tmp_path / str(seed), load(None, [f"communities.seed={seed}"])).rows:
-            found = extras(finished)["seeds", row["pair_id"]].to_pandas().set_index("seed").loc[seed]
-            assert {name: found[name] for name in SEEDED_SCORES} == {name: row[name] for name in SEEDED_SCORES}
+        for row in run(
+            dataset, tmp_path / str(seed), load(None, [f"communities.seed={seed}"])
+        ).rows:
+            found = (
+                extras(finished)["seeds", row["pair_id"]].to_pandas().set_index("seed").loc[seed]
+            )
+            assert {name: found[name] for name in SEEDED_SCORES} == {
+                name: row[name] for name in SEEDED_SCORES
+            }
     run(dataset, tmp_path / "run", load(None, [SEED_WORD, "communities.seed=7"]), pattern="000")
     (table,) = extras(tmp_path / "run").values()
     assert TABLES["seeds"].check(table.cast(TABLES["seeds"].schema))["seed"].to_pylist() == [7, 8]
@@ -85,7 +97,10 @@ def test_the_record_holds_the_spread_over_seeds_and_pairs(finished, record):
         of = record["seeds"]["dataset"][name]
         mean = by_pair[name].mean()
         std = by_pair[name].std()
-        assert (of["mean"], of["std_pairs"]) == (pytest.approx(mean.mean()), pytest.approx(mean.std()))
+        assert (of["mean"], of["std_pairs"]) == (
+            pytest.approx(mean.mean()),
+            pytest.approx(mean.std()),
+        )
         assert of["std_seeds"] == pytest.approx(np.sqrt((std**2).mean()))
         pair = record["seeds"]["pairs"]["000"][name]
         assert pair == {"mean": pytest.approx(mean["000"]), "std": pytest.approx(std["000"])}
@@ -95,7 +110,9 @@ def test_seconds_are_in_the_timings_one_step_a_baseline(finished):
     timings = pd.read_parquet(finished / "timings.parquet").query("stage == 'baselines'")
     steps = set(timings.step)
     assert set(ALL.metrics.baselines) <= steps
-    assert {f"{name}, whole scan" for name in ("chamfer", "dcd", "icp", "sliced_wasserstein")} <= steps
+    assert {
+        f"{name}, whole scan" for name in ("chamfer", "dcd", "icp", "sliced_wasserstein")
+    } <= steps
     assert not {"emd, whole scan", "r_h, whole scan"} & steps
 
 
@@ -122,11 +139,25 @@ def test_other_baselines_or_seeds_make_only_their_table_again(again, dataset):
     assert run(dataset, again, load(None, [BASELINE_WORD, "stability.seeds=3"])).n_made == 2
     for name, table in extras(again).items():
         assert table.slice(0, before[name].num_rows).equals(before[name])
-    assert run(dataset, again, load(None, ["metrics.baselines=chamfer,emd", "stability.seeds=3"])).n_made == 2
-    names = {name for pair_id in ("000", "001") for name in extras(again)["baselines", pair_id]["baseline"].to_pylist()}
+    assert (
+        run(
+            dataset, again, load(None, ["metrics.baselines=chamfer,emd", "stability.seeds=3"])
+        ).n_made
+        == 2
+    )
+    names = {
+        name
+        for pair_id in ("000", "001")
+        for name in extras(again)["baselines", pair_id]["baseline"].to_pylist()
+    }
     chamfer = {"chamfer_mean_m", "chamfer_squared_m2", "chamfer_one_way_sum_m"}
     assert names == chamfer | {"emd_mean_m", "emd_kept_mean_m", "emd_centred_mean_m"}
-    assert run(dataset, again, load(None, ["metrics.baselines=emd,chamfer,emd", "stability.seeds=3"])).n_made == 0
+    assert (
+        run(
+            dataset, again, load(None, ["metrics.baselines=emd,chamfer,emd", "stability.seeds=3"])
+        ).n_made
+        == 0
+    )
     assert changed_tables(again, main) == {"baselines", "seeds"}
 
 
@@ -152,7 +183,9 @@ def test_python_gives_the_same_numbers_as_the_command(finished, dataset):
     assert result.summary["status"] == "scored"
     for stage, found in (("baselines", result.baselines), ("seeds", result.seeds)):
         written = extras(finished)[stage, "001"].to_pandas()
-        pd.testing.assert_frame_equal(found.drop(columns="pair_id"), written.drop(columns="pair_id"), check_exact=True)
+        pd.testing.assert_frame_equal(
+            found.drop(columns="pair_id"), written.drop(columns="pair_id"), check_exact=True
+        )
     plain = fidpipe.evaluate_pair(*scans)
     assert (plain.baselines, plain.seeds) == (None, None)
 
@@ -162,21 +195,44 @@ def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset)
     done = command("run", dataset, "--out", again, *words, code=0)
     assert f"0 jobs done, {2 * (JOBS_PER_PAIR + 2)} reused" in done.stdout
     assert "How stable the scores are (2 seeds, 2 pairs)" in done.stdout
-    for name in ("chamfer_squared_m2", "sliced_wasserstein_m", "icp_rmse_m", "netlsd", "r_h", "objects", "scans", "m²"):
+    for name in (
+        "chamfer_squared_m2",
+        "sliced_wasserstein_m",
+        "icp_rmse_m",
+        "netlsd",
+        "r_h",
+        "objects",
+        "scans",
+        "m²",
+    ):
         assert name in done.stdout
     for word in ("match rate", "r_lambda", "repeatability limit"):
         assert word in done.stdout
 
 
 def test_a_baseline_that_is_null_in_every_object_has_no_mean():
-    means = [{"level": "objects", "baseline": "netlsd", "unit": None, "mean": None, "n": 0, "n_null": 4}]
-    job = JobRecord("baselines", "a", "", "key", {}, metadata={"means": means}, steps=(("netlsd", 0.5),))
+    means = [
+        {"level": "objects", "baseline": "netlsd", "unit": None, "mean": None, "n": 0, "n_null": 4}
+    ]
+    job = JobRecord(
+        "baselines", "a", "", "key", {}, metadata={"means": means}, steps=(("netlsd", 0.5),)
+    )
     (row,) = summarise_baselines([job], load(None, ["metrics.baselines=netlsd"]))["baselines"]
-    assert (row["mean"], row["std"], row["n"], row["n_null"], row["seconds"]) == (None, None, 0, 4, 0.5)
+    assert (row["mean"], row["std"], row["n"], row["n_null"], row["seconds"]) == (
+        None,
+        None,
+        0,
+        4,
+        0.5,
+    )
 
 
 def test_the_obstacles_of_a_pair_are_those_of_its_gaps_and_join_its_objects(finished, record):
-    gaps = pd.read_parquet(finished / "tasks").query("group == 'all'").set_index(["pair_id", "task", "measure"])
+    gaps = (
+        pd.read_parquet(finished / "tasks")
+        .query("group == 'all'")
+        .set_index(["pair_id", "task", "measure"])
+    )
     obstacles = pd.read_parquet(finished / "task_objects")
     objects = pd.read_parquet(finished / "objects")
     keys = ["pair_id", "side", "community_id"]

@@ -4,7 +4,9 @@ import numpy as np
 
 from fidpipe.pipeline.results.families import judge_families, overall
 
-SURFACES = [f"covered_{side}_{reach}" for side in ("real", "sim") for reach in ("0p1m", "0p3m", "1m")]
+SURFACES = [
+    f"covered_{side}_{reach}" for side in ("real", "sim") for reach in ("0p1m", "0p3m", "1m")
+]
 PIECES = ("n_missing_pieces", "n_invented_pieces", "missing_pieces_share", "invented_pieces_share")
 PERFECT = dict.fromkeys(SURFACES, 0.8) | dict.fromkeys(PIECES, 0.0)
 PERFECT |= dict.fromkeys(("cdc_mean", "r_lambda_mean", "r_gap_mean"), 0.3)
@@ -13,7 +15,9 @@ PERFECT |= {"n_sim_points": 10_000, "found": 0.9, "match_rate": 0.6}
 
 def verdict_of(families):
     tends_worse = any(family.tendency == "worse" for family in families)
-    return overall({family.verdict for family in families if not family.why}, tends_worse=tends_worse)
+    return overall(
+        {family.verdict for family in families if not family.why}, tends_worse=tends_worse
+    )
 
 
 def judged(n=10, preset="reference", base=None, worse_causes=(), **steps):
@@ -24,7 +28,9 @@ def judged(n=10, preset="reference", base=None, worse_causes=(), **steps):
     for i in range(n):
         noisy = {column: before[column] + rng.normal(0, 0.01) for column in SURFACES}
         first = before | noisy
-        after = {column: first[column] + step * rng.normal(1, 0.1) for column, step in steps.items()}
+        after = {
+            column: first[column] + step * rng.normal(1, 0.1) for column, step in steps.items()
+        }
         rows[str(i)] = (first, first | after)
     families = judge_families(preset, rows, np.arange(n, dtype=np.int32), worse_causes=worse_causes)
     return {family.name: family for family in families}, verdict_of(families)
@@ -37,14 +43,22 @@ def test_nothing_changed_is_the_same():
 
 
 def test_points_that_are_lost_are_not_better_because_fewer_are_wrong():
-    families, decision = judged(covered_real_0p3m=-0.05, covered_sim_0p3m=0.03, n_sim_points=-3000, cdc_mean=-0.02)
+    families, decision = judged(
+        covered_real_0p3m=-0.05, covered_sim_0p3m=0.03, n_sim_points=-3000, cdc_mean=-0.02
+    )
     assert families["surface missing"].verdict == "worse"
-    assert families["surface invented"].why == families["objects"].why == "follows from surface missing"
+    assert (
+        families["surface invented"].why
+        == families["objects"].why
+        == "follows from surface missing"
+    )
     assert decision == "worse"
 
 
 def test_smeared_points_are_not_better_because_they_cover_more():
-    families, decision = judged(covered_real_0p3m=0.01, covered_sim_0p3m=-0.02, covered_sim_0p1m=-0.02)
+    families, decision = judged(
+        covered_real_0p3m=0.01, covered_sim_0p3m=-0.02, covered_sim_0p1m=-0.02
+    )
     assert families["surface invented"].verdict == "worse"
     assert families["surface missing"].why == "follows from surface invented"
     assert decision == "worse"
@@ -52,7 +66,10 @@ def test_smeared_points_are_not_better_because_they_cover_more():
 
 def test_much_right_surface_with_a_little_wrong_one_is_mixed():
     families, decision = judged(covered_real_0p3m=0.1, covered_sim_0p3m=-0.01, n_sim_points=3000)
-    assert [families[f"surface {what}"].verdict for what in ("missing", "invented")] == ["better", "worse"]
+    assert [families[f"surface {what}"].verdict for what in ("missing", "invented")] == [
+        "better",
+        "worse",
+    ]
     assert decision == "mixed"
 
 
@@ -73,7 +90,10 @@ def test_no_simulator_is_better_while_a_family_tends_to_the_worse():
     rows = {}
     for i, rise in enumerate(rises):
         sim = 0.8 + 0.02 * (-1) ** i
-        rows[str(i)] = PERFECT, PERFECT | {"covered_real_0p3m": 0.9, "covered_sim_1m": sim, "cdc_mean": 0.3 + rise}
+        rows[str(i)] = (
+            PERFECT,
+            PERFECT | {"covered_real_0p3m": 0.9, "covered_sim_1m": sim, "cdc_mean": 0.3 + rise},
+        )
     families = judge_families("reference", rows, np.arange(10, dtype=np.int32))
     by_name = {family.name: family for family in families}
     assert (by_name["objects"].verdict, by_name["objects"].tendency) == ("undecided", "worse")

@@ -27,7 +27,13 @@ MENDED = "input.sim_frame=carla"
 
 
 def scan(seed):
-    return np.vstack([street(seed, n=300), road(5000, seed=seed + 1), box([12, -5, 1], [0.3, 9, 5], 600, seed + 5)])
+    return np.vstack(
+        [
+            street(seed, n=300),
+            road(5000, seed=seed + 1),
+            box([12, -5, 1], [0.3, 9, 5], 600, seed + 5),
+        ]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +48,17 @@ def mirrored(tmp_path_factory):
 @pytest.fixture(scope="module")
 def finished(mirrored, tmp_path_factory):
     out = tmp_path_factory.mktemp("finished") / "run"
-    return out, command("run", mirrored, "--out", out, "--workers", 1, "--set", "graph.k=10", code=0)
+    return out, command(
+        "run", mirrored, "--out", out, "--workers", 1, "--set", "graph.k=10", code=0
+    )
 
 
 def frame_warnings(dataset, *words):
-    return [text for text in check_dataset(dataset, load(None, words)).warnings if "another frame" in text]
+    return [
+        text
+        for text in check_dataset(dataset, load(None, words)).warnings
+        if "another frame" in text
+    ]
 
 
 def test_check_names_the_mirrored_pair_with_both_figures_and_the_setting(mirrored):
@@ -79,7 +91,9 @@ def test_a_pair_of_two_places_is_named_wherever_the_run_is_read(mirrored, tmp_pa
     for i in range(2):
         write_bin(data / "sim" / f"{i}.bin", drifted(scan(10 * i)))
     run(data, tmp_path / "same", load(None, ["graph.k=10"]))
-    write_bin(data / "sim" / "1.bin", np.random.default_rng(0).uniform(-30, 30, (6000, 3)) * [1, 1, 0.3])
+    write_bin(
+        data / "sim" / "1.bin", np.random.default_rng(0).uniform(-30, 30, (6000, 3)) * [1, 1, 0.3]
+    )
     out = tmp_path / "run"
     words = "in 1 of 2 pairs the two scans do not show the same place, but count (1)"
     ended = run(data, out, load(None, ["graph.k=10"]))
@@ -99,12 +113,16 @@ def test_two_arrays_in_other_frames_are_warned_of_with_both_figures_and_the_sett
     settings = {"graph": {"k": 10}}
     with pytest.warns(UserWarning, match="mirrored in y.*input.sim_frame=carla"):
         wrong = fidpipe.evaluate_pair(real, sim * [1, -1, 1], settings)
-    mended = fidpipe.evaluate_pair(real, sim * [1, -1, 1], settings | {"input": {"sim_frame": "carla"}})  # warns: error
+    mended = fidpipe.evaluate_pair(
+        real, sim * [1, -1, 1], settings | {"input": {"sim_frame": "carla"}}
+    )  # warns: error
     assert mended.summary["match_rate"] > wrong.summary["match_rate"]
     turned = sim * [-1, -1, 1]
     with pytest.warns(UserWarning, match="rotated by") as told:
         fidpipe.evaluate_pair(real, turned, settings)
-    T = np.array(re.search('T_real_sim "(.*?)"', str(told[0].message))[1].split(), dtype=float).reshape(3, 4)
+    T = np.array(
+        re.search('T_real_sim "(.*?)"', str(told[0].message))[1].split(), dtype=float
+    ).reshape(3, 4)
     np.testing.assert_allclose(turned @ T[:, :3].T + T[:, 3], sim, atol=1e-9)
 
 
@@ -117,12 +135,16 @@ def test_a_gate_fails_on_a_suspect_pair_unless_it_is_allowed(finished):
     assert [own.limit for own in allowed.judged if own.measure == "pairs.frame_suspect"] == [1]
 
 
-def test_frames_are_compared_again_only_where_files_or_input_settings_changed(mirrored, tmp_path, monkeypatch):
+def test_frames_are_compared_again_only_where_files_or_input_settings_changed(
+    mirrored, tmp_path, monkeypatch
+):
     data = shutil.copytree(mirrored, tmp_path / "streets")
     out = tmp_path / "run"
     settings = load(None, ["graph.k=10"])
     compared = []
-    monkeypatch.setattr(sensor_job, "check_frames", lambda *scans: compared.append(scans) or check_frames(*scans))
+    monkeypatch.setattr(
+        sensor_job, "check_frames", lambda *scans: compared.append(scans) or check_frames(*scans)
+    )
     assert run(data, out, settings).record.frames.keys() == {"0"}
     assert len(compared) == 2
     assert run(data, out, settings).record.frames.keys() == {"0"}
@@ -147,12 +169,19 @@ def test_equal_files_are_named_within_a_pair_and_between_pairs(tmp_path):
         write_bin(tmp_path / f"{name}.bin", scan(0))
     write_bin(tmp_path / "sim/b.bin", drifted(scan(0)))
     warnings = check_dataset(tmp_path, Settings()).warnings
-    assert [text.partition(":")[0] for text in warnings] == ["pair a", "pairs a (real), a (sim), b (real)"]
+    assert [text.partition(":")[0] for text in warnings] == [
+        "pair a",
+        "pairs a (real), a (sim), b (real)",
+    ]
 
 
 def test_many_warnings_of_a_kind_are_counted():
     lines = few_of_each([*(f"pair {i}: too {i}; set x" for i in range(13)), "pair 1: half a sweep"])
-    assert lines[9:] == ["pair 9: too 9; set x", "3 more like that; fidpipe check lists them", "pair 1: half a sweep"]
+    assert lines[9:] == [
+        "pair 9: too 9; set x",
+        "3 more like that; fidpipe check lists them",
+        "pair 1: half a sweep",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -191,7 +220,10 @@ def test_a_folder_that_is_a_link_to_the_other_side_is_named(tmp_path):
 @pytest.mark.exhaustive
 def test_real_pairs_raise_no_alarm_and_their_mirror_images_do(real_data):
     for real_path in sorted((real_data / "kitti_twin/real").iterdir()):
-        real, sim = read_scan(real_path).points, read_scan(real_data / "kitti_twin/sim" / real_path.name).points
+        real, sim = (
+            read_scan(real_path).points,
+            read_scan(real_data / "kitti_twin/sim" / real_path.name).points,
+        )
         assert not check_frames(real, sim, InputSettings()).is_suspect
         found = check_frames(real, sim * [1, -1, 1], InputSettings())
         assert (found.is_suspect, found.setting) == (True, MENDED)
@@ -199,7 +231,9 @@ def test_real_pairs_raise_no_alarm_and_their_mirror_images_do(real_data):
 
 @pytest.mark.exhaustive
 def test_neighbouring_frames_of_a_recording_raise_no_alarm(real_data):
-    scans = [read_scan(path).points for path in sorted((real_data / "kitti_sequence").glob("*.bin"))]
+    scans = [
+        read_scan(path).points for path in sorted((real_data / "kitti_sequence").glob("*.bin"))
+    ]
     assert not any(check_frames(*pair, InputSettings()).is_suspect for pair in pairwise(scans))
 
 

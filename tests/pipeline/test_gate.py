@@ -43,7 +43,9 @@ def test_measures_are_the_numbers_of_the_tables(finished):
     assert of("alignment_rms_m.std") == pytest.approx(pairs.alignment_rms_m_mean.std())
     assert of("objects.cdc.q95") == pytest.approx(metrics.cdc.quantile(0.95))
     alone = matching[matching.status == "not_found"].merge(
-        objects[objects.side == "real"], left_on=["pair_id", "real_id"], right_on=["pair_id", "community_id"]
+        objects[objects.side == "real"],
+        left_on=["pair_id", "real_id"],
+        right_on=["pair_id", "community_id"],
     )
     assert of("not_found.total") == of("not_found") == len(alone) > 0
     assert of("not_found.max") == alone.groupby("pair_id").size().max()
@@ -51,24 +53,47 @@ def test_measures_are_the_numbers_of_the_tables(finished):
     near = objects[(objects.side == "real") & (objects.range_m < 12)]
     assert of("not_found.within_12m.share") == pytest.approx((alone.range_m < 12).sum() / len(near))
     assert of("matched.mean") == pytest.approx(pairs.n_matched.mean())
-    assert [of(f"pairs.{state}") for state in ("scored", "failed", "to_do", "changed")] == [3, 0, 0, 0]
+    assert [of(f"pairs.{state}") for state in ("scored", "failed", "to_do", "changed")] == [
+        3,
+        0,
+        0,
+        0,
+    ]
 
 
 KNOWN = r"known are ([\w.]+, ){4}[\w.]+ and \d+ more"
-UNKNOWN = ["r_lambda", "r_lambda.", "not_found.within_20", "objects.match_rate.mean", "x", "", "class.car.x", "pairs.x"]
+UNKNOWN = [
+    "r_lambda",
+    "r_lambda.",
+    "not_found.within_20",
+    "objects.match_rate.mean",
+    "x",
+    "",
+    "class.car.x",
+    "pairs.x",
+]
 
 
 @pytest.mark.parametrize("name", [*UNKNOWN, "r_lamda.mean"])
 def test_an_unknown_measure_is_named_with_those_that_are_known(finished, name):
-    advice = r"did you mean r_lambda\.mean\?" if name == "r_lamda.mean" else f"(did you mean|{KNOWN})"
+    advice = (
+        r"did you mean r_lambda\.mean\?" if name == "r_lamda.mean" else f"(did you mean|{KNOWN})"
+    )
     with pytest.raises(SettingsError, match=advice):
         Measures(FinishedRun(finished)).named(name)
 
 
 def test_bounds_are_inclusive(finished):
     value = Measures(FinishedRun(finished)).named("r_lambda.mean")[0]
-    limits = {"a": ("max", value), "b": ("min", value), "c": ("max", value - 1e-9), "d": ("min", value + 1e-9)}
-    result = judge_run(finished, [Criterion(name, "r_lambda.mean", *own) for name, own in limits.items()])
+    limits = {
+        "a": ("max", value),
+        "b": ("min", value),
+        "c": ("max", value - 1e-9),
+        "d": ("min", value + 1e-9),
+    }
+    result = judge_run(
+        finished, [Criterion(name, "r_lambda.mean", *own) for name, own in limits.items()]
+    )
     verdict = {of.name: of.passed for of in result.judged}
     assert [verdict[name] for name in limits] == [True, True, False, False]
 
@@ -102,7 +127,10 @@ def test_scans_that_changed_since_the_run_fail_it(tmp_path):
 
 
 def write_manifest(data, T_real_sim):
-    rows = [f"{name},real/{name}.bin,sim/{name}.bin,{T}" for name, T in (("000", ""), ("001", T_real_sim))]
+    rows = [
+        f"{name},real/{name}.bin,sim/{name}.bin,{T}"
+        for name, T in (("000", ""), ("001", T_real_sim))
+    ]
     (data / "pairs.csv").write_text("\n".join(["pair_id,real,sim,T_real_sim", *rows]) + "\n")
 
 
@@ -133,7 +161,11 @@ def changed(folder):
 def test_labels_their_names_and_T_real_sim_count_as_changes(moved):
     data = moved / "streets"
     assert (changed(moved).value, changed(moved).passed) == (0, True)
-    (why,) = (of.why for name, of in judged(moved / "run", "max class.bus.cdc.mean=1").items() if "bus" in name)
+    (why,) = (
+        of.why
+        for name, of in judged(moved / "run", "max class.bus.cdc.mean=1").items()
+        if "bus" in name
+    )
     assert why == "could not be computed: no object has the class bus; classes are tree"
     write_manifest(data, "1 0 0 0.5 0 1 0 0 0 0 1 0")
     assert (changed(moved).value, changed(moved).passed) == (1, False)
@@ -181,7 +213,15 @@ def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(again, tmp
     good = command("gate", again, "--max", "r_lambda.mean=1", "--min", "match_rate.mean=0", code=0)
     assert "all criteria are met" in good.stdout
     bad = command(
-        "gate", again, "--max", "r_lambda.mean=0", "--junit", tmp_path / "a.xml", "--json", tmp_path / "a.json", code=4
+        "gate",
+        again,
+        "--max",
+        "r_lambda.mean=0",
+        "--junit",
+        tmp_path / "a.xml",
+        "--json",
+        tmp_path / "a.json",
+        code=4,
     )
     assert "FAIL" in bad.stdout
     assert json.loads((again / "gate.json").read_text())["passed"] is True
@@ -228,7 +268,10 @@ def test_a_file_of_criteria_gives_names_and_reasons(tmp_path):
         ("", "criterion"),
         ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nmax = 1\n', "criterion.0.reason"),
         ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\n', "expected max or min"),
-        ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\nmax = nan\n', "criterion.0.max"),
+        (
+            '[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\nmax = nan\n',
+            "criterion.0.max",
+        ),
         (
             '[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\nmaximum = 1\n',
             "criterion.0.maximum",

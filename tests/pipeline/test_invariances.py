@@ -22,14 +22,17 @@ N_POINTS = 40
 def tried(n):
     """Settings for n examples, the same each time, without a deadline."""
     return settings(
-        max_examples=n, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+        max_examples=n,
+        deadline=None,
+        derandomize=True,
+        suppress_health_check=[HealthCheck.function_scoped_fixture],
     )
 
 
 #: Points on a small lattice, so that most distances are shared by many pairs of points; no two are equal.
-lattices = arrays.arrays(np.int8, st.tuples(st.integers(2, 40), st.just(3)), elements=st.integers(-3, 3)).map(
-    lambda points: np.unique(points, axis=0).astype(np.float64) * 0.1
-)
+lattices = arrays.arrays(
+    np.int8, st.tuples(st.integers(2, 40), st.just(3)), elements=st.integers(-3, 3)
+).map(lambda points: np.unique(points, axis=0).astype(np.float64) * 0.1)
 seeds = st.integers(0, 2**31 - 1)
 
 
@@ -46,12 +49,23 @@ def shuffled(points, seed):
     ties=st.sampled_from(["point_id", "coordinates"]),
     seed=seeds,
 )
-def test_on_a_lattice_of_ties_the_graph_is_that_of_the_literal_oracle(points, k, tau_m, rule, ties, seed):
+def test_on_a_lattice_of_ties_the_graph_is_that_of_the_literal_oracle(
+    points, k, tau_m, rule, ties, seed
+):
     points = shuffled(points, seed)
     edges = build_graph(points, GraphSettings(k=k, tau_m=tau_m, edges=rule, ties=ties))
-    found = dict(zip(zip(edges.src.tolist(), edges.dst.tolist(), strict=True), edges.length_m.tolist(), strict=True))
+    found = dict(
+        zip(
+            zip(edges.src.tolist(), edges.dst.tolist(), strict=True),
+            edges.length_m.tolist(),
+            strict=True,
+        )
+    )
     expected = literal_method.edges(points, k, tau_m, rule, ties)
-    lengths = {(i, j): np.float32(literal_method.distances(points[j : j + 1], points[i])[0]) for i, j in expected}
+    lengths = {
+        (i, j): np.float32(literal_method.distances(points[j : j + 1], points[i])[0])
+        for i, j in expected
+    }
     assert found == lengths
 
 
@@ -76,11 +90,15 @@ def test_under_the_preset_reference_the_order_of_rows_changes_nothing(scene, ord
     real = street(scene, n=50)
     sim = drifted(street(scene, n=50), scene)
     a = evaluate_pair(real, sim, {"preset": "reference"}).summary
-    b = evaluate_pair(shuffled(real, order_real), shuffled(sim, order_sim), {"preset": "reference"}).summary
+    b = evaluate_pair(
+        shuffled(real, order_real), shuffled(sim, order_sim), {"preset": "reference"}
+    ).summary
     assert a.keys() == b.keys()
     for name, value in a.items():
         # exact but for the sums that run over points in the order of rows, and the least digits of an eigenvalue
-        assert b[name] == (pytest.approx(value, rel=1e-9, abs=1e-9) if isinstance(value, float) else value), name
+        assert b[name] == (
+            pytest.approx(value, rel=1e-9, abs=1e-9) if isinstance(value, float) else value
+        ), name
 
 
 @tried(12)

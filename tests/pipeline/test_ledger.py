@@ -15,7 +15,9 @@ LONG = "a pair / of " + 30 * "very " + "long name"
 
 def record(pair_id, stage="graph", **facts):
     files = {f"{stage}/{len(pair_id)}{pair_id[:1]}.parquet": StoredFile(3, "ab", 1)}
-    return JobRecord(stage, pair_id, "real", "key", files, ("read",), facts, (("graph", 0.25),), "token")
+    return JobRecord(
+        stage, pair_id, "real", "key", files, ("read",), facts, (("graph", 0.25),), "token"
+    )
 
 
 @pytest.fixture
@@ -36,7 +38,12 @@ def test_what_was_put_is_read_again_by_this_process_and_by_another(ledger, tmp_p
         assert known.pair_ids() == sorted(["a", "b", LONG, "street 5"])
         assert known.jobs("a") == {("graph", "real"): record("a", share=1 / 3)}
         assert known.jobs("") == {("pairs", "real"): record("", "pairs")}
-        names = {"graph/1a.parquet", "graph/1b.parquet", f"graph/{len(LONG)}a.parquet", "pairs/0.parquet"}
+        names = {
+            "graph/1a.parquet",
+            "graph/1b.parquet",
+            f"graph/{len(LONG)}a.parquet",
+            "pairs/0.parquet",
+        }
         assert known.files() == names
         with mock.patch("fidpipe.pipeline.storage.ledger.hash_file", side_effect=AssertionError):
             assert known.input_hash(tmp_path / "scan") == sha256
@@ -72,7 +79,9 @@ def test_entries_are_not_kept_in_memory(ledger):
     assert len(ledger.jobs("199")["graph", "real"].metadata["text"]) == 10_000
 
 
-@pytest.mark.parametrize("change", [(b'"n":1', b'"n":2'), (b'"a"', b'"b"'), (b"}", b""), (b"\n", b"")])
+@pytest.mark.parametrize(
+    "change", [(b'"n":1', b'"n":2'), (b'"a"', b'"b"'), (b"}", b""), (b"\n", b"")]
+)
 def test_an_entry_that_has_changed_counts_as_absent(ledger, tmp_path, change):
     ledger.put_job(record("a", n=1))
     ledger.put_job(record("b", n=1))

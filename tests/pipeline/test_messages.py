@@ -17,7 +17,14 @@ from fidpipe.pipeline.engine.time_limit import OutOfTimeError, TimeLimit, limite
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.storage.urls import cache_of
-from fidpipe.schemas.errors import DatasetError, RunError, ScanError, SettingsError, StageError, StoreError
+from fidpipe.schemas.errors import (
+    DatasetError,
+    RunError,
+    ScanError,
+    SettingsError,
+    StageError,
+    StoreError,
+)
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import GroundSettings, Settings, load
 from fidpipe.stages.generate.ray_casting import fire
@@ -94,7 +101,9 @@ def test_a_manifest_in_place_of_its_folder_is_named_as_a_file(tmp_path):
         read_dataset(tmp_path / "pairs.csv")
 
 
-@pytest.mark.parametrize(("made", "side"), [("Real", "real"), ("simulated", "sim"), ("reel", "real")])
+@pytest.mark.parametrize(
+    ("made", "side"), [("Real", "real"), ("simulated", "sim"), ("reel", "real")]
+)
 def test_a_folder_of_nearly_the_right_name_is_pointed_at(data, made, side):
     (data / side).rename(data / made)
     with pytest.raises(DatasetError, match=f"did you mean {made}/.* {side}/"):
@@ -127,7 +136,11 @@ def test_scans_without_any_partner_are_counted_with_an_example_and_the_next_step
     words = ["--workers", 1] if verb == "run" else []
     counts = "none of 2 real and 1 simulated scans"
     alone = one_error(command(verb, data, *words))
-    assert counts in alone and f"{data}/real/left.bin and {data}/sim/west.bin" in alone and "pairs.csv" in alone
+    assert (
+        counts in alone
+        and f"{data}/real/left.bin and {data}/sim/west.bin" in alone
+        and "pairs.csv" in alone
+    )
     both = one_error(command(verb, data / "real", data / "sim", *words, cwd=tmp_path))
     assert counts in both and "pairs.csv" in both and "times.txt" in both
 
@@ -165,7 +178,9 @@ def test_a_manifest_column_of_ones_own_is_ignored_with_a_warning(data):
 
 
 @pytest.mark.exhaustive
-def test_a_run_on_a_read_only_medium_is_judged_compared_and_reported_elsewhere(dataset, finished, tmp_path):
+def test_a_run_on_a_read_only_medium_is_judged_compared_and_reported_elsewhere(
+    dataset, finished, tmp_path
+):
     medium = shutil.copytree(finished, tmp_path / "medium")
     before = {path: path.stat().st_mtime_ns for path in medium.rglob("*")}
     forbid = read_only(medium)
@@ -182,7 +197,9 @@ def test_a_run_on_a_read_only_medium_is_judged_compared_and_reported_elsewhere(d
     ):
         result = command(*words, preexec_fn=forbid, code=0)
         assert result.stderr == "", words
-    assert {"gate.xml", "gate.json", "report.html", "compare.html"} == {path.name for path in out.iterdir()}
+    assert {"gate.xml", "gate.json", "report.html", "compare.html"} == {
+        path.name for path in out.iterdir()
+    }
     assert {path: path.stat().st_mtime_ns for path in medium.rglob("*")} == before
 
 
@@ -198,13 +215,17 @@ def test_a_folder_that_may_not_be_searched_is_named_in_one_line(tmp_path, words)
 @pytest.mark.parametrize("words", [("show",), ("status",), ("gate", "--max", "r_lambda.mean=1")])
 def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
     (tmp_path / "page.html").touch()
-    assert f"run {tmp_path}/page.html: " in one_error(command(words[0], tmp_path / "page.html", *words[1:]))
+    assert f"run {tmp_path}/page.html: " in one_error(
+        command(words[0], tmp_path / "page.html", *words[1:])
+    )
     assert str(finished) in one_error(command(words[0], finished / "run.json", *words[1:]))
 
 
 @pytest.mark.parametrize("address", ["tls://host:1", "foo", "tcp://host:99999"])
 def test_what_is_no_address_of_a_scheduler_is_said_at_once(dataset, tmp_path, address):
-    advice = "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" if address.startswith("tls") else "tcp://HOST:PORT"
+    advice = (
+        "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" if address.startswith("tls") else "tcp://HOST:PORT"
+    )
     with pytest.raises(RunError, match=f"^{re.escape(f'scheduler {address!r}: ')}.*{advice}"):
         run(dataset, tmp_path / "run", scheduler=address)
 
@@ -214,13 +235,26 @@ def test_a_full_standard_output_is_named_in_one_line(finished, words):
     run_folder = () if words[0] in ("settings", "--help") else (finished,)
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(
-            [FIDPIPE, *words, *run_folder], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            [FIDPIPE, *words, *run_folder],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
         )
     assert one_error(ended).startswith("error: standard output: ")
 
 
 def test_a_run_without_standard_streams_does_its_work(dataset, tmp_path):
-    command("run", dataset, "--out", tmp_path / "run", "--workers", 1, preexec_fn=lambda: os.closerange(0, 3), code=0)
+    command(
+        "run",
+        dataset,
+        "--out",
+        tmp_path / "run",
+        "--workers",
+        1,
+        preexec_fn=lambda: os.closerange(0, 3),
+        code=0,
+    )
     assert FinishedRun(tmp_path / "run").record.pairs.scored == 1
 
 
@@ -243,15 +277,22 @@ def test_too_little_address_space_for_workers_is_said_before_they_wait_for_ever(
     def limit():
         resource.setrlimit(resource.RLIMIT_AS, (10**9, 10**9))
 
-    ended = command("run", dataset, "--out", tmp_path / "run", "--workers", 2, preexec_fn=limit, timeout=60)
+    ended = command(
+        "run", dataset, "--out", tmp_path / "run", "--workers", 2, preexec_fn=limit, timeout=60
+    )
     assert "0.9 GiB" in one_error(ended)
 
 
-def test_the_name_of_a_run_or_dataset_that_is_not_utf8_is_said_in_one_line(dataset, finished, tmp_path):
+def test_the_name_of_a_run_or_dataset_that_is_not_utf8_is_said_in_one_line(
+    dataset, finished, tmp_path
+):
     run_folder = tmp_path / "run\udcff"
     data = shutil.copytree(dataset, tmp_path / "odd\udcff")
     run_folder.symlink_to(finished)
-    for odd, words in ((run_folder, ("show", run_folder, "--markdown")), (data, ("run", data, "--workers", 1))):
+    for odd, words in (
+        (run_folder, ("show", run_folder, "--markdown")),
+        (data, ("run", data, "--workers", 1)),
+    ):
         assert f"{str(odd)!a}" in one_error(command(*words, cwd=tmp_path))
 
 
@@ -266,7 +307,9 @@ def test_a_scan_that_is_a_loop_of_links_fails_its_pair_alone(tmp_path):
 
 @pytest.mark.exhaustive
 def test_a_home_that_cannot_be_written_is_no_news(finished, tmp_path):
-    nowhere = dict.fromkeys(("HOME", "MPLCONFIGDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"), "/dev/null")
+    nowhere = dict.fromkeys(
+        ("HOME", "MPLCONFIGDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"), "/dev/null"
+    )
     ended = command("report", finished, "--out", tmp_path / "page", env=os.environ | nowhere)
     assert (ended.returncode, ended.stderr) == (0, "")
 
@@ -374,8 +417,13 @@ def test_a_manifest_of_other_columns_stops_everything(tmp_path, columns, fault):
 
 
 def test_spaces_quotes_empty_lines_and_absent_values_of_a_manifest_are_no_fault(tmp_path):
-    pairs = read_dataset(manifest(tmp_path, ['"a", real/a.bin ,sim/a.bin', "", "b,real/a.bin,sim/a.bin"])).pairs
-    assert [(pair.pair_id, pair.fault, pair.timestamp_s) for pair in pairs] == [("a", None, None), ("b", None, None)]
+    pairs = read_dataset(
+        manifest(tmp_path, ['"a", real/a.bin ,sim/a.bin', "", "b,real/a.bin,sim/a.bin"])
+    ).pairs
+    assert [(pair.pair_id, pair.fault, pair.timestamp_s) for pair in pairs] == [
+        ("a", None, None),
+        ("b", None, None),
+    ]
 
 
 def test_a_half_sweep_on_one_side_is_a_warning(tmp_path):
@@ -397,7 +445,9 @@ def test_every_fault_is_found_in_one_go(tmp_path):
     assert "20 zero" in found.faults[2]
 
 
-def test_check_estimates_the_sensors_of_both_sides_from_the_sampled_pairs_and_names_other_ones(tmp_path):
+def test_check_estimates_the_sensors_of_both_sides_from_the_sampled_pairs_and_names_other_ones(
+    tmp_path,
+):
     beams = fire(SENSORS["vlp16"], step_deg=0.5)
     rows = (10 + 4 * np.sin(3 * beams.azimuth_rad))[:, None] * beams.directions()
     dataset = folders(tmp_path, ("a", "b", "c"), ("a", "b"))
@@ -417,7 +467,9 @@ def test_settings_in_python_may_be_named_as_on_the_command_line(tmp_path):
     with pytest.raises(SettingsError, match="input.sim_frame"):
         fidpipe.run(tmp_path, settings={"input.sim_fram": "carla"})
     with pytest.raises(SettingsError, match="setting input.sim_frame: expected"):
-        fidpipe.run(tmp_path, settings={"input": {"min_range_m": 3}, "input.sim_frame": "elsewhere"})
+        fidpipe.run(
+            tmp_path, settings={"input": {"min_range_m": 3}, "input.sim_frame": "elsewhere"}
+        )
 
 
 def test_a_preset_does_not_apply_to_runs_that_are_compared(tmp_path):

@@ -31,9 +31,13 @@ def run(report_run):
 def test_the_frames_are_the_files(run, report_run):
     pd.testing.assert_frame_equal(run.pairs, pd.read_parquet(report_run / "pairs.parquet"))
     keys = list(TABLES["metrics"].keys)
-    files = pd.read_parquet(report_run / "metrics").sort_values(["pair_id", *keys], ignore_index=True)
+    files = pd.read_parquet(report_run / "metrics").sort_values(
+        ["pair_id", *keys], ignore_index=True
+    )
     assert len(run.metrics) == len(files) > 0
-    pd.testing.assert_frame_equal(run.metrics.sort_values(["pair_id", *keys], ignore_index=True), files)
+    pd.testing.assert_frame_equal(
+        run.metrics.sort_values(["pair_id", *keys], ignore_index=True), files
+    )
 
 
 def test_the_objects_are_one_table_with_scores_coverage_and_units(run, report_run):
@@ -42,9 +46,13 @@ def test_the_objects_are_one_table_with_scores_coverage_and_units(run, report_ru
     files = pd.read_parquet(report_run / "objects").set_index(keys).loc[objects.index]
     assert (objects.n_points == files.n_points).all()
     assert objects.x_m.equals(files.cx.rename("x_m"))
-    coverage = pd.read_parquet(report_run / "coverage").dropna(subset="community_id").set_index(keys)
+    coverage = (
+        pd.read_parquet(report_run / "coverage").dropna(subset="community_id").set_index(keys)
+    )
     np.testing.assert_array_equal(objects.covered_0p3m, coverage.loc[objects.index].covered_0p3m)
-    matched = run.objects.query("side == 'real' and fate == 'matched'").set_index(["pair_id", "community_id"])
+    matched = run.objects.query("side == 'real' and fate == 'matched'").set_index(
+        ["pair_id", "community_id"]
+    )
     scores = run.metrics.set_index(["pair_id", "real_id"]).loc[matched.index]
     np.testing.assert_array_equal(matched.cdc, scores.cdc)
     assert not {"cx", "extent_x", "pair", "band"} & {*run.objects.columns}
@@ -60,7 +68,9 @@ def test_points_bear_their_object_and_edges_join_object_points(run, side):
     objects = run.objects.query("pair_id == @FIRST and side == @side").set_index("community_id")
     assert counts.to_dict() == objects.n_points.to_dict()
     ends = own.set_index("point_id")[["x", "y", "z"]]
-    lengths = ((ends.loc[edges.src].to_numpy() - ends.loc[edges.dst].to_numpy()) ** 2).sum(axis=1) ** 0.5
+    lengths = ((ends.loc[edges.src].to_numpy() - ends.loc[edges.dst].to_numpy()) ** 2).sum(
+        axis=1
+    ) ** 0.5
     assert lengths == pytest.approx(edges.length_m.to_numpy())
 
 
@@ -71,7 +81,9 @@ def test_every_table_comes_as_arrow_with_its_schema(run):
         assert table.schema.names == TABLES[name].schema.names, name
         assert run.table(name, []).schema.equals(table.schema), name
         # These streets have no rings, and so no rays.
-        assert set(table.column("pair_id").to_pylist()) == (set() if "ray" in name else set(HOSTILE_PAIRS)), name
+        assert set(table.column("pair_id").to_pylist()) == (
+            set() if "ray" in name else set(HOSTILE_PAIRS)
+        ), name
     assert run.table("metrics", [LAST]).column("pair_id").unique().to_pylist() == [LAST]
 
 
@@ -158,7 +170,17 @@ def test_a_range_image_has_left_on_the_left_and_the_highest_beam_on_top():
     }
     stub = SimpleNamespace(folder="run", table=lambda name, pairs: pa.table(rays))
     values = ("real_range_m", "sim_range_m", "outcome")
-    real, sim, outcome = (plot_range_image(stub, "a", value).axes[0].images[0].get_array() for value in values)
-    assert real.filled(np.nan).tolist() == pytest.approx(np.array([[6, 5], [np.nan, 6], [np.nan, 4]]), nan_ok=True)
-    assert sim.filled(np.nan).tolist() == pytest.approx(np.array([[8, 5], [7, np.nan], [np.nan, 4]]), nan_ok=True)
-    assert outcome.tolist() == [[2, 0], [5, 3], [None, 0]]  # the third column of beam 2 is beyond a turn
+    real, sim, outcome = (
+        plot_range_image(stub, "a", value).axes[0].images[0].get_array() for value in values
+    )
+    assert real.filled(np.nan).tolist() == pytest.approx(
+        np.array([[6, 5], [np.nan, 6], [np.nan, 4]]), nan_ok=True
+    )
+    assert sim.filled(np.nan).tolist() == pytest.approx(
+        np.array([[8, 5], [7, np.nan], [np.nan, 4]]), nan_ok=True
+    )
+    assert outcome.tolist() == [
+        [2, 0],
+        [5, 3],
+        [None, 0],
+    ]  # the third column of beam 2 is beyond a turn

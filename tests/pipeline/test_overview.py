@@ -24,7 +24,9 @@ from reports import text_of
 from runs import command, copied, run
 from scenes import drifted, street, write_bin, write_dataset, write_pair
 
-NUSCENES = [f"n008-2018-08-01-15-16-36-0400__LIDAR_TOP__15331516{i}7909" for i in (3597, 3647, 3697)]
+NUSCENES = [
+    f"n008-2018-08-01-15-16-36-0400__LIDAR_TOP__15331516{i}7909" for i in (3597, 3647, 3697)
+]
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +37,13 @@ def finished(tmp_path_factory):
     for i, name in enumerate(NUSCENES):
         scan = street(i)
         sim = drifted(scan, noise=0.3, keep=0.4)
-        write_pair(folder / "streets", scan, sim, name, lambda points: np.arange(len(points)) * 7 // 100 % 3 + 1)
+        write_pair(
+            folder / "streets",
+            scan,
+            sim,
+            name,
+            lambda points: np.arange(len(points)) * 7 // 100 % 3 + 1,
+        )
         manifest += f"{name},real/{name}.bin,sim/{name}.bin,{100 * i}\n"
     (folder / "streets" / "pairs.csv").write_text(manifest)
     long = "movable_object.pushable_pullable_and_more_words_than_fit"
@@ -51,20 +59,34 @@ def test_the_overview_of_the_record_is_that_of_the_tables(finished):
     _, folder, outcome = finished
     overview = outcome.record.overview
     objects, coverage = pd.read_parquet(folder / "objects"), pd.read_parquet(folder / "coverage")
-    both = objects.merge(coverage.dropna(subset="community_id"), on=["pair_id", "side", "community_id"])
+    both = objects.merge(
+        coverage.dropna(subset="community_id"), on=["pair_id", "side", "community_id"]
+    )
     pieces = pd.read_parquet(folder / "pieces")
     both["band"] = np.array(BAND_NAMES)[np.digitize(both.range_m, BAND_EDGES_M) - 1]
     for one in overview.surface:
-        for side, n, share in (("real", one.n_real, one.missing_share), ("sim", one.n_sim, one.invented_share)):
-            own = both[(both.side == side) & (both["label" if one.group == "class" else "band"] == one.name)]
+        for side, n, share in (
+            ("real", one.n_real, one.missing_share),
+            ("sim", one.n_sim, one.invented_share),
+        ):
+            own = both[
+                (both.side == side)
+                & (both["label" if one.group == "class" else "band"] == one.name)
+            ]
             assert n == own.n_points_x.sum()
             expected = (own.n_points_x * (1 - own.covered_0p3m)).sum() / n if n else None
             assert share == (None if expected is None else pytest.approx(expected))
-    assert {one.name for one in overview.surface if one.group == "class"} == set(objects.label.dropna())
-    assert [one.n_points for one in overview.pieces] == pieces.n_points.nlargest(len(overview.pieces)).tolist()
+    assert {one.name for one in overview.surface if one.group == "class"} == set(
+        objects.label.dropna()
+    )
+    assert [one.n_points for one in overview.pieces] == pieces.n_points.nlargest(
+        len(overview.pieces)
+    ).tolist()
 
 
-def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_nothing(finished, monkeypatch):
+def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_nothing(
+    finished, monkeypatch
+):
     from fidpipe.pipeline.results import object_frame, overview
 
     _, folder, outcome = finished
@@ -74,7 +96,9 @@ def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_n
         monkeypatch.setattr(module, "PAIRS_AT_ONCE", 1)
     pairs = outcome.pairs
     times = {name: 100.0 * i for i, name in enumerate(NUSCENES)}
-    findings, found, metrics = describe_objects(again.store, pairs, times, again.record.inputs, by_reference=False)
+    findings, found, metrics = describe_objects(
+        again.store, pairs, times, again.record.inputs, by_reference=False
+    )
     assert findings == again.record.findings
     assert metrics == again.record.metrics
     assert found.as_dict() == {
@@ -85,12 +109,23 @@ def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_n
 def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_once():
     place = {"range_m": 7.2, "bearing_deg": 40.0, "extent_x": 4.2, "extent_y": 1.8, "extent_z": 1.5}
     moved = {f"moved_{axis}_m": 0.5 * (axis == "y") for axis in "xyz"}
-    rows = [("real", 0, 90, "gone", None), ("sim", 2, 10, "gone", None), ("sim", 0, 500, "gone", "car")]
+    rows = [
+        ("real", 0, 90, "gone", None),
+        ("sim", 2, 10, "gone", None),
+        ("sim", 0, 500, "gone", "car"),
+    ]
     rows += [("real", 1, 300, "moved", None), ("sim", 1, 310, "moved", None)]
     names = ("side", "piece_id", "n_points", "fate", "label")
-    table = pa.Table.from_pylist([dict(zip(names, row, strict=True)) | place | moved for row in rows])
-    store = SimpleNamespace(read_pairs=lambda *_: {("pieces", ""): (table, np.array([2, 3]))})  # two of a, three of b
-    assert [(one.pair_id, one.fate_words, one.words.split(", ")[0]) for one in largest_pieces(store, ["a", "b"])] == [
+    table = pa.Table.from_pylist(
+        [dict(zip(names, row, strict=True)) | place | moved for row in rows]
+    )
+    store = SimpleNamespace(
+        read_pairs=lambda *_: {("pieces", ""): (table, np.array([2, 3]))}
+    )  # two of a, three of b
+    assert [
+        (one.pair_id, one.fate_words, one.words.split(", ")[0])
+        for one in largest_pieces(store, ["a", "b"])
+    ] == [
         ("b", "invented", "car"),
         ("b", "moved by 0.5 m to the left", "car-sized"),
         ("a", "missing", "car-sized"),
@@ -98,7 +133,9 @@ def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_
     ]
 
 
-def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_still_does(finished, tmp_path):
+def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_still_does(
+    finished, tmp_path
+):
     data, folder = copied(*finished[:2], tmp_path)
     write_bin(data / "sim" / f"{NUSCENES[0]}.bin", drifted(street(0), noise=0.02, keep=0.9))
     (data / "sim" / f"{NUSCENES[0]}.label").unlink()
@@ -118,7 +155,9 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
     assert other.previous.means["cdc_mean"] == after.summary["cdc_mean"].mean
 
 
-def test_a_run_that_was_stopped_keeps_the_results_that_it_was_replacing(finished, tmp_path, monkeypatch):
+def test_a_run_that_was_stopped_keeps_the_results_that_it_was_replacing(
+    finished, tmp_path, monkeypatch
+):
     data = finished[0]
     folder = shutil.copytree(finished[1], tmp_path / "run")
 
@@ -140,15 +179,29 @@ def test_a_run_ends_with_surface_pieces_causes_places_scores_trust_and_the_next_
     assert lines[0].startswith("streets: 3 pairs in ")
     assert lines[0].endswith(" s, preset paper")
     headings = [line[:14].strip() for line in lines[1:] if line[:14].strip()]
-    assert headings == ["surface", "pieces", "Fix first", "Worst places", "Objects", "Trust", "Next"]
-    assert [line[14:] for line in lines[-2:]] == [f"fidpipe diagnose {folder}", f"fidpipe report {folder} --open"]
+    assert headings == [
+        "surface",
+        "pieces",
+        "Fix first",
+        "Worst places",
+        "Objects",
+        "Trust",
+        "Next",
+    ]
+    assert [line[14:] for line in lines[-2:]] == [
+        f"fidpipe diagnose {folder}",
+        f"fidpipe report {folder} --open",
+    ]
     assert len(lines) <= 24
     text = "\n".join(lines)
     assert "faithful" not in text
     assert "r_lambda" in text
     assert "(paper 0.37)" in text, "under preset paper"
     assert "3 pairs of 3 places: a verdict on the world needs 6 places" in text
-    assert "3 pairs, preset paper" in text_of(show_view(FinishedRun(folder), None, None)).splitlines()[0]
+    assert (
+        "3 pairs, preset paper"
+        in text_of(show_view(FinishedRun(folder), None, None)).splitlines()[0]
+    )
 
 
 @pytest.mark.parametrize("name", [None, NUSCENES[0]])
@@ -161,7 +214,9 @@ def test_no_line_is_wider_than_80_columns_with_long_names_and_labels(finished, n
     if name is None:
         first = [line.split()[0] for line in shown.splitlines() if line.startswith(" n008")]
         assert len(set(first)) == 3, "shortened names can be told apart"
-        assert all(line.rstrip()[-1].isdigit() for line in shown.splitlines() if line.startswith(" n008")), "in a line"
+        assert all(
+            line.rstrip()[-1].isdigit() for line in shown.splitlines() if line.startswith(" n008")
+        ), "in a line"
 
 
 @pytest.fixture(scope="module")
@@ -223,16 +278,26 @@ def test_the_findings_agree_with_the_tables(finished):
     assert found["distributions"]["r_lambda"]["median"] == pytest.approx(metrics.r_lambda.median())
     assert found["distributions"]["cdc"]["q95"] == pytest.approx(metrics.cdc.quantile(0.95))
     assert found["density_ratio"]["max"] == pytest.approx((metrics.n_sim / metrics.n_real).max())
-    assert found["rank_correlation"]["spearman"] == pytest.approx(metrics.cdc.corr(metrics.r_lambda, method="spearman"))
+    assert found["rank_correlation"]["spearman"] == pytest.approx(
+        metrics.cdc.corr(metrics.r_lambda, method="spearman")
+    )
     for side, what in (("real", "not_found"), ("sim", "extra")):
-        assert sum(band[f"n_{side}"] for band in found["range_m"]["bands"]) == (objects.side == side).sum()
-        assert sum(band[f"n_{what}"] for band in found["range_m"]["bands"]) == (matching.status == what).sum()
+        assert (
+            sum(band[f"n_{side}"] for band in found["range_m"]["bands"])
+            == (objects.side == side).sum()
+        )
+        assert (
+            sum(band[f"n_{what}"] for band in found["range_m"]["bands"])
+            == (matching.status == what).sum()
+        )
         assert sum(row[f"n_{side}"] for row in found["classes"]) == (objects.side == side).sum()
 
 
 def test_a_run_with_nothing_new_reads_no_table_again(finished, monkeypatch):
     data, folder, outcome = finished
-    monkeypatch.setattr(run_tables, "describe_objects", lambda *_, **__: pytest.fail("the tables were read"))
+    monkeypatch.setattr(
+        run_tables, "describe_objects", lambda *_, **__: pytest.fail("the tables were read")
+    )
     assert run(data, folder).record.as_dict()["findings"] == outcome.record.as_dict()["findings"]
 
 
@@ -255,7 +320,9 @@ def test_seconds_are_kept_by_stage_and_pair(finished):
     timings = pd.read_parquet(folder / "timings.parquet")
     assert set(seconds["pairs"]) == {*NUSCENES}
     total = timings.groupby(["pair_id", "stage"]).seconds.sum()
-    assert seconds["pairs"][NUSCENES[1]]["metrics"] == pytest.approx(total[NUSCENES[1], "metrics"], abs=1e-6)
+    assert seconds["pairs"][NUSCENES[1]]["metrics"] == pytest.approx(
+        total[NUSCENES[1], "metrics"], abs=1e-6
+    )
     louvain = timings[timings.step == "louvain"].seconds.sum() / 3
     assert seconds["mean"]["communities"]["louvain"] == pytest.approx(louvain)
 
@@ -280,6 +347,8 @@ def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp
     assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (n_scored - 1, n_scored)
     assert summary["cdc_unmatched_worst_mean"].n_pairs == n_scored
     view = summary_view(outcome.folder, outcome.rows, outcome.record, with_all=True)
-    line = next(line for line in text_of(view, 300).splitlines() if line.strip().startswith("CDC  "))
+    line = next(
+        line for line in text_of(view, 300).splitlines() if line.strip().startswith("CDC  ")
+    )
     assert f"{n_scored - 1} of {n_scored} " in line
     assert f"{summary['cdc_unmatched_worst_mean'].mean:.3f}" in line

@@ -16,7 +16,10 @@ from scenes import drifted, street, write_bin
 
 
 def bag_at(path, times_s, scan):
-    made = [("/points", round(t * 1e9), lambda types, i=i: cloud(types, rows(scan(i)))) for i, t in enumerate(times_s)]
+    made = [
+        ("/points", round(t * 1e9), lambda types, i=i: cloud(types, rows(scan(i))))
+        for i, t in enumerate(times_s)
+    ]
     return write_bag(path, made)
 
 
@@ -34,10 +37,17 @@ def nearest_pairs(real_s, sim_s, tolerance_s):
 def test_pairs_are_each_other_s_nearest_within_the_tolerance():
     rng = np.random.default_rng(0)
     for _ in range(50):
-        real_s, sim_s = np.sort(rng.random(rng.integers(1, 12))), np.sort(rng.random(rng.integers(1, 12)))
+        real_s, sim_s = (
+            np.sort(rng.random(rng.integers(1, 12))),
+            np.sort(rng.random(rng.integers(1, 12))),
+        )
         pairing = pair_times(real_s, sim_s, 0.05, 0.0)
-        assert list(zip(pairing.real_ids, pairing.sim_ids, strict=True)) == nearest_pairs(real_s, sim_s, 0.05)
-        np.testing.assert_allclose(pairing.gaps_s, sim_s[pairing.sim_ids] - real_s[pairing.real_ids])
+        assert list(zip(pairing.real_ids, pairing.sim_ids, strict=True)) == nearest_pairs(
+            real_s, sim_s, 0.05
+        )
+        np.testing.assert_allclose(
+            pairing.gaps_s, sim_s[pairing.sim_ids] - real_s[pairing.real_ids]
+        )
 
 
 @pytest.mark.parametrize("offset", [0.0, 1713492672.25, -3.7])
@@ -81,8 +91,12 @@ def test_pair_writes_a_manifest_that_points_into_the_recordings(recordings, tmp_
     assert [pair.fault for pair in pairs] == [None] * 3
     assert [pair.timestamp_s for pair in pairs] == [100.1, 100.2, 100.3]
     for number, pair in enumerate(pairs, start=1):
-        np.testing.assert_array_equal(read_scan(pair.real).points, street(number).astype(np.float32))
-        np.testing.assert_array_equal(read_scan(pair.sim).points, drifted(street(number)).astype(np.float32))
+        np.testing.assert_array_equal(
+            read_scan(pair.real).points, street(number).astype(np.float32)
+        )
+        np.testing.assert_array_equal(
+            read_scan(pair.sim).points, drifted(street(number)).astype(np.float32)
+        )
     unpaired = pd.read_csv(out / "unpaired.csv")
     assert unpaired.side.tolist() == ["real", "real", "sim"]
     assert unpaired.timestamp_s.tolist() == [100.0, 100.4, 9.0]
@@ -129,8 +143,12 @@ def test_two_sides_are_paired_by_name_then_by_number_then_by_time(recordings, tm
         ("10", "10.bin", "10.ply"),
         ("2", "2.bin", "2.ply"),
     ]
-    pairs = read_dataset(dataset_of(tmp_path / "real", tmp_path / "numbered", tmp_path / "b")[0]).pairs
-    assert [(pair.pair_id, pair.sim.file.name, pair.timestamp_s) for pair in pairs] == [("10", "f_0010.csv", None)]
+    pairs = read_dataset(
+        dataset_of(tmp_path / "real", tmp_path / "numbered", tmp_path / "b")[0]
+    ).pairs
+    assert [(pair.pair_id, pair.sim.file.name, pair.timestamp_s) for pair in pairs] == [
+        ("10", "f_0010.csv", None)
+    ]
     folder, how = dataset_of(*recordings, tmp_path / "c")
     assert "by time" in how and "+96.9000 s" in how
     assert dataset_of(*recordings, tmp_path / "c") == (folder, how)  # again, over the same manifest

@@ -55,7 +55,9 @@ def labelled(tmp_path_factory):
     points = street()
     x, y, z = points.T
     label = np.select(
-        [z < -1.55, (x > 0) & (y > 0), (x < 0) & (y > 0), x > -7], ["road", "car", "tree", "wall"], "pole"
+        [z < -1.55, (x > 0) & (y > 0), (x < 0) & (y > 0), x > -7],
+        ["road", "car", "tree", "wall"],
+        "pole",
     )
     path = tmp_path_factory.mktemp("labelled") / "street.parquet"
     pd.DataFrame({"x": x, "y": y, "z": z, "label": label}).to_parquet(path)
@@ -78,7 +80,9 @@ def test_rigid_rows_are_exact(done):
     assert objects.r_gap.max() < 1e-4
 
 
-def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(scan, tmp_path, monkeypatch):
+def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(
+    scan, tmp_path, monkeypatch
+):
     seeds = []
 
     def watched(points, settings, **options):
@@ -87,7 +91,9 @@ def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(s
 
     monkeypatch.setattr("fidpipe.pipeline.paper.perturb.partition", watched)
     assert DEFAULT_LEVELS[0] == NULL
-    outcome = perturbed(scan, tmp_path / "run", levels=(NULL, *LEVELS[:1]), repeats=2, global_repeats=2)
+    outcome = perturbed(
+        scan, tmp_path / "run", levels=(NULL, *LEVELS[:1]), repeats=2, global_repeats=2
+    )
     assert not outcome.failures
     of_scan = rows(tmp_path / "run", "perturb_global")
     null = of_scan.query("kind == 'null'")
@@ -97,7 +103,9 @@ def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(s
 
 
 def test_all_seeds_differ(done):
-    seeds = np.concatenate([rows(done.folder, table).seed for table in ("perturb_objects", "perturb_global")])
+    seeds = np.concatenate(
+        [rows(done.folder, table).seed for table in ("perturb_objects", "perturb_global")]
+    )
     assert len(np.unique(seeds)) == len(seeds)
 
 
@@ -113,7 +121,9 @@ def test_an_object_is_rebuilt_from_its_points_alone(done, scan, tmp_path, monkey
     assert sizes == [chosen.n_points, chosen.n_points]
 
 
-def test_a_finished_experiment_is_reused_and_another_request_replaces_it_only_if_asked(done, scan, tmp_path):
+def test_a_finished_experiment_is_reused_and_another_request_replaces_it_only_if_asked(
+    done, scan, tmp_path
+):
     out = shutil.copytree(done.folder, tmp_path / "run")
     again = perturbed(scan, out)
     assert (again.n_made, again.n_reused) == (0, 1)
@@ -121,7 +131,10 @@ def test_a_finished_experiment_is_reused_and_another_request_replaces_it_only_if
     assert all(again.tables[name].equals(done.tables[name]) for name in done.tables)
     before = contents(out)
     for options, why in (
-        ({"settings": load(None, ["graph.k=12", "graph.tau_m=0.3"])}, r"graph\.tau_m was 0\.2, is 0\.3"),
+        (
+            {"settings": load(None, ["graph.k=12", "graph.tau_m=0.3"])},
+            r"graph\.tau_m was 0\.2, is 0\.3",
+        ),
         ({"levels": LEVELS[1:]}, r"levels was .*noise.*, 0\.01"),
         ({"seed": 1}, "seed was 0, is 1"),
     ):
@@ -226,7 +239,11 @@ def test_of_a_dataset_the_first_real_scan_is_taken_or_those_that_are_asked_for(t
     assert [*perturbed(dataset, tmp_path / "one", **options).metadata] == ["000"]
     outcome = perturbed(dataset, tmp_path / "two", pattern="00[12]", **options)
     assert [*outcome.metadata] == ["001", "002"]
-    (row,) = [row for row in outcome.tables["perturb_summary"].to_pylist() if row["metric"] == "match_rate"]
+    (row,) = [
+        row
+        for row in outcome.tables["perturb_summary"].to_pylist()
+        if row["metric"] == "match_rate"
+    ]
     assert row["n"] == 2
     with pytest.raises(DatasetError, match="one scan, got 2"):
         perturbed(dataset, tmp_path / "two", pattern="00[12]", objects=("1",), **options)
@@ -245,7 +262,12 @@ def test_a_dataset_whose_first_pair_lacks_its_simulated_scan_is_perturbed(tmp_pa
 
 
 def test_a_dropout_that_leaves_nothing_is_null_with_a_reason(scan, tmp_path):
-    options = {"levels": (Perturbation("dropout", 1.0),), "repeats": 1, "global_repeats": 1, "objects": ("0",)}
+    options = {
+        "levels": (Perturbation("dropout", 1.0),),
+        "repeats": 1,
+        "global_repeats": 1,
+        "objects": ("0",),
+    }
     settings = load(None, ["graph.k=12", "metrics.baselines=chamfer"])
     assert not perturbed(scan, tmp_path / "run", settings=settings, **options).failures
     (row,) = pd.read_parquet(tmp_path / "run" / "perturb_objects.parquet").to_dict("records")
@@ -301,14 +323,29 @@ def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
     there = cKDTree(altered).query(points)[0]
     back = cKDTree(points).query(altered)[0]
     assert row.value == pytest.approx(there.mean() + back.mean())
-    (table,) = [part for part in perturb_view(outcome) if isinstance(part, Table) and "Reaction" in part.title]
+    (table,) = [
+        part
+        for part in perturb_view(outcome)
+        if isinstance(part, Table) and "Reaction" in part.title
+    ]
     reactions = {metric: most for metric, *_, most in table.rows}
     assert reactions["f_score"] == "rigid"
     assert reactions["r_lambda"] == "drop"
 
 
 def test_the_command_prints_the_scores_of_the_whole_scan_and_draws_its_figure(scan, tmp_path):
-    words = ("--workers", 1, "--sweep", "noise", "--repeats", 1, "--global-repeats", 1, "--set", "graph.k=12")
+    words = (
+        "--workers",
+        1,
+        "--sweep",
+        "noise",
+        "--repeats",
+        1,
+        "--global-repeats",
+        1,
+        "--set",
+        "graph.k=12",
+    )
     result = command("perturb", scan, *words, cwd=tmp_path, code=0)
     assert "Whole scan, street" in result.stdout
     picture = imread(tmp_path / "runs" / "street-perturb" / "perturb.png")

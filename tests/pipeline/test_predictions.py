@@ -37,14 +37,22 @@ N_PAIRS = 4
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("predictions")
     write_dataset(folder / "streets", N_PAIRS)
-    run(folder / "streets", folder / "run", load(None, ["graph.k=20", "tasks.names=all"], preset="reference"))
+    run(
+        folder / "streets",
+        folder / "run",
+        load(None, ["graph.k=20", "tasks.names=all"], preset="reference"),
+    )
     return folder
 
 
 def scans(folder):
     """Side, name and points of every file."""
     for path in sorted((folder / "streets").glob("*/*.bin")):
-        yield path.parent.name, path.stem, np.fromfile(path, "<f4").reshape(-1, 4)[:, :3].astype(float)
+        yield (
+            path.parent.name,
+            path.stem,
+            np.fromfile(path, "<f4").reshape(-1, 4)[:, :3].astype(float),
+        )
 
 
 def eigenfeatures(points):
@@ -52,7 +60,9 @@ def eigenfeatures(points):
     _, near = cKDTree(points).query(points, k=12)
     apart = points[near] - points[near].mean(axis=1, keepdims=True)
     values = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", apart, apart))
-    return np.column_stack([values / values.sum(axis=1, keepdims=True), points[:, 2], np.ptp(points[near, 2], axis=1)])
+    return np.column_stack(
+        [values / values.sum(axis=1, keepdims=True), points[:, 2], np.ptp(points[near, 2], axis=1)]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +96,9 @@ def boxes(folder):
         path = folder / "boxes" / side / f"{name}.txt"
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = [kitti_line(*box) for box in zip(found.centre, found.size_m, strict=True)]
-        path.write_text("\n".join([*lines, "DontCare -1 -1 -10 0 0 0 0 -1 -1 -1 -1000 -1000 -1000 -10"]) + "\n")
+        path.write_text(
+            "\n".join([*lines, "DontCare -1 -1 -10 0 0 0 0 -1 -1 -1 -1000 -1000 -1000 -10"]) + "\n"
+        )
     return folder / "boxes"
 
 
@@ -133,8 +145,14 @@ def nuscenes_boxes(path):
     """The boxes of a KITTI file as nuScenes writes them, turned by 180 degrees."""
     boxes = read_kitti_boxes(path)
     rows = []
-    for name, centre, (length, width, height) in zip(boxes.names, boxes.centre, boxes.size, strict=True):
-        box = {"detection_name": str(name), "translation": centre.tolist(), "rotation": [0.0, 0.0, 0.0, 1.0]}
+    for name, centre, (length, width, height) in zip(
+        boxes.names, boxes.centre, boxes.size, strict=True
+    ):
+        box = {
+            "detection_name": str(name),
+            "translation": centre.tolist(),
+            "rotation": [0.0, 0.0, 0.0, 1.0],
+        }
         rows.append(box | {"size": [width, length, height]})
     return rows
 
@@ -163,7 +181,9 @@ def test_a_side_without_boxes_loses_all(folder, tmp_path):
     for side, content in (("real", kitti_line((8, 4, -0.9), (4, 1.8, 1.2))), ("sim", "")):
         (tmp_path / side).mkdir()
         (tmp_path / side / "000.txt").write_text(content)
-    result = compare_predictions(fidpipe.open_run(folder / "run"), tmp_path / "real", tmp_path / "sim")
+    result = compare_predictions(
+        fidpipe.open_run(folder / "run"), tmp_path / "real", tmp_path / "sim"
+    )
     (cars,) = result.classes
     assert cars == {"class": "Car", "n_real": 1, "n_sim": 0, "n_found": 0, "place_m": None}
     assert [row["fate"] for row in result.objects] == ["lost"]
@@ -173,7 +193,9 @@ def test_a_side_without_boxes_loses_all(folder, tmp_path):
 
 def test_the_tasks_of_a_run_are_a_command_of_their_own(folder):
     assert "wrongly_free" in command("tasks", folder / "run", code=0).stdout
-    rows = list(csv.DictReader(io.StringIO(command("tasks", folder / "run", "--csv", code=0).stdout)))
+    rows = list(
+        csv.DictReader(io.StringIO(command("tasks", folder / "run", "--csv", code=0).stdout))
+    )
     assert rows[0]["measure"] == "lost"
 
 
@@ -204,9 +226,14 @@ def test_a_box_of_kitti_lies_in_the_axes_of_the_sensor(tmp_path):
 def test_boxes_of_one_class_within_two_metres_are_the_same():
     places = np.array([[0.0, 0, 0], [1.5, 0, 0], [9, 0, 0]])
     real = Boxes(np.array(["car", "car", "car"]), places, np.ones((3, 3)), np.zeros(3))
-    sim = Boxes(np.array(["car", "bus"]), np.array([[1.4, 0, 5], [9.0, 0, 0]]), np.ones((2, 3)), np.zeros(2))
+    sim = Boxes(
+        np.array(["car", "bus"]), np.array([[1.4, 0, 5], [9.0, 0, 0]]), np.ones((2, 3)), np.zeros(2)
+    )
     assert match_detections(real, sim).tolist() == [-1, 0, -1]
-    assert match_detections(real, Boxes(sim.names[:0], places[:0], places[:0], places[:0, 0])).tolist() == [-1] * 3
+    assert (
+        match_detections(real, Boxes(sim.names[:0], places[:0], places[:0], places[:0, 0])).tolist()
+        == [-1] * 3
+    )
 
 
 def test_the_interval_of_an_auc_comes_from_leaving_out_scans():

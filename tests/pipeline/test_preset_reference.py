@@ -24,14 +24,18 @@ def test_the_terminal_the_comparison_and_the_gate_take_it(by_reference):
     (comparison,) = compare_runs([out, out])
     assert comparison.on_partition == ""
     assert not comparison.unfollowed
-    result = judge_run(out, [parse_word("covered.real.0.3m.mean=0.1", "min"), parse_word("shift_m.max=9", "max")])
+    result = judge_run(
+        out, [parse_word("covered.real.0.3m.mean=0.1", "min"), parse_word("shift_m.max=9", "max")]
+    )
     assert result.passed
     assert not any("partition" in note for note in result.notes)
 
 
 def test_seeds_ablation_and_perturbation_take_it(dataset, tmp_path):
     words = ["--preset", "reference", "--workers", 1]
-    command("run", dataset, "--out", tmp_path / "seeds", "--pairs", "001", "--seeds", 2, *words, code=0)
+    command(
+        "run", dataset, "--out", tmp_path / "seeds", "--pairs", "001", "--seeds", 2, *words, code=0
+    )
     table = pd.read_parquet(tmp_path / "seeds" / "seeds")
     row = tables(tmp_path / "seeds")["pairs.parquet"].to_pylist()[0]
     assert table.match_rate[0] == row["match_rate"]
@@ -46,11 +50,15 @@ def test_seeds_ablation_and_perturbation_take_it(dataset, tmp_path):
     assert "are not matched by distance" in refused.stderr
 
 
-@pytest.mark.parametrize(("word", "left_out"), [((), {"0"}), (("communities.leave_out=0,2",), {"0", "2"})])
+@pytest.mark.parametrize(
+    ("word", "left_out"), [((), {"0"}), (("communities.leave_out=0,2",), {"0", "2"})]
+)
 def test_points_of_classes_that_are_left_out_belong_to_no_object(tmp_path, word, left_out):
     scan = street(seed=1)
     write_pair(tmp_path, scan, drifted(scan))
-    np.digitize(scan[:, 0], [-5, 3]).astype("<u4").tofile(tmp_path / "real" / "a.label")  # classes 0, 1 and 2
+    np.digitize(scan[:, 0], [-5, 3]).astype("<u4").tofile(
+        tmp_path / "real" / "a.label"
+    )  # classes 0, 1 and 2
     settings = load(None, ["communities.reference=labels", *word], preset="reference")
     outcome = run(tmp_path, tmp_path / "run", settings)
     assert not outcome.failures
@@ -62,13 +70,23 @@ def test_points_of_classes_that_are_left_out_belong_to_no_object(tmp_path, word,
     }
     assert set(own["real"].label[own["real"].community_id == -1]) == left_out
     assert not set(own["real"].label[own["real"].community_id >= 0]) & left_out
-    assert (own["sim"].community_id[own["sim"].x < -5.5] == -1).mean() > 0.9  # some lie out of reach
+    assert (
+        own["sim"].community_id[own["sim"].x < -5.5] == -1
+    ).mean() > 0.9  # some lie out of reach
     objects = pd.read_parquet(tmp_path / "run" / "objects" / "a.real.parquet")
     assert set(objects.label) == {"0", "1", "2"} - left_out
-    assert objects.n_points.tolist() == own["real"].query("community_id >= 0").community_id.value_counts().tolist()
+    assert (
+        objects.n_points.tolist()
+        == own["real"].query("community_id >= 0").community_id.value_counts().tolist()
+    )
     coverage = pd.read_parquet(tmp_path / "run" / "coverage" / "a.parquet")
-    assert coverage.n_points[coverage.community_id.isna()].tolist() == [len(own["real"]), len(own["sim"])]
-    assert [difference for difference in recompute(tmp_path / "run") if difference.is_too_large] == []
+    assert coverage.n_points[coverage.community_id.isna()].tolist() == [
+        len(own["real"]),
+        len(own["sim"]),
+    ]
+    assert [
+        difference for difference in recompute(tmp_path / "run") if difference.is_too_large
+    ] == []
 
 
 @pytest.mark.parametrize("kind", ["labels", "instances"])
@@ -90,7 +108,12 @@ def test_an_input_without_labels_fails_with_the_next_step(dataset, tmp_path, kin
             "reference",
             ["graph.k=60", "communities.reach_m=0.5"],
         ),
-        ("paper", ["communities.objects=reference"], "reference", ["ground.peak=own", "graph.ties=point_id"]),
+        (
+            "paper",
+            ["communities.objects=reference"],
+            "reference",
+            ["ground.peak=own", "graph.ties=point_id"],
+        ),
     ],
 )
 def test_a_run_is_named_by_its_preset_and_what_departs_from_it(preset, words, named, departing):
@@ -138,7 +161,10 @@ def test_missing_and_invented_objects_are_told_alike_everywhere(by_reference):
     pairs = pd.read_parquet(by_reference / "pairs.parquet")
     row = pairs.iloc[0]
     matching = pd.read_parquet(by_reference / "matching" / "0.parquet")
-    objects = {side: pd.read_parquet(by_reference / "objects" / f"0.{side}.parquet") for side in ("real", "sim")}
+    objects = {
+        side: pd.read_parquet(by_reference / "objects" / f"0.{side}.parquet")
+        for side in ("real", "sim")
+    }
     counts = matching.status.value_counts()
     assert counts.get("not_found", 0) == row["n_not_found"] > 0
     assert counts.get("extra", 0) == row["n_extra"] > 0

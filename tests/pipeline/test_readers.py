@@ -25,7 +25,9 @@ POINTS = np.array([[1.5, -2.25, 0.5], [4, 5, 6], [-7, 8, 9.125]])
 def ascii_pcd(points, intensity):
     head = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
     head += f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA ascii\n"
-    return head + "".join(f"{x} {y} {z} {i}\n" for (x, y, z), i in zip(points, intensity, strict=True))
+    return head + "".join(
+        f"{x} {y} {z} {i}\n" for (x, y, z), i in zip(points, intensity, strict=True)
+    )
 
 
 def ply(points, fmt, label=False):
@@ -35,7 +37,9 @@ def ply(points, fmt, label=False):
     if fmt == "ascii":
         rows = "".join(f"{x} {y} {z} 7{' 4' if label else ''}\n" for x, y, z in points)
         return (head + rows).encode()
-    return head.encode() + np.column_stack([points, np.full(len(points), 7)]).astype("<f4").tobytes()
+    return (
+        head.encode() + np.column_stack([points, np.full(len(points), 7)]).astype("<f4").tobytes()
+    )
 
 
 @pytest.mark.parametrize(
@@ -56,8 +60,16 @@ def test_the_stem_is_the_name_less_its_known_suffix(tmp_path, name, suffix, stem
 
 #: File, content and message.
 REFUSED = {
-    "a row less": ("a.pcd", ascii_pcd(POINTS, [1, 2, 3]).rsplit("\n", 2)[0].encode() + b"\n", "2 points"),
-    "a short row": ("a.ply", ply(POINTS, "ascii", label=True).rsplit(b" ", 1)[0] + b"\n", r"a\.ply"),
+    "a row less": (
+        "a.pcd",
+        ascii_pcd(POINTS, [1, 2, 3]).rsplit("\n", 2)[0].encode() + b"\n",
+        "2 points",
+    ),
+    "a short row": (
+        "a.ply",
+        ply(POINTS, "ascii", label=True).rsplit(b" ", 1)[0] + b"\n",
+        r"a\.ply",
+    ),
     "text in a CSV": ("a.csv", b"x,y,z\n1,2,3\n4,five,6\n", "row 2, column y: .*'five'"),
     "a column less": ("a.csv", b"x,y\n1,2\n", "missing columns z; got x, y"),
 }
@@ -150,20 +162,28 @@ def test_carla_semantic_ray_cast_has_incidence_instances_and_names_of_tags(tmp_p
     assert scan.instances[0] == 0
     assert len(set(scan.instances.tolist())) == 3
     before_0_9_14 = {1: "Building", 14: "Ground"}
-    assert read_scan(tmp_path / "a.ply", label_names=before_0_9_14).labels.tolist() == ["Building", "Ground", "250"]
+    assert read_scan(tmp_path / "a.ply", label_names=before_0_9_14).labels.tolist() == [
+        "Building",
+        "Ground",
+        "250",
+    ]
 
 
 def test_names_of_labels_hold_for_a_column_of_numbers_and_are_part_of_the_key(tmp_path):
     (tmp_path / "a.ply").write_bytes(ply(POINTS, "ascii", label=True))
     assert read_scan(tmp_path / "a.ply").labels.tolist() == ["4"] * 3
     assert read_scan(tmp_path / "a.ply", label_names={4: "tree"}).labels.tolist() == ["tree"] * 3
-    contents = [scan_content(tmp_path / "a.ply").key(names, None) for names in ({}, {4: "tree"}, {4: "car"})]
+    contents = [
+        scan_content(tmp_path / "a.ply").key(names, None) for names in ({}, {4: "tree"}, {4: "car"})
+    ]
     assert len(set(contents)) == 3
     raw = scan_content(write_bin(tmp_path / "b.bin", POINTS))
     assert raw.key({}, None) == raw.key({4: "tree"}, None)
 
 
-@pytest.mark.parametrize(("dtype", "times"), [("<f4", [0.5, 0.25, 2]), ("<u4", [5e-9, 10e-9, 1e-3])])
+@pytest.mark.parametrize(
+    ("dtype", "times"), [("<f4", [0.5, 0.25, 2]), ("<u4", [5e-9, 10e-9, 1e-3])]
+)
 def test_times_are_seconds_or_whole_nanoseconds(tmp_path, dtype, times):
     rows = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("timestamp", dtype)])
     rows["timestamp"] = times if dtype == "<f4" else [5, 10, 1_000_000]
@@ -207,15 +227,23 @@ def test_projected_coordinates_keep_their_millimetres(tmp_path, name, version, p
 def promises(folder):
     """Write files of a few points whose headers promise a billion or more."""
     n = 10**9
-    pcd = ascii_pcd(POINTS, [1, 2, 3]).replace("WIDTH 3", f"WIDTH {n}").replace("POINTS 3", f"POINTS {n}")
+    pcd = (
+        ascii_pcd(POINTS, [1, 2, 3])
+        .replace("WIDTH 3", f"WIDTH {n}")
+        .replace("POINTS 3", f"POINTS {n}")
+    )
     (folder / "a.pcd").write_text(pcd)
     (folder / "b.pcd").write_bytes(pcd.replace("DATA ascii", "DATA binary").encode())
     packed = struct.pack("<II", 100, 4 * 10**9) + bytes(100)
-    (folder / "c.pcd").write_bytes(pcd[: pcd.index("DATA")].encode() + b"DATA binary_compressed\n" + packed)
+    (folder / "c.pcd").write_bytes(
+        pcd[: pcd.index("DATA")].encode() + b"DATA binary_compressed\n" + packed
+    )
     for name, fmt in (("a.ply", "ascii"), ("b.ply", "binary_little_endian")):
         (folder / name).write_bytes(ply(POINTS, fmt).replace(b"vertex 3", b"vertex %d" % n))
     with (folder / "a.npy").open("wb") as file:
-        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (100 * n, 3)})
+        np.lib.format.write_array_header_1_0(
+            file, {"descr": "<f8", "fortran_order": False, "shape": (100 * n, 3)}
+        )
         file.write(bytes(100))
     for name in ("a.las", "a.laz"):
         content = bytearray(write_las(folder / name, street()).read_bytes())
@@ -237,7 +265,9 @@ def test_a_header_that_promises_a_billion_points_takes_no_memory(tmp_path):
         "        peak = re.search(r'VmHWM:\\s*(\\d+)', Path('/proc/self/status').read_text())\n"
         "        print(path.name, int(peak[1]) // 1024)\n"
     )
-    shown = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True).stdout
+    shown = subprocess.run(
+        [sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True
+    ).stdout
     peaks_mb = dict(line.split() for line in shown.splitlines())
     assert set(peaks_mb) == {path.name for path in tmp_path.iterdir()}
     assert max(map(int, peaks_mb.values())) < 400
@@ -248,11 +278,20 @@ def test_a_header_that_promises_a_billion_points_takes_no_memory(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "library", "extra"),
-    [("a.bag", "rosbags", "ros"), ("a.mcap", "rosbags", "ros"), ("a.pcap", "velodyne_decoder", "velodyne")]
+    [
+        ("a.bag", "rosbags", "ros"),
+        ("a.mcap", "rosbags", "ros"),
+        ("a.pcap", "velodyne_decoder", "velodyne"),
+    ]
     + [("a.las", "laspy", "las"), ("a.laz", "laspy", "las")],
 )
-def test_a_missing_extra_is_one_line_with_its_installation(tmp_path, monkeypatch, name, library, extra):
-    for module in {library, *(module for module in sys.modules if module.partition(".")[0] == library)}:
+def test_a_missing_extra_is_one_line_with_its_installation(
+    tmp_path, monkeypatch, name, library, extra
+):
+    for module in {
+        library,
+        *(module for module in sys.modules if module.partition(".")[0] == library),
+    }:
         monkeypatch.setitem(sys.modules, module, None)
     (tmp_path / name).write_bytes(b"content")
     with pytest.raises(ScanError) as fault:
@@ -278,7 +317,9 @@ def bag_of(path, *scans, topic="/points"):
 def test_a_frame_of_a_bag_is_read_by_number_and_by_time(tmp_path, name):
     scans = [street(seed) for seed in range(3)]
     bag = bag_of(tmp_path / name, *scans)
-    assert [str(frame) for frame in frames_of(bag)] == [f"{bag}#/points@5.{i}00000000" for i in range(3)]
+    assert [str(frame) for frame in frames_of(bag)] == [
+        f"{bag}#/points@5.{i}00000000" for i in range(3)
+    ]
     for i, scan in enumerate(scans):
         for path in (f"{bag}#{i}", f"{bag}#5.{i}", f"{bag}#/points@{i}", frames_of(bag)[i]):
             read = read_scan(path)
@@ -288,7 +329,9 @@ def test_a_frame_of_a_bag_is_read_by_number_and_by_time(tmp_path, name):
             np.testing.assert_allclose(read.times_s, np.arange(len(scan)) * 1e-6)
 
 
-@pytest.mark.parametrize(("folder", "file"), [("a_sqlite3", "a_sqlite3.db3"), ("a_mcap", "a_mcap.mcap")])
+@pytest.mark.parametrize(
+    ("folder", "file"), [("a_sqlite3", "a_sqlite3.db3"), ("a_mcap", "a_mcap.mcap")]
+)
 def test_the_file_in_a_folder_of_ros_2_is_read_without_its_metadata(tmp_path, folder, file):
     bag = bag_of(tmp_path / folder, street())
     alone = shutil.copy(bag / file, tmp_path)
@@ -322,11 +365,16 @@ def test_of_two_topics_one_is_to_be_named(tmp_path, name):
     )
     with pytest.raises(ScanError, match="/left .*/top "):
         read_scan(bag)
-    np.testing.assert_array_equal(read_scan(Path(f"{bag}#/top")).points, street(1).astype(np.float32))
+    np.testing.assert_array_equal(
+        read_scan(Path(f"{bag}#/top")).points, street(1).astype(np.float32)
+    )
 
 
 def test_a_bag_without_point_clouds_says_what_it_holds(tmp_path):
-    bag = write_bag(tmp_path / "a.bag", [("/said", 0, lambda types: types.types["std_msgs/msg/String"]("hello"))])
+    bag = write_bag(
+        tmp_path / "a.bag",
+        [("/said", 0, lambda types: types.types["std_msgs/msg/String"]("hello"))],
+    )
     with pytest.raises(ScanError, match=r"/said \(std_msgs/msg/String\)"):
         read_scan(bag)
 
@@ -335,7 +383,9 @@ def test_two_frames_of_one_time_are_told_apart_by_number_alone(tmp_path):
     made = [("/points", SECOND, lambda types, i=i: cloud(types, rows(street(i)))) for i in range(2)]
     bag = write_bag(tmp_path / "a.bag", made)
     for i in range(2):
-        np.testing.assert_array_equal(read_scan(Path(f"{bag}#{i}")).points, street(i).astype(np.float32))
+        np.testing.assert_array_equal(
+            read_scan(Path(f"{bag}#{i}")).points, street(i).astype(np.float32)
+        )
     with pytest.raises(ScanError, match="1.0 s"):
         read_scan(Path(f"{bag}#1.0"))
 
@@ -351,9 +401,20 @@ def test_an_organised_cloud_keeps_its_order_and_its_missing_returns(tmp_path, bi
 
 
 def test_float64_fields_keep_their_precision(tmp_path):
-    fields = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("intensity", "u1"), ("ring", "i1"), ("t", "<f8")])
+    fields = np.dtype(
+        [
+            ("x", "<f8"),
+            ("y", "<f8"),
+            ("z", "<f8"),
+            ("intensity", "u1"),
+            ("ring", "i1"),
+            ("t", "<f8"),
+        ]
+    )
     points = street() + [635619.85, 848899.7, 406.59]
-    bag = write_bag(tmp_path / "a_mcap", [("/points", 0, lambda types: cloud(types, rows(points, fields)))])
+    bag = write_bag(
+        tmp_path / "a_mcap", [("/points", 0, lambda types: cloud(types, rows(points, fields)))]
+    )
     read = read_scan(bag)
     np.testing.assert_array_equal(read.points, points)
     np.testing.assert_array_equal(read.times_s, np.arange(len(points)) * 1000)
@@ -369,7 +430,9 @@ def test_a_cloud_shorter_than_it_says_is_refused(tmp_path):
         read_scan(write_bag(tmp_path / "a.bag", [("/points", 0, short)]))
 
 
-@pytest.mark.parametrize("text", ["a.bin", "a.bag", "a.bag#3", "a.bag#/top", "a.bag#/top@3", "a.bag#/top@5.25"])
+@pytest.mark.parametrize(
+    "text", ["a.bin", "a.bag", "a.bag#3", "a.bag#/top", "a.bag#/top@3", "a.bag#/top@5.25"]
+)
 def test_the_text_of_a_scan_names_it(text):
     assert str(scan_ref(text)) == text
     assert scan_ref(scan_ref(text)) == scan_ref(text)
@@ -387,7 +450,10 @@ def test_content_of_a_frame_is_its_recording_and_its_address(tmp_path):
     first, second = frames_of(bag)
     before = scan_content(first)
     assert before.sha256 != scan_content(second).sha256
-    assert shutil.copytree(bag, tmp_path / "copy") and scan_content(frames_of(tmp_path / "copy")[0]) == before
+    assert (
+        shutil.copytree(bag, tmp_path / "copy")
+        and scan_content(frames_of(tmp_path / "copy")[0]) == before
+    )
     shutil.copy(bag / "metadata.yaml", bag / "more.yaml")
     assert scan_content(first) != before
 
@@ -396,7 +462,9 @@ def test_content_of_a_frame_is_its_recording_and_its_address(tmp_path):
 def pointing(tmp_path):
     """A dataset whose manifest points into two bags; two pairs."""
     real = bag_of(tmp_path / "real.bag", *[street(i) for i in range(3)])
-    sim = bag_of(tmp_path / "sim_mcap", *[drifted(street(i)) for i in range(3)], topic="/carla/lidar")
+    sim = bag_of(
+        tmp_path / "sim_mcap", *[drifted(street(i)) for i in range(3)], topic="/carla/lidar"
+    )
     table = {
         "pair_id": ["a", "b"],
         "real": [f"{real.name}#0", f"{real.name}#5.2"],
@@ -428,7 +496,10 @@ def test_a_run_over_frames_gives_the_numbers_of_a_run_over_files(pointing):
 
 @pytest.fixture
 def packets(real_data):
-    found = [(stamp, data) for _, stamp, data in velodyne._packets(real_data / "velodyne_vlp32c/sweeps.pcap")]
+    found = [
+        (stamp, data)
+        for _, stamp, data in velodyne._packets(real_data / "velodyne_vlp32c/sweeps.pcap")
+    ]
     assert len(found) == 379
     return found
 
@@ -436,8 +507,13 @@ def packets(real_data):
 def test_bags_captures_and_packets_in_bags_hold_the_same_points(real_data, packets, tmp_path):
     folder = real_data / "velodyne_vlp32c"
     turns = [packets[0:77], packets[77:153], packets[153:229]]
-    made = [("/packets", i, lambda types, turn=turn: packets_message(types, turn)) for i, turn in enumerate(turns)]
-    places = [folder / name for name in ("rosbag1.bag", "rosbag2_sqlite3", "rosbag2_mcap", "sweeps.pcap")]
+    made = [
+        ("/packets", i, lambda types, turn=turn: packets_message(types, turn))
+        for i, turn in enumerate(turns)
+    ]
+    places = [
+        folder / name for name in ("rosbag1.bag", "rosbag2_sqlite3", "rosbag2_mcap", "sweeps.pcap")
+    ]
     places += [write_bag(tmp_path / name, made) for name in BAGS]
     for i, n_points in enumerate((26710, 26335, 26317)):
         first, *others = [read_scan(Path(f"{place}#{i}")) for place in places]

@@ -23,7 +23,12 @@ from clusters import Cluster
 from fidpipe import open_run
 from fidpipe.pipeline.datasets.pairs import local_folder
 from fidpipe.pipeline.storage.ledger import Ledger
-from fidpipe.pipeline.storage.object_store import delete_objects, list_objects, read_object, write_object
+from fidpipe.pipeline.storage.object_store import (
+    delete_objects,
+    list_objects,
+    read_object,
+    write_object,
+)
 from fidpipe.pipeline.storage.remote_run import LOCK, RemoteRun
 from fidpipe.pipeline.storage.table_files import TOKEN
 from fidpipe.pipeline.storage.urls import cache_of, url_of_cache
@@ -52,11 +57,17 @@ class Faulty(http.server.BaseHTTPRequestHandler):
     def relay(self):
         Faulty.n += 1
         fault = Faulty.n % 20 if Faulty.failed[self.command, self.path] < 2 else 0
-        Faulty.failed[self.command, self.path] = Faulty.failed[self.command, self.path] + 1 if fault in (7, 8) else 0
+        Faulty.failed[self.command, self.path] = (
+            Faulty.failed[self.command, self.path] + 1 if fault in (7, 8) else 0
+        )
         Faulty.requests.append((self.command, self.path))
         body = self.rfile.read(int(self.headers.get("Content-Length") or 0)) or None
-        headers = {name: value for name, value in self.headers.items() if name.lower() != "connection"}
-        headers = {"Content-type": "application/octet-stream"} | headers  # urllib would call it a form
+        headers = {
+            name: value for name, value in self.headers.items() if name.lower() != "connection"
+        }
+        headers = {
+            "Content-type": "application/octet-stream"
+        } | headers  # urllib would call it a form
         request = Request(self.server.target + self.path, body, headers, method=self.command)
         try:
             with urlopen(request) as answer:
@@ -76,7 +87,13 @@ class Faulty(http.server.BaseHTTPRequestHandler):
             status, content = 404, b""
         self.send_response(status)
         for name, value in found.items():
-            if name.lower() not in ("content-length", "connection", "transfer-encoding", "date", "server"):
+            if name.lower() not in (
+                "content-length",
+                "connection",
+                "transfer-encoding",
+                "date",
+                "server",
+            ):
                 self.send_header(name, value)
         length = found["Content-Length"] if self.command == "HEAD" else len(content)
         self.send_header("Content-Length", length)
@@ -115,7 +132,11 @@ def bucket(proxy, tmp_path, monkeypatch):
     Faulty.refused = Counter()
     for name, value in {
         **{"AWS_ENDPOINT_URL": proxy, "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1"},
-        **{"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": SECRET, "FIDPIPE_CACHE": str(tmp_path / "cache")},
+        **{
+            "AWS_ACCESS_KEY_ID": "key",
+            "AWS_SECRET_ACCESS_KEY": SECRET,
+            "FIDPIPE_CACHE": str(tmp_path / "cache"),
+        },
     }.items():
         monkeypatch.setenv(name, value)
     return "s3://data"
@@ -139,7 +160,17 @@ def upload(folder, url):
 def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local, tmp_path):
     upload(local / "set", f"{bucket}/set")
     Faulty.requests = []
-    ended = command("run", f"{bucket}/set", "--out", f"{bucket}/runs/x", "--workers", "1", "--preset", "paper", code=0)
+    ended = command(
+        "run",
+        f"{bucket}/set",
+        "--out",
+        f"{bucket}/runs/x",
+        "--workers",
+        "1",
+        "--preset",
+        "paper",
+        code=0,
+    )
     assert_same_tables(cache_of(f"{bucket}/runs/x"), local / "run")
     assert f"fidpipe report {bucket}/runs/x --open" in ended.stdout
     fetched = [path for verb, path in Faulty.requests if verb == "GET" and "/set/real/" in path]
@@ -150,16 +181,22 @@ def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local,
     shutil.rmtree(tmp_path / "cache")
     Faulty.requests = []
     assert "2 pairs" in command("show", f"{bucket}/runs/x").stdout
-    assert not any("/graph/" in path or "/rays/" in path for _, path in Faulty.requests), "fetched when read"
+    assert not any("/graph/" in path or "/rays/" in path for _, path in Faulty.requests), (
+        "fetched when read"
+    )
     assert len(open_run(f"{bucket}/runs/x").pairs) == 2
     texts = [path.read_bytes() for path in (tmp_path / "cache").rglob("*") if path.is_file()]
-    assert not any(SECRET.encode() in text for text in (*texts, ended.stdout.encode(), ended.stderr.encode()))
+    assert not any(
+        SECRET.encode() in text for text in (*texts, ended.stdout.encode(), ended.stderr.encode())
+    )
 
 
 KEPT = ("graph", "ground", "sensor")
 
 
-def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(bucket, local, tmp_path, monkeypatch):
+def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(
+    bucket, local, tmp_path, monkeypatch
+):
     upload(local / "set", f"{bucket}/set")
     words = ("run", f"{bucket}/set", "--workers", "1", "--preset", "paper", "--out")
     assert command(*words, f"{bucket}/runs/whole").returncode == 0
@@ -173,7 +210,9 @@ def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(bucket, local, t
         Faulty.requests = []
         command(*words, f"{bucket}/runs/half", code=0)
         assert_same_tables(cache_of(f"{bucket}/runs/half"), local / "run")
-        written = {path.split("/half/")[1].split("/")[0] for verb, path in Faulty.requests if verb == "PUT"}
+        written = {
+            path.split("/half/")[1].split("/")[0] for verb, path in Faulty.requests if verb == "PUT"
+        }
         assert not {*KEPT} & written, "they were there"
         assert ("metrics" in written) == writes_all
     monkeypatch.setenv("FIDPIPE_CACHE", str(tmp_path / "elsewhere"))
@@ -200,7 +239,9 @@ with remote_run.RemoteRun(url).written():
 
 
 @pytest.mark.parametrize("late_s", [-600, 600])
-def test_no_clock_decides_whether_a_command_of_another_machine_still_writes(bucket, local, monkeypatch, late_s):
+def test_no_clock_decides_whether_a_command_of_another_machine_still_writes(
+    bucket, local, monkeypatch, late_s
+):
     upload(local / "set", f"{bucket}/set")
     monkeypatch.setattr("fidpipe.pipeline.storage.remote_run._DEAD_S", 6.0)
     url = f"{bucket}/runs/y"
@@ -229,7 +270,14 @@ def test_a_lock_with_other_content_is_named_with_the_way_to_remove_it(bucket, lo
     lock = f"{bucket}/runs/y/{LOCK}"
     words = ("run", f"{bucket}/set", "--out", f"{bucket}/runs/y", "--workers", "1")
     owner = {"host": "elsewhere", "pid": 7, "token": "a"}
-    for content in ("garbage", "[]", "{}", owner | {"pid": "7"}, owner | {"pid": 10**19}, owner | {"host": 7}):
+    for content in (
+        "garbage",
+        "[]",
+        "{}",
+        owner | {"pid": "7"},
+        owner | {"pid": 10**19},
+        owner | {"host": 7},
+    ):
         text = content if isinstance(content, str) else json.dumps(content)
         write_object(lock, text.encode())
         refused = command(*words, code=1)
@@ -264,7 +312,10 @@ def test_caches_of_nested_urls_are_apart_and_one_in_use_is_left_alone(bucket, lo
         command("check", own.url)
         assert (folder / "settings.toml").read_text() == "new"
         assert (folder / "graph" / "000.real.parquet").read_text() == "new"
-    assert {stored.name for stored in list_objects(own.url)} == {"settings.toml", "graph/000.real.parquet"}
+    assert {stored.name for stored in list_objects(own.url)} == {
+        "settings.toml",
+        "graph/000.real.parquet",
+    }
     assert url_of_cache(cache_of(own.url)) == own.url
     assert cache_of(bucket) not in cache_of(own.url).parents
 
@@ -285,7 +336,9 @@ def test_a_user_without_home_and_name_reads_urls_and_runs(bucket, local):
     if os.getuid() or not shutil.which("setpriv"):
         pytest.skip("this user cannot be another one")
     upload(local / "set", f"{bucket}/set")
-    environment = {name: value for name, value in os.environ.items() if name not in ("HOME", "FIDPIPE_CACHE")}
+    environment = {
+        name: value for name, value in os.environ.items() if name not in ("HOME", "FIDPIPE_CACHE")
+    }
     words = ["setpriv", "--reuid=54321", "--regid=54321", "--clear-groups", FIDPIPE, "run"]
     with tempfile.TemporaryDirectory() as folder:  # pytest's folders are those of this user alone
         shutil.copytree(local / "set", f"{folder}/set")
@@ -304,9 +357,20 @@ def test_a_user_without_home_and_name_reads_urls_and_runs(bucket, local):
             assert ended.stderr.count("no home folder") == n_lines
 
 
-def test_a_full_folder_for_temporary_files_ends_a_run_that_resumes(bucket, local, tmp_path, monkeypatch):
+def test_a_full_folder_for_temporary_files_ends_a_run_that_resumes(
+    bucket, local, tmp_path, monkeypatch
+):
     upload(local / "set", f"{bucket}/set")
-    words = ("run", f"{bucket}/set", "--out", tmp_path / "run", "--workers", "1", "--preset", "paper")
+    words = (
+        "run",
+        f"{bucket}/set",
+        "--out",
+        tmp_path / "run",
+        "--workers",
+        "1",
+        "--preset",
+        "paper",
+    )
     write = Path.write_bytes
 
     def fill(path, content):
@@ -347,10 +411,14 @@ def test_many_objects_are_listed_once_with_progress_and_soon(bucket, monkeypatch
     assert f"{bucket}/many: of {2 * n_pairs:,} objects: " in ended.stderr
     assert "it holds a dataset" in ended.stderr
     lists = [path for verb, path in Faulty.requests if verb == "GET" and "list-type" in path]
-    assert 2 * n_pairs / 1000 <= len(lists) <= 2 * n_pairs / 1000 + 6, "each page once, and what failed again"
+    assert 2 * n_pairs / 1000 <= len(lists) <= 2 * n_pairs / 1000 + 6, (
+        "each page once, and what failed again"
+    )
 
 
-def test_a_command_whose_lock_was_taken_over_stops_writing_and_leaves_the_lock(bucket, tmp_path, monkeypatch):
+def test_a_command_whose_lock_was_taken_over_stops_writing_and_leaves_the_lock(
+    bucket, tmp_path, monkeypatch
+):
     monkeypatch.setattr("fidpipe.pipeline.storage.remote_run._RENEW_S", 0.0)
     own = RemoteRun(f"{bucket}/runs/z")
     other = b'{"host": "elsewhere", "pid": 7, "token": "a"}'
@@ -370,15 +438,21 @@ def test_an_object_that_is_lost_fails_its_pair_by_name(bucket, local, tmp_path):
     assert pairs.status.tolist() == ["scored", "failed"]
 
 
-def test_a_manifest_names_objects_and_may_be_one_without_a_listing(bucket, local, tmp_path, monkeypatch):
+def test_a_manifest_names_objects_and_may_be_one_without_a_listing(
+    bucket, local, tmp_path, monkeypatch
+):
     upload(local / "set", f"{bucket}/set")
     (tmp_path / "named").mkdir()
     manifest = tmp_path / "named" / "pairs.csv"
     manifest.write_text(f"pair_id,real,sim\na,{bucket}/set/real/000.bin,{bucket}/set/sim/000.bin\n")
     assert "1 of 1 pairs can be evaluated" in command("check", manifest.parent).stdout
     (local / "set" / "pairs.csv").write_text("pair_id,real,sim\na,real/000.bin,sim/000.bin\n")
-    quiet = type("Quiet", (http.server.SimpleHTTPRequestHandler,), {"log_message": lambda *words: None})
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), partial(quiet, directory=local / "set"))
+    quiet = type(
+        "Quiet", (http.server.SimpleHTTPRequestHandler,), {"log_message": lambda *words: None}
+    )
+    server = http.server.ThreadingHTTPServer(
+        ("127.0.0.1", 0), partial(quiet, directory=local / "set")
+    )
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
         checked = command("check", f"http://127.0.0.1:{server.server_port}")
@@ -442,12 +516,21 @@ def test_workers_without_a_shared_disk_finish_a_run_from_and_to_a_bucket(bucket,
     upload(dataset, f"{bucket}/set")
     with Cluster(tmp_path / "cluster") as cluster:
         cluster.add_workers(2, "--memory-limit", "4GiB", before=before)
-        words = ("--scheduler", cluster.address, "--preset", "paper", "--out", f"{bucket}/runs/apart")
+        words = (
+            "--scheduler",
+            cluster.address,
+            "--preset",
+            "paper",
+            "--out",
+            f"{bucket}/runs/apart",
+        )
         refused = command("run", dataset, *words, code=1)
         assert "/set/real/000.bin" in refused.stderr
         ended = command("run", f"{bucket}/set", *words, code=0)
         assert "set: 2 pairs in" in ended.stdout
-        assert not list(cache_of(f"{bucket}/runs/apart").glob("graph/*")), "workers wrote to the bucket alone"
+        assert not list(cache_of(f"{bucket}/runs/apart").glob("graph/*")), (
+            "workers wrote to the bucket alone"
+        )
         again = command("run", f"{bucket}/set", *words)
         assert "0 jobs done" in again.stdout
         assert_same_tables(cache_of(f"{bucket}/runs/apart"), local / "run")

@@ -13,7 +13,13 @@ TABLE = Table(
     digits={1: 2},
     wide=(3,),
 )
-VIEW = [Note("worse: CDC", "bold red"), TABLE, Note("plain"), Note("note: one", "yellow"), Note("note: two", "yellow")]
+VIEW = [
+    Note("worse: CDC", "bold red"),
+    TABLE,
+    Note("plain"),
+    Note("note: one", "yellow"),
+    Note("note: two", "yellow"),
+]
 
 
 def test_a_terminal_hides_wide_columns_shortens_words_and_colours_verdicts():
@@ -30,7 +36,17 @@ def test_a_terminal_hides_wide_columns_shortens_words_and_colours_verdicts():
 def test_words_to_be_typed_stay_whole_in_80_columns():
     setting = "dropoff_intensity_limit"
     rows = [("a cause of many words " * 3, "15 cm to 18 cm", "at most 20 %", setting)]
-    text = text_of([Table("", ("cause", "95 % interval", "gain if corrected", "setting"), rows, range(4), whole=(3,))])
+    text = text_of(
+        [
+            Table(
+                "",
+                ("cause", "95 % interval", "gain if corrected", "setting"),
+                rows,
+                range(4),
+                whole=(3,),
+            )
+        ]
+    )
     assert set(setting.split()) <= set(text.split())
     assert max(map(len, text.splitlines())) <= 80
 
@@ -69,7 +85,9 @@ def test_csv_has_numbers_in_full():
 
 
 def test_answers_stand_by_their_headings_and_lists_become_lists():
-    answers = [Answers([("Next", [("go", "", "")]), ("Fix first", [("1  a", "b", "c"), ("2  d", "", "")])])]
+    answers = [
+        Answers([("Next", [("go", "", "")]), ("Fix first", [("1  a", "b", "c"), ("2  d", "", "")])])
+    ]
     assert text_of(answers).splitlines()[0] == "Next          go"
     assert markdown(answers) == "Next: go\n\nFix first:\n\n- 1  a; b; c\n- 2  d\n"
 
@@ -80,11 +98,16 @@ def test_markdown_and_csv_hold_what_a_name_may_hold():
         ["pair", "n", "CDC"],
         [["a|b\nc", None, 0.5], ['=1,"', 2, None], ["<b>![i](//x)", 1, 0.0], ["\uff1d1", 1, 0.0]],
     )
-    assert markdown([table]).splitlines()[2:] == ["| a\\|b\\\\u000ac | - | 0.500 |", '| =1," | 2 | - |'] + [
+    assert markdown([table]).splitlines()[2:] == [
+        "| a\\|b\\\\u000ac | - | 0.500 |",
+        '| =1," | 2 | - |',
+    ] + [
         "| \\<b>!\\[i](//x) | 1 | 0.000 |",
         "| \uff1d1 | 1 | 0.000 |",
     ]
-    assert csv_table(table) == ('pair,n,CDC\na|b\\u000ac,,0.5\n"\'=1,""",2,\n<b>![i](//x),1,0.0\n\'\uff1d1,1,0.0\n')
+    assert csv_table(table) == (
+        'pair,n,CDC\na|b\\u000ac,,0.5\n"\'=1,""",2,\n<b>![i](//x),1,0.0\n\'\uff1d1,1,0.0\n'
+    )
 
 
 def test_short_names_stay_as_they_are_and_shortened_ones_differ():

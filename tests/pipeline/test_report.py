@@ -59,7 +59,9 @@ def words(page):
     return page.read_text("utf-8").partition('<script type="application/json"')[0]
 
 
-def test_the_papers_figures_are_written_as_png_svg_and_pdf_and_keep_other_files(report_run, tmp_path):
+def test_the_papers_figures_are_written_as_png_svg_and_pdf_and_keep_other_files(
+    report_run, tmp_path
+):
     mine = tmp_path / "figures" / "mine.png"
     mine.parent.mkdir()
     mine.write_bytes(b"")
@@ -85,7 +87,9 @@ def test_the_head_of_the_page_names_the_preset_and_what_departs_from_it(report_r
 
 
 @pytest.mark.exhaustive
-def test_open_asks_for_a_browser_and_says_where_the_page_is_if_there_is_none(copied_run, monkeypatch):
+def test_open_asks_for_a_browser_and_says_where_the_page_is_if_there_is_none(
+    copied_run, monkeypatch
+):
     asked = []
     monkeypatch.setattr("webbrowser.open", lambda url: asked.append(url) or len(asked) == 1)
     found = [command("report", copied_run, *words) for words in (["--open"], ["--open"], [])]
@@ -122,7 +126,9 @@ def test_a_folder_of_pages_has_safe_file_names_and_drops_pages_of_pairs_that_are
     assert not stale.exists()
     assert all(re.fullmatch(r"[\w.~%-]{1,140}", name, re.ASCII) for name in names)
     links = embedded(made.page.read_text("utf-8"))["links"]
-    assert {link.replace("%25", "%") for link in links.values()} == {n for n in names if n.startswith("pair-")}
+    assert {link.replace("%25", "%") for link in links.values()} == {
+        n for n in names if n.startswith("pair-")
+    }
     assert sorted(path.name for path in copied_run.parent.iterdir()) == ["run"]
 
 
@@ -152,7 +158,9 @@ def test_the_first_screen_begins_with_surface_and_pieces(report_run, written):
         f"{real:.0f} % of the real surface is simulated within 0.3 m, {sim:.0f} % of the"
     )
     counts = [pairs[f"n_{kind}_pieces"].mean() for kind in ("missing", "invented")]
-    assert "{:.1f} pieces missing and {:.1f} invented per pair.".format(*counts) in verdict["sentence"]
+    assert (
+        "{:.1f} pieces missing and {:.1f} invented per pair.".format(*counts) in verdict["sentence"]
+    )
     page = words(page_of(written))
     (answers,) = verdict["answer"]
     for cause_words, amount, setting in dict(answers.sections)["Fix first"]:
@@ -161,7 +169,9 @@ def test_the_first_screen_begins_with_surface_and_pieces(report_run, written):
         assert setting in page
 
 
-def test_scores_are_means_of_pairs_parquet_with_the_papers_only_under_its_preset(either_run, report_run):
+def test_scores_are_means_of_pairs_parquet_with_the_papers_only_under_its_preset(
+    either_run, report_run
+):
     pairs = pd.read_parquet(either_run / "pairs.parquet").query("status == 'scored'")
     scores = dataset_table(FinishedRun(either_run).record)
     rows = {row[0]: dict(zip(scores.headings, row, strict=True)) for row in scores.cells}
@@ -176,7 +186,9 @@ def test_object_scores_say_of_how_many_pairs_they_are_and_their_value_with_unmat
 ):
     pairs = pd.read_parquet(report_run / "pairs.parquet").query("status == 'scored'")
     n_unmatched = pairs.n_not_found + pairs.n_extra
-    worst = (pairs.cdc_mean.fillna(0) * pairs.n_matched + 2 * n_unmatched) / (pairs.n_matched + n_unmatched)
+    worst = (pairs.cdc_mean.fillna(0) * pairs.n_matched + 2 * n_unmatched) / (
+        pairs.n_matched + n_unmatched
+    )
     scores = dataset_table(results.run.record)
     of = {row[0]: dict(zip(scores.headings, row, strict=True)) for row in scores.cells}
     assert of["CDC"]["pairs"] == f"{pairs.cdc_mean.count()} of {len(pairs)}"
@@ -206,7 +218,14 @@ def test_a_gate_of_before_is_judged_anew_and_the_first_screen_says_whether_it_is
     assert verdict["is_met"] is None
     assert "No acceptance limits are set yet" in verdict["good_enough"][0]
     for limit, is_met, said in (("1", True, "Yes: "), ("0", False, "No: ")):
-        words = ("--max", f"cdc.mean={limit}", "--max", "pairs.failed=9", "--max", "pairs.changed=9")
+        words = (
+            "--max",
+            f"cdc.mean={limit}",
+            "--max",
+            "pairs.failed=9",
+            "--max",
+            "pairs.changed=9",
+        )
         command("gate", copied_run, *words)
         verdict = verdict_of(read_results(copied_run))
         assert (verdict["is_met"], verdict["good_enough"][0][: len(said)]) == (is_met, said)
@@ -244,7 +263,9 @@ def test_more_pairs_than_fit_leave_the_worst_the_middle_and_the_best():
     assert shown[-1] == "099"
     assert "050" in shown
     with_worst = views_of(names, {"002", "030", "080"})
-    assert [name for name in with_worst if name not in shown] == ["030", "080"], "where the worst objects are"
+    assert [name for name in with_worst if name not in shown] == ["030", "080"], (
+        "where the worst objects are"
+    )
     assert with_worst == sorted(with_worst)
 
 
@@ -272,9 +293,15 @@ def test_a_damaged_table_of_points_is_refused_before_anything_is_written(copied_
 
 def test_charts_have_every_object_once_and_no_name_as_markup(results):
     charts = run_charts(results)
-    opened = [(pair, name) for trace in charts["quadrants"]["data"] for pair, name in trace.get("customdata", ())]
+    opened = [
+        (pair, name)
+        for trace in charts["quadrants"]["data"]
+        for pair, name in trace.get("customdata", ())
+    ]
     scored = results.matched[results.matched.r_lambda.notna()]
-    assert sorted(opened) == sorted((pair, f"real {i}") for pair, i in zip(scored.pair, scored.real_id, strict=True))
+    assert sorted(opened) == sorted(
+        (pair, f"real {i}") for pair, i in zip(scored.pair, scored.real_id, strict=True)
+    )
     assert "<script>" not in json.dumps(charts)
     assert "<img" not in json.dumps(charts)
 
@@ -325,7 +352,9 @@ def test_points_in_the_page_have_the_distances_that_the_stored_coverage_is_of(ei
     view = pair_data(results, pair.pair_id)
     for side, distance_m in tables.distances_m.items():
         for reach_m, reach in ((0.1, "0p1m"), (0.3, "0p3m"), (1.0, "1m")):
-            assert (distance_m <= reach_m).mean() == pytest.approx(pair[f"covered_{side}_{reach}"], abs=1e-12)
+            assert (distance_m <= reach_m).mean() == pytest.approx(
+                pair[f"covered_{side}_{reach}"], abs=1e-12
+            )
         nearest = cKDTree(tables.clouds[side].points).query(points_in(view, side))[1]
         shown = unpacked(view["sides"][side]["distance"]) / 255
         assert np.abs(shown - np.minimum(distance_m[nearest], 1)).max() <= 0.5 / 255 + 1e-12
@@ -343,13 +372,20 @@ def test_a_page_has_every_point_of_every_object_and_no_other(either_run):
             distance_m, nearest = cKDTree(cloud.points).query(shown)
             assert distance_m.max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
             assert sorted(nearest) == list(range(len(shown)))
-            assert np.repeat(counted["ids"], counted["counts"]).tolist() == cloud.community[nearest].tolist()
+            assert (
+                np.repeat(counted["ids"], counted["counts"]).tolist()
+                == cloud.community[nearest].tolist()
+            )
             road = points_in(view, side, "road")
             assert 0 < len(road) <= len(cloud.road)
-            assert cKDTree(cloud.road).query(road)[0].max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
+            assert (
+                cKDTree(cloud.road).query(road)[0].max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
+            )
 
 
-def test_the_share_of_an_object_that_is_road_to_the_other_side_is_that_of_the_table(results, report_run):
+def test_the_share_of_an_object_that_is_road_to_the_other_side_is_that_of_the_table(
+    results, report_run
+):
     coverage = pd.read_parquet(report_run / "coverage").dropna(subset="community_id")
     share = coverage.set_index(["pair_id", "side", "community_id"]).road_share
     for row in results.matched.itertuples():

@@ -12,7 +12,17 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from browsers import IN_3D, by_id, choose, missing_programs, open_page, resize, settle, start_browser, wait_for
+from browsers import (
+    IN_3D,
+    by_id,
+    choose,
+    missing_programs,
+    open_page,
+    resize,
+    settle,
+    start_browser,
+    wait_for,
+)
 from fidpipe.pipeline.report.page.compare_page import compare_page
 from fidpipe.pipeline.report.page.run_data import score_limits
 from fidpipe.pipeline.report.page.run_page import write_report
@@ -32,7 +42,9 @@ NO_SCORE = "\N{EN DASH}"
 def browser(tmp_path_factory):
     """Chromium; without it the tests are skipped, or fail where real data and so a whole machine are required."""
     if missing_programs():
-        reason = f"{missing_programs()} not installed (Debian: apt-get install chromium chromium-driver)"
+        reason = (
+            f"{missing_programs()} not installed (Debian: apt-get install chromium chromium-driver)"
+        )
         if os.environ.get("FIDPIPE_REQUIRE_REAL_DATA") == "1":
             pytest.fail(f"FIDPIPE_REQUIRE_REAL_DATA=1 and {reason}")
         pytest.skip(reason)
@@ -62,7 +74,12 @@ def page(browser, opened, page_path):
     resize(browser, WIDTHS[0])
     if browser.current_url.partition("#")[0] != page_path.as_uri():
         open_page(browser, page_path)
-    for name, value in (("theme", "auto"), ("pair", FIRST_PAIR), ("colour", "side"), ("object", "")):
+    for name, value in (
+        ("theme", "auto"),
+        ("pair", FIRST_PAIR),
+        ("colour", "side"),
+        ("object", ""),
+    ):
         choose(browser, name, value)
     browser.execute_script("document.getElementById('show_road').checked = true")
     browser.execute_script(
@@ -76,7 +93,8 @@ def pixels(browser, name):
     """(h, w, 3) what an element looks like; its details are opened."""
     place = by_id(browser, name)
     browser.execute_script(
-        "for (let at = arguments[0]; at; at = at.parentElement) if (at.tagName === 'DETAILS') at.open = true", place
+        "for (let at = arguments[0]; at; at = at.parentElement) if (at.tagName === 'DETAILS') at.open = true",
+        place,
     )
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", place)
     settle(browser)
@@ -85,7 +103,9 @@ def pixels(browser, name):
 
 def see_all(browser):
     """Looks at every chart, so that all are drawn."""
-    browser.execute_script("for (const one of document.querySelectorAll('details')) one.open = true")
+    browser.execute_script(
+        "for (const one of document.querySelectorAll('details')) one.open = true"
+    )
     for chart in browser.find_elements("css selector", ".chart"):
         browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", chart)
         settle(browser)
@@ -102,7 +122,11 @@ def complaints(browser):
 def requests(browser):
     """Addresses that the browser requested outside the page itself."""
     events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    asked = [event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"]
+    asked = [
+        event["params"]["request"]["url"]
+        for event in events
+        if event["method"] == "Network.requestWillBeSent"
+    ]
     return [url for url in asked if not url.startswith(("data:", "blob:"))]
 
 
@@ -139,7 +163,9 @@ def drawn(browser, place, name):
 
 
 def camera_of(browser):
-    return browser.execute_script("return document.getElementById('scene')._fullLayout.scene.camera.center")
+    return browser.execute_script(
+        "return document.getElementById('scene')._fullLayout.scene.camera.center"
+    )
 
 
 def turn_on(browser, name, is_on=True):
@@ -187,7 +213,11 @@ def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(pag
     picture = pixels(page, "scene")
     # A spot well inside of an object that has a score: its colour is neither grey nor the background.
     coloured = np.ptp(picture, axis=2) > 80
-    crowd = sum(np.roll(coloured, (down, right), (0, 1)).astype(int) for down in range(-3, 4) for right in range(-3, 4))
+    crowd = sum(
+        np.roll(coloured, (down, right), (0, 1)).astype(int)
+        for down in range(-3, 4)
+        for right in range(-3, 4)
+    )
     crowd[:60], crowd[-60:] = 0, 0
     y, x = np.unravel_index(np.argmax(crowd), crowd.shape)
     scene = by_id(page, "scene")
@@ -199,11 +229,21 @@ def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(pag
     page.execute_script("document.getElementById('all_numbers').open = true")
     pixels(page, "overlay")
     shown = shown_numbers(page, "panel_numbers") | shown_numbers(page, "more_numbers")
-    for column in ("cdc", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m"):
+    for column in (
+        "cdc",
+        "r_lambda",
+        "r_gap",
+        "max_eigenvalue_shift",
+        "laplacian_change",
+        "alignment_rms_m",
+    ):
         assert shown[column] == f"{row[column]:.{2 if column.endswith('_m') else 3}f}", column
     assert shown["n_keep"] == f"{row.n_keep:,}"
     note = by_id(page, "overlay_note").text
-    assert f"{row.n_real:,} of {row.n_real:,} real points, {row.n_sim:,} of {row.n_sim:,} simulated points" in note
+    assert (
+        f"{row.n_real:,} of {row.n_real:,} real points, {row.n_sim:,} of {row.n_sim:,} simulated points"
+        in note
+    )
     assert f"{row.n_keep:,} nodes a side are kept" in note
     assert (pixels(page, "scene") != picture).any(axis=2).sum() > 50, "the object is marked"
 
@@ -235,7 +275,10 @@ def test_nothing_is_wider_than_the_window(page, width, dark):
     assert page.execute_script("return document.documentElement.scrollWidth") <= width
     colour = "return getComputedStyle(document.body).backgroundColor.match(/[0-9]+/g).map(Number)"
     assert (sum(page.execute_script(colour)) < 200) == dark
-    wait_for(page, "return [...document.querySelectorAll('.main-svg')].every((svg) => svg.clientWidth <= innerWidth)")
+    wait_for(
+        page,
+        "return [...document.querySelectorAll('.main-svg')].every((svg) => svg.clientWidth <= innerWidth)",
+    )
     assert complaints(page) == []
 
 
@@ -260,7 +303,9 @@ def test_the_keyboard_reaches_the_objects(page):
 
 
 def test_hostile_names_are_shown_as_they_are_but_for_direction_marks(page):
-    assert set(table(page, "pairs_table").pair) == {name.replace("\u202e", "\\u202e") for name in HOSTILE_PAIRS}
+    assert set(table(page, "pairs_table").pair) == {
+        name.replace("\u202e", "\\u202e") for name in HOSTILE_PAIRS
+    }
     assert HOSTILE_CLASS in set(table(page, "objects_table")["class"])
     for pair in HOSTILE_PAIRS:
         choose(page, "pair", pair)
@@ -269,7 +314,13 @@ def test_hostile_names_are_shown_as_they_are_but_for_direction_marks(page):
     assert complaints(page) == []
 
 
-BUTTONS_3D = ["Download plot as a PNG", "Zoom", "Pan", "Orbital rotation", "Reset camera to default"]
+BUTTONS_3D = [
+    "Download plot as a PNG",
+    "Zoom",
+    "Pan",
+    "Orbital rotation",
+    "Reset camera to default",
+]
 
 
 def buttons(browser):
@@ -285,9 +336,14 @@ def buttons(browser):
 @pytest.mark.exhaustive
 def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, report_run, tmp_path):
     single = write_report(report_run, one_page_a_pair=True, out=tmp_path / "single").page
-    (tmp_path / "compare.html").write_text(compare_page(compare_runs([report_run, report_run])), encoding="utf-8")
+    (tmp_path / "compare.html").write_text(
+        compare_page(compare_runs([report_run, report_run])), encoding="utf-8"
+    )
     write_report(report_run, out=tmp_path / "whole")
-    with_3d = [*(set(single.parent.glob("*.html")) - {single}), *(tmp_path / "whole").glob("*.html")]
+    with_3d = [
+        *(set(single.parent.glob("*.html")) - {single}),
+        *(tmp_path / "whole").glob("*.html"),
+    ]
     assert len(with_3d) == len(HOSTILE_PAIRS) + 1
     for path in with_3d:
         open_page(browser, path)
@@ -307,7 +363,10 @@ def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, re
     resize(browser, WIDTHS[0])
     requests(browser), complaints(browser)
     open_page(browser, index)
-    links = {a.text: a.get_attribute("href") for a in browser.find_elements("css selector", "#pairs_table td a")}
+    links = {
+        a.text: a.get_attribute("href")
+        for a in browser.find_elements("css selector", "#pairs_table td a")
+    }
     assert len(links) == len(HOSTILE_PAIRS)
     asked = address(FIRST_PAIR, "real 0")
     for start in (links[FIRST_PAIR].partition("#")[0], index.as_uri()):
@@ -324,7 +383,9 @@ def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, re
 
 @pytest.mark.exhaustive
 def test_a_click_on_a_dot_of_a_chart_opens_its_object(page):
-    names = page.execute_script("return JSON.parse(document.getElementById('report').textContent).names")
+    names = page.execute_script(
+        "return JSON.parse(document.getElementById('report').textContent).names"
+    )
     for chart in ("quadrants",):
         pixels(page, chart)
         point = page.execute_script(
@@ -341,7 +402,9 @@ def test_a_click_on_a_dot_of_a_chart_opens_its_object(page):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", WIDTHS)
-def test_a_comparison_draws_its_charts_in_the_theme_and_fits_the_window(browser, report_run, tmp_path, width, dark):
+def test_a_comparison_draws_its_charts_in_the_theme_and_fits_the_window(
+    browser, report_run, tmp_path, width, dark
+):
     (comparison,) = compare_runs([report_run] * 2)
     resize(browser, width, dark)
     path = tmp_path / "compare.html"
@@ -391,8 +454,12 @@ def test_an_address_shows_its_object_also_if_it_changes_and_says_what_is_not_the
     assert "has no object real 999" in ask(address(FIRST_PAIR, "real 999"))
     assert ask(address(FIRST_PAIR)) == ""
     assert by_id(page, "object").get_attribute("value") == ""
-    partner = page.execute_script("return document.getElementById('object').options[1].textContent").split()
-    assert ask(address(FIRST_PAIR, f"sim {partner[3].strip(':')}")) == "", "the simulated name of a matched object"
+    partner = page.execute_script(
+        "return document.getElementById('object').options[1].textContent"
+    ).split()
+    assert ask(address(FIRST_PAIR, f"sim {partner[3].strip(':')}")) == "", (
+        "the simulated name of a matched object"
+    )
     assert by_id(page, "object").get_attribute("value") == f"real {partner[1].strip(',')}"
     page.get("about:blank")
     open_page(page, page_path, address(HOSTILE_PAIRS[2], "real 1"))
@@ -430,7 +497,9 @@ def test_road_and_sensor_are_seen_and_road_can_be_left_out(page):
     for side in ("real", "sim"):
         road = drawn(page, "scene", f"road {side}")
         assert len(road) > 100
-        assert np.median(road[:, 2]) == pytest.approx(-1.7, abs=0.02), "where the road of these scenes is"
+        assert np.median(road[:, 2]) == pytest.approx(-1.7, abs=0.02), (
+            "where the road of these scenes is"
+        )
         assert road[:, 2].max() < -1.2, "nothing of the objects"
     assert "road" in by_id(page, "legend").text
     with_road = pixels(page, "scene")
@@ -448,10 +517,15 @@ def test_an_unmatched_object_says_how_much_of_it_is_road(page, report_run):
         choose(page, "object", f"{row.side} {row.community_id}")
         share = getattr(row, f"road_share_{row.side}")
         page.execute_script("document.getElementById('all_numbers').open = true")
-        shown = (shown_numbers(page) | shown_numbers(page, "more_numbers"))[f"road_share_{row.side}"]
+        shown = (shown_numbers(page) | shown_numbers(page, "more_numbers"))[
+            f"road_share_{row.side}"
+        ]
         assert float(shown) == pytest.approx(share, abs=5e-4)
         other = {"real": "simulated", "sim": "real"}[row.side]
-        said = f"{round(100 * share)} % of it is road on the {other} side" in by_id(page, "panel_sentence").text
+        said = (
+            f"{round(100 * share)} % of it is road on the {other} side"
+            in by_id(page, "panel_sentence").text
+        )
         assert said == (share >= 0.005)
         assert len(drawn(page, "overlay", f"own {row.side}")) == row.n_points
 
@@ -521,10 +595,14 @@ def test_tables_hint_at_columns_on_the_right_and_keep_rows_low_and_the_first_col
     browser, report_run, tmp_path, width
 ):
     resize(browser, width)
-    (tmp_path / "compare.html").write_text(compare_page(compare_runs([report_run] * 2)), encoding="utf-8")
+    (tmp_path / "compare.html").write_text(
+        compare_page(compare_runs([report_run] * 2)), encoding="utf-8"
+    )
     for path in (report_run.with_name("report") / "report.html", tmp_path / "compare.html"):
         open_page(browser, path)
-        browser.execute_script("for (const one of document.querySelectorAll('details')) one.open = true")
+        browser.execute_script(
+            "for (const one of document.querySelectorAll('details')) one.open = true"
+        )
         settle(browser)
         tables = browser.execute_script(
             """return [...document.querySelectorAll('.scroll')].map((hint) => {
@@ -567,6 +645,15 @@ def test_the_scene_is_drawn_when_a_third_of_it_is_in_view(browser, page_path):
         )
         settle(browser)
         assert browser.execute_script(f"return {IN_3D}") == is_drawn
+    camera = "return document.getElementById('scene').layout.scene.camera.center"
+    first = browser.execute_script(camera)
+    browser.execute_script(
+        "arguments[0].dispatchEvent(new Event('change'))", by_id(browser, "object")
+    )
+    settle(browser)
+    assert browser.execute_script(camera) == pytest.approx(first), (
+        "seen as when it is chosen in view"
+    )
 
 
 @pytest.mark.exhaustive
@@ -581,7 +668,9 @@ def test_pieces_are_a_layer_with_as_many_points_as_their_table_has(browser, by_r
         assert len(drawn(browser, "scene", name)) == n
     assert pieces.n_points.sum() > 0
     turn_on(browser, "show_missing", False)
-    visible = "return document.getElementById('scene').data.find(({name}) => name === 'missing').visible"
+    visible = (
+        "return document.getElementById('scene').data.find(({name}) => name === 'missing').visible"
+    )
     assert browser.execute_script(visible) is False
 
 
@@ -593,7 +682,9 @@ def test_a_filter_is_one_text_that_a_row_contains(page):
     for text in ("wall", HOSTILE_CLASS, everything.CDC[0], "real 1", "no such text"):
         box.clear()
         box.send_keys(text)
-        assert len(table(page, "objects_table")) == lines.str.contains(text.lower(), regex=False).sum(), text
+        assert (
+            len(table(page, "objects_table")) == lines.str.contains(text.lower(), regex=False).sum()
+        ), text
     note = page.find_element("css selector", "#objects_table .note").text
     assert note.startswith(f"0 of {len(everything)} objects")
 
@@ -658,7 +749,9 @@ def test_paper_is_light_and_shows_whole_tables_and_charts(page):
     });"""
     )
     pdf = base64.b64decode(
-        page.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True, "printBackground": True})["data"]
+        page.execute_cdp_cmd(
+            "Page.printToPDF", {"preferCSSPageSize": True, "printBackground": True}
+        )["data"]
     )
     (printed,) = page.execute_script("return window.printed")
     assert printed["background"] == "rgb(255, 255, 255)"

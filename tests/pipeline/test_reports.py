@@ -10,7 +10,15 @@ from runs import command
 
 #: Causes of the twin of `00_base` itself; of scans of one side alone, none.
 TWIN = {
-    *("forward", "yaw", "missing parts", "invented parts", "moved parts", "far surface", "solid foliage"),
+    *(
+        "forward",
+        "yaw",
+        "missing parts",
+        "invented parts",
+        "moved parts",
+        "far surface",
+        "solid foliage",
+    ),
     *("azimuth step", "lost far returns", "second returns"),
 }
 CASES = {
@@ -56,7 +64,9 @@ def test_a_run_leaves_out_rays_without_a_return_and_says_so_first(real_data, tmp
 
 def test_a_run_of_two_sweeps_names_them_and_no_cause(real_data, tmp_path):
     out = tmp_path / "sweeps"
-    finished = command("run", real_data / "reports" / "18_two_sweeps", "--out", out, "--preset", "reference")
+    finished = command(
+        "run", real_data / "reports" / "18_two_sweeps", "--out", out, "--preset", "reference"
+    )
     printed = " ".join(finished.stdout.split())
     assert "Check first simulated scans (1 of 1): two or more sweeps" in printed
     assert "no cause can be named: 34 of 37 are unknown" in printed

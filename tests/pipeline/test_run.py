@@ -35,7 +35,9 @@ def test_every_table_has_the_schema_of_the_contract(finished):
     assert temporary_files(finished) == []
     for folder in FOLDERS:
         files = list((finished / folder).glob("*.parquet"))
-        assert len(files) == (6 if folder in ("ground", "sensor", "graph", "communities", "objects") else 3)
+        assert len(files) == (
+            6 if folder in ("ground", "sensor", "graph", "communities", "objects") else 3
+        )
         for path in files:
             table = pq.read_table(path)
             TABLES[folder].check(table)
@@ -60,11 +62,24 @@ def test_a_second_run_makes_nothing(again, dataset):
     [
         (
             "matching.delta_m=3",
-            ["ground", "sensor", "graph", "communities", "objects", "surface", "pieces", "coverage", "causes", *RAYS],
+            [
+                "ground",
+                "sensor",
+                "graph",
+                "communities",
+                "objects",
+                "surface",
+                "pieces",
+                "coverage",
+                "causes",
+                *RAYS,
+            ],
         ),
         ("selection.t=2", [name for name in FOLDERS if name not in ("selection", "metrics")]),
         pytest.param(
-            "communities.seed=1", ["ground", "sensor", "graph", "pieces", "causes", *RAYS], marks=pytest.mark.exhaustive
+            "communities.seed=1",
+            ["ground", "sensor", "graph", "pieces", "causes", *RAYS],
+            marks=pytest.mark.exhaustive,
         ),
         ("graph.k=30", ["ground", "sensor", "pieces", "causes", *RAYS]),
         ("pieces.reach_m=2", ["ground", "sensor", "graph", "causes", *RAYS]),
@@ -72,7 +87,9 @@ def test_a_second_run_makes_nothing(again, dataset):
         ("input.max_range_m=50", []),
     ],
 )
-def test_a_changed_setting_touches_its_stage_and_those_after_it(again, dataset, tmp_path, word, untouched):
+def test_a_changed_setting_touches_its_stage_and_those_after_it(
+    again, dataset, tmp_path, word, untouched
+):
     before = marks(again)
     run(dataset, again, load(None, [word]))
     assert changed_tables(again, before) == set(FOLDERS) - set(untouched)
@@ -97,7 +114,9 @@ def test_files_are_known_wherever_the_command_is_called(tmp_path, monkeypatch):
     assert run(Path("streets"), tmp_path / "run").n_made == 0
 
 
-@pytest.mark.parametrize("stage", some_of(STAGE_NAMES, ["ground", "matching", "surface", "metrics"]))
+@pytest.mark.parametrize(
+    "stage", some_of(STAGE_NAMES, ["ground", "matching", "surface", "metrics"])
+)
 def test_from_makes_a_stage_and_those_after_it_again(again, dataset, stage):
     before = marks(again)
     outcome = run(dataset, again, from_stage=stage)
@@ -109,7 +128,11 @@ def test_from_makes_a_stage_and_those_after_it_again(again, dataset, stage):
 def test_a_pattern_limits_the_work_and_keeps_the_rest(dataset, tmp_path):
     out = tmp_path / "run"
     assert [row["pair_id"] for row in run(dataset, out, pattern="00[12]").rows] == ["001", "002"]
-    assert [row["pair_id"] for row in run(dataset, out, pattern="000").rows] == ["000", "001", "002"]
+    assert [row["pair_id"] for row in run(dataset, out, pattern="000").rows] == [
+        "000",
+        "001",
+        "002",
+    ]
     limited = run(dataset, out, load(None, ["matching.delta_m=3"]), pattern="000")
     assert [row["pair_id"] for row in limited.rows] == ["000"]
     assert {path.name for path in (out / "matching").iterdir()} == {"000.parquet"}
@@ -127,11 +150,17 @@ def test_a_pair_that_left_the_dataset_leaves_the_run(finished, tmp_path, dataset
 
 def test_a_broken_pair_fails_alone_with_its_reason(data, tmp_path):
     (data / "real" / "000.bin").write_bytes(b"12345")
-    flat = np.column_stack([np.random.default_rng(0).uniform(-20, 20, (900, 2)), np.full(900, -1.7)])
+    flat = np.column_stack(
+        [np.random.default_rng(0).uniform(-20, 20, (900, 2)), np.full(900, -1.7)]
+    )
     write_bin(data / "sim" / "001.bin", flat)
     outcome = run(data, tmp_path / "run")
     rows = {row["pair_id"]: row for row in outcome.rows}
-    assert [rows[name]["status"] for name in ("000", "001", "002")] == ["failed", "failed", "scored"]
+    assert [rows[name]["status"] for name in ("000", "001", "002")] == [
+        "failed",
+        "failed",
+        "scored",
+    ]
     assert "000.bin" in rows["000"]["reason"]
     assert rows["001"]["reason"].startswith("stage ground, sim: ")
     assert "ground.prior_m (now 0.3)" in rows["001"]["reason"]
@@ -142,10 +171,16 @@ def test_a_broken_pair_fails_alone_with_its_reason(data, tmp_path):
     status = run_status(tmp_path / "run")
     assert status.stages["metrics"] == {"done": 1, "failed": 2}
     again = run(data, tmp_path / "run", pattern="002")
-    assert {row["pair_id"]: row["status"] for row in again.rows} == {"000": "failed", "001": "failed", "002": "scored"}
+    assert {row["pair_id"]: row["status"] for row in again.rows} == {
+        "000": "failed",
+        "001": "failed",
+        "002": "scored",
+    }
 
 
-def test_a_pair_that_became_bad_leaves_no_old_result_and_is_scored_again_once_it_is_mended(finished, dataset, tmp_path):
+def test_a_pair_that_became_bad_leaves_no_old_result_and_is_scored_again_once_it_is_mended(
+    finished, dataset, tmp_path
+):
     data, out = copied(dataset, finished, tmp_path)
     scan = data / "sim" / "001.bin"
     good = scan.read_bytes()
@@ -182,11 +217,15 @@ def test_road_peaks_that_differ_by_over_5_cm_are_noted_where_each_side_is_cut_at
         outcome = run(tmp_path / "data", tmp_path / preset, load(None, preset=preset))
         notes[preset] = outcome.record.notes
         (row,) = outcome.rows
-        assert row["ground_sim_threshold_m"] - row["ground_real_threshold_m"] == pytest.approx(0.12, abs=tolerance_m)
+        assert row["ground_sim_threshold_m"] - row["ground_real_threshold_m"] == pytest.approx(
+            0.12, abs=tolerance_m
+        )
     assert notes["reference"] == {}
     (note,) = notes["paper"]["a"]
     assert "11 cm above" in note
-    assert any(note in caution.words for caution in FinishedRun(tmp_path / "paper").record.overview.trust)
+    assert any(
+        note in caution.words for caution in FinishedRun(tmp_path / "paper").record.overview.trust
+    )
     assert note in command("show", tmp_path / "paper", "a").stdout.replace("\n", " ")
 
 
@@ -197,5 +236,8 @@ def test_each_side_may_have_its_own_columns(dataset, tmp_path):
     write_bin(tmp_path / "other" / "real" / "a.bin", scan)
     write_bin(tmp_path / "other" / "sim" / "a.bin", seen, 6)
     settings = load(None, ["input.sim_columns=x y z ring time intensity"])
-    same, other = run(tmp_path / "same", tmp_path / "a"), run(tmp_path / "other", tmp_path / "b", settings)
+    same, other = (
+        run(tmp_path / "same", tmp_path / "a"),
+        run(tmp_path / "other", tmp_path / "b", settings),
+    )
     assert other.rows == same.rows

@@ -42,13 +42,20 @@ def extras(**makes):
     return (*STAGES, *(replace(stage, make=makes.get(stage.name, stage.make)) for stage in EXTRAS))
 
 
-@pytest.mark.parametrize("bytes_per_point", [16, 1, 10**6], ids=["known", "fewer points than estimated", "more"])
-def test_a_pair_that_cannot_fit_fails_with_size_need_and_setting(dataset, tmp_path, monkeypatch, bytes_per_point):
+@pytest.mark.parametrize(
+    "bytes_per_point", [16, 1, 10**6], ids=["known", "fewer points than estimated", "more"]
+)
+def test_a_pair_that_cannot_fit_fails_with_size_need_and_setting(
+    dataset, tmp_path, monkeypatch, bytes_per_point
+):
     monkeypatch.setattr(content, "_BYTES_PER_POINT", bytes_per_point)
     outcome = run(dataset, tmp_path / "run", pool=WatchedPool(memory=GIB // 4))
     assert len(outcome.failures) == 3
     for reason in outcome.failures.values():
-        assert all(words in reason for words in ("points", "GiB of memory may be needed", "machine.memory_gib"))
+        assert all(
+            words in reason
+            for words in ("points", "GiB of memory may be needed", "machine.memory_gib")
+        )
         assert "stage ground" not in reason
 
 
@@ -63,7 +70,9 @@ def test_an_object_that_cannot_fit_fails_its_pair_alone(dataset, finished, tmp_p
     assert not (tmp_path / "run" / "selection" / f"{loser}.parquet").exists()
 
 
-def test_objects_larger_than_a_share_are_scored_one_by_one_with_the_same_numbers(dataset, finished, tmp_path):
+def test_objects_larger_than_a_share_are_scored_one_by_one_with_the_same_numbers(
+    dataset, finished, tmp_path
+):
     pool = WatchedPool(memory=3 * GIB // 2)
     policy = Policy(LARGE_NODES, worth_splitting_s=math.inf)  # no pair is split for speed
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
@@ -79,7 +88,9 @@ def test_a_long_pair_is_made_job_by_job_and_object_by_object_so_that_progress_mo
     reporter, told = listening(seconds_between_lines=0.0)
     policy = Policy(worth_splitting_s=0.0, long_pair_s=0.0, batch_s=0.0)
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy, reporter=reporter).failures
-    jobs_of_sides = [len(jobs) for jobs in pool.batches if jobs[0][1] in ("ground", "graph", "communities")]
+    jobs_of_sides = [
+        len(jobs) for jobs in pool.batches if jobs[0][1] in ("ground", "graph", "communities")
+    ]
     assert set(jobs_of_sides) == {1}
     assert re.search(r"^\d+ % done$", told.getvalue(), re.MULTILINE)
     counts = re.findall(r"000: (\d+) of (\d+) objects", told.getvalue())
@@ -110,7 +121,9 @@ def test_a_pair_with_a_large_object_whose_worker_dies_once_is_scored_all_the_sam
     assert_same_tables(tmp_path / "run", finished)
 
 
-def test_what_a_dying_worker_leaves_is_made_again_pair_by_pair_side_by_side(dataset, finished, tmp_path):
+def test_what_a_dying_worker_leaves_is_made_again_pair_by_pair_side_by_side(
+    dataset, finished, tmp_path
+):
     pool = DyingPool(lambda jobs, name: True, 1)
     outcome = run(dataset, tmp_path / "run", pool=pool)
     assert (outcome.failures, outcome.n_made) == ({}, N_JOBS)
@@ -119,11 +132,17 @@ def test_what_a_dying_worker_leaves_is_made_again_pair_by_pair_side_by_side(data
     assert_same_tables(tmp_path / "run", finished)
 
 
-def test_a_pair_that_loses_its_worker_twice_is_made_job_by_job_with_nothing_beside_it(dataset, finished, tmp_path):
+def test_a_pair_that_loses_its_worker_twice_is_made_job_by_job_with_nothing_beside_it(
+    dataset, finished, tmp_path
+):
     pool = DyingPool(lambda jobs, name: ("001", "matching", "") in jobs, 2)
     outcome = run(dataset, tmp_path / "run", pool=pool)
     assert (outcome.failures, outcome.n_made) == ({}, N_JOBS)
-    assert [len(jobs) for jobs in pool.batches] == [N_JOBS, *[JOBS_PER_PAIR] * 3, *[1] * JOBS_PER_PAIR]
+    assert [len(jobs) for jobs in pool.batches] == [
+        N_JOBS,
+        *[JOBS_PER_PAIR] * 3,
+        *[1] * JOBS_PER_PAIR,
+    ]
     assert {jobs[0][0] for jobs in pool.batches[4:]} == {"001"}
     assert {n for n, _ in pool.at_once[4:]} == {1}
     assert_same_tables(tmp_path / "run", finished)
@@ -137,7 +156,9 @@ def test_a_job_that_loses_its_worker_alone_too_fails_its_pair_alone(dataset, fin
     assert pool.n_deaths == 2 + 1  # with others, alone
     assert {jobs[0][0] for jobs in pool.batches if len(jobs) == 1} == {"001"}
     assert outcome.n_made == N_JOBS - JOBS_PER_PAIR  # nothing of the failed pair stays
-    assert not (tmp_path / "run" / "matching" / "001.parquet").exists()  # the dead worker's file is orphaned
+    assert not (
+        tmp_path / "run" / "matching" / "001.parquet"
+    ).exists()  # the dead worker's file is orphaned
     assert run(dataset, tmp_path / "run").n_made == JOBS_PER_PAIR
     assert_same_tables(tmp_path / "run", finished)
 
@@ -179,7 +200,9 @@ def test_pairs_that_nobody_began_are_an_error_not_a_silence(dataset, tmp_path):
 
 
 @pytest.mark.parametrize("n_workers", [2, 32])
-def test_what_fits_alone_does_not_depend_on_the_number_of_workers(dataset, finished, tmp_path, n_workers):
+def test_what_fits_alone_does_not_depend_on_the_number_of_workers(
+    dataset, finished, tmp_path, n_workers
+):
     assert not run(dataset, tmp_path / "run", pool=WatchedPool(n_workers, 2 * GIB)).failures
     assert_same_tables(tmp_path / "run", finished)
 
@@ -191,7 +214,9 @@ def test_there_are_no_more_workers_than_the_memory_holds():
 
 def test_a_failed_extra_does_not_stop_another(dataset, finished, tmp_path):
     outcome = run(dataset, tmp_path / "run", EXTRA, stages=extras(baselines=fail))
-    assert outcome.failures == dict.fromkeys(("000", "001", "002"), "stage baselines: no such thing")
+    assert outcome.failures == dict.fromkeys(
+        ("000", "001", "002"), "stage baselines: no such thing"
+    )
     assert {row["status"] for row in outcome.rows} == {"scored"}
     assert outcome.record.seeds.n_pairs == 3
     assert outcome.n_made == N_JOBS + 2 * 3  # the other extras of each pair

@@ -21,4 +21,6 @@ def test_the_mean_over_the_sectors_is_the_value_of_the_pair(preset, report_run, 
             "shift_z_m",
             *(metric.column for metric in RAY_SCORES),
         }:
-            assert np.mean([row[column] for row in rows]) == pytest.approx(pair[column] or 0.0, abs=1e-9), column
+            assert np.mean([row[column] for row in rows]) == pytest.approx(
+                pair[column] or 0.0, abs=1e-9
+            ), column

@@ -20,7 +20,10 @@ N_POINTS = 12_000
 def streets():
     """One street as two sensors see it, (n, 3) by side."""
     names = {"real": "vlp16", "sim": "hdl32"}
-    return {side: make_pair(0, 0, SENSORS[name], N_POINTS).real.rows[:, :3] for side, name in names.items()}
+    return {
+        side: make_pair(0, 0, SENSORS[name], N_POINTS).real.rows[:, :3]
+        for side, name in names.items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +32,12 @@ def finished(streets, tmp_path_factory):
     folder = tmp_path_factory.mktemp("two_sensors")
     x, y, z = streets["sim"].T
     for name, points in (("real", streets["real"]), ("sim", np.column_stack([-y, x, z]))):
-        np.column_stack([points, np.zeros(len(points))]).astype(np.float32).tofile(folder / f"{name}.bin")
-    (folder / "pairs.csv").write_text("pair_id,real,sim,T_real_sim\na,real.bin,sim.bin,1 0 0 0.5 0 1 0 0 0 0 1 0.2\n")
+        np.column_stack([points, np.zeros(len(points))]).astype(np.float32).tofile(
+            folder / f"{name}.bin"
+        )
+    (folder / "pairs.csv").write_text(
+        "pair_id,real,sim,T_real_sim\na,real.bin,sim.bin,1 0 0 0.5 0 1 0 0 0 0 1 0.2\n"
+    )
     settings = Settings.model_validate({"input": {"sim_frame": "nuscenes"}})
     assert not run(folder, folder / "run", settings).failures
     return folder / "run"
@@ -57,7 +64,15 @@ def test_a_gate_tests_every_property_of_both_sensors(finished):
         for name in ("beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share"):
             expected = pairs[f"sensor_{side}_{name}"].mean()
             assert measures.named(f"sensor.{side}.{name}.mean") == (expected, "")
-    command("gate", finished, "--min", "sensor.sim.beams.min=32", "--max", "sensor.sim.range_noise_m.mean=0.05", code=0)
+    command(
+        "gate",
+        finished,
+        "--min",
+        "sensor.sim.beams.min=32",
+        "--max",
+        "sensor.sim.range_noise_m.mean=0.05",
+        code=0,
+    )
     failed = command("gate", finished, "--max", "sensor.sim.beams.max=16", code=4)
     assert "sensor.sim.beams.max" in failed.stdout
 

@@ -25,7 +25,12 @@ def scans(folder, n=N):
 
 def tum(path, poses):
     lines = [
-        " ".join(map(repr, [0.1 * i, *T[:, 3].tolist(), *Rotation.from_matrix(T[:, :3]).as_quat().tolist()]))
+        " ".join(
+            map(
+                repr,
+                [0.1 * i, *T[:, 3].tolist(), *Rotation.from_matrix(T[:, :3]).as_quat().tolist()],
+            )
+        )
         for i, T in enumerate(poses)
     ]
     path.write_text("# time tx ty tz qx qy qz qw\n" + "\n".join(lines) + "\n")
@@ -38,7 +43,9 @@ def square(T):
 def write_kitti(folder, poses, Tr):
     """Poses of the camera, as KITTI has them, of a sensor that was at `poses`."""
     camera = [(square(Tr) @ square(T) @ np.linalg.inv(square(Tr)))[:3] for T in poses]
-    (folder / "poses.txt").write_text("\n".join(" ".join(map(repr, T.ravel().tolist())) for T in camera))
+    (folder / "poses.txt").write_text(
+        "\n".join(" ".join(map(repr, T.ravel().tolist())) for T in camera)
+    )
     numbers = " ".join(map(repr, Tr.ravel().tolist()))
     (folder / "calib.txt").write_text(f"P0: 7 0 0 0 0 7 0 0 0 0 1 0\nTr: {numbers}\n")
 
@@ -79,9 +86,12 @@ def test_poses_in_kittis_own_folder_are_found(tmp_path):
 def test_a_manifest_may_hold_the_poses_and_need_not_name_simulated_scans(tmp_path):
     scans(tmp_path / "scans")
     rows = [
-        f"f{i},scans/{i:03}.bin,{0.5 * i},{' '.join(map(repr, T.ravel().tolist()))}" for i, T in enumerate(motions())
+        f"f{i},scans/{i:03}.bin,{0.5 * i},{' '.join(map(repr, T.ravel().tolist()))}"
+        for i, T in enumerate(motions())
     ]
-    (tmp_path / "pairs.csv").write_text("pair_id,real,timestamp_s,T_world_sensor\n" + "\n".join(rows))
+    (tmp_path / "pairs.csv").write_text(
+        "pair_id,real,timestamp_s,T_world_sensor\n" + "\n".join(rows)
+    )
     recording = read_recording(tmp_path)
     assert [frame.pair_id for frame in recording.pairs] == ["f0", "f1", "f2", "f3"]
     np.testing.assert_allclose(motion_of(recording.pairs[2]), motions()[2])

@@ -62,7 +62,9 @@ def test_an_object_is_named_by_its_side_and_number(report_run):
     run_ = FinishedRun(report_run)
     real = object_facts(run_, FIRST, "0")
     partner = real.sim["community_id"]
-    assert object_facts(run_, FIRST, f"sim:{partner}") == real == object_facts(run_, FIRST, "real:0")
+    assert (
+        object_facts(run_, FIRST, f"sim:{partner}") == real == object_facts(run_, FIRST, "real:0")
+    )
     alone = next(of for of in pair_facts(run_, FIRST).objects if of.status == "not_found")
     assert object_facts(run_, FIRST, str(alone.real["community_id"])).scores is None
     assert ": not found" in " ".join(text_of(object_view("000", alone)).split())
@@ -98,7 +100,9 @@ def test_a_missing_reference_object_shows_what_little_of_it_is_simulated(by_refe
     run_ = FinishedRun(by_reference)
     matching = pd.read_parquet(by_reference / "matching").query("pair_id == '0'")
     found = pair_facts(run_, "0").objects
-    assert sorted(of.real["community_id"] for of in found if of.real) == sorted(matching.real_id.dropna())
+    assert sorted(of.real["community_id"] for of in found if of.real) == sorted(
+        matching.real_id.dropna()
+    )
     missing = [of for of in found if of.status == "not_found"]
     (pole,) = (of for of in missing if of.sim["n_points"])
     assert pole.sim["n_points"] == 3
@@ -107,16 +111,24 @@ def test_a_missing_reference_object_shows_what_little_of_it_is_simulated(by_refe
     assert "3 of its points are simulated, too few to match it" in text
     assert "54 % of its points" in text
     invented = [of for of in found if of.status == "extra"]
-    assert sorted(of.sim["community_id"] for of in invented) == sorted(matching.query("real_id.isna()").sim_id)
+    assert sorted(of.sim["community_id"] for of in invented) == sorted(
+        matching.query("real_id.isna()").sim_id
+    )
     assert all(of.real is None for of in invented)
 
 
 def test_a_pair_lists_the_ten_largest_objects_of_one_side_and_with_all_every_one(report_run):
     facts = pair_facts(FinishedRun(report_run), FIRST)
     alone = next(each for each in facts.objects if each.status == "extra")
-    many = [replace(alone, row={**alone.row, "community_id": i, "n_points": 100 + i}) for i in range(77)]
+    many = [
+        replace(alone, row={**alone.row, "community_id": i, "n_points": 100 + i}) for i in range(77)
+    ]
     few = pair_view(replace(facts, objects=tuple(many)), "fidpipe show RUN PAIR --all")
-    rows = next(part for part in few if isinstance(part, Table) and part.title == "Objects that only one side has").rows
+    rows = next(
+        part
+        for part in few
+        if isinstance(part, Table) and part.title == "Objects that only one side has"
+    ).rows
     assert [row[2] for row in rows] == [f"sim:{i}" for i in range(76, 66, -1)]
     assert few[-1].text == "67 more extra, with fewer points: fidpipe show RUN PAIR --all"
     assert len(pair_view(replace(facts, objects=tuple(many)))[-1].rows) == 77

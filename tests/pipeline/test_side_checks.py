@@ -21,13 +21,18 @@ NONE_NEARER = "input.min_range_m=0"
 @pytest.fixture(autouse=True)
 def without_beams(monkeypatch):
     """Random points have no beams, and to look for these takes longer than all other checks."""
-    monkeypatch.setattr(side_checks, "describe_sensor", lambda points, *own: describe_sensor(points[:9], *own))
+    monkeypatch.setattr(
+        side_checks, "describe_sensor", lambda points, *own: describe_sensor(points[:9], *own)
+    )
 
 
 def scan(i, seed=0, noise_m=0.02):
     """The scan after i metres of the street."""
     rng = np.random.default_rng(seed)
-    boxes = [box([x - i, 8 * (-1) ** n, -0.5], [1 + n % 3, 2, 2.4], 250, n) for n, x in enumerate(range(-40, 60, 3))]
+    boxes = [
+        box([x - i, 8 * (-1) ** n, -0.5], [1 + n % 3, 2, 2.4], 250, n)
+        for n, x in enumerate(range(-40, 60, 3))
+    ]
     points = np.vstack([*boxes, road(4000, seed=seed)])
     return points + rng.normal(0, noise_m, points.shape)
 
@@ -40,7 +45,9 @@ def write(folder, real, sim, turn=((1, 0, 0), (0, 1, 0), (0, 0, 1))):
         for side, points in zip(("real", "sim"), scans, strict=True):
             row[side] = f"{side}{i}.npy"
             is_table = isinstance(points, pd.DataFrame)
-            table = points if is_table else pd.DataFrame(points @ np.array(turn), columns=list("xyz"))
+            table = (
+                points if is_table else pd.DataFrame(points @ np.array(turn), columns=list("xyz"))
+            )
             np.save(folder / row[side], table.to_records(index=False))
         rows.append(row)
     with (folder / "pairs.csv").open("w", newline="") as file:
@@ -64,13 +71,19 @@ def test_two_healthy_sides_raise_no_warning(tmp_path):
 
 
 def test_a_late_side_is_named_with_frames_and_seconds(tmp_path):
-    (warning,) = (text for text in warnings(write(tmp_path, drive(2), drive(0, seed=20))) if "frames late" in text)
+    (warning,) = (
+        text
+        for text in warnings(write(tmp_path, drive(2), drive(0, seed=20)))
+        if "frames late" in text
+    )
     assert warning.startswith("simulated scans ") and "0.2 s" in warning and "--offset" in warning
 
 
 def test_a_side_that_is_one_scan_is_named(tmp_path):
     still = [scan(3, seed, 0.03) for seed in range(6)]
-    (warning,) = (text for text in warnings(write(tmp_path, drive(), still)) if not text.startswith("pair "))
+    (warning,) = (
+        text for text in warnings(write(tmp_path, drive(), still)) if not text.startswith("pair ")
+    )
     assert warning.startswith("all simulated scans ")
 
 
@@ -83,7 +96,8 @@ def test_an_empty_side_is_named_beside_the_faults_of_its_scans(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("frame", "turn"), [("ros", ((1, 0, 0), (0, 1, 0), (0, 0, 1))), ("nuscenes", ((0, 1, 0), (-1, 0, 0), (0, 0, 1)))]
+    ("frame", "turn"),
+    [("ros", ((1, 0, 0), (0, 1, 0), (0, 0, 1))), ("nuscenes", ((0, 1, 0), (-1, 0, 0), (0, 0, 1)))],
 )
 def test_ego_hits_are_named_with_settings_that_drop_them(tmp_path, frame, turn):
     bonnet = box([3.2, 0, -0.9], [1, 1.6, 0.3], 600)
@@ -118,7 +132,9 @@ def speckled(table):
         (speckled, None),
     ],
 )
-def test_intensities_that_no_material_explains_and_different_scales_are_named(tmp_path, intensity, message):
+def test_intensities_that_no_material_explains_and_different_scales_are_named(
+    tmp_path, intensity, message
+):
     found = warnings(write(tmp_path, bright(speckled), bright(intensity)), NONE_NEARER)
     found = [line for line in found if "intensit" in line]
     assert [line[: len(message)] for line in found] == [message] if message else found == []
@@ -139,7 +155,9 @@ def test_wrong_times_of_points_are_named_with_their_side(tmp_path):
 
 
 def test_the_command_prints_notes_and_warnings_of_sides(tmp_path):
-    folder = write(tmp_path, [timed(i) for i in range(3)], [timed(i, way=1, seed=9) for i in range(3)])
+    folder = write(
+        tmp_path, [timed(i) for i in range(3)], [timed(i, way=1, seed=9) for i in range(3)]
+    )
     assert "real scans: 0.1 s from first to last point" in command("check", folder).stdout
     told = json.loads(command("check", folder, "--json").stdout)
     assert len(told["notes"]) == 2

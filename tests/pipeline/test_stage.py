@@ -83,8 +83,14 @@ def test_toys_of_each_grain_have_rows_and_facts(whole):
 def test_split_into_sides_and_objects_they_give_the_same(whole, dataset, tmp_path):
     pool = WatchedPool()
     run_with_toys(dataset, tmp_path / "run", pool=pool, policy=ALL_SPLIT)
-    n_objects = sum(table.num_rows for name, table in toy_results(whole)[0].items() if name.startswith("toy_marks"))
-    assert pool.submitted.count("score_objects") == 2 * n_objects  # before the toy of the pair, and after it
+    n_objects = sum(
+        table.num_rows
+        for name, table in toy_results(whole)[0].items()
+        if name.startswith("toy_marks")
+    )
+    assert (
+        pool.submitted.count("score_objects") == 2 * n_objects
+    )  # before the toy of the pair, and after it
     assert_same_results(tmp_path / "run", whole)
 
 
@@ -108,7 +114,9 @@ def test_a_raised_version_reruns_the_stage_and_what_follows(again, dataset, toy,
     assert changed_tables(again, before) == follow
 
 
-def test_communities_made_again_on_a_graph_that_stays_share_their_points_with_later_stages(again, dataset, tmp_path):
+def test_communities_made_again_on_a_graph_that_stays_share_their_points_with_later_stages(
+    again, dataset, tmp_path
+):
     changed = ToySettings.model_validate({"communities": {"seed": 3}})
     assert not run_with_toys(dataset, again, changed).failures
     run_with_toys(dataset, tmp_path / "fresh", changed)
@@ -117,14 +125,26 @@ def test_communities_made_again_on_a_graph_that_stays_share_their_points_with_la
 
 def test_a_stage_of_the_sides_may_read_what_a_stage_of_the_pair_gives(dataset, tmp_path):
     def make(inputs):
-        n_matched = sum(status == "matched" for status in inputs.table("matching", "").column("status").to_pylist())
-        rows = {"pair_id": inputs.pair_id, "side": inputs.part, "community_id": [0], "n_over": [n_matched]}
+        n_matched = sum(
+            status == "matched"
+            for status in inputs.table("matching", "").column("status").to_pylist()
+        )
+        rows = {
+            "pair_id": inputs.pair_id,
+            "side": inputs.part,
+            "community_id": [0],
+            "n_over": [n_matched],
+        }
         return JobResult({"toy_crowds": toys.CROWDS.build(rows)})
 
     late = replace(OF_SIDE, takes={"matching": ("status",)}, settings=(), make=make)
     for out, options in (("whole", {}), ("split", {"pool": WatchedPool(), "policy": ALL_SPLIT})):
         outcome = run(dataset, tmp_path / out, stages=(*STAGES, late), **options)
-        n_over = pq.read_table(tmp_path / out / "toy_crowds" / "000.sim.parquet").column("n_over").to_pylist()
+        n_over = (
+            pq.read_table(tmp_path / out / "toy_crowds" / "000.sim.parquet")
+            .column("n_over")
+            .to_pylist()
+        )
         assert n_over == [outcome.rows[0]["n_matched"]]
 
 
@@ -133,7 +153,10 @@ def test_a_stage_of_the_sides_may_read_what_a_stage_of_the_pair_gives(dataset, t
     [
         (lambda own: own.table("graph", own.part), "KeyError: ('graph', "),
         (lambda own: own.metadata("ground", own.part), "KeyError: ('ground', "),
-        (lambda own: own.table("communities", own.part).column("point_id"), '\'Field "point_id" does not exist'),
+        (
+            lambda own: own.table("communities", own.part).column("point_id"),
+            '\'Field "point_id" does not exist',
+        ),
         (lambda own: own.settings.graph, "has no attribute 'graph'"),
         (lambda own: own.table("communities", "sim"), "KeyError: ('communities', 'sim')"),
         (lambda own: own.scans[own.part], "KeyError: 'real'"),
@@ -147,7 +170,9 @@ def test_a_job_has_no_input_but_what_its_stage_declares(dataset, tmp_path, ask, 
         return OF_SIDE.make(inputs)
 
     stages = (*STAGES[: toys.N_BEFORE_MATCHING], replace(OF_SIDE, make=make))
-    reason = run(dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000").failures["000"]
+    reason = run(dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000").failures[
+        "000"
+    ]
     assert "stage crowds, real: internal error" in reason
     assert missing in reason
 
@@ -170,16 +195,23 @@ def test_the_real_side_gets_no_motion_of_the_simulated_one(dataset, tmp_path):
         raise StageError("seen")
 
     cell = " ".join(map(str, np.eye(3, 4).ravel()))
-    rows = [f"{path.stem},{path},{dataset / 'sim' / path.name},{cell}" for path in (dataset / "real").iterdir()]
+    rows = [
+        f"{path.stem},{path},{dataset / 'sim' / path.name},{cell}"
+        for path in (dataset / "real").iterdir()
+    ]
     (tmp_path / "pairs.csv").write_text("\n".join(["pair_id,real,sim,T_real_sim", *rows]))
-    extra = replace(OF_SIDE, takes={SCAN: ()}, settings=("input",), make=make, is_wanted=lambda settings: True)
+    extra = replace(
+        OF_SIDE, takes={SCAN: ()}, settings=("input",), make=make, is_wanted=lambda settings: True
+    )
     failure_of(extra, tmp_path, tmp_path / "run", STAGES)
     assert motions == {"real": None, "sim": tuple(np.eye(3, 4).ravel())}
 
 
 def test_a_stage_that_reads_the_input_declares_the_settings_of_its_columns(dataset, tmp_path):
     with pytest.raises(ValueError, match="stage crowds: .*settings input"):
-        run_with_toys(dataset, tmp_path / "run", stages=with_toys(replace(OF_SIDE, takes={SCAN: ()})))
+        run_with_toys(
+            dataset, tmp_path / "run", stages=with_toys(replace(OF_SIDE, takes={SCAN: ()}))
+        )
 
 
 @pytest.mark.parametrize("is_split", [False, True], ids=["whole", "split"])
@@ -216,7 +248,12 @@ def test_a_stage_that_gives_other_tables_than_it_declares_fails(dataset, tmp_pat
 
 def test_a_stage_that_takes_what_none_before_it_gives_is_refused_before_any_work(dataset, tmp_path):
     with pytest.raises(ValueError, match="stage ratios takes matching, selection"):
-        run(dataset, tmp_path / "run", ToySettings(), stages=(*STAGES[: toys.N_BEFORE_MATCHING], OF_SIDE, OF_PAIR))
+        run(
+            dataset,
+            tmp_path / "run",
+            ToySettings(),
+            stages=(*STAGES[: toys.N_BEFORE_MATCHING], OF_SIDE, OF_PAIR),
+        )
     assert not (tmp_path / "run" / "ground").exists()
 
 
@@ -227,7 +264,9 @@ def test_a_stage_that_takes_what_none_before_it_gives_is_refused_before_any_work
         ({"gives": ("toy_clouds",)}, ".*toy_clouds"),
     ],
 )
-def test_a_stage_that_names_what_no_contract_has_is_refused_before_any_work(dataset, tmp_path, declared, fault):
+def test_a_stage_that_names_what_no_contract_has_is_refused_before_any_work(
+    dataset, tmp_path, declared, fault
+):
     with pytest.raises(ValueError, match=f"stage crowds: {fault}"):
         run_with_toys(dataset, tmp_path / "run", stages=with_toys(replace(OF_SIDE, **declared)))
     assert not (tmp_path / "run" / "ground").exists()

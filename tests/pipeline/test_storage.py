@@ -28,7 +28,10 @@ def communities(n=5):
 def objects():
     numbers = {field.name: 1.0 for field in TABLES["objects"].schema if field.type == pa.float64()}
     return TABLES["objects"].from_rows(
-        [{"pair_id": "a", "side": "real", "community_id": 0, "n_points": 5, "label": "car"} | numbers]
+        [
+            {"pair_id": "a", "side": "real", "community_id": 0, "n_points": 5, "label": "car"}
+            | numbers
+        ]
     )
 
 
@@ -54,11 +57,22 @@ def test_a_table_of_thousands_of_long_texts_is_read(tmp_path, table):
 
     def rows(some):
         if table.name == "pairs":
-            return [{"pair_id": name, "status": "failed", "reason": f"no file /a/b/c/{name}.bin"} for name in some]
-        step = {"stage": "ground", "side": "real", "step": "histogram", "seconds": 0.1, "reused": False}
+            return [
+                {"pair_id": name, "status": "failed", "reason": f"no file /a/b/c/{name}.bin"}
+                for name in some
+            ]
+        step = {
+            "stage": "ground",
+            "side": "real",
+            "step": "histogram",
+            "seconds": 0.1,
+            "reused": False,
+        }
         return [step | {"pair_id": name, "step": f"step {k}"} for name in some for k in range(10)]
 
-    parts = (table.from_rows(rows(names[start : start + 500])) for start in range(0, len(names), 500))
+    parts = (
+        table.from_rows(rows(names[start : start + 500])) for start in range(0, len(names), 500)
+    )
     with folder.locked():
         path = tmp_path / f"{table.name}.parquet"
         stored = folder.write_at(path, table.name, parts, "key")
@@ -67,7 +81,10 @@ def test_a_table_of_thousands_of_long_texts_is_read(tmp_path, table):
 
 
 def test_a_key_depends_on_every_part():
-    keys = {key_of(*parts) for parts in [("a", 1), ("a", 2), ("a", 1.5), ("b", 1), ("a", [1]), ("a", {"k": 1})]}
+    keys = {
+        key_of(*parts)
+        for parts in [("a", 1), ("a", 2), ("a", 1.5), ("b", 1), ("a", [1]), ("a", {"k": 1})]
+    }
     assert len(keys) == 6
     assert key_of({"a": 1, "b": 2}) == key_of({"b": 2, "a": 1})
 

@@ -87,7 +87,9 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
         make_dataset(tmp_path / "out")
 
 
-def test_what_was_interrupted_goes_on_where_it_stopped_and_ends_with_the_same_bytes(dataset, tmp_path, monkeypatch):
+def test_what_was_interrupted_goes_on_where_it_stopped_and_ends_with_the_same_bytes(
+    dataset, tmp_path, monkeypatch
+):
     made = []
 
     def interrupted(seed, index, *rest):
@@ -126,7 +128,11 @@ def test_another_recipe_replaces_the_pairs_and_fewer_pairs_leave_fewer(dataset, 
     with pytest.raises(FidpipeError, match="files were 8, are 4"):
         make_dataset(out, n_pairs=1, n_points=N_POINTS)
     make_dataset(out, n_pairs=1, n_points=N_POINTS, replace=True)
-    assert sorted(path.name for path in out.glob("*/*")) == [*["0000.bin"] * 2, *["0000.label"] * 2, "notes.txt"]
+    assert sorted(path.name for path in out.glob("*/*")) == [
+        *["0000.bin"] * 2,
+        *["0000.label"] * 2,
+        "notes.txt",
+    ]
     assert len(read_dataset(out).pairs) == 1
 
 

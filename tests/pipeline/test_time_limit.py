@@ -21,7 +21,9 @@ def limit(tmp_path):
 def timer(monkeypatch):
     """Seconds to which the timer of the process would be set."""
     seconds = []
-    monkeypatch.setattr(faulthandler, "dump_traceback_later", lambda timeout, **options: seconds.append(timeout))
+    monkeypatch.setattr(
+        faulthandler, "dump_traceback_later", lambda timeout, **options: seconds.append(timeout)
+    )
     return seconds
 
 
@@ -51,7 +53,10 @@ def test_a_worker_that_died_of_something_else_leaves_the_pair_its_time(limit, ti
     (limit.folder / "a").write_text("stage ground, real\n")
     with limited(limit) as note:
         note("stage graph, sim")
-        assert {path.read_text() for path in limit.folder.iterdir()} == {"stage ground, real\n", "stage graph, sim\n"}
+        assert {path.read_text() for path in limit.folder.iterdir()} == {
+            "stage ground, real\n",
+            "stage graph, sim\n",
+        }
     assert timer == [pytest.approx(100.0, abs=1.0)]
 
 
@@ -61,7 +66,9 @@ def test_without_a_limit_no_timer_is_set(timer):
     assert timer == []
 
 
-def test_a_limit_enters_no_key_changes_no_number_and_leaves_nothing_behind(dataset, finished, tmp_path):
+def test_a_limit_enters_no_key_changes_no_number_and_leaves_nothing_behind(
+    dataset, finished, tmp_path
+):
     out = tmp_path / "run"
     outcome = run(dataset, out, pool=WatchedPool(), pair_timeout_s=10_000.0)
     assert (outcome.failures, outcome.n_made) == ({}, 2 * JOBS_PER_PAIR)

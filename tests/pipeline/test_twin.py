@@ -24,7 +24,9 @@ from scenes import box, moved, rigid, write_bin
 DOCUMENTATION = Path(__file__).resolve().parents[2] / "docs" / "twin.md"
 N = 4
 NAMES = [f"{i:03}" for i in range(N)]
-SMALL = SensorModel("small", tuple(np.linspace(-25, 12, 30)), (0.0,) * 30, 1.5, 0.5, 100.0, 0.02, 0.0, 0.03, 60.0)
+SMALL = SensorModel(
+    "small", tuple(np.linspace(-25, 12, 30)), (0.0,) * 30, 1.5, 0.5, 100.0, 0.02, 0.0, 0.03, 60.0
+)
 ALONE = np.array([5.0, -4.0, -0.5])  # where a box stands in frame 2 and in no other
 
 
@@ -32,7 +34,9 @@ def surface(seed, n=5000):
     """A road, a wall and a box about a short drive; other points of them with each seed. The box is the last sixth."""
     rng = np.random.default_rng(seed)
     road = np.column_stack([rng.uniform(-7, 7, (n // 2, 2)), np.full(n // 2, -1.7)])
-    wall = np.column_stack([rng.uniform(-7, 7, n // 3), np.full(n // 3, 6.0), rng.uniform(-1.7, 1.3, n // 3)])
+    wall = np.column_stack(
+        [rng.uniform(-7, 7, n // 3), np.full(n // 3, 6.0), rng.uniform(-1.7, 1.3, n // 3)]
+    )
     return np.vstack([road, wall, box([-5, -4, -0.7], [1.5, 2, 2], n // 6, seed)])
 
 
@@ -60,7 +64,9 @@ def drive(tmp_path_factory):
         labels.astype("<u4").tofile(folder / f"{name}.label")
         rows.append(f"{name},{name}.bin,{0.1 * i},{' '.join(map(repr, T.ravel().tolist()))}")
     (folder / "labels.toml").write_text('1 = "built"\n2 = "hedge"\n')
-    (folder / "pairs.csv").write_text("pair_id,real,timestamp_s,T_world_sensor\n" + "\n".join(rows) + "\n")
+    (folder / "pairs.csv").write_text(
+        "pair_id,real,timestamp_s,T_world_sensor\n" + "\n".join(rows) + "\n"
+    )
     return folder
 
 
@@ -120,7 +126,10 @@ def test_the_dataset_names_times_poses_labels_and_the_recipe(twins, drive):
     for pair, frame in zip(dataset.pairs, read_recording(drive).pairs, strict=True):
         assert pair.T_world_sensor == frame.T_world_sensor
         assert pair.real.file.read_bytes() == frame.real.file.read_bytes()
-        assert set(read_scan(pair.real, label_names=dataset.label_names).labels) == {"built", "hedge"}
+        assert set(read_scan(pair.real, label_names=dataset.label_names).labels) == {
+            "built",
+            "hedge",
+        }
     recipe = tomllib.loads((twins / "twin.toml").read_text())
     assert (recipe["seed"], recipe["flaw"], recipe["sensor"]["name"]) == (0, [], "small")
     assert {"numpy", "scipy", "trimesh", "embreex"} <= recipe["libraries"].keys()
@@ -131,7 +140,9 @@ def test_the_same_recipe_gives_the_same_bytes_and_another_seed_gives_others(twin
     make(tmp_path / "again", drive)
     assert files_in(tmp_path / "again") == files_in(twins)
     make(tmp_path / "other", drive, seed=1)
-    assert all((sim(twins, name)[:50] != sim(tmp_path / "other", name)[:50]).all() for name in NAMES)
+    assert all(
+        (sim(twins, name)[:50] != sim(tmp_path / "other", name)[:50]).all() for name in NAMES
+    )
 
 
 @pytest.mark.exhaustive
@@ -146,21 +157,29 @@ def test_where_the_world_begins_does_not_matter(twins, drive, tmp_path):
     lines = (drive / "pairs.csv").read_text().splitlines()
     for i in range(N):
         moved_pose = (T @ np.vstack([world_from_sensor(i), [0, 0, 0, 1]]))[:3]
-        lines[i + 1] = ",".join([*lines[i + 1].split(",")[:3], " ".join(map(repr, moved_pose.ravel().tolist()))])
+        lines[i + 1] = ",".join(
+            [*lines[i + 1].split(",")[:3], " ".join(map(repr, moved_pose.ravel().tolist()))]
+        )
     (elsewhere / "pairs.csv").write_text("\n".join(lines) + "\n")
     assert make(tmp_path / "out", elsewhere, pattern="*1").n_pairs == 1
     ours, theirs = sim(twins, "001"), sim(tmp_path / "out", "001")
     assert len(ours) == len(theirs)
-    assert (np.abs(ours - theirs).max(axis=1) < 1e-3).mean() > 0.999  # a point on the border of two voxels may change
+    assert (
+        np.abs(ours - theirs).max(axis=1) < 1e-3
+    ).mean() > 0.999  # a point on the border of two voxels may change
 
 
-def test_what_was_interrupted_goes_on_with_the_twins_that_are_missing(twins, drive, tmp_path, monkeypatch):
+def test_what_was_interrupted_goes_on_with_the_twins_that_are_missing(
+    twins, drive, tmp_path, monkeypatch
+):
     out = shutil.copytree(twins, tmp_path / "out")
     (out / "sim" / "001.bin").unlink()
     (out / "pairs.csv").unlink()
     made = []
     rescan = twin._rescan
-    monkeypatch.setattr(twin, "_rescan", lambda task: made.append(task.frame.pair_id) or rescan(task))
+    monkeypatch.setattr(
+        twin, "_rescan", lambda task: made.append(task.frame.pair_id) or rescan(task)
+    )
     make(out, drive)
     assert made == ["001"]
     assert files_in(out) == files_in(twins)
@@ -175,10 +194,15 @@ def test_a_broken_scan_fails_alone(drive, tmp_path):
     for index in (1, 2):
         (broken / f"{NAMES[index]}.bin").write_bytes(b"no scan")
     reasons = make(tmp_path / "out2", broken).failures
-    assert any("expected at least 2 readable other scans for a model, got 0" in reason for reason in reasons.values())
+    assert any(
+        "expected at least 2 readable other scans for a model, got 0" in reason
+        for reason in reasons.values()
+    )
 
 
-def test_flaws_are_those_of_the_functions_and_alike_in_all_frames_where_they_are_systematic(twins, drive, tmp_path):
+def test_flaws_are_those_of_the_functions_and_alike_in_all_frames_where_they_are_systematic(
+    twins, drive, tmp_path
+):
     make(tmp_path / "mirrored", drive, "mirrored")
     make(tmp_path / "offset", drive, "offset=0.5")
     shifts = []
@@ -271,10 +295,21 @@ def test_the_documentation_has_every_flaw_and_sensor():
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("sensor", ["recorded", "hdl64"])
 def test_a_kitti_drive_scanned_again_covers_what_was_seen(sensor, real_data, tmp_path):
-    command("twin", real_data / "kitti_sequence", tmp_path / "out", "--pairs", "*[27]", "--sensor", sensor, code=0)
+    command(
+        "twin",
+        real_data / "kitti_sequence",
+        tmp_path / "out",
+        "--pairs",
+        "*[27]",
+        "--sensor",
+        sensor,
+        code=0,
+    )
     for pair in read_dataset(tmp_path / "out").pairs:
         ours = clean_scan(read_scan(pair.real).points, InputSettings()).points
         theirs = clean_scan(read_scan(pair.sim).points, InputSettings()).points
-        shares = [(cKDTree(a).query(b)[0] <= 0.3).mean() for a, b in ((theirs, ours), (ours, theirs))]
+        shares = [
+            (cKDTree(a).query(b)[0] <= 0.3).mean() for a, b in ((theirs, ours), (ours, theirs))
+        ]
         assert min(shares) > 0.7
         assert len(theirs) == pytest.approx(len(ours), rel=0.25)

@@ -31,7 +31,9 @@ from scenes import box, subgraph
 def test_no_column_stands_in_the_catalogue_twice():
     of_objects = (*OBJECT_SCORES, *PAIR_SCORES)
     of_surfaces = (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)
-    assert len(METRIC) == len((*of_objects, *of_surfaces, *RAY_SCORES, *INTENSITY_SCORES, *BASELINES))
+    assert len(METRIC) == len(
+        (*of_objects, *of_surfaces, *RAY_SCORES, *INTENSITY_SCORES, *BASELINES)
+    )
 
 
 def test_every_score_of_an_object_is_a_column_with_its_meaning_and_unit():
@@ -79,7 +81,9 @@ def twice():
     return own, select_nodes(own, own, SelectionSettings())
 
 
-def test_the_baselines_that_are_computed_are_those_of_the_catalogue_and_identical_objects_have_their_value(twice):
+def test_the_baselines_that_are_computed_are_those_of_the_catalogue_and_identical_objects_have_their_value(
+    twice,
+):
     own, chosen = twice
     found = compare_objects(own, own, chosen, 1.0, MetricsSettings(baselines=BASELINE_NAMES))
     assert [(each.name, each.unit) for each in found] == [
@@ -95,4 +99,6 @@ def test_identical_objects_have_the_value_of_the_catalogue_in_every_own_score(tw
     scores = score_object(own, own, chosen)
     for metric in OBJECT_SCORES:
         if metric.equal is not None and hasattr(scores, metric.column):
-            assert getattr(scores, metric.column) == pytest.approx(metric.equal, abs=1e-9), metric.column
+            assert getattr(scores, metric.column) == pytest.approx(metric.equal, abs=1e-9), (
+                metric.column
+            )

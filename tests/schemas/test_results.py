@@ -24,7 +24,9 @@ def test_a_record_without_findings_keeps_an_empty_object(record):
 
 
 def test_what_a_later_version_adds_is_passed_on(record):
-    assert RunRecord.from_dict(record | {"weather": {"rain": 0.5}}).as_dict()["weather"] == {"rain": 0.5}
+    assert RunRecord.from_dict(record | {"weather": {"rain": 0.5}}).as_dict()["weather"] == {
+        "rain": 0.5
+    }
 
 
 @pytest.mark.parametrize("key", ["summary", "findings", "inputs", "libraries"])

@@ -9,7 +9,11 @@ def test_words_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
     file.write_text('[graph]\nk = 60\ntau_m = 0.3\n[matching]\nmethod = "optimal"\n')
     boxes = ["input.exclude_box=-1 -1 -1 1 1 1", "input.include_box=-9,-9,-1,9,9,1"]
     settings = load(file, ["graph.k=70", "ground.method=none", *boxes])
-    assert (settings.graph.k, settings.graph.tau_m, settings.matching.method) == (70, 0.3, "optimal")
+    assert (settings.graph.k, settings.graph.tau_m, settings.matching.method) == (
+        70,
+        0.3,
+        "optimal",
+    )
     assert (settings.ground.method, settings.input.exclude_box) == ("none", (-1, -1, -1, 1, 1, 1))
     assert settings.input.include_box == (-9, -9, -1, 9, 9, 1)
 
@@ -64,7 +68,10 @@ def test_the_preset_is_no_group_of_settings(preset):
 
 
 def test_the_mirror_is_the_frame_of_carla():
-    flipped, named = load(None, ["input.sim_flip_y=true"]).input, load(None, ["input.sim_frame=carla"]).input
+    flipped, named = (
+        load(None, ["input.sim_flip_y=true"]).input,
+        load(None, ["input.sim_frame=carla"]).input,
+    )
     assert flipped.frame_of("sim") == named.frame_of("sim") == "carla"
     assert flipped.frame_of("real") == "ros"
 

@@ -94,7 +94,9 @@ def test_the_schema_refuses_what_load_refuses(text, tmp_path, validator):
             read_back(text, tmp_path)
 
 
-@pytest.mark.parametrize("text", ["[metrics]\nbaselines = 'all'", "[input]\ncolumns = 'x,y,z'", "[graph]\nk = 1"])
+@pytest.mark.parametrize(
+    "text", ["[metrics]\nbaselines = 'all'", "[input]\ncolumns = 'x,y,z'", "[graph]\nk = 1"]
+)
 def test_the_schema_takes_what_load_takes(text, tmp_path, validator):
     validator.validate(tomllib.loads(text))
     assert read_back(text, tmp_path) == parse(tomllib.loads(text))

@@ -12,7 +12,12 @@ def test_every_column_says_what_it_means():
 
 
 def test_a_missing_column_and_another_type_are_rejected():
-    columns = {"pair_id": "a", "side": "real", "point_id": np.arange(3), "community_id": np.zeros(3)}
+    columns = {
+        "pair_id": "a",
+        "side": "real",
+        "point_id": np.arange(3),
+        "community_id": np.zeros(3),
+    }
     rows = TABLES["communities"].build(columns)
     with pytest.raises(ValueError, match="table communities: .*side"):
         TABLES["communities"].check(rows.drop_columns(["side"]))
@@ -23,7 +28,9 @@ def test_a_missing_column_and_another_type_are_rejected():
 
 def test_a_null_where_none_is_allowed_is_refused():
     with pytest.raises(ValueError, match="table metrics, column n_real"):
-        TABLES["metrics"].from_rows([{"pair_id": "a", "real_id": 0, "sim_id": 0, "status": "scored"}])
+        TABLES["metrics"].from_rows(
+            [{"pair_id": "a", "real_id": 0, "sim_id": 0, "status": "scored"}]
+        )
 
 
 def test_rows_are_sorted_by_key_with_nulls_last():

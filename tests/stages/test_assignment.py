@@ -21,7 +21,10 @@ def hungarian(real, sim):
 
 LARGE = {
     "gaussian": lambda rng, n: (rng.normal(0, 1, (n, 3)), rng.normal(0, 1.3, (n, 3))),
-    "clustered": lambda rng, n: (rng.normal(0, 0.1, (n, 3)) + 5 * rng.integers(0, 2, (n, 1)), rng.normal(2, 2, (n, 3))),
+    "clustered": lambda rng, n: (
+        rng.normal(0, 0.1, (n, 3)) + 5 * rng.integers(0, 2, (n, 1)),
+        rng.normal(2, 2, (n, 3)),
+    ),
     "line against plane": lambda rng, n: (
         np.outer(np.linspace(0, 9, n), [1, 0, 0]),
         rng.uniform(0, 9, (n, 3)) * [1, 1, 0],
@@ -45,7 +48,9 @@ def test_a_large_alignment_of_many_ties_is_as_short_as_the_hungarian_one():
     for real, sim in ((grid, grid * 2), (np.zeros((450, 3)), np.ones((450, 3)))):
         sim_of_real = align_nodes(real, sim)
         assert sorted(sim_of_real) == list(range(len(real)))
-        assert total_distance(real, sim, sim_of_real) == pytest.approx(total_distance(real, sim, hungarian(real, sim)))
+        assert total_distance(real, sim, sim_of_real) == pytest.approx(
+            total_distance(real, sim, hungarian(real, sim))
+        )
 
 
 def test_with_few_candidates_the_missing_ones_are_found_by_their_prices(rng, monkeypatch):
@@ -68,7 +73,11 @@ def exchanged(p, u, v):
         exchanged,
         lambda p, u, v: (np.where(p == p[0], p[1], p), u, v),  # one node twice
         lambda p, u, v: (p, u - 1e-7, v),  # prices that prove less
-        lambda p, u, v: (p, u + np.eye(1, len(u), 7)[0], v),  # prices above the cost of an arc: no proof
+        lambda p, u, v: (
+            p,
+            u + np.eye(1, len(u), 7)[0],
+            v,
+        ),  # prices above the cost of an arc: no proof
         lambda p, u, v: (p, u, v * np.nan),
     ],
     ids=["two exchanged", "not one to one", "lower prices", "infeasible prices", "no prices"],

@@ -60,11 +60,15 @@ def test_histograms_by_hand():
     assert value(histogram, three, two, histogram_bins=2, histogram_order=1) == pytest.approx(
         0
     )  # 1/2 lies in the upper half
-    assert value(histogram, three, two, histogram_bins=3, histogram_order=1) == pytest.approx(2 / 3 + 2 / 3)
+    assert value(histogram, three, two, histogram_bins=3, histogram_order=1) == pytest.approx(
+        2 / 3 + 2 / 3
+    )
 
 
 def test_histograms_see_neither_place_nor_turn_nor_size(car):
-    assert value(histogram, car, 2 * moved(car, rigid(40, [3, 1, 2])), histogram_bins=20) == pytest.approx(0, abs=1e-12)
+    assert value(
+        histogram, car, 2 * moved(car, rigid(40, [3, 1, 2])), histogram_bins=20
+    ) == pytest.approx(0, abs=1e-12)
 
 
 def test_icp_undoes_a_small_motion(car):
@@ -93,7 +97,10 @@ def test_no_order_of_rows_changes_a_histogram_above_its_sample_or_dcd_at_ties(rn
     real = np.unique(real, axis=0)
     turned = rng.permutation(len(real)), rng.permutation(len(sim))
     values = [
-        (value(histogram, a, b, histogram_points=60, histogram_bins=20), value(dcd, a, b, dcd_alpha=1))
+        (
+            value(histogram, a, b, histogram_points=60, histogram_bins=20),
+            value(dcd, a, b, dcd_alpha=1),
+        )
         for a, b in ((real, sim), (real[turned[0]], sim[turned[1]]))
     ]
     assert values[0] == pytest.approx(values[1], abs=1e-12)
@@ -189,7 +196,9 @@ def test_hausdorff_by_hand_is_the_worst_point_of_either_side():
 
 def test_f_score_by_hand():
     # within 1.2 m: one of three real points, one of two simulated ones
-    assert value(f_score, REAL, SIM, f_score_distance_m=1.2) == pytest.approx(2 * (1 / 3) * (1 / 2) / (1 / 3 + 1 / 2))
+    assert value(f_score, REAL, SIM, f_score_distance_m=1.2) == pytest.approx(
+        2 * (1 / 3) * (1 / 2) / (1 / 3 + 1 / 2)
+    )
     assert value(f_score, REAL, SIM, f_score_distance_m=0.9) == 0
     assert value(f_score, REAL, SIM, f_score_distance_m=10) == 1
 
@@ -201,7 +210,9 @@ def test_a_point_at_the_very_distance_is_not_found():
 def test_dcd_of_equal_sizes_by_hand():
     # diagonal of the real box 1, so alpha is per square metre; both simulated points are nearest to the first real one
     real, sim = np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[-0.1, 0, 0], [0, 0.2, 0]])
-    from_real = (1 - math.exp(-10 * 0.01) + 1 - math.exp(-10 * 1.04)) / 2  # to the first and to the second one
+    from_real = (
+        1 - math.exp(-10 * 0.01) + 1 - math.exp(-10 * 1.04)
+    ) / 2  # to the first and to the second one
     from_sim = (1 - 0.5 * math.exp(-10 * 0.01) + 1 - 0.5 * math.exp(-10 * 0.04)) / 2
     (found,) = dcd(real, sim, MetricsSettings(dcd_alpha=10))
     assert (found.value, found.reason) == (pytest.approx((from_real + from_sim) / 2), None)
@@ -239,7 +250,9 @@ def test_earth_movers_agrees_with_a_linear_programme(rng, n, m):
 def test_sliced_wasserstein_of_a_shift_is_half_of_it():
     # the mean of |cos| of the angle between a fixed vector and a random direction in space is 1/2
     points = np.random.default_rng(0).normal(0, 1, (30, 3))
-    assert value(sliced_wasserstein, points, points + [0, 0, 4], projections=4000) == pytest.approx(2, rel=0.03)
+    assert value(sliced_wasserstein, points, points + [0, 0, 4], projections=4000) == pytest.approx(
+        2, rel=0.03
+    )
 
 
 TIMES = np.geomspace(0.01, 100, 50)
@@ -251,21 +264,27 @@ def random_laplacian(rng, n, density=0.3):
 
 
 def path(n):
-    return normalised_laplacian(sparse.csr_matrix(np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1)))
+    return normalised_laplacian(
+        sparse.csr_matrix(np.diag(np.ones(n - 1), 1) + np.diag(np.ones(n - 1), -1))
+    )
 
 
 @pytest.mark.parametrize("t", [0.1, 1.0, 7.0, 100.0])
 def test_the_heat_row_sums_agree_with_the_dense_exponential(rng, t):
     pieces = random_laplacian(rng, 60), sparse.csr_matrix((1, 1))  # and an isolated node
     L = sparse.block_diag(pieces, format="csr")
-    np.testing.assert_allclose(heat_row_sums(L, t), scipy.linalg.expm(-t * L.toarray()).sum(axis=1), atol=1e-12)
+    np.testing.assert_allclose(
+        heat_row_sums(L, t), scipy.linalg.expm(-t * L.toarray()).sum(axis=1), atol=1e-12
+    )
 
 
 def test_heat_traces_of_an_edge_and_of_a_path_by_hand():
     # spectra 0, 2 and 0, 1, 2
     edge = (1 + np.exp(-2 * TIMES)) / 2
     three = (1 + np.exp(-TIMES) + np.exp(-2 * TIMES)) / 3
-    assert heat_trace_distance(path(2), path(3), TIMES) == pytest.approx(np.linalg.norm(edge - three))
+    assert heat_trace_distance(path(2), path(3), TIMES) == pytest.approx(
+        np.linalg.norm(edge - three)
+    )
 
 
 def test_the_diffusion_change_of_a_small_change_in_a_short_time_is_nearly_one():
@@ -283,12 +302,18 @@ def test_scores_of_synthesis_papers_on_two_scans_worked_out_by_hand():
     values = {baseline.name: baseline.value for baseline in nvs(real, sim)}
     assert values["nvs_depth_rmse_m"] == pytest.approx(np.sqrt(20.0**2 / n_pixels), rel=1e-6)
     assert values["nvs_depth_medae_m"] == 0.0
-    assert values["nvs_depth_psnr_db"] == pytest.approx(10 * np.log10(80.0**2 * n_pixels / 20.0**2), rel=1e-6)
-    assert values["nvs_chamfer_m2"] == pytest.approx((10.0**2 + 20.0**2) / 2, rel=1e-2)  # of directions of pixels
+    assert values["nvs_depth_psnr_db"] == pytest.approx(
+        10 * np.log10(80.0**2 * n_pixels / 20.0**2), rel=1e-6
+    )
+    assert values["nvs_chamfer_m2"] == pytest.approx(
+        (10.0**2 + 20.0**2) / 2, rel=1e-2
+    )  # of directions of pixels
     assert values["nvs_f_score_0p05m2"] == pytest.approx(2 * 1.0 * 0.5 / 1.5)
 
 
 def test_scores_of_synthesis_papers_have_reasons_where_the_image_is_empty():
     far = np.array([[90.0, 0.0, 0.0]])
     reasons = {baseline.name: baseline.reason for baseline in nvs(far, far)}
-    assert all(reasons[name] for name in ("nvs_depth_psnr_db", "nvs_chamfer_m2", "nvs_f_score_0p05m2"))
+    assert all(
+        reasons[name] for name in ("nvs_depth_psnr_db", "nvs_chamfer_m2", "nvs_f_score_0p05m2")
+    )

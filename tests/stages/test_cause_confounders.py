@@ -31,12 +31,16 @@ def side_of(points):
 def again(points, seed, loss=0.02):
     rng = np.random.default_rng(seed)
     kept = points[rng.random(len(points)) >= loss]
-    return kept * (1 + rng.normal(0, 0.01, (len(kept), 1)) / np.linalg.norm(kept, axis=1, keepdims=True))
+    return kept * (
+        1 + rng.normal(0, 0.01, (len(kept), 1)) / np.linalg.norm(kept, axis=1, keepdims=True)
+    )
 
 
 def test_beams_at_the_edges_of_cells_are_not_lost(street):
     tilt = np.radians(0.02)
-    tilted = again(street, 0) @ np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
+    tilted = again(street, 0) @ np.array(
+        [[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]]
+    )
     amounts = estimate(PairScans(side_of(street), side_of(tilted))).amounts
     assert amounts["lost returns"].amount == pytest.approx(0.02, abs=0.004)
 
@@ -52,17 +56,24 @@ def test_missing_beams_are_not_lost_returns(street):
 
 def test_a_second_measurement_is_at_the_best_case(street):
     estimates = estimate(PairScans(side_of(street), side_of(again(street, 2))))
-    assert unexplained_share((estimates.distance_m, estimates.distance_m, estimates.best_case_m)) is None
+    assert (
+        unexplained_share((estimates.distance_m, estimates.distance_m, estimates.best_case_m))
+        is None
+    )
 
 
 def cause(name):
     words = {"name": name, "kind": "sensor", "words": name, "setting": "", "unit": "m"}
-    return Cause(**words, estimate=0.1, low=0.05, high=0.15, n_pairs=3, real=None, sim=None, share=0.2)
+    return Cause(
+        **words, estimate=0.1, low=0.05, high=0.15, n_pairs=3, real=None, sim=None, share=0.2
+    )
 
 
 def test_a_cause_whose_correction_brings_nothing_closer_is_doubtful():
     causes = [cause("height"), cause("range noise"), cause("elevation noise")]
-    confirmed, doubtful = confirm(causes, {"height": 0.001, "range noise": 0.03}, (0.10, 0.06, 0.02))
+    confirmed, doubtful = confirm(
+        causes, {"height": 0.001, "range noise": 0.03}, (0.10, 0.06, 0.02)
+    )
     assert [item.name for item in confirmed] == ["range noise", "elevation noise"]
     assert [item.name for item in doubtful] == ["height"]
     assert confirmed[0].gain == pytest.approx(0.03 / 0.08)
@@ -70,6 +81,8 @@ def test_a_cause_whose_correction_brings_nothing_closer_is_doubtful():
 
 
 def test_within_the_accuracy_of_a_second_measurement_a_gain_is_a_part_of_the_whole_distance():
-    confirmed, doubtful = confirm([cause("lost returns")], {"lost returns": 0.002}, (0.10, 0.098, 0.098))
+    confirmed, doubtful = confirm(
+        [cause("lost returns")], {"lost returns": 0.002}, (0.10, 0.098, 0.098)
+    )
     assert not confirmed
     assert doubtful[0].gain is None

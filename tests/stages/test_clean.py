@@ -9,11 +9,32 @@ from scenes import rigid
 
 
 def test_each_reason_is_counted_in_its_order():
-    scan = np.array([[np.nan, 0, 0], [0, 0, 0], [5, 0, 0], [5, 0, 0], [1, 0, 0], [200, 0, 0], [4, 0, 0], [6, 1, 0]])
-    settings = InputSettings(exclude_box=(3.5, -1, -1, 4.5, 1, 1), include_box=(-10, -10, -10, 5.5, 10, 10))
+    scan = np.array(
+        [
+            [np.nan, 0, 0],
+            [0, 0, 0],
+            [5, 0, 0],
+            [5, 0, 0],
+            [1, 0, 0],
+            [200, 0, 0],
+            [4, 0, 0],
+            [6, 1, 0],
+        ]
+    )
+    settings = InputSettings(
+        exclude_box=(3.5, -1, -1, 4.5, 1, 1), include_box=(-10, -10, -10, 5.5, 10, 10)
+    )
     result = clean_scan(scan, settings)
     assert result.point_ids.tolist() == [2]
-    in_order = ["not_finite", "zero", "duplicate", "too_near", "too_far", "in_exclude_box", "outside_include_box"]
+    in_order = [
+        "not_finite",
+        "zero",
+        "duplicate",
+        "too_near",
+        "too_far",
+        "in_exclude_box",
+        "outside_include_box",
+    ]
     assert [reason for reason, n in result.dropped.items() if n == 1] == in_order
     assert sum(result.dropped.values()) == len(in_order)
 
@@ -24,7 +45,9 @@ def test_rays_without_a_return_are_dropped(rng):
     misses *= 80.0 / np.linalg.norm(misses, axis=1, keepdims=True)
     result = clean_scan(np.vstack([scan, misses]), InputSettings(min_range_m=0.0))
     assert (result.dropped["no_return"], result.point_ids.tolist()) == (100, list(range(900)))
-    ids, _ = literal_method.clean(np.vstack([scan, misses]), InputSettings(min_range_m=0.0).model_dump(), "ros", None)
+    ids, _ = literal_method.clean(
+        np.vstack([scan, misses]), InputSettings(min_range_m=0.0).model_dump(), "ros", None
+    )
     assert ids == result.point_ids.tolist()
 
 
@@ -37,7 +60,11 @@ def test_the_first_point_of_each_voxel_is_kept_in_the_real_frame(rng):
     ids, points = literal_method.clean(scan, settings.model_dump(), "ros", T)
     assert result.point_ids.tolist() == ids
     np.testing.assert_allclose(result.points, points, atol=1e-12)
-    assert result.dropped["thinned"] == len(clean_scan(scan, InputSettings(min_range_m=4.0)).points) - len(ids) > 900
+    assert (
+        result.dropped["thinned"]
+        == len(clean_scan(scan, InputSettings(min_range_m=4.0)).points) - len(ids)
+        > 900
+    )
     assert "thinned" not in clean_scan(scan, InputSettings()).dropped
 
 

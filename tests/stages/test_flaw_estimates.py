@@ -27,7 +27,9 @@ def ranges(points):
 
 
 def noise(std_m):
-    return lambda points, rng: points * (1 + rng.normal(0, std_m, (len(points), 1)) / ranges(points))
+    return lambda points, rng: (
+        points * (1 + rng.normal(0, std_m, (len(points), 1)) / ranges(points))
+    )
 
 
 def lost(share, beyond_m=0.0):
@@ -41,13 +43,17 @@ def lost_grazing(points, rng):
     planes = fit_planes(points, points, 30)
     is_road = points[:, 2] < -1.4
     normal = np.where(is_road[:, None], [0.0, 0.0, 1.0], planes.normal)
-    is_grazing = np.abs((normal * points).sum(axis=1)) < np.cos(np.radians(75)) * ranges(points)[:, 0]
+    is_grazing = (
+        np.abs((normal * points).sum(axis=1)) < np.cos(np.radians(75)) * ranges(points)[:, 0]
+    )
     is_lost = is_grazing & (is_road | (planes.scattering < 0.1)) & (rng.random(len(points)) < 0.5)
     return points[~is_lost]
 
 
 def steps(quantum_m):
-    return lambda points, rng: points * np.round(ranges(points) / quantum_m) * quantum_m / ranges(points)
+    return lambda points, rng: (
+        points * np.round(ranges(points) / quantum_m) * quantum_m / ranges(points)
+    )
 
 
 def drops(n):
@@ -66,11 +72,15 @@ def box_cut(points, rng):
 
 def jittered(elevation_deg, azimuth_deg):
     def jitter(points, rng):
-        level = np.arcsin(points[:, 2] / ranges(points)[:, 0]) + np.radians(elevation_deg) * rng.normal(
+        level = np.arcsin(points[:, 2] / ranges(points)[:, 0]) + np.radians(
+            elevation_deg
+        ) * rng.normal(size=len(points))
+        turn = np.arctan2(points[:, 1], points[:, 0]) + np.radians(azimuth_deg) * rng.normal(
             size=len(points)
         )
-        turn = np.arctan2(points[:, 1], points[:, 0]) + np.radians(azimuth_deg) * rng.normal(size=len(points))
-        rays = np.column_stack([np.cos(level) * np.cos(turn), np.cos(level) * np.sin(turn), np.sin(level)])
+        rays = np.column_stack(
+            [np.cos(level) * np.cos(turn), np.cos(level) * np.sin(turn), np.sin(level)]
+        )
         return ranges(points) * rays
 
     return jitter
@@ -98,7 +108,9 @@ def stretched(points, rng):
     """The scan with elevations that are 2 % too large."""
     level = 1.02 * np.arcsin(points[:, 2] / ranges(points)[:, 0])
     turn = np.arctan2(points[:, 1], points[:, 0])
-    rays = np.column_stack([np.cos(level) * np.cos(turn), np.cos(level) * np.sin(turn), np.sin(level)])
+    rays = np.column_stack(
+        [np.cos(level) * np.cos(turn), np.cos(level) * np.sin(turn), np.sin(level)]
+    )
     return ranges(points) * rays
 
 
@@ -138,11 +150,22 @@ def bent(points, rng):
 
 
 def wobbling(points, rng):
-    return points + ranges(points) * np.sin(3 * np.arctan2(points[:, 1:2], points[:, :1])) * [0, 0, 0.009]
+    return points + ranges(points) * np.sin(3 * np.arctan2(points[:, 1:2], points[:, :1])) * [
+        0,
+        0,
+        0.009,
+    ]
 
 
 UNKNOWN = {own.__name__: own for own in (on_a_grid, bent, wobbling)}
-ALWAYS = ["forward", "motion forward", "range noise", "lost returns", "missing parts", "second returns"]
+ALWAYS = [
+    "forward",
+    "motion forward",
+    "range noise",
+    "lost returns",
+    "missing parts",
+    "second returns",
+]
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +174,9 @@ def places(real_data):
     found = []
     for name in ("000000", "000008"):
         points = (
-            np.fromfile(real_data / f"kitti_twin/real/{name}.bin", np.float32).reshape(-1, 4)[::4, :3].astype(float)
+            np.fromfile(real_data / f"kitti_twin/real/{name}.bin", np.float32)
+            .reshape(-1, 4)[::4, :3]
+            .astype(float)
         )
         found.append((points, points[:, 2] < -1.4, describe_sensor(points)))
     return found
@@ -207,7 +232,10 @@ def test_a_flaw_is_named_with_its_amount_and_its_correction_gains(places, health
 def test_a_flaw_without_a_cause_is_unexplained(places, name):
     pair = simulated(places[:1], UNKNOWN[name])[0]
     own = estimate(pair)
-    named = {cause.name: cause.estimate for cause in named_causes(cause_values([own.amounts]), np.arange(1))}
+    named = {
+        cause.name: cause.estimate
+        for cause in named_causes(cause_values([own.amounts]), np.arange(1))
+    }
     rng = np.random.default_rng(0)
     amounts = {cause: estimated.amount for cause, estimated in own.amounts.items()}
     made = corrections(pair, own.pose, amounts, named, rng)
@@ -238,11 +266,15 @@ def seen_along(beams_deg, origin_m, objects_deg):
 def test_a_road_that_is_too_high_is_not_a_scale_of_the_elevations():
     beams_deg = np.linspace(-25, 2, 32)
     reference = seen_along(beams_deg, 0.0, beams_deg)
-    assert elevation_scale(reference, seen_along(1.03 * beams_deg, 0.0, 1.03 * beams_deg)) == pytest.approx(0.03)
-    assert elevation_scale(reference, seen_along(1.03 * beams_deg, 0.0, beams_deg)) == 0.0, "objects do not move"
-    assert elevation_scale(reference, seen_along(1.03 * beams_deg, 0.1, 1.03 * beams_deg)) is None, (
-        "as of a higher road"
+    assert elevation_scale(
+        reference, seen_along(1.03 * beams_deg, 0.0, 1.03 * beams_deg)
+    ) == pytest.approx(0.03)
+    assert elevation_scale(reference, seen_along(1.03 * beams_deg, 0.0, beams_deg)) == 0.0, (
+        "objects do not move"
     )
+    assert (
+        elevation_scale(reference, seen_along(1.03 * beams_deg, 0.1, 1.03 * beams_deg)) is None
+    ), "as of a higher road"
 
 
 def test_a_displacement_is_undone(places):

@@ -15,9 +15,16 @@ SOME = {"holes": 5, "mirrored": 1, "yaw": 3.0, "blur": 0.4, "offset": 0.2, "nois
 
 def ring_scan(seed=0):
     """32 rings of a flat road 1.7 m below the sensor and of a wall across it, 30 m ahead."""
-    elevation, azimuth = np.meshgrid(np.radians(np.linspace(-20, 5, 32)), np.radians(np.arange(0, 360, 0.4)))
+    elevation, azimuth = np.meshgrid(
+        np.radians(np.linspace(-20, 5, 32)), np.radians(np.arange(0, 360, 0.4))
+    )
     u = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        axis=-1,
     ).reshape(-1, 3)
     with np.errstate(divide="ignore"):
         to_road = np.where(u[:, 2] < 0, -1.7 / u[:, 2], np.inf)
@@ -93,7 +100,9 @@ def test_lost_foliage_goes_in_clumps_and_nothing_else_goes(cloud):
 
 
 def test_blur_leaves_a_plane_and_rounds_the_corner_of_two():
-    floor = np.stack(np.meshgrid(np.arange(0, 4, 0.05), np.arange(0, 4, 0.05), [0.0]), axis=-1).reshape(-1, 3)
+    floor = np.stack(
+        np.meshgrid(np.arange(0, 4, 0.05), np.arange(0, 4, 0.05), [0.0]), axis=-1
+    ).reshape(-1, 3)
     wall = floor[:, [2, 1, 0]]
     corner = np.unique(np.vstack([floor, wall]), axis=0)
     blurred = FLAWS["blur"](corner, 0.4, seeded())
@@ -116,10 +125,13 @@ def test_wrong_beams_look_elsewhere_and_meet_the_same_surfaces():
     scan = ring_scan()
     altered = FLAWS["beams"](scan, 0.3, seeded())
     turned_deg = np.degrees(
-        np.arctan2(altered[:, 2], np.hypot(*altered[:, :2].T)) - np.arctan2(scan[:, 2], np.hypot(*scan[:, :2].T))
+        np.arctan2(altered[:, 2], np.hypot(*altered[:, :2].T))
+        - np.arctan2(scan[:, 2], np.hypot(*scan[:, :2].T))
     )
     assert np.abs(turned_deg).mean() == pytest.approx(0.3 * np.sqrt(2 / np.pi), rel=0.4)
-    np.testing.assert_allclose(np.arctan2(altered[:, 1], altered[:, 0]), np.arctan2(scan[:, 1], scan[:, 0]), atol=1e-9)
+    np.testing.assert_allclose(
+        np.arctan2(altered[:, 1], altered[:, 0]), np.arctan2(scan[:, 1], scan[:, 0]), atol=1e-9
+    )
     is_road = (np.abs(scan[:, 2] + 1.7) < 1e-9) & (np.linalg.norm(scan, axis=1) < 12)
     np.testing.assert_allclose(altered[is_road, 2], -1.7, atol=1e-6)
     is_wall = (np.abs(scan[:, 0] - 30) < 1e-9) & (np.abs(scan[:, 1]) < 10) & (scan[:, 2] > -1)
@@ -140,7 +152,11 @@ def test_local_planes_agree_with_one_place_after_the_other(rng):
             weight = np.exp(-((2 * apart[near] / 0.9) ** 2))
             mean = (weight[:, None] * points[near]).sum(axis=0) / weight.sum()
             covariance = (
-                sum(w * np.outer(p - mean, p - mean) for w, p in zip(weight, points[near], strict=True)) / weight.sum()
+                sum(
+                    w * np.outer(p - mean, p - mean)
+                    for w, p in zip(weight, points[near], strict=True)
+                )
+                / weight.sum()
             )
             variance, axes = np.linalg.eigh(covariance)
             np.testing.assert_allclose(planes.mean[i], mean, atol=1e-9)
@@ -180,7 +196,9 @@ def test_a_rotation_turns_about_the_vertical_through_the_sensor():
 
 
 def test_a_translation_is_horizontal_of_the_wanted_length_and_in_a_seeded_direction(cube):
-    shifts = [perturb(cube, Perturbation("rigid", 0.0, 0.05), seeded(seed)) - cube for seed in (1, 2)]
+    shifts = [
+        perturb(cube, Perturbation("rigid", 0.0, 0.05), seeded(seed)) - cube for seed in (1, 2)
+    ]
     for shift in shifts:
         np.testing.assert_allclose(shift, np.broadcast_to(shift[0], shift.shape), atol=1e-12)
         assert shift[0, 2] == 0

@@ -24,7 +24,13 @@ from scenes import box, moved, rigid, road, street
 
 def scene(seed=0):
     """The small street, with more of what has no symmetry, so densely that its voxels are all met."""
-    return np.vstack([street(seed, n=1500), road(12000, seed=seed + 1), box([12, -5, 1], [0.3, 9, 5], 3000, seed + 5)])
+    return np.vstack(
+        [
+            street(seed, n=1500),
+            road(12000, seed=seed + 1),
+            box([12, -5, 1], [0.3, 9, 5], 3000, seed + 5),
+        ]
+    )
 
 
 def again(points, seed=3):
@@ -100,9 +106,15 @@ def test_scans_in_any_two_frames_fit_with_both_named_and_the_setting_that_is_nam
 
 @pytest.mark.parametrize("sim_frame", ["carla", "nuscenes", "kitti-cam"])
 def test_the_frame_of_one_side_is_named(sim_frame):
-    assert check(scene(), recorded(again(scene()), sim_frame)).setting == f"input.sim_frame={sim_frame}"
+    assert (
+        check(scene(), recorded(again(scene()), sim_frame)).setting
+        == f"input.sim_frame={sim_frame}"
+    )
     if sim_frame != "carla":  # its own inverse, and simulators are left-handed
-        assert check(recorded(again(scene()), sim_frame), scene()).setting == f"input.real_frame={sim_frame}"
+        assert (
+            check(recorded(again(scene()), sim_frame), scene()).setting
+            == f"input.real_frame={sim_frame}"
+        )
 
 
 @pytest.mark.parametrize("real_frame", ["nuscenes", "kitti-cam"])
@@ -144,7 +156,12 @@ def test_a_motion_that_is_set_is_kept_in_the_setting_that_mends():
 
 def test_the_same_scan_fits_wholly_as_it_lies():
     found = check(scene(), scene())
-    assert (found.as_it_lies, found.coverage, found.reading, found.setting) == (1.0, 1.0, "as given", "")
+    assert (found.as_it_lies, found.coverage, found.reading, found.setting) == (
+        1.0,
+        1.0,
+        "as given",
+        "",
+    )
 
 
 def test_a_symmetric_corridor_raises_no_alarm_however_it_lies():
@@ -157,7 +174,12 @@ def test_a_symmetric_corridor_raises_no_alarm_however_it_lies():
 
 
 def test_two_places_raise_no_alarm_because_no_reading_fits(rng):
-    other = np.vstack([road(12000, seed=7), *(box([*rng.uniform(-16, 16, 2), 0], [3, 2, 3], 800, i) for i in range(9))])
+    other = np.vstack(
+        [
+            road(12000, seed=7),
+            *(box([*rng.uniform(-16, 16, 2), 0], [3, 2, 3], 800, i) for i in range(9)),
+        ]
+    )
     assert not check(scene(), other).is_suspect
 
 
@@ -269,7 +291,12 @@ def test_a_side_with_a_twentieth_of_the_points_is_nearly_empty():
     half = np.array([5_000, 5_000, 5_000])
     assert (find_empty_side(many, few), find_empty_side(few, many)) == ("sim", "real")
     assert find_empty_side(many, 0 * many) == "sim"
-    assert find_empty_side(many, half) is find_empty_side(many, few[:0]) is find_empty_side(0 * many, 0 * many) is None
+    assert (
+        find_empty_side(many, half)
+        is find_empty_side(many, few[:0])
+        is find_empty_side(0 * many, 0 * many)
+        is None
+    )
 
 
 BONNET = ([1.8, 0, -0.9], [1.5, 1.6, 0.3])

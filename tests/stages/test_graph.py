@@ -21,11 +21,16 @@ from scenes import box
 
 
 def as_dict(edges):
-    return {(i, j): w for i, j, w in zip(edges.src.tolist(), edges.dst.tolist(), edges.length_m, strict=True)}
+    return {
+        (i, j): w
+        for i, j, w in zip(edges.src.tolist(), edges.dst.tolist(), edges.length_m, strict=True)
+    }
 
 
 def test_tau_is_inclusive():
-    points = np.array([[0.0, 0, 0], [0.25, 0, 0], [0.75, 0, 0], [1, 0, 0]])  # no point has its nearest across the gap
+    points = np.array(
+        [[0.0, 0, 0], [0.25, 0, 0], [0.75, 0, 0], [1, 0, 0]]
+    )  # no point has its nearest across the gap
     assert (1, 2) in as_dict(build_graph(points, GraphSettings(k=1, tau_m=0.5)))
 
 
@@ -84,19 +89,27 @@ BACKENDS = ["scikit-network", "python-louvain"]
 @pytest.fixture(scope="module")
 def three_boxes():
     points = np.vstack(
-        [box([0, 0, 0], [1, 1, 1], 60, 1), box([9, 0, 0], [1, 2, 1], 90, 2), box([0, 9, 0], [1, 1, 1], 30, 3)]
+        [
+            box([0, 0, 0], [1, 1, 1], 60, 1),
+            box([9, 0, 0], [1, 2, 1], 90, 2),
+            box([0, 9, 0], [1, 1, 1], 30, 3),
+        ]
     )
     return points, build_graph(points, GraphSettings(k=8))
 
 
 def test_the_reference_backend_is_python_louvain_itself(three_boxes):
     points, edges = three_boxes
-    labels = find_communities(len(points), edges, CommunitySettings(backend="python-louvain", seed=3))
+    labels = find_communities(
+        len(points), edges, CommunitySettings(backend="python-louvain", seed=3)
+    )
     G = nx.Graph()
     G.add_nodes_from(range(len(points)))
     G.add_weighted_edges_from((i, j, float(length)) for (i, j), length in as_dict(edges).items())
     found = python_louvain.best_partition(G, random_state=3)
-    np.testing.assert_array_equal(labels, literal_method.canonical([found[i] for i in range(len(points))]))
+    np.testing.assert_array_equal(
+        labels, literal_method.canonical([found[i] for i in range(len(points))])
+    )
 
 
 @pytest.mark.parametrize("seed", [0, 7])
@@ -104,7 +117,11 @@ def test_nodes_are_shuffled_as_scikit_network_shuffles_them(rng, seed):
     points = rng.uniform(0, 10, (600, 3))
     edges = build_graph(points, GraphSettings(k=12))
     own = Louvain(
-        resolution=1, shuffle_nodes=True, tol_optimization=1e-3, tol_aggregation=1e-7, random_state=seed
+        resolution=1,
+        shuffle_nodes=True,
+        tol_optimization=1e-3,
+        tol_aggregation=1e-7,
+        random_state=seed,
     ).fit_predict(adjacency(len(points), edges))
     ours = find_communities(len(points), edges, CommunitySettings(seed=seed))
     assert {tuple(np.flatnonzero(ours == label)) for label in set(ours)} == {
@@ -114,18 +131,26 @@ def test_nodes_are_shuffled_as_scikit_network_shuffles_them(rng, seed):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_an_isolated_node_is_a_community_of_its_own(backend):
-    edges = Edges(np.array([0, 0, 1], np.int32), np.array([1, 2, 2], np.int32), np.ones(3, np.float32))
+    edges = Edges(
+        np.array([0, 0, 1], np.int32), np.array([1, 2, 2], np.int32), np.ones(3, np.float32)
+    )
     assert find_communities(4, edges, CommunitySettings(backend=backend)).tolist() == [0, 0, 0, 1]
 
 
 def test_the_majority_names_an_object_and_the_alphabet_breaks_ties():
     labels = np.array([0, 0, 0, 1, 1, 2], np.int32)
-    assert majority_labels(labels, ["car", "wall", "car", "wall", "car", None]) == ["car", "car", None]
+    assert majority_labels(labels, ["car", "wall", "car", "wall", "car", None]) == [
+        "car",
+        "car",
+        None,
+    ]
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("exponent", [-50, -200, -310])
-def test_where_no_edge_has_a_length_the_connected_pieces_are_the_communities(three_boxes, backend, exponent):
+def test_where_no_edge_has_a_length_the_connected_pieces_are_the_communities(
+    three_boxes, backend, exponent
+):
     points, _ = three_boxes
     edges = build_graph(points * 10.0**exponent, GraphSettings(k=8))
     assert not edges.length_m.any()

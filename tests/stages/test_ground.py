@@ -33,7 +33,9 @@ def test_fewer_than_eight_points_are_refused():
 
 def test_the_threshold_is_lowered_until_the_loss_is_allowed_and_ends_at_the_peak():
     rng = np.random.default_rng(3)
-    low = np.column_stack([rng.uniform(-15, 15, (900, 2)), rng.uniform(-1.8, -1.3, 900)])  # a rough road
+    low = np.column_stack(
+        [rng.uniform(-15, 15, (900, 2)), rng.uniform(-1.8, -1.3, 900)]
+    )  # a rough road
     scan = np.vstack([low, box([8, 0, -0.6], [3, 3, 1.5], 100)])
     strict = remove_ground(scan, GroundSettings(max_variance_loss=0.0))
     assert strict.threshold_m == strict.peak_m
@@ -78,14 +80,18 @@ def test_own_peaks_jump_between_two_road_levels_and_that_of_the_real_side_does_n
     for sim in sims:
         cut = remove_ground(sim, settings, own, real)
         assert cut.peak_m == pytest.approx(own.peak_m, abs=0.01)
-        assert cut.threshold_m - cut.peak_m == pytest.approx(own.threshold_m - own.peak_m, abs=1e-12)
+        assert cut.threshold_m - cut.peak_m == pytest.approx(
+            own.threshold_m - own.peak_m, abs=1e-12
+        )
 
 
 @pytest.mark.parametrize("lift_m", [-0.5, -0.1, 0.2])
 def test_the_simulated_cut_follows_a_road_that_lies_lower_or_higher(lift_m):
     real = two_levels(0)
     own = remove_ground(real, GroundSettings())
-    whole_scan = remove_ground(two_levels(1) + [0, 0, lift_m], GroundSettings(peak="real"), own, real)
+    whole_scan = remove_ground(
+        two_levels(1) + [0, 0, lift_m], GroundSettings(peak="real"), own, real
+    )
     road_alone = remove_ground(two_levels(1, lift_m), GroundSettings(peak="real"), own, real)
     for cut in (whole_scan, road_alone):
         assert cut.peak_m - own.peak_m == pytest.approx(lift_m, abs=0.01)
@@ -96,7 +102,9 @@ def test_the_simulated_cut_is_its_own_where_the_sides_share_no_road():
     real = street(0)
     sim = street(1) + [40, 0, 0]
     alone = remove_ground(sim, GroundSettings())
-    cut = remove_ground(sim, GroundSettings(peak="real"), remove_ground(real, GroundSettings()), real)
+    cut = remove_ground(
+        sim, GroundSettings(peak="real"), remove_ground(real, GroundSettings()), real
+    )
     assert (cut.peak_m, cut.threshold_m) == (alone.peak_m, alone.threshold_m)
     assert "20 cells" in cut.notes[-1]
 

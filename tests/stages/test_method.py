@@ -20,9 +20,13 @@ OF_PAIRS = ("matching", "coverage", "surface", "pieces", "rays", "causes", "sele
 
 def read_tables(folder, pair_id):
     """The tables of one pair of a run, by name and side."""
-    files = {(name, side) for name in OF_SIDES for side in SIDES} | {(name, "") for name in OF_PAIRS}
+    files = {(name, side) for name in OF_SIDES for side in SIDES} | {
+        (name, "") for name in OF_PAIRS
+    }
     return {
-        (name, side): pd.read_parquet(folder / name / f"{pair_id}{'.' + side if side else ''}.parquet")
+        (name, side): pd.read_parquet(
+            folder / name / f"{pair_id}{'.' + side if side else ''}.parquet"
+        )
         for name, side in files
     }
 
@@ -38,7 +42,12 @@ def scans():
     "words",
     [
         [],
-        ["ground.shared=true", "ground.loss=total", "input.sim_flip_y=true", "matching.method=optimal"],
+        [
+            "ground.shared=true",
+            "ground.loss=total",
+            "input.sim_flip_y=true",
+            "matching.method=optimal",
+        ],
         ["communities.objects=reference", "graph.ties=coordinates", "communities.reach_m=0.4"],
     ],
     ids=" ".join,
@@ -48,19 +57,33 @@ def test_a_small_scene_has_the_tables_of_the_command(scans, words, tmp_path):
     settings = load(None, words)
     write_pair(tmp_path, *scans)
     (row,) = run(tmp_path, tmp_path / "run", settings).rows
-    result = evaluate_pair(*(read_scan(tmp_path / side / "a.bin").points for side in SIDES), settings)
+    result = evaluate_pair(
+        *(read_scan(tmp_path / side / "a.bin").points for side in SIDES), settings
+    )
     fields = {"ground": "points", "graph": "edges"}
     for (name, side), expected in read_tables(tmp_path / "run", "a").items():
         found = getattr(result, fields.get(name, name))
-        columns = [c for c in expected.columns if c not in ("pair_id", "intensity", "label", "instance")]
-        frames = (own[columns].reset_index(drop=True) for own in (found[side] if side else found, expected))
+        columns = [
+            c for c in expected.columns if c not in ("pair_id", "intensity", "label", "instance")
+        ]
+        frames = (
+            own[columns].reset_index(drop=True)
+            for own in (found[side] if side else found, expected)
+        )
         pd.testing.assert_frame_equal(*frames, check_exact=True, check_dtype=False, obj=name)
-    names = {name for name in row if name not in ("pair_id", "status", "reason") and "intensity" not in name}
+    names = {
+        name
+        for name in row
+        if name not in ("pair_id", "status", "reason") and "intensity" not in name
+    }
     assert {name: result.summary[name] for name in names} == {name: row[name] for name in names}
 
 
 def test_paths_scans_and_arrays_with_intensity_have_the_same_results(scans, tmp_path):
-    columns = [np.column_stack([points, np.linspace(0, 1, len(points))]).astype(np.float32) for points in scans]
+    columns = [
+        np.column_stack([points, np.linspace(0, 1, len(points))]).astype(np.float32)
+        for points in scans
+    ]
     paths = [tmp_path / f"{side}.bin" for side in SIDES]
     for path, rows in zip(paths, columns, strict=True):
         rows.tofile(path)
@@ -73,7 +96,9 @@ def test_paths_scans_and_arrays_with_intensity_have_the_same_results(scans, tmp_
         pd.testing.assert_frame_equal(result.points["sim"], results[0].points["sim"])
     matched = results[0].summary["n_matched"]
     assert matched > 0
-    assert repr(results[0]).startswith(f"<evaluated pair, preset paper: n_matched {matched}, n_not_found ")
+    assert repr(results[0]).startswith(
+        f"<evaluated pair, preset paper: n_matched {matched}, n_not_found "
+    )
     with pytest.raises(ScanError, match=r"sim: .*\(60, 5\)"):
         evaluate_pair(columns[0], np.ones((60, 5)))
 
@@ -90,7 +115,11 @@ def test_a_graph_that_is_given_is_taken_and_another_seed_changes_the_communities
 
 
 def test_with_a_memo_no_object_is_scored_twice_and_nothing_else_changes(scans):
-    settings = [load(None, [f"matching.delta_m={delta}", f"selection.t={t}"]) for t in (1, 2) for delta in (2, 60)]
+    settings = [
+        load(None, [f"matching.delta_m={delta}", f"selection.t={t}"])
+        for t in (1, 2)
+        for delta in (2, 60)
+    ]
     above = [scan[scan[:, 2] > -1.3] for scan in scans]
     real, sim = partition(above[0], settings[0]), partition(above[1], settings[0])
     memo = {}
@@ -107,7 +136,10 @@ def test_points_as_one_object_are_scored_like_a_scan_that_is_one_community(rng):
     settings = load(None, ["graph.k=5"])
     real, sim = rng.normal(0, 1, (40, 3)), rng.normal(0.1, 1, (50, 3))
     whole = [partition(points, settings) for points in (real, sim)]
-    one = [type(scan)(scan.points, scan.edges, np.zeros_like(scan.labels), scan.objects) for scan in whole]
+    one = [
+        type(scan)(scan.points, scan.edges, np.zeros_like(scan.labels), scan.objects)
+        for scan in whole
+    ]
     wanted = score(one[0].subgraphs([0])[0], one[1].subgraphs([0])[0], settings.selection)
     own = score(graph_of(real, settings), graph_of(sim, settings), settings.selection)
     assert own.scores == wanted.scores

@@ -29,11 +29,16 @@ def scored(real, sim, k=8):
 def test_two_paths_of_three_nodes_by_hand():
     # Normalised Laplacians of weighted paths a-b-c have the spectrum 0, 1, 2 whatever the weights: only L itself moves.
     scores, *_ = scored(
-        np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0.0, 0, 0], [1, 0, 0], [4, 0, 0]]), k=1
+        np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]),
+        np.array([[0.0, 0, 0], [1, 0, 0], [4, 0, 0]]),
+        k=1,
     )
     assert scores.max_eigenvalue_shift == pytest.approx(0, abs=1e-12)
     assert scores.laplacian_change > 0.1
-    assert (scores.r_lambda, scores.r_gap) == (pytest.approx(0, abs=1e-12), pytest.approx(0, abs=1e-12))
+    assert (scores.r_lambda, scores.r_gap) == (
+        pytest.approx(0, abs=1e-12),
+        pytest.approx(0, abs=1e-12),
+    )
     assert scores.gap_real == pytest.approx(1)
 
 
@@ -44,7 +49,9 @@ def test_the_largest_change_that_there_is_stays_within_its_bounds(seed):
     nodes = np.arange(5, dtype=np.int32)
     weight = rng.uniform(0.1, 3, 4)
     points = rng.normal(size=(5, 3))
-    path = Subgraph(nodes, points, sparse.csr_matrix(sparse.diags_array([weight, weight], offsets=[-1, 1])))
+    path = Subgraph(
+        nodes, points, sparse.csr_matrix(sparse.diags_array([weight, weight], offsets=[-1, 1]))
+    )
     alone = Subgraph(nodes, points, sparse.csr_matrix((5, 5)))
     scores = score_object(alone, path, Selection(nodes, nodes, np.ones(5), np.ones(5)))
     for value in (scores.max_eigenvalue_shift, scores.laplacian_change):
@@ -53,7 +60,9 @@ def test_the_largest_change_that_there_is_stays_within_its_bounds(seed):
 
 
 def test_cdc_of_two_single_points_by_hand():
-    assert chamfer_density_aware(np.zeros((1, 3)), np.array([[0.0, 2, 0]])) == pytest.approx(2 * (1 - np.exp(-4)))
+    assert chamfer_density_aware(np.zeros((1, 3)), np.array([[0.0, 2, 0]])) == pytest.approx(
+        2 * (1 - np.exp(-4))
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -108,9 +117,13 @@ def test_a_band_of_uneven_width_has_the_same_eigenvalues(rng, half):
     reach = np.repeat(half, 400 // len(half))
     n = len(reach)
     row, column = np.indices((n, n))
-    dense = np.where(np.abs(row - column) <= np.minimum(reach[row], reach[column]), rng.normal(0, 1, (n, n)), 0)
+    dense = np.where(
+        np.abs(row - column) <= np.minimum(reach[row], reach[column]), rng.normal(0, 1, (n, n)), 0
+    )
     dense += dense.T
-    np.testing.assert_allclose(banded(sparse.csr_matrix(dense)), np.linalg.eigvalsh(dense), atol=1e-11)
+    np.testing.assert_allclose(
+        banded(sparse.csr_matrix(dense)), np.linalg.eigvalsh(dense), atol=1e-11
+    )
 
 
 def test_without_the_routines_for_parts_of_matrices_the_direct_way_is_taken(rng, monkeypatch):
@@ -123,7 +136,9 @@ def test_without_the_routines_for_parts_of_matrices_the_direct_way_is_taken(rng,
     np.testing.assert_array_equal(eigenvalues(L), direct)
 
 
-@pytest.mark.parametrize("signature", [b"void (char *, long *, double *)", b"void (char *, double *)"])
+@pytest.mark.parametrize(
+    "signature", [b"void (char *, long *, double *)", b"void (char *, double *)"]
+)
 def test_routines_with_other_integers_are_not_called(signature):
     assert kernels_from({"dgemm": capsule(signature)}) is None
 
@@ -154,7 +169,9 @@ def weighted(rng, n, mean_degree, weights):
     """The adjacency matrix of a random graph, shuffled, with the given weights of its edges."""
     src, dst = rng.integers(0, n, (2, n * mean_degree // 2))
     keep = src != dst
-    half = sparse.coo_matrix((weights(np.count_nonzero(keep)), (src[keep], dst[keep])), shape=(n, n)).tocsr()
+    half = sparse.coo_matrix(
+        (weights(np.count_nonzero(keep)), (src[keep], dst[keep])), shape=(n, n)
+    ).tocsr()
     return (half + half.T).tocsr()
 
 
@@ -183,13 +200,21 @@ def decades(rng, size):
 
 HARD = {
     "each eigenvalue of a ring twice": lambda rng, n: normalised_laplacian(ring(n)),
-    "twenty equal pieces": lambda rng, n: sparse.block_diag([normalised_laplacian(ring(n // 20))] * 20, format="csr"),
-    "a complete graph": lambda rng, n: normalised_laplacian(sparse.csr_matrix(np.ones((n, n)) - np.eye(n))),
+    "twenty equal pieces": lambda rng, n: sparse.block_diag(
+        [normalised_laplacian(ring(n // 20))] * 20, format="csr"
+    ),
+    "a complete graph": lambda rng, n: normalised_laplacian(
+        sparse.csr_matrix(np.ones((n, n)) - np.eye(n))
+    ),
     "a star": lambda rng, n: normalised_laplacian(
-        sparse.csr_matrix((np.ones(2 * n - 2), ([0] * (n - 1) + [*range(1, n)], [*range(1, n)] + [0] * (n - 1))))
+        sparse.csr_matrix(
+            (np.ones(2 * n - 2), ([0] * (n - 1) + [*range(1, n)], [*range(1, n)] + [0] * (n - 1)))
+        )
     ),
     "one eigenvalue and rounding": lambda rng, n: rotated(rng, 1 + EPS * rng.normal(0, 1, n)),
-    "clusters 1e-12 wide": lambda rng, n: rotated(rng, rng.integers(0, 5, n) / 2 + 1e-12 * rng.normal(0, 1, n)),
+    "clusters 1e-12 wide": lambda rng, n: rotated(
+        rng, rng.integers(0, 5, n) / 2 + 1e-12 * rng.normal(0, 1, n)
+    ),
     "geometric over fifteen decades": lambda rng, n: rotated(rng, np.geomspace(1e-15, 1, n)),
     "Wilkinson's": lambda rng, n: wilkinson(n),
     "half of the nodes alone": lambda rng, n: sparse.block_diag(
@@ -200,10 +225,15 @@ HARD = {
         format="csr",
     ),
     "pieces of five nodes": lambda rng, n: sparse.block_diag(
-        [normalised_laplacian(weighted(rng, 5, 4, lambda size: rng.uniform(0.1, 1, size))) for _ in range(n // 5)],
+        [
+            normalised_laplacian(weighted(rng, 5, 4, lambda size: rng.uniform(0.1, 1, size)))
+            for _ in range(n // 5)
+        ],
         format="csr",
     ),
-    "weights over fifteen decades": lambda rng, n: weighted(rng, n, 12, lambda size: decades(rng, size)),
+    "weights over fifteen decades": lambda rng, n: weighted(
+        rng, n, 12, lambda size: decades(rng, size)
+    ),
     "Laplacian of weights over fifteen decades": lambda rng, n: normalised_laplacian(
         weighted(rng, n, 12, lambda size: decades(rng, size))
     ),

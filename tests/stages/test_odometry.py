@@ -19,7 +19,9 @@ def drive(steps_m, turn_deg=0.0):
 
 
 def gaps(*trajectories):
-    return {gap.measure: (gap.real, gap.sim, gap.gap) for gap in compare_trajectories(*trajectories)}
+    return {
+        gap.measure: (gap.real, gap.sim, gap.gap) for gap in compare_trajectories(*trajectories)
+    }
 
 
 def test_equal_trajectories_have_no_gap():

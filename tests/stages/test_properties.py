@@ -16,7 +16,9 @@ from fidpipe.stages.metrics import chamfer_density_aware, score_object
 from fidpipe.stages.selection import select_nodes
 from runs import some_of
 
-SCALES = tuple(10.0**e for e in (-310, -200, -162, -155, -60, -45, -40, -20, -8, -3, 0, 0, 0, 0, 1, 3, 6, 8))
+SCALES = tuple(
+    10.0**e for e in (-310, -200, -162, -155, -60, -45, -40, -20, -8, -3, 0, 0, 0, 0, 1, 3, 6, 8)
+)
 EVERYTHING = KEEP_ALL | {"metrics": {"baselines": "all"}, "stability": {"seeds": 2}}
 REFERENCE = {"preset": "reference"}
 SETTINGS = (
@@ -32,7 +34,14 @@ SETTINGS = (
 )
 #: The same examples in every run: a failure is one of the code, and does not come and go.
 PROFILE = settings(max_examples=40, deadline=None, database=None, derandomize=True)
-BOTH_WAYS = ("chamfer_mean_m", "chamfer_squared_m2", "hausdorff_m", "f_score", "sliced_wasserstein_m", "histogram")
+BOTH_WAYS = (
+    "chamfer_mean_m",
+    "chamfer_squared_m2",
+    "hausdorff_m",
+    "f_score",
+    "sliced_wasserstein_m",
+    "histogram",
+)
 
 
 @st.composite
@@ -41,14 +50,22 @@ def clouds(draw, fewest=1, most=60, scales=SCALES):
     n = draw(st.integers(fewest, most))
     values = st.one_of(st.integers(-5, 5).map(float), st.floats(-1, 1, width=32))
     pool = np.array(draw(st.lists(values, min_size=3, max_size=8, unique=True)))
-    points = pool[np.array(draw(st.lists(st.tuples(*[st.integers(0, len(pool) - 1)] * 3), min_size=n, max_size=n)))]
-    shape = draw(st.sampled_from(("as it is", "line", "plane", "jitter", "two scales", "next to each other")))
+    points = pool[
+        np.array(
+            draw(st.lists(st.tuples(*[st.integers(0, len(pool) - 1)] * 3), min_size=n, max_size=n))
+        )
+    ]
+    shape = draw(
+        st.sampled_from(("as it is", "line", "plane", "jitter", "two scales", "next to each other"))
+    )
     if shape == "line":
         points = np.outer(np.arange(n), points[0])
     elif shape == "plane":
         points[:, draw(st.integers(0, 2))] = 1.0
     elif shape == "jitter":
-        points = points + np.random.default_rng(n).normal(0, draw(st.sampled_from(scales)), points.shape)
+        points = points + np.random.default_rng(n).normal(
+            0, draw(st.sampled_from(scales)), points.shape
+        )
     elif shape == "two scales":
         points[::2] *= draw(st.sampled_from(scales))
     elif shape == "next to each other":
@@ -103,7 +120,9 @@ def test_distances_of_two_sides_are_the_same_both_ways(real, sim):
     for one, other in zip(forth, back, strict=True):
         if one.name in BOTH_WAYS:
             assert (one.value is None) == (other.value is None), one.name
-            assert one.value is None or one.value == pytest.approx(other.value, rel=1e-9, abs=1e-300), one.name
+            assert one.value is None or one.value == pytest.approx(
+                other.value, rel=1e-9, abs=1e-300
+            ), one.name
 
 
 @PROFILE
@@ -113,8 +132,17 @@ def test_the_scores_of_an_object_are_the_same_both_ways(real, sim):
     real = graph_of(distinct(real), load())
     sim = graph_of(distinct(sim), load())
     selection = select_nodes(real, sim, load().selection)
-    back = type(selection)(selection.sim_nodes, selection.real_nodes, selection.sim_influence, selection.real_influence)
+    back = type(selection)(
+        selection.sim_nodes, selection.real_nodes, selection.sim_influence, selection.real_influence
+    )
     forth, back = score_object(real, sim, selection), score_object(sim, real, back)
-    for name in ("cdc", "alignment_rms_m", "r_lambda", "r_gap", "max_eigenvalue_shift", "laplacian_change"):
+    for name in (
+        "cdc",
+        "alignment_rms_m",
+        "r_lambda",
+        "r_gap",
+        "max_eigenvalue_shift",
+        "laplacian_change",
+    ):
         assert getattr(forth, name) == pytest.approx(getattr(back, name), rel=1e-6, abs=1e-9), name
     assert forth.status == back.status

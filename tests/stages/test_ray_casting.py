@@ -51,7 +51,9 @@ def test_a_laser_looks_at_the_azimuth_of_its_firing_plus_its_offset():
     elevation_deg = np.degrees(fire(VLP32C).elevation_rad).reshape(-1, 32)
     assert azimuth_deg[0, 0] == pytest.approx(90.0 - 1.4)
     assert azimuth_deg[0, 1] == pytest.approx(90.0 + 4.2)
-    assert azimuth_deg[10, 1] == pytest.approx(90.0 + 4.2 - 10 * 0.1990656)  # clockwise seen from above
+    assert azimuth_deg[10, 1] == pytest.approx(
+        90.0 + 4.2 - 10 * 0.1990656
+    )  # clockwise seen from above
     assert elevation_deg[7, 3] == pytest.approx(-15.639)
 
 
@@ -88,7 +90,9 @@ def test_a_ray_that_meets_nothing_has_no_row():
 def test_the_nearer_of_two_walls_hides_the_other():
     near = [[5.0, -1, -1], [5, 1, -1], [5, 0, 2]]
     far = [[9.0, -9, -9], [9, 9, -9], [9, 0, 20]]
-    hits = RayTarget(np.array(near + far), np.array([[3, 4, 5], [0, 1, 2]])).first_hits(np.array([[1.0, 0, 0]]))
+    hits = RayTarget(np.array(near + far), np.array([[3, 4, 5], [0, 1, 2]])).first_hits(
+        np.array([[1.0, 0, 0]])
+    )
     assert hits.face_ids.tolist() == [1]
     assert hits.range_m == pytest.approx([5.0])
 
@@ -116,7 +120,9 @@ def test_dropout_grows_with_range():
 
 def test_dark_and_grazed_surfaces_answer_less():
     at = np.full(3, 40.0)
-    white, dark, grazed = return_probability(VLP32C, at, np.array([1.0, 1.0, 0.1]), np.array([0.8, 0.1, 0.8]))
+    white, dark, grazed = return_probability(
+        VLP32C, at, np.array([1.0, 1.0, 0.1]), np.array([0.8, 0.1, 0.8])
+    )
     assert white > grazed > 0
     assert white > dark > 0
 
@@ -176,7 +182,8 @@ def test_rays_meet_the_nearer_of_two_walls_and_see_the_other_beside_it():
     near, _ = plane((1, 0, 0), 5.0, half_m=1.0)
     far, _ = plane((1, 0, 0), 12.0)
     again = scan(
-        np.vstack([near, far]), np.array([[1.0, 0, 0], [1, 0.02, 0.1], [1, 0.5, 0]]) / [[1.0], [1.005], [1.118]]
+        np.vstack([near, far]),
+        np.array([[1.0, 0, 0], [1, 0.02, 0.1], [1, 0.5, 0]]) / [[1.0], [1.005], [1.118]],
     )
     assert again[:, 0] == pytest.approx([5.0, 5.0, 12.0], abs=0.06)
 
@@ -198,7 +205,14 @@ def test_noise_and_losses_are_those_of_the_sensor():
     off_m = range_m - 6.0 / (again @ n / range_m)
     assert off_m.std() == pytest.approx(0.05, rel=0.05)
     np.testing.assert_allclose(range_m / 0.004, np.round(range_m / 0.004), atol=1e-6)
-    assert len(scan(points, directions, SensorModel("near", (), (), 0.2, 0.5, 5.0, 0.0, 0.0, 0.0, 60.0))) == 0
+    assert (
+        len(
+            scan(
+                points, directions, SensorModel("near", (), (), 0.2, 0.5, 5.0, 0.0, 0.0, 0.0, 60.0)
+            )
+        )
+        == 0
+    )
 
 
 def test_the_order_of_the_points_of_a_scan_changes_the_twin_by_rounding_alone():
@@ -214,7 +228,9 @@ def test_the_map_grows_with_the_surface_and_not_with_the_scans():
     voxels = EMPTY_MAP
     sizes = []
     for seed in range(4):
-        voxels = extended(voxels, points + seeded(seed).uniform(-0.02, 0.02, (len(points), 3)) * [1, 1, 0])
+        voxels = extended(
+            voxels, points + seeded(seed).uniform(-0.02, 0.02, (len(points), 3)) * [1, 1, 0]
+        )
         sizes.append(len(voxels.points))
     assert sizes[-1] < 1.05 * sizes[0]
     assert voxels.n_points.sum() == 4 * len(points)
@@ -243,10 +259,14 @@ def test_recorded_beams_are_those_of_the_scan_and_where_it_saw_nothing_those_of_
     azimuth = np.arctan2(everything[:, 1], everything[:, 0])
     is_seen = np.abs(azimuth) < 2.0  # nothing is met behind the sensor
     own = 20.0 * everything[is_seen]
-    others = 30.0 * np.vstack([everything + seeded(i).normal(0, 0.004, everything.shape) for i in range(4)])
+    others = 30.0 * np.vstack(
+        [everything + seeded(i).normal(0, 0.004, everything.shape) for i in range(4)]
+    )
     directions = recorded_directions(own, others)
     np.testing.assert_allclose(directions[: len(own)], everything[is_seen])
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0)
     added = directions[len(own) :]
-    assert (np.abs(np.arctan2(added[:, 1], added[:, 0])) > 2.0).mean() > 0.95  # some look over the uppermost ring
+    assert (
+        np.abs(np.arctan2(added[:, 1], added[:, 0])) > 2.0
+    ).mean() > 0.95  # some look over the uppermost ring
     assert len(directions) == pytest.approx(len(everything), rel=0.1)

@@ -21,7 +21,9 @@ def room(name="vlp16", step_deg=STEP_DEG, turned_deg=0.0, corners_m=CORNERS_M):
     """Returns of a sensor inside a box, one per firing."""
     directions = fire(SENSORS[name], step_deg=step_deg).directions()
     angle = np.radians(turned_deg)
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
     directions = directions @ turn.T
     steep = np.where(np.abs(directions) < 1e-9, 1e-9, directions)
     range_m = (np.where(steep > 0, corners_m[1], corners_m[0]) / steep).min(axis=1)
@@ -29,7 +31,9 @@ def room(name="vlp16", step_deg=STEP_DEG, turned_deg=0.0, corners_m=CORNERS_M):
 
 
 def counts(rays):
-    return dict(zip(OUTCOMES, np.bincount(rays.outcome, minlength=len(OUTCOMES)).tolist(), strict=True))
+    return dict(
+        zip(OUTCOMES, np.bincount(rays.outcome, minlength=len(OUTCOMES)).tolist(), strict=True)
+    )
 
 
 def test_a_scan_against_itself_is_the_same_on_all_rays():
@@ -88,7 +92,9 @@ def test_bias_and_scale_of_the_range_are_found(factor, added_m):
 
 def test_columns_that_lie_between_those_of_the_real_sensor_change_no_range_of_a_plane():
     inside = np.array([[-18.0, -12.0, -100.0], [31.0, 9.0, 100.0]])  # walls alone
-    rays = compare_rays(room(corners_m=inside), room(corners_m=inside, turned_deg=0.15), grid(), grid())
+    rays = compare_rays(
+        room(corners_m=inside), room(corners_m=inside, turned_deg=0.15), grid(), grid()
+    )
     both = np.isfinite(rays.real_range_m) & np.isfinite(rays.sim_range_m)
     assert both.mean() > 0.99
     assert np.quantile(np.abs(rays.sim_range_m - rays.real_range_m)[both], 0.95) < 1e-6
@@ -137,7 +143,10 @@ def unity(path):
 
 def test_rays_paired_by_direction_are_those_of_the_known_rows(real_data):
     names = ("", "_Precise")
-    scans = [unity(real_data / "unity_vlp16" / f"Geometric_16Channel__First_Frame{name}.csv") for name in names]
+    scans = [
+        unity(real_data / "unity_vlp16" / f"Geometric_16Channel__First_Frame{name}.csv")
+        for name in names
+    ]
     rows = [np.flatnonzero(np.linalg.norm(scan, axis=1) > 0.5) for scan in scans]
     real = scans[0][rows[0]]
     sim = scans[1][rows[1]]
@@ -220,7 +229,10 @@ def test_equal_intensities_agree_in_every_score(scan, material):
     ("flaw", "note"),
     [
         (lambda scan, own: np.full(len(own), 0.3), "sim: constant (0.3)"),
-        (lambda scan, own: np.exp(-0.004 * np.linalg.norm(scan, axis=1)), "sim: a function of range alone"),
+        (
+            lambda scan, own: np.exp(-0.004 * np.linalg.norm(scan, axis=1)),
+            "sim: a function of range alone",
+        ),
         (lambda scan, own: 255 * own, None),
     ],
 )

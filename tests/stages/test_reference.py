@@ -21,7 +21,11 @@ SETTINGS = load(None, ["graph.k=8"], preset="reference")
 def boxes():
     """Three objects far apart."""
     return np.vstack(
-        [box([0, 0, 0], [2, 2, 2], 80, 1), box([9, 0, 0], [1, 2, 1], 50, 2), box([0, 9, 0], [1, 1, 1], 30, 3)]
+        [
+            box([0, 0, 0], [2, 2, 2], 80, 1),
+            box([9, 0, 0], [1, 2, 1], 50, 2),
+            box([0, 9, 0], [1, 1, 1], 30, 3),
+        ]
     )
 
 
@@ -32,7 +36,10 @@ def scores(real, sim, settings=SETTINGS):
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0]])
 def test_a_point_between_two_real_points_goes_to_the_first_by_place_whatever_its_row(order):
-    points, labels = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 3, 0]]), np.array([1, 0, 0], dtype=np.int32)
+    points, labels = (
+        np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 3, 0]]),
+        np.array([1, 0, 0], dtype=np.int32),
+    )
     reference = ReferenceObjects(points[order], labels[order])
     sim = np.array([[0.5, 0, 0]])
     assert assign_to_reference(sim, reference, SETTINGS.communities, 0.6)[0] == 1
@@ -40,7 +47,12 @@ def test_a_point_between_two_real_points_goes_to_the_first_by_place_whatever_its
 
 def test_the_reach_is_inclusive():
     reference = ReferenceObjects(np.zeros((1, 3)), np.zeros(1, dtype=np.int32))
-    sim = np.vstack([np.full((8, 3), [1.0, 0, 0]) * np.linspace(1, 1, 8)[:, None], box([50, 0, 0], [0.2, 0.2, 0.2], 8)])
+    sim = np.vstack(
+        [
+            np.full((8, 3), [1.0, 0, 0]) * np.linspace(1, 1, 8)[:, None],
+            box([50, 0, 0], [0.2, 0.2, 0.2], 8),
+        ]
+    )
     labels = assign_to_reference(sim, reference, SETTINGS.communities, 0.6)
     assert labels.tolist() == [0] * 8 + [1] * 8
 
@@ -48,13 +60,19 @@ def test_the_reach_is_inclusive():
 @pytest.mark.parametrize("backend", ["scikit-network", "python-louvain"])
 def test_the_order_of_rows_does_not_change_an_object(boxes, rng, backend):
     settings = load(None, ["graph.k=8", f"communities.backend={backend}"], preset="reference")
-    grid = np.stack(np.meshgrid(*[np.arange(5.0)] * 3), axis=-1).reshape(-1, 3) + [20, 0, 0]  # full of ties
+    grid = np.stack(np.meshgrid(*[np.arange(5.0)] * 3), axis=-1).reshape(-1, 3) + [
+        20,
+        0,
+        0,
+    ]  # full of ties
     points = np.vstack([boxes, grid])
     order = rng.permutation(len(points))
     first, shuffled = partition(points, settings), partition(points[order], settings)
     assert first.labels[order].tolist() == shuffled.labels.tolist()
     for measure in ("n_points", "centroid", "extent", "shape"):
-        np.testing.assert_array_equal(getattr(first.objects, measure), getattr(shuffled.objects, measure))
+        np.testing.assert_array_equal(
+            getattr(first.objects, measure), getattr(shuffled.objects, measure)
+        )
 
 
 def test_losing_a_point_leaves_the_order_of_the_others(boxes):
@@ -73,20 +91,33 @@ def test_a_scan_less_one_point_has_all_its_objects(boxes):
 def test_a_side_of_which_all_is_left_out_is_refused_with_its_labels():
     points = box([0, 0, 0], [2, 2, 1], 60, 1)
     labels = np.array(["car"] * 40 + [None] * 20, dtype=object)
-    everything = CommunitySettings(objects="reference", reference="labels", leave_out=("unlabelled", "Car"))
+    everything = CommunitySettings(
+        objects="reference", reference="labels", leave_out=("unlabelled", "Car")
+    )
     with pytest.raises(StageError, match="car, unlabelled"):
-        find_reference_objects(points, build_graph(points, GraphSettings()), everything, Annotation(labels))
+        find_reference_objects(
+            points, build_graph(points, GraphSettings()), everything, Annotation(labels)
+        )
 
 
 def test_crumbs_of_a_label_go_to_its_nearest_larger_piece():
     points = np.vstack(
-        [box([0, 0, 0], [2, 2, 1], 40, 1), box([20, 0, 0], [2, 2, 1], 30, 2), [[13.0, 0, 0], [50, 0, 0]]]
+        [
+            box([0, 0, 0], [2, 2, 1], 40, 1),
+            box([20, 0, 0], [2, 2, 1], 30, 2),
+            [[13.0, 0, 0], [50, 0, 0]],
+        ]
     )
     labels = np.array(["tree"] * 71 + ["pole"], dtype=object)
     settings = CommunitySettings(objects="reference", reference="labels")
     edges = build_graph(points, GraphSettings())
     found = find_reference_objects(points, edges, settings, Annotation(labels))
-    assert found.tolist() == [0] * 40 + [1] * 31 + [2]  # the lone pole has no larger piece of its label
+    assert found.tolist() == [0] * 40 + [1] * 31 + [
+        2
+    ]  # the lone pole has no larger piece of its label
     only_things = Annotation(instances=np.repeat([0, 5], [40, 32]).astype(np.int32))
     of_things = CommunitySettings(objects="reference", reference="instances")
-    assert find_reference_objects(points, edges, of_things, only_things).tolist() == [0] * 40 + [1] * 32
+    assert (
+        find_reference_objects(points, edges, of_things, only_things).tolist()
+        == [0] * 40 + [1] * 32
+    )

@@ -58,7 +58,10 @@ def pattern(text):
 
 def even(low, high, n):
     return replace(
-        SENSORS["hdl64"], elevation_deg=tuple(np.linspace(low, high, n)), azimuth_offset_deg=(0.0,) * n, lost_share=0.0
+        SENSORS["hdl64"],
+        elevation_deg=tuple(np.linspace(low, high, n)),
+        azimuth_offset_deg=(0.0,) * n,
+        lost_share=0.0,
     )
 
 
@@ -66,7 +69,9 @@ def even(low, high, n):
 def test_each_known_sensor_is_named_and_its_elevations_are_those_of_its_table(name):
     facts = describe_sensor(room(SENSORS[name]))
     assert facts.model == SENSORS[name].title
-    np.testing.assert_allclose(facts.elevation_deg, np.sort(SENSORS[name].elevation_deg), atol=0.011)
+    np.testing.assert_allclose(
+        facts.elevation_deg, np.sort(SENSORS[name].elevation_deg), atol=0.011
+    )
     assert facts.is_sharp and facts.origin_height_m == ()
 
 
@@ -83,7 +88,11 @@ def test_what_cannot_be_told_is_none_with_a_reason():
     facts = describe_sensor(room(replace(SENSORS["vlp16"], range_quantum_m=0.0)))
     assert facts.range_quantum_m is None and "no quantum" in facts.untold["range_quantum_m"]
     few = describe_sensor(np.ones((3, 3)))
-    assert few.elevation_deg == () and few.model is None and "at least 500" in few.untold["elevation_deg"]
+    assert (
+        few.elevation_deg == ()
+        and few.model is None
+        and "at least 500" in few.untold["elevation_deg"]
+    )
     assert describe_sensor(np.full((900, 3), np.nan)).n_points == 0
 
 
@@ -99,7 +108,10 @@ def test_what_cannot_be_told_is_none_with_a_reason():
 )
 def test_the_sensor_does_not_depend_on(change):
     points = room(SENSORS["hdl32"])
-    before, after = describe_sensor(points), describe_sensor(change(points, np.random.default_rng(1)))
+    before, after = (
+        describe_sensor(points),
+        describe_sensor(change(points, np.random.default_rng(1))),
+    )
     assert after.model == before.model == "Velodyne HDL-32E"
     np.testing.assert_allclose(after.elevation_deg, before.elevation_deg, atol=0.01)
     assert after.azimuth_step_deg == pytest.approx(before.azimuth_step_deg, abs=1e-3)
@@ -118,7 +130,9 @@ def test_noise_of_the_angles_is_that_of_elevation_and_of_azimuth():
     for e_deg, a_deg in ((0.03, 0.0), (0.0, 0.02), (0.05, 0.02)):
         e = level + np.radians(e_deg) * rng.normal(size=len(x))
         a = turn + np.radians(a_deg) * rng.normal(size=len(x))
-        noisy = range_m[:, None] * np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        noisy = range_m[:, None] * np.column_stack(
+            [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]
+        )
         found = describe_sensor(noisy)
         assert found.elevation_noise_deg == pytest.approx(e_deg, rel=0.1, abs=0.003)
         assert found.azimuth_noise_deg == pytest.approx(a_deg, rel=0.1, abs=0.003)
@@ -128,7 +142,9 @@ def test_noise_of_the_angles_is_that_of_elevation_and_of_azimuth():
 def test_noise_is_known_where_most_returns_are_lost():
     points = room(SENSORS["vlp32c"])
     thinned = points[np.random.default_rng(1).random(len(points)) < 0.3]
-    assert describe_sensor(thinned).range_noise_m == pytest.approx(describe_sensor(points).range_noise_m, rel=0.1)
+    assert describe_sensor(thinned).range_noise_m == pytest.approx(
+        describe_sensor(points).range_noise_m, rel=0.1
+    )
 
 
 def test_the_order_of_rows_changes_no_bit():
@@ -136,7 +152,9 @@ def test_the_order_of_rows_changes_no_bit():
     assert describe_sensor(points[::-1]) == describe_sensor(points)
 
 
-@pytest.mark.parametrize("name", some_of(["vlp16", "hdl64", "os1-128", "pandar40p"], ["vlp16", "hdl64"]))
+@pytest.mark.parametrize(
+    "name", some_of(["vlp16", "hdl64", "os1-128", "pandar40p"], ["vlp16", "hdl64"])
+)
 @pytest.mark.parametrize(
     "change",
     [
@@ -152,7 +170,8 @@ def test_no_sensor_is_named_out_of_its_frame(name, change):
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "n"), [(-24.8, 2.0, 64), (-25.0, 15.0, 32), (-15.0, 16.0, 16), (-22.5, 22.5, 128)]
+    ("low", "high", "n"),
+    [(-24.8, 2.0, 64), (-25.0, 15.0, 32), (-15.0, 16.0, 16), (-22.5, 22.5, 128)],
 )
 def test_even_channels_are_no_known_sensors(low, high, n):
     facts = describe_sensor(room(even(low, high, n)))
@@ -171,8 +190,14 @@ def test_units_that_are_in_no_table_are_known_by_their_pattern():
 def test_a_name_agrees_with_step_and_quantum():
     beams = pattern(" ".join(map(str, SENSORS["xt16"].elevation_deg)))
     assert recognise(beams).title == "Velodyne VLP-16 or Hesai PandarXT-16"
-    assert recognise(beams, 0.18, 0.004).title == recognise(beams, None, 0.004).title == "Hesai PandarXT-16"
-    assert recognise(beams, 0.1991).title == recognise(beams, None, 0.002).title == "Velodyne VLP-16"
+    assert (
+        recognise(beams, 0.18, 0.004).title
+        == recognise(beams, None, 0.004).title
+        == "Hesai PandarXT-16"
+    )
+    assert (
+        recognise(beams, 0.1991).title == recognise(beams, None, 0.002).title == "Velodyne VLP-16"
+    )
     neither = recognise(beams, 0.18, 0.05)
     assert neither.title is None and "2 mm, not 50 mm" in neither.reason
     ouster = recognise(pattern(OS1_64), 0.2)
@@ -218,7 +243,9 @@ def test_rings_tell_the_beams_of_a_scan_that_is_smeared():
     facts = describe_sensor(smeared, ring)
     assert (facts.model, len(facts.elevation_deg), facts.has_ring) == ("Velodyne HDL-32E", 32, True)
     assert not describe_sensor(smeared).is_sharp
-    assert describe_sensor(points, np.zeros(len(points), dtype=np.int32)).model == "Velodyne HDL-32E"
+    assert (
+        describe_sensor(points, np.zeros(len(points), dtype=np.int32)).model == "Velodyne HDL-32E"
+    )
 
 
 def test_points_anywhere_lie_in_no_beams():
@@ -228,11 +255,15 @@ def test_points_anywhere_lie_in_no_beams():
 
 @pytest.mark.parametrize("with_rings", [False, True])
 @pytest.mark.parametrize("name", ["vlp32c", "vlp16"])
-def test_beams_that_cross_before_the_axis_are_those_of_a_sensor_whose_beams_do_so_there(name, with_rings):
+def test_beams_that_cross_before_the_axis_are_those_of_a_sensor_whose_beams_do_so_there(
+    name, with_rings
+):
     sensor = SENSORS[name]
     points = room(sensor, lost_share=0.0)
     level = np.hypot(points[:, 0], points[:, 1])
-    points[:, :2] *= ((0.4 * level + sensor.focal_m) / level)[:, None]  # in a room so small that it matters
+    points[:, :2] *= ((0.4 * level + sensor.focal_m) / level)[
+        :, None
+    ]  # in a room so small that it matters
     points[:, 2] *= 0.4
     ring = np.tile(np.arange(sensor.n_beams), int(360 / STEP_DEG)) if with_rings else None
     facts = describe_sensor(points, ring)
@@ -242,7 +273,9 @@ def test_beams_that_cross_before_the_axis_are_those_of_a_sensor_whose_beams_do_s
 
 
 def test_a_focal_distance_of_another_sensor_names_none():
-    crossing = replace(pattern(" ".join(map(str, SENSORS["pandar40p"].elevation_deg))), focal_m=0.0424)
+    crossing = replace(
+        pattern(" ".join(map(str, SENSORS["pandar40p"].elevation_deg))), focal_m=0.0424
+    )
     assert recognise(crossing)[0] is None
     assert recognise(replace(crossing, focal_m=0.0))[0] == "Hesai Pandar40P"
 
@@ -302,7 +335,8 @@ def test_points_without_a_return_need_no_time():
 
 
 @pytest.mark.parametrize(
-    ("scale", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds"), (1e-6, "seconds")]
+    ("scale", "unit"),
+    [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds"), (1e-6, "seconds")],
 )
 def test_another_unit_is_named(scale, unit):
     (fault,) = faults(scale * turn()[1])
@@ -311,12 +345,17 @@ def test_another_unit_is_named(scale, unit):
 
 @pytest.mark.parametrize(
     "shuffle",
-    [lambda times: np.random.default_rng(0).permutation(times), lambda times: np.sort(times.reshape(-1, 16).T.ravel())],
+    [
+        lambda times: np.random.default_rng(0).permutation(times),
+        lambda times: np.sort(times.reshape(-1, 16).T.ravel()),
+    ],
     ids=["anyhow", "by row of a file that is sorted by beam"],
 )
 def test_times_of_other_points_do_not_go_round(shuffle):
     points, times = turn()
-    points = points.reshape(-1, 16, 3).swapaxes(0, 1).reshape(-1, 3)  # beam by beam, as organised clouds are
+    points = (
+        points.reshape(-1, 16, 3).swapaxes(0, 1).reshape(-1, 3)
+    )  # beam by beam, as organised clouds are
     right = times.reshape(-1, 16).T.ravel()
     assert faults(right, points) == ()
     (fault,) = faults(shuffle(right), points)
@@ -342,7 +381,10 @@ def test_a_time_of_the_scan_outside_of_its_turn_is_a_fault():
 
 def test_sides_whose_times_are_of_other_points_or_go_another_way_differ():
     points, times = turn()
-    first, last = describe_stamps(times, points, 0.0), describe_stamps(times - TURN_S, points * [1, -1, 1], 0.0)
+    first, last = (
+        describe_stamps(times, points, 0.0),
+        describe_stamps(times - TURN_S, points * [1, -1, 1], 0.0),
+    )
     assert stamp_differences(first, first) == stamp_differences(first, None) == []
     places, ways = stamp_differences(first, last)
     assert all(words in places for words in ("first point", "last point", "0.1 s"))
@@ -370,7 +412,10 @@ def test_plausible_scans_raise_no_warning():
         (lambda p: p * 1000, "expected metres: are they millimetres?"),
         (lambda p: p / 100, "expected metres"),
         (lambda p: p[:, [2, 1, 0]], "are the columns right"),
-        (lambda p: np.vstack([p, np.random.default_rng(0).uniform(-1, 1, (3 * len(p), 3))]), "hits on the ego vehicle"),
+        (
+            lambda p: np.vstack([p, np.random.default_rng(0).uniform(-1, 1, (3 * len(p), 3))]),
+            "hits on the ego vehicle",
+        ),
     ],
 )
 def test_an_implausible_scan_is_warned_of(change, warning):
@@ -403,12 +448,17 @@ def test_near_hits_are_told_with_what_the_present_settings_leave_of_them():
     (dropped,) = implausible(scan, "real", 2.5)
     assert "0.2%" in dropped and "input.min_range_m=2.5" in dropped
     (left,) = implausible(scan, "real", 1.0)
-    assert all(words in left for words in ("75.3%", "input.min_range_m=1", "input.min_range_m=3", "input.exclude_box"))
+    assert all(
+        words in left
+        for words in ("75.3%", "input.min_range_m=1", "input.min_range_m=3", "input.exclude_box")
+    )
 
 
 def test_the_widest_gap_is_found_across_the_seam():
     angles = np.radians(np.arange(-60, 61, 5))
-    assert widest_azimuth_gap_deg(np.column_stack([-np.cos(angles), np.sin(angles), angles])) == pytest.approx(240)
+    assert widest_azimuth_gap_deg(
+        np.column_stack([-np.cos(angles), np.sin(angles), angles])
+    ) == pytest.approx(240)
 
 
 def test_a_reach_beyond_all_measure_is_told_in_short():

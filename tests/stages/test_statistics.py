@@ -93,11 +93,15 @@ def test_a_score_that_some_pairs_lack_is_tested_on_the_others():
 
 
 @pytest.mark.parametrize("n", [3, 5, 6, 8, 10])
-@pytest.mark.parametrize("kind", [name for name in false_alarms.DISTRIBUTIONS if "of mean 0" not in name])
+@pytest.mark.parametrize(
+    "kind", [name for name in false_alarms.DISTRIBUTIONS if "of mean 0" not in name]
+)
 def test_equal_simulators_raise_a_false_alarm_in_at_most_one_of_twenty_cases(kind, n):
     repeats = 150
     rate = false_alarms.rates(*false_alarms.DISTRIBUTIONS[kind], n, repeats)[0]
-    assert rate <= 0.05 + 2.33 * (0.05 * 0.95 / repeats) ** 0.5  # and its binomial error, one-sided 1 %
+    assert (
+        rate <= 0.05 + 2.33 * (0.05 * 0.95 / repeats) ** 0.5
+    )  # and its binomial error, one-sided 1 %
 
 
 @pytest.mark.parametrize(("n", "one", "two"), [(6, 0.0, 0.2), (10, 0.1, 0.8), (20, 0.6, 1.0)])
@@ -117,7 +121,9 @@ def test_a_mean_over_blocks_leaves_out_what_is_null():
 def test_the_interval_of_a_mean_is_that_of_student():
     change = np.array([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]) + 2.0
     error = change.std(ddof=1) / 7**0.5
-    assert mean_interval(change)[1:] == pytest.approx(stats.t.interval(0.95, len(change) - 1, change.mean(), error))
+    assert mean_interval(change)[1:] == pytest.approx(
+        stats.t.interval(0.95, len(change) - 1, change.mean(), error)
+    )
 
 
 def test_differences_are_means_over_the_pairs_that_have_both_values():
@@ -175,7 +181,9 @@ def test_the_kind_of_change_of_an_object_by_hand():
 def test_a_score_without_noise_tells_any_difference():
     found = spread(np.array([[0.5, 0.5, 0.5], [0.7, 0.7, 0.7]]))
     assert found.mean == pytest.approx(0.6)
-    assert (found.std_seeds, found.least_pair, found.least_dataset) == pytest.approx((0, 0, 0), abs=1e-12)
+    assert (found.std_seeds, found.least_pair, found.least_dataset) == pytest.approx(
+        (0, 0, 0), abs=1e-12
+    )
     assert found.std_pairs == pytest.approx(np.std([0.5, 0.7], ddof=1))
 
 
@@ -187,7 +195,9 @@ def test_nulls_are_left_out():
 
 
 @pytest.mark.parametrize(("n_pairs", "n_seeds"), [(1, 2), (1, 5), (3, 2), (5, 5)])
-def test_the_repeatability_limit_covers_19_of_20_differences_however_few_the_repeats(n_pairs, n_seeds):
+def test_the_repeatability_limit_covers_19_of_20_differences_however_few_the_repeats(
+    n_pairs, n_seeds
+):
     rng = np.random.default_rng(1)
     n = 2000
     found = [spread(rng.normal(0, 0.2, (n_pairs, n_seeds))) for _ in range(n)]
@@ -223,7 +233,13 @@ def both_sides(real, sim):
     columns = [[] for _ in range(6)]
     for is_real, (range_m, label, is_matched, *scores) in ((True, real), (False, sim)):
         n = len(range_m)
-        values = ([is_real] * n, range_m, label, is_matched, *(scores or ([np.nan] * n, [np.nan] * n)))
+        values = (
+            [is_real] * n,
+            range_m,
+            label,
+            is_matched,
+            *(scores or ([np.nan] * n, [np.nan] * n)),
+        )
         for column, of_side in zip(columns, values, strict=True):
             column.extend(of_side)
     is_real, range_m, label, is_matched, cdc, r_lambda = columns
@@ -296,7 +312,11 @@ def test_a_rank_correlation_is_that_of_scipy_also_with_ties(n, n_values):
 
 def test_a_rank_correlation_sees_order_only():
     a = np.array([1.0, 2.0, 3.0, 100.0, np.nan])
-    assert vars(rank_correlation(a, -(a**3))) == {"n": 4, "spearman": pytest.approx(-1), "kendall": pytest.approx(-1)}
+    assert vars(rank_correlation(a, -(a**3))) == {
+        "n": 4,
+        "spearman": pytest.approx(-1),
+        "kendall": pytest.approx(-1),
+    }
     assert rank_correlation(a, np.ones(5)).kendall is None
 
 
@@ -310,7 +330,9 @@ def town(seed):
     """Twelve boxes at random places within 45 m."""
     rng = np.random.default_rng(seed)
     sizes = rng.uniform([2, 2, 2], [12, 4, 5], (12, 3))
-    return np.vstack([box([*rng.uniform(-45, 45, 2), 1], size, 400, seed + i) for i, size in enumerate(sizes)])
+    return np.vstack(
+        [box([*rng.uniform(-45, 45, 2), 1], size, 400, seed + i) for i, size in enumerate(sizes)]
+    )
 
 
 def test_a_place_is_recognised_after_some_metres_and_another_is_not():
@@ -336,7 +358,15 @@ def object_points(path):
 
 
 def test_ten_neighbouring_frames_are_one_place_and_other_recordings_are_not(real_data):
-    frames = [map_place(object_points(path)) for path in sorted((real_data / "kitti_sequence").glob("*.bin"))]
-    others = [next((real_data / folder).glob("*.bin")) for folder in ("nuscenes", "rellis", "carla")]
+    frames = [
+        map_place(object_points(path))
+        for path in sorted((real_data / "kitti_sequence").glob("*.bin"))
+    ]
+    others = [
+        next((real_data / folder).glob("*.bin")) for folder in ("nuscenes", "rellis", "carla")
+    ]
     assert min(overlap(frames[0], other) for other in frames) > SAME_PLACE + 0.1
-    assert max(overlap(frames[0], map_place(object_points(path))) for path in others) < SAME_PLACE - 0.1
+    assert (
+        max(overlap(frames[0], map_place(object_points(path))) for path in others)
+        < SAME_PLACE - 0.1
+    )

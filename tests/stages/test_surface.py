@@ -37,7 +37,11 @@ def test_both_sides_alike_have_no_offset_at_all_and_the_same_roughness(rng):
 
 
 def test_nothing_depends_on_the_order_of_rows(rng):
-    grid = np.stack(np.meshgrid(*[np.arange(14.0)] * 3), axis=-1).reshape(-1, 3) + [3, 0, 0]  # all distances tie
+    grid = np.stack(np.meshgrid(*[np.arange(14.0)] * 3), axis=-1).reshape(-1, 3) + [
+        3,
+        0,
+        0,
+    ]  # all distances tie
     real = grid
     sim = grid + [0.1, 0.2, 0.3]
     labels = (np.arange(len(grid)) % 7).astype(np.int32)
@@ -74,7 +78,9 @@ def test_a_line_and_a_single_place_are_no_plane_and_not_rough(rng):
 def test_the_roughness_of_a_noisy_plane_is_its_noise(rng):
     floor = np.column_stack([rng.uniform(0, 20, (1500, 2)), np.zeros(1500)])
     squares = [
-        np.mean(describe_surface(floor + [0, 0, 1] * rng.normal(0, noise, (1500, 1))).roughness_m ** 2)
+        np.mean(
+            describe_surface(floor + [0, 0, 1] * rng.normal(0, noise, (1500, 1))).roughness_m ** 2
+        )
         for noise in (0.0, 0.02, 0.05, 0.1)
     ]
     assert np.sqrt(squares) == pytest.approx([0, 0.02, 0.05, 0.1], rel=0.05, abs=1e-7)
@@ -83,11 +89,15 @@ def test_the_roughness_of_a_noisy_plane_is_its_noise(rng):
 @pytest.mark.exhaustive
 def test_two_halves_of_a_real_scan_lie_as_far_apart_as_they_are_moved(real_data, rng):
     for name in ("000000", "000006"):
-        scan = clean_scan(read_scan(real_data / f"kitti_twin/real/{name}.bin").points, Settings().input).points
+        scan = clean_scan(
+            read_scan(real_data / f"kitti_twin/real/{name}.bin").points, Settings().input
+        ).points
         scan = scan[~remove_ground(scan, Settings().ground).is_ground]
         half = rng.random(len(scan)) < 0.5
         for shift in ([0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0, 0, -0.2]):
-            assert offset(scan[half], scan[~half] + shift).shift_m[0] == pytest.approx(shift, abs=0.02)
+            assert offset(scan[half], scan[~half] + shift).shift_m[0] == pytest.approx(
+                shift, abs=0.02
+            )
 
 
 SETTINGS = PieceSettings()
@@ -121,7 +131,9 @@ def test_strips_of_road_that_one_side_cut_away_are_no_pieces():
     strip = grid(np.arange(-5, 5, 0.5), np.arange(-5, 0, 0.5), [-1.4])
     assert found(scan(CAR, strip), scan(CAR))[2] == found(scan(CAR), scan(CAR))[2]
     alone = scan(CAR, strip, ground=BARE)
-    assert found(alone, scan(CAR, ground=BARE))[2]["n_missing_pieces"] == 1  # no road there: surface is missing
+    assert (
+        found(alone, scan(CAR, ground=BARE))[2]["n_missing_pieces"] == 1
+    )  # no road there: surface is missing
 
 
 def test_a_box_that_moved_is_one_missing_and_one_invented_piece_with_the_vector_between_them():
@@ -150,7 +162,9 @@ def test_only_pieces_of_similar_size_nearby_are_one_that_moved(shift, stretch, i
     real = scan(crate + [8, 0, 0], ground=BARE)
     sim = scan(crate * stretch + [8, 0, 0] + shift, ground=BARE)
     missing, invented, _ = found(real, sim)
-    assert (missing.partner.tolist(), invented.partner.tolist()) == (([0], [0]) if is_moved else ([-1], [-1]))
+    assert (missing.partner.tolist(), invented.partner.tolist()) == (
+        ([0], [0]) if is_moved else ([-1], [-1])
+    )
     assert np.isnan(missing.moved_m[0]).all() != is_moved
 
 
@@ -167,7 +181,13 @@ def test_of_two_pieces_nearby_the_nearer_one_has_moved():
 def test_pieces_are_numbered_by_size_and_equal_ones_by_place():
     crate = grid(*[np.linspace(-0.5, 0.5, 4)] * 3)
     missing, _, counts = found(
-        scan(crate + [9, 0, 0], crate + [-7, 5, 0], crate[:40] + [0, 9, 0], crate[:9] + [0, -9, 0], ground=BARE),
+        scan(
+            crate + [9, 0, 0],
+            crate + [-7, 5, 0],
+            crate[:40] + [0, 9, 0],
+            crate[:9] + [0, -9, 0],
+            ground=BARE,
+        ),
         scan(crate + [30, 0, 0], ground=BARE),
     )
     assert missing.objects.n_points.tolist() == [64, 64, 40]  # nine points are too few
@@ -177,7 +197,10 @@ def test_pieces_are_numbered_by_size_and_equal_ones_by_place():
 
 
 def test_the_order_of_rows_does_not_change_a_piece_and_a_scan_has_none_against_itself(rng):
-    real, sim = scan(CAR, HEDGE, ground=road(50)), scan(CAR[::3] + [0, -2, 0], HEDGE[:100], ground=road(50))
+    real, sim = (
+        scan(CAR, HEDGE, ground=road(50)),
+        scan(CAR[::3] + [0, -2, 0], HEDGE[:100], ground=road(50)),
+    )
     first = find_pieces(real, sim, SETTINGS)
     assert len(first[0].partner) > 0
     orders = [rng.permutation(len(own.points)) for own in (real, sim)]
@@ -199,9 +222,16 @@ def test_components_are_those_of_all_links(rng, spread_m):
         place + rng.normal(0, spread_m, (n, 3))
         for place, n in zip(rng.uniform(-6, 6, (15, 3)), [1, 5, 40] * 5, strict=True)
     ]
-    for points in (np.vstack(clumps), grid(*[np.arange(6.0) * 0.6] * 3), np.zeros((3, 3)), np.empty((0, 3))):
+    for points in (
+        np.vstack(clumps),
+        grid(*[np.arange(6.0) * 0.6] * 3),
+        np.zeros((3, 3)),
+        np.empty((0, 3)),
+    ):
         labels = connected_points(points, 0.6)
-        assert literal.canonical(labels.tolist()) == literal.canonical(literal.components(points, 0.6))
+        assert literal.canonical(labels.tolist()) == literal.canonical(
+            literal.components(points, 0.6)
+        )
 
 
 def test_two_dense_clumps_a_link_apart_are_one_component_and_a_little_farther_two(rng):

@@ -21,7 +21,9 @@ FAR_CAR = ((-20, 5), (4, 2))
 
 def solid(centre, size, height_m=1.5, step_m=0.2):
     """Points on a grid in a box above the road."""
-    axes = [np.arange(c - s / 2, c + s / 2 + 1e-9, step_m) for c, s in zip(centre, size, strict=True)]
+    axes = [
+        np.arange(c - s / 2, c + s / 2 + 1e-9, step_m) for c, s in zip(centre, size, strict=True)
+    ]
     x, y, z = np.meshgrid(*axes, np.arange(0.5, 0.5 + height_m, step_m))
     return np.column_stack([x.ravel(), y.ravel(), z.ravel()])
 
@@ -94,7 +96,9 @@ def test_the_order_of_rows_does_not_matter():
     order = np.random.default_rng(0).permutation(len(real.points))
     mixed = CutScan(real.points[order], real.is_ground[order], real.height_m[order])
     for compare in (compare_obstacles, compare_ground, compare_occupancy, compare_free_space):
-        assert gaps(compare(mixed, sim, SETTINGS)) == pytest.approx(gaps(compare(real, sim, SETTINGS)))
+        assert gaps(compare(mixed, sim, SETTINGS)) == pytest.approx(
+            gaps(compare(real, sim, SETTINGS))
+        )
 
 
 def test_ground_is_compared_where_both_sides_see_it():

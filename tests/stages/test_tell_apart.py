@@ -4,14 +4,24 @@ import numpy as np
 import pytest
 
 from fidpipe.schemas.errors import StageError
-from fidpipe.stages.diagnose.tell_apart import GUARD_DEG, describe_points, folds, separate, usable_folds
+from fidpipe.stages.diagnose.tell_apart import (
+    GUARD_DEG,
+    describe_points,
+    folds,
+    separate,
+    usable_folds,
+)
 
 
 @pytest.fixture(scope="module")
 def corridor():
     """Road and walls, 40,000 points with 1 cm noise; the azimuth of each in degrees."""
     rng = np.random.default_rng(1)
-    x, across, up = rng.uniform(-30, 30, 40_000), rng.uniform(-6, 6, 40_000), rng.uniform(0, 4, 40_000)
+    x, across, up = (
+        rng.uniform(-30, 30, 40_000),
+        rng.uniform(-6, 6, 40_000),
+        rng.uniform(0, 4, 40_000),
+    )
     kind = rng.integers(3, size=len(x))
     y = np.where(kind == 0, across, np.where(kind == 1, -6.0, 6.0))
     points = np.column_stack([x, y, np.where(kind == 0, 0.0, up) - 1.7])
@@ -21,9 +31,13 @@ def corridor():
 def compare(real, sim):
     """The test of both sides by all features, and the AUC of each feature alone."""
     rows = np.arange(0, len(real), 10)
-    (real_features, names), (sim_features, _) = [describe_points(side, side[:, 2] + 1.7, rows) for side in (real, sim)]
+    (real_features, names), (sim_features, _) = [
+        describe_points(side, side[:, 2] + 1.7, rows) for side in (real, sim)
+    ]
     features = np.vstack([real_features, sim_features])
-    azimuth_deg = np.concatenate([np.degrees(np.arctan2(side[rows, 1], side[rows, 0])) for side in (real, sim)])
+    azimuth_deg = np.concatenate(
+        [np.degrees(np.arctan2(side[rows, 1], side[rows, 0])) for side in (real, sim)]
+    )
     is_sim = np.repeat([False, True], len(rows))
     splits = usable_folds(np.zeros(len(is_sim), dtype=np.int32), azimuth_deg, is_sim)
     alone = {name: separate(features[:, [i]], is_sim, splits).auc for i, name in enumerate(names)}
@@ -58,7 +72,10 @@ def test_places_and_sectors_are_tested_once_and_their_surroundings_are_not_train
         if n_places >= 5:
             assert np.abs(place[test][:, None] - place[train]).min() == 2
         else:
-            assert np.abs((azimuth[test][:, None] - azimuth[train] + 180) % 360 - 180).min() > GUARD_DEG
+            assert (
+                np.abs((azimuth[test][:, None] - azimuth[train] + 180) % 360 - 180).min()
+                > GUARD_DEG
+            )
     assert (tested == 1).all()
 
 

@@ -52,7 +52,10 @@ def turned(scan, degrees):
     [
         (lambda scan: with_misses(scan, 0.05, 120.0), MISSES),
         (lambda scan: with_misses(scan, 0.29, 200.0), MISSES),
-        (lambda scan: with_misses(scan, 0.25, np.random.default_rng(1).normal(150.0, 0.3, 9999)), MISSES),
+        (
+            lambda scan: with_misses(scan, 0.25, np.random.default_rng(1).normal(150.0, 0.3, 9999)),
+            MISSES,
+        ),
         (lambda scan: with_misses(with_misses(scan, 0.2, 150.0), 0.2, 200.0), MISSES),
         (thinned, BEAMS),
         (lambda scan: thinned(scan[np.linalg.norm(scan, axis=1) < 15.0]), BEAMS),
@@ -81,7 +84,11 @@ def test_a_healthy_scan_its_thinning_and_its_jitter_raise_no_doubt(scan):
 
 def test_misses_and_second_returns_do_not_change_the_sensor(scan):
     alone = describe_sensor(scan)
-    for points in (with_misses(scan, 0.29, 200.0), with_second_returns(scan, 0.4), np.vstack([scan, scan])):
+    for points in (
+        with_misses(scan, 0.29, 200.0),
+        with_second_returns(scan, 0.4),
+        np.vstack([scan, scan]),
+    ):
         sensor = describe_sensor(points)
         assert len(sensor.elevation_deg) == pytest.approx(len(alone.elevation_deg), abs=1)
         assert sensor.azimuth_step_deg == pytest.approx(alone.azimuth_step_deg, abs=0.01)
@@ -98,12 +105,19 @@ def test_a_cause_whose_need_is_in_doubt_is_unknown_with_the_reason(scan):
 
 
 def test_every_need_of_the_catalogue_can_be_in_doubt():
-    assert {need for cause in CAUSES.values() for need in cause.needs} == {ONE_SWEEP, SAME_SWEEPS, POSITION, BEAMS}
+    assert {need for cause in CAUSES.values() for need in cause.needs} == {
+        ONE_SWEEP,
+        SAME_SWEEPS,
+        POSITION,
+        BEAMS,
+    }
 
 
 def test_losses_are_unknown_if_only_one_side_has_an_azimuth_step(scan):
     sensor = describe_sensor(scan)
-    without_step = replace(sensor, azimuth_step_deg=None, untold={"azimuth_step_deg": "no common distance"})
+    without_step = replace(
+        sensor, azimuth_step_deg=None, untold={"azimuth_step_deg": "no common distance"}
+    )
     assert doubts_of(sensor, without_step) == {BEAMS: "simulated scan: no common distance"}
     assert doubts_of(without_step, without_step) == {}
 
@@ -126,7 +140,11 @@ def test_the_axes_of_unity_are_named_with_a_motion_that_fits(scan):
 
 def test_angles_and_a_repeated_point_are_named(scan):
     level = np.hypot(scan[:, 0], scan[:, 1])
-    angles = [np.arctan2(scan[:, 1], scan[:, 0]), np.arctan2(scan[:, 2], level), np.linalg.norm(scan, axis=1)]
+    angles = [
+        np.arctan2(scan[:, 1], scan[:, 0]),
+        np.arctan2(scan[:, 2], level),
+        np.linalg.norm(scan, axis=1),
+    ]
     for turn in (1.0, 180 / np.pi):
         for above in (angles[1], np.pi / 2 - angles[1]):
             columns = np.column_stack([angles[2], above * turn, angles[0] * turn])
@@ -163,10 +181,15 @@ def test_losses_are_unknown_if_the_other_causes_take_all_points():
     assert {amounts[name].reason for name in LOSSES} == {"no surface that both sides see"}
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("inches", 39.37), ("decimetres", 10.0), ("feet", 3.2808)])
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("inches", 39.37), ("decimetres", 10.0), ("feet", 3.2808)]
+)
 def test_units_are_named(scan, unit, factor):
     found = check_frames(scan, scan * factor, InputSettings())
-    assert (found.reading, found.doubt) == (f"in {unit}", f"the simulated scan is in another frame: in {unit}")
+    assert (found.reading, found.doubt) == (
+        f"in {unit}",
+        f"the simulated scan is in another frame: in {unit}",
+    )
 
 
 def test_scans_of_two_places_are_in_doubt(scan):

@@ -115,10 +115,14 @@ def _reader(ref: ScanRef) -> Iterator[Any]:
     except FidpipeError:
         raise
     except BaseException as error:
-        is_panic = type(error).__name__ == "PanicException"  # of a library in Rust; pyo3 makes it no Exception
+        is_panic = (
+            type(error).__name__ == "PanicException"
+        )  # of a library in Rust; pyo3 makes it no Exception
         if not (isinstance(error, Exception) or is_panic):
             raise
-        if isinstance(error, OSError) and error.errno is not None:  # of the file itself, not of a library
+        if (
+            isinstance(error, OSError) and error.errno is not None
+        ):  # of the file itself, not of a library
             raise ScanError(f"{ref}: cannot be read ({error.strerror})") from error
         content = ref.format.content
         what = f"not {content}" if content else "cannot be read"

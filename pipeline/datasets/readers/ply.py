@@ -22,7 +22,9 @@ def read(path: Path) -> Scan:
     with path.open("rb") as file:
         vertex = load_ply(file, skip_materials=True)["metadata"]["_ply_raw"]["vertex"]
     rows = vertex["data"]
-    columns = {name: np.asarray(rows[name]).reshape(vertex["length"]) for name in vertex["properties"]}
+    columns = {
+        name: np.asarray(rows[name]).reshape(vertex["length"]) for name in vertex["properties"]
+    }
     if any(column.dtype == object for column in columns.values()):
         raise ValueError("a row is too short")
     return scan_from_columns(path, columns)

@@ -69,15 +69,16 @@ async function openPair(name) {
   say("scene_note", `Shown: ${parts.join(", ")}, ${thinned}. A click on a point shows its object below.`);
   setChosen(null);
   drawInView("signed", drawSigned);
-  look(wholePair());
+  look(wholePair);
   return true;
 }
 
-// Draws the pair when it is in view, seen by a camera; later by the one that its user has turned.
+// Draws the pair when it is in view. camera: a function that is called then, when the scene has its full height; by
+// default the camera that its user has turned.
 function look(camera) {
-  scene.camera = camera;
+  scene.camera = camera ?? scene.camera;
   drawInView("scene", () => {
-    drawScene(scene.camera ?? byId("scene").layout?.scene.camera);
+    drawScene(scene.camera?.() ?? byId("scene").layout?.scene.camera);
     if (!byId("scene").dataset.wired) wireScene();
     scene.camera = null;
   });
@@ -267,7 +268,7 @@ function chooseObject(name, looksAt = false, isAsked = true) {
     describe(pair, pair.objects[placeOf(name)], link);
     showPanel(true);
   }
-  look(looksAt ? (name === null ? wholePair() : objectInPair(placeOf(name))) : undefined);
+  look(looksAt ? (name === null ? wholePair : () => objectInPair(placeOf(name))) : undefined);
 }
 
 // Shows the pair and object of the address, #pair=...&object=..., or a note if they do not exist.
