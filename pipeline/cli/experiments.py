@@ -70,27 +70,28 @@ def perturb(
     """
     from ...schemas.settings import load
     from ..engine.progress import Reporter
-    from ..paper.experiment_figures import draw_perturbations
-    from ..paper.experiment_views import perturb_view
-    from ..paper.perturb import LEVELS, NULL, parse_levels, perturb_source
+    from ..paper.experiment_views import show_perturbations
+    from ..paper.perturb import AMOUNTS, PerturbRequest, parse_levels, perturb_source
 
     baselines = [] if metrics is None else [f"metrics.baselines={metrics}"]
+    request = PerturbRequest(
+        levels=parse_levels(["null", *(sweep or AMOUNTS)]),
+        repeats=repeats,
+        global_repeats=global_repeats,
+        seed=seed,
+        objects=tuple(objects.split(",")) if objects else None,
+    )
     outcome = perturb_source(
         source,
         out or _experiment_folder(source, "perturb"),
         load(settings, [*(assignments or []), *baselines], preset=preset),
         Reporter(),
-        levels=tuple(dict.fromkeys((NULL, *parse_levels(sweep)))) if sweep else LEVELS,
-        repeats=repeats,
-        global_repeats=global_repeats,
-        seed=seed,
-        objects=tuple(objects.split(",")) if objects else None,
+        request,
         pattern=pairs,
         n_workers=workers,
-        replace=replace,
+        replace_finished=replace,
     )
-    draw_perturbations(outcome)
-    print_outcome(perturb_view(outcome), outcome.failures)
+    print_outcome(show_perturbations(outcome), outcome.failures)
 
 
 def ablate(
@@ -134,41 +135,28 @@ def ablate(
     from ...schemas.settings import load
     from ..engine.progress import Reporter
     from ..paper.ablate import ablate_dataset
-    from ..paper.experiment_figures import draw_ablation
-    from ..paper.experiment_views import ablate_view
+    from ..paper.experiment_views import show_ablation
 
-    asked = {
-        "k": ("--k", k),
-        "tau_m": ("--tau", tau),
-        "delta_m": ("--delta", delta),
-        "t": ("--t", t),
-    }
+    options = {"k": k, "tau_m": tau, "delta_m": delta, "t": t}
     outcome = ablate_dataset(
         dataset,
         out or _experiment_folder(dataset, "ablate"),
         load(settings, assignments or [], preset=preset),
         Reporter(),
-        values={
-            name: _numbers(option, text)
-            for name, (option, text) in asked.items()
-            if text is not None
-        },
+        values={name: _numbers(text) for name, text in options.items() if text is not None},
         grid=grid,
         pattern=pairs,
         n_workers=workers,
         replace=replace,
     )
-    draw_ablation(outcome)
-    print_outcome(ablate_view(outcome), outcome.failures)
+    print_outcome(show_ablation(outcome), outcome.failures)
 
 
-def _numbers(option: str, text: str) -> tuple[float, ...]:
+def _numbers(text: str) -> tuple[float, ...]:
     try:
         return tuple(float(word) for word in text.split(","))
     except ValueError:
-        raise typer.BadParameter(
-            f"expected numbers with commas, got {text!r}", param_hint=option
-        ) from None
+        raise typer.BadParameter(f"expected numbers with commas, got {text!r}") from None
 
 
 def _experiment_folder(source: Path, experiment: str) -> Path:

@@ -7,13 +7,12 @@ paper states its choice (k = 90, tau = 0.2, delta = 5) but no ranges; those here
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import groupby, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
-import pyarrow as pa
+from pydantic import BaseModel
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import SettingsError
@@ -21,24 +20,18 @@ from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
 from ...schemas.tables import TABLES
 from ...stages.method import Memo, compare, n_communities, partition
-from ...stages.plausibility import ScanInspection
-from ..datasets.pairs import ScanPair
-from ..datasets.readers.scan import Scan
 from ..datasets.readers.scan_ref import scan_ref
-from ..engine.memory import run_in_memory
-from ..engine.plan import Planner
 from ..engine.progress import Reporter
 from ..jobs import ground_job
 from ..jobs.points_job import annotation_in, points_in
-from ..pair_checks import pair_warnings
-from ..stage import INSPECTION, JobResult
+from ..stage import Inputs, JobResult
 from .experiment import (
-    Experiment,
     ExperimentOutcome,
-    Request,
-    mean_rows,
+    experiment_stage,
     read_source,
     run_experiment,
+    run_stages,
+    settings_of,
 )
 
 
@@ -51,65 +44,42 @@ class ParameterSet(NamedTuple):
     t: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class Parameter:
-    """A setting that is varied.
+class AblateRequest(BaseModel, frozen=True):
+    """Values of each parameter to try, the current one among them; and whether in all combinations."""
 
-    group : group of the setting
-    values : values to try by default
-    label : label of its axis in the figure
-    """
-
-    group: str
-    values: tuple[float, ...]
-    label: str
+    k: tuple[int, ...] = (30, 60, 90, 120, 150)
+    tau_m: tuple[float, ...] = (0.1, 0.2, 0.3, 0.5)
+    delta_m: tuple[float, ...] = (1.0, 3.0, 5.0, 7.0, 10.0)
+    t: tuple[float, ...] = (0.1, 0.5, 1.0, 2.0, 5.0)
+    grid: bool = False
 
 
-#: The ablated settings by name, which is also their column of `ablate`.
-PARAMETERS = {
-    "k": Parameter(
-        group="graph",
-        values=(30, 60, 90, 120, 150),
-        label="k, neighbours",
-    ),
-    "tau_m": Parameter(
-        group="graph",
-        values=(0.1, 0.2, 0.3, 0.5),
-        label="tau (m)",
-    ),
-    "delta_m": Parameter(
-        group="matching",
-        values=(1.0, 3.0, 5.0, 7.0, 10.0),
-        label="delta (m)",
-    ),
-    "t": Parameter(
-        group="selection",
-        values=(0.1, 0.5, 1.0, 2.0, 5.0),
-        label="t, diffusion time",
-    ),
-}
-_NAMES = list(PARAMETERS)
+class AblateSettings(Settings):
+    """The settings of a run, around which parameters are varied, and how."""
+
+    ablate: AblateRequest = AblateRequest()
+
+
+#: The ablated settings by name, which is also their column of `ablate`, with their group.
+PARAMETERS = {"k": "graph", "tau_m": "graph", "delta_m": "matching", "t": "selection"}
 _SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
 
 
-def evaluate_pair(
-    pair: ScanPair,
-    scans: Mapping[str, Scan],
-    settings: Settings,
-    request: Request,
-) -> JobResult:
-    """One row of `ablate` per parameter set of the request.
+def make_ablation(inputs: Inputs) -> JobResult:
+    """One row of `ablate` per parameter set.
 
     Graphs and communities of both sides are computed once for each k and tau; an object that is
     matched under several delta is scored once for each t.
     """
-    jobs = Planner((ground_job.STAGE,), settings, {}).jobs()
-    tables, outputs = run_in_memory(jobs, scans, pair.pair_id, pair.T_real_sim)
+    settings = settings_of(inputs)
+    tables, metadata = run_stages(inputs, [ground_job.STAGE], SIDES)
     _, real_points = points_in(tables["ground", "real"])
     _, sim_points = points_in(tables["ground", "sim"])
     annotation = annotation_in(tables["ground", "real"])
     rows = []
-    sets = parameter_sets(base_of(request), request["values"], request["grid"])
+    request = inputs.settings.ablate  # type: ignore[attr-defined]
+    values = {name: getattr(request, name) for name in PARAMETERS}
+    sets = parameter_sets(current(settings), values, request.grid)
     for _, group in groupby(sets, lambda parameters: (parameters.k, parameters.tau_m)):
         of_graph = list(group)
         graph_settings = with_parameters(settings, of_graph[0])
@@ -119,32 +89,13 @@ def evaluate_pair(
         for parameters in of_graph:
             used = with_parameters(settings, parameters)
             summary = compare(real, sim, used, memo=memo).summary
-            row: Row = {"pair_id": pair.pair_id, **parameters._asdict()}
+            row: Row = {"pair_id": inputs.pair_id, **parameters._asdict()}
             row |= n_communities(summary)
-            row |= {name: summary[name] for name in _SUMMARY}
-            rows.append(row)
-    inspections = {}
-    for side in SIDES:
-        inspections[side] = ScanInspection(**outputs["ground", side][INSPECTION])
-    warnings = pair_warnings(pair, inspections, None)
-    return JobResult({"ablate": TABLES["ablate"].from_rows(rows)}, {"warnings": warnings})
+            rows.append(row | {name: summary[name] for name in _SUMMARY})
+    return JobResult({"ablate": TABLES["ablate"].from_rows(rows)}, metadata)
 
 
-def _summary_rows(tables: Mapping[str, pa.Table]) -> list[Row]:
-    """The rows of `ablate_summary`: means and standard deviations over the pairs."""
-    scores = tables["ablate"].to_pandas().melt(_NAMES, DATASET_SCORES, "metric")
-    return [{"n_pairs": row["n"], **row} for row in mean_rows(scores, [*_NAMES, "metric"])]
-
-
-EXPERIMENT = Experiment(
-    name="ablate",
-    version=3,
-    sides=SIDES,
-    tables=("ablate",),
-    summary="ablate_summary",
-    evaluate=evaluate_pair,
-    summarise=_summary_rows,
-)
+STAGE = experiment_stage("ablate", 4, ("ablate",), make_ablation)
 
 
 def ablate_dataset(
@@ -165,7 +116,7 @@ def ablate_dataset(
     ----------
     settings : current settings, around which parameters are varied
     values : by parameter, values to try in addition to the current one; by default those of
-        `PARAMETERS`
+        `AblateRequest`
     grid : all combinations instead of one at a time
     pattern : only pairs whose name matches (shell style)
     n_workers : processes; None for one per core
@@ -176,52 +127,45 @@ def ablate_dataset(
     FidpipeError
         The dataset, a setting or the folder is invalid; raised before any work.
     """
-    base = ParameterSet(
-        settings.graph.k,
-        settings.graph.tau_m,
-        settings.matching.delta_m,
-        settings.selection.t,
-    )
-    requested = dict(values or {})
+    base = current(settings)
+    requested = dict(AblateRequest()) | dict(values or {})
     if settings.communities.objects == "reference":
-        if {*requested.get("delta_m", ())} - {base.delta_m}:
+        if values and {*values.get("delta_m", ())} - {base.delta_m}:
             raise SettingsError(
                 "--delta: leave it out; objects fixed by the real side are not matched by distance",
             )
         requested["delta_m"] = ()
-    tried = {}
-    for name, parameter in PARAMETERS.items():
-        tried[name] = sorted({*requested.get(name, parameter.values), getattr(base, name)})
+    tried = {name: sorted({*requested[name], getattr(base, name)}) for name in PARAMETERS}
     for parameters in parameter_sets(base, tried, grid):
         with_parameters(settings, parameters)  # raises before any work
-    tried["k"] = [int(k) for k in tried["k"]]
     source = read_source(dataset, pattern)
     if scan_ref(dataset).exists:
         raise SettingsError(
             f"{dataset}: is a scan; expected a dataset with real and simulated scans",
         )
-    request = {"base": list(base), "values": tried, "grid": grid}
+    request = AblateRequest(**tried, grid=grid)
     return run_experiment(
-        EXPERIMENT,
+        STAGE,
         source,
         out,
-        settings,
+        AblateSettings(**dict(settings), ablate=request),
         reporter,
-        request,
+        lambda tables: [tables["ablate"].melt([*PARAMETERS], DATASET_SCORES, "metric")],
         n_workers=n_workers,
         replace_finished=replace,
     )
 
 
-def base_of(request: Request) -> ParameterSet:
+def current(settings: Settings) -> ParameterSet:
     """The current values of the parameters."""
-    return ParameterSet(*request["base"])
+    values = [getattr(getattr(settings, group), name) for name, group in PARAMETERS.items()]
+    return ParameterSet(*values)
 
 
 def means_along(outcome: ExperimentOutcome, name: str) -> pd.DataFrame:
     """The rows of `ablate_summary` in which one parameter varies and the others have their current values."""
     summary = outcome.tables["ablate_summary"].to_pandas()
-    for other, value in base_of(outcome.request)._asdict().items():
+    for other, value in current(outcome.settings)._asdict().items():
         if other != name:
             summary = summary[summary[other] == value]
     return summary
@@ -258,6 +202,6 @@ def with_parameters(settings: Settings, parameters: ParameterSet) -> Settings:
         A value is out of bounds.
     """
     plain: dict[str, Any] = settings.model_dump(mode="json")
-    for name, parameter in PARAMETERS.items():
-        plain[parameter.group][name] = getattr(parameters, name)
+    for name, group in PARAMETERS.items():
+        plain[group][name] = getattr(parameters, name)
     return parse(plain)

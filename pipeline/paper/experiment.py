@@ -1,11 +1,12 @@
-"""Common parts of the experiments perturb and ablate: scans, one task per pair, folder and record.
+"""Common parts of the experiments perturb and ablate: each is one stage, run by the engine on the pairs of a dataset.
 
-The tables of a pair are one result with one key: it is reused as long as the key is the same.
+What an experiment was asked for is a group of settings of its own, so that keys, resuming and the
+record are those of a run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -19,61 +20,28 @@ from ...schemas.columns import Row
 from ...schemas.errors import ScanError
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
+from ...stages.plausibility import ScanInspection
 from ...stages.summary import mean_and_std
-from ..datasets.content import scan_content
-from ..datasets.pairs import Dataset, ScanPair, may_crash, read_dataset, read_label_names
-from ..datasets.readers import read_scan
-from ..datasets.readers.scan import Scan
+from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
 from ..datasets.readers.scan_ref import scan_ref
+from ..engine.collector import Collector
+from ..engine.engine import Machines, schedule_of, started_pool, working
+from ..engine.memory import PairTables, run_in_memory
+from ..engine.plan import PairPlan, Planner
 from ..engine.progress import Reporter
-from ..engine.tasks import map_tasks
+from ..engine.schedule import Policy
+from ..engine.survey import hash_files, refuse_replacing, remove_stale, survey_results
 from ..jobs import STAGES, baselines_job
+from ..pair_checks import pair_warnings
 from ..run import select_pairs
-from ..stage import JobResult
+from ..stage import INSPECTION, SCAN, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
-from ..storage.run_record import (
-    changed_settings,
-    has_ended,
-    library_versions,
-    read_run,
-    run_header,
-    write_record,
-)
-from ..storage.table_files import JobRecord, TableFolder, plain_metadata
+from ..storage.run_record import has_ended, read_run, run_header, what_changed, write_record
+from ..storage.table_files import JobRecord
 
-#: Arguments of an experiment as plain values, which `run.json` keeps.
-Request = Mapping[str, Any]
-#: Stages whose code the experiments use.
-_STAGES = (*STAGES, baselines_job.STAGE)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Experiment:
-    """Definition of an experiment.
-
-    name : name of the command
-    version : version of its code; increase it when the same request results in other numbers
-    sides : sides of a pair whose scans it reads
-    tables : names of the tables over all pairs
-    summary : name of the table of means over all pairs
-    evaluate : from a pair, its scans by side, settings and request: the tables of the pair, with
-        metadata; its "warnings" are shown to the user
-    summarise : from `tables` of all pairs by name, the rows of `summary`
-    """
-
-    name: str
-    version: int
-    sides: tuple[str, ...]
-    tables: tuple[str, ...]
-    summary: str
-    evaluate: Callable[[ScanPair, Mapping[str, Scan], Settings, Request], JobResult]
-    summarise: Callable[[Mapping[str, pa.Table]], list[Row]]
-
-    @property
-    def versions(self) -> dict[str, int]:
-        """Code versions of the experiment and of the stages, by name."""
-        return {self.name: self.version} | {stage.name: stage.version for stage in _STAGES}
+#: From the tables of all pairs by name, frames with a row per score and its `value`.
+Scores = Callable[[Mapping[str, pd.DataFrame]], list[pd.DataFrame]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,40 +55,68 @@ class ExperimentOutcome:
     """
 
     folder: Path
-    request: Request
+    settings: Settings
     failures: dict[str, str]
     n_made: int
     n_reused: int
-    wall_s: float
-    metadata: dict[str, dict[str, Any]]
+    metadata: dict[str, Metadata]
     tables: dict[str, pa.Table]
 
 
-@dataclass(frozen=True, kw_only=True)
-class PairTask:
-    """One pair of an experiment, for a worker.
+def experiment_stage(
+    name: str,
+    version: int,
+    tables: tuple[str, ...],
+    make: Callable[[Inputs], JobResult],
+) -> Stage:
+    """The stage of an experiment; it may call the code of any other stage, and read all settings.
 
-    record : record of the result; its files are not written yet
-    folder : folder of the experiment
+    Parameters
+    ----------
+    version : increase it when the same request results in other numbers
+    tables : names of the tables that it makes
     """
+    stages = (*STAGES, baselines_job.STAGE)
+    libraries: list[str] = []
+    for stage in stages:
+        libraries += stage.libraries
+    groups = [group for group in Settings.model_fields if group != "machine"]
+    return Stage(
+        name=name,
+        takes={SCAN: ()},
+        gives=tables,
+        settings=(*groups, name),
+        grain=Grain.PAIR,
+        version=version + sum(stage.version for stage in stages),
+        make=make,
+        libraries=tuple(dict.fromkeys(libraries)),
+    )
 
-    experiment: Experiment
-    pair: ScanPair
-    label_names: Mapping[int, str]
-    settings: Settings
-    request: Request
-    record: JobRecord
-    folder: Path
+
+def settings_of(inputs: Inputs) -> Settings:
+    """The settings of a run."""
+    groups = [group for group in Settings.model_fields if group != "machine"]
+    return Settings(**{group: getattr(inputs.settings, group) for group in groups})
 
 
-def read_source(path: Path, pattern: str | None = None, *, first_only: bool = False) -> Dataset:
+def run_stages(
+    inputs: Inputs, stages: Sequence[Stage], sides: Sequence[str]
+) -> tuple[PairTables, Metadata]:
+    """Tables of stages on some sides of a pair, in memory, and the inspection of its scans."""
+    scans = {side: inputs.scans[side]() for side in sides}
+    jobs = Planner(stages, settings_of(inputs), {}).jobs()
+    jobs_of_sides = [job for job in jobs if job.part in sides]
+    tables, outputs = run_in_memory(jobs_of_sides, scans, inputs.pair_id, inputs.T_real_sim)
+    return tables, {INSPECTION: {side: outputs["ground", side][INSPECTION] for side in sides}}
+
+
+def read_source(path: Path, pattern: str | None) -> Dataset:
     """The pairs of a dataset, or a scan file as a dataset of one pair without a simulated side.
 
     Parameters
     ----------
     path : a scan file or a dataset folder
     pattern : only pairs whose name matches (shell style)
-    first_only : return only the first pair if no pattern is given
 
     Raises
     ------
@@ -134,19 +130,16 @@ def read_source(path: Path, pattern: str | None = None, *, first_only: bool = Fa
         dataset = Dataset(path, (ScanPair(scan.stem, scan, None),), names)
     else:
         dataset = read_dataset(path)
-    pairs = select_pairs(dataset, pattern)
-    if first_only and pattern is None:
-        pairs = pairs[:1]
-    return replace(dataset, pairs=pairs)
+    return replace(dataset, pairs=select_pairs(dataset, pattern))
 
 
 def run_experiment(
-    experiment: Experiment,
+    stage: Stage,
     source: Dataset,
     out: Path,
     settings: Settings,
     reporter: Reporter,
-    request: Request,
+    scores: Scores,
     *,
     n_workers: int | None = None,
     replace_finished: bool = False,
@@ -157,6 +150,8 @@ def run_experiment(
     ----------
     source : the pairs
     out : folder of the results
+    settings : those of a run, and what the experiment was asked for
+    scores : rows of which the table `NAME_summary` has the means
     n_workers : processes; None for one per core
     replace_finished : allow results of a finished experiment to be replaced by another request
 
@@ -168,181 +163,98 @@ def run_experiment(
     ScanError
         The only scan cannot be evaluated.
     """
-    check_folder(out, source.folder, experiment.name)
-    folder = RunFolder(out)
+    check_folder(out, source.folder, stage.name)
     start = perf_counter()
-    header: dict[str, Any] = {
-        "experiment": experiment.name,
-        **run_header(source.folder, settings, experiment.versions).as_dict(),
-        "request": dict(request),
-    }
+    folder = RunFolder(out)
+    collector = Collector(folder, reporter)
+    machines = Machines(n_workers, policy=Policy(least_weight=1.0))  # a batch for each pair
+    planner = Planner((stage,), settings, source.label_names)
+    versions = {stage.name: stage.version}
+    header: dict[str, Any] = {"experiment": stage.name}
+    header |= run_header(source.folder, settings, versions).as_dict()
+
+    def plan(pair: ScanPair) -> PairPlan:
+        return planner.plan(pair, files.contents[pair.pair_id])
+
+    def write_header() -> None:
+        run_settings = Settings(**{name: getattr(settings, name) for name in Settings.model_fields})
+        write_record(out, run_settings, header.items(), folder.check_token)
+
     with folder.locked():
         before = read_run(out)
-        changes = _changes(before, experiment, source, settings, request)
-        if has_ended(before) and changes and not replace_finished:
-            refuse_overwrite(f"{experiment.name} {out}", "its results", changes)
-        tasks, failures = _tasks(experiment, source, folder, settings, request)
-        for pair_id, reason in failures.items():
-            reporter.fail(f"pair {pair_id}", reason)
-        done = _finished(tasks, folder)
-        stale = [pair_id for pair_id in folder.ledger.pair_ids() if pair_id not in done]
-        if stale or len(done) < len(tasks):
-            write_record(out, settings, header.items(), folder.check_token)
-        _remove(stale, folder, reporter, "; ".join(changes) or "out of date")
-        missing = {pair_id: task for pair_id, task in tasks.items() if pair_id not in done}
-        made, failures_of_tasks = map_tasks(
-            _evaluate,
-            missing,
-            reporter,
-            n_workers=n_workers,
-            memory_gib=settings.machine.memory_gib,
-            may_end_workers=may_crash(task.pair for task in missing.values()),
-            keep=folder.ledger.put_job,
-        )
-        failures |= failures_of_tasks
-        if failures and scan_ref(source.folder).exists:
-            raise ScanError("; ".join(failures.values()))
-        records = [(done | made)[name] for name in tasks if name not in failures]
-        tables = _write_tables(experiment, folder, records)
-        header["scans"] = {record.pair_id: record.metadata for record in records}
-        header["failures"] = failures
+        files = hash_files(source.pairs, folder)
+        names = {pair.pair_id for pair in source.pairs}
+        survey = survey_results(source.pairs, files, plan, folder, selected=names)
+        if not replace_finished:
+            name = f"{stage.name} {out}"
+            refuse_replacing(survey, name, before, (stage,), settings)
+            others = {pair_id for _, pair_id, _ in survey.stale} - names
+            if others and has_ended(before):
+                why = f"pairs {', '.join(sorted(others))} not requested"
+                refuse_overwrite(name, "their results", [why])
+        for pair_id, fault in files.faults.items():
+            collector.fail(pair_id, "", fault)
+        with started_pool(survey.todo, folder, (stage,), settings, collector, machines) as pool:
+            if survey.todo or survey.stale:
+                write_header()
+            changes = what_changed(before, settings, versions)
+            remove_stale(survey, folder, (stage,), reporter, changes)
+            if survey.todo:
+                with working(survey, files, collector, machines, settings.input):
+                    schedule_of(survey, plan, pool, collector, machines).run()
+        if collector.failures and scan_ref(source.folder).exists:
+            raise ScanError("; ".join(collector.failures.values()))
+        done = [pair for pair in survey.usable if pair.pair_id not in collector.failures]
+        records = [folder.ledger.jobs(pair.pair_id)[stage.name, ""] for pair in done]
+        tables = _write_tables(stage, folder, records, scores)
+        metadata = {record.pair_id: record.metadata for record in records}
+        header["scans"] = metadata
+        header["failures"] = collector.failures
         header["wall_s"] = perf_counter() - start
-        write_record(out, settings, header.items(), folder.check_token)
-    for record in records:
-        reporter.warn(*record.metadata["warnings"])
+        write_header()
+    for pair in done:
+        inspections = metadata[pair.pair_id][INSPECTION]
+        sides = {side: ScanInspection(**values) for side, values in inspections.items()}
+        reporter.warn(*pair_warnings(pair, sides, None))
     return ExperimentOutcome(
         folder=out,
-        request=request,
-        failures=failures,
-        n_made=len(made),
-        n_reused=len(done),
-        wall_s=header["wall_s"],
-        metadata=header["scans"],
+        settings=settings,
+        failures=collector.failures,
+        n_made=collector.n_made,
+        n_reused=len(done) - collector.n_made,
+        metadata=metadata,
         tables=tables,
     )
 
 
-def _remove(pair_ids: list[str], folder: RunFolder, reporter: Reporter, why: str) -> None:
-    """Remove the results of pairs, and files that belong to no result."""
-    if pair_ids:
-        reporter.say(f"replacing results of pair {', '.join(pair_ids)}: {why}")
-    for pair_id in pair_ids:
-        folder.forget(pair_id)
-    folder.remove_strays()
-
-
-def mean_rows(scores: pd.DataFrame, keys: list[str]) -> Iterator[Row]:
-    """Keys, n, mean and std (n - 1) of `value` for each group of rows with equal keys."""
-    for names, values in scores.groupby(keys, dropna=False, sort=False)["value"]:
-        mean, std = mean_and_std(values.to_numpy(dtype=np.float64))
-        row = dict(zip(keys, names, strict=True))
-        yield row | {"n": int(values.notna().sum()), "mean": mean, "std": std}
-
-
-def _changes(
-    before: Mapping[str, Any],
-    experiment: Experiment,
-    source: Dataset,
-    settings: Settings,
-    request: Request,
-) -> list[str]:
-    """Differences from the last record of the folder that change its results, as text."""
-    changes = []
-    for group, texts in changed_settings(before, settings).items():
-        if group != "machine":
-            changes += texts
-    for entry, values in (("stages", experiment.versions), ("request", request)):
-        last = before.get(entry, {})
-        for name, value in values.items():
-            if last.get(name, value) != value:
-                changes.append(f"{name} was {last[name]}, is {value}")
-    pair_ids = {pair.pair_id for pair in source.pairs}
-    dropped = [pair_id for pair_id in before.get("scans", {}) if pair_id not in pair_ids]
-    if dropped:
-        changes.append(f"pairs {', '.join(dropped)} not requested")
-    return changes
-
-
-def _tasks(
-    experiment: Experiment,
-    source: Dataset,
-    folder: RunFolder,
-    settings: Settings,
-    request: Request,
-) -> tuple[dict[str, PairTask], dict[str, str]]:
-    """The tasks of all pairs with their keys, and the reasons why other pairs cannot be read."""
-    libraries = ["numpy", "scipy"]
-    for stage in _STAGES:
-        libraries += stage.libraries
-    request_key = key_of(
-        experiment.versions,
-        library_versions(libraries),
-        {name: str(TABLES[name].schema) for name in experiment.tables},
-        settings.model_dump(mode="json", exclude={"machine"}),
-        request,
-    )
-    tasks = {}
-    failures = {}
-    for pair in source.pairs:
-        content = []
-        try:
-            for side in experiment.sides:
-                scan = pair.scans.get(side)
-                if scan is None:
-                    raise ScanError(pair.fault or f"no {side} scan")
-                content.append(scan_content(scan).key(source.label_names, pair.motion(side)))
-        except ScanError as error:
-            failures[pair.pair_id] = str(error)
-            continue
-        key = key_of(request_key, content)
-        tasks[pair.pair_id] = PairTask(
-            experiment=experiment,
-            pair=pair,
-            label_names=source.label_names,
-            settings=settings,
-            request=request,
-            record=JobRecord(experiment.name, pair.pair_id, "", key, {}, made_by=folder.token),
-            folder=folder.folder,
-        )
-    return tasks, failures
-
-
-def _finished(tasks: Mapping[str, PairTask], folder: RunFolder) -> dict[str, JobRecord]:
-    """The intact results that exist under the keys of tasks, by pair_id."""
-    records = {}
-    for pair_id, task in tasks.items():
-        record = folder.ledger.jobs(pair_id).get(task.record.job)
-        if record and record.key == task.record.key and not folder.damaged_files(record):
-            records[pair_id] = record
-    return records
-
-
-def _evaluate(task: PairTask) -> JobRecord:
-    """Read the scans of a pair, evaluate it and write its tables."""
-    scans = {}
-    for side in task.experiment.sides:
-        columns = task.settings.input.columns_of(side)
-        scans[side] = read_scan(task.pair.scans[side], columns, dict(task.label_names))
-    result = task.experiment.evaluate(task.pair, scans, task.settings, task.request)
-    record = replace(task.record, metadata=plain_metadata(result.metadata))
-    folder = TableFolder(task.folder, record.made_by)
-    return replace(record, files=folder.write_job(record, result.tables))
-
-
 def _write_tables(
-    experiment: Experiment,
+    stage: Stage,
     folder: RunFolder,
     records: list[JobRecord],
+    scores: Scores,
 ) -> dict[str, pa.Table]:
     """Join the tables of all pairs, summarise them, and write both; returns them by name."""
     tables = {}
-    for name in experiment.tables:
+    for name in stage.gives:
         parts = [folder.read_table(name, record.pair_id) for record in records]
         tables[name] = pa.concat_tables([TABLES[name].schema.empty_table(), *parts])
-    tables[experiment.summary] = TABLES[experiment.summary].from_rows(experiment.summarise(tables))
+    frames = scores({name: table.to_pandas() for name, table in tables.items()})
+    summary = f"{stage.name}_summary"
+    tables[summary] = TABLES[summary].from_rows(_means(frames))
     key = key_of(sorted(record.key for record in records))
     for name, table in tables.items():
         file_name = f"{name}.parquet"
         stored = folder.write_at(folder.folder / file_name, name, table, key)
         folder.ledger.put_job(JobRecord(name, "", "", key, {file_name: stored}))
     return tables
+
+
+def _means(frames: Iterable[pd.DataFrame]) -> Iterator[Row]:
+    """Number, mean and standard deviation (n - 1) of `value` where all other columns are equal."""
+    for scores in frames:
+        keys = [name for name in scores.columns if name != "value"]
+        for group, values in scores.groupby(keys, sort=False)["value"]:
+            mean, std = mean_and_std(values.to_numpy(dtype=np.float64))
+            n = int(values.notna().sum())
+            row: Row = dict(zip(keys, group, strict=True))
+            yield row | {"n": n, "n_pairs": n, "mean": mean, "std": std}

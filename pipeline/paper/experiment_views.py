@@ -1,186 +1,211 @@
-"""Terminal output of the paper's experiments, `fidpipe perturb` and `fidpipe ablate`."""
+"""What `fidpipe perturb` and `fidpipe ablate` show: tables of means, and a figure (the paper's Fig. 2 and 5)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import astuple
 from math import isnan, nan
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from ...schemas.metric_catalogue import METRIC, OBJECT_METRICS, labels, narrow_labels
+from ...schemas.metric_catalogue import METRIC, OBJECT_METRICS, narrow_labels
 from ...stages.generate.perturbations import KINDS, Perturbation
-from ..report.view import Note, Part, Table, View, columns_of, count, mean_and_spread, number
-from .ablate import PARAMETERS, base_of, means_along
+from ..report.figures.style import new_figure, shown_name
+from ..report.look import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from ..report.view import Note, Table, View, columns_of, count
+from .ablate import PARAMETERS, current, means_along
 from .experiment import ExperimentOutcome
-from .perturb import chosen_objects, levels_of
+from .perturb import chosen_objects
 
 #: The scores of the paper's Table I.
 _TABLE_I_SCORES = ("match_rate", "centroid_distance_m_mean", "eigenspectrum_distance_mean")
-_REACTING = (
-    "r_lambda",
-    "r_gap",
-    "max_eigenvalue_shift",
-    "laplacian_change",
-    "eigenspectrum_distance",
-    "alignment_rms_m",
-    "cdc",
+_ABLATED_SCORES = (
+    "match_rate",
+    "r_lambda_mean",
+    "max_eigenvalue_shift_mean",
+    "laplacian_change_mean",
 )
-_OBJECT_SCORES = ("r_lambda", "max_eigenvalue_shift", "laplacian_change", "alignment_rms_m", "cdc")
-#: Means over pairs; the first two are shown with a standard deviation.
-_ABLATED_SCORES = ("match_rate", *(METRIC[name].mean_column for name in _OBJECT_SCORES))
-_N_WITH_STD = 2
+_COLOURS = (GREEN, VERMILION, ORANGE, BLUE, PURPLE, SKY)
 
 
-def perturb_view(outcome: ExperimentOutcome) -> View:
-    """Scores of the whole scan (the paper's Table I) and of objects; reactions of the metrics."""
-    levels = levels_of(outcome.request)
-    summary = outcome.tables["perturb_summary"].to_pandas()
-    parts: list[Part] = []
-    whole = summary[(summary["scope"] == "global") & summary["metric"].isin(_TABLE_I_SCORES)]
+class Sweep(NamedTuple):
+    """A column of panels of a figure.
+
+    axis : label of the horizontal axis
+    means : one row per curve, amount and metric: curve, amount, metric, mean, std
+    current : amount to mark; None for no mark
+    """
+
+    axis: str
+    means: pd.DataFrame
+    current: float | None = None
+
+
+def show_perturbations(outcome: ExperimentOutcome) -> View:
+    """Scores of the whole scan (the paper's Table I) and of objects; the figure is written."""
+    levels = outcome.settings.perturb.levels  # type: ignore[attr-defined]
+    names = {astuple(level): KINDS[level.kind].text.format(level) for level in levels}
+    means = outcome.tables["perturb_summary"].to_pandas()
+    means["level"] = list(zip(means["kind"], means["amount"], means["shift_m"], strict=True))
+    whole = means[means["scope"] == "global"]
+    single = means[means["scope"] == "object"].rename(columns={"object": "curve"})
+    scans = ", ".join(outcome.metadata)
+    parts: list[Note | Table] = []
     if len(whole):
-        title = f"Whole scan, {', '.join(outcome.metadata)}"
-        headings = dict(zip(_TABLE_I_SCORES, labels(_TABLE_I_SCORES), strict=True))
-        parts.append(_level_table(title, levels, whole, "metric", headings))
-    chosen = [vars(chosen) for chosen in chosen_objects(outcome)]
-    if chosen:
-        columns = ("object", "scan", "id", "points", "range (m)", "chosen as")
-        fields = ("name", "pair_id", "community_id", "n_points", "range_m", "why")
-        rows = columns_of(chosen, fields)
-        parts.append(Table("The chosen objects", columns, rows, words=(0, 1, 5), digits={4: 1}))
-    single = summary[summary["scope"] == "object"]
+        headings = dict(zip(_TABLE_I_SCORES, narrow_labels(_TABLE_I_SCORES), strict=True))
+        title = f"Whole scan, {scans}: mean ± std"
+        parts.append(_table(title, whole, ("level", names), ("metric", headings)))
     if len(single):
-        names = {values["name"]: values["name"] for values in chosen}
-        for metric in ("r_lambda", "r_gap"):
-            title = f"{METRIC[metric].label} of single objects ({METRIC[metric].scale})"
-            of_metric = single[single["metric"] == metric]
-            parts.append(_level_table(title, levels, of_metric, "object", names))
+        parts += _object_tables(outcome, single, names)
         parts.append(_reaction_table(single, levels))
-    results = "perturb_summary.parquet (means), perturb_global and perturb_objects (one row per repeat), perturb.png"
-    return [*parts, *_last_lines(outcome, results)]
+    sweeps = []
+    for name, kind in KINDS.items():
+        of_kind = single[single["kind"] == name]
+        if kind.axis and len(of_kind):
+            sweeps.append(Sweep(kind.axis, of_kind))
+    _draw(outcome, "perturb", f"{shown_name(scans)}, altered", sweeps, ("r_lambda", "r_gap"))
+    return [*parts, *_last_lines(outcome, "perturb")]
 
 
-def ablate_view(outcome: ExperimentOutcome) -> View:
-    """A table for each parameter."""
-    parts: list[Part] = []
-    if outcome.metadata:
-        for name, values in outcome.request["values"].items():
-            if len(values) > 1:
-                parts.append(_parameter_table(outcome, name))
-        note = "A small r_lambda can also result from a poor alignment (a large change): compare shift and change."
-        parts.append(Note(f"{note}\n"))
-    results = "ablate_summary.parquet (means over pairs), ablate.parquet (a row per pair and parameter set), ablate.png"
-    return [*parts, *_last_lines(outcome, results)]
+def _object_tables(
+    outcome: ExperimentOutcome,
+    means: pd.DataFrame,
+    levels: Mapping[Any, str],
+) -> list[Table]:
+    """The chosen objects, and r_lambda and r_gap of each by level."""
+    chosen = [vars(chosen) for chosen in chosen_objects(outcome)]
+    columns = ("object", "scan", "id", "points", "range (m)", "chosen as")
+    fields = ("name", "pair_id", "community_id", "n_points", "range_m", "why")
+    rows = columns_of(chosen, fields)
+    tables = [Table("The chosen objects", columns, rows, words=(0, 1, 5), digits={4: 1})]
+    names = {values["name"]: values["name"] for values in chosen}
+    for metric in ("r_lambda", "r_gap"):
+        title = f"{metric} of single objects ({METRIC[metric].scale}): mean ± std"
+        of_metric = means[means["metric"] == metric]
+        tables.append(_table(title, of_metric, ("level", levels), ("curve", names)))
+    return tables
 
 
-def _last_lines(outcome: ExperimentOutcome, results: str) -> list[Note]:
+def _reaction_table(means: pd.DataFrame, levels: Iterable[Perturbation]) -> Table:
+    """Means over the objects of our metrics and of baselines at the strongest level of each kind."""
+    strongest = {level.kind: level for level in sorted(levels, key=astuple)}
+    headings = {}
+    for kind, level in strongest.items():
+        headings[astuple(level)] = KINDS[kind].heading.format(level.amount)
+    by_level = means.groupby(["metric", "level"], as_index=False)
+    over_objects = by_level.agg({"mean": "mean"}).assign(std=nan)
+    baselines = sorted(set(means["metric"]) - {*OBJECT_METRICS})
+    metrics = {metric: metric for metric in (*OBJECT_METRICS, *baselines)}
+    title = "Reaction of each metric at the strongest level of each kind, mean over objects"
+    return _table(title, over_objects, ("metric", metrics), ("level", headings))
+
+
+def show_ablation(outcome: ExperimentOutcome) -> View:
+    """A table for each parameter, of means with current values of the others; the figure is written."""
+    parts: list[Note | Table] = []
+    sweeps = []
+    n_pairs = count(len(outcome.metadata), "pair")
+    headings = dict(zip(_ABLATED_SCORES, narrow_labels(_ABLATED_SCORES), strict=True))
+    for name, value in current(outcome.settings)._asdict().items():
+        means = means_along(outcome, name)
+        amounts = sorted(set(means[name]))
+        if len(amounts) < 2:
+            continue
+        names = {amount: f"{'*' if amount == value else ''}{amount:g}" for amount in amounts}
+        title = f"{PARAMETERS[name]}.{name}: mean ± std over {n_pairs}, * current"
+        parts.append(_table(title, means, (name, names), ("metric", headings)))
+        renamed = means.rename(columns={name: "amount"}).assign(curve="mean over pairs")
+        sweeps.append(Sweep(name, renamed, value))
+    if parts:
+        text = "A small r_lambda can also result from a poor alignment (a large change)."
+        parts.append(Note(f"{text}\n"))
+    _draw(outcome, "ablate", f"{n_pairs}; dashed: current", sweeps, ("match_rate", "r_lambda_mean"))
+    return [*parts, *_last_lines(outcome, "ablate")]
+
+
+def _last_lines(outcome: ExperimentOutcome, name: str) -> list[Note]:
     """Number of failures and scans, and the files of the folder."""
     notes = []
     if outcome.failures:
         text = f"{len(outcome.failures)} failed, see the messages above and failures in run.json"
         notes.append(Note(text, "red"))
-    made = f"{count(outcome.n_made, 'scan')} evaluated, {outcome.n_reused} reused, in {outcome.wall_s:.1f} s"
-    return [*notes, Note(made), Note(f"results: {outcome.folder}/{results}")]
+    made = f"{count(outcome.n_made, 'scan')} evaluated, {outcome.n_reused} reused"
+    files = f"{name}_summary.parquet (means), a table of all values, {name}.png"
+    return [*notes, Note(made), Note(f"results: {outcome.folder}/{files}")]
 
 
-def _level_table(
+def _table(
     title: str,
-    levels: Sequence[Perturbation],
     means: pd.DataFrame,
-    column: str,
-    headings: dict[str, str],
+    rows: tuple[str, Mapping[Any, str]],
+    columns: tuple[str, Mapping[Any, str]],
 ) -> Table:
-    """One row per level and a line after each kind.
+    """Means with their standard deviations.
 
     Parameters
     ----------
-    means : rows of `perturb_summary`
-    column : its column whose values have a column each
-    headings : heading by value of that column
+    means : among its columns mean and std
+    rows, columns : name of the column of `means` whose values have a row (column) each, and their
+        names
     """
+    row, row_names = rows
+    column, column_names = columns
     cells = {}
-    for row in means.to_dict("records"):
-        level = Perturbation(row["kind"], row["amount"], row["shift_m"])
-        cells[level, row[column]] = _spread(row["mean"], row["std"])
-    rows = []
-    last = {}
-    for i, level in enumerate(levels):
-        shown = [cells.get((level, name), "-") for name in headings]
-        rows.append((KINDS[level.kind].text.format(level), *shown))
-        last[level.kind] = i
-    title = f"{title}: mean ± std over {count(means['n'].max(), 'repeat')}"
-    return Table(title, ("altered by", *headings.values()), rows, fixed=(0,), ruled=last.values())
-
-
-def _reaction_table(means: pd.DataFrame, levels: Sequence[Perturbation]) -> Table:
-    """Means over the objects of our metrics and of baselines at the strongest level of each kind.
-
-    The last column is the kind at which a metric is farthest from its value for equal objects.
-    """
-    over_objects = means.groupby(["metric", "kind", "amount", "shift_m"])["mean"].mean()
-    strongest = strongest_levels(levels)
-    others = sorted(set(means["metric"]) - {*OBJECT_METRICS})
-    rows = []
-    for metric in (*_REACTING, *others):
-        values = [over_objects.get((metric, *astuple(level)), nan) for level in strongest]
-        equal = METRIC[metric].equal or 0.0
-        moved = np.nan_to_num(np.abs(np.array(values) - equal))
-        most = ""
-        if moved.any():
-            kind = strongest[moved.argmax()].kind
-            most = KINDS[kind].heading.partition("\n")[0]
-        rows.append((metric, *map(_number, values), most))
-    headings = [KINDS[level.kind].heading.format(level.amount) for level in strongest]
-    title = "Reaction of each metric: means over the objects at the strongest level of each kind"
-    words = (0, len(strongest) + 1)
-    columns = ("metric", *headings, "most to")
-    return Table(title, columns, rows, words, ruled=(len(_REACTING) - 1,))
-
-
-def strongest_levels(levels: Sequence[Perturbation]) -> list[Perturbation]:
-    """The level of each kind with the largest amount; of density also the one with the smallest."""
-    strongest = []
-    for kind in dict.fromkeys(level.kind for level in levels):
-        of_kind = [level for level in levels if level.kind == kind]
-        of_kind.sort(key=lambda level: (level.amount, level.shift_m))
-        if kind == "density" and of_kind[0].amount < 1 < of_kind[-1].amount:
-            strongest.append(of_kind[0])
-        strongest.append(of_kind[-1])
-    return strongest
-
-
-def _parameter_table(outcome: ExperimentOutcome, name: str) -> Table:
-    """Means over pairs at each value of a parameter, with current values of the others."""
-    means = means_along(outcome, name).pivot(index=name, columns="metric", values=["mean", "std"])
-    current = getattr(base_of(outcome.request), name)
-    rows = []
-    for value, row in means.iterrows():
-        cells = []
-        for place, score in enumerate(_ABLATED_SCORES):
-            cell = number(row["mean", score])
-            if place < _N_WITH_STD and len(outcome.metadata) > 1:
-                cell = mean_and_spread(row["mean", score], row["std", score])
-            cells.append(cell)
-        mark = "*" if value == current else ""
-        rows.append((f"{mark}{value:g}", *cells))
-    n_pairs = count(len(outcome.metadata), "pair")
-    return Table(
-        f"{PARAMETERS[name].group}.{name}: mean ± std over {n_pairs}, * current",
-        (name.removesuffix("_m"), *narrow_labels(_ABLATED_SCORES)),
-        rows,
-        words=(),
-        fixed=range(len(_ABLATED_SCORES) + 1),
-        bold=(list(means.index).index(current),),
-    )
+    for values in means.to_dict("records"):
+        cells[values[row], values[column]] = _spread(values["mean"], values["std"])
+    lines = []
+    for value, name in row_names.items():
+        lines.append((name, *(cells.get((value, key), "-") for key in column_names)))
+    return Table(title, (row, *column_names.values()), lines, whole=(0,))
 
 
 def _spread(mean: float, std: float) -> str:
-    return _number(mean) if isnan(std) else f"{_number(mean)}±{_number(std)}"
+    """Mean and deviation, in powers of ten if they are very small."""
+    if isnan(mean):
+        return "-"
+    return f"{mean:.3g}" if isnan(std) else f"{mean:.3g}±{std:.1g}"
 
 
-def _number(value: float) -> str:
-    """Three digits; a power of ten if they would all be 0, no decimals for large numbers."""
-    if isnan(value) or value == 0 or 5e-4 <= abs(value) < 10:
-        return number(value)
-    return f"{value:.0f}" if abs(value) >= 10 else f"{value:.0e}"
+def _draw(
+    outcome: ExperimentOutcome,
+    name: str,
+    title: str,
+    sweeps: list[Sweep],
+    metrics: Iterable[str],
+) -> None:
+    """Write `NAME.png` with a row of panels for each metric; nothing without sweeps."""
+    if not sweeps:
+        return
+    title = f"{title}; bands: one standard deviation"
+    with new_figure(2.75 * max(len(sweeps), 2), 5.2, title) as figure:
+        axes = figure.subplots(2, len(sweeps), sharey="row", squeeze=False)
+        for metric, row in zip(metrics, axes, strict=True):
+            for sweep, axis in zip(sweeps, row, strict=True):
+                _draw_panel(axis, sweep, metric)
+            row[0].set(ylabel=metric.removesuffix("_mean"), ylim=(0, None))
+        handles = axes[0, 0].get_legend_handles_labels()
+        figure.legend(*handles, loc="outside lower center", ncols=len(_COLOURS))
+        figure.savefig(outcome.folder / f"{name}.png", dpi=120)
+
+
+def _draw_panel(axis: Any, sweep: Sweep, metric: str) -> None:
+    """Mean and deviation of one metric along one sweep."""
+    known = sweep.means[sweep.means["metric"] == metric].dropna(subset="mean")
+    for place, (name, curve) in enumerate(known.groupby("curve", sort=False)):
+        amounts, mean, std = curve.sort_values("amount")[["amount", "mean", "std"]].to_numpy().T
+        std = np.nan_to_num(std)
+        colour = _COLOURS[place % len(_COLOURS)]
+        label = shown_name(str(name))
+        axis.plot(amounts, mean, marker="o", markersize=4, color=colour, label=label)
+        low = np.maximum(mean - std, 0)
+        axis.fill_between(amounts, low, mean + std, color=colour, alpha=0.2, linewidth=0)
+    levels = sorted(known["amount"].unique())
+    if levels and levels[-1] > 10 * levels[0] > 0:
+        axis.set_xscale("log")
+    if sweep.current is not None:
+        axis.axvline(sweep.current, color="black", linewidth=0.8, linestyle="--", zorder=0)
+    axis.set_xticks(levels, [f"{level:g}" for level in levels])
+    axis.minorticks_off()
+    axis.set_xlabel(sweep.axis)

@@ -8,11 +8,12 @@ them alone.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
+import pandas as pd
+from pydantic import BaseModel
 
 from ...schemas.columns import Row
 from ...schemas.errors import DatasetError, SettingsError
@@ -34,33 +35,26 @@ from ...stages.method import (
     score,
 )
 from ...stages.metrics import MIN_NODES
-from ...stages.plausibility import ScanInspection
 from ...stages.statistics.typical_objects import ChosenObject
-from ..datasets.pairs import ScanPair
-from ..datasets.readers.scan import Scan
-from ..engine.memory import run_in_memory
-from ..engine.plan import Planner
 from ..engine.progress import Reporter
 from ..jobs import communities_job, graph_job, ground_job
 from ..jobs.points_job import column, edges_in, points_in
-from ..pair_checks import pair_warnings
-from ..stage import INSPECTION, JobResult
+from ..stage import Inputs, JobResult
 from ..storage.files import key_of
 from .experiment import (
-    Experiment,
     ExperimentOutcome,
-    Request,
-    mean_rows,
+    experiment_stage,
     read_source,
     run_experiment,
+    run_stages,
+    settings_of,
 )
 from .perturb_objects import choose_objects, objects_in
 
-#: Difference of a scan from itself without a change, the first row of every table: one point less, rows in another
-#: order, another Louvain seed. Noise and rigid motion keep the order, dropout and the others do not.
-NULL = Perturbation("null", 1.0)
-#: Amounts by kind. Noise, dropout and rigid motion are those of the paper; hallucination and density are ours.
-_AMOUNTS = {
+#: Amounts by kind. Noise, dropout and rigid motion are those of the paper; hallucination and density are ours. `null`
+#: is the difference of a scan from itself without a change, the first row of every table: one point less, rows in
+#: another order, another Louvain seed. Noise and rigid motion keep the order, dropout and the others do not.
+AMOUNTS = {
     "null": "1",
     "noise": "0.001,0.01,0.1",
     "dropout": "0.05,0.2,0.4",
@@ -80,20 +74,38 @@ _SUMMARY = (
 _PARTITION_STAGES = (ground_job.STAGE, graph_job.STAGE, communities_job.STAGE)
 
 
+class PerturbRequest(BaseModel, frozen=True):
+    """What is altered, and how often.
+
+    levels : kinds and amounts of perturbations
+    repeats, global_repeats : number of repeats of each level, per object and for the whole scan
+    seed : seed of all random numbers
+    objects : community ids and labels; by default the classes of the paper, or shapes
+    """
+
+    levels: tuple[Perturbation, ...] = ()
+    repeats: int = 20
+    global_repeats: int = 5
+    seed: int = 0
+    objects: tuple[str, ...] | None = None
+
+
+class PerturbSettings(Settings):
+    """The settings of a run, and what is altered."""
+
+    perturb: PerturbRequest = PerturbRequest()
+
+
 def perturb_source(
     path: Path,
     out: Path,
     settings: Settings,
     reporter: Reporter,
+    request: PerturbRequest,
     *,
-    levels: Sequence[Perturbation],
-    repeats: int = 20,
-    global_repeats: int = 5,
-    seed: int = 0,
-    objects: Sequence[str] | None = None,
     pattern: str | None = None,
     n_workers: int | None = None,
-    replace: bool = False,
+    replace_finished: bool = False,
 ) -> ExperimentOutcome:
     """Alter scans and objects, score the result, and write the tables.
 
@@ -101,99 +113,90 @@ def perturb_source(
     ----------
     path : a scan file or the folder of a dataset; without a pattern the real side of its first pair
         is used
-    levels : kinds and amounts of perturbations
-    repeats, global_repeats : number of repeats of each level, per object and for the whole scan
-    seed : seed of all random numbers
-    objects : community ids and labels; by default the classes of the paper, or shapes
     n_workers : processes; None for one per core
-    replace : allow results of a finished experiment to be replaced by another request
+    replace_finished : allow results of a finished experiment to be replaced by another request
 
     Raises
     ------
     FidpipeError
         The scan, the dataset, a setting or the folder is invalid.
     """
-    source = read_source(path, pattern, first_only=True)
-    if objects and any(word.isdigit() for word in objects) and len(source.pairs) > 1:
+    source = read_source(path, pattern)
+    pairs = source.pairs if pattern else source.pairs[:1]
+    objects = request.objects or ()
+    if len(pairs) > 1 and any(word.isdigit() for word in objects):
         raise DatasetError(
             f"--objects {','.join(objects)}: the number of an object requires one scan, got "
-            f"{len(source.pairs)}; select one with --pairs, or give labels"
+            f"{len(pairs)}; select one with --pairs, or give labels"
         )
-    request = {
-        "seed": seed,
-        "repeats": {"global": global_repeats, "object": repeats},
-        "levels": [list(astuple(level)) for level in levels],
-        "objects": None if objects is None else list(objects),
-    }
+    # the simulated side is not read
+    scans = [replace(pair, sim=pair.real, T_real_sim=None) if pair.real else pair for pair in pairs]
     return run_experiment(
-        EXPERIMENT,
-        source,
+        STAGE,
+        replace(source, pairs=tuple(scans)),
         out,
-        settings,
+        PerturbSettings(**dict(settings), perturb=request),
         reporter,
-        request,
+        _scores,
         n_workers=n_workers,
-        replace_finished=replace,
+        replace_finished=replace_finished,
     )
-
-
-def levels_of(request: Request) -> list[Perturbation]:
-    """The levels of a request."""
-    return [Perturbation(*values) for values in request["levels"]]
 
 
 def chosen_objects(outcome: ExperimentOutcome) -> list[ChosenObject]:
     """The altered objects of all scans."""
     chosen = []
     for metadata in outcome.metadata.values():
-        chosen += [ChosenObject(**values) for values in metadata["objects"]]
+        chosen += [ChosenObject(**values) for values in metadata["chosen"]]
     return chosen
 
 
-def alter_scan(
-    pair: ScanPair,
-    scans: Mapping[str, Scan],
-    settings: Settings,
-    request: Request,
-) -> JobResult:
+def make_perturbations(inputs: Inputs) -> JobResult:
     """All perturbations of the real scan of a pair and of its chosen objects, with all repeats."""
-    jobs = Planner(_PARTITION_STAGES, settings, {}).jobs()
-    real_jobs = [job for job in jobs if job.part == "real"]
-    tables, outputs = run_in_memory(real_jobs, scans, pair.pair_id)
+    settings = settings_of(inputs)
+    request: PerturbRequest = inputs.settings.perturb  # type: ignore[attr-defined]
+    tables, metadata = run_stages(inputs, _PARTITION_STAGES, ["real"])
     point_ids, points = points_in(tables["ground", "real"])
     edges = edges_in(point_ids, tables["graph", "real"])
     labels = column(tables["communities", "real"], "community_id")
     scan = PartitionedScan(points, edges, labels, describe(points, labels, settings))
-    repeats = _repeats(request, pair.pair_id, "all", request["repeats"]["global"])
-    global_rows = [names | _altered_scan(scan, names, settings) for names in repeats]
-    candidates = objects_in(tables, pair.pair_id)
-    objects = choose_objects(candidates, request["objects"], settings.graph.k)
+    global_rows = []
+    for names in _repeats(request, inputs.pair_id, "all", request.global_repeats):
+        global_rows.append(names | _altered_scan(scan, names, settings))
+    candidates = objects_in(tables, inputs.pair_id)
+    objects = choose_objects(candidates, request.objects, settings.graph.k)
     object_rows = []
     baseline_rows = []
     for chosen in objects:
         number = chosen.community_id
         before = graph_of(points[labels == number], settings)
-        for repeat in _repeats(request, pair.pair_id, number, request["repeats"]["object"]):
+        for repeat in _repeats(request, inputs.pair_id, number, request.repeats):
             names = repeat | {"community_id": number, "object": chosen.name}
             scores, baselines = _altered_object(before, names, settings)
             object_rows.append(names | scores)
             baseline_rows += [names | baseline for baseline in baselines]
-    rows = {
-        "perturb_global": global_rows,
-        "perturb_objects": object_rows,
-        "perturb_baselines": baseline_rows,
+    results = {
+        "perturb_global": TABLES["perturb_global"].from_rows(global_rows),
+        "perturb_objects": TABLES["perturb_objects"].from_rows(object_rows),
+        "perturb_baselines": TABLES["perturb_baselines"].from_rows(baseline_rows),
     }
-    inspection = ScanInspection(**outputs["ground", "real"][INSPECTION])
-    return JobResult(
-        {name: TABLES[name].from_rows(rows[name]) for name in EXPERIMENT.tables},
-        {
-            "objects": [vars(chosen) for chosen in objects],
-            "warnings": pair_warnings(pair, {"real": inspection}, None),
-        },
-    )
+    return JobResult(results, metadata | {"chosen": [vars(chosen) for chosen in objects]})
 
 
-def _repeats(request: Request, pair_id: str, scope: int | str, n_repeats: int) -> Iterator[Row]:
+STAGE = experiment_stage(
+    "perturb",
+    4,
+    ("perturb_global", "perturb_objects", "perturb_baselines"),
+    make_perturbations,
+)
+
+
+def _repeats(
+    request: PerturbRequest,
+    pair_id: str,
+    scope: int | str,
+    n_repeats: int,
+) -> Iterator[Row]:
     """The first columns of the row of each level and repeat.
 
     The seed is 60 bits of a hash of the request's seed, scan, scope, level and repeat.
@@ -202,9 +205,9 @@ def _repeats(request: Request, pair_id: str, scope: int | str, n_repeats: int) -
     ----------
     scope : id of an object, or "all"
     """
-    for level in levels_of(request):
+    for level in request.levels:
         for repeat in range(n_repeats):
-            digits = key_of("perturb", request["seed"], pair_id, scope, *astuple(level), repeat)
+            digits = key_of("perturb", request.seed, pair_id, scope, *astuple(level), repeat)
             seed = int(digits[:15], 16)
             yield vars(level) | {"pair_id": pair_id, "repeat": repeat, "seed": seed}
 
@@ -284,7 +287,7 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
             raise SettingsError(
                 f"--sweep {word!r}: expected one of {', '.join(KINDS)}; got {kind!r}",
             )
-        for text in (amounts if equals else _AMOUNTS[kind]).split(","):
+        for text in (amounts if equals else AMOUNTS[kind]).split(","):
             levels[_level(word, kind, text)] = None
     return tuple(levels)
 
@@ -304,30 +307,15 @@ def _level(word: str, kind: str, text: str) -> Perturbation:
     return level
 
 
-#: All default levels, that of the scan against itself first.
-LEVELS = parse_levels([*_AMOUNTS])
-
-
-def _summary_rows(tables: Mapping[str, pa.Table]) -> list[Row]:
-    """The rows of `perturb_summary`: means and standard deviations over the repeats of all scans."""
+def _scores(tables: Mapping[str, pd.DataFrame]) -> list[pd.DataFrame]:
+    """The scores of whole scans, of objects, and baselines, a row each."""
     level = ["kind", "amount", "shift_m"]
-    whole = tables["perturb_global"].to_pandas().melt(level, DATASET_SCORES, "metric")
-    single = tables["perturb_objects"].to_pandas()
-    single = single.melt(["object", *level], OBJECT_METRICS, "metric")
-    baselines = tables["perturb_baselines"].to_pandas().rename(columns={"baseline": "metric"})
-    rows = [{"scope": "global"} | row for row in mean_rows(whole, [*level, "metric"])]
-    for scores in (single, baselines):
-        means = mean_rows(scores, ["object", *level, "metric"])
-        rows += [{"scope": "object"} | row for row in means]
-    return rows
-
-
-EXPERIMENT = Experiment(
-    name="perturb",
-    version=3,
-    sides=("real",),
-    tables=("perturb_global", "perturb_objects", "perturb_baselines"),
-    summary="perturb_summary",
-    evaluate=alter_scan,
-    summarise=_summary_rows,
-)
+    whole = tables["perturb_global"].melt(level, DATASET_SCORES, "metric")
+    single = tables["perturb_objects"].melt(["object", *level], OBJECT_METRICS, "metric")
+    baselines = tables["perturb_baselines"].rename(columns={"baseline": "metric"})
+    baselines = baselines[single.columns]
+    return [
+        whole.assign(scope="global"),
+        single.assign(scope="object"),
+        baselines.assign(scope="object"),
+    ]

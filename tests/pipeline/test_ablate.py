@@ -43,7 +43,7 @@ def test_a_finished_ablation_takes_further_pairs_and_other_values_only_if_asked(
     record = (out / "run.json").read_bytes()
     for options, why in (
         ({"grid": True}, "grid was False, is True"),
-        ({"values": VALUES | {"k": (10,)}}, r"values was .* is .*10, 12"),
+        ({"values": VALUES | {"k": (10,)}}, r"ablate.k was \[8, 12\], is \[10, 12\]"),
         ({"pattern": "000"}, "pairs 001 not requested"),
     ):
         with pytest.raises(RunError, match=why):

@@ -10,9 +10,13 @@ from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.pipeline.paper import perturb as experiment_module
-from fidpipe.pipeline.paper.experiment_views import perturb_view
-from fidpipe.pipeline.paper.perturb import LEVELS as DEFAULT_LEVELS
-from fidpipe.pipeline.paper.perturb import NULL, chosen_objects, parse_levels, perturb_source
+from fidpipe.pipeline.paper.experiment_views import show_perturbations
+from fidpipe.pipeline.paper.perturb import (
+    PerturbRequest,
+    chosen_objects,
+    parse_levels,
+    perturb_source,
+)
 from fidpipe.pipeline.paper.perturb_objects import choose_objects
 from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.results.status import run_status
@@ -33,9 +37,12 @@ LEVELS = parse_levels(["noise=0.01", "dropout=0.1,0.4", "rigid=0:1,0:2"])
 ONCE = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 0}
 
 
-def perturbed(source, out, *, settings=SETTINGS, reporter=QUIET, **options):
-    options = {"levels": LEVELS, "repeats": 3, "global_repeats": 2, "n_workers": 1} | options
-    return perturb_source(source, out, settings, reporter, **options)
+def perturbed(
+    source, out, *, settings=SETTINGS, reporter=QUIET, pattern=None, replace=False, **asked
+):
+    request = PerturbRequest(**{"levels": LEVELS, "repeats": 3, "global_repeats": 2} | asked)
+    options = {"pattern": pattern, "n_workers": 1, "replace_finished": replace}
+    return perturb_source(source, out, settings, reporter, request, **options)
 
 
 def rows(out, table="perturb_objects"):
@@ -90,9 +97,12 @@ def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(
         return partition(points, settings, **options)
 
     monkeypatch.setattr("fidpipe.pipeline.paper.perturb.partition", watched)
-    assert DEFAULT_LEVELS[0] == NULL
     outcome = perturbed(
-        scan, tmp_path / "run", levels=(NULL, *LEVELS[:1]), repeats=2, global_repeats=2
+        scan,
+        tmp_path / "run",
+        levels=(*parse_levels(["null"]), *LEVELS[:1]),
+        repeats=2,
+        global_repeats=2,
     )
     assert not outcome.failures
     of_scan = rows(tmp_path / "run", "perturb_global")
@@ -135,7 +145,7 @@ def test_a_finished_experiment_is_reused_and_another_request_replaces_it_only_if
             {"settings": load(None, ["graph.k=12", "graph.tau_m=0.3"])},
             r"graph\.tau_m was 0\.2, is 0\.3",
         ),
-        ({"levels": LEVELS[1:]}, r"levels was .*noise.*, 0\.01"),
+        ({"levels": LEVELS[1:]}, r"perturb\.levels was .*noise.*0\.01"),
         ({"seed": 1}, "seed was 0, is 1"),
     ):
         with pytest.raises(RunError, match=f"{why}.*--replace"):
@@ -325,12 +335,13 @@ def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
     assert row.value == pytest.approx(there.mean() + back.mean())
     (table,) = [
         part
-        for part in perturb_view(outcome)
+        for part in show_perturbations(outcome)
         if isinstance(part, Table) and "Reaction" in part.title
     ]
-    reactions = {metric: most for metric, *_, most in table.rows}
-    assert reactions["f_score"] == "rigid"
-    assert reactions["r_lambda"] == "drop"
+    reactions = {row[0]: row[1:] for row in table.rows}
+    assert [heading.split()[0] for heading in table.headings[1:]] == ["drop", "noise", "rigid"]
+    assert float(reactions["f_score"][2]) < float(reactions["f_score"][0])
+    assert float(reactions["r_lambda"][2]) < 0.01 < float(reactions["r_lambda"][0])
 
 
 def test_the_command_prints_the_scores_of_the_whole_scan_and_draws_its_figure(scan, tmp_path):
