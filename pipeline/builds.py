@@ -52,7 +52,7 @@ def side_run_folders(sims: Sequence[Path]) -> list[Path]:
     --------
     >>> names = side_run_folders([Path("/d/8/a/out"), Path("/d/8/b/out"), Path("/d/9/b/out")])
     >>> [folder.name for folder in names]
-    ['8-a', '8-b', '9-b']
+    ['8-a-out', '8-b-out', '9-b-out']
     """
     return _told_apart(sims, [side_run_folder(sim) for sim in sims])
 
@@ -63,12 +63,7 @@ def _told_apart(folders: Sequence[Path], runs: list[Path]) -> list[Path]:
     if len(set(runs)) == len(set(paths)):
         return runs
     common = os.path.commonpath(paths)
-    names = []
-    for path in paths:
-        parts = [part for part in path.relative_to(common).parts if not _PLAIN_NAME.fullmatch(part)]
-        names.append("-".join(parts) or path.name)
-    if len(set(names)) < len(set(paths)):
-        names = ["-".join(path.relative_to(common).parts) or path.name for path in paths]
+    names = ["-".join(path.relative_to(common).parts) or path.name for path in paths]
     return [Path("runs") / name for name in names]
 
 
@@ -76,7 +71,21 @@ def _normal(path: Path) -> Path:
     return Path(os.path.normpath(path.absolute()))
 
 
-def paired(real: Path, sim: Path, out: Path) -> Path:
+def dataset_and_run(dataset: Path, sim: Path | None, out: Path | None) -> tuple[Path, Path]:
+    """Folders of a dataset and of its run.
+
+    Parameters
+    ----------
+    dataset : folder of the dataset, or of its real side if `sim` is the simulated one
+    out : folder of the run; None for the default
+    """
+    if sim is None:
+        return dataset, out or run_folder(dataset)
+    out = out or side_run_folder(sim)
+    return _paired(dataset, sim, out), out
+
+
+def _paired(real: Path, sim: Path, out: Path) -> Path:
     """Folder of the dataset of two sides; its manifest, if it needs one, is in `datasets` next to the run `out`."""
     from .datasets.pairing import dataset_of
     from .engine.progress import Reporter
@@ -133,15 +142,14 @@ def runs_of(
                 f"{real}: holds real scans; expected the simulated folders of two or more builds after it"
             )
         outs = side_run_folders(sims)
-        datasets = [paired(real, sim, out) for sim, out in zip(sims, outs, strict=True)]
+        datasets = [_paired(real, sim, out) for sim, out in zip(sims, outs, strict=True)]
     else:
         datasets = list(folders)
         outs = list(folders)
         rows = [i for i, folder in enumerate(folders) if not is_run(folder)]
         unevaluated = [folders[i] for i in rows]
-        for i, out in zip(
-            rows, _told_apart(unevaluated, [run_folder(each) for each in unevaluated]), strict=True
-        ):
+        names = _told_apart(unevaluated, [run_folder(folder) for folder in unevaluated])
+        for i, out in zip(rows, names, strict=True):
             outs[i] = out
     for folder, dataset, out in zip(folders[-len(outs) :], datasets, outs, strict=True):
         if dataset != out:

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..schemas.errors import RunError
 from ..schemas.settings import Settings, parse
-from .builds import paired, run_folder, runs_of, side_run_folder
+from .builds import dataset_and_run, runs_of
 from .diagnose.diagnose import diagnose_run
 from .engine.engine import Machines
 from .engine.progress import Reporter
@@ -47,12 +47,9 @@ def run(
     FidpipeError
         The dataset or a setting is wrong, or the folder has finished results of other settings.
     """
-    source = Path(dataset)
-    if sim is None:
-        folder = Path(out) if out else run_folder(source)
-    else:
-        folder = Path(out) if out else side_run_folder(Path(sim))
-        source = paired(source, Path(sim), folder)
+    source, folder = dataset_and_run(
+        Path(dataset), Path(sim) if sim else None, Path(out) if out else None
+    )
     run_dataset(source, folder, _settings(preset, settings), Reporter(), machines=Machines(workers))
     return open_run(folder)
 

@@ -40,17 +40,16 @@ class Table:
         ValueError
             A column is missing, surplus, of another type, or has a null that the schema forbids.
         """
-        if table.schema.names != self.schema.names:
-            expected = ", ".join(self.schema.names)
-            got = ", ".join(table.schema.names)
+        expected = _names_and_types(self.schema)
+        got = _names_and_types(table.schema)
+        if expected != got:
             raise ValueError(f"table {self.name}: expected columns {expected}, got {got}")
         for field in self.schema:
-            column = table.column(field.name)
-            where = f"table {self.name}, column {field.name}"
-            if column.type != field.type:
-                raise ValueError(f"{where}: expected {field.type}, got {column.type}")
-            if not field.nullable and column.null_count:
-                raise ValueError(f"{where}: expected no nulls, got {column.null_count}")
+            n_null = table.column(field.name).null_count
+            if n_null and not field.nullable:
+                raise ValueError(
+                    f"table {self.name}, column {field.name}: expected no nulls, got {n_null}"
+                )
         return table
 
     def build(self, columns: Mapping[str, Any], n_rows: int | None = None) -> pa.Table:
@@ -74,6 +73,10 @@ class Table:
             chunks.append(pa.Table.from_pylist(part, schema=self.schema))
         table = pa.concat_tables(chunks)
         return self.check(table.sort_by([(key, "ascending") for key in self.keys]))
+
+
+def _names_and_types(schema: pa.Schema) -> str:
+    return ", ".join(f"{field.name} {field.type}" for field in schema)
 
 
 def _is_column(value: Any) -> bool:

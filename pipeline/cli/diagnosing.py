@@ -25,6 +25,8 @@ from .output import print_as
 if TYPE_CHECKING:
     from pydantic import JsonValue
 
+    from ...schemas.settings import Settings
+
 
 def diagnose(
     sources: Annotated[list[Path], typer.Argument(metavar="RUN | REAL SIM")],
@@ -73,67 +75,53 @@ def diagnose(
 
     fidpipe diagnose real/ sim/ --tell-apart --set input.sim_frame=carla
     """
+    from ...schemas.settings import load
+
     output = format_of(as_json, as_markdown, as_csv)
     check_machines(workers, scheduler)
-    if len(sources) > 1 and (best_case or not tell_apart or len(sources) > 2):
-        raise typer.BadParameter(
-            "expected one run, or two folders of scans with --tell-apart, without --best-case"
-        )
-    if len(sources) == 1 and (settings or assignments):
-        raise typer.BadParameter("--settings and --set are for two folders; a run has its settings")
-    if tell_apart and as_csv:
-        raise typer.BadParameter("--csv is for causes; with --tell-apart give --json or --markdown")
-    if best_case and not tell_apart:
-        raise typer.BadParameter("--best-case is for --tell-apart; causes need no best case")
-    if since and tell_apart:
-        raise typer.BadParameter("--since is for causes; leave out --tell-apart")
+    if not tell_apart and (len(sources) > 1 or best_case or picture or settings or assignments):
+        raise typer.BadParameter("expected one run and no option of --tell-apart")
+    if tell_apart and (since or as_csv):
+        raise typer.BadParameter("--since and --csv are for causes; leave out --tell-apart")
     if tell_apart:
-        return _tell_apart(sources, best_case, picture, settings, assignments or [], output)
+        if len(sources) == 1 and (settings or assignments):
+            raise typer.BadParameter("a run has its settings; leave out --settings and --set")
+        if len(sources) > 2 or (len(sources) == 2 and best_case):
+            raise typer.BadParameter("expected one run, or two folders without --best-case")
+        _tell_apart(sources, best_case, picture, load(settings, assignments or []), output)
+        return
     from ..diagnose.diagnose import diagnose_run
     from ..diagnose.diagnosis_view import diagnosis_records, diagnosis_view
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
 
     diagnosis = diagnose_run(sources[0], Reporter(), Machines(workers, scheduler))
-    if since is None:
-        print_as(
-            output,
-            lambda: diagnosis_view(diagnosis),
-            lambda: diagnosis_records(diagnosis),
-            diagnosis.as_dict,
-        )
-        return None
-    from ..report.views.compare_view import changed_since
-    from ..results.compare import compare_runs
+    view = list(diagnosis_view(diagnosis))
+    values = diagnosis.as_dict()
+    if since is not None:
+        from ..report.views.compare_view import changed_since
+        from ..results.compare import compare_runs
 
-    (comparison,) = compare_runs([since, sources[0]], reporter=Reporter())
-    print_as(
-        output,
-        lambda: [*diagnosis_view(diagnosis), *changed_since(comparison)],
-        lambda: diagnosis_records(diagnosis),
-        lambda: (
-            diagnosis.as_dict() | {"since": str(since), "changes": comparison.as_dict()["causes"]}
-        ),
-    )
-    return None
+        (comparison,) = compare_runs([since, sources[0]], reporter=Reporter())
+        view += changed_since(comparison)
+        values |= {"since": str(since), "changes": comparison.as_dict()["causes"]}
+    print_as(output, lambda: view, lambda: diagnosis_records(diagnosis), lambda: values)
 
 
 def _tell_apart(
     sources: list[Path],
     best_case: Path | None,
     picture: Path | None,
-    settings: Path | None,
-    assignments: list[str],
+    settings: Settings,
     output: str,
 ) -> None:
-    from ...schemas.settings import load
     from ..diagnose.tell_apart import tell_apart_folders, tell_apart_run
     from ..diagnose.tell_apart_view import draw_map, tell_apart_view
     from ..report.view import Table
     from ..results.finished import FinishedRun
 
     if len(sources) == 2:
-        found = tell_apart_folders(sources[0], sources[1], load(settings, assignments))
+        found = tell_apart_folders(sources[0], sources[1], settings)
     else:
         found = tell_apart_run(
             FinishedRun(sources[0]), FinishedRun(best_case) if best_case else None

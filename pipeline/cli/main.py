@@ -21,6 +21,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from ...schemas.docstrings import split_docstring
+from ...schemas.errors import FidpipeError
 from .datasets import pair, synth, twin
 from .diagnosing import diagnose, tasks
 from .experiments import ablate, perturb
@@ -40,7 +41,6 @@ _REFUSALS = (
     *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
     *(errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EIO, errno.ESTALE),
 )
-_FILES = (errno.EMFILE, errno.ENFILE)  # too many are open
 
 
 class _ShortTypes:
@@ -80,7 +80,6 @@ def main() -> None:
     """Run the command and exit with its code."""
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     _open_streams()
-    from ...schemas.errors import FidpipeError
     from ..storage.scratch import scratch_folder
 
     for number in _STOPPING:
@@ -90,29 +89,14 @@ def main() -> None:
         with scratch_folder(), _local_arguments():
             code = _application(*sys.argv[1:2])(standalone_mode=False)
         _ignore_interrupts()
-    except FidpipeError as error:
-        _complain(f"error: {error}")
-        code = EXIT_WRONG_INPUT
-    except OSError as error:  # a folder that may not be searched, a read-only medium, a full disk
-        if not (refusal := _refusal(error)):
-            raise
-        _complain(f"error: {refusal}")
-        code = EXIT_WRONG_INPUT
-    except UnicodeEncodeError as error:  # Python reads bytes that are not UTF-8 as lone surrogates
-        name = error.object[: error.end].split()[-1].strip("'\"")
-        _complain(f"error: the name {name!a} is not UTF-8; rename the file or folder")
-        code = EXIT_WRONG_INPUT
-    except MemoryError as error:
-        reason = str(error) or "none left"
-        _complain(f"error: not enough memory ({reason}); free some, or raise ulimit -v")
-        code = EXIT_WRONG_INPUT
     except (KeyboardInterrupt, typer.Abort):
         code = EXIT_INTERRUPTED
     except Exception as error:
-        if not hasattr(error, "format_message"):  # wrong usage, as click and typer raise it
+        text = _explained(error)
+        if not text:
             raise
-        _complain(_usage_words(error))
-        code = getattr(error, "exit_code", 2)
+        _complain(text)
+        code = getattr(error, "exit_code", EXIT_WRONG_INPUT)
     _ignore_interrupts()
     if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
         _complain("interrupted; run the same command again to resume")
@@ -151,34 +135,39 @@ def _flushed(code: int | None) -> int | None:
         return code or EXIT_WRONG_INPUT
 
 
+def _explained(error: Exception) -> str:
+    """One line on an error that is not our bug, with the next step; else ""."""
+    if isinstance(error, FidpipeError):
+        return f"error: {error}"
+    if isinstance(error, OSError) and _refusal(error):
+        return f"error: {_refusal(error)}"
+    if isinstance(error, UnicodeEncodeError):  # Python reads bytes that are not UTF-8 as surrogates
+        name = error.object[: error.end].split()[-1].strip("'\"")
+        return f"error: the name {name!a} is not UTF-8; rename the file or folder"
+    if isinstance(error, MemoryError):
+        return f"error: not enough memory ({error}); free some, or raise ulimit -v"
+    return _usage_words(error) if hasattr(error, "format_message") else ""
+
+
 def _usage_words(error: Any) -> str:
-    """One line on wrong usage with the next step; without a command, the help."""
-    text = error.format_message()
+    """One line on wrong usage, as typer raises it; without a command, the help."""
+    text: str = error.format_message()
     context = getattr(error, "ctx", None)
     if context is None or not sys.argv[1:]:
-        return str(text)
+        return text
     text = text.removeprefix("Invalid value: ").rstrip(".").replace(". Did", "; did")
     return f"error: {text[:1].lower()}{text[1:]}; see {context.command_path} --help"
 
 
 def _refusal(error: OSError) -> str:
     """Message of an error of the system with the next step; "" if the error has another cause."""
-    if error.errno == errno.ENOENT and not _has_working_folder():
-        return "the folder in which the command was started is gone; change to another one"
-    if error.errno in _FILES:
+    if error.errno in (errno.EMFILE, errno.ENFILE):
         return f"{error.strerror}; raise ulimit -n, or take fewer --workers"
     if error.errno not in _REFUSALS:
         return ""
     if error.filename is None:
         return f"standard output: {error.strerror}; files that were written are intact"
     return f"{error.filename}: {error.strerror}; allow it there, or name another place"
-
-
-def _has_working_folder() -> bool:
-    try:
-        return bool(Path.cwd())
-    except FileNotFoundError:
-        return False
 
 
 class _Stop:

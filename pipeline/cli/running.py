@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ..builds import paired, run_folder, side_run_folder
+from ..builds import dataset_and_run
 from .options import (
     EXIT_WRONG_INPUT,
     AsJson,
@@ -101,8 +101,7 @@ def check(
         words += ["--settings", settings]
     for assignment in assignments or []:
         words += ["--set", assignment]
-    if sim is not None:
-        dataset = paired(dataset, sim, side_run_folder(sim))
+    dataset, _ = dataset_and_run(dataset, sim, None)
     result = check_dataset(dataset, load(settings, assignments or [], preset=preset))
     if as_json:
         print_json(check_json(result))
@@ -178,11 +177,7 @@ def run(
     if tasks:
         words.append("tasks.names=all")
     in_force = load(settings, words, preset=preset)
-    if sim is None:
-        out = out or run_folder(dataset)
-    else:
-        out = out or side_run_folder(sim)
-        dataset = paired(dataset, sim, out)
+    dataset, out = dataset_and_run(dataset, sim, out)
     if scheduler is None and workers != 1 and dataset.is_dir() and not out.exists():
         prefork.start(
             ["fidpipe.pipeline.jobs"]

@@ -96,4 +96,4 @@ def test_runs_of_builds_have_the_names_that_tell_them_apart(tmp_path):
         run.name for run in side_run_folders([tmp_path / "a" / "scans", tmp_path / "b" / "scans"])
     ] == ["a", "b"]
     same = [tmp_path / "v1" / "town" / "out", tmp_path / "v2" / "town" / "out"]
-    assert [run.name for run in side_run_folders(same)] == ["v1-town", "v2-town"]
+    assert [run.name for run in side_run_folders(same)] == ["v1-town-out", "v2-town-out"]

@@ -134,7 +134,7 @@ def test_the_setting_is_obeyed_checked_recorded_and_part_of_the_key(again, datas
     assert "max_edge_m = 0.5" in (again / "settings.toml").read_text()
     wrong = package.fidpipe(*run, "--set", "graph.max_edge_m=0", exit_code=1)
     assert wrong.stderr.startswith(
-        "error: setting graph.max_edge_m: expected a number above 0, got 0"
+        "error: setting graph.max_edge_m: expected greater than 0, got 0"
     )
 
 

@@ -54,7 +54,7 @@ def use_up_the_time(folder):
 SENTENCES = {
     SettingsError: (
         lambda folder: load(None, ["graph.k=0"]),
-        "setting graph.k: expected a number of at least 1, got 0; fidpipe settings lists the allowed values",
+        "setting graph.k: expected greater than or equal to 1, got 0; fidpipe settings lists the allowed values",
     ),
     DatasetError: (
         lambda folder: read_dataset(folder / "none"),

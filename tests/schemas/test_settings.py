@@ -80,8 +80,3 @@ def test_the_mirror_is_the_frame_of_carla():
 def test_a_mirror_beside_a_frame_is_refused(frame):
     with pytest.raises(SettingsError, match=f'"{frame}".*sim_flip_y'):
         load(None, ["input.sim_flip_y=true", f"input.sim_frame={frame}"])
-
-
-def test_an_unknown_frame_is_answered_with_the_axes_of_those_that_are_known():
-    with pytest.raises(SettingsError, match="x forward, .*'enu'"):
-        load(None, ["input.real_frame=enu"])

@@ -23,7 +23,7 @@ OTHER_VALUES = [
     "metrics.baselines=all",
     "ground.shared=true",
     "machine.memory_gib=0.5",
-    "communities.seed=2147483647",
+    "communities.seed=2147482647",
 ]
 
 
