@@ -449,10 +449,11 @@ def test_check_estimates_the_sensors_of_both_sides_from_the_sampled_pairs_and_na
     tmp_path,
 ):
     beams = fire(SENSORS["vlp16"], step_deg=0.5)
-    rows = (10 + 4 * np.sin(3 * beams.azimuth_rad))[:, None] * beams.directions()
+    azimuth = np.arctan2(beams[:, 1], beams[:, 0])
+    rows = (10 + 4 * np.sin(3 * azimuth))[:, None] * beams
     dataset = folders(tmp_path, ("a", "b", "c"), ("a", "b"))
     for name in ("a", "b", "c"):
-        is_seen = (name != "c") | (np.round(np.degrees(beams.elevation_rad)) % 4 == 1)
+        is_seen = (name != "c") | (np.round(np.degrees(np.arcsin(beams[:, 2]))) % 4 == 1)
         write_bin(dataset / "real" / f"{name}.bin", rows[np.broadcast_to(is_seen, len(rows))])
     sensors = check_dataset(dataset, Settings()).sensors
     assert sensors.pair_ids == ("a", "b", "c")
