@@ -22,10 +22,10 @@ from ..schemas.settings import Settings
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
-from .engine.collector import Collector
-from .engine.engine import Machines, schedule_of, started_pool, working
+from .engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
 from .engine.plan import PairPlan, Planner
 from .engine.progress import Reporter
+from .engine.schedule import Collector
 from .engine.survey import (
     InputFiles,
     Survey,
@@ -143,8 +143,9 @@ def run_dataset(
         with started_pool(todo, folder, stages, settings, run.collector, machines) as pool:
             run.replace_stale()
             if todo:
-                with working(run.survey, run.files, run.collector, machines, settings.input):
-                    schedule_of(run.survey, run.plan, pool, run.collector, machines).run()
+                costs = machines.policy.costs
+                reporter.warn(*large_pairs_warnings(todo, run.files, costs, settings.input))
+                schedule_of(run.survey, run.plan, pool, run.collector, machines).run()
                 run.n_workers = pool.n_workers
         return run.write()
 

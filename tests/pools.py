@@ -1,6 +1,6 @@
 """Pools that run in this process what they are given, remember it, and lose workers where a test wants it."""
 
-from fidpipe.pipeline.engine.costs import CostModel, largest_object
+from fidpipe.pipeline.engine.costs import CostModel
 from fidpipe.pipeline.engine.pool import Memory, Pool, WorkerDied
 
 GIB = 2**30
@@ -79,7 +79,7 @@ def name_of(function, args):
         batch = args[0][0]
         if batch.objects:
             return "score_objects"
-        if batch.rows is not None:
+        if batch.rows:
             return "gather_objects"
     return function.__name__
 
@@ -105,6 +105,4 @@ def bytes_needed(function, args, costs):
 def _bytes_of_batch(batch, costs):
     if batch.most_bytes is not None:
         return batch.most_bytes
-    return costs.pair_bytes(batch.plan.n_points) + costs.object_bytes(
-        largest_object(batch.plan.objects or [])[1]
-    )
+    return batch.plan.bytes_needed(costs, with_objects=True)

@@ -8,11 +8,11 @@ from ...schemas.errors import RunError
 from ...schemas.results import Diagnosis
 from ...schemas.settings import Settings, parse
 from ..datasets.pairs import ScanPair
-from ..engine.collector import Collector
-from ..engine.engine import Machines, schedule_of, started_pool, working
+from ..engine.engine import Machines, schedule_of, started_pool
 from ..engine.plan import OUT_OF_DATE, PairPlan, Planner
 from ..engine.progress import Reporter
-from ..engine.survey import InputFiles, PlanPair, Survey, remove_stale
+from ..engine.schedule import Collector
+from ..engine.survey import PlanPair, Survey, remove_stale
 from ..jobs import stages_under
 from ..jobs.gains_job import gains_stage
 from ..results.diagnosis import causes_to_correct, diagnosis_of
@@ -55,9 +55,7 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
         with started_pool(survey.todo, run.store, (stage,), settings, collector, machines) as pool:
             remove_stale(survey, run.store, (stage,), reporter, ["the causes changed"])
             if survey.todo:
-                files = InputFiles({pair.pair_id: {} for pair in survey.todo})
-                with working(survey, files, collector, machines, settings.input):
-                    schedule_of(survey, plan_pair, pool, collector, machines).run()
+                schedule_of(survey, plan_pair, pool, collector, machines).run()
     if collector.failures:
         reasons = [f"pair {name}: {reason}" for name, reason in collector.failures.items()]
         raise RunError(f"run {folder}: {'; '.join(reasons)}")

@@ -6,7 +6,6 @@ numbers, but that a pair whose object cannot fit into the memory fails.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 _MIB = 2**20
@@ -54,8 +53,3 @@ class CostModel:
     def most_workers(self, memory: int) -> int:
         """Number of worker processes that may share a memory, at least half of which is left for results."""
         return max(1, memory // (2 * self.process_bytes))
-
-
-def largest_object(objects: Iterable[tuple[int, int]]) -> tuple[int, int]:
-    """Id and nodes of the object that has the most nodes; (-1, 0) if there are none."""
-    return max(objects, key=lambda entry: entry[1], default=(-1, 0))

@@ -19,6 +19,7 @@ from ..storage.files import key_of
 from ..storage.folder import RunFolder
 from ..storage.run_record import library_versions
 from ..storage.table_files import JobId, JobName, JobRecord
+from .costs import CostModel
 from .time_limit import TimeLimit
 
 OUT_OF_DATE = "out of date"  #: reason why a result made from or with something else is stale
@@ -130,6 +131,18 @@ class PairPlan:
         ]
         return [(number, n_keep) for number, n_keep in lists[-1]] if lists else None
 
+    @property
+    def largest_object(self) -> tuple[int, int]:
+        """Id and nodes of the object that has the most nodes; (-1, 0) if there are none."""
+        return max(self.objects or [], key=lambda entry: entry[1], default=(-1, 0))
+
+    def bytes_needed(self, costs: CostModel, *, with_objects: bool) -> int:
+        """Bytes that jobs may need, estimated from the counts known so far; with objects: also the largest one."""
+        n_bytes = costs.pair_bytes(self.n_points)
+        if with_objects:
+            n_bytes += costs.object_bytes(self.largest_object[1])
+        return n_bytes
+
     def reads(self, job: Job) -> tuple[str, ...]:
         """The keys of all that a job takes."""
         return _reads(job, self.keys)
@@ -148,6 +161,10 @@ class Planner:
     settings : effective settings
     label_names : class names by number
 
+    Attributes
+    ----------
+    jobs : of any pair, by name, in their order
+
     Raises
     ------
     ValueError
@@ -161,7 +178,7 @@ class Planner:
         self.stages = tuple(stages)
         self.settings = settings
         self.label_names = label_names
-        self._jobs = self._layout()
+        self.jobs = self._layout()
 
     def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent]) -> PairPlan:
         """The jobs of a pair with their expected keys, none of them done yet.
@@ -178,13 +195,9 @@ class Planner:
         keys = {
             (SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in SIDES
         }
-        for name, job in self._jobs.items():
+        for name, job in self.jobs.items():
             keys[name] = _key(job, keys)
-        return PairPlan(pair, self._jobs, keys, {}, inputs, self.label_names)
-
-    def jobs(self) -> tuple[Job, ...]:
-        """The jobs of a pair, in their order."""
-        return tuple(self._jobs.values())
+        return PairPlan(pair, self.jobs, keys, {}, inputs, self.label_names)
 
     def plan_on_results(
         self, pair: ScanPair, records: Mapping[JobId, JobRecord], stage: Stage
@@ -197,7 +210,7 @@ class Planner:
         stage : one of the planner's, of grain PAIR
         """
         name = (stage.name, "")
-        jobs = {job: self._jobs[job] for job in self._jobs if job in records or job == name}
+        jobs = {job: self.jobs[job] for job in self.jobs if job in records or job == name}
         keys = {job: record.key for job, record in records.items()}
         keys[name] = _key(jobs[name], keys)
         others = {job: record for job, record in records.items() if job in jobs and job != name}

@@ -15,9 +15,14 @@ from clusters import TEST_MODULES, Cluster
 from distributed import LocalCluster
 
 import broken_jobs
-from fidpipe import __version__
 from fidpipe.pipeline.engine import cluster as engine_cluster
-from fidpipe.pipeline.engine.cluster import DaskPool, Requirements, code_hash, worker_fault
+from fidpipe.pipeline.engine.cluster import (
+    DaskPool,
+    Requirements,
+    code_hash,
+    requirements,
+    worker_fault,
+)
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.generate.best_case_run import run_best_case
@@ -191,9 +196,8 @@ def test_a_cluster_that_starts_workers_for_tasks_is_asked_for_one(tmp_path):
         n_workers=0, threads_per_worker=1, host="127.0.0.1", scheduler_kwargs={"dashboard": False}
     ) as adaptive:
         adaptive.adapt(minimum=0, maximum=1, interval="100ms")
-        pool = DaskPool(
-            1, adaptive.scheduler_address, [str(tmp_path / "file")], {"fidpipe": __version__}
-        )
+        required = requirements(["fidpipe"], [str(tmp_path / "file")])
+        pool = DaskPool(1, address=adaptive.scheduler_address, required=required)
         (tmp_path / "file").write_text("moved")  # a worker that joins from now on sees other files
         try:
             assert pool.dashboard == ""
@@ -223,7 +227,7 @@ def test_workers_without_a_memory_limit_or_with_a_time_limit_but_no_nanny_are_re
     assert "--memory-limit" in refused.stderr
     named = (*words, "--set", "machine.memory_gib=2")
     refused = own_process(*named, "--pair-timeout", "60", code=1)
-    assert "has no nanny" in refused.stderr
+    assert "a nanny and --nthreads 1" in refused.stderr
     assert own_process(*named).returncode == 0
 
 
