@@ -19,7 +19,7 @@ from ..stages.frame_search import FrameCheck
 from .datasets.pairs import ScanPair
 from .datasets.readers import read_scan
 from .datasets.readers.scan import Scan
-from .engine.plan import Planner
+from .engine.plan import plan_jobs
 from .engine.pool import one_blas_thread
 from .engine.worker import run_in_memory
 from .jobs import stages_under
@@ -131,7 +131,7 @@ def evaluate_pair(
     settings = settings if isinstance(settings, Settings) else parse(dict(settings or {}))
     scans = {"real": _scan("real", real, settings), "sim": _scan("sim", sim, settings)}
     with one_blas_thread():
-        jobs = Planner(stages_under(settings), settings, {}).jobs
+        jobs = plan_jobs(stages_under(settings), settings)
         tables, outputs = run_in_memory(jobs, scans, ScanPair(_PAIR, None, None))
     check = outputs["sensor", "sim"][FRAMES]
     if check is not None and check["is_suspect"]:

@@ -24,11 +24,9 @@ from time import monotonic
 from typing import Any
 
 from ...schemas.errors import RunError, StoreError
-from ..storage.object_store import describe_object
 from ..storage.run_record import library_versions
-from ..storage.urls import is_url
-from . import prefork
-from .costs import CostModel
+from ..storage.table_files import tables_of_run
+from . import costs, prefork
 from .pool import (
     SHARE_OF_MEMORY,
     Handle,
@@ -46,10 +44,8 @@ _LONGEST_START_S = 60
 _STOP_S = 2.0
 _KILL_S = 0.2
 _SECONDS_BETWEEN_LOOKS = 1.0
-_GIVEN_UP_S = 5.0
 _WITHOUT_WORKERS_S = 600.0
 _LEAST_ADDRESS_SPACE = 2 * 2**30
-_BEGINNING_BYTES = 64
 
 #: For a cluster on this machine. A task at which two workers die is given up; `schedule` decides
 #: what is tried again. A silent worker is busy in a library, a busy event loop is not reported,
@@ -73,25 +69,15 @@ class Requirements:
     """Everything that the workers of a scheduler must share with the command.
 
     libraries : versions
-    beginnings : by absolute path, the first bytes of files; by URL, the etag of objects
     code : hash of fidpipe's code
+    folder, token, url : of the run, see `tables_of_run`
     """
 
     libraries: dict[str, str]
-    beginnings: dict[str, bytes]
     code: str
-
-
-def requirements(libraries: Iterable[str], shared_files: Iterable[str]) -> Requirements:
-    """The requirements with this machine's libraries.
-
-    Parameters
-    ----------
-    libraries : their names
-    shared_files : paths and URLs that every worker must see with the same content
-    """
-    beginnings = {name: _beginning(name) for name in shared_files}
-    return Requirements(library_versions(libraries), beginnings, code_hash())
+    folder: Path
+    token: str
+    url: str = ""
 
 
 _CHECKED: list[Requirements] = []  #: that this worker process meets
@@ -156,8 +142,7 @@ class DaskPool(Pool):
         self._required = required
         self._workers: dict[str, dict[str, Any]] = {}
         self._looked = -_SECONDS_BETWEEN_LOOKS
-        self._had_workers = self._looked_after = monotonic()
-        self._dead_since: dict[Any, float] = {}
+        self._had_workers = monotonic()
         try:
             self._start(n_workers)
             if required is not None:
@@ -191,8 +176,7 @@ class DaskPool(Pool):
     @property
     def dashboard(self) -> str:
         """See `Pool`; a cluster on this machine has none."""
-        services = self._client.scheduler_info()["services"]
-        return str(self._client.dashboard_link) if "dashboard" in services else ""
+        return str(self._client.dashboard_link) if self._address else ""
 
     def submit(self, function: Callable[..., Any], *args: Any) -> Handle:
         """See `Pool`."""
@@ -294,7 +278,6 @@ class DaskPool(Pool):
             The scheduler is lost, or has had no worker for a long time.
         """
         while True:
-            self._look_after_workers()
             with suppress(queue.Empty):
                 self._ended.append(self._done.get(timeout=_SECONDS_BETWEEN_LOOKS))
             for i, future in enumerate(self._ended):
@@ -304,22 +287,6 @@ class DaskPool(Pool):
                 self._had_workers = monotonic()
             elif monotonic() - self._had_workers > _WITHOUT_WORKERS_S:
                 raise RunError(self._lost(f"no worker for {_WITHOUT_WORKERS_S:.0f} s"))
-
-    def _look_after_workers(self) -> None:
-        """Restart local workers that died while they started, which dask gives up."""
-        now = monotonic()
-        if self._cluster is None or now - self._looked_after < _SECONDS_BETWEEN_LOOKS:
-            return
-        self._looked_after = now
-        for name, nanny in list(self._cluster.workers.items()):
-            if nanny.is_alive():
-                self._dead_since.pop(name, None)
-            elif now - self._dead_since.setdefault(name, now) > _GIVEN_UP_S:
-                del self._dead_since[name]
-                self._cluster.workers.pop(name, None)
-                self._cluster.sync(_end, [nanny])
-        if len(self._cluster.workers) < len(self._cluster.worker_spec):
-            self._cluster.scale(len(self._cluster.worker_spec))  # starts the missing ones
 
     def _workers_now(self) -> dict[str, dict[str, Any]]:
         """The scheduler's description of its workers, by address; renewed every second."""
@@ -376,7 +343,7 @@ def start_pool(
     n_workers = n_workers or CPU_COUNT
     if address is None:
         if n_workers > 1:
-            n_workers = min(n_workers, CostModel().most_workers(memory or machine_memory()))
+            n_workers = min(n_workers, costs.most_workers(memory or machine_memory()))
         if n_workers == 1 and not may_end_workers:
             return Pool(memory)
         _check_address_space()
@@ -436,24 +403,16 @@ def worker_fault(required: Requirements) -> str:
         )
     if others:
         return f"other versions: {', '.join(others)}; install the same ones there"
-    same = "workers must see the same files under the same paths"
-    for path, beginning in required.beginnings.items():
-        try:
-            if _beginning(path) != beginning:
-                return f"{path} is another file there; {same}"
-        except OSError as error:
-            return f"{path} cannot be read there ({error.strerror}); {same}, or give the dataset and --out by URL"
-        except StoreError as error:
-            return f"there, {error}; each worker needs credentials in its environment"
+    try:
+        tables_of_run(required.folder, required.token, required.url).check_token()
+    except StoreError as error:
+        return f"there, {error}; each worker needs credentials in its environment"
+    except (OSError, RunError):
+        return (
+            f"{required.folder} there is not the folder of this run; workers must see the same files under the same "
+            "paths, or give the dataset and --out by URL"
+        )
     return ""
-
-
-def _beginning(path: str) -> bytes:
-    """The first bytes of a file, or the etag of an object."""
-    if is_url(path):
-        return describe_object(path).etag.encode()
-    with Path(path).open("rb") as file:
-        return file.read(_BEGINNING_BYTES)
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings, Settings
@@ -15,12 +15,12 @@ from ..datasets.pairs import ScanPair, may_crash
 from ..datasets.readers import read_scan
 from ..stage import Stage
 from ..storage.folder import RunFolder
-from ..storage.run_record import LIBRARIES
-from ..storage.urls import read_stub, stub_texts, url_of_cache
-from .costs import CostModel
+from ..storage.run_record import LIBRARIES, library_versions
+from ..storage.urls import stub_texts, url_of_cache
+from . import costs
 from .plan import PairPlan, with_results
 from .pool import Pool
-from .schedule import Collector, Policy, Schedule
+from .schedule import Collector, Schedule
 from .survey import InputFiles, PlanPair, Survey
 from .time_limit import NOTES, TimeLimit
 
@@ -34,15 +34,11 @@ class Machines:
     workers : processes on this machine; None for one per core; 1 for this process alone, unless a
         job may end it
     scheduler : address of a dask scheduler, instead of a cluster on this machine
-    pool : to be used instead of either; it is not closed
-    policy : for cutting work into batches
     pair_timeout_s : a pair that takes workers longer than this fails; None for no limit
     """
 
     workers: int | None = None
     scheduler: str | None = None
-    pool: Pool | None = None
-    policy: Policy = field(default_factory=Policy)
     pair_timeout_s: float | None = None
 
 
@@ -65,16 +61,13 @@ def started_pool(
     stages : all stages whose jobs may be planned
     """
     if not pairs:
-        yield machines.pool or Pool()
+        yield Pool()
         return
     if machines.scheduler and url_of_cache(folder.folder):
         from ..storage.remote_run import share_folder
 
         share_folder(folder)
-    if machines.pool is not None:
-        yield machines.pool
-        return
-    from .cluster import requirements, start_pool
+    from .cluster import Requirements, code_hash, start_pool
 
     is_local = machines.scheduler is None
     reader_may_crash = is_local and may_crash(pairs)
@@ -83,7 +76,10 @@ def started_pool(
         libraries = ["fidpipe", *LIBRARIES]
         for stage in stages:
             libraries += stage.libraries
-        required = requirements(libraries, _shared_files(pairs, folder))
+        versions = library_versions(libraries)
+        required = Requirements(
+            versions, code_hash(), folder.folder.resolve(), folder.token, folder.url
+        )
     pool = start_pool(
         machines.workers,
         settings.machine.memory_gib,
@@ -100,17 +96,6 @@ def started_pool(
         pool.close()
 
 
-def _shared_files(pairs: Iterable[ScanPair], folder: RunFolder) -> list[str]:
-    """A scan and the token of the run, which all workers must be able to read."""
-    token = folder.token_path
-    shared = [f"{folder.url}/{token.name}" if folder.url else str(token.resolve())]
-    scan = next((scan for pair in pairs for scan in pair.scans.values()), None)
-    if scan is not None:
-        file = scan.files[0]
-        shared.insert(0, read_stub(file)[0] if scan.is_remote else str(file.resolve()))
-    return shared
-
-
 def schedule_of(
     survey: Survey, plan_pair: PlanPair, pool: Pool, collector: Collector, machines: Machines
 ) -> Schedule:
@@ -123,7 +108,7 @@ def schedule_of(
     collector : receives the results
     """
     plans = _plans_for_workers(survey.todo, plan_pair, collector.folder, machines)
-    return Schedule(pool, plans, survey, collector, machines.policy)
+    return Schedule(pool, plans, survey, collector)
 
 
 def _plans_for_workers(
@@ -143,7 +128,7 @@ def _plans_for_workers(
 
 
 def large_pairs_warnings(
-    pairs: Sequence[ScanPair], files: InputFiles, costs: CostModel, settings: InputSettings
+    pairs: Sequence[ScanPair], files: InputFiles, settings: InputSettings
 ) -> list[str]:
     """The warning of pairs beyond the points of usual sensors, if there are any."""
     n_points = [files.n_points(pair) for pair in pairs]
@@ -151,10 +136,10 @@ def large_pairs_warnings(
     if settings.voxel_m is not None or n_most < _LARGE_PAIR:
         return []
     largest = pairs[n_points.index(n_most)]
-    return [large_pairs_text(n_points, costs, voxel_for(largest, settings))]
+    return [large_pairs_text(n_points, voxel_for(largest, settings))]
 
 
-def large_pairs_text(n_points: Sequence[int], costs: CostModel, voxel_m: float | None) -> str:
+def large_pairs_text(n_points: Sequence[int], voxel_m: float | None) -> str:
     """Memory and time of pairs beyond the points of usual sensors, of which there are some, and how to reduce them.
 
     Parameters

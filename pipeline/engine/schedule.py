@@ -20,7 +20,7 @@ from ...schemas.columns import SIDES
 from ..stage import Grain
 from ..storage.folder import RunFolder
 from ..storage.table_files import JobRecord
-from .costs import CostModel
+from . import costs
 from .plan import Job, PairPlan
 from .pool import Handle, Pool, WorkerDied
 from .progress import Reporter
@@ -28,8 +28,17 @@ from .survey import Survey
 from .time_limit import NOTES
 from .worker import BatchResult, JobFailure, ObjectRows, PairBatch, job_title, run_batch
 
-_FIRST = 1e6  # priority of what others wait for
+# How work is cut into batches; no result depends on it.
+PAIRS_PER_WORKER = (
+    2  #: that are begun; with no more left than these, pairs fall into smaller batches
+)
+WORTH_SPLITTING_S = 1.0  #: if they cost more than this
+BATCH_S = 0.5  #: seconds of objects per batch
+BUNDLE_S = 0.5  #: seconds of small pairs per batch
+LONG_PAIR_S = 100.0  #: pairs that cost more are done job by job, so that progress shows
+LEAST_WEIGHT = 1 / 16  #: share of a batch that a pair has at least
 _BATCHES_PER_WORKER = 2  # submitted at the same time, so that none waits for the next
+_FIRST = 1e6  # priority of what others wait for
 
 
 class Collector:
@@ -95,29 +104,6 @@ class Collector:
             if failure.trace and failure.trace not in self._traces:
                 self._traces.add(failure.trace)
                 self.reporter.say(failure.trace)
-
-
-@dataclass(frozen=True)
-class Policy:
-    """Batching policy; no result depends on it.
-
-    costs : memory and seconds of batches
-    pairs_per_worker : pairs that are begun for each worker; with no more left than these, pairs
-        fall into smaller batches
-    worth_splitting_s : that cost more than this
-    batch_s : seconds of objects per batch
-    bundle_s : seconds of small pairs per batch
-    long_pair_s : pairs that cost more than this are done job by job, so that progress shows
-    least_weight : share of a batch that a pair has at least
-    """
-
-    costs: CostModel = field(default_factory=CostModel)
-    pairs_per_worker: int = 2
-    worth_splitting_s: float = 1.0
-    batch_s: float = 0.5
-    bundle_s: float = 0.5
-    long_pair_s: float = 100.0
-    least_weight: float = 1 / 16
 
 
 @dataclass
@@ -190,7 +176,6 @@ class Schedule:
     plans : of the pairs, each with jobs to be made; taken one by one as they are begun
     survey : of the same pairs
     collector : receives the results while the work proceeds
-    policy : rules for cutting work into batches
     """
 
     def __init__(
@@ -199,12 +184,9 @@ class Schedule:
         plans: Iterable[PairPlan],
         survey: Survey,
         collector: Collector,
-        policy: Policy,
     ) -> None:
         self._pool = pool
         self._collector = collector
-        self._policy = policy
-        self._costs = policy.costs
         self._pending = iter(plans)
         self._n_pending = len(survey.todo)
         self._n_jobs = survey.n_jobs
@@ -260,7 +242,7 @@ class Schedule:
 
     def _window(self) -> int:
         """Number of pairs that may be worked on at the same time."""
-        return self._policy.pairs_per_worker * self._pool.n_workers
+        return PAIRS_PER_WORKER * self._pool.n_workers
 
     def _begin(self, pair: _Pair) -> None:
         self._active[pair.plan.pair_id] = pair
@@ -324,7 +306,7 @@ class Schedule:
     def _is_worth_splitting(self, pair: _Pair) -> bool:
         plan = pair.plan
         grains = {job.stage.grain for job in pair.todo}
-        largest = self._costs.object_bytes(plan.largest_object[1])
+        largest = costs.object_bytes(plan.largest_object[1])
         if Grain.OBJECT in grains and largest > self._object_share(plan):
             return True  # its objects are admitted one by one
         if self._pool.n_workers == 1:
@@ -332,12 +314,12 @@ class Schedule:
         if self._n_pending + len(self._active) > self._window():
             return False
         if Grain.SIDE in grains:
-            return self._costs.side_seconds(plan.n_points) > self._policy.worth_splitting_s
-        seconds = sum(self._costs.object_seconds(n) for _, n in plan.objects or [])
-        return plan.objects is None or seconds > self._policy.worth_splitting_s
+            return costs.side_seconds(plan.n_points) > WORTH_SPLITTING_S
+        seconds = sum(costs.object_seconds(n) for _, n in plan.objects or [])
+        return plan.objects is None or seconds > WORTH_SPLITTING_S
 
     def _is_long(self, pair: _Pair) -> bool:
-        return self._costs.pair_seconds(pair.plan.n_points) > self._policy.long_pair_s
+        return costs.pair_seconds(pair.plan.n_points) > LONG_PAIR_S
 
     def _split(self, pair: _Pair) -> None:
         """The next layer of a pair in batches that run at the same time: by side, by object, or by job."""
@@ -357,7 +339,7 @@ class Schedule:
     ) -> None:
         """Some jobs of a pair as one batch."""
         with_objects = any(job.stage.grain is not Grain.SIDE for job in jobs)
-        need = pair.plan.bytes_needed(self._costs, with_objects=with_objects)
+        need = pair.plan.bytes_needed(with_objects=with_objects)
         most_bytes = None if pair.plan.is_counted else need
         names = tuple(job.name for job in jobs)
         self._submit([pair], [PairBatch(pair.plan, names, most_bytes, rows=rows)], need, priority)
@@ -373,14 +355,14 @@ class Schedule:
         """All that is left of some pairs as one batch; each stops before a job that may need more than its share."""
         batches = []
         for pair in pairs:
-            need = self._costs.pair_bytes(pair.plan.n_points) + self._object_share(pair.plan)
+            need = costs.pair_bytes(pair.plan.n_points) + self._object_share(pair.plan)
             batches.append(PairBatch(pair.plan, tuple(job.name for job in pair.todo), need))
         self._submit(pairs, batches, max(batch.most_bytes or 0 for batch in batches))
 
     def _weight(self, pair: _Pair) -> float:
         """The part of a batch that a pair is worth."""
-        seconds = 2 * self._costs.side_seconds(pair.plan.n_points // 2)
-        return min(1.0, max(self._policy.least_weight, seconds / self._policy.bundle_s))
+        seconds = 2 * costs.side_seconds(pair.plan.n_points // 2)
+        return min(1.0, max(LEAST_WEIGHT, seconds / BUNDLE_S))
 
     def _submit_objects(self, pair: _Pair) -> None:
         """The stages over a pair's objects: large objects alone, small ones together, largest first.
@@ -397,15 +379,13 @@ class Schedule:
         for number, n_keep in sorted(pair.plan.objects, key=lambda entry: (-entry[1], entry[0])):
             if left_s <= 0:
                 batches.append([])
-                left_s = self._policy.batch_s
+                left_s = BATCH_S
             batches[-1].append((number, n_keep))
-            left_s -= self._costs.object_seconds(n_keep)
+            left_s -= costs.object_seconds(n_keep)
         jobs = tuple(job.name for job in chain)
-        priority = self._costs.object_seconds(batches[0][0][1])
+        priority = costs.object_seconds(batches[0][0][1])
         for sizes in batches:
-            need = self._costs.pair_bytes(pair.plan.n_points) + self._costs.object_bytes(
-                sizes[0][1]
-            )
+            need = costs.pair_bytes(pair.plan.n_points) + costs.object_bytes(sizes[0][1])
             objects = tuple(number for number, _ in sizes)
             self._submit([pair], [PairBatch(pair.plan, jobs, objects=objects)], need, priority)
 
@@ -427,29 +407,27 @@ class Schedule:
             if self._running and sum(heapq.nlargest(n_workers, needs)) > self._usable():
                 return
             heapq.heappop(self._waiting)
-            self._running[self._pool.submit(run_batch, batch.batches, self._costs)] = batch
+            self._running[self._pool.submit(run_batch, batch.batches)] = batch
 
     def _usable(self) -> int:
         """Bytes available to batches, of all workers together."""
-        return max(0, self._pool.memory.together - self._costs.process_bytes * self._pool.n_workers)
+        return max(0, self._pool.memory.together - costs.PROCESS_BYTES * self._pool.n_workers)
 
     def _object_share(self, plan: PairPlan) -> int:
         """Bytes that an object may need for its pair to run as one batch."""
-        return max(
-            0, self._usable() // self._pool.n_workers - self._costs.pair_bytes(plan.n_points)
-        )
+        return max(0, self._usable() // self._pool.n_workers - costs.pair_bytes(plan.n_points))
 
     def _why_too_large(self, plan: PairPlan) -> str | None:
         """Reason why the rest of a pair does not fit into the memory even if nothing else runs; None if it fits."""
-        usable = max(0, self._pool.memory.alone - self._costs.process_bytes)
-        need = plan.bytes_needed(self._costs, with_objects=True)
+        usable = max(0, self._pool.memory.alone - costs.PROCESS_BYTES)
+        need = plan.bytes_needed(with_objects=True)
         if need <= usable:
             return None
         number, n_keep = plan.largest_object
         what = f"object {number} of {n_keep} aligned nodes" if n_keep else f"{plan.n_points} points"
         return (
             f"{what}: {_gib(need)} of memory may be needed at once, {_gib(usable)} are available "
-            f"(machine.memory_gib minus {_gib(self._costs.process_bytes)} for the worker process); a smaller graph.k "
+            f"(machine.memory_gib minus {_gib(costs.PROCESS_BYTES)} for the worker process); a smaller graph.k "
             "makes smaller objects, input.voxel_m, input.include_box or input.max_range_m fewer points"
         )
 

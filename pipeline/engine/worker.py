@@ -27,7 +27,6 @@ from ..stage import Grain, Inputs, JobResult, Memo, Metadata, Steps, Tables
 from ..storage.remote_dataset import restored_scan
 from ..storage.scratch import temporary_space
 from ..storage.table_files import JobId, JobRecord, plain_metadata, table_name, tables_of_run
-from .costs import CostModel
 from .plan import Job, PairPlan, Source
 from .time_limit import OutOfTimeError, limited
 
@@ -72,7 +71,7 @@ class PairBatch:
     rows: tuple[ObjectRows, ...] = ()
 
 
-def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResult]:
+def run_batch(batches: Sequence[PairBatch]) -> list[BatchResult]:
     """Run the jobs of each pair and write their results; a failed job does not stop those that do not need it."""
     results = []
     for batch in batches:
@@ -80,7 +79,7 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
         failures = runner.result.failures
         try:
             with limited(batch.plan.limit) as note:
-                for job in _next_jobs(batch, runner, costs):
+                for job in _next_jobs(batch, runner):
                     note(job_title(*job.name))
                     try:
                         with temporary_space():
@@ -95,14 +94,14 @@ def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResul
     return results
 
 
-def _next_jobs(batch: PairBatch, runner: JobRunner, costs: CostModel) -> Iterator[Job]:
+def _next_jobs(batch: PairBatch, runner: JobRunner) -> Iterator[Job]:
     """The jobs of a batch whose needs are done; none after a failure that fails the pair."""
     for name in batch.jobs:
         job = batch.plan.jobs[name]
         failed = [batch.plan.jobs[failure.job] for failure in runner.result.failures]
         if not all(job.stage.is_extra for job in failed):
             return
-        need = runner.plan.bytes_needed(costs, with_objects=job.stage.grain is Grain.OBJECT)
+        need = runner.plan.bytes_needed(with_objects=job.stage.grain is Grain.OBJECT)
         if batch.most_bytes is not None and need > batch.most_bytes:
             return
         if runner.done.issuperset(job.needs):

@@ -25,7 +25,7 @@ from ...stages.plausibility import ScanInspection
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
 from ..datasets.readers.scan_ref import scan_ref
-from ..engine.plan import Planner
+from ..engine.plan import plan_jobs
 from ..engine.progress import Reporter
 from ..engine.worker import run_in_memory
 from ..jobs import ground_job
@@ -103,7 +103,7 @@ def evaluate_pair(
     Graphs and communities of both sides are computed once for each k and tau; an object that is
     matched under several delta is scored once for each t.
     """
-    jobs = Planner((ground_job.STAGE,), settings, {}).jobs
+    jobs = plan_jobs((ground_job.STAGE,), settings)
     tables, outputs = run_in_memory(jobs, scans, pair)
     _, real_points = points_in(tables["ground", "real"])
     _, sim_points = points_in(tables["ground", "sim"])

@@ -38,7 +38,7 @@ from ...stages.plausibility import ScanInspection
 from ...stages.statistics.typical_objects import ChosenObject
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
-from ..engine.plan import Planner
+from ..engine.plan import plan_jobs
 from ..engine.progress import Reporter
 from ..engine.worker import run_in_memory
 from ..jobs import communities_job, graph_job, ground_job
@@ -157,7 +157,7 @@ def alter_scan(
     request: Request,
 ) -> JobResult:
     """All perturbations of the real scan of a pair and of its chosen objects, with all repeats."""
-    jobs = Planner(_PARTITION_STAGES, settings, {}).jobs
+    jobs = plan_jobs(_PARTITION_STAGES, settings)
     real_jobs = {name: job for name, job in jobs.items() if job.part == "real"}
     tables, outputs = run_in_memory(real_jobs, scans, pair)
     point_ids, points = points_in(tables["ground", "real"])

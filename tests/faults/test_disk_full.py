@@ -7,7 +7,7 @@ import re
 import pytest
 
 from fidpipe.pipeline.cli.output import print_view
-from fidpipe.pipeline.engine.costs import CostModel
+from fidpipe.pipeline.engine import costs
 from fidpipe.pipeline.inspect import check_view
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.pipeline.storage.scratch import temporary_space
@@ -63,7 +63,7 @@ def test_the_estimate_of_disk_space_is_near_what_a_run_takes(real_data, tmp_path
     run(data, tmp_path / "run", pattern="000002", workers=None)
     taken = sum(path.stat().st_size for path in (tmp_path / "run").rglob("*.parquet"))
     n_raw = sum(path.stat().st_size // 16 for path in data.glob("*/000002.bin"))
-    assert 0.7 < taken / CostModel().disk_bytes(n_raw) < 1.3
+    assert 0.7 < taken / costs.disk_bytes(n_raw) < 1.3
 
 
 def test_check_warns_where_a_run_does_not_fit(dataset, monkeypatch, capsys):
