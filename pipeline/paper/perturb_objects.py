@@ -16,7 +16,7 @@ from ...stages.statistics.typical_objects import (
     typical_of_class,
     typical_of_shapes,
 )
-from ..engine.memory import PairTables
+from ..engine.worker import PairTables
 from ..jobs.points_job import column
 
 #: The classes of the paper, section "Controlled Perturbation Analysis".

@@ -221,11 +221,9 @@ def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
     assert str(finished) in one_error(command(words[0], finished / "run.json", *words[1:]))
 
 
-@pytest.mark.parametrize("address", ["tls://host:1", "foo", "tcp://host:99999"])
+@pytest.mark.parametrize("address", ["tls://host:1", "foo", "tcp://host"])
 def test_what_is_no_address_of_a_scheduler_is_said_at_once(dataset, tmp_path, address):
-    advice = (
-        "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" if address.startswith("tls") else "tcp://HOST:PORT"
-    )
+    advice = "tcp://HOST:PORT.*DASK_DISTRIBUTED__COMM__TLS__CA_FILE"
     with pytest.raises(RunError, match=f"^{re.escape(f'scheduler {address!r}: ')}.*{advice}"):
         run(dataset, tmp_path / "run", scheduler=address)
 
