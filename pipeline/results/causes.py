@@ -85,9 +85,7 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseVal
     RunError
         A table is damaged or gone.
     """
-    table, n_rows = store.read_pairs(pair_ids, {("causes", ""): _COLUMNS})["causes", ""]
-    frame = table.to_pandas()
-    frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
+    frame = store.read_pairs(pair_ids, {("causes", ""): _COLUMNS})["causes", ""]
     return _by_cause(frame, sorted(CAUSES), len(pair_ids))
 
 

@@ -58,9 +58,7 @@ def read_gains(store: RunFolder, pair_ids: Sequence[str], causes: Sequence[Cause
         records.append(record)
     if not records:
         return None
-    table, n_rows = store.read_pairs(pair_ids, {(GAINS, ""): ["cause", "gain_m"]})[GAINS, ""]
-    frame = table.to_pandas()
-    frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
+    frame = store.read_pairs(pair_ids, {(GAINS, ""): ["cause", "gain_m"]})[GAINS, ""]
     by_cause = {str(name): rows["gain_m"].to_numpy() for name, rows in frame.groupby("cause")}
     distances_m = np.array([record.metadata[DISTANCES] for record in records])
     curves: dict[str, dict[str, FloatArray]] = {}

@@ -151,10 +151,7 @@ def object_parts(
                 wanted[table, side] = [*_KEYS[table], *stored]
     for first in range(0, len(pair_ids), PAIRS_AT_ONCE):
         names = pair_ids[first : first + PAIRS_AT_ONCE]
-        tables = {}
-        for source, (table, n_rows) in store.read_pairs(names, wanted).items():
-            pair = np.repeat(np.arange(len(names), dtype=np.int32), n_rows)
-            tables[source] = table.to_pandas().assign(pair=pair)
+        tables = store.read_pairs(names, wanted)
         n_real = tables["objects", "real"].groupby("pair").size()
         parts = []
         for side in sides:

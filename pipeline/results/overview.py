@@ -36,7 +36,7 @@ from ..storage.urls import recorded_path
 from .best_case import BEST_CASE_RECIPE
 from .causes import named_and_small, read_causes, unknown_causes
 from .independence import NEEDED, find_places, pairs_and_places
-from .object_frame import PAIRS_AT_ONCE, STATISTICS_COLUMNS, arrays_of, object_parts, plain_rows
+from .object_frame import STATISTICS_COLUMNS, arrays_of, object_parts, plain_rows
 from .places import moved_words, place_words
 
 if TYPE_CHECKING:
@@ -143,8 +143,7 @@ def _doubts(store: RunFolder, pair_ids: Sequence[str]) -> list[str]:
     tables = store.read_pairs(pair_ids, {("sensor", side): ["doubts"] for side in SIDES})
     lines = []
     for side in SIDES:
-        table, _ = tables["sensor", side]
-        texts = "\n".join(table["doubts"].drop_null().to_pylist()).splitlines()
+        texts = "\n".join(tables["sensor", side]["doubts"].dropna()).splitlines()
         lines += doubt_lines(side, texts, len(pair_ids))
     return lines
 
@@ -203,19 +202,11 @@ def _alignment(objects: pd.DataFrame) -> dict[str, int]:
 
 def largest_pieces(store: RunFolder, pair_ids: Sequence[str]) -> list[Piece]:
     """The largest pieces of surface without a counterpart; one that moved counts once, on the real side."""
-    import pandas as pd
-
-    kept: list[pd.DataFrame] = []
     columns = {("pieces", ""): TABLES["pieces"].schema.names}
-    for first in range(0, len(pair_ids), PAIRS_AT_ONCE):
-        names = pair_ids[first : first + PAIRS_AT_ONCE]
-        table, n_rows = store.read_pairs(names, columns)["pieces", ""]
-        names_of_rows = np.repeat(np.array(names, dtype=object), n_rows)
-        pieces: pd.DataFrame = table.to_pandas().assign(pair_id=names_of_rows)
-        pieces = pieces[(pieces["side"] == "real") | (pieces["fate"] != "moved")]
-        kept.append(pieces.sort_values("n_points", ascending=False, kind="stable").head(N_PIECES))
+    pieces = store.read_pairs(pair_ids, columns)["pieces", ""]
+    pieces = pieces[(pieces["side"] == "real") | (pieces["fate"] != "moved")]
     order = ["n_points", "pair_id", "side", "piece_id"]
-    largest = pd.concat(kept).sort_values(order, ascending=False).head(N_PIECES)
+    largest = pieces.sort_values(order, ascending=False).head(N_PIECES)
     return [_piece(row) for row in plain_rows(largest)]
 
 
