@@ -13,10 +13,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import DISTRIBUTED, QUADRANT_LIMITS
+from ...schemas.metric_catalogue import QUADRANT_LIMITS
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
-from ...stages.statistics.findings import BAND_EDGES_M, Objects
+from ...stages.statistics.findings import BAND_EDGES_M
 from ...stages.statistics.typical_objects import SHAPES
 from ..storage.folder import RunFolder
 
@@ -186,22 +186,6 @@ def _of_side(side: str, tables: Mapping[tuple[str, str], pd.DataFrame]) -> pd.Da
     objects[counts] = objects[counts].fillna(0)
     objects["partner"] = objects["partner"].fillna(-1)
     return objects.astype(dict.fromkeys([*counts, "partner"], np.int32))
-
-
-#: Columns of the frame that the statistics over all objects use.
-STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", *DISTRIBUTED)
-
-
-def arrays_of(objects: pd.DataFrame) -> Objects:
-    """The objects for the statistics over all of them; remnants do not count."""
-    counted = objects[objects["fate"] != "remnant"]
-    numbers = [name for name in STATISTICS_COLUMNS if name != "label"]
-    return Objects(
-        is_real=(counted["side"] == "real").to_numpy(),
-        label=counted["label"].fillna("").to_numpy(dtype=np.str_),
-        is_matched=(counted["fate"] == "matched").to_numpy(),
-        **{name: counted[name].to_numpy() for name in numbers},
-    )
 
 
 def plain_rows(rows: pd.DataFrame) -> list[Row]:

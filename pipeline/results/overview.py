@@ -29,14 +29,15 @@ from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.coverage import ROAD, surface_state
 from ...stages.statistics.comparison import LEAST_PAIRS
-from ...stages.statistics.findings import BAND_NAMES, summarise_objects
+from ...stages.statistics.findings import BAND_NAMES
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.urls import recorded_path
 from .best_case import BEST_CASE_RECIPE
 from .causes import named_and_small, read_causes, unknown_causes
 from .independence import NEEDED, find_places, pairs_and_places
-from .object_frame import STATISTICS_COLUMNS, arrays_of, object_parts, plain_rows
+from .object_findings import FINDINGS_COLUMNS, summarise_objects
+from .object_frame import object_parts, plain_rows
 from .places import moved_words, place_words
 
 if TYPE_CHECKING:
@@ -61,8 +62,6 @@ NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
 #: Columns of the frame of objects that the overview uses.
 OVERVIEW_COLUMNS = (
-    "band",
-    "label",
     "covered_0p3m",
     "road_share",
     "r_lambda",
@@ -116,12 +115,12 @@ def describe_objects(
             MetricsSummary(unmatched=UnmatchedSurface(not_found=none, extra=none)),
         )
     pair_ids = scored["pair_id"].to_pylist()
-    columns = list({*STATISTICS_COLUMNS, *OVERVIEW_COLUMNS})
+    columns = list({*FINDINGS_COLUMNS, *OVERVIEW_COLUMNS})
     parts = object_parts(store, pair_ids, columns, by_reference=by_reference)
     objects = pd.concat([part.loc[part["fate"] != "remnant", [*_KEYS, *columns]] for part in parts])
     objects["label"] = objects["label"].fillna("")
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
-    found = summarise_objects(arrays_of(objects), len(pair_ids))
+    found = summarise_objects(objects, len(pair_ids))
     places = dict(zip(pair_ids, blocks.tolist(), strict=True))
     findings = Findings(n_places=len(np.unique(blocks)), places=places, **vars(found))
     causes = read_causes(store, pair_ids)

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pytest
 
 from fidpipe.pipeline import run as run_module
@@ -115,12 +114,9 @@ def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_
     ]
     rows += [("real", 1, 300, "moved", None), ("sim", 1, 310, "moved", None)]
     names = ("side", "piece_id", "n_points", "fate", "label")
-    table = pa.Table.from_pylist(
-        [dict(zip(names, row, strict=True)) | place | moved for row in rows]
-    )
-    store = SimpleNamespace(
-        read_pairs=lambda *_: {("pieces", ""): (table, np.array([2, 3]))}
-    )  # two of a, three of b
+    pieces = pd.DataFrame([dict(zip(names, row, strict=True)) | place | moved for row in rows])
+    pieces["pair_id"] = [*"aabbb"]
+    store = SimpleNamespace(read_pairs=lambda *_: {("pieces", ""): pieces})
     assert [
         (one.pair_id, one.fate_words, one.words.split(", ")[0])
         for one in largest_pieces(store, ["a", "b"])
