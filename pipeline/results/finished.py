@@ -239,14 +239,9 @@ class FinishedRun:
         """Every cause of the catalogue with its mean amount over the scored pairs, also those that are not named."""
         names = [row["pair_id"] for row in self.scored]
         values = read_causes(self.store, names)
+        del values[UNEVEN]
         blocks = self.places(names)
-        amounts: dict[str, Cause | Unknown] = {}
-        for name, of_cause in values.items():
-            if name == UNEVEN:
-                continue
-            amount = mean_amount(name, of_cause, blocks)
-            amounts[name] = amount or Unknown(causes=(name,), reason=of_cause.reason)
-        return amounts
+        return {name: mean_amount(name, values[name], blocks) for name in values}
 
     @property
     def preset(self) -> str:

@@ -17,7 +17,6 @@ from ...schemas.metric_catalogue import QUADRANT_LIMITS
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.statistics.findings import BAND_EDGES_M
-from ...stages.statistics.typical_objects import SHAPES
 from ..storage.folder import RunFolder
 
 if TYPE_CHECKING:
@@ -36,6 +35,8 @@ for _table, _keys in _KEYS.items():
     _known = {"pair_id", "side", "n_points", *_keys}
     COLUMNS_OF[_table] = tuple(name for name in TABLES[_table].schema.names if name not in _known)
 
+#: The shape features of objects, and the name of an object of that shape.
+SHAPES = {"linearity": "linear", "planarity": "planar", "scattering": "scattered"}
 CDC_LIMIT = QUADRANT_LIMITS["cdc"]
 R_LAMBDA_LIMIT = QUADRANT_LIMITS["r_lambda"]
 
