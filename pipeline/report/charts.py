@@ -13,7 +13,6 @@ import numpy as np
 import orjson
 import pandas as pd
 
-from ...schemas.metric_catalogue import METRIC
 from ...schemas.results import Evidence
 from ...stages.statistics.findings import evenly
 from ..results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
@@ -33,12 +32,6 @@ Chart = dict[str, Any]  #: data and layout
 
 #: More dots would make a page slow; the text next to the chart then names the part that is shown.
 MOST_DOTS = 3000
-#: Scores along the sequence: symbol and colour.
-_SEQUENCE = {
-    "match_rate": ("square", of_theme("soft")),
-    "r_lambda": ("circle", of_theme("ink")),
-    "cdc": ("diamond-open", of_theme("ink")),
-}
 
 _INK = of_theme("ink")
 _SOFT = of_theme("soft")
@@ -72,7 +65,7 @@ TEMPLATE: Chart = {
 
 def run_charts(results: RunResults) -> dict[str, Chart]:
     """The charts of a whole run, by the id of their place in the page."""
-    charts = {"quadrants": _quadrants(results), "sequence": _sequence(results)}
+    charts = {"quadrants": _quadrants(results)}
     outcomes = ray_outcomes(results)
     if len(outcomes):
         charts["rays_range"] = _rays(outcomes)
@@ -90,18 +83,6 @@ def ray_outcomes(results: RunResults) -> pd.DataFrame:
     counts = rows[[*columns]].mul(rows.n_rays, axis=0).rename(columns=columns)
     total = counts.assign(n_rays=rows.n_rays).groupby(rows.band).sum()
     return total.div(total.n_rays, axis=0).assign(n_rays=total.n_rays)
-
-
-def along_the_sequence(results: RunResults) -> pd.DataFrame:
-    """The scored pairs by the time of their real scans if known of each, else by name.
-
-    Their `place` is the number of seconds since the first one, or their number from 1.
-    """
-    pairs = results.pairs
-    times_s = pairs.pair_id.map(results.run.record.times_s).astype(float)
-    if times_s.notna().all():
-        return pairs.assign(place=times_s - times_s.min()).sort_values(["place", "pair_id"])
-    return pairs.sort_values("pair_id").assign(place=np.arange(1.0, len(pairs) + 1))
 
 
 def _quadrants(results: RunResults) -> Chart:
@@ -165,35 +146,6 @@ def _rays(outcomes: pd.DataFrame) -> Chart:
         "margin": {"t": 60},
         "xaxis": {"type": "category", "showgrid": False},
         "yaxis": {"title": {"text": "share of the rays (%)"}},
-    }
-    return _chart(data, layout)
-
-
-def _sequence(results: RunResults) -> Chart:
-    """Match rate and the means of both scores of each pair, one after the other."""
-    pairs = along_the_sequence(results)
-    rows = pairs.iloc[evenly(len(pairs), MOST_DOTS)]
-    titles = [f"pair {in_chart(name)}" for name in rows.pair_id]
-    data = []
-    for score, (symbol, colour) in _SEQUENCE.items():
-        metric = METRIC[score]
-        data.append(
-            {
-                "mode": "lines+markers",
-                "name": f"{metric.label} ({metric.scale})",
-                "x": rows.place.to_numpy(),
-                "y": rows[metric.pair_column].to_numpy(dtype=float),
-                "text": titles,
-                "hovertemplate": f"%{{text}}<br>{metric.label} %{{y:.3f}}<extra></extra>",
-                "line": {"color": colour, "width": 1},
-                "marker": {"color": colour, "size": 7, "symbol": symbol},
-            }
-        )
-    along = "seconds, or number of the pair"
-    layout = {
-        "xaxis": {"title": {"text": along}, "nticks": min(10, len(rows))},
-        "yaxis": {"rangemode": "tozero", "title": {"text": "match rate, means of scores"}},
-        "margin": {"t": 30},
     }
     return _chart(data, layout)
 

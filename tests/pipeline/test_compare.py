@@ -14,9 +14,8 @@ import pandas as pd
 import pytest
 from plotly.offline import get_plotlyjs
 
-from fidpipe.pipeline.report.page.compare_page import compare_page
+from fidpipe.pipeline.report.page.compare_page import compare_page, draw_change
 from fidpipe.pipeline.report.page.run_page import write_report
-from fidpipe.pipeline.report.pictures import draw_change
 from fidpipe.pipeline.report.render import csv_table, markdown
 from fidpipe.pipeline.report.views.compare_view import (
     chance,

@@ -12,7 +12,7 @@ import pytest
 
 from fidpipe.pipeline import run as run_module
 from fidpipe.pipeline import run_tables
-from fidpipe.pipeline.report.page.run_data import verdict_of
+from fidpipe.pipeline.report.page.run_data import page_words
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.report.views.run_view import outcome_view, summary_view
 from fidpipe.pipeline.report.views.show_view import show_view
@@ -147,7 +147,7 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
     moved = f"CDC {after.summary['cdc_mean'].mean - before['cdc_mean'].mean:+.2f}"
     for shown in (
         text_of(show_view(FinishedRun(folder), None, None), 300),
-        str(verdict_of(read_results(folder))["answer"]),
+        str(page_words(read_results(folder))["answer"]),
     ):
         assert moved in shown
         assert f"since {after.previous.written}; is it chance? fidpipe compare" in shown

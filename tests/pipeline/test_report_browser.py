@@ -5,7 +5,7 @@ import io
 import json
 import os
 import re
-from urllib.parse import quote, unquote
+from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
@@ -335,50 +335,17 @@ def buttons(browser):
 
 @pytest.mark.exhaustive
 def test_no_chart_of_any_page_has_a_button_that_uploads_it(browser, report_run, tmp_path):
-    single = write_report(report_run, one_page_a_pair=True, out=tmp_path / "single").page
     (tmp_path / "compare.html").write_text(
         compare_page(compare_runs([report_run, report_run])), encoding="utf-8"
     )
-    write_report(report_run, out=tmp_path / "whole")
-    with_3d = [
-        *(set(single.parent.glob("*.html")) - {single}),
-        *(tmp_path / "whole").glob("*.html"),
-    ]
-    assert len(with_3d) == len(HOSTILE_PAIRS) + 1
-    for path in with_3d:
-        open_page(browser, path)
-        choose(browser, "object", "real 0")
-        see_all(browser)
-        assert browser.execute_script("return Boolean(document.getElementById('overlay').data)")
-        assert buttons(browser) == [{"scene": BUTTONS_3D}, [""]], path
-    for path in (single, tmp_path / "compare.html"):
-        open_page(browser, path)
-        see_all(browser)
-        assert buttons(browser)[0] == {}, path
-
-
-@pytest.mark.exhaustive
-def test_pages_of_single_pairs_open_at_the_object_that_was_asked_for(browser, report_run, tmp_path):
-    index = write_report(report_run, one_page_a_pair=True, out=tmp_path).page
-    resize(browser, WIDTHS[0])
-    requests(browser), complaints(browser)
-    open_page(browser, index)
-    links = {
-        a.text: a.get_attribute("href")
-        for a in browser.find_elements("css selector", "#pairs_table td a")
-    }
-    assert len(links) == len(HOSTILE_PAIRS)
-    asked = address(FIRST_PAIR, "real 0")
-    for start in (links[FIRST_PAIR].partition("#")[0], index.as_uri()):
-        browser.get("about:blank")
-        browser.get(start + asked)
-        wait_for(browser, "return document.getElementById('object').value === 'real 0'")
-        assert browser.current_url.partition("#")[0] == links[FIRST_PAIR].partition("#")[0]
-        assert fragment(browser) == unquote(asked)
-        assert by_id(browser, "pair").get_attribute("value") == FIRST_PAIR
-        assert by_id(browser, "panel").is_displayed()
-    assert complaints(browser) == []
-    assert all(url.startswith(index.parent.as_uri()) for url in requests(browser))
+    open_page(browser, write_report(report_run, out=tmp_path).page)
+    choose(browser, "object", "real 0")
+    see_all(browser)
+    assert browser.execute_script("return Boolean(document.getElementById('overlay').data)")
+    assert buttons(browser) == [{"scene": BUTTONS_3D}, [""]]
+    open_page(browser, tmp_path / "compare.html")
+    see_all(browser)
+    assert buttons(browser)[0] == {}
 
 
 @pytest.mark.exhaustive
@@ -714,7 +681,7 @@ def test_every_chart_has_a_text_alternative(page):
         "return [...document.querySelectorAll('.chart')].map((one) => [one.id, one.getAttribute('role'), "
         "one.getAttribute('aria-label') ?? document.getElementById(one.getAttribute('aria-labelledby'))?.textContent])"
     )
-    assert len(charts) == 5
+    assert len(charts) == 4
     for name, role, text in charts:
         assert role == "img", name
         assert text is not None, name

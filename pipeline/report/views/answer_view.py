@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ....schemas.metric_catalogue import headline_scores, metric_of
@@ -113,6 +113,12 @@ def answer_sections(
     return {heading: items for heading, items in sections.items() if items}
 
 
+def frame_warnings(overview: Overview) -> list[Note]:
+    """Warnings that the frames of both sides differ."""
+    cautions = [caution for caution in overview.trust if caution.kind == "frames"]
+    return [Note(f"warning: {caution.words}", "red") for caution in cautions]
+
+
 def run_options(record: RunHeader) -> list[str]:
     """Preset and settings of a run, as options of a command."""
     options = ["--preset", record.preset]
@@ -143,12 +149,12 @@ def trust_words(
     Commands name the folder of the run.
     """
     command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
-    kinds = {caution.kind for caution in overview.trust} - {"failed", "frames"}  # shown above
-    if has_best_case:
-        kinds.discard("best_case")
     trust = []
-    for words in caution_words(overview, kinds)[:most]:
-        trust.append(words.replace("fidpipe best-case RUN", command))
+    for caution in overview.trust:
+        is_shown_above = caution.kind in ("failed", "frames")
+        if not is_shown_above and not (has_best_case and caution.kind == "best_case"):
+            trust.append(caution.words.replace("fidpipe best-case RUN", command))
+    trust = trust[:most]
     if overview.unknown:
         groups = []
         for group in overview.unknown:
@@ -157,11 +163,6 @@ def trust_words(
             groups.append(f"{names} ({group.reason})")
         trust.append(f"unknown: {'; '.join(groups)}")
     return trust
-
-
-def caution_words(overview: Overview, kinds: Container[str]) -> list[str]:
-    """The cautions of these kinds."""
-    return [caution.words for caution in overview.trust if caution.kind in kinds]
 
 
 def next_commands(

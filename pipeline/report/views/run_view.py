@@ -45,7 +45,7 @@ from ..view import (
     number,
     percent,
 )
-from .answer_view import answer_view, caution_words, departures
+from .answer_view import answer_view, departures, frame_warnings
 from .best_case_view import HEADLINES, excess_view
 
 if TYPE_CHECKING:
@@ -104,9 +104,9 @@ def summary_view(
         parts += seeds_view(record.seeds)
     if excess:
         parts += [*excess_view(excess, HEADLINES), Note("")]
-    parts += _failures_parts(folder, rows, reported)
-    for words in caution_words(record.overview, ("frames",)) if record.overview else ():
-        parts.append(Note(f"warning: {words}", "yellow"))
+    parts += failures_view(folder, rows, reported)
+    if record.overview:
+        parts += frame_warnings(record.overview)
     parts += answer_view(folder, record, diagnosis, excess, with_all=with_all, took=took)
     return parts
 
@@ -147,7 +147,9 @@ def surface_table(overview: Overview) -> Table:
     return Table(title, ("", "real points", "missing", "simulated points", "invented"), rows)
 
 
-def _failures_parts(folder: Path, rows: Sequence[Row], reported: Container[str]) -> View:
+def failures_view(
+    folder: Path, rows: Sequence[Row], reported: Container[str] = frozenset()
+) -> View:
     """Failed pairs with their reasons; failures already reported are only counted."""
     failures = [row for row in rows if row["status"] == "failed"]
     if not failures:
