@@ -49,10 +49,8 @@ def show(
     output = format_of(as_json, as_markdown, as_csv)
     if all_ and object_ is not None:
         raise typer.BadParameter("--all is about a run or a pair; leave out the object")
-    if best_case is not None and object_ is not None:
-        raise typer.BadParameter(
-            "--best-case is about the scores of a run or of a pair; leave out the object"
-        )
+    if best_case is not None and pair is not None:
+        raise typer.BadParameter("--best-case is about the scores of a run; leave out the pair")
     if (as_markdown or as_csv) and (all_ or best_case is not None):
         raise typer.BadParameter(
             "--markdown and --csv are of a run, a pair or an object; leave out --all and "
@@ -64,8 +62,7 @@ def show(
     from ..results.finished import FinishedRun
 
     finished = FinishedRun(run)
-    pairs = None if pair is None else [pair]
-    excess = None if best_case is None else excess_over(finished, best_case, pairs)
+    excess = None if best_case is None else excess_over(finished, best_case)
     print_as(
         output,
         view=lambda: show_view(finished, pair, object_, excess, with_all=all_),

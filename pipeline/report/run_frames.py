@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,7 +21,6 @@ from ...stages.arrays import BoolArray, FloatArray
 from ...stages.coverage import nearest_distances
 from ...stages.pieces import CutScan, label_pieces
 from ..results.finished import FinishedRun
-from ..results.object_frame import QUADRANTS, UNKNOWN
 from ..results.overview import NO_LABEL
 
 #: The two scores that are drawn side by side.
@@ -76,31 +74,10 @@ class RunResults:
         """The objects that only one side has, largest first."""
         return self.objects[self.objects.partner < 0]
 
-    def select(self, pattern: str | None) -> list[str]:
-        """Names of the scored pairs that match, worst first.
-
-        Raises
-        ------
-        RunError
-            None does.
-        """
-        chosen = set(self.run.select(pattern))
-        return [name for name in self.pairs.pair_id if name in chosen]
-
 
 def axis_title(score: str) -> str:
     """Label of the axis of a score: its heading and its best end."""
     return f"{METRIC[score].label} ({METRIC[score].scale})"
-
-
-def quadrants(results: RunResults) -> dict[str, dict[str, Any]]:
-    """By quadrant, and of the objects without a score: number (n) and share of matched objects."""
-    counts = results.matched.quadrant.value_counts()
-    by_quadrant = {}
-    for key in (*QUADRANTS, UNKNOWN):
-        n = int(counts.get(key, 0))
-        by_quadrant[key] = {"n": n, "share": n / max(1, len(results.matched))}
-    return by_quadrant
 
 
 def read_results(folder: Path) -> RunResults:

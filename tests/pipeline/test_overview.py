@@ -254,8 +254,8 @@ def test_show_gives_csv_that_pandas_reads_and_markdown_tables(by_command):
     metrics = pd.read_parquet(out / "metrics").query("pair_id == @NUSCENES[0]").set_index("real_id")
     matched = objects[objects.status == "matched"].set_index("real_id")
     assert matched.cdc.to_dict() == metrics.cdc.to_dict()
-    one = pd.read_csv(StringIO(command("show", out, NUSCENES[0], 0, "--csv").stdout), index_col=0)
-    assert float(one.score["cdc"]) == metrics.cdc[0]
+    one = pd.read_csv(StringIO(command("show", out, NUSCENES[0], 0, "--csv").stdout))
+    assert one.cdc.tolist() == [metrics.cdc[0]]
     markdown = command("show", out, "--markdown").stdout
     assert markdown.startswith("**streets: 3 pairs, preset paper**")
     assert "\nsurface: " in markdown

@@ -1,7 +1,6 @@
 """The report of a run: input that it reads or rejects, its content, and names that cannot break it."""
 
 import html
-import json
 import re
 import shutil
 from types import SimpleNamespace
@@ -14,11 +13,10 @@ import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from fidpipe.pipeline.report.charts import run_charts
 from fidpipe.pipeline.report.page.pair_data import pair_data, thinned
 from fidpipe.pipeline.report.page.run_data import page_data, page_words, score_limits
-from fidpipe.pipeline.report.page.run_page import MOST_VIEWS, some_of, views_of, write_report
-from fidpipe.pipeline.report.run_frames import coordinates, points_of, quadrants, read_results
+from fidpipe.pipeline.report.page.run_page import write_report
+from fidpipe.pipeline.report.run_frames import coordinates, points_of, read_results
 from fidpipe.pipeline.report.views.run_view import dataset_table
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.schemas.errors import RunError
@@ -78,12 +76,10 @@ def test_the_papers_figures_are_written_as_png_svg_and_pdf_and_keep_other_files(
 
 
 def test_the_head_of_the_page_names_the_preset_and_what_departs_from_it(report_run, by_reference):
-    paper = page_words(read_results(report_run))["preset"]
-    reference = page_words(read_results(by_reference))["preset"]
-    assert paper.startswith("preset paper (")
-    assert "but" not in paper
-    assert reference.startswith("preset reference (")
-    assert reference.endswith("), but graph.k=20")
+    paper = page_words(read_results(report_run))["line"]
+    reference = page_words(read_results(by_reference))["line"]
+    assert paper.endswith("preset paper")
+    assert reference.endswith("preset reference, but graph.k=20")
 
 
 @pytest.mark.exhaustive
@@ -229,24 +225,21 @@ def test_identical_sides_are_faithful(tmp_path):
     assert "No piece of surface is missing or invented" in page
 
 
-def test_more_pairs_than_fit_leave_the_worst_the_middle_and_the_best():
-    names = [f"{i:03}" for i in range(100)]
-    shown = some_of(names, MOST_VIEWS)
-    assert len(shown) == MOST_VIEWS
-    assert shown[0] == "000"
-    assert shown[-1] == "099"
-    assert "050" in shown
-    with_worst = views_of(names, {"002", "030", "080"})
-    assert [name for name in with_worst if name not in shown] == ["030", "080"], (
-        "where the worst objects are"
-    )
-    assert with_worst == sorted(with_worst)
-
-
-def test_pairs_chooses_by_name_and_says_when_nothing_matches(results):
-    assert results.select("x*") == ["x" * 300]
+def test_pairs_chooses_by_name_and_says_when_nothing_matches(report_run, tmp_path):
+    page = write_report(report_run, "x*", out=tmp_path).page.read_text("utf-8")
+    assert [*embedded(page)["views"]] == ["x" * 300]
     with pytest.raises(RunError, match="matches none of the 4 scored pairs"):
-        results.select("nothing*")
+        write_report(report_run, "nothing*", out=tmp_path)
+
+
+def test_a_page_shows_the_worst_pairs_and_those_of_the_largest_pieces(
+    report_run, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("fidpipe.pipeline.report.page.run_page.MOST_VIEWS", 1)
+    results = read_results(report_run)
+    of_worst = {piece.pair_id for piece in results.run.overview.pieces}
+    page = write_report(report_run, out=tmp_path).page.read_text("utf-8")
+    assert set(embedded(page)["views"]) == {results.pairs.pair_id[0], *of_worst}
 
 
 def test_a_run_without_a_scored_pair_is_refused(tmp_path):
@@ -265,21 +258,6 @@ def test_a_damaged_table_of_points_is_refused_before_anything_is_written(copied_
     assert not (copied_run / "report.html").exists()
 
 
-def test_charts_have_every_object_once_and_no_name_as_markup(results):
-    charts = run_charts(results)
-    opened = [
-        (pair, name)
-        for trace in charts["quadrants"]["data"]
-        for pair, name in trace.get("customdata", ())
-    ]
-    scored = results.matched[results.matched.r_lambda.notna()]
-    assert sorted(opened) == sorted(
-        (pair, f"real {i}") for pair, i in zip(scored.pair, scored.real_id, strict=True)
-    )
-    assert "<script>" not in json.dumps(charts)
-    assert "<img" not in json.dumps(charts)
-
-
 def test_a_run_in_which_nothing_matches_has_a_report_and_figures(tmp_path):
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
     run(dataset, tmp_path / "run", load(None, ["matching.delta_m=0.001"]))
@@ -292,7 +270,8 @@ def test_objects_without_a_score_are_in_no_quadrant(tmp_path):
     dataset = write_dataset(tmp_path / "dataset", n_pairs=1, n=60)
     run(dataset, tmp_path / "run", load(None, ["graph.edges=intersection", "graph.tau_m=0.01"]))
     results = read_results(tmp_path / "run")
-    assert quadrants(results)["no score"]["n"] == len(results.matched) > 0
+    assert set(results.matched.quadrant) == {"no score"}
+    assert page_words(results)["bars"][2]["value"] == "0 % faithful"
     means = {row[0]: row[1] for row in dataset_table(results.run.record).cells}
     assert means["r_lambda"] == "-" != means["CDC"]
     assert write_report(tmp_path / "run").page.exists()
@@ -324,7 +303,7 @@ def test_points_in_the_page_have_the_distances_that_the_stored_coverage_is_of(ei
 
 def test_a_page_has_every_point_of_every_object_and_no_other(either_run):
     results = read_results(either_run)
-    for pair_id in results.select(None):
+    for pair_id in results.pairs.pair_id:
         view = pair_data(results, pair_id)
         for side, points in points_of(results.run, pair_id).items():
             objects = points[~points.is_ground]

@@ -26,16 +26,16 @@ from ....stages.sensor_description import SensorDescription, sensor_lines
 from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun
 from ...results.gate import Criterion, judge_run
-from ...results.object_frame import UNKNOWN, plain_rows
+from ...results.object_frame import QUADRANTS, UNKNOWN, plain_rows
 from ...terminal import STEERING
-from ..charts import MOST_DOTS, evidence_chart, run_charts
+from ..charts import evidence_chart, rays_chart
 from ..look import FATE_WORDS, PAGE_COLOURS, SIGNED_RAMP_M
-from ..run_frames import OBJECT_COVERAGE, SCORES, RunResults, points_of, quadrants
+from ..run_frames import OBJECT_COVERAGE, SCORES, RunResults, points_of
 from ..view import Answers, Item, Note, Table, View, columns_of, items_of, percent
-from ..views.answer_view import amount_words, answer_sections, frame_warnings
+from ..views.answer_view import amount_words, answer_sections, frame_warnings, run_line
 from ..views.best_case_view import excess_view
 from ..views.gate_view import gate_view
-from ..views.run_view import details_view, failures_view, preset_line
+from ..views.run_view import details_view, failures_view
 from .pair_data import FACTS, FAR_M, OBJECT_COLUMNS, SIGNED_M
 
 #: More rows would make the page slow; the table then says what part it shows.
@@ -73,9 +73,10 @@ _HEADINGS = {
 
 def page_data(results: RunResults) -> dict[str, Any]:
     """Data of the whole run for the page's JavaScript: charts, colours, tables; no points."""
-    charts = run_charts(results)
-    for name, evidence in _curves(results).items():
-        charts[f"cause_{name}"] = evidence_chart(evidence)
+    charts = {f"cause_{name}": evidence_chart(curves) for name, curves in _curves(results).items()}
+    rays = rays_chart(results)
+    if rays:
+        charts["rays_range"] = rays
     scores = {}
     for score, (low, high) in score_limits(results).items():
         scores[score] = {"name": METRIC[score].label, "low": low, "high": high}
@@ -148,12 +149,8 @@ def score_limits(results: RunResults) -> dict[str, tuple[float, float]]:
     """
     limits = {}
     for score in SCORES:
-        values = results.matched[score].dropna().to_numpy(dtype=float)
-        limits[score] = (0.0, METRIC[score].high or 1.0)
-        if len(values):
-            low, high = np.quantile(values, _COLOURED).tolist()
-            if high > low:
-                limits[score] = (low, high)
+        low, high = results.matched[score].astype(float).quantile(_COLOURED)
+        limits[score] = (low, high) if low < high else (0.0, METRIC[score].high or 1.0)
     return limits
 
 
@@ -176,7 +173,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
     made = ("fidpipe", "written", "dataset", "seed", "workers")
     return {
         "title": run.folder.resolve().name,
-        "preset": preset_line(record),
+        "line": run_line(record),
         "answer": [*frame_warnings(overview), Answers([*sections.items()])],
         "bars": _bars(results, excess),
         "worst": [(_address(run, piece), piece) for piece in overview.pieces],
@@ -188,7 +185,6 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "sensors": [Answers(_sensors(run, sensor_pair))],
         "details": details_view(record),
         "limits": QUADRANT_LIMITS,
-        "n_dots": (MOST_DOTS, len(results.matched)),
         "best_case": excess_view(excess) if excess else [],
         "made": [
             _key_table("Settings", record.settings),
@@ -241,13 +237,13 @@ def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]
 
     The parts of each, from good to bad, are kind (its look), words, and share of the whole.
     """
-    counts = {name: quadrant["n"] for name, quadrant in quadrants(results).items()}
+    counts = results.matched["quadrant"].value_counts().reindex([*QUADRANTS, UNKNOWN], fill_value=0)
     not_found = FATE_WORDS["not_found"]
-    counts[not_found] = int((results.unmatched.status == "not_found").sum())
-    n_all = max(1, sum(counts.values()))
+    counts[not_found] = (results.unmatched["status"] == "not_found").sum()
     looks = {UNKNOWN: "unknown", not_found: "real step3"}
-    parts = [(looks.get(name, name), name, n / n_all) for name, n in counts.items()]
-    value = f"{percent(parts[0][2])} faithful"
+    shares = counts / max(1, counts.sum())
+    parts = [(looks.get(name, name), name, share) for name, share in shares.items()]
+    value = f"{percent(shares['faithful'])} faithful"
     return [
         _surface_bar(results, excess, "real", "Real surface", "missing"),
         _surface_bar(results, excess, "sim", "Simulated surface", "invented"),

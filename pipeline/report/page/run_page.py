@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from .run_data import page_data, page_words
 
 PAGE = "report.html"
 FIGURES = "figures"
-#: Number of pairs with points on a page, a third each of the worst, the middle and the best.
+#: Number of pairs with points on a page, and those of the worst places.
 MOST_VIEWS = 15
 
 
@@ -65,10 +64,11 @@ def write_report(
     excess = None if best_case is None else excess_over(results.run, best_case)
     folder = out or folder
     page = html or folder / PAGE
-    chosen = results.select(pattern)
+    matching = results.run.select(pattern)
+    chosen = [name for name in results.pairs["pair_id"] if name in matching]
     overview = results.run.overview
     of_worst = {piece.pair_id for piece in overview.pieces} if overview else set()
-    names = views_of(chosen, of_worst)
+    names = [name for i, name in enumerate(chosen) if i < MOST_VIEWS or name in of_worst]
     n_pairs = len(results.pairs)
     show = reporter or Reporter()
     show.start(len(names), len(names))
@@ -87,35 +87,10 @@ def write_report(
     return ReportFiles(page, figures, len(names), n_pairs)
 
 
-def views_of(names: list[str], of_worst: Container[str]) -> list[str]:
-    """The pairs that one page shows in 3D, in their order: some of all, and those of pieces.
-
-    of_worst : pairs that the largest pieces are in
-    """
-    some = some_of(names, MOST_VIEWS)
-    return [name for name in names if name in some or name in of_worst]
-
-
-def some_of(names: list[str], most: int) -> list[str]:
-    """All names if they are few, else as many from the beginning, the middle and the end.
-
-    Examples
-    --------
-    >>> "".join(some_of(list("abcdefghijk"), 6))
-    'abefjk'
-    """
-    if len(names) <= most:
-        return names
-    n = most // 3
-    middle = (len(names) - n) // 2
-    return names[:n] + names[middle : middle + n] + names[-n:]
-
-
 def _view_note(n_shown: int, n_all: int) -> str:
     if n_shown == n_all:
         return f"All {n_all} pairs, worst first." if n_all > 1 else ""
     return (
-        f"Of {n_all} pairs the page holds the points of {n_shown}, worst first: mainly the worst, "
-        "the best, some in the middle, and those of the largest pieces. fidpipe report with --pairs "
-        "PATTERN chooses others."
+        f"Of {n_all} pairs the page holds the points of {n_shown}, worst first: the worst, and those "
+        "of the largest pieces. fidpipe report with --pairs PATTERN chooses others."
     )

@@ -204,12 +204,8 @@ def run_line(record: RunRecord, took: str = "", recipe: BestCaseRecipe | None = 
     name = Path(record.dataset if recipe is None else recipe.dataset).name
     if recipe is not None:
         name = f"best case of {name}"
-    return f"{name}: {pairs}{took}, preset {record.preset}{departures(record)}"
-
-
-def departures(record: RunRecord) -> str:
-    """The settings of a run that differ from its preset."""
-    return f", but {' '.join(record.departures)}" if record.departures else ""
+    departures = f", but {' '.join(record.departures)}" if record.departures else ""
+    return f"{name}: {pairs}{took}, preset {record.preset}{departures}"
 
 
 def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:

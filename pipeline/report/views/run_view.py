@@ -45,7 +45,7 @@ from ..view import (
     number,
     percent,
 )
-from .answer_view import answer_view, departures, frame_warnings
+from .answer_view import answer_view, frame_warnings
 from .best_case_view import HEADLINES, excess_view
 
 if TYPE_CHECKING:
@@ -117,7 +117,6 @@ def _all_tables(rows: Sequence[Row], record: RunRecord) -> View:
         return []
     scored = [row for row in rows if row["status"] == "scored"]
     return [
-        Note(preset_line(record)),
         _pairs_table(scored),
         *details_view(record),
         *_findings_parts(record.findings),
@@ -282,13 +281,6 @@ def _unmatched_table(unmatched: UnmatchedSurface, n_pairs: int) -> Table:
     return Table(title, headings, rows, digits=dict.fromkeys(range(1, 5), 1))
 
 
-def preset_line(record: RunRecord) -> str:
-    """The preset of a run, the kind of its objects, and the settings that differ from it."""
-    from ....schemas.settings import PRESET_OBJECTS  # takes as long to load as all else here
-
-    return f"preset {record.preset} ({PRESET_OBJECTS[record.preset]}){departures(record)}"
-
-
 def _findings_parts(findings: Findings) -> View:
     """Distributions over all objects, as in the paper's "Real experiments"."""
     rank = findings.rank_correlation
@@ -329,13 +321,14 @@ def _objects_table(findings: Findings) -> Table:
         rows.append((name, *_unmatched(band), None, None, None, None))
     for group in (findings.classes or ())[:_MOST_CLASSES]:
         means = [group.scores[score].mean for score in DISTRIBUTED]
-        rows.append((group.label, *_unmatched(group), group.n_matched, *means))
+        n_both = f"{group.n_matched} ({group.scores['r_lambda'].n})"
+        rows.append((group.label, *_unmatched(group), n_both, *means))
     title = (
         "Objects by range and by the most frequent classes (median range of matched objects "
         f"{number(ranges.median_matched, 1)} m, of unmatched ones "
         f"{number(ranges.median_unmatched, 1)} m)"
     )
-    headings = ("", "real", "not found", "sim", "extra", "both", *labels(DISTRIBUTED))
+    headings = ("", "real", "not found", "sim", "extra", "both\n(scored)", *labels(DISTRIBUTED))
     return Table(title, headings, rows)
 
 

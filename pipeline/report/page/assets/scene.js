@@ -321,10 +321,6 @@ export async function startScene() {
     if (link && link.getAttribute("href") === window.location.hash) showAsked();
   });
   window.addEventListener("hashchange", showAsked);
-  byId("quadrants").addEventListener("dot", ({ detail: [pair, name] }) => {
-    const link = linkTo(report.names[pair], name);
-    if (link !== null) window.location.href = link;
-  });
   if (pairs.length) {
     byId("viewer").hidden = false;
     byId("pair").append(...pairs.map((pair) => element("option", shorten(pair, 60), { value: pair, title: pair })));
