@@ -346,7 +346,7 @@ def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp
     summary, n_scored = outcome.record.summary, outcome.record.pairs.scored
     assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (n_scored - 1, n_scored)
     assert summary["cdc_unmatched_worst_mean"].n_pairs == n_scored
-    view = summary_view(outcome.folder, outcome.rows, outcome.record, with_all=True)
+    view = summary_view(FinishedRun(outcome.folder), with_all=True)
     line = next(
         line for line in text_of(view, 300).splitlines() if line.strip().startswith("CDC  ")
     )

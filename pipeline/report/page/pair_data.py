@@ -32,7 +32,7 @@ _FACTS = (
 )
 FACTS = tuple(dict.fromkeys(_FACTS))  # each once
 #: Columns of the objects, in the order of their rows in the page.
-OBJECT_COLUMNS = ("name", "real_id", "sim_id", "cx", "cy", "cz", "sentence", *FACTS)
+OBJECT_COLUMNS = ("name", "real_id", "sim_id", "sentence", *FACTS)
 #: The distance of a point to the other side is a byte, its largest value for this and more metres.
 FAR_M = COVERAGE_DISTANCES_M[-1]
 _FAR = 255

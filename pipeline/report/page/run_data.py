@@ -164,20 +164,18 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
     causes = run.diagnosis.causes if run.diagnosis else ()
     overview = run.overview
     assert overview is not None  # a pair is scored
-    sections = answer_sections(
-        run.folder, record, overview, run.diagnosis, excess, with_all=True, is_page=True
-    )
+    sections = answer_sections(run, excess, with_all=True, is_page=True)
     sections.pop("Worst places", None)
     trust = sections.pop("Trust", [])
     sensor_pair = results.pairs["pair_id"].min()
     made = ("fidpipe", "written", "dataset", "seed", "workers")
     return {
         "title": run.folder.resolve().name,
-        "line": run_line(record),
-        "answer": [*frame_warnings(overview), Answers([*sections.items()])],
+        "line": run_line(run),
+        "answer": [*frame_warnings(run), Answers([*sections.items()])],
         "bars": _bars(results, excess),
         "worst": [(_address(run, piece), piece) for piece in overview.pieces],
-        "failures": failures_view(run.folder, run.rows),
+        "failures": failures_view(run),
         "causes": [(cause, amount_words(cause)) for cause in causes],
         "gate": _gate(run, excess),
         "trust": [Answers([("Trust", trust)])],
@@ -242,7 +240,7 @@ def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]
     counts[not_found] = (results.unmatched["status"] == "not_found").sum()
     looks = {UNKNOWN: "unknown", not_found: "real step3"}
     shares = counts / max(1, counts.sum())
-    parts = [(looks.get(name, name), name, share) for name, share in shares.items()]
+    parts = [(looks.get(str(name), name), name, share) for name, share in shares.items()]
     value = f"{percent(shares['faithful'])} faithful"
     return [
         _surface_bar(results, excess, "real", "Real surface", "missing"),

@@ -73,9 +73,7 @@ def show_view(
     with_all : all tables of the run, all objects of the pair
     """
     if pair is None:
-        return summary_view(
-            run.folder, run.rows, run.record, run.diagnosis, excess=excess, with_all=with_all
-        )
+        return summary_view(run, excess, with_all=with_all)
     if name is not None:
         return object_view(pair, object_facts(run, pair, name))
     command = ""
@@ -174,11 +172,18 @@ def _matched_table(matched: Sequence[ObjectFacts]) -> Table:
     scores = scores_in("pair")
     columns = ("label", "community_id", "partner", "range_m", "n_real", "n_sim", *scores)
     rows = columns_of((entry.row for entry in matched), columns)
-    headings = ("class", "real", "sim", "range\n(m)", "points\nreal", "\nsim")
     title = "Objects that both sides have, largest r_lambda first"
     digits = {3: 1}
     digits |= dict.fromkeys(range(6, 6 + len(scores)), 2)
-    headings = (*headings, *narrow_labels(scores))
+    headings = [
+        "class",
+        "real",
+        "sim",
+        "range\n(m)",
+        "points\nreal",
+        "\nsim",
+        *narrow_labels(scores),
+    ]
     return Table(title, headings, rows, digits=digits, whole=(0,))
 
 
