@@ -278,8 +278,7 @@ export async function showAsked() {
   if (pair === null) return;
   byId("view").scrollIntoView();
   if (!pairs.includes(pair)) {
-    const elsewhere =
-      " is not among those that this page shows in 3D; fidpipe report with --pairs shows it.";
+    const elsewhere = " is not among those that this page shows in 3D; fidpipe report with --pairs shows it.";
     const isKnown = report.names.includes(pair);
     say(
       "asked",
