@@ -15,7 +15,7 @@ import pytest
 
 from fidpipe.pipeline.generate import synth, twin
 from fidpipe.pipeline.generate.recordings import Recording
-from fidpipe.pipeline.report.page.run_data import _good_enough
+from fidpipe.pipeline.report.page.run_data import _gate
 from fidpipe.pipeline.report.render import csv_table, terminal
 from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.results.best_case import BEST_CASE_DATASET, BEST_CASE_RECIPE, read_recipe
@@ -267,6 +267,5 @@ def test_no_cell_begins_a_formula():
 def test_criteria_that_no_gate_wrote_are_not_believed(tmp_path, criteria):
     path = tmp_path / "gate.json"
     path.write_text(f'{{"criteria": {criteria * (50_000 if criteria == "[" else 1)}}}')
-    is_met, (line,) = _good_enough(SimpleNamespace(run=SimpleNamespace(folder=tmp_path)), None)
-    assert is_met is None
-    assert "gate.json cannot be evaluated again" in line
+    (note,) = _gate(SimpleNamespace(folder=tmp_path), None)
+    assert "gate.json cannot be evaluated again" in note.text
