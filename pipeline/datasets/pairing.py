@@ -152,7 +152,8 @@ def _require_same_sides(real: Path, sim: Path, out: Path) -> None:
 def require_partners(dataset: Dataset) -> None:
     """Raise `DatasetError` if no scan of a dataset has a partner."""
     if all(NO_PARTNER in (pair.fault or "") for pair in dataset.pairs):
-        real, sim = dataset.folder / "real", dataset.folder / "sim"
+        real = dataset.folder / "real"
+        sim = dataset.folder / "sim"
         raise DatasetError(
             f"dataset {dataset.folder}: {_no_partner(real, sim)}; or pair them by numbers in their "
             f"names or by time: {shlex.join(['fidpipe', 'run', str(real), str(sim)])}"
