@@ -117,8 +117,7 @@ def test_a_ledger_that_names_a_file_elsewhere_is_not_believed(again, dataset, tm
     victim.write_text("precious")
     entry = orjson.loads((again / LEDGER / "000.json").read_bytes().split(b"\n")[1])
     for job in entry["jobs"]:
-        files = next(value for value in job if isinstance(value, dict))
-        files[name] = next(iter(files.values()))
+        job["files"][name] = next(iter(job["files"].values()))
     forged(again, entry)
     assert run(dataset, again).n_made == JOBS_PER_PAIR
     assert victim.read_text() == "precious"
