@@ -17,17 +17,21 @@ from .beam_patterns import BeamPattern, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
 from .trust import (
     BEAMS,
+    FRAME,
     MISSES,
     ONE_SWEEP,
     POSITION,
     RETURNS,
     SWEEPS_IN_A_ROW,
+    alternation_text,
     find_misses,
     grid_text,
     later_returns,
     misses_text,
     position_text,
     returns_text,
+    rounding_m,
+    rounding_text,
     sweep_parts,
     sweeps_text,
     thinned_text,
@@ -41,7 +45,7 @@ _PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_
 _YES = {True: "yes", False: "no"}
 _MIN_POINTS = 500
 _HOLE = 5  # pulses that a gap within a surface may lack, at most
-_QUANTA_M = (0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
+_QUANTA_M = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
 _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
 _RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
@@ -153,6 +157,9 @@ def describe_with_gaps(
             return _undetected(sensor, f"{len(rows)} points have a return"), NO_GAPS
     points = points[rows]
     sensor = replace(sensor, field_of_view_deg=_field_of_view(points))
+    sensor.doubts.update(rounding_text(rounding_m(points)))
+    if FRAME in sensor.doubts:
+        return _undetected(sensor, sensor.doubts[FRAME]), NO_GAPS
     pattern = find_beams(points, None if ring is None else ring[rows])
     if isinstance(pattern, str):
         if text := position_text(points):
@@ -184,8 +191,10 @@ def _describe_beams(
     if several_returns:
         sweep = sweep.first_returns(is_later)
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
-    several_sweeps = sweeps_text(sweep.gap_deg) or turns_text(
-        sweep.beam, sweep.azimuth_deg, sweep.row
+    several_sweeps = (
+        sweeps_text(sweep.gap_deg)
+        or alternation_text(sweep.beam, sweep.range_m)
+        or turns_text(sweep.beam, sweep.azimuth_deg, sweep.row)
     )
     if several_sweeps:
         doubts = {ONE_SWEEP: several_sweeps, **doubts}

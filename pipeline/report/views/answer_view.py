@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ....schemas.metric_catalogue import headline_scores, metric_of
 from ....schemas.record import RunHeader, RunRecord
-from ....schemas.results import Cause, Diagnosis, Overview
+from ....schemas.results import Cause, Diagnosis, Overview, Unknown
 from ....stages.statistics.comparison import LEAST_FOR_INTERVAL
 from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
 from ...results.causes import MANY_UNKNOWN, MOST_SHOWN, interval_words, no_cause_words
@@ -149,14 +149,17 @@ def trust_words(
     trust = []
     for words in caution_words(overview, kinds)[:most]:
         trust.append(words.replace("fidpipe best-case RUN", command))
-    if overview.unknown:
-        groups = []
-        for group in overview.unknown:
-            n_causes = len(group.causes)
-            names = ", ".join(group.causes) if n_causes < MANY_UNKNOWN else f"{n_causes} causes"
-            groups.append(f"{names} ({group.reason})")
-        trust.append(f"unknown: {'; '.join(groups)}")
-    return trust
+    return trust + unknown_words(overview.unknown)
+
+
+def unknown_words(unknown: Sequence[Unknown]) -> list[str]:
+    """One sentence about all unknown causes, with reasons; none without such causes."""
+    groups = []
+    for group in unknown:
+        n_causes = len(group.causes)
+        names = ", ".join(group.causes) if n_causes < MANY_UNKNOWN else f"{n_causes} causes"
+        groups.append(f"{names} ({group.reason})")
+    return [f"unknown: {'; '.join(groups)}"] if groups else []
 
 
 def caution_words(overview: Overview, kinds: Container[str]) -> list[str]:
