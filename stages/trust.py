@@ -60,8 +60,6 @@ _SAMPLE = 5000
 _NEIGHBOURS = 10
 _DENSE_PART = 5  # a fifth of the points
 _DENSE_M = 15.0
-_ALTERNATING = 0.3  # of the returns of a beam; sweeps have 0.64 at least, other scans up to 0.04
-_MOST_STEPS = 20.0  # from a row of a beam to the next: scans in order have 1, n sweeps about n
 _SEVERAL_SWEEPS = "two or more sweeps or sensors, or second returns, in one scan? {}; export one revolution per file"
 SWEEPS_IN_A_ROW = _SEVERAL_SWEEPS.format("Parts of it have beams, and all of it has not")
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
@@ -257,33 +255,6 @@ def sweeps_text(gap_deg: FloatArray) -> str | None:
                 f"The steps of a beam alternate, and repeat after {n_sweeps} returns"
             )
     return None
-
-
-def turns_text(beam: IndexArray, azimuth_deg: FloatArray, row: IndexArray) -> str | None:
-    """The doubt that the rows of a scan go around more than once; None if they do not, or are in no order.
-
-    Then neighbouring returns of a beam are from different halves of its rows, which are in order of azimuths.
-
-    Parameters
-    ----------
-    beam, azimuth_deg, row : (n,) of returns sorted by beam, azimuth; row in the file
-    """
-    in_file = np.lexsort((row, beam))
-    n_returns = np.bincount(beam)
-    before = np.cumsum(n_returns) - n_returns
-    place = np.empty(len(beam), dtype=np.intp)
-    place[in_file] = np.arange(len(beam)) - before[beam]
-    is_second_half = 2 * place >= n_returns[beam]
-    is_same_beam = np.diff(beam) == 0
-    if not is_same_beam.any():
-        return None
-    alternating = np.diff(is_second_half)[is_same_beam].mean()
-    gap_deg = np.diff(azimuth_deg)[is_same_beam]
-    step_deg = np.abs((np.diff(azimuth_deg[in_file])[is_same_beam] + 180.0) % 360.0 - 180.0)
-    is_in_order = np.median(step_deg) < _MOST_STEPS * np.median(gap_deg)
-    if alternating < _ALTERNATING or not is_in_order:
-        return None
-    return _SEVERAL_SWEEPS.format("Its rows go around more than once")
 
 
 def thinned_text(gap_deg: FloatArray, range_m: FloatArray, points: FloatArray) -> str | None:

@@ -88,8 +88,6 @@ def turned(scan, degrees):
         (lambda scan: np.vstack([scan, scan + [1.1, 0.05, 0]]), ONE_SWEEP),
         (lambda scan: np.vstack([scan, turned(scan, 0.05)]), ONE_SWEEP),
         (lambda scan: np.vstack([scan, turned(scan, 0.06), turned(scan, 0.1)]), ONE_SWEEP),
-        (lambda scan: np.vstack([scan, turned(scan, 0.083)]), ONE_SWEEP),  # half a step
-        (lambda scan: np.vstack([scan, turned(scan, 0.055), turned(scan, 0.11)]), ONE_SWEEP),
         (lambda scan: np.round(scan, 2), FINE),
         (lambda scan: np.round(scan, 1), FRAME),
         (lambda scan: (scan + [448262, 5411932, 115]).astype("f4") - [448262, 5411932, 115], FRAME),
