@@ -168,10 +168,10 @@ def tasks(
     fidpipe tasks runs/dataset --odometry
     """
     from ..diagnose import predictions_view as views
-    from ..diagnose.odometry import compare_odometry
     from ..diagnose.predictions import compare_predictions
     from ..report.views.run_view import tasks_view
     from ..results.finished import FinishedRun
+    from ..results.odometry import compare_odometry
 
     output = format_of(as_json, as_markdown, as_csv)
     if predictions and odometry:

@@ -24,20 +24,25 @@ from ...stages.plausibility import ScanInspection
 from ...stages.summary import mean_and_std
 from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
 from ..datasets.readers.scan_ref import scan_ref
-from ..engine.collector import Collector
-from ..engine.engine import Machines, schedule_of, started_pool, working
-from ..engine.memory import PairTables, run_in_memory
-from ..engine.plan import PairPlan, Planner
+from ..engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
+from ..engine.plan import PairPlan, plan_jobs, plan_pair
 from ..engine.progress import Reporter
-from ..engine.schedule import Policy
-from ..engine.survey import hash_files, refuse_replacing, remove_stale, survey_results
+from ..engine.schedule import Collector
+from ..engine.survey import (
+    hash_files,
+    refuse_replacing,
+    remove_stale,
+    survey_results,
+    what_changed,
+)
+from ..engine.worker import PairTables, run_in_memory
 from ..jobs import STAGES, baselines_job
 from ..pair_checks import pair_warnings
 from ..run import select_pairs
 from ..stage import INSPECTION, SCAN, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
-from ..storage.run_record import has_ended, read_run, run_header, what_changed, write_record
+from ..storage.run_record import has_ended, read_run, run_header, write_record
 from ..storage.table_files import JobRecord
 
 #: From the tables of all pairs by name, frames with a row per score and its `value`.
@@ -104,9 +109,10 @@ def run_stages(
 ) -> tuple[PairTables, Metadata]:
     """Tables of stages on some sides of a pair, in memory, and the inspection of its scans."""
     scans = {side: inputs.scans[side]() for side in sides}
-    jobs = Planner(stages, settings_of(inputs), {}).jobs()
-    jobs_of_sides = [job for job in jobs if job.part in sides]
-    tables, outputs = run_in_memory(jobs_of_sides, scans, inputs.pair_id, inputs.T_real_sim)
+    jobs = plan_jobs(stages, settings_of(inputs))
+    jobs_of_sides = {name: job for name, job in jobs.items() if job.part in sides}
+    pair = ScanPair(inputs.pair_id, None, None, T_real_sim=inputs.T_real_sim)
+    tables, outputs = run_in_memory(jobs_of_sides, scans, pair)
     return tables, {INSPECTION: {side: outputs["ground", side][INSPECTION] for side in sides}}
 
 
@@ -167,41 +173,47 @@ def run_experiment(
     start = perf_counter()
     folder = RunFolder(out)
     collector = Collector(folder, reporter)
-    machines = Machines(n_workers, policy=Policy(least_weight=1.0))  # a batch for each pair
-    planner = Planner((stage,), settings, source.label_names)
-    versions = {stage.name: stage.version}
+    machines = Machines(n_workers)
+    jobs = plan_jobs((stage,), settings)
     header: dict[str, Any] = {"experiment": stage.name}
-    header |= run_header(source.folder, settings, versions).as_dict()
+    header |= run_header(source.folder, settings, {stage.name: stage.version}).as_dict()
 
     def plan(pair: ScanPair) -> PairPlan:
-        return planner.plan(pair, files.contents[pair.pair_id])
+        return plan_pair(jobs, pair, files.contents[pair.pair_id], source.label_names)
 
     def write_header() -> None:
         run_settings = Settings(**{name: getattr(settings, name) for name in Settings.model_fields})
-        write_record(out, run_settings, header.items(), folder.check_token)
+        write_record(out, run_settings, header, folder.check_token)
 
     with folder.locked():
         before = read_run(out)
         files = hash_files(source.pairs, folder)
         names = {pair.pair_id for pair in source.pairs}
-        survey = survey_results(source.pairs, files, plan, folder, selected=names)
+        survey = survey_results(
+            source.pairs,
+            files,
+            plan,
+            folder,
+            selected=names,
+            redo=frozenset(),
+            complete=lambda plan: None,
+        )
         if not replace_finished:
-            name = f"{stage.name} {out}"
-            refuse_replacing(survey, name, before, (stage,), settings)
+            refuse_replacing(survey, folder, before, (stage,), settings)
             others = {pair_id for _, pair_id, _ in survey.stale} - names
             if others and has_ended(before):
                 why = f"pairs {', '.join(sorted(others))} not requested"
-                refuse_overwrite(name, "their results", [why])
+                refuse_overwrite(f"run {out}", "their results", [why])
         for pair_id, fault in files.faults.items():
             collector.fail(pair_id, "", fault)
         with started_pool(survey.todo, folder, (stage,), settings, collector, machines) as pool:
             if survey.todo or survey.stale:
                 write_header()
-            changes = what_changed(before, settings, versions)
-            remove_stale(survey, folder, (stage,), reporter, changes)
+            changes = what_changed(before, settings, (stage,))
+            remove_stale(survey, folder, reporter, changes)
             if survey.todo:
-                with working(survey, files, collector, machines, settings.input):
-                    schedule_of(survey, plan, pool, collector, machines).run()
+                reporter.warn(*large_pairs_warnings(survey.todo, files, settings.input))
+                schedule_of(survey, plan, pool, collector, machines).run()
         if collector.failures and scan_ref(source.folder).exists:
             raise ScanError("; ".join(collector.failures.values()))
         done = [pair for pair in survey.usable if pair.pair_id not in collector.failures]

@@ -35,7 +35,6 @@ from ...stages.method import (
     score,
 )
 from ...stages.metrics import MIN_NODES
-from ...stages.statistics.typical_objects import ChosenObject
 from ..engine.progress import Reporter
 from ..jobs import communities_job, graph_job, ground_job
 from ..jobs.points_job import column, edges_in, points_in
@@ -49,7 +48,7 @@ from .experiment import (
     run_stages,
     settings_of,
 )
-from .perturb_objects import choose_objects, objects_in
+from .perturb_objects import ChosenObject, choose_objects, objects_in
 
 #: Amounts by kind. Noise, dropout and rigid motion are those of the paper; hallucination and density are ours. `null`
 #: is the difference of a scan from itself without a change, the first row of every table: one point less, rows in
@@ -163,8 +162,8 @@ def make_perturbations(inputs: Inputs) -> JobResult:
     global_rows = []
     for names in _repeats(request, inputs.pair_id, "all", request.global_repeats):
         global_rows.append(names | _altered_scan(scan, names, settings))
-    candidates = objects_in(tables, inputs.pair_id)
-    objects = choose_objects(candidates, request.objects, settings.graph.k)
+    candidates = objects_in(tables)
+    objects = choose_objects(candidates, inputs.pair_id, request.objects, settings.graph.k)
     object_rows = []
     baseline_rows = []
     for chosen in objects:
