@@ -161,6 +161,8 @@ def _usage_words(error: Any) -> str:
 
 def _refusal(error: OSError) -> str:
     """Message of an error of the system with the next step; "" if the error has another cause."""
+    if error.errno == errno.ENOENT and error.filename is None:
+        return "the folder in which the command was started is gone; change to another one"
     if error.errno in (errno.EMFILE, errno.ENFILE):
         return f"{error.strerror}; raise ulimit -n, or take fewer --workers"
     if error.errno not in _REFUSALS:

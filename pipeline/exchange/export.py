@@ -210,10 +210,7 @@ def pair_clouds(
 
 def _rows(frame: pd.DataFrame, dtype: np.dtype[np.void]) -> NDArray[np.void]:
     """Columns of a data frame as a structured array."""
-    rows = np.empty(len(frame), dtype)
-    for name in dtype.names or ():
-        rows[name] = frame[name]
-    return rows
+    return frame[list(dtype.names or ())].to_records(index=False).astype(dtype)
 
 
 def _ply(run: FinishedRun, pair_id: str, side: str, points: NDArray[np.void]) -> bytes:

@@ -60,13 +60,8 @@ def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[st
 
 def _repeat(inputs: Inputs, seed: int) -> Metadata:
     """The scores of the pair under another seed."""
-    declared = inputs.settings
-    settings = Settings(
-        communities=declared.communities.model_copy(update={"seed": seed}),
-        matching=declared.matching,
-        pieces=declared.pieces,
-        selection=declared.selection,
-    )
+    communities = inputs.settings.communities.model_copy(update={"seed": seed})
+    settings = Settings(**(vars(inputs.settings) | {"communities": communities}))
     scans: dict[str, PartitionedScan] = {}
     for side in SIDES:
         _, points = object_points(inputs, side)

@@ -100,8 +100,8 @@ def experiment_stage(
 
 def settings_of(inputs: Inputs) -> Settings:
     """The settings of a run."""
-    groups = [group for group in Settings.model_fields if group != "machine"]
-    return Settings(**{group: getattr(inputs.settings, group) for group in groups})
+    groups = vars(inputs.settings)
+    return Settings(**{name: groups[name] for name in Settings.model_fields if name in groups})
 
 
 def run_stages(

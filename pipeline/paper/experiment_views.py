@@ -7,7 +7,6 @@ from dataclasses import astuple
 from math import isnan, nan
 from typing import Any, NamedTuple
 
-import numpy as np
 import pandas as pd
 
 from ...schemas.metric_catalogue import METRIC, OBJECT_METRICS, narrow_labels
@@ -178,7 +177,7 @@ def _draw(
     """Write `NAME.png` with a row of panels for each metric; nothing without sweeps."""
     if not sweeps:
         return
-    title = f"{title}; bands: one standard deviation"
+    title = f"{title}; bars: one standard deviation"
     with new_figure(2.75 * max(len(sweeps), 2), 5.2, title) as figure:
         axes = figure.subplots(2, len(sweeps), sharey="row", squeeze=False)
         for metric, row in zip(metrics, axes, strict=True):
@@ -192,20 +191,17 @@ def _draw(
 
 def _draw_panel(axis: Any, sweep: Sweep, metric: str) -> None:
     """Mean and deviation of one metric along one sweep."""
+    axis.set_prop_cycle(color=_COLOURS)
     known = sweep.means[sweep.means["metric"] == metric].dropna(subset="mean")
-    for place, (name, curve) in enumerate(known.groupby("curve", sort=False)):
-        amounts, mean, std = curve.sort_values("amount")[["amount", "mean", "std"]].to_numpy().T
-        std = np.nan_to_num(std)
-        colour = _COLOURS[place % len(_COLOURS)]
+    for name, curve in known.sort_values("amount").groupby("curve", sort=False):
         label = shown_name(str(name))
-        axis.plot(amounts, mean, marker="o", markersize=4, color=colour, label=label)
-        low = np.maximum(mean - std, 0)
-        axis.fill_between(amounts, low, mean + std, color=colour, alpha=0.2, linewidth=0)
-    levels = sorted(known["amount"].unique())
-    if levels and levels[-1] > 10 * levels[0] > 0:
+        std = curve["std"].fillna(0)
+        axis.errorbar(curve["amount"], curve["mean"], std, marker="o", markersize=4, label=label)
+    amounts = sorted(known["amount"].unique())
+    if amounts and amounts[-1] > 10 * amounts[0] > 0:
         axis.set_xscale("log")
     if sweep.current is not None:
         axis.axvline(sweep.current, color="black", linewidth=0.8, linestyle="--", zorder=0)
-    axis.set_xticks(levels, [f"{level:g}" for level in levels])
+    axis.set_xticks(amounts, [f"{amount:g}" for amount in amounts])
     axis.minorticks_off()
     axis.set_xlabel(sweep.axis)
