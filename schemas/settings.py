@@ -543,7 +543,9 @@ def expected_and_got(problem: ErrorDetails) -> str:
     expected greater than or equal to 1, got 0
     """
     if problem["type"] == "missing":
-        return "the field is missing"
+        return "a value is missing"
+    if problem["type"] == "extra_forbidden":
+        return "unknown field"
     text = problem["msg"].removeprefix("Value error, ").replace("Input should be", "expected")
     if problem["type"] == "value_error" and " got " in text:
         return text
