@@ -68,7 +68,7 @@ def synth(
 def twin(
     sequence: Path,
     out: Path,
-    flaw: Annotated[list[str] | None, typer.Option(metavar="NAME=AMOUNT[:METRES]")] = None,
+    flaw: Annotated[list[str] | None, typer.Option(metavar="NAME=AMOUNT")] = None,
     sensor: str = "recorded",
     range_noise: Annotated[
         float | None, typer.Option(min=0, max=10, show_default="the sensor's")
@@ -113,7 +113,7 @@ def twin(
 
     fidpipe twin drive/ twins/            poses are in drive/poses.tum
 
-    fidpipe twin drive/ bad/ --flaw dropout=0.3 --flaw holes=12:1.5 --flaw mirrored
+    fidpipe twin drive/ bad/ --flaw dropout=0.3 --flaw holes=12 --flaw mirrored
 
     fidpipe twin sequences/00 twins/ --sensor hdl64 --pairs '*0' --workers 8
     """

@@ -8,7 +8,7 @@ missing twins.
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from ...schemas.sensor_models import SensorModel
 from ...schemas.settings import FRAME_AXES, InputSettings
 from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan
-from ...stages.generate.flaws import FLAWS, ChosenFlaw, carried
+from ...stages.generate.flaws import FLAWS, carried
 from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, extend_map, recorded_directions, rescan
 from ..datasets.pairs import ScanPair
@@ -46,7 +46,7 @@ class _Task:
     label_names: dict[int, str]
     out: Path
     sensor: SensorModel
-    flaws: tuple[ChosenFlaw, ...]
+    flaws: Mapping[str, float]
     seed: int
     settings: InputSettings
 
@@ -57,7 +57,7 @@ def make_twins(
     reporter: Reporter,
     *,
     sensor: SensorModel = RECORDED,
-    flaws: tuple[ChosenFlaw, ...] = (),
+    flaws: Mapping[str, float] | None = None,
     n_others: int = 4,
     pattern: str | None = None,
     seed: int = 0,
@@ -70,7 +70,7 @@ def make_twins(
     Parameters
     ----------
     sensor : of the re-scan, with its range noise and share of lost pulses
-    flaws : in the order in which they are applied
+    flaws : amounts by name, in the order in which they are applied
     n_others : largest number of other frames, the nearest in time, used for the model of a frame
     pattern : only frames whose name matches (shell style) are re-scanned; all frames are used for
         models
@@ -85,13 +85,14 @@ def make_twins(
         embreex is missing, no frame matches, or the folder holds something else than a dataset of
         this recipe.
     """
+    flaws = flaws or {}
     settings = settings or InputSettings()
     _check_request(recording, out, settings)
     frames = select_pairs(recording, pattern)
     recipe = _inputs(recording) | {
         "seed": seed,
         "others": n_others,
-        "flaw": [flaw.entries() for flaw in flaws],
+        "flaw": [{"name": name, "amount": amount} for name, amount in flaws.items()],
         "sensor": vars(sensor),
         "input": settings.model_dump(mode="json", exclude_none=True),
         "libraries": library_versions(_LIBRARIES),
@@ -201,14 +202,14 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
         else:
             directions = fire(task.sensor, rng.uniform(0.0, 360.0))
         points, intensity = rescan(voxels, directions, task.sensor, rng)
-        for flaw in task.flaws:
-            kind = FLAWS[flaw.name]
-            purpose = flaw.name if kind.is_systematic else f"{task.frame.pair_id}/{flaw.name}"
-            altered = kind(points, flaw.amount, _rng(task, purpose), flaw.at_m)
+        for name, amount in task.flaws.items():
+            flaw = FLAWS[name]
+            purpose = name if flaw.is_systematic else f"{task.frame.pair_id}/{name}"
+            altered = flaw(points, amount, _rng(task, purpose))
             intensity = carried(points, intensity, altered)
             points = altered
-            if kind.intensity is not None:
-                intensity = kind.intensity(points, intensity, flaw.amount)
+            if flaw.intensity is not None:
+                intensity = flaw.intensity(points, intensity, amount)
     if not len(points):
         raise StageError(
             "no points: no ray hits the model, or the flaws remove every point; check the poses and the amounts",

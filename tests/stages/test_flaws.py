@@ -71,8 +71,8 @@ def test_far_dropout_loses_its_share_beyond_the_range_and_nothing_nearer(cloud):
     range_m, left_m = np.linalg.norm(cloud, axis=1), np.linalg.norm(left, axis=1)
     assert (left_m <= 25).sum() == (range_m <= 25).sum()
     assert (left_m > 25).sum() / (range_m > 25).sum() == pytest.approx(0.4, abs=0.03)
-    near = FLAWS["far-dropout"](cloud, 1.0, seeded(), 10.0)
-    assert np.linalg.norm(near, axis=1).max() <= 10
+    near = FLAWS["far-dropout"](cloud, 1.0, seeded())
+    assert np.linalg.norm(near, axis=1).max() <= 25
 
 
 def test_a_hole_is_a_ball_about_a_point_of_the_scan(cloud):
