@@ -91,9 +91,8 @@ def twin(
 
     A simulator whose flaws are known: it casts rays onto surfels of the other frames and adds the
     flaws that --flaw names: foliage, holes, far-dropout, dropout, density, beams, blur, noise,
-    ghosts, yaw, offset, mirrored, intensity-constant, intensity-range, intensity-scale (amounts:
-    docs/twin.md). twin.toml next to the scans is the recipe; the same recipe produces the same
-    bytes. Run again to resume after an interruption.
+    ghosts, yaw, offset, mirrored (amounts: docs/twin.md). twin.toml next to the scans is the recipe;
+    the same recipe produces the same bytes. Run again to resume after an interruption.
 
     Parameters
     ----------

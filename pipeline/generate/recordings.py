@@ -185,21 +185,15 @@ def _read_calibration(path: Path, poses: Path) -> FloatArray:
     """(3, 4) float64, the line `Tr` of KITTI's calibration."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
+        entries = dict(line.split(":", maxsplit=1) for line in lines if ":" in line)
+        (text,) = [entries[name] for name in _TRANSFORMS if name in entries]
+        numbers = np.array(text.split(), dtype=np.float64)
     except (OSError, ValueError) as error:
         raise DatasetError(
-            f"{path}: cannot be read ({error}); {poses.name} holds 12 numbers per line, KITTI's "
-            "poses of the camera, which need a calibration with the line Tr (--calib); poses of "
-            "the sensor are read in TUM format"
+            f"{path}: expected a line Tr: with 12 numbers, from the sensor's frame to the camera's ({error}); "
+            f"{poses.name} holds KITTI's poses of the camera, which need it (--calib)"
         ) from error
-    for line in lines:
-        name, _, text = line.partition(":")
-        if name.strip() in _TRANSFORMS:
-            try:
-                numbers = np.array(text.split(), dtype=np.float64)
-            except ValueError as error:
-                raise DatasetError(f"{path}: Tr holds no numbers ({error})") from error
-            return check_rigid(str(path), "Tr", numbers)
-    raise DatasetError(f"{path}: no line Tr: found; it maps the sensor's frame into the camera's")
+    return check_rigid(str(path), "Tr", numbers)
 
 
 def square(motion: ArrayLike) -> FloatArray:

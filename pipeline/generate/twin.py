@@ -28,7 +28,7 @@ from ..engine.progress import Reporter
 from ..run import select_pairs
 from ..storage.files import hash_file, key_of, write_whole
 from ..storage.run_record import library_versions
-from .dataset_folder import Generated, GeneratedPair, Recipe, generate_dataset
+from .dataset_folder import Generated, GeneratedPair, generate_dataset
 from .recordings import Recording, square
 
 RECIPE = "twin.toml"
@@ -87,9 +87,25 @@ def make_twins(
     """
     flaws = flaws or {}
     settings = settings or InputSettings()
-    _check_request(recording, out, settings)
+    require_ray_caster()
+    if settings.real_frame != "ros":
+        raise FidpipeError(
+            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a '
+            f"recording require {FRAME_AXES['ros']}; convert its scans and poses first"
+        )
+    if out.resolve() == recording.folder.resolve():
+        raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
     frames = select_pairs(recording, pattern)
-    recipe = _inputs(recording) | {
+    inputs = []
+    for frame in recording.pairs:
+        file = frame.scans["real"].file
+        inputs.append([file.name, hash_file(file), frame.T_world_sensor])
+    recipe = {
+        "version": RECIPE_VERSION,
+        **library_versions(("fidpipe",)),
+        "recording": str(recording.folder),
+        "poses": recording.poses.name,
+        "inputs_sha256": key_of(inputs),
         "seed": seed,
         "others": n_others,
         "flaw": [{"name": name, "amount": amount} for name, amount in flaws.items()],
@@ -116,37 +132,6 @@ def make_twins(
     return generate_dataset(
         out, RECIPE, recipe, pairs, names, _write_twin, reporter, workers=workers, replace=replace
     )
-
-
-def _check_request(
-    recording: Recording,
-    out: Path,
-    settings: InputSettings,
-) -> None:
-    """Raise `FidpipeError` if twins of a recording cannot be made with these arguments."""
-    require_ray_caster()
-    if settings.real_frame != "ros":
-        raise FidpipeError(
-            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a '
-            f"recording require {FRAME_AXES['ros']}; convert its scans and poses first"
-        )
-    if out.resolve() == recording.folder.resolve():
-        raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
-
-
-def _inputs(recording: Recording) -> Recipe:
-    """The entries of a recipe about the recording and fidpipe."""
-    inputs = []
-    for frame in recording.pairs:
-        file = frame.scans["real"].file
-        inputs.append([file.name, hash_file(file), frame.T_world_sensor])
-    return {
-        "version": RECIPE_VERSION,
-        **library_versions(("fidpipe",)),
-        "recording": str(recording.folder),
-        "poses": recording.poses.name,
-        "inputs_sha256": key_of(inputs),
-    }
 
 
 def _nearest(frames: Sequence[ScanPair], frame: ScanPair, n: int) -> tuple[ScanPair, ...]:
@@ -208,8 +193,6 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
             altered = flaw(points, amount, _rng(task, purpose))
             intensity = carried(points, intensity, altered)
             points = altered
-            if flaw.intensity is not None:
-                intensity = flaw.intensity(points, intensity, amount)
     if not len(points):
         raise StageError(
             "no points: no ray hits the model, or the flaws remove every point; check the poses and the amounts",

@@ -34,7 +34,6 @@ _MAX_SLIDE = 0.1
 _THIN = 1e-3
 _FAR_M = 25.0
 _HOLE_M = 1.5
-_INTENSITY_MAX = 65_535
 
 
 @dataclass(frozen=True)
@@ -43,19 +42,15 @@ class Flaw:
 
     amount : description of the amount
     high, low : bounds of the amount
-    alter : function of points, amount and random generator that returns the altered points; by
-        default their coordinates stay
+    alter : function of points, amount and random generator that returns the altered points
     is_systematic : all scans of a simulator have the same flaw, so that they share one seed
-    intensity : function of points, intensity and amount that returns the altered intensity, or
-        None; see `carried`
     """
 
     amount: str
     high: float
-    alter: Callable[[FloatArray, float, Generator], FloatArray] = lambda points, *_: points.copy()
+    alter: Callable[[FloatArray, float, Generator], FloatArray]
     low: float = 0
     is_systematic: bool = False
-    intensity: Callable[[FloatArray, FloatArray, float], FloatArray] | None = None
 
     def __call__(self, points: FloatArray, amount: float, rng: Generator) -> FloatArray:
         """Return the altered points, (m, 3): the kept points in their order, then new ones. No points remain no points.
@@ -184,21 +179,6 @@ FLAWS = {
         "shift in a random horizontal direction, metres", 100, _shift, is_systematic=True
     ),
     "mirrored": Flaw("1: y is negated; 0: it is not", 1, _mirror, is_systematic=True),
-    "intensity-constant": Flaw(
-        "intensity of all points",
-        _INTENSITY_MAX,
-        intensity=lambda points, intensity, amount: np.full(len(points), amount),
-    ),
-    "intensity-range": Flaw(
-        "a of exp(-a d), 1/m, as in CARLA",
-        10,
-        intensity=lambda points, intensity, per_m: np.exp(-per_m * np.linalg.norm(points, axis=1)),
-    ),
-    "intensity-scale": Flaw(
-        "factor of the intensity",
-        _INTENSITY_MAX,
-        intensity=lambda points, intensity, factor: factor * intensity,
-    ),
 }
 
 
