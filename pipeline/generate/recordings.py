@@ -7,7 +7,7 @@ poses of the camera with its calibration. Opens poses, calibration and manifest,
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,22 +37,12 @@ _QUATERNION_TOLERANCE = 1e-2
 _TUM_NUMBERS, _KITTI_NUMBERS = 8, 12
 
 
-@dataclass(frozen=True, kw_only=True)
-class Recording(Dataset):
-    """Posed real scans in the order in which they were taken, as pairs without a simulated side.
-
-    poses : the file of the poses
-    """
-
-    poses: Path
-
-
 def read_recording(
     folder: Path,
     poses: Path | None = None,
     calibration: Path | None = None,
-) -> Recording:
-    """The frames of a folder, with their poses.
+) -> Dataset:
+    """Posed real scans in the order in which they were taken, as pairs without a simulated side.
 
     Scans lie in `velodyne/`, `real/` or the folder itself and are taken in the order of their
     names, one pose each.
@@ -76,11 +66,9 @@ def read_recording(
         raise DatasetError(f"recording {folder}: no such folder; expected one with scans and poses")
     manifest = folder / MANIFEST
     if poses is None and manifest.exists():
-        poses = manifest
         frames = _frames_of_manifest(manifest)
     else:
-        poses = poses or _find_poses(folder)
-        frames = _frames_of_poses(folder, poses, calibration)
+        frames = _frames_of_poses(folder, poses or _find_poses(folder), calibration)
     if len(frames) < FEWEST_FRAMES:
         raise DatasetError(
             f"recording {folder}: expected at least {FEWEST_FRAMES} frames, got {len(frames)}: "
@@ -93,7 +81,7 @@ def read_recording(
             f"recording {folder}: expected unique names; {n_alike} scans are called {stem}",
         )
     label_names = read_label_names(folder) or read_label_names(scans[0].file.parent)
-    return Recording(folder, tuple(frames), label_names, poses=poses)
+    return Dataset(folder, tuple(frames), label_names)
 
 
 def _frames_of_manifest(manifest: Path) -> list[ScanPair]:

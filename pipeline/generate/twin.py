@@ -8,7 +8,7 @@ missing twins.
 from __future__ import annotations
 
 import gc
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,14 +22,14 @@ from ...stages.clean import clean_scan
 from ...stages.generate.flaws import FLAWS, carried
 from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, extend_map, recorded_directions, rescan
-from ..datasets.pairs import ScanPair
+from ..datasets.pairs import Dataset, ScanPair
 from ..datasets.readers import read_scan
 from ..engine.progress import Reporter
 from ..run import select_pairs
 from ..storage.files import hash_file, key_of, write_whole
 from ..storage.run_record import library_versions
 from .dataset_folder import Generated, GeneratedPair, generate_dataset
-from .recordings import Recording, square
+from .recordings import square
 
 RECIPE = "twin.toml"
 RECIPE_VERSION = 2  # increase it when the same recipe results in other scans
@@ -52,7 +52,7 @@ class _Task:
 
 
 def make_twins(
-    recording: Recording,
+    recording: Dataset,
     out: Path,
     reporter: Reporter,
     *,
@@ -104,7 +104,6 @@ def make_twins(
         "version": RECIPE_VERSION,
         **library_versions(("fidpipe",)),
         "recording": str(recording.folder),
-        "poses": recording.poses.name,
         "inputs_sha256": key_of(inputs),
         "seed": seed,
         "others": n_others,
@@ -117,7 +116,9 @@ def make_twins(
     names = recording.label_names
     pairs = []
     for frame in frames:
-        others = _nearest(recording.pairs, frame, n_others)
+        distance = np.abs(np.arange(len(recording.pairs)) - recording.pairs.index(frame))
+        nearest = np.argsort(distance, kind="stable")[1 : n_others + 1]
+        others = tuple(recording.pairs[other] for other in nearest)
         scan = frame.scans["real"]
         pairs.append(
             GeneratedPair(
@@ -132,12 +133,6 @@ def make_twins(
     return generate_dataset(
         out, RECIPE, recipe, pairs, names, _write_twin, reporter, workers=workers, replace=replace
     )
-
-
-def _nearest(frames: Sequence[ScanPair], frame: ScanPair, n: int) -> tuple[ScanPair, ...]:
-    """The frames nearest in time to one of them, without it."""
-    order = np.argsort(np.abs(np.arange(len(frames)) - frames.index(frame)), kind="stable").tolist()
-    return tuple(frames[other] for other in order[1 : n + 1])
 
 
 def _write_twin(task: _Task) -> None:

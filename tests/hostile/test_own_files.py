@@ -5,7 +5,6 @@ import io
 import json
 import re
 import shutil
-from pathlib import Path
 from types import SimpleNamespace
 
 import orjson
@@ -14,8 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from fidpipe.pipeline.cli import completion
+from fidpipe.pipeline.datasets.pairs import Dataset
 from fidpipe.pipeline.generate import synth, twin
-from fidpipe.pipeline.generate.recordings import Recording
 from fidpipe.pipeline.report.page.run_data import _good_enough
 from fidpipe.pipeline.report.render import csv_table, terminal
 from fidpipe.pipeline.report.view import Table
@@ -34,7 +33,7 @@ TWIN = 'version = 1\nseed = 0\nsensor = "x"\ninputs_sha256 = "00"\nfiles = {}\n'
 
 def twins(out, replace=True):
     """Makes the twins of a recording without a frame."""
-    recording = Recording(out.parent / "posed", (), {}, poses=Path("poses.tum"))
+    recording = Dataset(out.parent / "posed", (), {})
     twin.make_twins(recording, out, QUIET, replace=replace)
 
 
