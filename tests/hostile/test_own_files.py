@@ -78,14 +78,13 @@ def test_a_side_that_is_a_link_is_not_cleared(tmp_path, side):
 
 @pytest.mark.parametrize(
     "change",
-    ['noise_m = "much"', "kind = 5", 'dataset = ["a"]', "seed = 1.5", "[noise_m]", "version = nan"],
+    ['noise_m = "much"', 'dataset = ["a"]', "seed = 1.5", "[noise_m]", "version = nan"],
 )
 def test_a_recipe_of_a_best_case_with_other_values_is_none(tmp_path, change):
     path = tmp_path / BEST_CASE_DATASET / BEST_CASE_RECIPE
     path.parent.mkdir()
     lines = [
         "version = 1",
-        'kind = "again"',
         "noise_m = 0.02",
         "lost_share = 0.05",
         "seed = 0",
