@@ -90,8 +90,8 @@ def twin(
     """Make a dataset: posed real scans, and simulated scans in a model built from other scans.
 
     A simulator whose flaws are known: it casts rays onto surfels of the other frames and adds the
-    flaws that --flaw names: foliage, holes, far-dropout, dropout, density, beams, blur, noise,
-    ghosts, yaw, offset, mirrored (amounts: docs/twin.md). twin.toml next to the scans is the recipe;
+    flaws that --flaw names: foliage, holes, far-dropout, dropout, density, blur, noise, ghosts,
+    yaw, offset, mirrored (amounts: docs/twin.md). twin.toml next to the scans is the recipe;
     the same recipe produces the same bytes. Run again to resume after an interruption.
 
     Parameters
@@ -127,7 +127,7 @@ def twin(
     from ..generate.twin import make_twins
 
     model = _known_sensor(sensor, {RECORDED.name: RECORDED, **SENSORS})
-    outcome = make_twins(
+    n_pairs, failures = make_twins(
         read_recording(sequence, poses, calib),
         out,
         Reporter(),
@@ -144,8 +144,8 @@ def twin(
         workers=workers,
         replace=replace,
     )
-    _print_made(outcome.n_pairs, out)
-    raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+    _print_made(n_pairs, out)
+    raise typer.Exit(EXIT_PAIRS_FAILED if failures else 0)
 
 
 def _known_sensor(name: str, sensors: Mapping[str, SensorModel]) -> SensorModel:

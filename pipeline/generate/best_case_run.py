@@ -133,12 +133,9 @@ def _refuse_other_recipe(out: Path, recipe: BestCaseRecipe, *, replace: bool) ->
     if before is None:
         return
     if before.dataset != recipe.dataset and path_exists(recorded_path(before.dataset)):
-        raise RunError(
-            f"run {out}: holds the best case of {before.dataset}, not of {recipe.dataset}; give another --out"
-        )
+        raise RunError(f"run {out}: holds the best case of {before.dataset}; give another --out")
     if before.words != recipe.words and has_ended(read_run(out)) and not replace:
-        changes = [before.words, f"requested: {recipe.words}"]
-        refuse_overwrite(f"run {out}", "its scans", changes)
+        refuse_overwrite(f"run {out}", "its scans", [before.words, f"requested: {recipe.words}"])
 
 
 def _write_dataset(

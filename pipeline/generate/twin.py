@@ -28,7 +28,7 @@ from ..engine.progress import Reporter
 from ..run import select_pairs
 from ..storage.files import hash_file, key_of, write_whole
 from ..storage.run_record import library_versions
-from .dataset_folder import Generated, GeneratedPair, generate_dataset
+from .dataset_folder import GeneratedPair, generate_dataset
 from .recordings import square
 
 RECIPE = "twin.toml"
@@ -64,8 +64,10 @@ def make_twins(
     settings: InputSettings | None = None,
     workers: int = 1,
     replace: bool = False,
-) -> Generated:
+) -> tuple[int, dict[str, str]]:
     """Write the dataset; existing twins of the same recipe are kept.
+
+    The result is the number of pairs, and the reasons for missing ones by name.
 
     Parameters
     ----------

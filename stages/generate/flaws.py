@@ -29,9 +29,6 @@ SCATTERED = 0.1  # l3 / l1 of foliage, and more
 _NEIGHBOURS = 40
 _BLUR_VOXELS = 4  # per radius
 _BLUR_NEIGHBOURS = 96
-_BEAM_DEG = 0.2
-_MAX_SLIDE = 0.1
-_THIN = 1e-3
 _FAR_M = 25.0
 _HOLE_M = 1.5
 
@@ -125,32 +122,6 @@ def _blur(points: FloatArray, radius_m: float, rng: Generator) -> FloatArray:
     return points + np.where(planes.n_neighbours >= 3, off_m, 0.0)[:, None] * planes.normal
 
 
-def _misalign_beams(points: FloatArray, std_deg: float, rng: Generator) -> FloatArray:
-    """Points that beams of a wrong elevation table would have measured on the same surfaces.
-
-    Beams are bands of 0.2 degrees of elevation, each with one error drawn from N(0, std_deg). A
-    point slides along its local plane n . x = n . p into the direction u' of its beam: x = u' (n .
-    p) / (n . u'). If that changes its range by more than a tenth (grazing rays, edges), or if the
-    neighbours are on a line, the range does not change.
-    """
-    range_m = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
-    level_m = np.hypot(points[:, 0], points[:, 1])
-    elevation = np.arctan2(points[:, 2], level_m)
-    bands = np.floor((np.degrees(elevation) + 90.0) / _BEAM_DEG).astype(np.intp)
-    errors = np.radians(rng.normal(0.0, std_deg, round(180.0 / _BEAM_DEG) + 1))
-    elevation += errors[bands]
-    heading = points[:, :2] / np.maximum(level_m, 1e-9)[:, None]
-    directions = np.column_stack([np.cos(elevation)[:, None] * heading, np.sin(elevation)])
-    planes = fit_planes(points, points, _NEIGHBOURS)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slid_m = (planes.normal * points).sum(axis=1) / (planes.normal * directions).sum(axis=1)
-    is_plane = (planes.variance[:, 1] > _THIN * planes.variance[:, 2]) & (
-        planes.scattering < SCATTERED
-    )
-    slides = is_plane & (np.abs(slid_m - range_m) <= _MAX_SLIDE * range_m)
-    return directions * np.where(slides, slid_m, range_m)[:, None]
-
-
 def _shift(points: FloatArray, shift_m: float, rng: Generator) -> FloatArray:
     return move_rigidly(points, 0.0, rng, shift_m)
 
@@ -167,9 +138,6 @@ FLAWS = {
     "dropout": Flaw("share of the points lost", 1, drop_points),
     "density": Flaw(
         "factor of the density in regions that hold 30 % of the points", 8, change_density
-    ),
-    "beams": Flaw(
-        "std of each beam's elevation error, degrees", 10, _misalign_beams, is_systematic=True
     ),
     "blur": Flaw("radius within which surfaces are smoothed, metres", 5, _blur),
     "noise": Flaw("std of the noise on each coordinate, metres", 10, add_noise),

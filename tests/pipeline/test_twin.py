@@ -79,7 +79,7 @@ def make(out, drive, *flaws, **options):
 @pytest.fixture(scope="module")
 def twins(drive, tmp_path_factory):
     out = tmp_path_factory.mktemp("twins") / "plain"
-    assert make(out, drive).failures == {}
+    assert make(out, drive) == (N, {})
     return out
 
 
@@ -161,7 +161,7 @@ def test_where_the_world_begins_does_not_matter(twins, drive, tmp_path):
             [*lines[i + 1].split(",")[:3], " ".join(map(repr, moved_pose.ravel().tolist()))]
         )
     (elsewhere / "pairs.csv").write_text("\n".join(lines) + "\n")
-    assert make(tmp_path / "out", elsewhere, pattern="*1").n_pairs == 1
+    assert make(tmp_path / "out", elsewhere, pattern="*1") == (1, {})
     ours, theirs = sim(twins, "001"), sim(tmp_path / "out", "001")
     assert len(ours) == len(theirs)
     assert (
@@ -193,7 +193,7 @@ def test_a_broken_scan_fails_alone(drive, tmp_path):
     assert [pair.pair_id for pair in read_dataset(tmp_path / "out").pairs] == NAMES[1:]
     for index in (1, 2):
         (broken / f"{NAMES[index]}.bin").write_bytes(b"no scan")
-    reasons = make(tmp_path / "out2", broken).failures
+    _, reasons = make(tmp_path / "out2", broken)
     assert any(
         "expected at least 2 readable other scans for a model, got 0" in reason
         for reason in reasons.values()

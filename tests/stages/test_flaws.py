@@ -8,6 +8,7 @@ from fidpipe.stages.generate.flaws import FLAWS, is_foliage
 from fidpipe.stages.generate.perturbations import Perturbation, fill_gaps, perturb, remeasure
 from fidpipe.stages.surfels import fit_planes
 from scenes import box, road, seeded
+from wrong_beams import misalign_beams
 
 NOTHING = {name: 1.0 if name == "density" else 0.0 for name in FLAWS}
 SOME = {"holes": 5, "mirrored": 1, "yaw": 3.0, "blur": 0.4, "offset": 0.2, "noise": 0.1}
@@ -122,7 +123,7 @@ def test_blur_takes_roughness_and_the_thickness_of_what_is_thin():
 
 def test_wrong_beams_look_elsewhere_and_meet_the_same_surfaces():
     scan = ring_scan()
-    altered = FLAWS["beams"](scan, 0.3, seeded())
+    altered = misalign_beams(scan, 0.3, seeded())
     turned_deg = np.degrees(
         np.arctan2(altered[:, 2], np.hypot(*altered[:, :2].T))
         - np.arctan2(scan[:, 2], np.hypot(*scan[:, :2].T))
