@@ -88,10 +88,8 @@ def is_foliage(points: FloatArray) -> BoolArray:
 def lose_foliage(points: FloatArray, share: float, rng: Generator) -> FloatArray:
     """Remove a share of the foliage, rounded to whole points, in clumps of 2 m instead of single leaves."""
     rows = np.flatnonzero(is_foliage(points))
-    is_lost = np.zeros(len(points), dtype=np.bool_)
-    if len(rows):
-        is_lost[rows[grow_regions(points[rows], round(share * len(rows)), rng)]] = True
-    return points[~is_lost]
+    lost = rows[grow_regions(points[rows], round(share * len(rows)), rng)]
+    return np.delete(points, lost, axis=0)
 
 
 def _lose_far(points: FloatArray, share: float, rng: Generator) -> FloatArray:
