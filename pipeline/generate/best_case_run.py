@@ -196,8 +196,7 @@ def _report_amounts(
     columns = ["pair_id", "noise_m", "lost_share", "reason"]
     write_whole(folder / BEST_CASE_AMOUNTS, csv_bytes(columns, amounts))
     n_scans = len(amounts)
-    noise_m = np.median([row[1] for row in amounts])
-    lost_share = np.median([row[2] for row in amounts])
+    noise_m, lost_share = np.median([row[1:3] for row in amounts], axis=0)
     reporter.say(
         f"range noise {1e3 * noise_m:.0f} mm, dropout {lost_share:.1%} (median of {n_scans} scans)"
     )

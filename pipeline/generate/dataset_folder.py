@@ -136,7 +136,7 @@ def _existing_files(out: Path, recipe: Recipe) -> list[Path] | None:
     names = recipe.get("files")
     if not isinstance(names, list) or not {"version", "seed", "sensor"} <= recipe.keys():
         return None
-    if not all(isinstance(name, str) and Path(name).name == name for name in names):
+    if any(Path(str(name)).name != name for name in names):
         return None
     paths = [out / side / name for side, name in product(SIDES, names)]
     return [path for path in paths if path_exists(path) and not path.is_dir()]
