@@ -27,9 +27,11 @@ from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.metric_catalogue import metric_of
 from fidpipe.schemas.settings import load
-from fidpipe.stages.generate.flaws import FLAWS
+from fidpipe.stages.generate.flaws import FLAWS as TWIN_FLAWS
 from power_analysis import effect_size, paired_t, pairs_needed
+from wrong_beams import BEAMS
 
+FLAWS = TWIN_FLAWS | {"beams": BEAMS}
 AMOUNTS = {
     "dropout": (0.1, 0.3, 0.5),
     "far-dropout": (0.3, 0.6, 0.9),

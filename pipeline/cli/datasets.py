@@ -68,7 +68,7 @@ def synth(
 def twin(
     sequence: Path,
     out: Path,
-    flaw: Annotated[list[str] | None, typer.Option(metavar="NAME=AMOUNT[:METRES]")] = None,
+    flaw: Annotated[list[str] | None, typer.Option(metavar="NAME=AMOUNT")] = None,
     sensor: str = "recorded",
     range_noise: Annotated[
         float | None, typer.Option(min=0, max=10, show_default="the sensor's")
@@ -90,10 +90,9 @@ def twin(
     """Make a dataset: posed real scans, and simulated scans in a model built from other scans.
 
     A simulator whose flaws are known: it casts rays onto surfels of the other frames and adds the
-    flaws that --flaw names: foliage, holes, far-dropout, dropout, density, beams, blur, noise,
-    ghosts, yaw, offset, mirrored, intensity-constant, intensity-range, intensity-scale (amounts:
-    docs/twin.md). twin.toml next to the scans is the recipe; the same recipe produces the same
-    bytes. Run again to resume after an interruption.
+    flaws that --flaw names: foliage, holes, far-dropout, dropout, density, blur, noise, ghosts,
+    yaw, offset, mirrored (amounts: docs/twin.md). twin.toml next to the scans is the recipe;
+    the same recipe produces the same bytes. Run again to resume after an interruption.
 
     Parameters
     ----------
@@ -113,7 +112,7 @@ def twin(
 
     fidpipe twin drive/ twins/            poses are in drive/poses.tum
 
-    fidpipe twin drive/ bad/ --flaw dropout=0.3 --flaw holes=12:1.5 --flaw mirrored
+    fidpipe twin drive/ bad/ --flaw dropout=0.3 --flaw holes=12 --flaw mirrored
 
     fidpipe twin sequences/00 twins/ --sensor hdl64 --pairs '*0' --workers 8
     """
@@ -128,7 +127,7 @@ def twin(
     from ..generate.twin import make_twins
 
     model = _known_sensor(sensor, {RECORDED.name: RECORDED, **SENSORS})
-    outcome = make_twins(
+    n_pairs, failures = make_twins(
         read_recording(sequence, poses, calib),
         out,
         Reporter(),
@@ -145,8 +144,8 @@ def twin(
         workers=workers,
         replace=replace,
     )
-    _print_made(outcome.n_pairs, out)
-    raise typer.Exit(EXIT_PAIRS_FAILED if outcome.failures else 0)
+    _print_made(n_pairs, out)
+    raise typer.Exit(EXIT_PAIRS_FAILED if failures else 0)
 
 
 def _known_sensor(name: str, sensors: Mapping[str, SensorModel]) -> SensorModel:

@@ -217,7 +217,6 @@ def best_case(
     assignments: Assignments = None,
     noise_m: Annotated[float | None, typer.Option(min=0, max=10)] = None,
     dropout: Annotated[float | None, typer.Option(min=0, max=0.99)] = None,
-    neighbours: bool = False,
     seed: HiddenSeed = 0,
     pairs: Pairs = None,
     workers: Workers = None,
@@ -229,16 +228,14 @@ def best_case(
 
     The result is a run with the same settings, which show, report, gate and compare take as
     --best-case. The second measurement is the scan with range noise and losses, by default those
-    that it shows (else 3 cm and 3 %), or with --neighbours the next scan, by T_world_sensor in
-    pairs.csv. Of a dataset without a run, give the settings of the run that it is for. How to read
-    it: docs/fidelity.md.
+    that it shows (else 3 cm and 3 %). Of a dataset without a run, give the
+    settings of the run that it is for. How to read it: docs/fidelity.md.
 
     Parameters
     ----------
     out : Folder of the run.
     noise_m : Noise (m), else as measured.
     dropout : Lost share, else as measured.
-    neighbours : Use the next real scan instead.
     seed : Seed of noise and losses.
 
     Examples
@@ -246,15 +243,11 @@ def best_case(
     fidpipe best-case runs/dataset                   results go to runs/dataset-best-case
 
     fidpipe show runs/dataset --best-case runs/dataset-best-case
-
-    fidpipe best-case twins/ --preset reference --neighbours    real against real
     """
     from ...schemas.settings import load
     from ..storage.files import path_exists
 
     check_machines(workers, scheduler)
-    if neighbours and (noise_m is not None or dropout is not None):
-        raise typer.BadParameter("--neighbours takes neither --noise-m nor --dropout")
     is_run = path_exists(source / "run.json")
     if is_run and (preset or settings or assignments):
         raise typer.BadParameter("a run has its settings; leave out --preset, --settings and --set")
@@ -279,7 +272,6 @@ def best_case(
         noise_m=noise_m,
         lost_share=dropout,
         seed=seed,
-        neighbours=neighbours,
         pattern=pairs,
         machines=Machines(workers, scheduler, pair_timeout_s=pair_timeout),
         replace=replace,

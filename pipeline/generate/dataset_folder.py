@@ -58,14 +58,6 @@ class GeneratedPair:
         return self.pair_id, f"real/{self.real}", f"sim/{self.sim}", time_s, pose
 
 
-@dataclass(frozen=True)
-class Generated:
-    """Number of pairs in the dataset, and reasons for missing pairs by name."""
-
-    n_pairs: int
-    failures: dict[str, str]
-
-
 def generate_dataset(
     out: Path,
     recipe_name: str,
@@ -77,8 +69,10 @@ def generate_dataset(
     *,
     workers: int,
     replace: bool,
-) -> Generated:
+) -> tuple[int, dict[str, str]]:
     """Write recipe, label names, the pairs that are missing, and the manifest.
+
+    The result is the number of pairs in the dataset, and the reasons for missing pairs by name.
 
     Parameters
     ----------
@@ -105,7 +99,7 @@ def generate_dataset(
         done = [pair for pair in pairs if pair.is_in(out)]
         columns = ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"]
         write_whole(out / MANIFEST, csv_bytes(columns, [pair.row() for pair in done]))
-    return Generated(len(done), failures)
+    return len(done), failures
 
 
 def _prepare(
@@ -142,7 +136,7 @@ def _existing_files(out: Path, recipe: Recipe) -> list[Path] | None:
     names = recipe.get("files")
     if not isinstance(names, list) or not {"version", "seed", "sensor"} <= recipe.keys():
         return None
-    if not all(isinstance(name, str) and Path(name).name == name for name in names):
+    if any(Path(str(name)).name != name for name in names):
         return None
     paths = [out / side / name for side, name in product(SIDES, names)]
     return [path for path in paths if path_exists(path) and not path.is_dir()]

@@ -7,7 +7,7 @@ poses of the camera with its calibration. Opens poses, calibration and manifest,
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,22 +37,12 @@ _QUATERNION_TOLERANCE = 1e-2
 _TUM_NUMBERS, _KITTI_NUMBERS = 8, 12
 
 
-@dataclass(frozen=True, kw_only=True)
-class Recording(Dataset):
-    """Posed real scans in the order in which they were taken, as pairs without a simulated side.
-
-    poses : the file of the poses
-    """
-
-    poses: Path
-
-
 def read_recording(
     folder: Path,
     poses: Path | None = None,
     calibration: Path | None = None,
-) -> Recording:
-    """The frames of a folder, with their poses.
+) -> Dataset:
+    """Posed real scans in the order in which they were taken, as pairs without a simulated side.
 
     Scans lie in `velodyne/`, `real/` or the folder itself and are taken in the order of their
     names, one pose each.
@@ -76,11 +66,9 @@ def read_recording(
         raise DatasetError(f"recording {folder}: no such folder; expected one with scans and poses")
     manifest = folder / MANIFEST
     if poses is None and manifest.exists():
-        poses = manifest
         frames = _frames_of_manifest(manifest)
     else:
-        poses = poses or _find_poses(folder)
-        frames = _frames_of_poses(folder, poses, calibration)
+        frames = _frames_of_poses(folder, poses or _find_poses(folder), calibration)
     if len(frames) < FEWEST_FRAMES:
         raise DatasetError(
             f"recording {folder}: expected at least {FEWEST_FRAMES} frames, got {len(frames)}: "
@@ -93,7 +81,7 @@ def read_recording(
             f"recording {folder}: expected unique names; {n_alike} scans are called {stem}",
         )
     label_names = read_label_names(folder) or read_label_names(scans[0].file.parent)
-    return Recording(folder, tuple(frames), label_names, poses=poses)
+    return Dataset(folder, tuple(frames), label_names)
 
 
 def _frames_of_manifest(manifest: Path) -> list[ScanPair]:
@@ -185,21 +173,15 @@ def _read_calibration(path: Path, poses: Path) -> FloatArray:
     """(3, 4) float64, the line `Tr` of KITTI's calibration."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
+        entries = dict(line.split(":", maxsplit=1) for line in lines if ":" in line)
+        (text,) = [entries[name] for name in _TRANSFORMS if name in entries]
+        numbers = np.array(text.split(), dtype=np.float64)
     except (OSError, ValueError) as error:
         raise DatasetError(
-            f"{path}: cannot be read ({error}); {poses.name} holds 12 numbers per line, KITTI's "
-            "poses of the camera, which need a calibration with the line Tr (--calib); poses of "
-            "the sensor are read in TUM format"
+            f"{path}: expected a line Tr: with 12 numbers, from the sensor's frame to the camera's ({error}); "
+            f"{poses.name} holds KITTI's poses of the camera, which need it (--calib)"
         ) from error
-    for line in lines:
-        name, _, text = line.partition(":")
-        if name.strip() in _TRANSFORMS:
-            try:
-                numbers = np.array(text.split(), dtype=np.float64)
-            except ValueError as error:
-                raise DatasetError(f"{path}: Tr holds no numbers ({error})") from error
-            return check_rigid(str(path), "Tr", numbers)
-    raise DatasetError(f"{path}: no line Tr: found; it maps the sensor's frame into the camera's")
+    return check_rigid(str(path), "Tr", numbers)
 
 
 def square(motion: ArrayLike) -> FloatArray:

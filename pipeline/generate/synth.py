@@ -62,7 +62,7 @@ def make_dataset(
                 timestamp_s=SECONDS_APART * (index + 1),
             )
         )
-    outcome = generate_dataset(
+    _, failures = generate_dataset(
         out,
         RECIPE,
         recipe,
@@ -73,7 +73,7 @@ def make_dataset(
         workers=workers,
         replace=replace,
     )
-    for reason in outcome.failures.values():
+    for reason in failures.values():
         raise FidpipeError(f"dataset {out}: {reason}")
 
 

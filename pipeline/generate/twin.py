@@ -8,7 +8,7 @@ missing twins.
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,17 +19,17 @@ from ...schemas.sensor_models import SensorModel
 from ...schemas.settings import FRAME_AXES, InputSettings
 from ...stages.arrays import FloatArray
 from ...stages.clean import clean_scan
-from ...stages.generate.flaws import FLAWS, ChosenFlaw, carried
+from ...stages.generate.flaws import FLAWS, carried
 from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, extend_map, recorded_directions, rescan
-from ..datasets.pairs import ScanPair
+from ..datasets.pairs import Dataset, ScanPair
 from ..datasets.readers import read_scan
 from ..engine.progress import Reporter
 from ..run import select_pairs
 from ..storage.files import hash_file, key_of, write_whole
 from ..storage.run_record import library_versions
-from .dataset_folder import Generated, GeneratedPair, Recipe, generate_dataset
-from .recordings import Recording, square
+from .dataset_folder import GeneratedPair, generate_dataset
+from .recordings import square
 
 RECIPE = "twin.toml"
 RECIPE_VERSION = 2  # increase it when the same recipe results in other scans
@@ -46,31 +46,33 @@ class _Task:
     label_names: dict[int, str]
     out: Path
     sensor: SensorModel
-    flaws: tuple[ChosenFlaw, ...]
+    flaws: Mapping[str, float]
     seed: int
     settings: InputSettings
 
 
 def make_twins(
-    recording: Recording,
+    recording: Dataset,
     out: Path,
     reporter: Reporter,
     *,
     sensor: SensorModel = RECORDED,
-    flaws: tuple[ChosenFlaw, ...] = (),
+    flaws: Mapping[str, float] | None = None,
     n_others: int = 4,
     pattern: str | None = None,
     seed: int = 0,
     settings: InputSettings | None = None,
     workers: int = 1,
     replace: bool = False,
-) -> Generated:
+) -> tuple[int, dict[str, str]]:
     """Write the dataset; existing twins of the same recipe are kept.
+
+    The result is the number of pairs, and the reasons for missing ones by name.
 
     Parameters
     ----------
     sensor : of the re-scan, with its range noise and share of lost pulses
-    flaws : in the order in which they are applied
+    flaws : amounts by name, in the order in which they are applied
     n_others : largest number of other frames, the nearest in time, used for the model of a frame
     pattern : only frames whose name matches (shell style) are re-scanned; all frames are used for
         models
@@ -85,13 +87,29 @@ def make_twins(
         embreex is missing, no frame matches, or the folder holds something else than a dataset of
         this recipe.
     """
+    flaws = flaws or {}
     settings = settings or InputSettings()
-    _check_request(recording, out, settings)
+    require_ray_caster()
+    if settings.real_frame != "ros":
+        raise FidpipeError(
+            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a '
+            f"recording require {FRAME_AXES['ros']}; convert its scans and poses first"
+        )
+    if out.resolve() == recording.folder.resolve():
+        raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
     frames = select_pairs(recording, pattern)
-    recipe = _inputs(recording) | {
+    inputs = []
+    for frame in recording.pairs:
+        file = frame.scans["real"].file
+        inputs.append([file.name, hash_file(file), frame.T_world_sensor])
+    recipe = {
+        "version": RECIPE_VERSION,
+        **library_versions(("fidpipe",)),
+        "recording": str(recording.folder),
+        "inputs_sha256": key_of(inputs),
         "seed": seed,
         "others": n_others,
-        "flaw": [flaw.entries() for flaw in flaws],
+        "flaw": [{"name": name, "amount": amount} for name, amount in flaws.items()],
         "sensor": vars(sensor),
         "input": settings.model_dump(mode="json", exclude_none=True),
         "libraries": library_versions(_LIBRARIES),
@@ -100,7 +118,9 @@ def make_twins(
     names = recording.label_names
     pairs = []
     for frame in frames:
-        others = _nearest(recording.pairs, frame, n_others)
+        distance = np.abs(np.arange(len(recording.pairs)) - recording.pairs.index(frame))
+        nearest = np.argsort(distance, kind="stable")[1 : n_others + 1]
+        others = tuple(recording.pairs[other] for other in nearest)
         scan = frame.scans["real"]
         pairs.append(
             GeneratedPair(
@@ -115,43 +135,6 @@ def make_twins(
     return generate_dataset(
         out, RECIPE, recipe, pairs, names, _write_twin, reporter, workers=workers, replace=replace
     )
-
-
-def _check_request(
-    recording: Recording,
-    out: Path,
-    settings: InputSettings,
-) -> None:
-    """Raise `FidpipeError` if twins of a recording cannot be made with these arguments."""
-    require_ray_caster()
-    if settings.real_frame != "ros":
-        raise FidpipeError(
-            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a '
-            f"recording require {FRAME_AXES['ros']}; convert its scans and poses first"
-        )
-    if out.resolve() == recording.folder.resolve():
-        raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
-
-
-def _inputs(recording: Recording) -> Recipe:
-    """The entries of a recipe about the recording and fidpipe."""
-    inputs = []
-    for frame in recording.pairs:
-        file = frame.scans["real"].file
-        inputs.append([file.name, hash_file(file), frame.T_world_sensor])
-    return {
-        "version": RECIPE_VERSION,
-        **library_versions(("fidpipe",)),
-        "recording": str(recording.folder),
-        "poses": recording.poses.name,
-        "inputs_sha256": key_of(inputs),
-    }
-
-
-def _nearest(frames: Sequence[ScanPair], frame: ScanPair, n: int) -> tuple[ScanPair, ...]:
-    """The frames nearest in time to one of them, without it."""
-    order = np.argsort(np.abs(np.arange(len(frames)) - frames.index(frame)), kind="stable").tolist()
-    return tuple(frames[other] for other in order[1 : n + 1])
 
 
 def _write_twin(task: _Task) -> None:
@@ -201,14 +184,12 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
         else:
             directions = fire(task.sensor, rng.uniform(0.0, 360.0))
         points, intensity = rescan(voxels, directions, task.sensor, rng)
-        for flaw in task.flaws:
-            kind = FLAWS[flaw.name]
-            purpose = flaw.name if kind.is_systematic else f"{task.frame.pair_id}/{flaw.name}"
-            altered = kind(points, flaw.amount, _rng(task, purpose), flaw.at_m)
+        for name, amount in task.flaws.items():
+            flaw = FLAWS[name]
+            purpose = name if flaw.is_systematic else f"{task.frame.pair_id}/{name}"
+            altered = flaw(points, amount, _rng(task, purpose))
             intensity = carried(points, intensity, altered)
             points = altered
-            if kind.intensity is not None:
-                intensity = kind.intensity(points, intensity, flaw.amount)
     if not len(points):
         raise StageError(
             "no points: no ray hits the model, or the flaws remove every point; check the poses and the amounts",

@@ -45,14 +45,12 @@ SCORES = (
 class BestCaseRecipe:
     """Recipe of the second measurements of a best case.
 
-    kind : "again": the same points with noise and dropout; "neighbours": the next real scan
-    noise_m, lost_share : of "again"; "measured" for those that each scan shows, listed in `BEST_CASE_AMOUNTS`
-    seed : of "again"
+    noise_m, lost_share : "measured" for those that each scan shows, listed in `BEST_CASE_AMOUNTS`
+    seed : of noise and losses
     dataset : whose real scans they are of
     """
 
     version: int
-    kind: str
     noise_m: float | Literal["measured"]
     lost_share: float | Literal["measured"]
     seed: int
@@ -61,8 +59,6 @@ class BestCaseRecipe:
     @property
     def words(self) -> str:
         """The same for people; equal where the same scans give the same measurements."""
-        if self.kind == "neighbours":
-            return "the next real scan"
         noise = "as measured" if self.noise_m == AS_MEASURED else f"{self.noise_m:g} m"
         lost = "as measured" if self.lost_share == AS_MEASURED else f"{self.lost_share:g}"
         return f"range noise {noise}, dropout {lost}, seed {self.seed}"

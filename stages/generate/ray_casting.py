@@ -78,8 +78,8 @@ def cast_rays(triangles: FloatArray, directions: FloatArray) -> Hits:
 
     Parameters
     ----------
-    triangles : (f, 3, 3) float64, corners in metres, sensor frame
-    directions : (n, 3) float64, unit vectors
+    triangles : (f, 3, 3) float64, corners in metres, sensor frame; at least one
+    directions : (n, 3) float64, unit vectors; at least one
 
     Raises
     ------
@@ -95,9 +95,6 @@ def cast_rays(triangles: FloatArray, directions: FloatArray) -> Hits:
     require_ray_caster()
     from trimesh import Trimesh
 
-    if not len(directions) or not len(triangles):
-        no_ids = np.empty(0, dtype=np.intp)
-        return Hits(no_ids, no_ids, np.empty(0), np.empty(0))
     corners = triangles.reshape(-1, 3)
     mesh = Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
     places, ray_ids, face_ids = mesh.ray.intersects_location(

@@ -37,8 +37,6 @@ RECORDED = SensorModel(
     max_range_m=120.0,
     range_noise_m=0.02,
     range_quantum_m=0.0,
-    lost_share=0.03,
-    signal_range_m=60.0,
 )
 
 

@@ -6,8 +6,8 @@ street with z above the ground, which is then bent and moved into the frame of t
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.random import Generator
@@ -49,22 +49,6 @@ class Scene:
     density: FloatArray
 
 
-@dataclass(frozen=True)
-class _Row:
-    """Objects of one kind in a row along each side of the road.
-
-    build : triangles of an object at the origin
-    distance_m : from the middle of the road
-    step_m, share : distance of the places, and the share of them that is used
-    """
-
-    kind: str
-    build: Callable[[Generator], FloatArray]
-    distance_m: float
-    step_m: float
-    share: float
-
-
 def build_street(rng: Generator) -> Scene:
     """A road with parked cars, trees, poles, gardens and houses on both sides."""
     kerb_m = rng.uniform(3.4, 5.2)
@@ -72,24 +56,25 @@ def build_street(rng: Generator) -> Scene:
     house_m = garden_m + rng.uniform(9.0, 17.0)
     parts = [_ground()]
     kinds = ["ground"]
-    for row in (
-        _Row("car", _car, kerb_m - 1.0, 6.2, rng.uniform(0.1, 0.7)),
-        _Row("tree", _tree, kerb_m + 0.5, rng.uniform(9.0, 24.0), rng.uniform(0.4, 1.0)),
-        _Row("pole", _pole, kerb_m + 0.5, 25.0, 0.9),
-        _Row("vegetation", _fence, garden_m, 19.0, 0.2),
-        _Row("wall", _fence, garden_m, 21.0, 0.2),
-        _Row("vegetation", _bush, garden_m + 2.0, 11.0, 0.5),
-        _Row("tree", _tree, garden_m + 5.0, 17.0, 0.5),
-        _Row("wall", _house, house_m, 18.0, rng.uniform(0.25, 0.6)),
-        _Row("tree", _tree, house_m + 9.0, 14.0, 0.6),
-    ):
-        for side in (1, -1):
-            for x in np.arange(-_REACH_M + rng.uniform(0.0, row.step_m), _REACH_M, row.step_m):
-                is_sensor_lane = row.kind == "car" and side < 0 and abs(x) < 7.0
-                if rng.uniform() < row.share and not is_sensor_lane:
-                    y = side * row.distance_m * rng.uniform(1.0, 1.1)
-                    parts.append(row.build(rng) + np.array([x, y, 0.0]))
-                    kinds.append(row.kind)
+    rows = [
+        # kind, object, distance from the middle of the road, distance and used share of the places
+        ("car", _car, kerb_m - 1.0, 6.2, rng.uniform(0.1, 0.7)),
+        ("tree", _tree, kerb_m + 0.5, rng.uniform(9.0, 24.0), rng.uniform(0.4, 1.0)),
+        ("pole", _pole, kerb_m + 0.5, 25.0, 0.9),
+        ("vegetation", _fence, garden_m, 19.0, 0.2),
+        ("wall", _fence, garden_m, 21.0, 0.2),
+        ("vegetation", _bush, garden_m + 2.0, 11.0, 0.5),
+        ("tree", _tree, garden_m + 5.0, 17.0, 0.5),
+        ("wall", _house, house_m, 18.0, rng.uniform(0.25, 0.6)),
+        ("tree", _tree, house_m + 9.0, 14.0, 0.6),
+    ]
+    for (kind, build, distance_m, step_m, share), side in product(rows, (1, -1)):
+        for x in np.arange(-_REACH_M + rng.uniform(0.0, step_m), _REACH_M, step_m):
+            is_sensor_lane = kind == "car" and side < 0 and abs(x) < 7.0
+            if rng.uniform() < share and not is_sensor_lane:
+                y = side * distance_m * rng.uniform(1.0, 1.1)
+                parts.append(build(rng) + np.array([x, y, 0.0]))
+                kinds.append(kind)
     bend_per_m = rng.choice([-1.0, 1.0]) / rng.choice([75.0, 120.0, 200.0, 1e4])
     sensor_m = np.array([0.0, -0.45 * kerb_m, rng.uniform(1.72, 1.9)])
     return Scene(

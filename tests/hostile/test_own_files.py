@@ -5,7 +5,6 @@ import io
 import json
 import re
 import shutil
-from pathlib import Path
 from types import SimpleNamespace
 
 import orjson
@@ -13,8 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from fidpipe.pipeline.datasets.pairs import Dataset
 from fidpipe.pipeline.generate import synth, twin
-from fidpipe.pipeline.generate.recordings import Recording
 from fidpipe.pipeline.report.page.run_data import _gate
 from fidpipe.pipeline.report.render import csv_table, terminal
 from fidpipe.pipeline.report.view import Table
@@ -33,7 +32,7 @@ TWIN = 'version = 1\nseed = 0\nsensor = "x"\ninputs_sha256 = "00"\nfiles = {}\n'
 
 def twins(out, replace=True):
     """Makes the twins of a recording without a frame."""
-    recording = Recording(out.parent / "posed", (), {}, poses=Path("poses.tum"))
+    recording = Dataset(out.parent / "posed", (), {})
     twin.make_twins(recording, out, QUIET, replace=replace)
 
 
@@ -79,14 +78,13 @@ def test_a_side_that_is_a_link_is_not_cleared(tmp_path, side):
 
 @pytest.mark.parametrize(
     "change",
-    ['noise_m = "much"', "kind = 5", 'dataset = ["a"]', "seed = 1.5", "[noise_m]", "version = nan"],
+    ['noise_m = "much"', 'dataset = ["a"]', "seed = 1.5", "[noise_m]", "version = nan"],
 )
 def test_a_recipe_of_a_best_case_with_other_values_is_none(tmp_path, change):
     path = tmp_path / BEST_CASE_DATASET / BEST_CASE_RECIPE
     path.parent.mkdir()
     lines = [
         "version = 1",
-        'kind = "again"',
         "noise_m = 0.02",
         "lost_share = 0.05",
         "seed = 0",

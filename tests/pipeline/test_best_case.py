@@ -6,7 +6,6 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.spatial import cKDTree
 from scipy.stats import wasserstein_distance
 
 from fidpipe.pipeline.datasets.pairs import read_dataset
@@ -20,7 +19,7 @@ from fidpipe.pipeline.results.best_case import excess_over
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.schemas.errors import DatasetError, RunError
+from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.metric_catalogue import COVERAGE_SCORES, OBJECT_METRICS
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import Settings, load
@@ -28,7 +27,7 @@ from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.sensor_description import describe_sensor
 from reports import text_of
 from runs import QUIET, assert_same_tables, command, listening, run
-from scenes import drifted, moved, rigid, street, write_bin, write_dataset
+from scenes import drifted, rigid, street, write_bin, write_dataset
 
 REFERENCE = load(preset="reference")
 
@@ -154,36 +153,6 @@ def test_a_finished_best_case_is_not_replaced_by_another_recipe_or_dataset(folde
     assert (
         best_case(data, out, noise_m=0.1, replace=True).n_made == n_made - 4
     )  # all but those of the real side
-
-
-def test_neighbours_are_put_in_place_by_their_poses(tmp_path):
-    """The same street seen from three places: with its pose each scan is the next one's, to rounding."""
-    world = street()
-    rows = []
-    for i in range(3):
-        T = rigid(4 * i, [0.5 * i, 0.1, 0.0])
-        inverse = np.column_stack([T[:, :3].T, -T[:, :3].T @ T[:, 3]])
-        write_bin(tmp_path / "drive" / f"{i}.bin", moved(world, inverse))
-        rows.append(f"{i},{i}.bin,,{10 - i},{' '.join(map(str, T.ravel()))}")
-    manifest = tmp_path / "drive" / "pairs.csv"
-    manifest.write_text("pair_id,real,sim,timestamp_s,T_world_sensor\n" + "\n".join(rows) + "\n")
-    made = best_case(
-        tmp_path / "drive", tmp_path / "best_case", settings=REFERENCE, neighbours=True
-    )
-    assert made.record.frames == {}
-    assert (
-        min(row["covered_real_0p3m"] for row in made.rows) > 0.95
-    )  # what is too near one sensor is not to the other
-    pairs = {pair.pair_id: pair for pair in read_dataset(tmp_path / "best_case" / "dataset").pairs}
-    places = {name: np.reshape(pair.T_real_sim, (3, 4)) for name, pair in pairs.items()}
-    for name, pair in pairs.items():
-        in_place = moved(read_scan(pair.sim).points, places[name])
-        assert cKDTree(in_place).query(read_scan(pair.real).points)[0].max() < 1e-4
-    turned = {name: np.degrees(np.arctan2(T[1, 0], T[0, 0])) for name, T in places.items()}
-    assert turned == pytest.approx({"2": -4, "1": -4, "0": 4})  # 2 is the first in time, 0 the last
-    manifest.write_text("pair_id,real,sim\n0,0.bin,\n1,1.bin,\n")
-    with pytest.raises(DatasetError, match="pair 0 .*T_world_sensor"):
-        best_case(tmp_path / "drive", tmp_path / "other", neighbours=True)
 
 
 def test_excess_is_paired_by_name_and_areas_are_over_objects(folder):
@@ -329,7 +298,6 @@ def test_the_command_takes_amounts_and_names_their_defaults(folder, tmp_path):
     text = shown(*words, "--noise-m", 0, "--dropout", 0, "--out", tmp_path / "best_case")
     assert "preset reference" in text
     assert pd.read_parquet(tmp_path / "best_case" / "pairs.parquet").cdc_mean.tolist() == [0]
-    shown(*words, "--neighbours", "--noise-m", 0.1, "--out", tmp_path / "other", code=2)
     help_text = " ".join(shown("best-case", "--help").replace("│", " ").split())
     for option in ("--noise-m", "--dropout"):
         assert "else as measured" in help_text.rpartition(option)[2]

@@ -79,7 +79,7 @@ def make(out, drive, *flaws, **options):
 @pytest.fixture(scope="module")
 def twins(drive, tmp_path_factory):
     out = tmp_path_factory.mktemp("twins") / "plain"
-    assert make(out, drive).failures == {}
+    assert make(out, drive) == (N, {})
     return out
 
 
@@ -161,7 +161,7 @@ def test_where_the_world_begins_does_not_matter(twins, drive, tmp_path):
             [*lines[i + 1].split(",")[:3], " ".join(map(repr, moved_pose.ravel().tolist()))]
         )
     (elsewhere / "pairs.csv").write_text("\n".join(lines) + "\n")
-    assert make(tmp_path / "out", elsewhere, pattern="*1").n_pairs == 1
+    assert make(tmp_path / "out", elsewhere, pattern="*1") == (1, {})
     ours, theirs = sim(twins, "001"), sim(tmp_path / "out", "001")
     assert len(ours) == len(theirs)
     assert (
@@ -193,7 +193,7 @@ def test_a_broken_scan_fails_alone(drive, tmp_path):
     assert [pair.pair_id for pair in read_dataset(tmp_path / "out").pairs] == NAMES[1:]
     for index in (1, 2):
         (broken / f"{NAMES[index]}.bin").write_bytes(b"no scan")
-    reasons = make(tmp_path / "out2", broken).failures
+    _, reasons = make(tmp_path / "out2", broken)
     assert any(
         "expected at least 2 readable other scans for a model, got 0" in reason
         for reason in reasons.values()
@@ -259,14 +259,11 @@ def test_the_beams_of_the_recording_are_the_usual_ones(drive, tmp_path):
     [
         (["drop-out=0.3"], "'drop-out'.*did you mean dropout"),
         (["xyz=1"], "foliage, holes, far-dropout"),
-        (["dropout=1.5"], "flaw dropout: .*got 1.5"),
+        (["dropout=1.5"], "flaw dropout: .*got 'dropout=1.5'"),
         (["dropout"], "dropout=AMOUNT"),
-        (["holes=3:x"], "holes=AMOUNT"),
+        (["holes=3:1"], "holes=AMOUNT"),
         (["yaw=1", "yaw=2"], "flaw yaw"),
-        (["noise=0.1:2"], "flaw noise: .*got 2"),
-        (["dropout=nan"], "flaw dropout: .*got nan"),
-        (["holes=2.5"], "flaw holes: .*got 2.5"),
-        (["holes=2:0"], "second number.*got 0"),
+        (["dropout=nan"], "flaw dropout: .*got 'dropout=nan'"),
     ],
 )
 def test_flaws_that_make_no_sense_are_refused(words, reason):
@@ -275,7 +272,7 @@ def test_flaws_that_make_no_sense_are_refused(words, reason):
 
 
 def test_the_command_says_what_to_do_next_and_its_help_names_every_flaw(drive, tmp_path):
-    words = ("--pairs", "*1", "--flaw", "far-dropout=0.5:5", "--workers", 1)
+    words = ("--pairs", "*1", "--flaw", "far-dropout=0.5", "--workers", 1)
     done = command("twin", drive, tmp_path / "out", *words, "--sensor", "hdl64", code=0)
     assert f" in {tmp_path / 'out'}; " in done.stdout
     assert done.stdout.count("\n") == 1
@@ -286,9 +283,7 @@ def test_the_command_says_what_to_do_next_and_its_help_names_every_flaw(drive, t
 
 def test_the_documentation_has_every_flaw_and_sensor():
     text = DOCUMENTATION.read_text()
-    for flaw in FLAWS.values():
-        row = next(line for line in text.splitlines() if line.startswith(f"| `{flaw.name}` |"))
-        assert flaw.at_m is None or f"({flaw.at_m:g})" in row
+    assert all(f"| `{name}` |" in text for name in FLAWS)
     assert all(f"`{name}`" in text for name in ("recorded", *SENSORS))
 
 

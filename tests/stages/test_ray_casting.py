@@ -103,12 +103,6 @@ def test_the_nearer_of_two_walls_hides_the_other():
     assert hits.range_m == pytest.approx([5.0])
 
 
-@pytest.mark.parametrize("triangles", [np.empty((0, 3, 3)), np.eye(3)[None]])
-def test_no_surface_or_no_ray_gives_no_hit(triangles):
-    assert not len(cast_rays(triangles, np.empty((0, 3))).ray_ids)
-    assert not len(cast_rays(triangles, np.array([[-1.0, 0, 0]])).range_m)
-
-
 def test_ranges_are_multiples_of_the_quantum_with_three_centimetres_of_noise():
     reported = measure_ranges(VLP32C, np.full(20_000, 12.3), np.random.default_rng(0))
     assert np.abs(reported / 0.004 - np.round(reported / 0.004)).max() < 1e-6
