@@ -11,7 +11,7 @@ from pydantic import JsonValue
 from ...schemas.columns import SIDE_NAMES, SIDES
 from ...schemas.results import JsonObject
 from ...stages.sensor_description import sensor_lines
-from ..engine.costs import CostModel
+from ..engine import costs
 from ..report.view import Answers, Note, Part, Table, View, count, items_of
 from ..report.views.answer_view import cause_items
 from ..results.causes import MOST_SHOWN, no_cause_words
@@ -127,7 +127,7 @@ def _causes(check: CauseCheck) -> View:
 
 def _disk_bytes(dataset: DatasetCheck) -> int:
     """Disk space that the tables of a run may take."""
-    return CostModel().disk_bytes(
+    return costs.disk_bytes(
         sum(scan.n_raw for check in dataset.pairs for scan in check.sides.values()),
     )
 

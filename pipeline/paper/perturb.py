@@ -37,9 +37,9 @@ from ...stages.metrics import MIN_NODES
 from ...stages.plausibility import ScanInspection
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
-from ..engine.memory import run_in_memory
-from ..engine.plan import Planner
+from ..engine.plan import plan_jobs
 from ..engine.progress import Reporter
+from ..engine.worker import run_in_memory
 from ..jobs import communities_job, graph_job, ground_job
 from ..jobs.points_job import column, edges_in, points_in
 from ..pair_checks import pair_warnings
@@ -156,9 +156,9 @@ def alter_scan(
     request: Request,
 ) -> JobResult:
     """All perturbations of the real scan of a pair and of its chosen objects, with all repeats."""
-    jobs = Planner(_PARTITION_STAGES, settings, {}).jobs()
-    real_jobs = [job for job in jobs if job.part == "real"]
-    tables, outputs = run_in_memory(real_jobs, scans, pair.pair_id)
+    jobs = plan_jobs(_PARTITION_STAGES, settings)
+    real_jobs = {name: job for name, job in jobs.items() if job.part == "real"}
+    tables, outputs = run_in_memory(real_jobs, scans, pair)
     point_ids, points = points_in(tables["ground", "real"])
     edges = edges_in(point_ids, tables["graph", "real"])
     labels = column(tables["communities", "real"], "community_id")

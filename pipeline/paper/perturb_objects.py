@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.errors import DatasetError
-from ..engine.memory import PairTables
+from ..engine.worker import PairTables
 from ..jobs.points_job import column
 from ..results.object_frame import SHAPES
 

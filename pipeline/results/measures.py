@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...schemas.columns import Row
-from ...schemas.errors import DatasetError, ScanError, SettingsError, nearest, suggestion
+from ...schemas.errors import (
+    DatasetError,
+    RunError,
+    ScanError,
+    SettingsError,
+    StageError,
+    nearest,
+    suggestion,
+)
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...schemas.results import Cause, Unknown
 from ...stages.arrays import FloatArray, IndexArray
@@ -24,6 +32,7 @@ from .measure_names import (
     COUNTS,
     DOTTED,
     INTERVAL_ENDS,
+    ODOMETRY_MEASURES,
     OF_DISTRIBUTIONS,
     OF_OBJECTS,
     OF_PAIRS,
@@ -33,6 +42,7 @@ from .measure_names import (
     STATES,
     TASK_MEASURES,
 )
+from .odometry import compare_odometry
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -157,6 +167,18 @@ class Measures:
             raise _AbsentError(f"the run has no {measure}; add it with fidpipe run --tasks")
         return _statistic(gaps[measure].to_numpy(), stat or "mean", "pair", f"gap {measure}")
 
+    def _odometry(self, measure: str) -> float:
+        """The gap of odometry over the longest sequence of scans."""
+        try:
+            gaps = {row["measure"]: row["gap"] for row in self._odometry_rows}
+        except (RunError, StageError) as error:
+            raise _AbsentError(str(error)) from error
+        return float(gaps[measure])
+
+    @cached_property
+    def _odometry_rows(self) -> list[Row]:
+        return compare_odometry(self.run)
+
     def _both(self, count: str) -> float:
         return _counted(np.array([row["n_matched"] for row in self._scored]), count)
 
@@ -249,6 +271,7 @@ _MEASURES: dict[str, Callable[..., float]] = {
     rf"matched\.{_either('count', ('total', 'mean', 'min'))}": Measures._both,
     rf"pairs\.{_either('state', STATES)}": Measures._pairs,
     rf"tasks\.{_TASK}(?:\.{_OF_PAIRS})?": Measures._task,
+    rf"tasks\.odometry\.{_either('measure', ODOMETRY_MEASURES)}": Measures._odometry,
     rf"causes\.{_either('cause', CAUSE_NAMES)}(?:\.{_either('end', INTERVAL_ENDS)})?": (
         Measures._cause
     ),

@@ -167,7 +167,7 @@ class RunFolder(TableFolder):
         """Names of the files of a job that are not as they were written; files at the URL alone are not checked."""
         damaged = []
         for name, stored in record.files.items():
-            if stored.is_at(f"{self.folder}/{name}"):
+            if stored.is_at(self.folder / name):
                 continue
             if self.url and not (self.folder / name).exists():
                 continue
