@@ -99,12 +99,6 @@ class ScoreExcess:
     n_best_case: int
     of_pairs: dict[str, float | None]
 
-    @property
-    def best_case_from_equal(self) -> float | None:
-        """Distance of the best case's mean from the score of equal scans; None if that has no fixed value."""
-        equal = metric_of(self.column).equal
-        return None if self.best_case is None or equal is None else abs(self.best_case - equal)
-
 
 @dataclass(frozen=True)
 class RunExcess:
@@ -154,7 +148,7 @@ def run_of_best_case(best_case: Path, recipe: BestCaseRecipe) -> str:
     return "RUN"
 
 
-def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None = None) -> RunExcess:
+def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
     """Each score of a run minus that of the same pair in the best case, and the distance of both distributions.
 
     excess = mean over pairs of (score - best case)
@@ -164,7 +158,6 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
     Parameters
     ----------
     best_case : the folder of a run of `fidpipe best-case`
-    pairs : only these; by default all that are scored in both
 
     Raises
     ------
@@ -184,8 +177,8 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
     other = FinishedRun(best_case)
     _refuse_other_best_case(run, other)
     scored = {row["pair_id"] for row in other.scored}
-    wanted = [row["pair_id"] for row in run.scored if pairs is None or row["pair_id"] in pairs]
-    names = tuple(name for name in wanted if name in scored)
+    own = [row["pair_id"] for row in run.scored]
+    names = tuple(name for name in own if name in scored)
     if not names:
         raise RunError(
             f"run {run.folder} and best case {best_case}: no pair is scored in both; make one for "
@@ -198,7 +191,7 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
         best_case=best_case,
         recipe=recipe,
         pairs=names,
-        left_out=tuple(name for name in wanted if name not in scored),
+        left_out=tuple(name for name in own if name not in scored),
         notes=tuple(version_changes(run, other)),
         scores={column: _excess(column, names, of_pairs, of_objects) for column in SCORES},
         task_gaps=other.record.task_gaps,

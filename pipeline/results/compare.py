@@ -22,11 +22,10 @@ from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import KINDS, LEAST_FLIPPED, LEAST_PAIRS
 from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
-from .best_case import RunExcess, excess_over
 from .changes import Changes, change_rows, find_changes
 from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall, score_rows
 from .finished import FinishedRun, partition_note, settings_changes, version_changes
-from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, follow
+from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, follow
 from .independence import how_found, pairs_and_places
 from .object_frame import plain_rows
 from .sectors import N_SECTORS, sector_frame
@@ -53,7 +52,6 @@ class Comparison:
     counted : the numbers of pairs and places, and how places were recognised
     by_direction : True if few places are left, so that changes of the world must be consistent over directions as well
     on_partition : what chance does to scores of the paper's partition; "" of reference objects
-    excess : of the base and of the other run over the best case; None without one
     """
 
     base: Path
@@ -72,7 +70,6 @@ class Comparison:
     changes: Changes = field(default_factory=Changes)
     families: tuple[FamilyChange, ...] = ()
     objects: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=CHANGE_COLUMNS))
-    excess: tuple[RunExcess, RunExcess] | None = None
 
     @property
     def is_small(self) -> bool:
@@ -128,11 +125,8 @@ class Comparison:
             "causes": change_rows(self.changes),
             "unexplained": self.changes.elsewhere,
             "families": [asdict(family) for family in self.families],
-            "excess": self.excess and [excess.as_dict() for excess in self.excess],
             "kinds": self.kinds,
             "objects": plain_rows(self.objects),
-            "by_class": by_class(self.objects),
-            "by_range": by_range(self.objects),
         }
         del plain["changes"]
         return plain
@@ -142,7 +136,6 @@ def compare_runs(
     folders: Sequence[Path],
     *,
     allow_different_settings: bool = False,
-    best_case: Path | None = None,
     independent: bool = False,
     reporter: Reporter | None = None,
 ) -> list[Comparison]:
@@ -151,14 +144,13 @@ def compare_runs(
     Parameters
     ----------
     independent : treat each pair as independent, also neighbouring frames
-    best_case : the run of fidpipe best-case of the same real scans; all runs then need its settings
     reporter : shows the progress over many pairs
 
     Raises
     ------
     RunError
         A folder is not a finished run, settings that change scores differ and that is not allowed, no pair is
-        common, or the best case belongs to other runs.
+        common.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
     comparisons = []
@@ -172,7 +164,7 @@ def compare_runs(
             )
         comparison = _pairs_of(base, other, settings, independent=independent)
         if comparison.pairs:
-            comparison = _compared(comparison, base, other, best_case, independent, reporter)
+            comparison = _compared(comparison, base, other, independent, reporter)
         comparisons.append(comparison)
     return comparisons
 
@@ -215,20 +207,12 @@ def _compared(
     comparison: Comparison,
     base: FinishedRun,
     other: FinishedRun,
-    best_case: Path | None,
     independent: bool,
     reporter: Reporter | None,
 ) -> Comparison:
     """The comparison with its causes, families and objects."""
     names = comparison.pairs
     blocks = _blocks(base, names, independent=independent)
-    best_cases: dict[str, float | None] = {}
-    excess = None
-    if best_case is not None:
-        excess = excess_over(base, best_case, names), excess_over(other, best_case, names)
-        for column, score in excess[0].scores.items():
-            best_cases[column] = score.best_case_from_equal
-        best_cases |= excess[0].task_gaps
     changes = find_changes(base, other, names, blocks, reporter)
     sectors = None
     if comparison.by_direction:
@@ -241,7 +225,6 @@ def _compared(
         ScoredPairs(_scores(base, other, names), blocks),
         sectors=sectors,
         seed_noise=_noise_of_seeds(base, other, names),
-        best_cases=best_cases,
         worse_causes=[change.cause.name for change in changes.causes if change.verdict == "worse"],
     )
     real_objects = [run.objects_of(names, FOLLOWED_COLUMNS, ("real",)) for run in (base, other)]
@@ -252,7 +235,6 @@ def _compared(
         families=families,
         objects=objects,
         unfollowed=tuple(unfollowed),
-        excess=excess,
     )
 
 

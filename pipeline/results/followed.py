@@ -1,19 +1,16 @@
-"""Real objects followed from one run to another: the fate of each, and of all objects of a class or a band of range.
+"""Real objects followed from one run to another: the fate of each.
 
 The real side's objects are the same where scan and settings are; that is checked by content.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 
 from ...schemas.columns import Row
 from ...schemas.metric_catalogue import QUADRANT_SCORES
-from ...stages.statistics.comparison import KINDS, kinds_of_change
-from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
+from ...stages.statistics.comparison import kinds_of_change
 from .object_frame import plain_rows
 
 _PLACE = ("n_points", "cx", "cy", "cz")
@@ -64,30 +61,10 @@ def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, lis
     return changes[[*CHANGE_COLUMNS]], unfollowed
 
 
-def by_class(objects: pd.DataFrame) -> list[Row]:
-    """Fates of the real objects by class, or by shape where no scan is labelled, counted; the largest group first.
-
-    A description without a test of significance. Each row has `name`, `n` (objects), `kinds` (of these, how many have
-    become what), `n_pairs` (pairs that have such objects), `n_both` (objects that both runs have matched), and the mean
-    change of each score over those of them that have it in both runs; None if no object has it.
-    """
-    is_labelled = objects["label"].notna().any()
-    labels = objects["label"].fillna("").replace("", "(no label)")
-    groups = _groups(objects, labels if is_labelled else objects["shape"])
-    return sorted(groups, key=lambda group: (-group["n"], group["name"]))
-
-
-def by_range(objects: pd.DataFrame) -> list[Row]:
-    """The same by distance from the sensor, near objects first; bands without an object are left out."""
-    range_m = objects["range_m"].to_numpy(dtype=np.float64)
-    bands = np.searchsorted(BAND_EDGES_M, range_m, "right") - 1
-    groups = _groups(objects, bands)
-    return [group | {"name": BAND_NAMES[group["name"]]} for group in groups]
-
-
 def by_change(objects: pd.DataFrame) -> pd.DataFrame:
     """The objects in the order of the largest rise of a score, or fall where none rose; of equal ones the largest."""
-    size = _steps(objects).abs().fillna(0.0).max(axis=1)
+    steps = [objects[f"{name}_after"] - objects[f"{name}_before"] for name in QUADRANT_SCORES]
+    size = pd.concat(steps, axis=1).abs().fillna(0.0).max(axis=1)
     keyed = objects.assign(size=-size, points=-objects["n_points"])
     ordered = keyed.sort_values(["size", "points", "pair_id", "real_id"])
     return ordered.drop(columns=["size", "points"])
@@ -99,27 +76,3 @@ def worst_changes(objects: pd.DataFrame, most: int = 5) -> list[Row]:
     worst = worst.assign(turn=worst.groupby("kind").cumcount())
     worst = worst.sort_values(["turn", "kind"], ascending=[True, False])
     return plain_rows(worst.drop(columns="turn").head(most))
-
-
-def _steps(objects: pd.DataFrame) -> pd.DataFrame:
-    """Change of each score of each object; NaN if a run lacks it."""
-    steps = {name: objects[f"{name}_after"] - objects[f"{name}_before"] for name in QUADRANT_SCORES}
-    return pd.DataFrame(steps, dtype=np.float64)
-
-
-def _groups(objects: pd.DataFrame, names: Any) -> list[Row]:
-    """Fates and mean changes of the objects of each name."""
-    groups = []
-    for name, members in objects.groupby(names):
-        means = _steps(members).mean()
-        group = {
-            "name": name,
-            "n": len(members),
-            "kinds": members["kind"].value_counts().reindex(KINDS, fill_value=0).to_dict(),
-            "n_pairs": members["pair_id"].nunique(),
-            "n_both": int(members[["sim_before", "sim_after"]].notna().all(axis=1).sum()),
-        }
-        for score, mean in means.items():
-            group[str(score)] = None if np.isnan(mean) else float(mean)
-        groups.append(group)
-    return groups

@@ -28,7 +28,7 @@ from fidpipe.pipeline.report.views.compare_view import (
 from fidpipe.pipeline.results.changes import ChangedCause, Changes
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun
-from fidpipe.pipeline.results.followed import by_class, by_range, worst_changes
+from fidpipe.pipeline.results.followed import worst_changes
 from fidpipe.pipeline.results.gate import judge_comparison
 from fidpipe.pipeline.results.object_frame import plain_rows
 from fidpipe.schemas.errors import RunError
@@ -188,7 +188,7 @@ def test_other_communities_of_the_same_scan_are_not_followed(versions, tmp_path)
     found = compare_runs([versions[0], other], allow_different_settings=True)[0]
     assert set(found.unfollowed) == set(HOSTILE)
     assert found.objects.empty
-    assert by_class(found.objects) == by_range(found.objects) == worst_changes(found.objects) == []
+    assert worst_changes(found.objects) == []
     assert object_view(found) == []
 
 
@@ -261,12 +261,10 @@ def test_a_difference_is_set_beside_what_seeds_alone_make(versions, tmp_path):
     ]
     noise = sum(of["least_dataset"] ** 2 for of in of_seeds) ** 0.5 / 2**0.5
     assert found["CDC"].seed_noise == pytest.approx(noise)
-    assert found["CDC"].exceeds(found["CDC"].seed_noise) == (
-        found["CDC"].difference.difference > noise
-    )
-    assert found["real covered 0.3 m"].exceeds(found["real covered 0.3 m"].seed_noise) is None
+    assert found["CDC"].is_by_seeds == (found["CDC"].difference.size <= noise)
+    assert found["real covered 0.3 m"].seed_noise is None
     assert by_name(compare_runs(versions)[0])["CDC"].seed_noise is None
-    is_small = any(score.exceeds(score.seed_noise) is False for score in found.values())
+    is_small = any(score.is_by_seeds for score in found.values())
     assert ("more than Louvain seeds alone make" in compare_page(compare_runs(runs))) == is_small
 
 
@@ -303,18 +301,6 @@ def test_the_first_line_names_what_changed_neither_for_better_nor_worse(versions
     change = ChangedCause(cause, -0.025, 0.025, "changed", "height: +2 cm, before -2 cm")
     found = replace(found, changes=Changes((change,)), families=())
     assert decision(found) == f"undecided: changed, neither better nor worse: {change.words}"
-
-
-def test_classes_and_ranges_count_every_real_object_and_average_those_in_both(found):
-    for groups in (by_class(found.objects), by_range(found.objects)):
-        assert sum(group["n"] for group in groups) == len(found.objects)
-        for kind in found.kinds:
-            assert sum(group["kinds"][kind] for group in groups) == found.kinds[kind]
-    near = found.objects.query("range_m < 10 and cdc_before.notna() and cdc_after.notna()")
-    group = next(group for group in by_range(found.objects) if group["name"] == "0 to 10 m")
-    assert group["n_both"] == len(near) > 0
-    assert group["cdc"] == pytest.approx((near.cdc_after - near.cdc_before).mean())
-    assert {group["name"] for group in by_class(found.objects)} <= {"linear", "planar", "scattered"}
 
 
 def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
