@@ -165,25 +165,31 @@ def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
         The folder is not a best case, has other settings or other real scans, has none of the pairs, or a table is
         damaged.
     """
+    command = shlex.join(["fidpipe", "best-case", url_or_path(run.folder)])
     recipe = read_recipe(best_case)
     if recipe is None:
         raise RunError(
             f"{best_case}: is not a run of fidpipe best-case (no "
-            f"{BEST_CASE_DATASET}/{BEST_CASE_RECIPE} in it); "
-            f"make one for {run.folder} with: {_command(run)}; for changes against another run: "
-            "fidpipe compare, "
-            "diagnose --since"
+            f"{BEST_CASE_DATASET}/{BEST_CASE_RECIPE} in it); make one for {run.folder} with: "
+            f"{command}; for changes against another run: fidpipe compare, diagnose --since"
         )
     other = FinishedRun(best_case)
-    _refuse_other_best_case(run, other)
     scored = {row["pair_id"] for row in other.scored}
     own = [row["pair_id"] for row in run.scored]
     names = tuple(name for name in own if name in scored)
-    if not names:
-        raise RunError(
-            f"run {run.folder} and best case {best_case}: no pair is scored in both; make one for "
-            f"it: {_command(run)}"
-        )
+    hashes = {name: of_scans.get("real") for name, of_scans in run.record.inputs.items()}
+    theirs = other.record.inputs
+    moved = [name for name in hashes if name in theirs and hashes[name] != theirs[name].get("real")]
+    problem = ""
+    if differing := settings_changes(run, other):
+        problem = f"settings differ ({'; '.join(differing)})"
+    elif moved:
+        problem = f"the real scans of {len(moved)} pairs differ ({', '.join(moved[:3])})"
+    elif not names:
+        problem = "no pair is scored in both"
+    if problem:
+        runs = f"run {run.folder} and best case {best_case}"
+        raise RunError(f"{runs}: {problem}; make one for it: {command}")
     of_pairs = [_pairs(run, names), _pairs(other, names)]
     of_objects = [_matched(run, names), _matched(other, names)]
     return RunExcess(
@@ -196,31 +202,6 @@ def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
         scores={column: _excess(column, names, of_pairs, of_objects) for column in SCORES},
         task_gaps=other.record.task_gaps,
     )
-
-
-def _refuse_other_best_case(run: FinishedRun, best_case: FinishedRun) -> None:
-    runs = f"run {run.folder} and best case {best_case.folder}"
-    differing = settings_changes(run, best_case)
-    if differing:
-        raise RunError(
-            f"{runs}: settings differ ({'; '.join(differing)}); make one for it: {_command(run)}"
-        )
-    theirs = best_case.record.inputs
-    others = [
-        name
-        for name, hashes in run.record.inputs.items()
-        if name in theirs and hashes.get("real") != theirs[name].get("real")
-    ]
-    if others:
-        named = others[0] if len(others) == 1 else f"{others[0]} ..."
-        raise RunError(
-            f"{runs}: the real scans of {len(others)} pairs differ ({named}); make one for it: "
-            f"{_command(run)}"
-        )
-
-
-def _command(run: FinishedRun) -> str:
-    return shlex.join(["fidpipe", "best-case", url_or_path(run.folder)])
 
 
 def _pairs(run: FinishedRun, names: Sequence[str]) -> pd.DataFrame:

@@ -19,13 +19,13 @@ from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
-from ...stages.statistics.comparison import KINDS, LEAST_FLIPPED, LEAST_PAIRS
+from ...stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS
 from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
 from .changes import Changes, change_rows, find_changes
 from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall, score_rows
 from .finished import FinishedRun, partition_note, settings_changes, version_changes
-from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, follow
+from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, KINDS, follow
 from .independence import how_found, pairs_and_places
 from .object_frame import plain_rows
 from .sectors import N_SECTORS, sector_frame

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from ...schemas.columns import Row
 from ...schemas.metric_catalogue import QUADRANT_SCORES
-from ...stages.statistics.comparison import kinds_of_change
 from .object_frame import plain_rows
 
+#: A score of an object has changed if it moved by more than this.
+LEAST_CHANGE = 0.05
+KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "missing in both")
 _PLACE = ("n_points", "cx", "cy", "cz")
 #: Columns of the real scan, the same in both runs.
 _OF_BOTH = ("pair_id", "label", "shape", "range_m", "n_points")
@@ -33,27 +36,21 @@ def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, lis
 
     Parameters
     ----------
-    before, after : the real objects of both runs in the order of pairs and ids (`object_frame.object_parts`)
+    before, after : the real objects of both runs in the order of pairs and ids (`object_frame.object_frame`)
     """
     keys = ["pair", "community_id"]
     both = before.merge(after, how="outer", on=keys, suffixes=("_before", "_after"))
-    differs = np.zeros(len(both), dtype=np.bool_)
+    differs = pd.Series(False, index=both.index)
     for name in _PLACE:
         place = both[f"{name}_before"]
         other = both[f"{name}_after"]
-        differs |= ((place != other) & (place.notna() | other.notna())).to_numpy()
+        differs |= (place != other) & (place.notna() | other.notna())
     is_unfollowed = both["pair"].isin(both.loc[differs, "pair"])
     names = both["pair_id_before"].fillna(both["pair_id_after"])
     unfollowed = names[is_unfollowed].unique().tolist()
     both = both[~is_unfollowed]
-    kinds = kinds_of_change(
-        (both["partner_before"] >= 0).to_numpy(),
-        (both["partner_after"] >= 0).to_numpy(),
-        cdc=(both["cdc_before"].to_numpy(), both["cdc_after"].to_numpy()),
-        r_lambda=(both["r_lambda_before"].to_numpy(), both["r_lambda_after"].to_numpy()),
-    )
     changes = both.rename(columns={f"{name}_before": name for name in _OF_BOTH})
-    changes = changes.assign(real_id=both["community_id"], kind=kinds)
+    changes = changes.assign(real_id=both["community_id"], kind=kinds_of_change(both))
     changes["n_points"] = changes["n_points"].astype(int)
     for when in ("before", "after"):
         partner = both[f"partner_{when}"]
@@ -61,10 +58,36 @@ def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, lis
     return changes[[*CHANGE_COLUMNS]], unfollowed
 
 
+def kinds_of_change(objects: pd.DataFrame) -> NDArray[np.str_]:
+    """Kind of change of each real object, of `KINDS`.
+
+    `appeared`: missing before, matched now; `vanished`: the reverse. Of an object matched in both: `better` if CDC or
+    r_lambda fell by more than 0.05 and neither rose by so much, `worse` the reverse, `mixed` if one fell and the other
+    rose, else `alike`. A score that is null in either run is ignored.
+
+    Parameters
+    ----------
+    objects : with the scores before and after, and `partner_before` and `partner_after`, -1 if it is not matched
+    """
+    change = _steps(objects).fillna(0.0)
+    fell = (change < -LEAST_CHANGE).any(axis=1)
+    rose = (change > LEAST_CHANGE).any(axis=1)
+    before = objects["partner_before"] >= 0
+    after = objects["partner_after"] >= 0
+    conditions = [~before & ~after, before & ~after, ~before & after, fell & rose, fell, rose]
+    kinds = ["missing in both", "vanished", "appeared", "mixed", "better", "worse"]
+    return np.select(conditions, kinds, "alike")
+
+
+def _steps(objects: pd.DataFrame) -> pd.DataFrame:
+    """Change of each score of each object; NaN if a run lacks it."""
+    steps = {name: objects[f"{name}_after"] - objects[f"{name}_before"] for name in QUADRANT_SCORES}
+    return pd.DataFrame(steps, dtype=np.float64)
+
+
 def by_change(objects: pd.DataFrame) -> pd.DataFrame:
     """The objects in the order of the largest rise of a score, or fall where none rose; of equal ones the largest."""
-    steps = [objects[f"{name}_after"] - objects[f"{name}_before"] for name in QUADRANT_SCORES]
-    size = pd.concat(steps, axis=1).abs().fillna(0.0).max(axis=1)
+    size = _steps(objects).abs().fillna(0.0).max(axis=1)
     keyed = objects.assign(size=-size, points=-objects["n_points"])
     ordered = keyed.sort_values(["size", "points", "pair_id", "real_id"])
     return ordered.drop(columns=["size", "points"])

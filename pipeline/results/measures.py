@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,6 @@ from ...schemas.errors import (
     ScanError,
     SettingsError,
     StageError,
-    nearest,
     suggestion,
 )
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
@@ -72,9 +71,8 @@ class Measures:
                     return float(measure(self, **match.groupdict())), ""
                 except _AbsentError as why:
                     return None, str(why)
-        near = f"{name}.mean" if f"{name}.mean" in PLAIN_NAMES else nearest(name, PLAIN_NAMES)
-        means = [own for own in PLAIN_NAMES if own.endswith(".mean")]
-        hint = f"did you mean {near}?" if near else suggestion(name, means)
+        mean = f"{name}.mean"
+        hint = f"did you mean {mean}?" if mean in PLAIN_NAMES else suggestion(name, PLAIN_NAMES)
         raise SettingsError(
             f"criterion {name!r}: no such measure; {hint} (fidpipe gate --help lists the forms)"
         )
@@ -91,9 +89,7 @@ class Measures:
         return False
 
     def _of_pairs(self, score: str, stat: str) -> float:
-        values = np.array(
-            [row[_column(score)] for row in self.run.scored], dtype=np.float64
-        )  # None becomes NaN
+        values = [row[_column(score)] for row in self.run.scored]
         return _statistic(values, stat, "pair", score)
 
     def _over_best_case(self, score: str, stat: str) -> float:
@@ -101,36 +97,33 @@ class Measures:
             raise SettingsError(
                 f"criterion 'excess.{score}.{stat}': needs a best case; add --best-case RUN"
             )
-        own = self._excess.scores[_column(score)]
+        excess = self._excess.scores[_column(score)]
+        values: list[float | None] = [*excess.of_pairs.values()]
         if stat in OF_DISTRIBUTIONS:
-            apart: float | None = getattr(own, stat)
-            if apart is None:
-                raise _AbsentError(f"no {score} in the run or in its best case")
-            return apart
-        return _statistic(
-            np.array([*own.of_pairs.values()], dtype=np.float64),
-            stat,
-            "pair",
-            f"{score} in both runs",
-        )
+            values = [getattr(excess, stat)]
+            stat = "mean"
+        return _statistic(values, stat, "pair", f"{score} in both runs")
 
     def _of_objects(self, label: str | None, score: str, stat: str) -> float:
-        own = self._objects_of("real", label)
+        objects = self._objects_of("real", label)
+        scores = objects.loc[objects["fate"] == "matched", score].to_numpy()
         what = "matched object" if label is None else f"matched object of class {label}"
-        return _statistic(own.loc[own["fate"] == "matched", score].to_numpy(), stat, what, score)
+        return _statistic(scores, stat, what, score)
 
     def _unmatched(
         self, label: str | None, what: str, within: str | None, count: str | None
     ) -> float:
-        side = {"not_found": "real", "extra": "sim"}[what]
-        own = self._objects_of(side, label)
-        own = own if within is None else own[own["range_m"] < float(within)]
+        side = "real" if what == "not_found" else "sim"
+        objects = self._objects_of(side, label)
+        if within is not None:
+            objects = objects[objects["range_m"] < float(within)]
+        is_alone = objects["fate"] == what
         if count == "share":
-            if own.empty:
+            if objects.empty:
                 raise _AbsentError(f"the {side} side has no such object")
-            return float((own["fate"] == what).mean())
-        alone = own.loc[own["fate"] == what, "pair"]
-        return _counted(np.bincount(alone, minlength=len(self.run.scored)), count or "total")
+            return float(is_alone.mean())
+        of_pairs = np.bincount(objects.loc[is_alone, "pair"], minlength=len(self.run.scored))
+        return _counted(of_pairs, count or "total")
 
     def _objects_of(self, side: str, label: str | None) -> pd.DataFrame:
         """The objects of a side, or those of a class."""
@@ -233,8 +226,10 @@ def _column(score: str) -> str:
     return (DOTTED | SENSOR_VALUES).get(score, score)
 
 
-def _statistic(values: FloatArray, stat: str, what: str, score: str) -> float:
-    spread = distribution(values)
+def _statistic(
+    values: Sequence[float | None] | FloatArray, stat: str, what: str, score: str
+) -> float:
+    spread = distribution(np.array(values, dtype=np.float64))  # None becomes NaN
     if not spread.n:
         raise _AbsentError(f"no {what} has a {score}")
     value: float | None = getattr(spread, stat)

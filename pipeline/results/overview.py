@@ -37,7 +37,7 @@ from .best_case import BEST_CASE_RECIPE
 from .causes import named_and_small, read_causes, unknown_causes
 from .independence import NEEDED, find_places, pairs_and_places
 from .object_findings import FINDINGS_COLUMNS, summarise_objects
-from .object_frame import object_parts, plain_rows
+from .object_frame import object_frame, plain_rows
 from .places import moved_words, place_words
 
 if TYPE_CHECKING:
@@ -105,8 +105,6 @@ def describe_objects(
     hashes : by pair, content hash of its real scan (`real`)
     by_reference : True if the real side fixes the objects
     """
-    import pandas as pd
-
     if not len(scored):
         none = SurfaceStates(there=0, partly=0, absent=0, road=0)
         return (
@@ -116,8 +114,8 @@ def describe_objects(
         )
     pair_ids = scored["pair_id"].to_pylist()
     columns = list({*FINDINGS_COLUMNS, *OVERVIEW_COLUMNS})
-    parts = object_parts(store, pair_ids, columns, by_reference=by_reference)
-    objects = pd.concat([part.loc[part["fate"] != "remnant", [*_KEYS, *columns]] for part in parts])
+    objects = object_frame(store, pair_ids, columns, by_reference=by_reference)
+    objects = objects.loc[objects["fate"] != "remnant", [*_KEYS, *columns]]
     objects["label"] = objects["label"].fillna("")
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
     found = summarise_objects(objects, len(pair_ids))

@@ -1,4 +1,4 @@
-"""Two simulator versions on the same real scans: which scores changed beyond chance, and the fate of each object.
+"""Two simulator versions on the same real scans: which scores changed beyond chance.
 
 Equal simulators exchange *before* and *after*, so that each change is as likely as its opposite. That is all that the
 test of `adjusted_p_values` assumes. Its rates of false alarms and its power were found by simulation:
@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 
 CONFIDENCE = 0.95
 #: Fewer independent pairs decide nothing but changes far beyond the noise.
@@ -30,12 +29,8 @@ DRAWS = 20_000
 BLOCK_S = 10.0
 #: Of fewer than `LEAST_PAIRS` blocks, only a change of more than this many standard deviations is decided.
 FAR_STDS = 5.0
-#: A score of an object has changed if it moved by more than this.
-LEAST_CHANGE = 0.05
 #: Smaller differences are rounding, such as between two processors.
 ALIKE = 1e-9
-
-KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "missing in both")
 
 
 @dataclass(frozen=True)
@@ -244,31 +239,6 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
         highest = max(highest, min(1.0, (len(known) - rank) * p))
         adjusted[i] = highest
     return adjusted
-
-
-def kinds_of_change(
-    before: BoolArray,
-    after: BoolArray,
-    cdc: tuple[FloatArray, FloatArray],
-    r_lambda: tuple[FloatArray, FloatArray],
-) -> NDArray[np.str_]:
-    """Kind of change of each real object.
-
-    `appeared`: missing before, matched now; `vanished`: the reverse. Of an object matched in both: `better` if CDC or
-    r_lambda fell by more than 0.05 and neither rose by so much, `worse` the reverse, `mixed` if one fell and the other
-    rose, else `alike`. A score that is null in either run is ignored.
-
-    Parameters
-    ----------
-    before, after : (n,) True if the real object is matched
-    cdc, r_lambda : (n,) and (n,), before and after, NaN for null
-    """
-    change = np.nan_to_num(np.column_stack([cdc[1] - cdc[0], r_lambda[1] - r_lambda[0]]))
-    fell = (change < -LEAST_CHANGE).any(axis=1)
-    rose = (change > LEAST_CHANGE).any(axis=1)
-    conditions = [~before & ~after, before & ~after, ~before & after, fell & rose, fell, rose]
-    kinds = ["missing in both", "vanished", "appeared", "mixed", "better", "worse"]
-    return np.select(conditions, kinds, "alike")
 
 
 @cache

@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
+import numpy as np
 import pandas as pd
 import pytest
 from plotly.offline import get_plotlyjs
@@ -28,7 +29,7 @@ from fidpipe.pipeline.report.views.compare_view import (
 from fidpipe.pipeline.results.changes import ChangedCause, Changes
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun
-from fidpipe.pipeline.results.followed import worst_changes
+from fidpipe.pipeline.results.followed import kinds_of_change, worst_changes
 from fidpipe.pipeline.results.gate import judge_comparison
 from fidpipe.pipeline.results.object_frame import plain_rows
 from fidpipe.schemas.errors import RunError
@@ -170,6 +171,25 @@ def test_objects_are_followed_through_the_real_side(found, versions):
     metrics = pd.read_parquet(versions[1] / "metrics").set_index(["pair_id", "real_id"]).cdc
     for of in plain_rows(found.objects):
         assert of["cdc_after"] == (metrics.get((of["pair_id"], of["real_id"])))
+
+
+def test_the_kind_of_change_of_an_object_by_hand():
+    nan = np.nan
+    rows = [
+        (-1, -1, nan, nan, nan, nan, "missing in both"),
+        (0, -1, 0.1, nan, 0.1, nan, "vanished"),
+        (-1, 0, nan, 0.1, nan, 0.1, "appeared"),
+        (0, 0, 0.5, 0.4, 0.3, 0.3, "better"),
+        (0, 0, 0.5, 0.5, 0.3, 0.4, "worse"),
+        (0, 0, 0.5, 0.4, 0.3, 0.4, "mixed"),
+        (0, 0, 0.5, 0.46, 0.3, 0.34, "alike"),
+        (0, 0, 0.5, 0.4, nan, 0.9, "better"),
+    ]
+    columns = [
+        f"{name}_{when}" for name in ("partner", "cdc", "r_lambda") for when in ("before", "after")
+    ]
+    objects = pd.DataFrame(rows, columns=[*columns, "kind"])
+    assert kinds_of_change(objects).tolist() == objects.kind.tolist()
 
 
 def test_other_settings_are_rejected_unless_allowed(versions, tmp_path):

@@ -13,7 +13,6 @@ from fidpipe.stages.statistics.comparison import (
     block_means,
     blocks_of,
     holm,
-    kinds_of_change,
     mean_interval,
     paired_difference,
 )
@@ -154,23 +153,6 @@ def test_neighbours_form_chains():
 def test_adjusted_p_values_are_at_most_1():
     assert holm([0.9, 0.8]) == [1.0, 1.0]
     assert holm([]) == []
-
-
-def test_the_kind_of_change_of_an_object_by_hand():
-    nan = np.nan
-    rows = [
-        (False, False, nan, nan, nan, nan, "missing in both"),
-        (True, False, 0.1, nan, 0.1, nan, "vanished"),
-        (False, True, nan, 0.1, nan, 0.1, "appeared"),
-        (True, True, 0.5, 0.4, 0.3, 0.3, "better"),
-        (True, True, 0.5, 0.5, 0.3, 0.4, "worse"),
-        (True, True, 0.5, 0.4, 0.3, 0.4, "mixed"),
-        (True, True, 0.5, 0.46, 0.3, 0.34, "alike"),
-        (True, True, 0.5, 0.4, nan, 0.9, "better"),
-    ]
-    before, after, *scores = [np.array(column) for column in list(zip(*rows, strict=True))[:6]]
-    found = kinds_of_change(before, after, (scores[0], scores[1]), (scores[2], scores[3]))
-    assert found.tolist() == [row[-1] for row in rows]
 
 
 def test_a_score_without_noise_tells_any_difference():

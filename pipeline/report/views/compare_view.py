@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from ....schemas.columns import Row
 from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
-from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_FLIPPED, LEAST_PAIRS, Difference
+from ....stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS, Difference
 from ...results.causes import interval_words
 from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, TASKS, FamilyChange, score_rows
-from ...results.followed import by_change, worst_changes
+from ...results.followed import LEAST_CHANGE, by_change, worst_changes
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
