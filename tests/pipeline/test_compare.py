@@ -455,7 +455,7 @@ def test_a_run_in_which_every_pair_fails_is_worse_and_leaves_files_for_ci(versio
     assert "all 6 pairs" in page
 
 
-def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_see(found):
+def test_undecided_fails_whatever_the_reason_is(found):
     tendencies = {"objects": "worse"}
     open_ = tuple(
         replace(family, verdict="undecided", tendency=tendencies.get(family.name, ""))
@@ -466,8 +466,6 @@ def test_undecided_fails_whatever_the_reason_is_and_worse_says_what_it_cannot_se
         assert unsure.decision == "undecided"
         passed = judge_comparison(unsure, "worse", undecided_ok=True)
         assert passed.failed == ()
-        assert passed.note.partition(";")[0].endswith("objects")
-        assert ("6 pairs of 5 places" in passed.note) == (n_places == 5)
         faults = [check.fault for check in judge_comparison(unsure, "worse").failed]
         assert faults == (["undecided"] if n_places == 5 else []), (
             "too few places fail, chance does not"
