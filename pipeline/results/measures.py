@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...schemas.cause_catalogue import CAUSES, UNEVEN
 from ...schemas.columns import Row
+from ...schemas.data_files import read_rows
 from ...schemas.errors import (
     DatasetError,
     RunError,
@@ -18,7 +20,15 @@ from ...schemas.errors import (
     StageError,
     suggestion,
 )
-from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
+from ...schemas.metric_catalogue import (
+    COVERAGE_SCORES,
+    DISTRIBUTED,
+    METRIC,
+    OBJECT_METRICS,
+    PIECE_SCORES,
+    RAY_MEANS,
+    SURFACE_SCORES,
+)
 from ...schemas.results import Cause, Unknown
 from ...stages.arrays import FloatArray, IndexArray
 from ...stages.statistics.findings import distribution
@@ -26,25 +36,63 @@ from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, local_folder, read_dataset
 from .best_case import RunExcess
 from .finished import FinishedRun
-from .measure_names import (
-    CAUSE_NAMES,
-    COUNTS,
-    DOTTED,
-    INTERVAL_ENDS,
-    ODOMETRY_MEASURES,
-    OF_DISTRIBUTIONS,
-    OF_OBJECTS,
-    OF_PAIRS,
-    PAIR_SCORES,
-    PLAIN_NAMES,
-    SENSOR_VALUES,
-    STATES,
-    TASK_MEASURES,
-)
 from .odometry import compare_odometry
 
 if TYPE_CHECKING:
     import pandas as pd
+
+OF_PAIRS = ("mean", "std", "min", "median", "max")
+OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
+COUNTS = ("total", "mean", "max", "share")
+PAIR_SCORES = (
+    "match_rate",
+    *OBJECT_METRICS,
+    *(metric.column for metric in (*SURFACE_SCORES, *PIECE_SCORES)),
+)
+#: Names by which a gate knows other columns: `covered.real.0.3m` is `covered_real_0p3m`, `rays.bias_m` `rays_bias_m`.
+DOTTED = {
+    **{
+        metric.column.replace("_", ".").replace("p", "."): metric.column
+        for metric in COVERAGE_SCORES
+    },
+    **{column.replace("rays_", "rays."): column for column in RAY_MEANS},
+}
+#: Estimated properties of both sensors: `sensor.sim.range_noise_m` is the column `sensor_sim_range_noise_m`.
+SENSOR_VALUES = {
+    row["column"].replace("_", ".", 2): row["column"]
+    for row in read_rows("tables")
+    if row["table"] == "pairs" and row["column"].startswith("sensor_")
+}
+#: Of the double validation metric, over objects where a score has them.
+OF_DISTRIBUTIONS = ("bias", "area")
+
+STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
+
+#: Measures of tasks: `tasks.objects.lost` is the mean of their gap, `tasks.objects.lost.max` its largest value.
+TASK_MEASURES = (
+    *("objects.lost", "objects.added", "objects.size_m", "objects.place_m"),
+    *("ground.disagreement", "ground.height_m"),
+    *("occupancy.mismatch", "occupancy.wrongly_free", "occupancy.wrongly_occupied"),
+    *("free_space.distance_m", "free_space.too_far"),
+)
+#: Measures of odometry: `tasks.odometry.drift_m` is the gap over the longest sequence of scans.
+ODOMETRY_MEASURES = ("drift_m", "step_m", "turn_deg")
+
+#: Names of causes by that of the catalogue.
+CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES if name != UNEVEN}
+#: Ends of the 95 % interval of a cause.
+INTERVAL_ENDS = ("low", "high")
+
+#: Names to guess from what a wrong one means.
+_EXAMPLES = (
+    *(f"{value}.mean" for value in (*PAIR_SCORES, *DOTTED, *SENSOR_VALUES)),
+    *(f"objects.{score}.q95" for score in DISTRIBUTED),
+    *("not_found.within_20m", "not_found.share", "extra.within_20m", "extra.share", "matched.min"),
+    *(f"pairs.{state}" for state in STATES),
+    *(f"causes.{name}" for name in CAUSE_NAMES),
+    *(f"tasks.{measure}" for measure in TASK_MEASURES),
+    *(f"tasks.odometry.{measure}" for measure in ODOMETRY_MEASURES),
+)
 
 
 class _AbsentError(Exception):
@@ -72,7 +120,7 @@ class Measures:
                 except _AbsentError as why:
                     return None, str(why)
         mean = f"{name}.mean"
-        hint = f"did you mean {mean}?" if mean in PLAIN_NAMES else suggestion(name, PLAIN_NAMES)
+        hint = f"did you mean {mean}?" if mean in _EXAMPLES else suggestion(name, _EXAMPLES)
         raise SettingsError(
             f"criterion {name!r}: no such measure; {hint} (fidpipe gate --help lists the forms)"
         )
