@@ -104,22 +104,28 @@ def paired_difference(
     (0.5, 3)
     """
     known = ~(np.isnan(before) | np.isnan(after))
-    n = int(np.count_nonzero(known))
-    if not n:
+    n_pairs = int(np.count_nonzero(known))
+    if not n_pairs:
         return Difference()
-    blocks = np.arange(n, dtype=np.int32) if blocks is None else blocks[known]
+    blocks = np.arange(n_pairs, dtype=np.int32) if blocks is None else blocks[known]
     a, b = block_means(np.stack([before[known], after[known]]), blocks)
     change = b - a
-    counts = (n, len(change), float(a.mean()), float(b.mean()), float(change.mean()))
-    if n > 1 and (np.abs(change) <= ALIKE).all():
-        return Difference(*counts, 0.0, 0.0, 0.0)
-    if len(change) < 2:
-        return Difference(*counts)
-    std = float(change.std(ddof=1))
-    if len(change) < LEAST_FOR_INTERVAL:
-        return Difference(*counts, std)
-    _, low, high = mean_interval(change)
-    return Difference(*counts, std, low, high)
+    std = float(change.std(ddof=1)) if len(change) > 1 else None
+    low = high = None
+    if n_pairs > 1 and (np.abs(change) <= ALIKE).all():
+        std = low = high = 0.0
+    elif len(change) >= LEAST_FOR_INTERVAL:
+        _, low, high = mean_interval(change)
+    return Difference(
+        n_pairs=n_pairs,
+        n_blocks=len(change),
+        before=float(a.mean()),
+        after=float(b.mean()),
+        difference=float(change.mean()),
+        std=std,
+        low=low,
+        high=high,
+    )
 
 
 def mean_interval(values: FloatArray) -> tuple[float, float, float]:
