@@ -174,9 +174,8 @@ def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
             f"{command}; for changes against another run: fidpipe compare, diagnose --since"
         )
     other = FinishedRun(best_case)
-    scored = {row["pair_id"] for row in other.scored}
-    own = [row["pair_id"] for row in run.scored]
-    names = tuple(name for name in own if name in scored)
+    scored = set(other.names)
+    names = tuple(name for name in run.names if name in scored)
     hashes = {name: of_scans.get("real") for name, of_scans in run.record.inputs.items()}
     theirs = other.record.inputs
     moved = [name for name in hashes if name in theirs and hashes[name] != theirs[name].get("real")]
@@ -197,7 +196,7 @@ def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
         best_case=best_case,
         recipe=recipe,
         pairs=names,
-        left_out=tuple(name for name in own if name not in scored),
+        left_out=tuple(name for name in run.names if name not in scored),
         notes=tuple(version_changes(run, other)),
         scores={column: _excess(column, names, of_pairs, of_objects) for column in SCORES},
         task_gaps=other.record.task_gaps,

@@ -174,8 +174,8 @@ def _pairs_of(
 ) -> Comparison:
     """A comparison without results: the pairs of both runs, and what else differs."""
     left_out = pairs_left_out(base, other)
-    names = [row["pair_id"] for row in base.scored if row["pair_id"] not in left_out]
-    lost = [row["pair_id"] for row in base.scored if row["pair_id"] in left_out]
+    names = [name for name in base.names if name not in left_out]
+    lost = [name for name in base.names if name in left_out]
     failed = [name for name in lost if other.rows_by_name.get(name, {}).get("status") == "failed"]
     if not names and not failed:
         reasons = [f"{name!r}: {reason}" for name, reason in left_out.items()]
@@ -302,9 +302,8 @@ def _have_same_tasks(base: FinishedRun, other: FinishedRun) -> bool:
 
 def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
     """Pairs that cannot be compared, and why."""
-    names = {row["pair_id"] for row in (*base.rows, *other.rows)}
     why = {}
-    for name in sorted(names):
+    for name in sorted({*base.rows_by_name, *other.rows_by_name}):
         hashes = [run.record.inputs.get(name, {}).get("real") for run in (base, other)]
         reason = _unscored(other, name) or _unscored(base, name)
         if reason:

@@ -193,7 +193,7 @@ class FinishedRun:
                 f"run {self.folder}: no table {name!r}; it has "
                 f"{', '.join((*_OF_RUN, *PAIR_TABLES))}"
             )
-        names = [row["pair_id"] for row in self.scored] if pairs is None else list(pairs)
+        names = self.names if pairs is None else list(pairs)
         sides = SIDES if "side" in TABLES[name].of_file else ("",)
         parts = []
         for pair_id in names:
@@ -219,7 +219,7 @@ class FinishedRun:
     @cached_property
     def diagnosis(self) -> Diagnosis | None:
         """The gains of correcting each cause; None if the run was not diagnosed since its causes changed."""
-        return diagnosis_of(self.store, self.record, [row["pair_id"] for row in self.scored])
+        return diagnosis_of(self.store, self.record, self.names)
 
     @property
     def overview(self) -> Overview | None:
@@ -229,10 +229,9 @@ class FinishedRun:
     @cached_property
     def mean_amounts(self) -> dict[str, Cause | Unknown]:
         """Every cause of the catalogue with its mean amount over the scored pairs, also those that are not named."""
-        names = [row["pair_id"] for row in self.scored]
-        values = read_causes(self.store, names)
+        values = read_causes(self.store, self.names)
         del values[UNEVEN]
-        blocks = self.places(names)
+        blocks = self.places(self.names)
         return {name: mean_amount(name, values[name], blocks) for name in values}
 
     @property
@@ -245,9 +244,14 @@ class FinishedRun:
         """The rows of the scored pairs, by name."""
         return [row for row in self.rows if row["status"] == "scored"]
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the scored pairs."""
+        return [row["pair_id"] for row in self.scored]
+
     def select(self, pattern: str | None = None) -> list[str]:
         """Names of the scored pairs that match a pattern (shell style); `RunError` if none does."""
-        names = [row["pair_id"] for row in self.scored]
+        names = self.names
         chosen = [name for name in names if pattern is None or fnmatchcase(name, pattern)]
         if not names:
             raise RunError(

@@ -221,7 +221,8 @@ class Measures:
         return compare_odometry(self.run)
 
     def _both(self, count: str) -> float:
-        return _counted(np.array([row["n_matched"] for row in self._scored]), count)
+        n_matched = [self.run.rows_by_name[name]["n_matched"] for name in self._names]
+        return _counted(np.array(n_matched), count)
 
     def _pairs(self, state: str) -> float:
         rows, record = self.run.rows, self.run.record
@@ -236,7 +237,7 @@ class Measures:
         dataset = self._dataset
         now = {pair.pair_id: pair for pair in dataset.pairs}
         if state == "to_do":
-            return len(now.keys() - {row["pair_id"] for row in rows})
+            return len(now.keys() - self.run.rows_by_name.keys())
         try:  # of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset
             return sum(
                 pair_id not in now
@@ -255,15 +256,15 @@ class Measures:
             raise _AbsentError(str(error)) from error
 
     @property
-    def _scored(self) -> list[Row]:
-        if not self.run.scored:
+    def _names(self) -> list[str]:
+        """Names of the scored pairs, at least one."""
+        if not self.run.names:
             raise _AbsentError("no pair is scored")
-        return self.run.scored
+        return self.run.names
 
     @cached_property
     def _objects(self) -> pd.DataFrame:
-        names = [row["pair_id"] for row in self._scored]
-        objects = self.run.objects_of(names, ["range_m", "label", *DISTRIBUTED])
+        objects = self.run.objects_of(self._names, ["range_m", "label", *DISTRIBUTED])
         return objects[objects["fate"] != "remnant"]
 
 

@@ -16,12 +16,10 @@ from fidpipe.stages.statistics.comparison import (
     mean_interval,
     paired_difference,
 )
-from fidpipe.stages.statistics.findings import (
-    distribution,
-)
+from fidpipe.stages.statistics.findings import distribution
 from fidpipe.stages.statistics.neighbours import SAME_PLACE, map_place, neighbours, overlap
 from fidpipe.stages.statistics.spread import spread
-from fidpipe.stages.statistics.validation import area_validation_metric, double_validation_metric
+from fidpipe.stages.statistics.validation import double_validation_metric
 from fidpipe.stages.summary import with_unmatched_as_worst
 from scenes import box, moved, rigid
 
@@ -202,7 +200,6 @@ def test_the_same_values_are_no_distance_apart_and_nulls_are_left_out(rng):
     assert (exact.bias, exact.area, exact.n_real, exact.n_sim) == (0, 0, 30, 30)
     nothing = double_validation_metric(values, np.full(3, np.nan))
     assert (nothing.bias, nothing.area, nothing.n_sim) == (None, None, 0)
-    assert area_validation_metric(values[:0], values) is None
 
 
 def test_a_distribution_by_hand():
