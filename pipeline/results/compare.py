@@ -158,9 +158,9 @@ def compare_runs(
         settings = settings_changes(base, other)
         if settings and not allow_different_settings:
             raise RunError(
-                f"runs {base.folder} and {other.folder}: settings differ ({'; '.join(settings)}), so "
-                "that a difference need not be the simulator's; run both with the same settings, or "
-                "give --allow-different-settings"
+                f"runs {base.folder} and {other.folder}: settings differ ({'; '.join(settings)}), "
+                "so that a difference need not be the simulator's; run both with the same "
+                "settings, or give --allow-different-settings"
             )
         comparison = _pairs_of(base, other, settings, independent=independent)
         if comparison.pairs:

@@ -238,7 +238,8 @@ class Measures:
         now = {pair.pair_id: pair for pair in dataset.pairs}
         if state == "to_do":
             return len(now.keys() - self.run.rows_by_name.keys())
-        try:  # of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset
+        # of other scans, labels, label names or T_real_sim than evaluated, or not in the dataset
+        try:
             return sum(
                 pair_id not in now
                 or input_hashes(now[pair_id], dataset.label_names)["content"] != hashes["content"]
