@@ -26,7 +26,7 @@ from .changes import Changes, change_rows, find_changes
 from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall, score_rows
 from .finished import FinishedRun, partition_note, settings_changes, version_changes
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, KINDS, follow
-from .independence import how_found, pairs_and_places
+from .independence import pairs_and_places
 from .object_frame import plain_rows
 from .sectors import N_SECTORS, sector_frame
 
@@ -277,7 +277,7 @@ def _counted(base: FinishedRun, names: Sequence[str], n_places: int, *, independ
     if len(names) < 2:
         return counted
     are_timed = all(name in base.record.times_s for name in names)
-    return f"{counted} ({how_found(len(names), n_places, are_timed=are_timed)})"
+    return f"{counted} ({'by time stamps' if are_timed else 'by comparing the scans'})"
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
