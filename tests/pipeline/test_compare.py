@@ -346,7 +346,7 @@ def test_markdown_and_csv_hold_the_scores_and_the_notes_name_what_is_left_out(fo
     text = markdown(compare_view(found, with_all=True))
     assert text.startswith("**worse: ")
     assert "| surface invented | worse |" in text
-    assert "described, not tested" in text
+    assert "trust many, not one" in text
 
 
 @pytest.mark.exhaustive
