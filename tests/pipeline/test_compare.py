@@ -479,6 +479,13 @@ def test_undecided_fails_whatever_the_reason_is(found):
     assert [check.fault for check in judge_comparison(mixed, "worse").failed] == ["mixed"]
 
 
+def test_tasks_are_said_to_be_unknown_by_direction(found):
+    tasks = replace(found.families[0], name="tasks", verdict="undecided")
+    few = replace(found, by_direction=True, families=(tasks,))
+    text = " ".join(text_of(compare_view(few)).split())
+    assert "tasks: undecided, as they are not known by direction: needs 9 places" in text
+
+
 def test_datasets_are_evaluated_and_compared(tmp_path):
     for i, name in enumerate(("a", "b")):
         write_bin(tmp_path / name / "real" / "0.bin", scan := street(seed=0, n=80))
