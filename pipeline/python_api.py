@@ -58,7 +58,6 @@ def compare(
     *folders: Path | str | Run,
     preset: str = "reference",
     settings: SomeSettings | None = None,
-    best_case: Path | str | None = None,
     independent: bool = False,
     workers: int | None = 1,
 ) -> Comparison:
@@ -68,7 +67,6 @@ def compare(
     ----------
     folders : two runs, of which the first is the base; or two datasets, or the real scans and two simulated folders
     preset, settings, workers : for datasets and scans, see `run`
-    best_case : run of `fidpipe best-case`
     independent : treat each pair as independent
 
     Raises
@@ -80,8 +78,7 @@ def compare(
     runs = runs_of(paths, _settings(preset, settings), Reporter(), Machines(workers))
     if len(runs) != 2:
         raise RunError(f"expected two runs to compare, got {len(runs)}")
-    case = None if best_case is None else Path(best_case)
-    (comparison,) = compare_runs(runs, best_case=case, independent=independent, reporter=Reporter())
+    (comparison,) = compare_runs(runs, independent=independent, reporter=Reporter())
     return comparison
 
 

@@ -96,7 +96,6 @@ def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN_A RUN_B")],
     html: OutFile = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
-    best_case: BestCase = None,
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
@@ -134,7 +133,7 @@ def compare(
     json_file : JSON of --fail-on.
     allow_different_settings : Allow runs of other settings.
     independent : Treat each pair as independent.
-    all_ : Show every score, class and range.
+    all_ : Show every score and the objects that changed most.
 
     Examples
     --------
@@ -144,7 +143,7 @@ def compare(
 
     fidpipe compare drive/ build41/ build42/ --set input.sim_frame=carla --workers 8
 
-    fidpipe compare runs/base runs/new --best-case runs/base-best-case --html new.html
+    fidpipe compare runs/base runs/new --html new.html
 
     fidpipe compare runs/base runs/new --fail-on worse --junit build/compare.xml
 
@@ -184,7 +183,6 @@ def compare(
     comparisons = compare_runs(
         runs,
         allow_different_settings=allow_different_settings,
-        best_case=best_case,
         independent=independent,
         reporter=Reporter(),
     )

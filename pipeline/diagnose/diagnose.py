@@ -59,7 +59,7 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     if collector.failures:
         reasons = [f"pair {name}: {reason}" for name, reason in collector.failures.items()]
         raise RunError(f"run {folder}: {'; '.join(reasons)}")
-    diagnosis = diagnosis_of(run.store, run.record, [row["pair_id"] for row in run.scored])
+    diagnosis = diagnosis_of(run.store, run.record, run.names)
     if diagnosis is None:
         raise RunError(f"run {folder}: the run changed while it was diagnosed; diagnose it again")
     note = latency_note(run, diagnosis.causes)

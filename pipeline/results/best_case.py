@@ -95,12 +95,6 @@ class ScoreExcess:
     n_best_case: int
     of_pairs: dict[str, float | None]
 
-    @property
-    def best_case_from_equal(self) -> float | None:
-        """Distance of the best case's mean from the score of equal scans; None if that has no fixed value."""
-        equal = metric_of(self.column).equal
-        return None if self.best_case is None or equal is None else abs(self.best_case - equal)
-
 
 @dataclass(frozen=True)
 class RunExcess:
@@ -150,7 +144,7 @@ def run_of_best_case(best_case: Path, recipe: BestCaseRecipe) -> str:
     return "RUN"
 
 
-def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None = None) -> RunExcess:
+def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
     """Each score of a run minus that of the same pair in the best case, and the distance of both distributions.
 
     excess = mean over pairs of (score - best case)
@@ -160,7 +154,6 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
     Parameters
     ----------
     best_case : the folder of a run of `fidpipe best-case`
-    pairs : only these; by default all that are scored in both
 
     Raises
     ------
@@ -168,25 +161,30 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
         The folder is not a best case, has other settings or other real scans, has none of the pairs, or a table is
         damaged.
     """
+    command = shlex.join(["fidpipe", "best-case", url_or_path(run.folder)])
     recipe = read_recipe(best_case)
     if recipe is None:
         raise RunError(
             f"{best_case}: is not a run of fidpipe best-case (no "
-            f"{BEST_CASE_DATASET}/{BEST_CASE_RECIPE} in it); "
-            f"make one for {run.folder} with: {_command(run)}; for changes against another run: "
-            "fidpipe compare, "
-            "diagnose --since"
+            f"{BEST_CASE_DATASET}/{BEST_CASE_RECIPE} in it); make one for {run.folder} with: "
+            f"{command}; for changes against another run: fidpipe compare, diagnose --since"
         )
     other = FinishedRun(best_case)
-    _refuse_other_best_case(run, other)
-    scored = {row["pair_id"] for row in other.scored}
-    wanted = [row["pair_id"] for row in run.scored if pairs is None or row["pair_id"] in pairs]
-    names = tuple(name for name in wanted if name in scored)
-    if not names:
-        raise RunError(
-            f"run {run.folder} and best case {best_case}: no pair is scored in both; make one for "
-            f"it: {_command(run)}"
-        )
+    scored = set(other.names)
+    names = tuple(name for name in run.names if name in scored)
+    hashes = {name: of_scans.get("real") for name, of_scans in run.record.inputs.items()}
+    theirs = other.record.inputs
+    moved = [name for name in hashes if name in theirs and hashes[name] != theirs[name].get("real")]
+    problem = ""
+    if differing := settings_changes(run, other):
+        problem = f"settings differ ({'; '.join(differing)})"
+    elif moved:
+        problem = f"the real scans of {len(moved)} pairs differ ({', '.join(moved[:3])})"
+    elif not names:
+        problem = "no pair is scored in both"
+    if problem:
+        runs = f"run {run.folder} and best case {best_case}"
+        raise RunError(f"{runs}: {problem}; make one for it: {command}")
     of_pairs = [_pairs(run, names), _pairs(other, names)]
     of_objects = [_matched(run, names), _matched(other, names)]
     return RunExcess(
@@ -194,36 +192,11 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
         best_case=best_case,
         recipe=recipe,
         pairs=names,
-        left_out=tuple(name for name in wanted if name not in scored),
+        left_out=tuple(name for name in run.names if name not in scored),
         notes=tuple(version_changes(run, other)),
         scores={column: _excess(column, names, of_pairs, of_objects) for column in SCORES},
         task_gaps=other.record.task_gaps,
     )
-
-
-def _refuse_other_best_case(run: FinishedRun, best_case: FinishedRun) -> None:
-    runs = f"run {run.folder} and best case {best_case.folder}"
-    differing = settings_changes(run, best_case)
-    if differing:
-        raise RunError(
-            f"{runs}: settings differ ({'; '.join(differing)}); make one for it: {_command(run)}"
-        )
-    theirs = best_case.record.inputs
-    others = [
-        name
-        for name, hashes in run.record.inputs.items()
-        if name in theirs and hashes.get("real") != theirs[name].get("real")
-    ]
-    if others:
-        named = others[0] if len(others) == 1 else f"{others[0]} ..."
-        raise RunError(
-            f"{runs}: the real scans of {len(others)} pairs differ ({named}); make one for it: "
-            f"{_command(run)}"
-        )
-
-
-def _command(run: FinishedRun) -> str:
-    return shlex.join(["fidpipe", "best-case", url_or_path(run.folder)])
 
 
 def _pairs(run: FinishedRun, names: Sequence[str]) -> pd.DataFrame:

@@ -361,26 +361,17 @@ def size_words(value: float, unit: str) -> str:
     """
     value = abs(value)
     if unit == "m":
-        return _length_words(value)
+        if round(value * 1000) < 50:
+            return f"{value * 1000:.0f} mm"
+        return f"{value * 100:.0f} cm" if value < 1 else f"{value:.1f} m"
     if unit == "share":
         return f"{100 * value:.1f} %" if value < 0.01 else f"{100 * value:.0f} %"
     return f"{value:.3g} {unit}".rstrip()
-
-
-def _length_words(length_m: float) -> str:
-    n_mm = round(length_m * 1000)
-    if n_mm < 50:
-        return f"{n_mm} mm"
-    return f"{length_m * 100:.0f} cm" if length_m < 1 else f"{length_m:.1f} m"
 
 
 def interval_words(cause: Cause) -> str:
     """The 95 % interval of the amount of a cause; a minus is the opposite of its sentence."""
     sign = -1 if cause.estimate < 0 else 1
     ends = sorted((sign * cause.low, sign * cause.high))
-    return " to ".join(_signed_size(end, cause.unit) for end in ends)
-
-
-def _signed_size(value: float, unit: str) -> str:
-    size = size_words(value, unit)
-    return f"-{size}" if value < 0 else size
+    sizes = [("-" if end < 0 else "") + size_words(end, cause.unit) for end in ends]
+    return " to ".join(sizes)

@@ -309,14 +309,12 @@ def _words(cause: Cause, before: float | None, after: float | None) -> str:
     model = CAUSES[cause.name]
     if before is None or after is None or abs(before) <= model.resolution:
         return cause_words(model, cause.estimate)
+    was, now = [
+        ("-" if amount < 0 else "+") + size_words(amount, cause.unit) for amount in (before, after)
+    ]
     if abs(after) <= model.resolution:
-        return f"{cause.name}: no difference left, before {_signed(before, cause.unit)}"
-    return f"{cause.name}: {_signed(after, cause.unit)}, before {_signed(before, cause.unit)}"
-
-
-def _signed(value: float, unit: str) -> str:
-    sign = "-" if value < 0 else "+"
-    return f"{sign}{size_words(value, unit)}"
+        now = "no difference left"
+    return f"{cause.name}: {now}, before {was}"
 
 
 def change_rows(changes_found: Changes) -> list[Row]:

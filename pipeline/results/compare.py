@@ -19,15 +19,14 @@ from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
-from ...stages.statistics.comparison import KINDS, LEAST_FLIPPED, LEAST_PAIRS
+from ...stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS
 from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
-from .best_case import RunExcess, excess_over
 from .changes import Changes, change_rows, find_changes
 from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall, score_rows
 from .finished import FinishedRun, partition_note, settings_changes, version_changes
-from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, follow
-from .independence import how_found, pairs_and_places
+from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, KINDS, follow
+from .independence import pairs_and_places
 from .object_frame import plain_rows
 from .sectors import N_SECTORS, sector_frame
 
@@ -53,7 +52,6 @@ class Comparison:
     counted : the numbers of pairs and places, and how places were recognised
     by_direction : True if few places are left, so that changes of the world must be consistent over directions as well
     on_partition : what chance does to scores of the paper's partition; "" of reference objects
-    excess : of the base and of the other run over the best case; None without one
     """
 
     base: Path
@@ -72,7 +70,6 @@ class Comparison:
     changes: Changes = field(default_factory=Changes)
     families: tuple[FamilyChange, ...] = ()
     objects: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=CHANGE_COLUMNS))
-    excess: tuple[RunExcess, RunExcess] | None = None
 
     @property
     def is_small(self) -> bool:
@@ -128,11 +125,8 @@ class Comparison:
             "causes": change_rows(self.changes),
             "unexplained": self.changes.elsewhere,
             "families": [asdict(family) for family in self.families],
-            "excess": self.excess and [excess.as_dict() for excess in self.excess],
             "kinds": self.kinds,
             "objects": plain_rows(self.objects),
-            "by_class": by_class(self.objects),
-            "by_range": by_range(self.objects),
         }
         del plain["changes"]
         return plain
@@ -142,7 +136,6 @@ def compare_runs(
     folders: Sequence[Path],
     *,
     allow_different_settings: bool = False,
-    best_case: Path | None = None,
     independent: bool = False,
     reporter: Reporter | None = None,
 ) -> list[Comparison]:
@@ -151,14 +144,13 @@ def compare_runs(
     Parameters
     ----------
     independent : treat each pair as independent, also neighbouring frames
-    best_case : the run of fidpipe best-case of the same real scans; all runs then need its settings
     reporter : shows the progress over many pairs
 
     Raises
     ------
     RunError
         A folder is not a finished run, settings that change scores differ and that is not allowed, no pair is
-        common, or the best case belongs to other runs.
+        common.
     """
     base, *others = [FinishedRun(folder) for folder in folders]
     comparisons = []
@@ -166,13 +158,13 @@ def compare_runs(
         settings = settings_changes(base, other)
         if settings and not allow_different_settings:
             raise RunError(
-                f"runs {base.folder} and {other.folder}: settings differ ({'; '.join(settings)}), so "
-                "that a difference need not be the simulator's; run both with the same settings, or "
-                "give --allow-different-settings"
+                f"runs {base.folder} and {other.folder}: settings differ ({'; '.join(settings)}), "
+                "so that a difference need not be the simulator's; run both with the same "
+                "settings, or give --allow-different-settings"
             )
         comparison = _pairs_of(base, other, settings, independent=independent)
         if comparison.pairs:
-            comparison = _compared(comparison, base, other, best_case, independent, reporter)
+            comparison = _compared(comparison, base, other, independent, reporter)
         comparisons.append(comparison)
     return comparisons
 
@@ -182,8 +174,8 @@ def _pairs_of(
 ) -> Comparison:
     """A comparison without results: the pairs of both runs, and what else differs."""
     left_out = pairs_left_out(base, other)
-    names = [row["pair_id"] for row in base.scored if row["pair_id"] not in left_out]
-    lost = [row["pair_id"] for row in base.scored if row["pair_id"] in left_out]
+    names = [name for name in base.names if name not in left_out]
+    lost = [name for name in base.names if name in left_out]
     failed = [name for name in lost if other.rows_by_name.get(name, {}).get("status") == "failed"]
     if not names and not failed:
         reasons = [f"{name!r}: {reason}" for name, reason in left_out.items()]
@@ -215,20 +207,12 @@ def _compared(
     comparison: Comparison,
     base: FinishedRun,
     other: FinishedRun,
-    best_case: Path | None,
     independent: bool,
     reporter: Reporter | None,
 ) -> Comparison:
     """The comparison with its causes, families and objects."""
     names = comparison.pairs
     blocks = _blocks(base, names, independent=independent)
-    best_cases: dict[str, float | None] = {}
-    excess = None
-    if best_case is not None:
-        excess = excess_over(base, best_case, names), excess_over(other, best_case, names)
-        for column, score in excess[0].scores.items():
-            best_cases[column] = score.best_case_from_equal
-        best_cases |= excess[0].task_gaps
     changes = find_changes(base, other, names, blocks, reporter)
     sectors = None
     if comparison.by_direction:
@@ -241,7 +225,6 @@ def _compared(
         ScoredPairs(_scores(base, other, names), blocks),
         sectors=sectors,
         seed_noise=_noise_of_seeds(base, other, names),
-        best_cases=best_cases,
         worse_causes=[change.cause.name for change in changes.causes if change.verdict == "worse"],
     )
     real_objects = [run.objects_of(names, FOLLOWED_COLUMNS, ("real",)) for run in (base, other)]
@@ -252,7 +235,6 @@ def _compared(
         families=families,
         objects=objects,
         unfollowed=tuple(unfollowed),
-        excess=excess,
     )
 
 
@@ -295,7 +277,7 @@ def _counted(base: FinishedRun, names: Sequence[str], n_places: int, *, independ
     if len(names) < 2:
         return counted
     are_timed = all(name in base.record.times_s for name in names)
-    return f"{counted} ({how_found(len(names), n_places, are_timed=are_timed)})"
+    return f"{counted} ({'by time stamps' if are_timed else 'by comparing the scans'})"
 
 
 def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
@@ -320,9 +302,8 @@ def _have_same_tasks(base: FinishedRun, other: FinishedRun) -> bool:
 
 def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
     """Pairs that cannot be compared, and why."""
-    names = {row["pair_id"] for row in (*base.rows, *other.rows)}
     why = {}
-    for name in sorted(names):
+    for name in sorted({*base.rows_by_name, *other.rows_by_name}):
         hashes = [run.record.inputs.get(name, {}).get("real") for run in (base, other)]
         reason = _unscored(other, name) or _unscored(base, name)
         if reason:

@@ -167,7 +167,8 @@ def unexplained_words(diagnosis: Diagnosis) -> str:
     distance = f"{100 * max(diagnosis.distance_m - diagnosis.best_case_m, 0.0):.1f} cm"
     over = "by which the surfaces are farther apart than in a second measurement"
     if diagnosis.unexplained is None:
-        return f"unexplained: nothing; the surfaces are as close as in a second measurement ({distance})"
+        close = "the surfaces are as close as in a second measurement"
+        return f"unexplained: nothing; {close} ({distance})"
     least = "at least " if any(cause.is_upper_bound for cause in diagnosis.causes) else ""
     return f"unexplained: {least}{100 * diagnosis.unexplained:.0f} % of the {distance} {over}"
 

@@ -109,7 +109,6 @@ class ScoreChange:
     towards : direction in which it moved, better or worse, decided or not; "" if it did not move
     why : reason for which its verdict does not count; "" if it counts
     seed_noise : largest difference of the two means that Louvain seeds alone make in 95 % of the cases; None if unknown
-    best_case : distance of the best case's mean from equal scans; None if unknown
     """
 
     name: str
@@ -119,7 +118,6 @@ class ScoreChange:
     p: float | None
     towards: str
     seed_noise: float | None = None
-    best_case: float | None = None
     why: str = ""
 
     @property
@@ -128,10 +126,10 @@ class ScoreChange:
         low, high = self.difference.low, self.difference.high
         return bool(self.towards) and (low is None or high is None or low > 0 or high < 0)
 
-    def exceeds(self, least: float | None) -> bool | None:
-        """True if the difference is larger than `seed_noise` or `best_case`; None if one of them is unknown."""
-        change = self.difference.difference
-        return None if least is None or change is None else abs(change) > least
+    @property
+    def is_by_seeds(self) -> bool:
+        """True if Louvain seeds alone can make the change."""
+        return self.seed_noise is not None and self.difference.size <= self.seed_noise
 
 
 @dataclass
@@ -164,7 +162,6 @@ def judge_families(
     *,
     sectors: ScoredPairs | None = None,
     seed_noise: Mapping[str, float] | None = None,
-    best_cases: Mapping[str, float | None] | None = None,
     worse_causes: Sequence[str] = (),
 ) -> tuple[FamilyChange, ...]:
     """The families with their verdicts; of equal simulators any is better or worse in under 5 % of the comparisons.
@@ -177,7 +174,7 @@ def judge_families(
     preset : of both runs; "paper" compares the match rate in place of the share of real objects that are found
     sectors : the sectors of all pairs, where neighbouring frames leave few blocks. A change must then be consistent
         over the sectors of the places, and over the frames, too
-    seed_noise, best_cases : by column of `pairs`, see `ScoreChange`
+    seed_noise : by column of `pairs`, see `ScoreChange`
     worse_causes : causes of the sensor that became worse, from which improvements of a family may follow
     """
     by_family: dict[str, list[ComparedScore]] = {}
@@ -185,7 +182,7 @@ def judge_families(
         by_family.setdefault(score.family, []).append(score)
     families = []
     for name, scores in by_family.items():
-        changes = _changes(scores, pairs, sectors, seed_noise or {}, best_cases or {})
+        changes = _changes(scores, pairs, sectors, seed_noise or {})
         if changes:
             p = min((change.p for change in changes if change.p is not None), default=None)
             families.append(FamilyChange(name, "undecided", p, "", "", changes))
@@ -207,7 +204,6 @@ def _changes(
     pairs: ScoredPairs,
     sectors: ScoredPairs | None,
     seed_noise: Mapping[str, float],
-    best_cases: Mapping[str, float | None],
 ) -> tuple[ScoreChange, ...]:
     """The scores of a family that have values, without verdicts, the most clearly changed first."""
     before, after = pairs.values([score.column for score in scores])
@@ -231,7 +227,6 @@ def _changes(
             p=None if is_same or math.isnan(p) else p,
             towards=towards,
             seed_noise=seed_noise.get(score.column),
-            best_case=best_cases.get(score.column),
         )
         changes.append(change)
     return tuple(sorted(changes, key=_clearest_first))
@@ -278,7 +273,7 @@ def _decide_scores(family: FamilyChange, p: float | None, *, are_few: bool) -> N
     is_decided = p is not None and p < ERROR_RATE
     for change in family.scores:
         is_clear = change.p is not None and change.p < ERROR_RATE
-        if is_decided and is_clear and change.exceeds(change.seed_noise) is not False:
+        if is_decided and is_clear and not change.is_by_seeds:
             change.verdict = change.towards
         if are_few and change.p == 1.0:
             change.p = None

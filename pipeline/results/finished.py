@@ -6,7 +6,6 @@ that `fidpipe show` prints for a run, a pair or an object are defined here, for 
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,6 @@ import pyarrow as pa
 from ...schemas.cause_catalogue import UNEVEN
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
-from ...schemas.metric_catalogue import METRIC, QUADRANT_SCORES, metric_of
 from ...schemas.record import RunRecord, TaskSummary
 from ...schemas.results import Cause, Diagnosis, JsonObject, Overview, Unknown
 from ...schemas.tables import PAIR_TABLES, TABLES
@@ -34,15 +32,13 @@ from ..storage.run_record import RUN_JSON, command_again, finished_record
 from ..storage.urls import url_or_path
 from .causes import mean_amount, read_causes
 from .diagnosis import diagnosis_of, with_gains
-from .object_frame import ALL_COLUMNS, COLUMNS_OF, WITH_UNITS, object_parts, plain_rows
+from .object_frame import ALL_COLUMNS, COLUMNS_OF, WITH_UNITS, object_frame, plain_rows
 
 if TYPE_CHECKING:
     import pandas as pd
 
 #: Tables of the whole run, in one file each.
 _OF_RUN = ("pairs", "timings")
-#: Scores that are shown with their spread over partitions.
-_BY_CHANCE = ("match_rate", *(METRIC[score].mean_column for score in QUADRANT_SCORES))
 
 
 def record_of_run(folder: Path) -> dict[str, Any]:
@@ -50,17 +46,13 @@ def record_of_run(folder: Path) -> dict[str, Any]:
     shown = url_or_path(folder)
     if folder.is_file() or path_exists(folder / RUN_JSON):
         return finished_record(folder)
-    names = {path.name for path in folder.iterdir()} if folder.is_dir() else set[str]()
-    runs = [
-        shlex.quote(str(folder / name))
-        for name in sorted(names)
-        if path_exists(folder / name / RUN_JSON)
-    ]
-    if names & {*SIDES, MANIFEST}:
+    names = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+    runs = [str(folder / name) for name in names if path_exists(folder / name / RUN_JSON)]
+    if {*SIDES, MANIFEST}.intersection(names):
         command = f"fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
         hint = f"it holds a dataset, evaluate it: {command}"
     elif runs:
-        hint = f"it holds runs: {', '.join(runs[:3])}{', ...' if len(runs) > 3 else ''}"
+        hint = f"it holds runs: {shlex.join(runs[:3])}{' ...' if len(runs) > 3 else ''}"
     elif names:
         hint = f"if it holds scans, evaluate them: fidpipe run {shlex.quote(shown)} SIM"
     else:
@@ -201,7 +193,7 @@ class FinishedRun:
                 f"run {self.folder}: no table {name!r}; it has "
                 f"{', '.join((*_OF_RUN, *PAIR_TABLES))}"
             )
-        names = [row["pair_id"] for row in self.scored] if pairs is None else list(pairs)
+        names = self.names if pairs is None else list(pairs)
         sides = SIDES if "side" in TABLES[name].of_file else ("",)
         parts = []
         for pair_id in names:
@@ -227,7 +219,7 @@ class FinishedRun:
     @cached_property
     def diagnosis(self) -> Diagnosis | None:
         """The gains of correcting each cause; None if the run was not diagnosed since its causes changed."""
-        return diagnosis_of(self.store, self.record, [row["pair_id"] for row in self.scored])
+        return diagnosis_of(self.store, self.record, self.names)
 
     @property
     def overview(self) -> Overview | None:
@@ -237,10 +229,9 @@ class FinishedRun:
     @cached_property
     def mean_amounts(self) -> dict[str, Cause | Unknown]:
         """Every cause of the catalogue with its mean amount over the scored pairs, also those that are not named."""
-        names = [row["pair_id"] for row in self.scored]
-        values = read_causes(self.store, names)
+        values = read_causes(self.store, self.names)
         del values[UNEVEN]
-        blocks = self.places(names)
+        blocks = self.places(self.names)
         return {name: mean_amount(name, values[name], blocks) for name in values}
 
     @property
@@ -253,9 +244,14 @@ class FinishedRun:
         """The rows of the scored pairs, by name."""
         return [row for row in self.rows if row["status"] == "scored"]
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the scored pairs."""
+        return [row["pair_id"] for row in self.scored]
+
     def select(self, pattern: str | None = None) -> list[str]:
         """Names of the scored pairs that match a pattern (shell style); `RunError` if none does."""
-        names = [row["pair_id"] for row in self.scored]
+        names = self.names
         chosen = [name for name in names if pattern is None or fnmatchcase(name, pattern)]
         if not names:
             raise RunError(
@@ -286,20 +282,16 @@ class FinishedRun:
         columns: Collection[str] = ALL_COLUMNS,
         sides: Sequence[str] = SIDES,
     ) -> pd.DataFrame:
-        """The objects of scored pairs with coverage, fate and scores; see `object_frame.object_parts`.
+        """The objects of scored pairs with coverage, fate and scores; see `object_frame.object_frame`.
 
         Raises
         ------
         RunError
             A pair failed, or a table is damaged or gone.
         """
-        import pandas as pd
-
         names = [self._scored(name) for name in pairs]
-        parts = object_parts(
-            self.store, names, columns, by_reference=self.is_by_reference, sides=sides
-        )
-        return pd.concat(parts, ignore_index=True)
+        is_by_reference = self.is_by_reference
+        return object_frame(self.store, names, columns, by_reference=is_by_reference, sides=sides)
 
     @property
     def is_by_reference(self) -> bool:
@@ -384,25 +376,13 @@ def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, A
 
 
 def partition_note(runs: Sequence[FinishedRun]) -> str:
-    """Spread of the scores over partitions, in one line; "" if the real side fixes the objects."""
-    if all(run.preset == "reference" for run in runs):
+    """That scores vary with the partition, in one line; "" if the real side fixes the objects."""
+    if all(run.is_by_reference for run in runs):
         return ""
-    chance = (
-        "how much scores vary with the partition is unknown here "
-        "(measure it: fidpipe run --seeds 5)"
-    )
-    spreads = [run.record.seeds.dataset for run in runs if run.record.seeds]
-    moved = []
-    for name in _BY_CHANCE:
-        least = [spread[name].least_dataset for spread in spreads]
-        known = [value for value in least if value is not None]
-        if len(known) == len(runs):
-            moved.append(f"{metric_of(name).label} by {max(known):.3g}")
-    if moved:
-        chance = f"another Louvain seed alone moves {', '.join(moved)} (95 %)"
     return (
-        f"objects are those of the paper, each side partitioned independently: {chance}; "
-        "for comparing simulators: fidpipe run --preset reference"
+        "objects are those of the paper, each side partitioned independently, so that scores vary "
+        "with the partition (by how much: fidpipe run --seeds 5); for comparing simulators: "
+        "fidpipe run --preset reference"
     )
 
 
@@ -491,23 +471,20 @@ def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
     RunError
         The pair failed, or it has no such object.
     """
-    side, _, number = name.rpartition(":")
-    side = side or "real"
-    objects = run.objects_of([pair_id])
-    counts = {known: int((objects["side"] == known).sum()) for known in SIDES}
-    is_number = re.fullmatch("[0-9]{1,9}", number)
-    if side not in SIDES or not is_number or int(number) >= counts[side]:
-        numbers = " and ".join(f"{n} {known}" for known, n in counts.items())
+    facts_of: dict[str, ObjectFacts] = {}
+    for facts in _facts(run.objects_of([pair_id])):
+        for side, row in (("real", facts.real), ("sim", facts.sim)):
+            if row:
+                facts_of[f"{side}:{row['community_id']}"] = facts
+    key = name if ":" in name else f"real:{name}"
+    if key not in facts_of:
+        n_real = sum(known.startswith("real") for known in facts_of)
         raise RunError(
-            f"run {run.folder}, pair {pair_id}: no object {name!r}; it has {numbers} objects, "
-            "numbered from 0: "
-            "7 is a real object, sim:7 a simulated one"
+            f"run {run.folder}, pair {pair_id}: no object {name!r}; it has {n_real} real and "
+            f"{len(facts_of) - n_real} sim objects, numbered from 0: 7 is a real object, sim:7 a "
+            "simulated one"
         )
-    for facts in _facts(objects):
-        row = facts.real if side == "real" else facts.sim
-        if row and row["community_id"] == int(number):
-            return facts
-    raise AssertionError(name)  # every object has its facts
+    return facts_of[key]
 
 
 def _facts(objects: pd.DataFrame) -> list[ObjectFacts]:
@@ -516,24 +493,23 @@ def _facts(objects: pd.DataFrame) -> list[ObjectFacts]:
     facts = []
     for (side, i), row in rows.items():
         fate = row["fate"]
+        partner = row["partner"]
         if fate == "remnant" or (side == "sim" and fate == "matched"):
             continue
-        sim: Row | None = None
-        scores: Row | None = None
+        sides = {side: row}
+        scores = None
         if fate == "matched":
-            sim = rows["sim", row["partner"]]
-            scores = {"real_id": i, "sim_id": row["partner"]}
-            scores |= {name: row[name] for name in COLUMNS_OF["metrics"]}
-        elif side == "sim":
-            sim = row
-        elif rows.get(("sim", i), row)["fate"] == "remnant":
-            sim = rows["sim", i]
-        real = _described(row) if side == "real" else None
-        facts.append(ObjectFacts(fate, real, sim and _described(sim), scores, row))
+            sides["sim"] = rows["sim", partner]
+            scores = {name: row[name] for name in COLUMNS_OF["metrics"]}
+            scores = {"real_id": i, "sim_id": partner} | scores
+        elif fate == "not_found" and rows.get(("sim", i), row)["fate"] == "remnant":
+            sides["sim"] = rows["sim", i]
+        real = _described(sides.get("real"))
+        facts.append(ObjectFacts(fate, real, _described(sides.get("sim")), scores, row))
     return facts
 
 
-def _described(row: Row) -> Row:
+def _described(row: Row | None) -> Row | None:
     """The columns of `objects` and `coverage`."""
     names = ("community_id", "n_points", *COLUMNS_OF["objects"], *COLUMNS_OF["coverage"])
-    return {name: row[name] for name in names}
+    return row and {name: row[name] for name in names}

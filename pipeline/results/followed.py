@@ -1,21 +1,21 @@
-"""Real objects followed from one run to another: the fate of each, and of all objects of a class or a band of range.
+"""Real objects followed from one run to another: the fate of each.
 
 The real side's objects are the same where scan and settings are; that is checked by content.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from ...schemas.columns import Row
 from ...schemas.metric_catalogue import QUADRANT_SCORES
-from ...stages.statistics.comparison import KINDS, kinds_of_change
-from ...stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from .object_frame import plain_rows
 
+#: A score of an object has changed if it moved by more than this.
+LEAST_CHANGE = 0.05
+KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "missing in both")
 _PLACE = ("n_points", "cx", "cy", "cz")
 #: Columns of the real scan, the same in both runs.
 _OF_BOTH = ("pair_id", "label", "shape", "range_m", "n_points")
@@ -36,27 +36,21 @@ def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, lis
 
     Parameters
     ----------
-    before, after : the real objects of both runs in the order of pairs and ids (`object_frame.object_parts`)
+    before, after : the real objects of both runs in the order of pairs and ids (`object_frame.object_frame`)
     """
     keys = ["pair", "community_id"]
     both = before.merge(after, how="outer", on=keys, suffixes=("_before", "_after"))
-    differs = np.zeros(len(both), dtype=np.bool_)
+    differs = pd.Series(False, index=both.index)
     for name in _PLACE:
         place = both[f"{name}_before"]
         other = both[f"{name}_after"]
-        differs |= ((place != other) & (place.notna() | other.notna())).to_numpy()
+        differs |= (place != other) & (place.notna() | other.notna())
     is_unfollowed = both["pair"].isin(both.loc[differs, "pair"])
     names = both["pair_id_before"].fillna(both["pair_id_after"])
     unfollowed = names[is_unfollowed].unique().tolist()
     both = both[~is_unfollowed]
-    kinds = kinds_of_change(
-        (both["partner_before"] >= 0).to_numpy(),
-        (both["partner_after"] >= 0).to_numpy(),
-        cdc=(both["cdc_before"].to_numpy(), both["cdc_after"].to_numpy()),
-        r_lambda=(both["r_lambda_before"].to_numpy(), both["r_lambda_after"].to_numpy()),
-    )
     changes = both.rename(columns={f"{name}_before": name for name in _OF_BOTH})
-    changes = changes.assign(real_id=both["community_id"], kind=kinds)
+    changes = changes.assign(real_id=both["community_id"], kind=kinds_of_change(both))
     changes["n_points"] = changes["n_points"].astype(int)
     for when in ("before", "after"):
         partner = both[f"partner_{when}"]
@@ -64,25 +58,31 @@ def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, lis
     return changes[[*CHANGE_COLUMNS]], unfollowed
 
 
-def by_class(objects: pd.DataFrame) -> list[Row]:
-    """Fates of the real objects by class, or by shape where no scan is labelled, counted; the largest group first.
+def kinds_of_change(objects: pd.DataFrame) -> NDArray[np.str_]:
+    """Kind of change of each real object, of `KINDS`.
 
-    A description without a test of significance. Each row has `name`, `n` (objects), `kinds` (of these, how many have
-    become what), `n_pairs` (pairs that have such objects), `n_both` (objects that both runs have matched), and the mean
-    change of each score over those of them that have it in both runs; None if no object has it.
+    `appeared`: missing before, matched now; `vanished`: the reverse. Of an object matched in both: `better` if CDC or
+    r_lambda fell by more than 0.05 and neither rose by so much, `worse` the reverse, `mixed` if one fell and the other
+    rose, else `alike`. A score that is null in either run is ignored.
+
+    Parameters
+    ----------
+    objects : with the scores before and after, and `partner_before` and `partner_after`, -1 if it is not matched
     """
-    is_labelled = objects["label"].notna().any()
-    labels = objects["label"].fillna("").replace("", "(no label)")
-    groups = _groups(objects, labels if is_labelled else objects["shape"])
-    return sorted(groups, key=lambda group: (-group["n"], group["name"]))
+    change = _steps(objects).fillna(0.0)
+    fell = (change < -LEAST_CHANGE).any(axis=1)
+    rose = (change > LEAST_CHANGE).any(axis=1)
+    before = objects["partner_before"] >= 0
+    after = objects["partner_after"] >= 0
+    conditions = [~before & ~after, before & ~after, ~before & after, fell & rose, fell, rose]
+    kinds = ["missing in both", "vanished", "appeared", "mixed", "better", "worse"]
+    return np.select(conditions, kinds, "alike")
 
 
-def by_range(objects: pd.DataFrame) -> list[Row]:
-    """The same by distance from the sensor, near objects first; bands without an object are left out."""
-    range_m = objects["range_m"].to_numpy(dtype=np.float64)
-    bands = np.searchsorted(BAND_EDGES_M, range_m, "right") - 1
-    groups = _groups(objects, bands)
-    return [group | {"name": BAND_NAMES[group["name"]]} for group in groups]
+def _steps(objects: pd.DataFrame) -> pd.DataFrame:
+    """Change of each score of each object; NaN if a run lacks it."""
+    steps = {name: objects[f"{name}_after"] - objects[f"{name}_before"] for name in QUADRANT_SCORES}
+    return pd.DataFrame(steps, dtype=np.float64)
 
 
 def by_change(objects: pd.DataFrame) -> pd.DataFrame:
@@ -99,27 +99,3 @@ def worst_changes(objects: pd.DataFrame, most: int = 5) -> list[Row]:
     worst = worst.assign(turn=worst.groupby("kind").cumcount())
     worst = worst.sort_values(["turn", "kind"], ascending=[True, False])
     return plain_rows(worst.drop(columns="turn").head(most))
-
-
-def _steps(objects: pd.DataFrame) -> pd.DataFrame:
-    """Change of each score of each object; NaN if a run lacks it."""
-    steps = {name: objects[f"{name}_after"] - objects[f"{name}_before"] for name in QUADRANT_SCORES}
-    return pd.DataFrame(steps, dtype=np.float64)
-
-
-def _groups(objects: pd.DataFrame, names: Any) -> list[Row]:
-    """Fates and mean changes of the objects of each name."""
-    groups = []
-    for name, members in objects.groupby(names):
-        means = _steps(members).mean()
-        group = {
-            "name": name,
-            "n": len(members),
-            "kinds": members["kind"].value_counts().reindex(KINDS, fill_value=0).to_dict(),
-            "n_pairs": members["pair_id"].nunique(),
-            "n_both": int(members[["sim_before", "sim_after"]].notna().all(axis=1).sum()),
-        }
-        for score, mean in means.items():
-            group[str(score)] = None if np.isnan(mean) else float(mean)
-        groups.append(group)
-    return groups

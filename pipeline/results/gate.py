@@ -49,25 +49,16 @@ class Criterion:
 
 
 _WHOLE = "a gate is about the whole dataset"
+_FRAMES = "fidpipe check shows how to fix it"
+_UNCHANGED = "scans and labels are those that were evaluated"
+#: Of runs whose dataset is on this machine.
+UNCHANGED = Criterion(_UNCHANGED, "pairs.changed", "max", 0, "else run it again")
 #: Criteria of every gate, unless the user gives another bound.
 ALWAYS = (
     Criterion("every pair is scored", "pairs.failed", "max", 0, _WHOLE),
     Criterion("no pair is left to do", "pairs.to_do", "max", 0, _WHOLE),
-    Criterion(
-        name="both sides lie in one frame",
-        measure="pairs.frame_suspect",
-        bound="max",
-        limit=0,
-        reason="fidpipe check shows how to fix it",
-    ),
-)
-#: Of runs whose dataset is on this machine.
-UNCHANGED = Criterion(
-    name="scans and labels are those that were evaluated",
-    measure="pairs.changed",
-    bound="max",
-    limit=0,
-    reason="else run it again",
+    Criterion("both sides lie in one frame", "pairs.frame_suspect", "max", 0, _FRAMES),
+    UNCHANGED,
 )
 
 
@@ -96,8 +87,10 @@ class GateResult:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for `gate.json`."""
-        found: JsonObject = {"run": str(self.run), "dataset": self.dataset, "passed": self.passed}
-        return found | {
+        return {
+            "run": str(self.run),
+            "dataset": self.dataset,
+            "passed": self.passed,
             "notes": [*self.notes],
             "criteria": [dict(vars(verdict)) for verdict in self.judged],
         }
@@ -123,33 +116,29 @@ def judge_run(
     excess = None if best_case is None else excess_over(run, best_case)
     measures = Measures(run, excess)
     criteria = list(criteria)
-    given = {(criterion.measure, criterion.bound) for criterion in criteria}
     always = list(ALWAYS)
     notes = [note] if (note := partition_note([run])) else []
     if excess is not None:
         n_both = f"{len(excess.pairs)} of {len(run.scored)} pairs"
         notes.append(f"excess is over the best case {best_case} ({excess.recipe.words}), {n_both}")
     if measures.dataset_is_gone:
+        always.remove(UNCHANGED)
         notes.append(
             f"the dataset {run.record.dataset} is not here: not checked whether it has changed "
             "since the run"
         )
-    else:
-        always.append(UNCHANGED)
-    added = [criterion for criterion in always if (criterion.measure, "max") not in given]
-    judged = [
-        _judged(criterion, *measures.named(criterion.measure)) for criterion in added + criteria
-    ]
+    bounded = {criterion.measure for criterion in criteria if criterion.bound == "max"}
+    added = [criterion for criterion in always if criterion.measure not in bounded]
+    judged = []
+    for criterion in added + criteria:
+        value, why = measures.named(criterion.measure)
+        passed = value is not None and (
+            value <= criterion.limit if criterion.bound == "max" else value >= criterion.limit
+        )
+        if value is None:
+            why = f"could not be computed: {why}"
+        judged.append(Judged(**vars(criterion), value=value, passed=passed, why=why))
     return GateResult(folder, run.record.dataset, tuple(judged), tuple(notes))
-
-
-def _judged(criterion: Criterion, value: float | None, why: str) -> Judged:
-    passed = value is not None and (
-        value <= criterion.limit if criterion.bound == "max" else value >= criterion.limit
-    )
-    return Judged(
-        **vars(criterion), value=value, passed=passed, why=why and f"could not be computed: {why}"
-    )
 
 
 @dataclass(frozen=True)
@@ -177,27 +166,13 @@ class BaseResult:
         """Violated requirements."""
         return tuple(check for check in self.checks if check.fault)
 
-    @property
-    def note(self) -> str:
-        """Families that tend to the worse though the gate passed, and what few pairs cannot show; "" if nothing."""
-        notes = []
-        tending = [family.name for family in self.comparison.families if family.tendency == "worse"]
-        if tending:
-            notes.append(f"not decided, but with a tendency to the worse: {', '.join(tending)}")
-        if self.comparison.is_small:
-            counted = pairs_and_places(len(self.comparison.pairs), self.comparison.n_places)
-            notes.append(f"{counted}: of the world, only very large changes fail this gate")
-        return "; ".join(notes)
-
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON: the comparison and the requirements."""
-        checks: JsonObject = {
+        return self.comparison.as_dict() | {
             "fail_on": [self.fail_on],
             "checks": [dict(vars(check)) for check in self.checks],
+            "passed": not self.failed,
         }
-        return (
-            self.comparison.as_dict() | checks | {"passed": not self.failed, "gate_note": self.note}
-        )
 
 
 def judge_comparison(
@@ -286,19 +261,19 @@ def read_criteria(path: Path) -> list[Criterion]:
             "[[criterion]], each with "
             'name = "...", measure = "r_lambda.mean", max = 0.4 (or min), reason = "..."'
         ) from error
-    criteria = []
+    criteria: list[Criterion] = []
     for i, entry in enumerate(file.criterion):
-        limits: tuple[tuple[Bound, float | None], ...] = (("max", entry.max), ("min", entry.min))
-        bounds = [(bound, limit) for bound, limit in limits if limit is not None]
-        if not bounds:
+        of_entry = []
+        if entry.max is not None:
+            of_entry.append(Criterion(entry.name, entry.measure, "max", entry.max, entry.reason))
+        if entry.min is not None:
+            of_entry.append(Criterion(entry.name, entry.measure, "min", entry.min, entry.reason))
+        if not of_entry:
             raise SettingsError(
                 f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; expected max or "
                 "min"
             )
-        criteria += [
-            Criterion(entry.name, entry.measure, bound, limit, entry.reason)
-            for bound, limit in bounds
-        ]
+        criteria += of_entry
     return criteria
 
 

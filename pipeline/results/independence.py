@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.statistics.comparison import BLOCK_S, LEAST_PAIRS, blocks_of
+from ...stages.statistics.comparison import LEAST_PAIRS, blocks_of
 from ..storage.folder import RunFolder
 
 NEEDED = f"needs {LEAST_PAIRS} places"
@@ -30,18 +30,16 @@ def find_places(
 
     times = [times_s.get(name) for name in names]
     untimed = [i for i, time_s in enumerate(times) if time_s is None]
-    links = neighbours(object_points(store, names[i]) for i in untimed)
+    links = neighbours(_object_points(store, names[i]) for i in untimed)
     contents = [hashes[name]["real"] for name in names]
     return blocks_of(contents, times, [(untimed[i], untimed[j]) for i, j in links])
 
 
-def object_points(store: RunFolder, pair_id: str, side: str = "real") -> FloatArray:
-    """(n, 3) the points of a side without ground, metres, in the real sensor's frame."""
-    table = store.read_table("ground", pair_id, side, ["x", "y", "z", "is_ground"])
-    points: FloatArray = np.column_stack([table[axis] for axis in "xyz"])[
-        ~table["is_ground"].to_numpy()
-    ]
-    return points
+def _object_points(store: RunFolder, pair_id: str) -> FloatArray:
+    """(n, 3) the points of the real side without ground, metres."""
+    table = store.read_table("ground", pair_id, "real", ["x", "y", "z", "is_ground"])
+    points: FloatArray = np.column_stack([table[axis] for axis in "xyz"])
+    return points[~table["is_ground"].to_numpy()]
 
 
 def pairs_and_places(n_pairs: int, n_places: int) -> str:
@@ -57,10 +55,3 @@ def pairs_and_places(n_pairs: int, n_places: int) -> str:
     if n_places == 1:
         return f"{n_pairs} neighbouring frames of one place"
     return f"{n_pairs} pairs of {n_places} places"
-
-
-def how_found(n_pairs: int, n_places: int, *, are_timed: bool) -> str:
-    """How places were recognised."""
-    if are_timed:
-        return "by time stamps" if n_places < n_pairs else f"{BLOCK_S:g} s apart or more"
-    return "by comparing the scans" if n_places < n_pairs else "no two scans show the same place"

@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...schemas.cause_catalogue import CAUSES, UNEVEN
 from ...schemas.columns import Row
+from ...schemas.data_files import read_rows
 from ...schemas.errors import (
     DatasetError,
     RunError,
     ScanError,
     SettingsError,
     StageError,
-    nearest,
     suggestion,
 )
-from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
+from ...schemas.metric_catalogue import (
+    COVERAGE_SCORES,
+    DISTRIBUTED,
+    METRIC,
+    OBJECT_METRICS,
+    PIECE_SCORES,
+    RAY_MEANS,
+    SURFACE_SCORES,
+)
 from ...schemas.results import Cause, Unknown
 from ...stages.arrays import FloatArray, IndexArray
 from ...stages.statistics.findings import distribution
@@ -27,25 +36,63 @@ from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, local_folder, read_dataset
 from .best_case import RunExcess
 from .finished import FinishedRun
-from .measure_names import (
-    CAUSE_NAMES,
-    COUNTS,
-    DOTTED,
-    INTERVAL_ENDS,
-    ODOMETRY_MEASURES,
-    OF_DISTRIBUTIONS,
-    OF_OBJECTS,
-    OF_PAIRS,
-    PAIR_SCORES,
-    PLAIN_NAMES,
-    SENSOR_VALUES,
-    STATES,
-    TASK_MEASURES,
-)
 from .odometry import compare_odometry
 
 if TYPE_CHECKING:
     import pandas as pd
+
+OF_PAIRS = ("mean", "std", "min", "median", "max")
+OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
+COUNTS = ("total", "mean", "max", "share")
+PAIR_SCORES = (
+    "match_rate",
+    *OBJECT_METRICS,
+    *(metric.column for metric in (*SURFACE_SCORES, *PIECE_SCORES)),
+)
+#: Names by which a gate knows other columns: `covered.real.0.3m` is `covered_real_0p3m`, `rays.bias_m` `rays_bias_m`.
+DOTTED = {
+    **{
+        metric.column.replace("_", ".").replace("p", "."): metric.column
+        for metric in COVERAGE_SCORES
+    },
+    **{column.replace("rays_", "rays."): column for column in RAY_MEANS},
+}
+#: Estimated properties of both sensors: `sensor.sim.range_noise_m` is the column `sensor_sim_range_noise_m`.
+SENSOR_VALUES = {
+    row["column"].replace("_", ".", 2): row["column"]
+    for row in read_rows("tables")
+    if row["table"] == "pairs" and row["column"].startswith("sensor_")
+}
+#: Of the double validation metric, over objects where a score has them.
+OF_DISTRIBUTIONS = ("bias", "area")
+
+STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
+
+#: Measures of tasks: `tasks.objects.lost` is the mean of their gap, `tasks.objects.lost.max` its largest value.
+TASK_MEASURES = (
+    *("objects.lost", "objects.added", "objects.size_m", "objects.place_m"),
+    *("ground.disagreement", "ground.height_m"),
+    *("occupancy.mismatch", "occupancy.wrongly_free", "occupancy.wrongly_occupied"),
+    *("free_space.distance_m", "free_space.too_far"),
+)
+#: Measures of odometry: `tasks.odometry.drift_m` is the gap over the longest sequence of scans.
+ODOMETRY_MEASURES = ("drift_m", "step_m", "turn_deg")
+
+#: Names of causes by that of the catalogue.
+CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES if name != UNEVEN}
+#: Ends of the 95 % interval of a cause.
+INTERVAL_ENDS = ("low", "high")
+
+#: Names to guess from what a wrong one means.
+_EXAMPLES = (
+    *(f"{value}.mean" for value in (*PAIR_SCORES, *DOTTED, *SENSOR_VALUES)),
+    *(f"objects.{score}.q95" for score in DISTRIBUTED),
+    *("not_found.within_20m", "not_found.share", "extra.within_20m", "extra.share", "matched.min"),
+    *(f"pairs.{state}" for state in STATES),
+    *(f"causes.{name}" for name in CAUSE_NAMES),
+    *(f"tasks.{measure}" for measure in TASK_MEASURES),
+    *(f"tasks.odometry.{measure}" for measure in ODOMETRY_MEASURES),
+)
 
 
 class _AbsentError(Exception):
@@ -72,9 +119,8 @@ class Measures:
                     return float(measure(self, **match.groupdict())), ""
                 except _AbsentError as why:
                     return None, str(why)
-        near = f"{name}.mean" if f"{name}.mean" in PLAIN_NAMES else nearest(name, PLAIN_NAMES)
-        means = [own for own in PLAIN_NAMES if own.endswith(".mean")]
-        hint = f"did you mean {near}?" if near else suggestion(name, means)
+        mean = f"{name}.mean"
+        hint = f"did you mean {mean}?" if mean in _EXAMPLES else suggestion(name, _EXAMPLES)
         raise SettingsError(
             f"criterion {name!r}: no such measure; {hint} (fidpipe gate --help lists the forms)"
         )
@@ -91,9 +137,7 @@ class Measures:
         return False
 
     def _of_pairs(self, score: str, stat: str) -> float:
-        values = np.array(
-            [row[_column(score)] for row in self.run.scored], dtype=np.float64
-        )  # None becomes NaN
+        values = [row[_column(score)] for row in self.run.scored]
         return _statistic(values, stat, "pair", score)
 
     def _over_best_case(self, score: str, stat: str) -> float:
@@ -101,36 +145,33 @@ class Measures:
             raise SettingsError(
                 f"criterion 'excess.{score}.{stat}': needs a best case; add --best-case RUN"
             )
-        own = self._excess.scores[_column(score)]
+        excess = self._excess.scores[_column(score)]
+        values: list[float | None] = [*excess.of_pairs.values()]
         if stat in OF_DISTRIBUTIONS:
-            apart: float | None = getattr(own, stat)
-            if apart is None:
-                raise _AbsentError(f"no {score} in the run or in its best case")
-            return apart
-        return _statistic(
-            np.array([*own.of_pairs.values()], dtype=np.float64),
-            stat,
-            "pair",
-            f"{score} in both runs",
-        )
+            values = [getattr(excess, stat)]
+            stat = "mean"
+        return _statistic(values, stat, "pair", f"{score} in both runs")
 
     def _of_objects(self, label: str | None, score: str, stat: str) -> float:
-        own = self._objects_of("real", label)
+        objects = self._objects_of("real", label)
+        scores = objects.loc[objects["fate"] == "matched", score].to_numpy()
         what = "matched object" if label is None else f"matched object of class {label}"
-        return _statistic(own.loc[own["fate"] == "matched", score].to_numpy(), stat, what, score)
+        return _statistic(scores, stat, what, score)
 
     def _unmatched(
         self, label: str | None, what: str, within: str | None, count: str | None
     ) -> float:
-        side = {"not_found": "real", "extra": "sim"}[what]
-        own = self._objects_of(side, label)
-        own = own if within is None else own[own["range_m"] < float(within)]
+        side = "real" if what == "not_found" else "sim"
+        objects = self._objects_of(side, label)
+        if within is not None:
+            objects = objects[objects["range_m"] < float(within)]
+        is_alone = objects["fate"] == what
         if count == "share":
-            if own.empty:
+            if objects.empty:
                 raise _AbsentError(f"the {side} side has no such object")
-            return float((own["fate"] == what).mean())
-        alone = own.loc[own["fate"] == what, "pair"]
-        return _counted(np.bincount(alone, minlength=len(self.run.scored)), count or "total")
+            return float(is_alone.mean())
+        of_pairs = np.bincount(objects.loc[is_alone, "pair"], minlength=len(self.run.scored))
+        return _counted(of_pairs, count or "total")
 
     def _objects_of(self, side: str, label: str | None) -> pd.DataFrame:
         """The objects of a side, or those of a class."""
@@ -180,7 +221,8 @@ class Measures:
         return compare_odometry(self.run)
 
     def _both(self, count: str) -> float:
-        return _counted(np.array([row["n_matched"] for row in self._scored]), count)
+        n_matched = [self.run.rows_by_name[name]["n_matched"] for name in self._names]
+        return _counted(np.array(n_matched), count)
 
     def _pairs(self, state: str) -> float:
         rows, record = self.run.rows, self.run.record
@@ -195,8 +237,9 @@ class Measures:
         dataset = self._dataset
         now = {pair.pair_id: pair for pair in dataset.pairs}
         if state == "to_do":
-            return len(now.keys() - {row["pair_id"] for row in rows})
-        try:  # of other scans, labels, label names or T_real_sim than were evaluated, or no longer in the dataset
+            return len(now.keys() - self.run.rows_by_name.keys())
+        # of other scans, labels, label names or T_real_sim than evaluated, or not in the dataset
+        try:
             return sum(
                 pair_id not in now
                 or input_hashes(now[pair_id], dataset.label_names)["content"] != hashes["content"]
@@ -214,15 +257,15 @@ class Measures:
             raise _AbsentError(str(error)) from error
 
     @property
-    def _scored(self) -> list[Row]:
-        if not self.run.scored:
+    def _names(self) -> list[str]:
+        """Names of the scored pairs, at least one."""
+        if not self.run.names:
             raise _AbsentError("no pair is scored")
-        return self.run.scored
+        return self.run.names
 
     @cached_property
     def _objects(self) -> pd.DataFrame:
-        names = [row["pair_id"] for row in self._scored]
-        objects = self.run.objects_of(names, ["range_m", "label", *DISTRIBUTED])
+        objects = self.run.objects_of(self._names, ["range_m", "label", *DISTRIBUTED])
         return objects[objects["fate"] != "remnant"]
 
 
@@ -233,8 +276,10 @@ def _column(score: str) -> str:
     return (DOTTED | SENSOR_VALUES).get(score, score)
 
 
-def _statistic(values: FloatArray, stat: str, what: str, score: str) -> float:
-    spread = distribution(values)
+def _statistic(
+    values: Sequence[float | None] | FloatArray, stat: str, what: str, score: str
+) -> float:
+    spread = distribution(np.array(values, dtype=np.float64))  # None becomes NaN
     if not spread.n:
         raise _AbsentError(f"no {what} has a {score}")
     value: float | None = getattr(spread, stat)

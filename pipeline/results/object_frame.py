@@ -5,7 +5,7 @@ Everything that describes many objects reads this frame: findings, overview, mea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +22,6 @@ from ..storage.folder import RunFolder
 if TYPE_CHECKING:
     import pandas as pd
 
-PAIRS_AT_ONCE = 200
 #: Columns that identify rows; they are always read.
 _KEYS = {
     "objects": ("community_id", "n_points"),
@@ -107,17 +106,17 @@ WITH_UNITS = {f"c{axis}": f"{axis}_m" for axis in "xyz"} | {
 }
 
 
-def object_parts(
+def object_frame(
     store: RunFolder,
     pair_ids: Sequence[str],
     columns: Collection[str],
     *,
     by_reference: bool,
     sides: Sequence[str] = SIDES,
-) -> Iterator[pd.DataFrame]:
-    """The objects of scored pairs, 200 pairs at a time: one row per object, ordered by side, pair and id.
+) -> pd.DataFrame:
+    """The objects of scored pairs: one row per object, ordered by side, pair and id.
 
-    Each part has these columns, and the requested ones:
+    The frame has these columns, and the requested ones:
 
     - pair_id, side, community_id, n_points
     - pair : index in `pair_ids`
@@ -141,34 +140,26 @@ def object_parts(
     import pandas as pd
 
     needed = set(columns)
-    for name in columns:
-        if name in _COMPUTED:
-            needed.update(_COMPUTED[name][0])
-    wanted: dict[tuple[str, str], list[str]] = {}
+    for name in _COMPUTED.keys() & needed:
+        needed.update(_COMPUTED[name][0])
+    sources: dict[tuple[str, str], list[str]] = {}
     for table, known in COLUMNS_OF.items():
         stored = [name for name in known if name in needed]
         if stored or table != "coverage":
             for side in sides if table == "objects" else ("",):
-                wanted[table, side] = [*_KEYS[table], *stored]
-    for first in range(0, len(pair_ids), PAIRS_AT_ONCE):
-        names = pair_ids[first : first + PAIRS_AT_ONCE]
-        tables = store.read_pairs(names, wanted)
+                sources[table, side] = [*_KEYS[table], *stored]
+    tables = store.read_pairs(pair_ids, sources)
+    objects = pd.concat([_of_side(side, tables) for side in sides], ignore_index=True)
+    if by_reference:
         n_real = tables["objects", "real"].groupby("pair").size()
-        parts = []
-        for side in sides:
-            part = _of_side(side, tables)
-            if by_reference and side == "sim":
-                has_real_id = part["community_id"] < part["pair"].map(n_real)
-                part.loc[(part["partner"] < 0) & has_real_id, "fate"] = "remnant"
-            parts.append(part)
-        objects = pd.concat(parts, ignore_index=True)
-        for name in columns:
-            if name in _COMPUTED:
-                sources, compute = _COMPUTED[name]
-                objects[name] = compute(*(objects[source].to_numpy() for source in sources))
-        objects.insert(0, "pair_id", np.array(names, dtype=object)[objects["pair"]])
-        objects["pair"] += first
-        yield objects
+        has_real_id = objects["community_id"] < objects["pair"].map(n_real)
+        objects.loc[(objects["fate"] == "extra") & has_real_id, "fate"] = "remnant"
+    for name in columns:
+        if name in _COMPUTED:
+            of_columns, compute = _COMPUTED[name]
+            objects[name] = compute(*(objects[column].to_numpy() for column in of_columns))
+    objects.insert(0, "pair_id", np.array(pair_ids, dtype=object)[objects["pair"]])
+    return objects
 
 
 def _of_side(side: str, tables: Mapping[tuple[str, str], pd.DataFrame]) -> pd.DataFrame:

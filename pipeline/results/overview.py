@@ -9,7 +9,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -37,7 +37,7 @@ from .best_case import BEST_CASE_RECIPE
 from .causes import named_and_small, read_causes, unknown_causes
 from .independence import NEEDED, find_places, pairs_and_places
 from .object_findings import FINDINGS_COLUMNS, summarise_objects
-from .object_frame import object_parts, plain_rows
+from .object_frame import object_frame, plain_rows
 from .places import moved_words, place_words
 
 if TYPE_CHECKING:
@@ -105,8 +105,6 @@ def describe_objects(
     hashes : by pair, content hash of its real scan (`real`)
     by_reference : True if the real side fixes the objects
     """
-    import pandas as pd
-
     if not len(scored):
         none = SurfaceStates(there=0, partly=0, absent=0, road=0)
         return (
@@ -116,8 +114,8 @@ def describe_objects(
         )
     pair_ids = scored["pair_id"].to_pylist()
     columns = list({*FINDINGS_COLUMNS, *OVERVIEW_COLUMNS})
-    parts = object_parts(store, pair_ids, columns, by_reference=by_reference)
-    objects = pd.concat([part.loc[part["fate"] != "remnant", [*_KEYS, *columns]] for part in parts])
+    objects = object_frame(store, pair_ids, columns, by_reference=by_reference)
+    objects = objects.loc[objects["fate"] != "remnant", [*_KEYS, *columns]]
     objects["label"] = objects["label"].fillna("")
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
     found = summarise_objects(objects, len(pair_ids))
@@ -170,18 +168,18 @@ def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
 
 def _surface(objects: pd.DataFrame) -> Iterator[SurfaceGroup]:
     """Coverage by range and by class."""
+    import pandas as pd
+
     alone = objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0))
     points = objects.assign(alone=alone)
     labels = sorted(set(objects["label"]) - {""})
-    groups: tuple[tuple[str, str, dict[Any, str]], ...] = (
-        ("range", "band", dict(enumerate(BAND_NAMES))),
-        ("class", "label", {label: label for label in labels}),
-    )
-    for group, column, names in groups:
+    ranges = ("range", "band", dict(enumerate(BAND_NAMES)))
+    classes = ("class", "label", {label: label for label in labels})
+    for group, column, names in (ranges, classes):
         sums = points.groupby([column, "side"])[["n_points", "alone"]].sum()
+        sums = sums.reindex(pd.MultiIndex.from_product([names, SIDES]), fill_value=0)
         for key, name in names.items():
-            n_real, missing = sums.loc[key, "real"] if (key, "real") in sums.index else (0, 0.0)
-            n_sim, invented = sums.loc[key, "sim"] if (key, "sim") in sums.index else (0, 0.0)
+            (n_real, missing), (n_sim, invented) = sums.loc[key].to_numpy()
             yield SurfaceGroup(
                 group=group,
                 name=name,
@@ -215,76 +213,71 @@ def _piece(row: Row) -> Piece:
     if row["fate"] == "moved":
         fate = "moved"
         fate_words = moved_words(row["moved_x_m"], row["moved_y_m"], row["moved_z_m"])
-    return Piece(
-        pair_id=row["pair_id"],
-        side=row["side"],
-        piece_id=row["piece_id"],
-        fate=fate,
-        label=row["label"],
-        n_points=row["n_points"],
-        range_m=row["range_m"],
-        bearing_deg=row["bearing_deg"],
-        extents_m=extents,
-        words=place_words(row["label"], extents, row["range_m"], row["bearing_deg"]),
-        fate_words=fate_words,
-    )
+    stored = {name: row[name] for name in Piece.model_fields if name in row}
+    words = place_words(row["label"], extents, row["range_m"], row["bearing_deg"])
+    own = {"fate": fate, "extents_m": extents, "words": words, "fate_words": fate_words}
+    return Piece(**stored | own)
 
 
-def cautions(overview: Overview, record: RunRecord) -> Iterator[Caution]:
+def cautions(overview: Overview, record: RunRecord) -> list[Caution]:
     """Limits to the trust in the numbers of a run, most important first; from its record without an overview."""
     pairs = record.pairs
     n_pairs = pairs.scored + pairs.failed + pairs.to_do
+    n_places = record.findings.n_places if record.findings else 0
+    counted = pairs_and_places(pairs.scored, n_places)
+    found: list[tuple[str, str]] = []
     if pairs.failed:
-        yield Caution(
-            kind="failed", words=f"{pairs.failed} of {n_pairs} pairs failed and count nowhere"
-        )
+        found.append(("failed", f"{pairs.failed} of {n_pairs} pairs failed and count nowhere"))
     if pairs.to_do:
-        yield Caution(kind="to_do", words=f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet")
-    suspects = dict(record.frames)
-    elsewhere = [name for name, frame in suspects.items() if frame.reading == ELSEWHERE]
-    for name in elsewhere:
-        del suspects[name]
-    if suspects:
-        yield Caution(kind="frames", words=_frames_summary(suspects, n_pairs))
-    if elsewhere:
-        names = ", ".join(elsewhere[:_MOST_NAMED])
-        if len(elsewhere) > _MOST_NAMED:
-            names += ", ..."
-        which = f"in {len(elsewhere)} of {n_pairs} pairs"
-        words = f"{which} the two scans do not show the same place, but count ({names})"
-        yield Caution(kind="frames", words=words)
+        found.append(("to_do", f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet"))
+    found += [("frames", words) for words in _frame_words(record.frames, n_pairs)]
     if record.notes:
         pair_id, (note, *_) = next(iter(record.notes.items()))
         words = f"ground cut, notes on {len(record.notes)} of {n_pairs} pairs; {pair_id}: {note}"
-        yield Caution(kind="ground", words=words)
-    n_places = record.findings.n_places if record.findings else 0
+        found.append(("ground", words))
     if n_places < LEAST_PAIRS:
-        counted = pairs_and_places(pairs.scored, n_places)
-        yield Caution(kind="pairs", words=f"{counted}: a verdict on the world {NEEDED}")
+        found.append(("pairs", f"{counted}: a verdict on the world {NEEDED}"))
     elif n_places < pairs.scored:
-        yield Caution(
-            kind="independence",
-            words=f"{pairs_and_places(pairs.scored, n_places)}, which count once each",
-        )
+        found.append(("independence", f"{counted}, which count once each"))
     if overview.n_aligned and overview.n_badly_aligned >= _MANY_BADLY_ALIGNED * overview.n_aligned:
         share = f"{100 * overview.n_badly_aligned / overview.n_aligned:.0f} %"
         words = (
             f"r_lambda of {share} of the matched objects is unreliable "
             f"(poor alignment: {BAD_ALIGNMENT_WORDS})"
         )
-        yield Caution(kind="alignment", words=words)
+        found.append(("alignment", words))
     if record.preset != "reference":
         words = (
             "each scan is segmented separately, so scores vary with the segmentation; "
             f"to compare simulators: {_by_reference(record)}"
         )
-        yield Caution(kind="partition", words=words)
-    if path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
-        return  # it is a best case itself
-    yield Caution(
-        kind="best_case",
-        words="no best case yet; the scores of a perfect simulator: fidpipe best-case RUN",
-    )
+        found.append(("partition", words))
+    if not path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
+        words = "no best case yet; the scores of a perfect simulator: fidpipe best-case RUN"
+        found.append(("best_case", words))
+    return [Caution(kind=kind, words=words) for kind, words in found]
+
+
+def _frame_words(frames: Mapping[str, FrameSuspect], n_pairs: int) -> Iterator[str]:
+    """One line for all pairs that seem to lie in another frame, and one for those that show two places."""
+    elsewhere = [name for name, frame in frames.items() if frame.reading == ELSEWHERE]
+    suspects = [name for name in frames if name not in elsewhere]
+    if suspects:
+        first = frames[suspects[0]]
+        yield (
+            f"in {len(suspects)} of {n_pairs} pairs the simulated scan seems to lie in another "
+            f"frame: in {suspects[0]} it covers {first.as_it_lies:.2f} of the real one as given "
+            f"and {first.coverage:.2f} {first.reading}; set {first.setting} and run again "
+            "(all of them: frames in run.json)"
+        )
+    if elsewhere:
+        names = ", ".join(elsewhere[:_MOST_NAMED])
+        if len(elsewhere) > _MOST_NAMED:
+            names += ", ..."
+        yield (
+            f"in {len(elsewhere)} of {n_pairs} pairs the two scans do not show the same place, "
+            f"but count ({names})"
+        )
 
 
 def _by_reference(record: RunRecord) -> str:
@@ -294,33 +287,3 @@ def _by_reference(record: RunRecord) -> str:
         command += ["--set", setting]
     out = f"runs/{recorded_path(record.dataset).name}-reference"
     return shlex.join([*command, "--out", out])
-
-
-def _frames_summary(suspects: Mapping[str, FrameSuspect], n_pairs: int) -> str:
-    """One line for all suspect pairs of a run, by their most frequent reading."""
-    kinds = [_NUMBER.sub("", suspect.reading) for suspect in suspects.values()]
-    kind = max(kinds, key=kinds.count)
-    similar = {
-        pair_id: own
-        for (pair_id, own), other in zip(suspects.items(), kinds, strict=True)
-        if other == kind
-    }
-    before = float(np.mean([suspect.as_it_lies for suspect in similar.values()]))
-    after = float(np.mean([suspect.coverage for suspect in similar.values()]))
-    pair_id, first = next(iter(similar.items()))
-    is_one_setting = all(own.setting == first.setting for own in similar.values())
-    where = (
-        ""
-        if is_one_setting
-        else f" (in pair {pair_id}; the others are listed under frames in run.json)"
-    )
-    others = ""
-    if len(similar) < len(suspects):
-        others = f"; {len(suspects) - len(similar)} in other ways, see frames in run.json"
-    return (
-        f"in {len(suspects)} of {n_pairs} pairs the simulated scan seems to lie in another frame: "
-        f"in {len(similar)} it "
-        f"covers {before:.2f} of the real one as given and {after:.2f} {first.reading}; set "
-        f"{first.setting}{where} "
-        f"and run again{others}"
-    )

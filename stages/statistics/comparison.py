@@ -1,4 +1,4 @@
-"""Two simulator versions on the same real scans: which scores changed beyond chance, and the fate of each object.
+"""Two simulator versions on the same real scans: which scores changed beyond chance.
 
 Equal simulators exchange *before* and *after*, so that each change is as likely as its opposite. That is all that the
 test of `adjusted_p_values` assumes. Its rates of false alarms and its power were found by simulation:
@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 
 CONFIDENCE = 0.95
 #: Fewer independent pairs decide nothing but changes far beyond the noise.
@@ -30,12 +29,8 @@ DRAWS = 20_000
 BLOCK_S = 10.0
 #: Of fewer than `LEAST_PAIRS` blocks, only a change of more than this many standard deviations is decided.
 FAR_STDS = 5.0
-#: A score of an object has changed if it moved by more than this.
-LEAST_CHANGE = 0.05
 #: Smaller differences are rounding, such as between two processors.
 ALIKE = 1e-9
-
-KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "missing in both")
 
 
 @dataclass(frozen=True)
@@ -109,22 +104,28 @@ def paired_difference(
     (0.5, 3)
     """
     known = ~(np.isnan(before) | np.isnan(after))
-    n = int(np.count_nonzero(known))
-    if not n:
+    n_pairs = int(np.count_nonzero(known))
+    if not n_pairs:
         return Difference()
-    blocks = np.arange(n, dtype=np.int32) if blocks is None else blocks[known]
+    blocks = np.arange(n_pairs, dtype=np.int32) if blocks is None else blocks[known]
     a, b = block_means(np.stack([before[known], after[known]]), blocks)
     change = b - a
-    counts = (n, len(change), float(a.mean()), float(b.mean()), float(change.mean()))
-    if n > 1 and (np.abs(change) <= ALIKE).all():
-        return Difference(*counts, 0.0, 0.0, 0.0)
-    if len(change) < 2:
-        return Difference(*counts)
-    std = float(change.std(ddof=1))
-    if len(change) < LEAST_FOR_INTERVAL:
-        return Difference(*counts, std)
-    _, low, high = mean_interval(change)
-    return Difference(*counts, std, low, high)
+    std = float(change.std(ddof=1)) if len(change) > 1 else None
+    low = high = None
+    if n_pairs > 1 and (np.abs(change) <= ALIKE).all():
+        std = low = high = 0.0
+    elif len(change) >= LEAST_FOR_INTERVAL:
+        _, low, high = mean_interval(change)
+    return Difference(
+        n_pairs=n_pairs,
+        n_blocks=len(change),
+        before=float(a.mean()),
+        after=float(b.mean()),
+        difference=float(change.mean()),
+        std=std,
+        low=low,
+        high=high,
+    )
 
 
 def mean_interval(values: FloatArray) -> tuple[float, float, float]:
@@ -244,31 +245,6 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
         highest = max(highest, min(1.0, (len(known) - rank) * p))
         adjusted[i] = highest
     return adjusted
-
-
-def kinds_of_change(
-    before: BoolArray,
-    after: BoolArray,
-    cdc: tuple[FloatArray, FloatArray],
-    r_lambda: tuple[FloatArray, FloatArray],
-) -> NDArray[np.str_]:
-    """Kind of change of each real object.
-
-    `appeared`: missing before, matched now; `vanished`: the reverse. Of an object matched in both: `better` if CDC or
-    r_lambda fell by more than 0.05 and neither rose by so much, `worse` the reverse, `mixed` if one fell and the other
-    rose, else `alike`. A score that is null in either run is ignored.
-
-    Parameters
-    ----------
-    before, after : (n,) True if the real object is matched
-    cdc, r_lambda : (n,) and (n,), before and after, NaN for null
-    """
-    change = np.nan_to_num(np.column_stack([cdc[1] - cdc[0], r_lambda[1] - r_lambda[0]]))
-    fell = (change < -LEAST_CHANGE).any(axis=1)
-    rose = (change > LEAST_CHANGE).any(axis=1)
-    conditions = [~before & ~after, before & ~after, ~before & after, fell & rose, fell, rose]
-    kinds = ["missing in both", "vanished", "appeared", "mixed", "better", "worse"]
-    return np.select(conditions, kinds, "alike")
 
 
 @cache

@@ -14,9 +14,7 @@ from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.generate.best_case_run import run_best_case
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.views.best_case_view import HEADLINES, excess_view
-from fidpipe.pipeline.report.views.compare_view import remarks
 from fidpipe.pipeline.results.best_case import excess_over
-from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import RunError
@@ -26,7 +24,7 @@ from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.sensor_description import describe_sensor
 from reports import text_of
-from runs import QUIET, assert_same_tables, command, listening, run
+from runs import QUIET, assert_same_tables, command, listening
 from scenes import drifted, rigid, street, write_bin, write_dataset
 
 REFERENCE = load(preset="reference")
@@ -253,35 +251,6 @@ def test_a_gate_judges_excess_and_wants_a_best_case_for_it(folder, tmp_path):
     assert "'excess.cdc.mean': needs a best case; add --best-case RUN" in " ".join(
         refused.stderr.split()
     )
-
-
-def test_a_comparison_says_which_differences_are_smaller_than_the_best_case(folder, tmp_path):
-    data = write_dataset(tmp_path / "streets", 3)
-    for i in range(3):  # the other simulator loses two points more
-        points = read_scan(data / "sim" / f"{i:03}.bin").points
-        write_bin(data / "sim" / f"{i:03}.bin", points[:-2])
-    run(data, tmp_path / "other")
-    (found,) = compare_runs([folder / "run", tmp_path / "other"], best_case=folder / "best_case")
-    scores = {score.name: score for score in found.scores}
-    best_case_mean = pd.read_parquet(
-        folder / "best_case" / "pairs.parquet"
-    ).covered_real_0p3m.mean()
-    covered = scores["real covered 0.3 m"]
-    assert covered.best_case == pytest.approx(1 - best_case_mean)
-    below = [
-        score.name
-        for score in found.scores
-        if score.exceeds(score.best_case) is False and score.towards
-    ]
-    assert below
-    (line,) = [note.text for note in remarks(found) if "no more than the best case" in note.text]
-    assert all(name in line for name in below)
-    assert covered.exceeds(2.0) is False
-    page = tmp_path / "page.html"
-    words = ("compare", folder / "run", tmp_path / "other", "--best-case", folder / "best_case")
-    assert "no more than the best case" in " ".join(shown(*words, "--html", page).split())
-    assert "more than the best case" in page.read_text()
-    assert len(json.loads(shown(*words, "--json"))[0]["excess"]) == 2
 
 
 def test_the_command_takes_amounts_and_names_their_defaults(folder, tmp_path):

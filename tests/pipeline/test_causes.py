@@ -281,6 +281,10 @@ def values_of(**amounts):
     return cause_values(pairs), np.arange(n_pairs)
 
 
+def test_no_pairs_have_no_causes():
+    assert cause_values([]) == {}
+
+
 def names_of(**amounts):
     return sorted(cause.name for cause in named_causes(*values_of(**amounts)))
 

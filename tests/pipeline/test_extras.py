@@ -12,7 +12,7 @@ import pytest
 import fidpipe
 from fidpipe.pipeline.jobs.baselines_job import summarise_baselines
 from fidpipe.pipeline.results.compare import compare_runs
-from fidpipe.pipeline.results.measure_names import TASK_MEASURES
+from fidpipe.pipeline.results.measures import TASK_MEASURES
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.table_files import JobRecord
 from fidpipe.schemas.metric_catalogue import SEEDED_SCORES

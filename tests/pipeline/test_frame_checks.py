@@ -104,7 +104,7 @@ def test_a_pair_of_two_places_is_named_wherever_the_run_is_read(mirrored, tmp_pa
     assert words in html.unescape(write_report(out, out=tmp_path / "report").page.read_text())
     assert not judge_run(out, [parse_word("r_lambda.mean=2", "max")]).passed
     compared = command("compare", tmp_path / "same", out)
-    assert "1 of 2 pairs (1)" in " ".join(compared.stdout.split())
+    assert "1 of 2 pairs are not in one frame" in " ".join(compared.stdout.split())
 
 
 def test_two_arrays_in_other_frames_are_warned_of_with_both_figures_and_the_setting():

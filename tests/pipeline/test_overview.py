@@ -83,15 +83,10 @@ def test_the_overview_of_the_record_is_that_of_the_tables(finished):
     ).tolist()
 
 
-def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_nothing(
-    finished, monkeypatch
-):
-    from fidpipe.pipeline.results import object_frame
-
+def test_the_overview_read_again_is_the_one_written(finished):
     _, folder, outcome = finished
     again = FinishedRun(folder)
     assert again.record.overview == outcome.record.overview
-    monkeypatch.setattr(object_frame, "PAIRS_AT_ONCE", 1)
     pairs = outcome.pairs
     times = {name: 100.0 * i for i, name in enumerate(NUSCENES)}
     findings, found, metrics = describe_objects(

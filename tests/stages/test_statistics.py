@@ -13,16 +13,13 @@ from fidpipe.stages.statistics.comparison import (
     block_means,
     blocks_of,
     holm,
-    kinds_of_change,
     mean_interval,
     paired_difference,
 )
-from fidpipe.stages.statistics.findings import (
-    distribution,
-)
+from fidpipe.stages.statistics.findings import distribution
 from fidpipe.stages.statistics.neighbours import SAME_PLACE, map_place, neighbours, overlap
 from fidpipe.stages.statistics.spread import spread
-from fidpipe.stages.statistics.validation import area_validation_metric, double_validation_metric
+from fidpipe.stages.statistics.validation import double_validation_metric
 from fidpipe.stages.summary import with_unmatched_as_worst
 from scenes import box, moved, rigid
 
@@ -156,23 +153,6 @@ def test_adjusted_p_values_are_at_most_1():
     assert holm([]) == []
 
 
-def test_the_kind_of_change_of_an_object_by_hand():
-    nan = np.nan
-    rows = [
-        (False, False, nan, nan, nan, nan, "missing in both"),
-        (True, False, 0.1, nan, 0.1, nan, "vanished"),
-        (False, True, nan, 0.1, nan, 0.1, "appeared"),
-        (True, True, 0.5, 0.4, 0.3, 0.3, "better"),
-        (True, True, 0.5, 0.5, 0.3, 0.4, "worse"),
-        (True, True, 0.5, 0.4, 0.3, 0.4, "mixed"),
-        (True, True, 0.5, 0.46, 0.3, 0.34, "alike"),
-        (True, True, 0.5, 0.4, nan, 0.9, "better"),
-    ]
-    before, after, *scores = [np.array(column) for column in list(zip(*rows, strict=True))[:6]]
-    found = kinds_of_change(before, after, (scores[0], scores[1]), (scores[2], scores[3]))
-    assert found.tolist() == [row[-1] for row in rows]
-
-
 def test_a_score_without_noise_tells_any_difference():
     found = spread(np.array([[0.5, 0.5, 0.5], [0.7, 0.7, 0.7]]))
     assert found.mean == pytest.approx(0.6)
@@ -220,7 +200,6 @@ def test_the_same_values_are_no_distance_apart_and_nulls_are_left_out(rng):
     assert (exact.bias, exact.area, exact.n_real, exact.n_sim) == (0, 0, 30, 30)
     nothing = double_validation_metric(values, np.full(3, np.nan))
     assert (nothing.bias, nothing.area, nothing.n_sim) == (None, None, 0)
-    assert area_validation_metric(values[:0], values) is None
 
 
 def test_a_distribution_by_hand():

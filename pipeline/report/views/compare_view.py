@@ -6,15 +6,13 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 
-import pandas as pd
-
 from ....schemas.columns import Row
 from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
-from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS, Difference
+from ....stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS, Difference
 from ...results.causes import interval_words
 from ...results.compare import Comparison
-from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, score_rows
-from ...results.followed import by_change, by_class, by_range, worst_changes
+from ...results.families import ERROR_RATE, MARKS_NOTE, TASKS, FamilyChange, score_rows
+from ...results.followed import LEAST_CHANGE, by_change, worst_changes
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
@@ -32,7 +30,6 @@ from ..view import (
     signed,
     warnings,
 )
-from .best_case_view import excess_notes
 
 _MOST_OBJECTS = 5
 _MOST_LEFT_OUT = 5
@@ -52,11 +49,6 @@ OBJECTS_NOTE = (
     f"An object is worse or better if CDC or r_lambda changed by more than {LEAST_CHANGE} and "
     "neither the other way. Single objects also change where Louvain cuts the simulated side "
     "otherwise: trust many, not one."
-)
-GROUPS_NOTE = (
-    "Classes and ranges are described, not tested: some of these changes are due to chance, and of "
-    "many groups some always move. Mean changes are over the objects that both runs have matched; "
-    "below 0 is better."
 )
 
 
@@ -85,18 +77,14 @@ def numbers_view(comparison: Comparison, *, with_all: bool) -> View:
 
 
 def object_view(comparison: Comparison) -> View:
-    """The real objects by class or shape and by range, and those that have changed."""
-    objects = comparison.objects
-    if objects.empty:
-        return []
-    parts: list[Part] = [_group_table(objects), Note(GROUPS_NOTE)]
-    changed = by_change(objects[objects["kind"].isin(_CHANGED)])
+    """The real objects that have changed most, by fate."""
+    changed = by_change(comparison.objects[comparison.objects["kind"].isin(_CHANGED)])
     first = plain_rows(changed.groupby("kind").head(_MOST_OBJECTS))
+    if not first:
+        return []
     first.sort(key=lambda row: _CHANGED.index(row["kind"]))
-    if first:
-        title = f"Objects that have changed ({len(first)} of {len(changed)})"
-        parts += [_object_table(title, first), Note(OBJECTS_NOTE)]
-    return parts
+    title = f"Objects that have changed ({len(first)} of {len(changed)})"
+    return [_object_table(title, first), Note(OBJECTS_NOTE)]
 
 
 def decision(comparison: Comparison) -> str:
@@ -224,6 +212,10 @@ def remarks(comparison: Comparison) -> list[Note]:
             "not decided, but with a tendency to the worse (p below 5 % alone): "
             f"{', '.join(tending)}"
         )
+    if comparison.by_direction and TASKS in [family.name for family in comparison.families]:
+        lines.append(
+            f"{TASKS}: undecided, as they are not known by direction: needs {LEAST_FLIPPED} places"
+        )
     for family in comparison.families:
         if family.why:
             lines.append(f"{family.name}: ({family.verdict}) does not count, {family.why}")
@@ -249,25 +241,11 @@ def remarks(comparison: Comparison) -> list[Note]:
 
 
 def _on_chance(comparison: Comparison) -> list[str]:
-    """Seeds and best case: which changes are not more than these make."""
+    """What the partition and its seeds alone make."""
     lines = [comparison.on_partition] if comparison.on_partition else []
-    by_seeds = []
-    below = []
-    for score in comparison.scores:
-        if score.exceeds(score.seed_noise) is False:
-            by_seeds.append(score.name)
-        if score.exceeds(score.best_case) is False and score.towards:
-            change = signed(score.difference.difference)
-            below.append(f"{score.name} ({change}, best case {number(score.best_case)})")
+    by_seeds = [score.name for score in comparison.scores if score.is_by_seeds]
     if by_seeds:
         lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
-    if below:
-        lines.append(
-            "no more than the best case, by which a second measurement of the real scan differs: "
-            f"{', '.join(below)}"
-        )
-    for excess in comparison.excess or ():
-        lines += [text for text in excess_notes(excess) if text not in lines]
     return lines
 
 
@@ -322,20 +300,6 @@ def _object_table(title: str, changes: Sequence[Row]) -> Table:
         values = [change[column] for column in columns]
         rows.append((change["pair_id"], change["kind"], name, *values))
     return Table(title, headings, rows, words=(0, 1, 2), digits={3: 1}, whole=(1,))
-
-
-def _group_table(objects: pd.DataFrame) -> Table:
-    """One row per class or shape and per band of range: fates, and mean changes of scores."""
-    kinds = ("vanished", "appeared", "worse", "better")
-    changes = [f"{METRIC[score].label}\nchange" for score in QUADRANT_SCORES]
-    rows = []
-    for group in by_class(objects) + by_range(objects):
-        counts = [group["kinds"][kind] for kind in kinds]
-        means = [signed(group[score]) for score in QUADRANT_SCORES]
-        rows.append((group["name"], group["n"], *counts, group["n_both"], *means))
-    what = "class" if objects["label"].notna().any() else "shape"
-    headings = ("", "count", *kinds, "in\nboth", *changes)
-    return Table(f"Real objects by {what} and by range", headings, rows)
 
 
 def compare_records(comparisons: Sequence[Comparison]) -> Table:

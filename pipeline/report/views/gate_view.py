@@ -42,7 +42,6 @@ def base_view(result: BaseResult) -> View:
     outcome = f"{len(failed)} of {len(result.checks)} checks failed" if failed else "passed"
     return [
         *(Note(f"failed: {check.name}: {check.found}", "red") for check in failed),
-        *warnings([result.note] if result.note else []),
         Note(f"gate on {result.fail_on}: {outcome}", "red" if failed else "green"),
     ]
 
