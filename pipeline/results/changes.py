@@ -271,10 +271,10 @@ def elsewhere_share(shares: Sequence[Sequence[float]]) -> float | None:
 def undo_changes(task: _PairTask) -> tuple[Shares, float, float] | None:
     """Gains of undoing the changes of a pair, and the flat surface elsewhere before and after."""
     base, sim = _sim_side(task.base, task.pair_id), _sim_side(task.other, task.pair_id)
-    pose = fit_pose(base, sim)
-    if pose is None:
+    fit = fit_pose(base, sim)
+    if fit is None:
         return None
-    return changes(base, sim, pose, dict(task.excess), np.random.default_rng(SEED))
+    return changes(base, sim, fit[0], dict(task.excess), np.random.default_rng(SEED))
 
 
 def _changed(

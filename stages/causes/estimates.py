@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import BoolArray, IndexArray
 from ..rays import grid_of
 from ..sensor_description import SensorDescription
 from ..trust import BEAMS, FRAME, ONE_SWEEP, RETURNS, SAME_SWEEPS
@@ -83,11 +83,11 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     doubts = doubts_of(scans.real.sensor, scans.sim.sensor)
     real, real_second_share = _without_second_returns(scans.real)
     sim, second_share = _without_second_returns(scans.sim)
-    pose = fit_pose(real, sim)
-    if pose is None:
+    fit = fit_pose(real, sim)
+    if fit is None:
         return None
-    aligned = pose.undisplaced(sim)
-    distance_m = surface_distance(scans.real.points, scans.sim.points, scans.real.tree)
+    pose, aligned = fit
+    distance_m = surface_distance(scans.real.tree, scans.sim.tree)
     best_case_m = best_case_distance(scans.real, sim, aligned, np.random.default_rng(seed))
     amounts = _pose_amounts(pose, real, sim, best_case_m)
     more_second = second_share - real_second_share
@@ -145,14 +145,14 @@ def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | N
     """
     if min(len(base.points), len(sim.points)) < _LEAST_POINTS:
         return None
-    pose = fit_pose(base, sim)
-    if pose is None:
+    fit = fit_pose(base, sim)
+    if fit is None:
         return None
+    pose, aligned = fit
     amounts = dict(zip(PARAMETERS, pose.displacement.values.tolist(), strict=True))
     if pose.elevation_scale is not None:
         amounts["elevation scale"] = pose.elevation_scale
     if base.sensor.elevation_deg:
-        aligned = pose.undisplaced(sim)
         explained = explain_directions(base, aligned)
         of_beams = {
             "beams": _beam_amount(base, aligned, explained),
@@ -234,7 +234,7 @@ def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
     missing, invented = find_unmatched(real, sim, explained)
     missing_parts = real.points[missing.is_part | missing.is_moved]
     invented_parts = sim.points[invented.is_part | invented.is_moved]
-    parts = np.vstack([missing_parts, invented_parts])
+    parts = cKDTree(np.vstack([missing_parts, invented_parts]))
     is_used_real = ~(_is_near(real, parts) | missing.is_beyond | explained.real)
     is_used_sim = ~(_is_near(sim, parts) | explained.sim)
     nearest_m = [float(np.quantile(side.range_m, 0.001)) for side in (real, sim)]
@@ -255,12 +255,10 @@ def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
     }
 
 
-def _is_near(side: Side, parts: FloatArray) -> BoolArray:
+def _is_near(side: Side, parts: cKDTree) -> BoolArray:
     """(n,) True for points of missing, invented or moved parts, and at their rims, which have counterparts around."""
-    if not len(parts):
-        return np.zeros(len(side.points), dtype=np.bool_)
     limit_m = APART_M + APART_PER_M * side.range_m
-    apart_m, _ = cKDTree(parts).query(side.points, distance_upper_bound=1.001 * limit_m.max())
+    apart_m, _ = parts.query(side.points, distance_upper_bound=1.001 * limit_m.max())
     return np.less_equal(apart_m, limit_m)
 
 

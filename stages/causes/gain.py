@@ -250,7 +250,7 @@ def _seen_m(rays: FloatArray, real: Side) -> FloatArray:
     """
     _, near = real.ray_tree.query(rays)
     places, of_ray = np.unique(near, return_inverse=True)
-    normal = fit_planes(real.points, real.points[places], _NEIGHBOURS).normal[of_ray]
+    normal = fit_planes(real.tree, real.points[places], _NEIGHBOURS).normal[of_ray]
     range_m = real.range_m[near]
     with np.errstate(divide="ignore", invalid="ignore"):
         met_m = (normal * real.points[near]).sum(axis=1) / (normal * rays).sum(axis=1)
@@ -261,7 +261,7 @@ def _seen_m(rays: FloatArray, real: Side) -> FloatArray:
 def _as_simulated(real: Side, sim: Side, rows: IndexArray) -> FloatArray:
     """Real points with the error of the simulated surface: moved along the real normal, as far as the nearest point."""
     points = real.points[rows]
-    normal = fit_planes(real.points, points, _NEIGHBOURS).normal
+    normal = fit_planes(real.tree, points, _NEIGHBOURS).normal
     _, near = sim.tree.query(points)
     return points + ((sim.points[near] - points) * normal).sum(axis=1, keepdims=True) * normal
 
@@ -297,7 +297,7 @@ def shares(
     def distance(chosen: frozenset[str]) -> float:
         if chosen not in known:
             points = corrected(scans.sim, [by_cause[name] for name in sorted(chosen)], seam_deg)
-            known[chosen] = surface_distance(scans.real.points, points, scans.real.tree)
+            known[chosen] = surface_distance(scans.real.tree, cKDTree(points))
         return known[chosen]
 
     before_all_m = distance(frozenset())

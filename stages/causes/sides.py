@@ -102,7 +102,7 @@ class Side:
     @cached_property
     def object_planes(self) -> LocalPlanes:
         """Planes through the neighbours of each point that is not ground."""
-        return fit_planes(self.points, self.points[self.object_rows], PLANE_NEIGHBOURS)
+        return fit_planes(self.tree, self.points[self.object_rows], PLANE_NEIGHBOURS)
 
     @cached_property
     def normals(self) -> FloatArray:
@@ -184,7 +184,9 @@ def medians_by_group(
     """
     n_values = np.bincount(group, minlength=n_groups)
     middle = np.cumsum(n_values) - n_values + n_values // 2
-    ordered = values[np.lexsort((values, group))]
+    order = np.argsort(values)
+    small = group[order].astype(np.min_scalar_type(n_groups))  # of which a stable sort is fast
+    ordered = values[order[np.argsort(small, kind="stable")]]
     return n_values, ordered[np.minimum(middle, len(ordered) - 1)]
 
 
