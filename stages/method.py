@@ -5,7 +5,7 @@ The method on one screen is the list of stages in `pipeline/jobs/__init__.py`, a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,6 @@ from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray, Watch, unwatched
 from .clean import CleanResult, clean_scan, too_few_left
 from .communities import find_communities
-from .coverage import Coverage, below_cut, cover, nearest_distances
 from .graph import build_graph
 from .ground import MIN_OBJECT_POINTS, GroundResult, remove_ground
 from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
@@ -33,7 +32,6 @@ from .reference import (
 )
 from .selection import Selection, select_nodes
 from .summary import summarise_pair
-from .surface import Offsets, compare_roughness, describe_surface, measure_offsets
 
 
 def remove_road(
@@ -192,60 +190,6 @@ def match_objects(
     if settings.communities.objects == "reference":
         return match_reference(real, sim, n_real, n_sim, settings.communities.min_points)
     return match_communities(real, sim, settings.matching)
-
-
-def measure_coverage(
-    points: Sequence[FloatArray],
-    labels: Sequence[IntArray],
-    n_objects: Sequence[int],
-    cuts: Sequence[tuple[FloatArray, float | None]],
-    watch: Watch = unwatched,
-) -> list[tuple[Coverage, Coverage]]:
-    """Share that the other side has, of each object and of the whole (one row), by side: real, then simulated.
-
-    Parameters
-    ----------
-    points : (n, 3) float64, metres, object points, at least one
-    labels : (n,) int32, object of each
-    n_objects : number of ids
-    cuts : axis and threshold below which a point is road to that side, see `coverage.below_cut`
-    watch : entered around the step nearest
-    """
-    with watch("nearest"):
-        distances_m = nearest_distances(points[0], points[1])
-    coverages = []
-    for i, distance_m in enumerate(distances_m):
-        is_road = below_cut(points[i], *cuts[1 - i])
-        of_objects = cover(distance_m, labels[i], n_objects[i], is_road)
-        whole = cover(distance_m, np.zeros(len(distance_m), dtype=np.int32), is_road=is_road)
-        coverages.append((of_objects, whole))
-    return coverages
-
-
-#: Displacement of the whole surface (one row) and of each real object, and roughness by column of `pairs`.
-SurfaceScores = tuple[Offsets, Offsets, dict[str, Number]]
-
-
-def measure_surface(
-    real: FloatArray,
-    sim: FloatArray,
-    real_labels: IntArray,
-    watch: Watch = unwatched,
-) -> SurfaceScores:
-    """Displacement of the whole simulated surface (one row) and of each real object; roughness by column of `pairs`.
-
-    Parameters
-    ----------
-    real, sim : (n, 3), (m, 3) float64, metres, object points, at least one
-    real_labels : (n,) int32, object of each real point
-    watch : entered around the steps planes and offset
-    """
-    with watch("planes"):
-        real_surface, sim_surface = describe_surface(real), describe_surface(sim)
-    with watch("offset"):
-        whole = measure_offsets(real_surface, sim_surface)
-        objects = measure_offsets(real_surface, sim_surface, real_labels)
-    return whole, objects, compare_roughness(real_surface, sim_surface)
 
 
 def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredObject:

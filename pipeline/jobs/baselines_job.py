@@ -13,7 +13,6 @@ from ...schemas.columns import Row
 from ...schemas.metric_catalogue import BASELINES, METRIC
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
-from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
@@ -42,7 +41,7 @@ def make_baselines(inputs: Inputs) -> JobResult:
         values = compare_objects(
             real, sim, nodes, settings.selection.t, settings.metrics, watch=inputs.step
         )
-        rows += [_row(inputs, value, match["real_id"], match["sim_id"]) for value in values]
+        rows += [_row(value, match["real_id"], match["sim_id"]) for value in values]
 
     def watch(name: str) -> AbstractContextManager[None]:
         return inputs.step(_step(name, OF_SCAN))
@@ -54,8 +53,8 @@ def make_baselines(inputs: Inputs) -> JobResult:
         with watch(OF_SCANS):
             real_scan = coordinates(inputs.table("ground", "real"))
             values += nvs(real_scan, coordinates(inputs.table("ground", "sim")))
-    rows += [_row(inputs, value, None, None) for value in values]
-    return JobResult({"baselines": TABLES["baselines"].from_rows(rows)}, {"means": _means(rows)})
+    rows += [_row(value, None, None) for value in values]
+    return JobResult({"baselines": inputs.rows("baselines", rows)}, {"means": _means(rows)})
 
 
 def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
@@ -104,14 +103,9 @@ def _is_wanted(settings: Settings) -> bool:
     return bool(settings.metrics.baselines)
 
 
-def _row(inputs: Inputs, value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
-    named = {
-        "pair_id": inputs.pair_id,
-        "real_id": real_id,
-        "sim_id": sim_id,
-        "baseline": value.name,
-    }
-    return named | {"value": value.value, "unit": value.unit, "reason": value.reason}
+def _row(value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
+    ids = {"real_id": real_id, "sim_id": sim_id}
+    return ids | {"baseline": value.name, "unit": value.unit} | vars(value)
 
 
 def _means(rows: list[Row]) -> list[Row]:

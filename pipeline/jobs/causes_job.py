@@ -10,7 +10,6 @@ import pyarrow as pa
 
 from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import SIDES
-from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, transform_of
 from ...stages.sensor_description import SensorDescription
 from ..stage import FRAMES, OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
@@ -45,8 +44,10 @@ def make_causes(inputs: Inputs) -> JobResult:
         pose = asdict(estimates.pose)
         pose["displacement"]["values"] = estimates.pose.displacement.values.tolist()
     unknown = Amount(None, reason="not estimated")
-    rows = [_row(inputs.pair_id, name, amounts.get(name, unknown)) for name in CAUSES]
-    return JobResult({"causes": TABLES["causes"].from_rows(rows)}, {OF_PAIR: distances, POSE: pose})
+    rows = []
+    for name, cause in CAUSES.items():
+        rows.append({"cause": name, "unit": cause.unit} | vars(amounts.get(name, unknown)))
+    return JobResult({"causes": inputs.rows("causes", rows)}, {OF_PAIR: distances, POSE: pose})
 
 
 def _doubts(inputs: Inputs) -> dict[str, str]:
@@ -60,10 +61,6 @@ def _doubts(inputs: Inputs) -> dict[str, str]:
     if frames and (doubt := FrameCheck(**frames).doubt):
         doubts[FRAME] = doubt
     return doubts
-
-
-def _row(pair_id: str, name: str, amount: Amount) -> dict[str, float | str | None]:
-    return {"pair_id": pair_id, "cause": name, "unit": CAUSES[name].unit} | vars(amount)
 
 
 def pair_scans(inputs: Inputs) -> PairScans:

@@ -6,7 +6,6 @@ import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import Row
-from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.method import match_objects
 from ..stage import OBJECTS, Grain, Inputs, JobResult, Stage
@@ -33,9 +32,8 @@ def make_matching(inputs: Inputs) -> JobResult:
         rows.append(both | {"centroid_distance_m": distance_m, "status": "matched"})
     rows += [{"real_id": i, "status": "not_found"} for i in matching.not_found.tolist()]
     rows += [{"sim_id": i, "status": "extra"} for i in matching.extra.tolist()]
-    table = TABLES["matching"].from_rows({"pair_id": inputs.pair_id} | row for row in rows)
     matched = list(zip(real_ids, n_keep.tolist(), strict=True))
-    return JobResult({"matching": table}, {OBJECTS: matched})
+    return JobResult({"matching": inputs.rows("matching", rows)}, {OBJECTS: matched})
 
 
 def _centroids(objects: pa.Table) -> tuple[FloatArray, IntArray]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import pyarrow as pa
 
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
+from ...stages.objects import Objects
 from ...stages.pieces import CutScan
 from ...stages.reference import Annotation
 from ...stages.selection import Selection
@@ -34,11 +34,6 @@ MATCHED_OBJECTS = {
 def column(table: pa.Table, name: str) -> Any:
     """A column as an array."""
     return table.column(name).to_numpy()
-
-
-def nulls_for_nan(values: Iterable[float]) -> list[float | None]:
-    """Numbers as in a table: null for NaN."""
-    return [None if math.isnan(value) else value for value in values]
 
 
 def object_points(inputs: Inputs, side: str) -> tuple[IntArray, FloatArray]:
@@ -94,6 +89,15 @@ def matched_objects(inputs: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, 
 def coordinates(table: pa.Table) -> FloatArray:
     """The coordinates of points, (n, 3) float64 metres."""
     return np.column_stack([column(table, axis) for axis in "xyz"])
+
+
+def object_columns(objects: Objects) -> dict[str, Any]:
+    """Size and place of objects, by column of a table."""
+    columns = {"n_points": objects.n_points, "range_m": objects.range_m}
+    for i, axis in enumerate("xyz"):
+        columns[f"c{axis}"] = objects.centroid[:, i]
+        columns[f"extent_{axis}"] = objects.extent[:, i]
+    return columns
 
 
 def cut_scan(ground: pa.Table) -> CutScan:
