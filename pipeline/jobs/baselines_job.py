@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 
 def make_baselines(inputs: Inputs) -> JobResult:
     """Compare each matched object, and all object points of the two scans; the metadata hold the pair's means."""
-    from ...stages.baselines import OF_SCANS, compare_objects, compare_points, nvs
+    from ...stages.baselines import OF_SCANS, compare_points, nvs
 
     settings = inputs.settings
     selection = inputs.table("selection")
     rows: list[Row] = []
     for match, real, sim in matched_objects(inputs):
         nodes = kept_nodes(selection, match["real_id"], real, sim)
-        values = compare_objects(
-            real, sim, nodes, settings.selection.t, settings.metrics, watch=inputs.step
+        values = compare_points(
+            real.points, sim.points, settings.metrics, nodes=nodes, watch=inputs.step
         )
         rows += [_row(value, match["real_id"], match["sim_id"]) for value in values]
 
@@ -139,7 +139,7 @@ STAGE = Stage(
     name="baselines",
     takes={**MATCHED_OBJECTS, "selection": NODE_COLUMNS},
     gives=("baselines",),
-    settings=("selection", "metrics"),
+    settings=("metrics",),
     grain=Grain.PAIR,
     version=4,
     make=make_baselines,

@@ -20,7 +20,7 @@ from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
-from ...stages.baselines import compare_objects
+from ...stages.baselines import compare_points
 from ...stages.generate.perturbations import KINDS, Perturbation, perturb
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.linalg.subgraph import Subgraph
@@ -256,8 +256,9 @@ def _altered_object(before: Subgraph, names: Row, settings: Settings) -> tuple[R
     row |= vars(scored.scores)
     baselines = []
     if settings.metrics.baselines:
-        nodes = scored.selection
-        values = compare_objects(before, after, nodes, settings.selection.t, settings.metrics)
+        values = compare_points(
+            before.points, after.points, settings.metrics, nodes=scored.selection
+        )
         baselines = [
             {"baseline": value.name, "unit": value.unit, **vars(value)} for value in values
         ]
