@@ -5,7 +5,7 @@ The method on one screen is the list of stages in `pipeline/jobs/__init__.py`, a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,14 +134,18 @@ def describe(points: FloatArray, labels: IntArray, settings: Settings, n_ids: in
     return describe_objects(points[order], labels[order], n_ids)
 
 
+#: Scores of objects by real id, simulated id and how their nodes were selected.
+Memo = dict[tuple[int, int, SelectionSettings], Scores]
+
+
 def compare(
     real: PartitionedScan,
     sim: PartitionedScan,
     settings: Settings,
     *,
     memo: Memo | None = None,
-) -> PairScores:
-    """Match the objects of both sides and score them; returns matching, scores and summary.
+) -> dict[str, Number]:
+    """Match the objects of both sides and score them; returns the summary, see `summarise_pair`.
 
     Parameters
     ----------
@@ -165,11 +169,20 @@ def compare(
     real_graphs = real.subgraphs(real_id for real_id, _ in unscored)
     sim_graphs = sim.subgraphs(sim_id for _, sim_id in unscored)
     for real_id, sim_id in unscored:
-        scored = score(real_graphs[real_id], sim_graphs[sim_id], settings.selection)
-        memo[real_id, sim_id, settings.selection] = scored
-    objects = tuple(memo[*pair, settings.selection] for pair in matching.pairs)
-
-    return PairScores(matching, objects, _summarise(real, sim, matching, objects))
+        _, scores = score(real_graphs[real_id], sim_graphs[sim_id], settings.selection)
+        memo[real_id, sim_id, settings.selection] = scores
+    objects = [memo[*pair, settings.selection] for pair in matching.pairs]
+    columns = {"centroid_distance_m": matching.distance_m}
+    for name in OBJECT_METRICS:
+        if name not in columns:
+            columns[name] = np.array([getattr(scores, name) for scores in objects], np.float64)
+    return summarise_pair(
+        columns,
+        [scores.status for scores in objects],
+        real.objects.range_m[matching.real_ids],
+        real.objects.range_m[matching.not_found],
+        sim.objects.range_m[matching.extra],
+    )
 
 
 def match_objects(
@@ -192,7 +205,7 @@ def match_objects(
     return match_communities(real, sim, settings.matching)
 
 
-def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredObject:
+def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> tuple[Selection, Scores]:
     """The aligned nodes that stand for one object on both sides (Algorithm 2), and the scores of the object.
 
     Parameters
@@ -200,17 +213,8 @@ def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredO
     real, sim : the object on both sides, at least one point each
     settings : diffusion time
     """
-    selection = select_nodes(real, sim, settings)
-    return ScoredObject(selection, score_object(real, sim, selection))
-
-
-def n_communities(summary: Mapping[str, Number]) -> dict[str, int]:
-    """Number of objects of each side, by column of `pairs`; the few points of a missing object do not count."""
-    n_matched = int(summary["n_matched"] or 0)
-    return {
-        "n_communities_real": n_matched + int(summary["n_not_found"] or 0),
-        "n_communities_sim": n_matched + int(summary["n_extra"] or 0),
-    }
+    nodes = select_nodes(real, sim, settings)
+    return nodes, score_object(real, sim, nodes)
 
 
 def graph_of(points: FloatArray, settings: Settings) -> Subgraph:
@@ -252,52 +256,3 @@ class PartitionedScan:
             return {}
         ids = np.arange(len(self.points), dtype=np.int32)
         return split_by_community(ids, self.points, self.edges, self.labels, chosen)
-
-
-@dataclass(frozen=True)
-class ScoredObject:
-    """One matched object: its aligned nodes, by index into its subgraphs, and its scores."""
-
-    selection: Selection
-    scores: Scores
-
-
-#: Scored objects by real id, simulated id and how their nodes were selected.
-Memo = dict[tuple[int, int, SelectionSettings], ScoredObject]
-
-
-@dataclass(frozen=True)
-class PairScores:
-    """Result of comparing two sides.
-
-    matching : of their objects
-    objects : scored objects, in the order of `matching.real_ids`
-    summary : counts, match rate, median ranges, mean and standard deviation of each score; see `summarise_pair`
-    """
-
-    matching: Matching
-    objects: tuple[ScoredObject, ...]
-    summary: dict[str, Number]
-
-
-def _summarise(
-    real: PartitionedScan,
-    sim: PartitionedScan,
-    matching: Matching,
-    objects: tuple[ScoredObject, ...],
-) -> dict[str, Number]:
-    """The summary of a pair, from the scores of its objects."""
-    scores: dict[str, FloatArray] = {}
-    for name in OBJECT_METRICS:
-        if name == "centroid_distance_m":
-            scores[name] = matching.distance_m
-        else:
-            values = [getattr(scored.scores, name) for scored in objects]
-            scores[name] = np.array(values, dtype=np.float64)
-    return summarise_pair(
-        scores,
-        [scored.scores.status for scored in objects],
-        real.objects.range_m[matching.real_ids],
-        real.objects.range_m[matching.not_found],
-        sim.objects.range_m[matching.extra],
-    )

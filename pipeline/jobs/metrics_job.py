@@ -7,9 +7,7 @@ import pyarrow as pa
 
 from ...schemas.columns import Row
 from ...schemas.metric_catalogue import OBJECT_METRICS
-from ...schemas.results import Number
 from ...stages.arrays import FloatArray
-from ...stages.method import n_communities
 from ...stages.metrics import score_object
 from ...stages.summary import summarise_pair
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage, Tables
@@ -45,14 +43,14 @@ def gather_metrics(inputs: Inputs, tables: Tables) -> Metadata:
         range_m: FloatArray = column(inputs.table("objects", side), "range_m")[ids]
         return range_m
 
-    summary: dict[str, Number] = summarise_pair(
+    summary = summarise_pair(
         {metric: metrics.column(metric).to_numpy() for metric in OBJECT_METRICS},
         metrics.column("status").to_pylist(),
         range_of("real", "matched"),
         range_of("real", "not_found"),
         range_of("sim", "extra"),
     )
-    return {OF_PAIR: summary | n_communities(summary)}
+    return {OF_PAIR: summary}
 
 
 STAGE = Stage(

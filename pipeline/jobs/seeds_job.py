@@ -14,7 +14,7 @@ import numpy as np
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.settings import Settings
-from ...stages.method import PartitionedScan, compare, n_communities, partition
+from ...stages.method import PartitionedScan, compare, partition
 from ...stages.statistics.spread import spread
 from ...stages.summary import mean_and_std
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
@@ -79,8 +79,7 @@ def _repeat(inputs: Inputs, seed: int) -> Metadata:
                 annotation=annotation(inputs, side),
             )
     with inputs.step("scores"):
-        summary = compare(scans["real"], scans["sim"], settings).summary
-    return n_communities(summary) | summary
+        return compare(scans["real"], scans["sim"], settings)
 
 
 def _is_wanted(settings: Settings) -> bool:

@@ -20,7 +20,7 @@ from ...schemas.errors import SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
 from ...schemas.tables import TABLES
-from ...stages.method import Memo, compare, n_communities, partition
+from ...stages.method import Memo, compare, partition
 from ...stages.plausibility import ScanInspection
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
@@ -89,7 +89,13 @@ PARAMETERS = {
     ),
 }
 _NAMES = list(PARAMETERS)
-_SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
+_SUMMARY = (
+    "n_communities_real",
+    "n_communities_sim",
+    "n_matched",
+    "match_rate",
+    *(f"{metric}_mean" for metric in OBJECT_METRICS),
+)
 
 
 def evaluate_pair(
@@ -118,9 +124,8 @@ def evaluate_pair(
         memo: Memo = {}
         for parameters in of_graph:
             used = with_parameters(settings, parameters)
-            summary = compare(real, sim, used, memo=memo).summary
+            summary = compare(real, sim, used, memo=memo)
             row: Row = {"pair_id": pair.pair_id, **parameters._asdict()}
-            row |= n_communities(summary)
             row |= {name: summary[name] for name in _SUMMARY}
             rows.append(row)
     inspections = {}

@@ -29,7 +29,6 @@ from ...stages.method import (
     compare,
     describe,
     graph_of,
-    n_communities,
     partition,
     score,
 )
@@ -231,9 +230,9 @@ def _altered_scan(scan: PartitionedScan, names: Row, settings: Settings) -> Row:
         communities = settings.communities.model_copy(update={"seed": names["seed"] % 2**31})
         used = settings.model_copy(update={"communities": communities})
     altered_scan = partition(altered, used, reference=scan.reference)
-    summary = compare(scan, altered_scan, settings).summary  # the unaltered scan is the real side
+    summary = compare(scan, altered_scan, settings)  # the unaltered scan is the real side
     row |= {name: summary[name] for name in _SUMMARY}
-    row["n_communities_altered"] = n_communities(summary)["n_communities_sim"]
+    row["n_communities_altered"] = summary["n_communities_sim"]
     return row
 
 
@@ -252,13 +251,11 @@ def _altered_object(before: Subgraph, names: Row, settings: Settings) -> tuple[R
     offset = altered.mean(axis=0) - before.points.mean(axis=0)
     row["centroid_distance_m"] = float(np.linalg.norm(offset))
     after = graph_of(altered, settings)
-    scored = score(before, after, settings.selection)
-    row |= vars(scored.scores)
+    nodes, scores = score(before, after, settings.selection)
+    row |= vars(scores)
     baselines = []
     if settings.metrics.baselines:
-        values = compare_points(
-            before.points, after.points, settings.metrics, nodes=scored.selection
-        )
+        values = compare_points(before.points, after.points, settings.metrics, nodes=nodes)
         baselines = [
             {"baseline": value.name, "unit": value.unit, **vars(value)} for value in values
         ]
