@@ -67,9 +67,16 @@ def pair_scans(inputs: Inputs) -> PairScans:
     """Both sides of the pair, from the tables ground and sensor."""
     from ...stages.causes.sides import PairScans
 
-    moved = inputs.metadata("ground", "sim").get("T_real_sim")
-    T_real_sim = transform_of(moved)
-    return PairScans(_side(inputs, "real"), _side(inputs, "sim", T_real_sim))
+    settings = inputs.settings.input
+    sides = []
+    for side in SIDES:
+        T_real_sim = transform_of(inputs.metadata("ground", side).get("T_real_sim"))
+        ground = inputs.table("ground", side)
+        sensor = _sensor(inputs, side)
+        sides.append(
+            side_of(ground, sensor, T_real_sim, settings.sensor_position, settings.voxel_m)
+        )
+    return PairScans(*sides)
 
 
 def pose_of(metadata: dict[str, Any]) -> Pose | None:
@@ -85,17 +92,6 @@ def pose_of(metadata: dict[str, Any]) -> Pose | None:
         Displacement(np.array(displacement["values"]), displacement["seam_deg"]),
         pose["elevation_scale"],
         SensorDescription(**pose["sensor"]),
-    )
-
-
-def _side(inputs: Inputs, side: str, T_real_sim: FloatArray | None = None) -> Side:
-    settings = inputs.settings.input
-    return side_of(
-        inputs.table("ground", side),
-        _sensor(inputs, side),
-        T_real_sim,
-        settings.sensor_position,
-        settings.voxel_m,
     )
 
 

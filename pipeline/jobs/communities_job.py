@@ -14,7 +14,7 @@ from .points_job import (
     ANNOTATED_COLUMNS,
     EDGE_COLUMNS,
     POINT_COLUMNS,
-    annotation,
+    annotation_in,
     column,
     graph_edges,
     object_columns,
@@ -29,7 +29,7 @@ def make_communities(inputs: Inputs) -> JobResult:
     graph, or from the real side's objects where the settings say so.
     """
     point_ids, points = object_points(inputs, inputs.part)
-    noted = annotation(inputs, inputs.part)
+    noted = annotation_in(inputs.table("ground", inputs.part))
     reference = None
     if ("communities", "real") in inputs.tables:
         labels = column(inputs.table("communities", "real"), "community_id")

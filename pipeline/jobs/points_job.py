@@ -41,13 +41,8 @@ def object_points(inputs: Inputs, side: str) -> tuple[IntArray, FloatArray]:
     return inputs.memo(points_in, inputs.table("ground", side))
 
 
-def annotation(inputs: Inputs, side: str) -> Annotation:
-    """Labels and instances of the object points of a side, where the input has them."""
-    return annotation_in(inputs.table("ground", side))
-
-
 def annotation_in(ground: pa.Table) -> Annotation:
-    """See `annotation`."""
+    """Labels and instances of the object points of a side, where the input has them."""
     ground = ground.select(("is_ground", "label", "instance"))
     ground = ground.filter(pa.array(~column(ground, "is_ground")))
     labels, instances = ground.column("label"), ground.column("instance")

@@ -20,7 +20,7 @@ from ...stages.summary import mean_and_std
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.table_files import JobRecord
 from . import communities_job
-from .points_job import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, graph_edges, object_points
+from .points_job import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation_in, graph_edges, object_points
 
 
 def make_seeds(inputs: Inputs) -> JobResult:
@@ -76,7 +76,7 @@ def _repeat(inputs: Inputs, seed: int) -> Metadata:
                 settings,
                 edges=edges,
                 reference=real,
-                annotation=annotation(inputs, side),
+                annotation=annotation_in(inputs.table("ground", side)),
             )
     with inputs.step("scores"):
         return compare(scans["real"], scans["sim"], settings)

@@ -282,7 +282,7 @@ def _stray_amount(real: Side, sim: Side) -> Amount:
     if (
         not real.sensor.elevation_deg and not sim.sensor.elevation_deg
     ):  # the sensor may be elsewhere
-        return Amount(None, reason=_why_unknown(real.sensor, sim.sensor, "elevation_deg"))
+        return _unknown(real.sensor, sim.sensor, "elevation_deg")
     real_share = _stray_share(real)
     sim_share = _stray_share(sim)
     return _difference(real_share, sim_share, abs(sim_share - real_share))
@@ -335,10 +335,9 @@ def _sensor_amounts(
 ) -> dict[str, Amount]:
     """Amounts that follow from the descriptions of both sensors."""
     a, b = real.sensor, sim.sensor
-    unknown_step = _why_unknown(a, b, "azimuth_step_deg")
-    step = _known_difference(a.azimuth_step_deg, b.azimuth_step_deg, unknown_step)
-    azimuth_noise = _known_difference(a.azimuth_noise_deg, b.azimuth_noise_deg, unknown_step)
-    range_steps = Amount(None, reason=_why_unknown(a, b, "elevation_deg"))
+    step = _known_difference(a, b, "azimuth_step_deg")
+    azimuth_noise = _known_difference(a, b, "azimuth_noise_deg", "azimuth_step_deg")
+    range_steps = _unknown(a, b, "elevation_deg")
     if b.elevation_deg:
         range_steps = _difference(a.range_quantum_m or 0.0, b.range_quantum_m or 0.0)
     return {
@@ -356,15 +355,23 @@ def _noise_amount(real: SensorDescription, sim: SensorDescription) -> Amount:
     """Difference between the lower estimate of one side and the upper one of the other; 0 if they overlap."""
     real_m, sim_m = noise_bounds(real), noise_bounds(sim)
     if real_m is None or sim_m is None:
-        return Amount(None, reason=_why_unknown(real, sim, "range_noise_m"))
+        return _unknown(real, sim, "range_noise_m")
     amount = max(sim_m[0] - real_m[1], 0.0) + min(sim_m[1] - real_m[0], 0.0)
     return Amount(amount, real_m[1], sim_m[1])
 
 
-def _known_difference(real: float | None, sim: float | None, reason: str) -> Amount:
-    if real is None or sim is None:
-        return Amount(None, real, sim, reason=reason)
-    return _difference(real, sim)
+def _known_difference(
+    real: SensorDescription, sim: SensorDescription, field: str, cause: str | None = None
+) -> Amount:
+    """Difference of a property of both sensors, unknown for the reason of another one if `cause` is given."""
+    values = getattr(real, field), getattr(sim, field)
+    if None in values:
+        return replace(_unknown(real, sim, cause or field), real=values[0], sim=values[1])
+    return _difference(*values)
+
+
+def _unknown(real: SensorDescription, sim: SensorDescription, field: str) -> Amount:
+    return Amount(None, reason=_why_unknown(real, sim, field))
 
 
 def _why_unknown(real: SensorDescription, sim: SensorDescription, field: str) -> str:
@@ -386,8 +393,7 @@ def _with_share(amount: Amount, whole: float) -> Amount:
 def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
     """Noise of the elevations; if the simulated beams cannot be recognised, from their phase or from the road."""
     a, b = real.sensor, sim.sensor
-    reason = _why_unknown(a, b, "elevation_deg")
-    known = _known_difference(a.elevation_noise_deg, b.elevation_noise_deg, reason)
+    known = _known_difference(a, b, "elevation_noise_deg", "elevation_deg")
     grid = grid_of(a)
     if known.amount is not None or grid is None:
         return known
@@ -409,7 +415,7 @@ def _beam_amount(real: Side, sim: Side, explained: Explained) -> Amount:
     n_real = len(real.sensor.elevation_deg)
     n_sim = len(sim.sensor.elevation_deg)
     if not n_real:
-        return Amount(None, reason=_why_unknown(real.sensor, sim.sensor, "elevation_deg"))
+        return _unknown(real.sensor, sim.sensor, "elevation_deg")
     n_dead = len(explained.dead)
     if explained.exchanged and n_sim > n_real:
         n_sim = n_real
@@ -421,7 +427,7 @@ def _beam_amount(real: Side, sim: Side, explained: Explained) -> Amount:
 
 def _exchanged_amount(real: Side, sim: Side, explained: Explained) -> Amount:
     if not real.sensor.elevation_deg:
-        return Amount(None, reason=_why_unknown(real.sensor, sim.sensor, "elevation_deg"))
+        return _unknown(real.sensor, sim.sensor, "elevation_deg")
     return Amount(2.0 * len(explained.exchanged), share=float(explained.sim.mean()))
 
 
