@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...schemas.columns import Row
-from ...schemas.metric_catalogue import BASELINES, METRIC
+from ...schemas.metric_catalogue import BASELINES
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
 from ...stages.summary import mean_and_std
@@ -68,35 +68,30 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dic
     for record in records:
         for mean in record.metadata["means"]:
             groups.setdefault((mean["level"], mean["baseline"]), []).append(mean)
+    steps = [dict(record.steps) for record in records]
     summary = []
     timed = set()
     for level, metric in product((OF_OBJECTS, OF_SCAN), BASELINES):
         pairs = groups.get((level, metric.column))
         if not pairs:
             continue
-        n = sum(pair["n"] for pair in pairs)
-        n_null = sum(pair["n_null"] for pair in pairs)
-        row = summary_row(metric.column, level, [pair["mean"] for pair in pairs], n, n_null)
+        mean, std = mean_and_std(np.array([pair["mean"] for pair in pairs], dtype=np.float64))
         step = _step(metric.method, level)
-        if step not in timed:
-            timed.add(step)
-            row["seconds"] = _mean_seconds(records, step)
-        summary.append(row)
+        seconds = [of_job[step] for of_job in steps if step in of_job and step not in timed]
+        timed.add(step)
+        summary.append(
+            {
+                "baseline": metric.column,
+                "level": level,
+                "unit": metric.unit,
+                "mean": mean,
+                "std": std,
+                "n": sum(pair["n"] for pair in pairs),
+                "n_null": sum(pair["n_null"] for pair in pairs),
+                "seconds": sum(seconds) / len(seconds) if seconds else None,
+            }
+        )
     return {"baselines": summary}
-
-
-def _mean_seconds(records: Iterable[JobRecord], step: str) -> float | None:
-    """Mean seconds of a step over the jobs that have it."""
-    steps = [dict(record.steps) for record in records]
-    seconds = [of_job[step] for of_job in steps if step in of_job]
-    return sum(seconds) / len(seconds) if seconds else None
-
-
-def summary_row(name: str, level: str, of_pairs: list[float | None], n: int, n_null: int) -> Row:
-    """A row of the record, as `BaselineSummary` has it, from the values of the pairs."""
-    mean, std = mean_and_std(np.array(of_pairs, dtype=np.float64))
-    both = {"baseline": name, "level": level, "unit": METRIC[name].unit, "mean": mean, "std": std}
-    return both | {"n": n, "n_null": n_null, "seconds": None}
 
 
 def _is_wanted(settings: Settings) -> bool:

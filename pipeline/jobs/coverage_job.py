@@ -26,7 +26,7 @@ def make_coverage(inputs: Inputs) -> JobResult:
         objects = cover(distance_m, labels, n_objects, is_road)
         whole = cover(distance_m, np.zeros_like(labels), is_road=is_road)
         parts.append(_columns(objects) | {"side": side, "community_id": np.arange(n_objects)})
-        parts.append(_columns(whole) | {"side": side, "community_id": None})
+        parts.append(_columns(whole) | {"side": side})
         for reach, share in zip(COVERAGE_REACHES, whole.covered[0].tolist(), strict=True):
             of_pair[f"covered_{side}_{reach}"] = share
     return JobResult({"coverage": inputs.columns("coverage", *parts)}, {OF_PAIR: of_pair})

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ...stages.objects import Objects
@@ -57,28 +58,22 @@ def graph_edges(inputs: Inputs, side: str) -> Edges:
     return edges_in(object_points(inputs, side)[0], inputs.table("graph", side))
 
 
-def _matched_rows(inputs: Inputs) -> list[dict[str, Any]]:
-    """The rows of `matching` of the objects that the job is about: for grain OBJECT those of its batch, else all."""
+def matched_objects(inputs: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, Subgraph]]:
+    """The objects that the job is about: each with its row of `matching`, and as a subgraph of both sides.
+
+    For grain OBJECT they are those of its batch, else all.
+    """
     matching = inputs.table("matching")
+    graphs = []
+    for side in SIDES:
+        tables = [inputs.table(name, side) for name in ("ground", "graph", "communities")]
+        with inputs.step("subgraphs"):
+            graphs.append(inputs.memo(_matched_subgraphs, *tables, matching, f"{side}_id"))
     matched = _matched(matching)
     if inputs.objects:
         matched = matched.filter(pa.array(np.isin(column(matched, "real_id"), inputs.objects)))
-    rows: list[dict[str, Any]] = matched.to_pylist()
-    return rows
-
-
-def matched_subgraphs(inputs: Inputs, side: str) -> dict[int, Subgraph]:
-    """All matched objects of a side, by community id."""
-    tables = [inputs.table(name, side) for name in ("ground", "graph", "communities")]
-    with inputs.step("subgraphs"):
-        return inputs.memo(_matched_subgraphs, *tables, inputs.table("matching"), f"{side}_id")
-
-
-def matched_objects(inputs: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, Subgraph]]:
-    """The objects that the job is about: each with its row of `matching`, and as a subgraph of both sides."""
-    real, sim = matched_subgraphs(inputs, "real"), matched_subgraphs(inputs, "sim")
-    for match in _matched_rows(inputs):
-        yield match, real[match["real_id"]], sim[match["sim_id"]]
+    for match in matched.to_pylist():
+        yield match, graphs[0][match["real_id"]], graphs[1][match["sim_id"]]
 
 
 def coordinates(table: pa.Table) -> FloatArray:

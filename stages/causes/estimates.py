@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN
-from ..arrays import BoolArray, IndexArray
+from ..arrays import BoolArray, FloatArray, IndexArray
 from ..rays import grid_of
 from ..sensor_description import SensorDescription
 from ..trust import BEAMS, FRAME, ONE_SWEEP, RETURNS, SAME_SWEEPS
@@ -154,14 +154,11 @@ def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | N
         amounts["elevation scale"] = pose.elevation_scale
     if base.sensor.elevation_deg:
         explained = explain_directions(base, aligned)
-        of_beams = {
-            "beams": _beam_amount(base, aligned, explained),
-            "elevation noise": _elevation_noise(base, aligned, sim),
-            "exchanged beams": _exchanged_amount(base, aligned, explained),
-        }
-        for name, amount in of_beams.items():
-            if amount.amount is not None:
-                amounts[name] = amount.amount
+        of_sensor = _sensor_amounts(base, aligned, sim, explained)
+        for name in ("beams", "elevation noise", "exchanged beams"):
+            amount = of_sensor[name].amount
+            if amount is not None:
+                amounts[name] = amount
     doubts = doubts_of(base.sensor, sim.sensor)
     certain = [name for name in amounts if doubts.keys().isdisjoint(CAUSES[name].needs)]
     return pose, {name: amounts[name] for name in certain}
@@ -195,32 +192,24 @@ def _pose_amounts(pose: Pose, real: Side, sim: Side, best_case_m: float) -> dict
     rescaled = undo_elevation_scale(points, pose.elevation_scale or 0.0)
     after_m = mean_apart(real.tree, displacement.undo(rescaled, is_low))
     whole = displacement.of(rescaled, is_low)
+
+    def share_of(before: FloatArray) -> float:
+        """Part of the distance of these points, over the best case, that the rest of the pose removes."""
+        gain_m = mean_apart(real.tree, before) - after_m
+        return gain_m / (gain_m + max(after_m - best_case_m, 0.0)) if gain_m > 0 else 0.0
+
     amounts = {}
     for i, name in enumerate(PARAMETERS):
         without = displacement.without(i)
         moved_m = np.linalg.norm(whole - without.of(rescaled, is_low), axis=1)
         share = 0.0
         if moved_m.mean() > _LEAST_MOVED_M:
-            with_it_m = mean_apart(real.tree, without.undo(rescaled, is_low))
-            share = _part_of(with_it_m - after_m, after_m - best_case_m)
+            share = share_of(without.undo(rescaled, is_low))
         amounts[name] = Amount(float(displacement.values[i]), share=share)
-    if pose.elevation_scale is None:
-        amounts["elevation scale"] = Amount(
-            None,
-            reason="the beams of both sides do not correspond",
-        )
-    else:
-        with_it_m = mean_apart(real.tree, displacement.undo(points, is_low))
-        share = _part_of(with_it_m - after_m, after_m - best_case_m)
-        amounts["elevation scale"] = Amount(pose.elevation_scale, share=share)
-    return amounts
-
-
-def _part_of(gain_m: float, left_m: float) -> float:
-    """Part of the distance before a gain that the gain removes; 0 if there is no gain."""
-    if gain_m <= 0.0:
-        return 0.0
-    return gain_m / (gain_m + max(left_m, 0.0))
+    scale = Amount(None, reason="the beams of both sides do not correspond")
+    if pose.elevation_scale is not None:
+        scale = Amount(pose.elevation_scale, share=share_of(displacement.undo(points, is_low)))
+    return amounts | {"elevation scale": scale}
 
 
 def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
