@@ -14,6 +14,7 @@ from ...stages.arrays import FloatArray, transform_of
 from ...stages.causes.estimates import Amount, estimate
 from ...stages.causes.sides import PairScans, recorded_side
 from ...stages.method import remove_road
+from ...stages.pieces import CutScan
 from ...stages.sensor_description import SensorDescription
 from ...stages.statistics.comparison import blocks_of
 from ..datasets.pairs import ScanPair
@@ -97,18 +98,14 @@ class CauseSamples:
         position, voxel_m = settings.sensor_position, settings.voxel_m
         return PairScans(
             recorded_side(
-                real.points,
-                real_cut.is_ground,
-                real_cut.height_m,
+                CutScan(real.points, real_cut.is_ground, real_cut.height_m),
                 sensors["real"],
                 None,
                 position,
                 voxel_m,
             ),
             recorded_side(
-                sim.points,
-                sim_cut.is_ground,
-                sim_cut.height_m,
+                CutScan(sim.points, sim_cut.is_ground, sim_cut.height_m),
                 sensors["sim"],
                 T_real_sim,
                 position,

@@ -26,7 +26,8 @@ from ..stage import (
     JobResult,
     Stage,
 )
-from .causes_job import POINT_COLUMNS, pair_scans, pose_of
+from .causes_job import pair_scans, pose_of
+from .points_job import CUT_COLUMNS
 
 SEED = 20240917  #: of corrections at random
 
@@ -82,7 +83,7 @@ def _is_wanted(settings: Settings) -> bool:
 
 STAGE = Stage(
     name="gains",
-    takes={"ground": POINT_COLUMNS, "sensor": (), "causes": ("cause", "amount")},
+    takes={"ground": CUT_COLUMNS, "sensor": (), "causes": ("cause", "amount")},
     gives=("gains",),
     settings=("input",),
     grain=Grain.PAIR,

@@ -20,14 +20,14 @@ from ...stages.arrays import FloatArray, IntArray, transform_of
 from ...stages.causes.estimates import estimate_between
 from ...stages.causes.gain import Shares, changes
 from ...stages.causes.pose import fit_pose
-from ...stages.causes.sides import Side
+from ...stages.causes.sides import Side, recorded_side
 from ...stages.frame_search import FrameCheck
 from ...stages.sensor_description import SensorDescription
 from ...stages.statistics.comparison import block_means
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
-from ..jobs.causes_job import POINT_COLUMNS, side_of
 from ..jobs.gains_job import SEED
+from ..jobs.points_job import CUT_COLUMNS, cut_scan
 from ..stage import FRAMES
 from ..storage.folder import RunFolder
 from ..storage.run_record import read_run
@@ -189,13 +189,13 @@ def measure_between(task: _PairTask) -> dict[str, float]:
 def _sim_side(folder: Path, pair_id: str) -> Side:
     """The simulated side of a pair of a run."""
     store = RunFolder(folder)
-    ground = store.read_table("ground", pair_id, "sim", list(POINT_COLUMNS))
+    ground = store.read_table("ground", pair_id, "sim", list(CUT_COLUMNS))
     jobs = store.ledger.jobs(pair_id)
     sensor = SensorDescription(**jobs["sensor", "sim"].metadata["sensor"])
     moved = jobs["ground", "sim"].metadata["T_real_sim"]
     settings = read_run(folder)["settings"]["input"]
-    return side_of(
-        ground,
+    return recorded_side(
+        cut_scan(ground),
         sensor,
         transform_of(moved),
         settings.get("sensor_position"),

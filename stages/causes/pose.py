@@ -49,6 +49,7 @@ def fit_pose(real: Side, sim: Side) -> tuple[Pose, Side] | None:
         return None
     aligned = replace(sim, points=displacement.undo(sim.points, sim.moves_with_road))
     scale = elevation_scale(real, sim)
+    confirmed = None if scale is None else 0.0
     if scale is not None and abs(scale) >= _LEAST_SCALE:
         points = undo_elevation_scale(sim.points, scale)
         other = fit_displacement(real.tree, cKDTree(points), real.moves_with_road)
@@ -56,14 +57,8 @@ def fit_pose(real: Side, sim: Side) -> tuple[Pose, Side] | None:
             rescaled = replace(sim, points=other.undo(points, sim.moves_with_road))
             distance_m = surface_distance(real.tree, aligned.tree)
             if surface_distance(real.tree, rescaled.tree) < _BETTER * distance_m:
-                return _posed(real, rescaled, other, scale)
-    return _posed(real, aligned, displacement, None if scale is None else 0.0)
-
-
-def _posed(
-    real: Side, aligned: Side, displacement: Displacement, scale: float | None
-) -> tuple[Pose, Side]:
-    pose = Pose(displacement, scale, _described(real, aligned))
+                displacement, aligned, confirmed = other, rescaled, scale
+    pose = Pose(displacement, confirmed, _described(real, aligned))
     return pose, replace(aligned, sensor=pose.sensor)
 
 
