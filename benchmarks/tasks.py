@@ -278,7 +278,7 @@ def prepare(points, real=None):
 def scored(real, points):
     """Scores and gaps of a simulated scan: the numbers of `fidpipe run`, without the stages that are not needed."""
     sim = prepare(points, real)
-    summary = compare(real.objects, sim.objects, SETTINGS).summary
+    summary = compare(real.objects, sim.objects, SETTINGS)
     row = {name: summary[name] for name in SCORES if name in summary}
     row["found"] = summary["n_matched"] / (summary["n_matched"] + summary["n_not_found"])
     both = (real.objects.points, sim.objects.points)

@@ -24,8 +24,9 @@ from flawed_scans import ALL, Scan, find_car, find_poles, ray_noise
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
 from fidpipe.pipeline.diagnose.tell_apart import Frame, compare_samples, draw_sample
 from fidpipe.schemas.settings import load
+from fidpipe.stages.coverage import cover, nearest_distances
 from fidpipe.stages.diagnose import tell_apart as classifier
-from fidpipe.stages.method import measure_coverage, remove_road
+from fidpipe.stages.method import remove_road
 from fidpipe.stages.pieces import CutScan, find_pieces
 from fidpipe.stages.rays import find_rays, score_rays
 from fidpipe.stages.sensor_description import describe_sensor
@@ -83,14 +84,10 @@ def scores(real, sim):
     """Scores of a pair that need no objects."""
     both = (real, sim)
     points = [own[~cut.is_ground] for own, cut in both]
-    ids = [np.zeros(len(own), dtype=np.int32) for own in points]
-    covered = measure_coverage(
-        points, ids, (1, 1), [(cut.axis, cut.threshold_m) for _, cut in both]
-    )
-    values = {
-        f"covered {side}": whole.covered[0, 1]
-        for side, (_, whole) in zip(("real", "sim"), covered, strict=True)
-    }
+    values = {}
+    for side, distance_m in zip(("real", "sim"), nearest_distances(*points), strict=True):
+        whole = cover(distance_m, np.zeros(len(distance_m), dtype=np.int32))
+        values[f"covered {side}"] = whole.covered[0, 1]
     surfaces = [describe_surface(own) for own in points]
     values |= compare_roughness(*surfaces) | {"shift": measure_offsets(*surfaces).distance_m[0]}
     pieces = find_pieces(

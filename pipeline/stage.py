@@ -17,8 +17,9 @@ from typing import Any, TypeVar
 
 import pyarrow as pa
 
-from ..schemas.columns import SIDES
+from ..schemas.columns import SIDES, Row
 from ..schemas.settings import Settings
+from ..schemas.tables import TABLES
 from .datasets.readers.scan import Scan
 from .storage.table_files import JobRecord
 
@@ -198,3 +199,17 @@ class Inputs:
     def metadata(self, name: str, side: str = "") -> Metadata:
         """Metadata of the job that made a table; `KeyError` for a table or side that is not declared."""
         return self.outputs[name, side]
+
+    def rows(self, name: str, rows: Iterable[Row]) -> pa.Table:
+        """A table of the pair, or of the side, from its rows without these; sorted by its keys."""
+        return TABLES[name].from_rows(self._of_file | row for row in rows)
+
+    def columns(self, name: str, *parts: Row) -> pa.Table:
+        """A table of the pair, or of the side, from the columns of its parts without these, in their order."""
+        table = TABLES[name]
+        built = [table.build(self._of_file | part) for part in parts]
+        return pa.concat_tables([table.schema.empty_table(), *built]).combine_chunks()
+
+    @property
+    def _of_file(self) -> Row:
+        return {"pair_id": self.pair_id, "side": self.part}

@@ -53,14 +53,17 @@ class Table:
         return table
 
     def build(self, columns: Mapping[str, Any], n_rows: int | None = None) -> pa.Table:
-        """Build a checked table from arrays; a single string, number or None fills its column for `n_rows` rows."""
+        """Build a checked table from arrays; a single string, number or None fills its column for `n_rows` rows.
+
+        Absent columns are null, and so is NaN where the schema allows it.
+        """
         if n_rows is None:
             n_rows = next(len(value) for value in columns.values() if _is_column(value))
         arrays = []
         for field in self.schema:
-            value = columns[field.name]
+            value = columns.get(field.name)
             if _is_column(value):
-                arrays.append(pa.array(value, type=field.type, from_pandas=False))
+                arrays.append(pa.array(value, type=field.type, from_pandas=field.nullable))
             else:
                 arrays.append(pa.repeat(pa.scalar(value, type=field.type), n_rows))
         return self.check(pa.Table.from_arrays(arrays, schema=self.schema))

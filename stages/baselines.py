@@ -1,8 +1,7 @@
 """Baseline metrics: published distances of point clouds, to put the scores of an object into context.
 
-To add one: a function of two point sets (or of a matched object) and the settings, which returns its values, each with
-its name in the catalogue and with a reason if it cannot be computed; a row in `OF_POINTS`, or a line in
-`compare_objects`; and a row in the catalogue.
+To add one: a function of two point sets and the settings, which returns its values, each with its name in the
+catalogue and with a reason if it cannot be computed; a row in `OF_POINTS`; and a row in the catalogue.
 """
 
 from __future__ import annotations
@@ -21,12 +20,7 @@ from ..schemas.settings import MetricsSettings
 from .arrays import BoolArray, FloatArray, Watch, unwatched
 from .coverage import nearest_distances
 from .linalg.assignment import assign_nodes
-from .linalg.heat import heat_change
-from .linalg.laplacian import induced_laplacian
 from .linalg.nearest import nearest_points
-from .linalg.spectrum import spectral_norm
-from .linalg.subgraph import Subgraph
-from .metrics import IDENTICAL_CHANGE, MIN_NODES
 from .reference import visiting_order
 from .selection import Selection
 
@@ -70,6 +64,7 @@ def compare_points(
     sim: FloatArray,
     settings: MetricsSettings,
     *,
+    nodes: Selection | None = None,
     watch: Watch = unwatched,
 ) -> Baselines:
     """Compute the requested baseline metrics of two point sets, in the order of the settings.
@@ -77,7 +72,8 @@ def compare_points(
     Parameters
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, in one frame, at least one point each
-    settings : names and parameters; those that need a graph are left out
+    settings : names and parameters
+    nodes : of a matched object, its aligned nodes; without them `emd` is left out
     watch : entered around each baseline
 
     Examples
@@ -93,37 +89,9 @@ def compare_points(
         if name in OF_POINTS:
             with watch(name):
                 values += OF_POINTS[name](real, sim, settings)
-    return tuple(values)
-
-
-def compare_objects(
-    real: Subgraph,
-    sim: Subgraph,
-    selection: Selection,
-    t: float,
-    settings: MetricsSettings,
-    *,
-    watch: Watch = unwatched,
-) -> Baselines:
-    """Compute all requested baseline metrics of one matched object, in the order of the settings.
-
-    Parameters
-    ----------
-    real, sim : one object on both sides, at least one point each
-    selection : its aligned nodes
-    t : diffusion time of r_H
-    settings : names and parameters
-    watch : entered around each baseline
-    """
-    values: list[Baseline] = []
-    for name in settings.baselines:
-        with watch(name):
-            if name in OF_POINTS:
-                values += OF_POINTS[name](real.points, sim.points, settings)
-            elif name == "emd":
-                values += _emd(real.points, sim.points, selection, settings)
-            elif name == "r_h":
-                values.append(_r_h(real, sim, selection, t))
+        elif name == "emd" and nodes is not None:
+            with watch(name):
+                values += _emd(real, sim, nodes, settings)
     return tuple(values)
 
 
@@ -399,39 +367,6 @@ def aligned_distance(a: FloatArray, b: FloatArray) -> float:
     a, b : (n, 3) float64, metres, at least one point
     """
     return float(np.linalg.norm(a - b, axis=1).mean())
-
-
-def _r_h(real: Subgraph, sim: Subgraph, selection: Selection, t: float) -> Baseline:
-    """Bounded diffusion change of the aligned nodes; None for fewer than 3 nodes."""
-    n_keep = len(selection.real_nodes)
-    if n_keep < MIN_NODES:
-        return Baseline("r_h", None, f"{n_keep} aligned nodes, at least {MIN_NODES} are needed")
-    laplacian_real = induced_laplacian(real, selection.real_nodes)
-    laplacian_sim = induced_laplacian(sim, selection.sim_nodes)
-    return Baseline("r_h", diffusion_change(laplacian_real, laplacian_sim, t))
-
-
-def diffusion_change(
-    real: scipy.sparse.csr_matrix,
-    sim: scipy.sparse.csr_matrix,
-    t: float,
-) -> float:
-    """r_H = |dH_t|_2 / (t |dL|_2), dH_t = exp(-t L_sim) - exp(-t L_real), 0 to 1.
-
-    "Bounded diffusion change" in the source of the paper (equation "rH", commented out there,). The bound holds because
-    exp(-t .) changes by no more than t |dL| between matrices without negative eigenvalues (Duhamel's formula). The
-    norms are largest absolute eigenvalues by Lanczos iteration; that of dH_t is applied to vectors as a power series.
-    If |dL| is at most `IDENTICAL_CHANGE` the result is 0, as for r_lambda.
-
-    Parameters
-    ----------
-    real, sim : (n, n) CSR float64, normalised Laplacians, nodes aligned
-    t : diffusion time
-    """
-    change = spectral_norm(sim - real)
-    if change <= IDENTICAL_CHANGE:
-        return 0.0
-    return min(1.0, heat_change(real, sim, t) / (t * change))
 
 
 def nvs(real: FloatArray, sim: FloatArray) -> Baselines:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from .surfels import fit_planes, voxel_ids
 #: Azimuth of the seam of a sweep of which the pose is right ahead, and all seams that are tried, this one first.
 BEHIND_DEG = 180.0
 SEAMS_DEG = (BEHIND_DEG, 0.0, 90.0, -90.0)
-_COARSE_STEPS = 2
+_COARSE_REACHES_M = (1.5, 1.5)
 _CLEARLY = 0.93  # misfit of another seam, over that behind
 _IS_ANGLE = np.isin(PARAMETERS, ("roll", "pitch", "yaw"))
 _VOXEL_M = 0.5
@@ -54,7 +55,7 @@ class Displacement:
     def of(self, points: FloatArray, is_ground: BoolArray) -> FloatArray:
         """(n, 3) metres, displacement of real points."""
         values = np.where(_IS_ANGLE, np.radians(self.values), self.values)
-        return _columns(points, is_ground, self.seam_deg) @ values
+        return _displaced_by(values, _derivatives(points, is_ground, self.seam_deg))
 
     def undo(self, points: FloatArray, is_ground: BoolArray) -> FloatArray:
         """(n, 3) simulated points without the displacement: two steps of a fixed point."""
@@ -62,11 +63,7 @@ class Displacement:
         return points - self.of(place, is_ground)
 
 
-def fit_displacement(
-    real: FloatArray,
-    sim: FloatArray,
-    is_ground: BoolArray,
-) -> Displacement | None:
+def fit_displacement(real: cKDTree, sim: cKDTree, is_ground: BoolArray) -> Displacement | None:
     """Fit the displacement of the simulated surface, or None without enough planes in common.
 
     Least squares of distances along normals, point to plane (Chen and Medioni, Image Vision Comput. 1992), linear in
@@ -78,71 +75,65 @@ def fit_displacement(
 
     Parameters
     ----------
-    real, sim : (n, 3), (m, 3) float64, metres, clean points, ground included
+    real, sim : search trees of the clean points, (n, 3), (m, 3) float64, metres, ground included
+    is_ground : (n,) bool, of the real points
     """
-    order = visiting_order(real, 0)
-    _, first = np.unique(voxel_ids(real[order], _VOXEL_M), return_index=True)
+    order = visiting_order(real.data, 0)
+    _, first = np.unique(voxel_ids(real.data[order], _VOXEL_M), return_index=True)
     rows = order[np.sort(first)[:_MOST_PLACES]]
-    planes = fit_planes(real, real[rows], _NEIGHBOURS)
+    planes = fit_planes(real, real.data[rows], _NEIGHBOURS)
     l3, _, l1 = planes.variance.T
     is_plane = (l3 <= _FLAT * l1) & ~planes.is_line
-    fit = _Fit(
-        planes.mean[is_plane],
-        planes.normal[is_plane],
-        is_ground[rows[is_plane]],
-        cKDTree(sim),
-        sim,
-    )
-    values, seam_deg = _fit_coarsely(fit)
-    for reach_m in (*_REACHES_M, *[_FINE_REACH_M] * _FINE_STEPS):
-        if values is not None:
-            values = fit.step(values, seam_deg, reach_m)
+    places = planes.mean[is_plane]
+    normal = planes.normal[is_plane]
+    is_low = is_ground[rows[is_plane]]
+    values = fit = None
+    least = np.inf
+    for seam_deg in SEAMS_DEG:
+        other = _Fit(places, normal, _derivatives(places, is_low, seam_deg), sim, seam_deg)
+        start = other.steps(np.zeros(len(PARAMETERS)), _COARSE_REACHES_M)
+        misfit = np.inf if start is None else other.misfit(start)
+        if misfit < least:
+            values, fit = start, other
+            least = _CLEARLY * misfit if seam_deg == BEHIND_DEG else misfit
+    if values is None or fit is None:
+        return None
+    values = fit.steps(values, (*_REACHES_M, *[_FINE_REACH_M] * _FINE_STEPS))
     if values is None:
         return None
-    return Displacement(np.where(_IS_ANGLE, np.degrees(values), values), seam_deg)
+    return Displacement(np.where(_IS_ANGLE, np.degrees(values), values), fit.seam_deg)
 
 
-def _fit_coarsely(fit: _Fit) -> tuple[FloatArray | None, float]:
-    """Parameters after two steps, and the seam that fits best; None without enough planes in common."""
-    least = np.inf
-    best: tuple[FloatArray | None, float] = (None, BEHIND_DEG)
-    for seam_deg in SEAMS_DEG:
-        values: FloatArray | None = np.zeros(len(PARAMETERS))
-        for _ in range(_COARSE_STEPS):
-            if values is not None:
-                values = fit.step(values, seam_deg, _REACHES_M[0])
-        if values is None:
-            continue
-        misfit = fit.misfit(values, seam_deg)
-        if misfit < least:
-            best = (values, seam_deg)
-            least = _CLEARLY * misfit if seam_deg == BEHIND_DEG else misfit
-    return best
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Fit:
     """Planes of the real surface, and the simulated points that are fitted to them.
 
     places, normal : (n, 3) of each plane
-    is_ground : (n,) bool
-    tree : of the simulated points
+    derivatives : (11, 3, n) of each place by the parameters
+    sim : search tree of the simulated points
     """
 
     places: FloatArray
     normal: FloatArray
-    is_ground: BoolArray
-    tree: cKDTree
-    sim: FloatArray
+    derivatives: FloatArray
+    sim: cKDTree
+    seam_deg: float
 
-    def step(self, values: FloatArray, seam_deg: float, reach_m: float) -> FloatArray | None:
-        """Better parameters from the simulated points within reach; None if too few planes have any."""
+    def steps(self, values: FloatArray, reaches_m: Sequence[float]) -> FloatArray | None:
+        """Better parameters after a step with each reach; None if too few planes have any points within."""
+        slopes = np.einsum("pkn,nk->np", self.derivatives, self.normal)
+        for reach_m in reaches_m:
+            better = self._step(values, slopes, reach_m)
+            if better is None:
+                return None
+            values = better
+        return values
+
+    def _step(self, values: FloatArray, slopes: FloatArray, reach_m: float) -> FloatArray | None:
         is_fine = reach_m == _FINE_REACH_M
-        columns = _columns(self.places, self.is_ground, seam_deg)
-        slopes = np.einsum("nkp,nk->np", columns, self.normal)
         n_near = _NEIGHBOURS if is_fine else 1
-        distance, near = self.tree.query(
-            self.places + columns @ values,
+        distance, near = self.sim.query(
+            self.places + _displaced_by(values, self.derivatives),
             k=range(1, 1 + n_near),
             distance_upper_bound=reach_m,
         )
@@ -150,7 +141,7 @@ class _Fit:
         if len(met) < 10 * len(PARAMETERS):
             return None
         is_near = np.isfinite(distance[met])
-        total = (self.sim[np.where(is_near, near[met], 0)] * is_near[..., None]).sum(axis=1)
+        total = (self.sim.data[np.where(is_near, near[met], 0)] * is_near[..., None]).sum(axis=1)
         points = total / is_near.sum(axis=1)[:, None]
         gap = ((points - self.places[met]) * self.normal[met]).sum(axis=1)
         weighted = slopes[met] / (_NOISE_M**2 * _CORRELATED)
@@ -162,13 +153,13 @@ class _Fit:
         better: FloatArray = np.linalg.solve(information, weighted.T @ gap)
         return better
 
-    def misfit(self, values: FloatArray, seam_deg: float) -> float:
+    def misfit(self, values: FloatArray) -> float:
         """Mean distance of the simulated points from the displaced planes, each counted up to half a metre."""
-        displaced = self.places + _columns(self.places, self.is_ground, seam_deg) @ values
-        distance, near = self.tree.query(displaced, distance_upper_bound=_FINE_REACH_M)
+        displaced = self.places + _displaced_by(values, self.derivatives)
+        distance, near = self.sim.query(displaced, distance_upper_bound=_FINE_REACH_M)
         is_met = np.isfinite(distance)
         gap = np.full(len(displaced), _FINE_REACH_M)
-        offset = self.sim[near[is_met]] - displaced[is_met]
+        offset = self.sim.data[near[is_met]] - displaced[is_met]
         gap[is_met] = np.abs((offset * self.normal[is_met]).sum(axis=1))
         return float(gap.mean())
 
@@ -179,21 +170,26 @@ def _biweight(residual: FloatArray) -> FloatArray:
     return np.maximum(1.0 - (residual / (_TUKEY * spread)) ** 2, 0.0) ** 2
 
 
-def _columns(points: FloatArray, is_ground: BoolArray, seam_deg: float) -> FloatArray:
-    """(n, 3, 11) derivative of each point's position by the parameters, angles in radians."""
-    columns = np.zeros((len(points), 3, len(PARAMETERS)))
+def _derivatives(points: FloatArray, is_ground: BoolArray, seam_deg: float) -> FloatArray:
+    """(11, 3, n) derivative of each point's position by the parameters, angles in radians."""
+    derivatives = np.zeros((len(PARAMETERS), 3, len(points)))
     x, y, z = points.T
-    columns[:, [0, 1, 2], [0, 1, 2]] = 1.0
-    columns[:, 1, 3] = -z
-    columns[:, 2, 3] = y
-    columns[:, 0, 4] = z
-    columns[:, 2, 4] = -x
-    columns[:, 0, 5] = -y
-    columns[:, 1, 5] = x
-    columns[:, :, 6] = points
-    columns[:, :, 7] = points / np.maximum(np.linalg.norm(points, axis=1), 1e-9)[:, None]
+    derivatives[[0, 1, 2], [0, 1, 2]] = 1.0
+    derivatives[3, 1] = -z
+    derivatives[3, 2] = y
+    derivatives[4, 0] = z
+    derivatives[4, 2] = -x
+    derivatives[5, 0] = -y
+    derivatives[5, 1] = x
+    derivatives[6] = points.T
+    derivatives[7] = points.T / np.maximum(np.linalg.norm(points, axis=1), 1e-9)
     since_seam = np.arctan2(y, x) - np.radians(seam_deg)
     turn = np.mod(since_seam, 2 * np.pi) / (2 * np.pi) - 0.5
-    columns[:, 0, 8] = columns[:, 1, 9] = turn
-    columns[:, 2, 10] = is_ground
-    return columns
+    derivatives[8, 0] = derivatives[9, 1] = turn
+    derivatives[10, 2] = is_ground
+    return derivatives
+
+
+def _displaced_by(values: FloatArray, derivatives: FloatArray) -> FloatArray:
+    """(n, 3) displacement by parameters, angles in radians."""
+    return np.tensordot(values, derivatives, 1).T

@@ -5,7 +5,7 @@ The method on one screen is the list of stages in `pipeline/jobs/__init__.py`, a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,6 @@ from ..schemas.settings import SelectionSettings, Settings
 from .arrays import FloatArray, IntArray, Watch, unwatched
 from .clean import CleanResult, clean_scan, too_few_left
 from .communities import find_communities
-from .coverage import Coverage, below_cut, cover, nearest_distances
 from .graph import build_graph
 from .ground import MIN_OBJECT_POINTS, GroundResult, remove_ground
 from .linalg.subgraph import Edges, Subgraph, adjacency, split_by_community
@@ -33,7 +32,6 @@ from .reference import (
 )
 from .selection import Selection, select_nodes
 from .summary import summarise_pair
-from .surface import Offsets, compare_roughness, describe_surface, measure_offsets
 
 
 def remove_road(
@@ -136,14 +134,18 @@ def describe(points: FloatArray, labels: IntArray, settings: Settings, n_ids: in
     return describe_objects(points[order], labels[order], n_ids)
 
 
+#: Scores of objects by real id, simulated id and how their nodes were selected.
+Memo = dict[tuple[int, int, SelectionSettings], Scores]
+
+
 def compare(
     real: PartitionedScan,
     sim: PartitionedScan,
     settings: Settings,
     *,
     memo: Memo | None = None,
-) -> PairScores:
-    """Match the objects of both sides and score them; returns matching, scores and summary.
+) -> dict[str, Number]:
+    """Match the objects of both sides and score them; returns the summary, see `summarise_pair`.
 
     Parameters
     ----------
@@ -167,11 +169,20 @@ def compare(
     real_graphs = real.subgraphs(real_id for real_id, _ in unscored)
     sim_graphs = sim.subgraphs(sim_id for _, sim_id in unscored)
     for real_id, sim_id in unscored:
-        scored = score(real_graphs[real_id], sim_graphs[sim_id], settings.selection)
-        memo[real_id, sim_id, settings.selection] = scored
-    objects = tuple(memo[*pair, settings.selection] for pair in matching.pairs)
-
-    return PairScores(matching, objects, _summarise(real, sim, matching, objects))
+        _, scores = score(real_graphs[real_id], sim_graphs[sim_id], settings.selection)
+        memo[real_id, sim_id, settings.selection] = scores
+    objects = [memo[*pair, settings.selection] for pair in matching.pairs]
+    columns = {"centroid_distance_m": matching.distance_m}
+    for name in OBJECT_METRICS:
+        if name not in columns:
+            columns[name] = np.array([getattr(scores, name) for scores in objects], np.float64)
+    return summarise_pair(
+        columns,
+        [scores.status for scores in objects],
+        real.objects.range_m[matching.real_ids],
+        real.objects.range_m[matching.not_found],
+        sim.objects.range_m[matching.extra],
+    )
 
 
 def match_objects(
@@ -194,61 +205,7 @@ def match_objects(
     return match_communities(real, sim, settings.matching)
 
 
-def measure_coverage(
-    points: Sequence[FloatArray],
-    labels: Sequence[IntArray],
-    n_objects: Sequence[int],
-    cuts: Sequence[tuple[FloatArray, float | None]],
-    watch: Watch = unwatched,
-) -> list[tuple[Coverage, Coverage]]:
-    """Share that the other side has, of each object and of the whole (one row), by side: real, then simulated.
-
-    Parameters
-    ----------
-    points : (n, 3) float64, metres, object points, at least one
-    labels : (n,) int32, object of each
-    n_objects : number of ids
-    cuts : axis and threshold below which a point is road to that side, see `coverage.below_cut`
-    watch : entered around the step nearest
-    """
-    with watch("nearest"):
-        distances_m = nearest_distances(points[0], points[1])
-    coverages = []
-    for i, distance_m in enumerate(distances_m):
-        is_road = below_cut(points[i], *cuts[1 - i])
-        of_objects = cover(distance_m, labels[i], n_objects[i], is_road)
-        whole = cover(distance_m, np.zeros(len(distance_m), dtype=np.int32), is_road=is_road)
-        coverages.append((of_objects, whole))
-    return coverages
-
-
-#: Displacement of the whole surface (one row) and of each real object, and roughness by column of `pairs`.
-SurfaceScores = tuple[Offsets, Offsets, dict[str, Number]]
-
-
-def measure_surface(
-    real: FloatArray,
-    sim: FloatArray,
-    real_labels: IntArray,
-    watch: Watch = unwatched,
-) -> SurfaceScores:
-    """Displacement of the whole simulated surface (one row) and of each real object; roughness by column of `pairs`.
-
-    Parameters
-    ----------
-    real, sim : (n, 3), (m, 3) float64, metres, object points, at least one
-    real_labels : (n,) int32, object of each real point
-    watch : entered around the steps planes and offset
-    """
-    with watch("planes"):
-        real_surface, sim_surface = describe_surface(real), describe_surface(sim)
-    with watch("offset"):
-        whole = measure_offsets(real_surface, sim_surface)
-        objects = measure_offsets(real_surface, sim_surface, real_labels)
-    return whole, objects, compare_roughness(real_surface, sim_surface)
-
-
-def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredObject:
+def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> tuple[Selection, Scores]:
     """The aligned nodes that stand for one object on both sides (Algorithm 2), and the scores of the object.
 
     Parameters
@@ -256,17 +213,8 @@ def score(real: Subgraph, sim: Subgraph, settings: SelectionSettings) -> ScoredO
     real, sim : the object on both sides, at least one point each
     settings : diffusion time
     """
-    selection = select_nodes(real, sim, settings)
-    return ScoredObject(selection, score_object(real, sim, selection))
-
-
-def n_communities(summary: Mapping[str, Number]) -> dict[str, int]:
-    """Number of objects of each side, by column of `pairs`; the few points of a missing object do not count."""
-    n_matched = int(summary["n_matched"] or 0)
-    return {
-        "n_communities_real": n_matched + int(summary["n_not_found"] or 0),
-        "n_communities_sim": n_matched + int(summary["n_extra"] or 0),
-    }
+    nodes = select_nodes(real, sim, settings)
+    return nodes, score_object(real, sim, nodes)
 
 
 def graph_of(points: FloatArray, settings: Settings) -> Subgraph:
@@ -308,52 +256,3 @@ class PartitionedScan:
             return {}
         ids = np.arange(len(self.points), dtype=np.int32)
         return split_by_community(ids, self.points, self.edges, self.labels, chosen)
-
-
-@dataclass(frozen=True)
-class ScoredObject:
-    """One matched object: its aligned nodes, by index into its subgraphs, and its scores."""
-
-    selection: Selection
-    scores: Scores
-
-
-#: Scored objects by real id, simulated id and how their nodes were selected.
-Memo = dict[tuple[int, int, SelectionSettings], ScoredObject]
-
-
-@dataclass(frozen=True)
-class PairScores:
-    """Result of comparing two sides.
-
-    matching : of their objects
-    objects : scored objects, in the order of `matching.real_ids`
-    summary : counts, match rate, median ranges, mean and standard deviation of each score; see `summarise_pair`
-    """
-
-    matching: Matching
-    objects: tuple[ScoredObject, ...]
-    summary: dict[str, Number]
-
-
-def _summarise(
-    real: PartitionedScan,
-    sim: PartitionedScan,
-    matching: Matching,
-    objects: tuple[ScoredObject, ...],
-) -> dict[str, Number]:
-    """The summary of a pair, from the scores of its objects."""
-    scores: dict[str, FloatArray] = {}
-    for name in OBJECT_METRICS:
-        if name == "centroid_distance_m":
-            scores[name] = matching.distance_m
-        else:
-            values = [getattr(scored.scores, name) for scored in objects]
-            scores[name] = np.array(values, dtype=np.float64)
-    return summarise_pair(
-        scores,
-        [scored.scores.status for scored in objects],
-        real.objects.range_m[matching.real_ids],
-        real.objects.range_m[matching.not_found],
-        sim.objects.range_m[matching.extra],
-    )

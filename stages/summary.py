@@ -19,6 +19,7 @@ def summarise_pair(
 ) -> dict[str, Number]:
     """Counts, match rate, median ranges, and mean and standard deviation of each object score.
 
+    The few points of a missing object do not count as an object of the simulated side.
     Nulls (NaN) are left out of means and deviations. Identical objects count with their scores: r_lambda and r_gap are
     0, the others as computed.
 
@@ -29,12 +30,12 @@ def summarise_pair(
     matched_range_m : (m,) distance of the matched real objects from the sensor
     not_found_range_m, extra_range_m : distance of the unmatched real and simulated objects from the sensor
     """
-    n_matched, n_not_found, n_extra = (
-        len(matched_range_m),
-        len(not_found_range_m),
-        len(extra_range_m),
-    )
+    n_matched = len(matched_range_m)
+    n_not_found = len(not_found_range_m)
+    n_extra = len(extra_range_m)
     summary: dict[str, Number] = {
+        "n_communities_real": n_matched + n_not_found,
+        "n_communities_sim": n_matched + n_extra,
         "n_matched": n_matched,
         "n_not_found": n_not_found,
         "n_extra": n_extra,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
+from scipy.spatial import cKDTree
 
 from .arrays import BoolArray, FloatArray, IndexArray, sums_by_id
 
@@ -40,7 +40,7 @@ class LocalPlanes:
 
 
 def fit_planes(
-    points: FloatArray,
+    surface: FloatArray | cKDTree,
     places: FloatArray,
     n_most: int,
     reach_m: float = np.inf,
@@ -53,7 +53,7 @@ def fit_planes(
 
     Parameters
     ----------
-    points : (m, 3) float64, metres
+    surface : (m, 3) float64, metres, or their search tree
     places : (n, 3) float64, metres
 
     Examples
@@ -64,6 +64,8 @@ def fit_planes(
     >>> np.abs(planes.normal).tolist(), planes.n_neighbours.tolist()
     ([[0.0, 0.0, 1.0]], [9])
     """
+    tree = surface if isinstance(surface, cKDTree) else cKDTree(surface)
+    points = tree.data
     n = len(places)
     n_most = min(n_most, len(points))
     planes = LocalPlanes(
@@ -74,7 +76,6 @@ def fit_planes(
     )
     if not n_most:
         return planes
-    tree = scipy.spatial.cKDTree(points)
     ranks = np.arange(1, n_most + 1)
     for start in range(0, n, _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)

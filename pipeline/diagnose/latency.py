@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy import stats
+from scipy.spatial import cKDTree
 
 from ...schemas.cause_catalogue import PARAMETERS
 from ...schemas.results import Cause
@@ -64,13 +65,14 @@ def speed_m_s(scan: RealScan, later: RealScan, duration_s: float) -> float:
     The motion is fitted from several starting points, as the fit reaches 1.5 m; that of the least distance counts.
     """
     points, is_ground = scan
+    tree = cKDTree(points)
     later_points, later_is_ground = later
     fits = []
     for start_m in np.arange(0.0, _FASTEST_M_S * duration_s, _STEP_M):
         ahead = later_points + np.array([start_m, 0.0, 0.0])
-        moved = fit_displacement(points, ahead, is_ground)
+        moved = fit_displacement(tree, cKDTree(ahead), is_ground)
         if moved is not None:
-            apart_m = surface_distance(points, moved.undo(ahead, later_is_ground))
+            apart_m = surface_distance(tree, cKDTree(moved.undo(ahead, later_is_ground)))
             fits.append((apart_m, start_m - float(moved.values[PARAMETERS.index(AHEAD)])))
     return min(fits)[1] / duration_s if fits else np.nan
 

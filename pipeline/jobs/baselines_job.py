@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...schemas.columns import Row
-from ...schemas.metric_catalogue import BASELINES, METRIC
+from ...schemas.metric_catalogue import BASELINES
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
-from ...schemas.tables import TABLES
 from ...stages.summary import mean_and_std
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
@@ -32,17 +31,17 @@ if TYPE_CHECKING:
 
 def make_baselines(inputs: Inputs) -> JobResult:
     """Compare each matched object, and all object points of the two scans; the metadata hold the pair's means."""
-    from ...stages.baselines import OF_SCANS, compare_objects, compare_points, nvs
+    from ...stages.baselines import OF_SCANS, compare_points, nvs
 
     settings = inputs.settings
     selection = inputs.table("selection")
     rows: list[Row] = []
     for match, real, sim in matched_objects(inputs):
         nodes = kept_nodes(selection, match["real_id"], real, sim)
-        values = compare_objects(
-            real, sim, nodes, settings.selection.t, settings.metrics, watch=inputs.step
+        values = compare_points(
+            real.points, sim.points, settings.metrics, nodes=nodes, watch=inputs.step
         )
-        rows += [_row(inputs, value, match["real_id"], match["sim_id"]) for value in values]
+        rows += [_row(value, match["real_id"], match["sim_id"]) for value in values]
 
     def watch(name: str) -> AbstractContextManager[None]:
         return inputs.step(_step(name, OF_SCAN))
@@ -54,8 +53,8 @@ def make_baselines(inputs: Inputs) -> JobResult:
         with watch(OF_SCANS):
             real_scan = coordinates(inputs.table("ground", "real"))
             values += nvs(real_scan, coordinates(inputs.table("ground", "sim")))
-    rows += [_row(inputs, value, None, None) for value in values]
-    return JobResult({"baselines": TABLES["baselines"].from_rows(rows)}, {"means": _means(rows)})
+    rows += [_row(value, None, None) for value in values]
+    return JobResult({"baselines": inputs.rows("baselines", rows)}, {"means": _means(rows)})
 
 
 def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
@@ -69,49 +68,39 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dic
     for record in records:
         for mean in record.metadata["means"]:
             groups.setdefault((mean["level"], mean["baseline"]), []).append(mean)
+    steps = [dict(record.steps) for record in records]
     summary = []
     timed = set()
     for level, metric in product((OF_OBJECTS, OF_SCAN), BASELINES):
         pairs = groups.get((level, metric.column))
         if not pairs:
             continue
-        n = sum(pair["n"] for pair in pairs)
-        n_null = sum(pair["n_null"] for pair in pairs)
-        row = summary_row(metric.column, level, [pair["mean"] for pair in pairs], n, n_null)
+        mean, std = mean_and_std(np.array([pair["mean"] for pair in pairs], dtype=np.float64))
         step = _step(metric.method, level)
-        if step not in timed:
-            timed.add(step)
-            row["seconds"] = _mean_seconds(records, step)
-        summary.append(row)
+        seconds = [of_job[step] for of_job in steps if step in of_job and step not in timed]
+        timed.add(step)
+        summary.append(
+            {
+                "baseline": metric.column,
+                "level": level,
+                "unit": metric.unit,
+                "mean": mean,
+                "std": std,
+                "n": sum(pair["n"] for pair in pairs),
+                "n_null": sum(pair["n_null"] for pair in pairs),
+                "seconds": sum(seconds) / len(seconds) if seconds else None,
+            }
+        )
     return {"baselines": summary}
-
-
-def _mean_seconds(records: Iterable[JobRecord], step: str) -> float | None:
-    """Mean seconds of a step over the jobs that have it."""
-    steps = [dict(record.steps) for record in records]
-    seconds = [of_job[step] for of_job in steps if step in of_job]
-    return sum(seconds) / len(seconds) if seconds else None
-
-
-def summary_row(name: str, level: str, of_pairs: list[float | None], n: int, n_null: int) -> Row:
-    """A row of the record, as `BaselineSummary` has it, from the values of the pairs."""
-    mean, std = mean_and_std(np.array(of_pairs, dtype=np.float64))
-    both = {"baseline": name, "level": level, "unit": METRIC[name].unit, "mean": mean, "std": std}
-    return both | {"n": n, "n_null": n_null, "seconds": None}
 
 
 def _is_wanted(settings: Settings) -> bool:
     return bool(settings.metrics.baselines)
 
 
-def _row(inputs: Inputs, value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
-    named = {
-        "pair_id": inputs.pair_id,
-        "real_id": real_id,
-        "sim_id": sim_id,
-        "baseline": value.name,
-    }
-    return named | {"value": value.value, "unit": value.unit, "reason": value.reason}
+def _row(value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
+    ids = {"real_id": real_id, "sim_id": sim_id}
+    return ids | {"baseline": value.name, "unit": value.unit} | vars(value)
 
 
 def _means(rows: list[Row]) -> list[Row]:
@@ -145,7 +134,7 @@ STAGE = Stage(
     name="baselines",
     takes={**MATCHED_OBJECTS, "selection": NODE_COLUMNS},
     gives=("baselines",),
-    settings=("selection", "metrics"),
+    settings=("metrics",),
     grain=Grain.PAIR,
     version=4,
     make=make_baselines,

@@ -6,23 +6,20 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
 
 from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import SIDES
-from ...schemas.tables import TABLES
-from ...stages.arrays import FloatArray, transform_of
+from ...stages.arrays import transform_of
 from ...stages.sensor_description import SensorDescription
 from ..stage import FRAMES, OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from .points_job import column, coordinates
+from .points_job import CUT_COLUMNS, cut_scan
 
 if TYPE_CHECKING:
     from ...stages.causes.estimates import Amount
     from ...stages.causes.pose import Pose
-    from ...stages.causes.sides import PairScans, Side
+    from ...stages.causes.sides import PairScans
 
 POSE = "pose"  #: metadata: fields of `Pose`, None without enough surface in common
-POINT_COLUMNS = ("x", "y", "z", "is_ground", "height_m")
 _TOO_LITTLE = "the scans have too little surface in common"
 
 
@@ -32,21 +29,21 @@ def make_causes(inputs: Inputs) -> JobResult:
 
     with inputs.step("causes"):
         estimates = estimate(pair_scans(inputs))
-    if estimates is None:
-        amounts = {name: Amount(None, reason=_TOO_LITTLE) for name in CAUSES}
-        distances: Metadata = {"surface_distance_m": None, "surface_best_case_m": None}
-        pose = None
-    else:
+    unknown = Amount(None, reason=_TOO_LITTLE)
+    amounts: dict[str, Amount] = {}
+    distances: Metadata = {"surface_distance_m": None, "surface_best_case_m": None}
+    pose = None
+    if estimates is not None:
         amounts = only_known(estimates.amounts | intensity_amounts(inputs), _doubts(inputs))
-        distances = {
-            "surface_distance_m": estimates.distance_m,
-            "surface_best_case_m": estimates.best_case_m,
-        }
+        distances["surface_distance_m"] = estimates.distance_m
+        distances["surface_best_case_m"] = estimates.best_case_m
         pose = asdict(estimates.pose)
         pose["displacement"]["values"] = estimates.pose.displacement.values.tolist()
-    unknown = Amount(None, reason="not estimated")
-    rows = [_row(inputs.pair_id, name, amounts.get(name, unknown)) for name in CAUSES]
-    return JobResult({"causes": TABLES["causes"].from_rows(rows)}, {OF_PAIR: distances, POSE: pose})
+        unknown = Amount(None, reason="not estimated")
+    rows = []
+    for name, cause in CAUSES.items():
+        rows.append({"cause": name, "unit": cause.unit} | vars(amounts.get(name, unknown)))
+    return JobResult({"causes": inputs.rows("causes", rows)}, {OF_PAIR: distances, POSE: pose})
 
 
 def _doubts(inputs: Inputs) -> dict[str, str]:
@@ -62,17 +59,19 @@ def _doubts(inputs: Inputs) -> dict[str, str]:
     return doubts
 
 
-def _row(pair_id: str, name: str, amount: Amount) -> dict[str, float | str | None]:
-    return {"pair_id": pair_id, "cause": name, "unit": CAUSES[name].unit} | vars(amount)
-
-
 def pair_scans(inputs: Inputs) -> PairScans:
     """Both sides of the pair, from the tables ground and sensor."""
-    from ...stages.causes.sides import PairScans
+    from ...stages.causes.sides import PairScans, recorded_side
 
-    moved = inputs.metadata("ground", "sim").get("T_real_sim")
-    T_real_sim = transform_of(moved)
-    return PairScans(_side(inputs, "real"), _side(inputs, "sim", T_real_sim))
+    settings = inputs.settings.input
+    sides = []
+    for side in SIDES:
+        scan = cut_scan(inputs.table("ground", side))
+        T_real_sim = transform_of(inputs.metadata("ground", side).get("T_real_sim"))
+        position = settings.sensor_position
+        sensor = _sensor(inputs, side)
+        sides.append(recorded_side(scan, sensor, T_real_sim, position, settings.voxel_m))
+    return PairScans(*sides)
 
 
 def pose_of(metadata: dict[str, Any]) -> Pose | None:
@@ -91,40 +90,8 @@ def pose_of(metadata: dict[str, Any]) -> Pose | None:
     )
 
 
-def _side(inputs: Inputs, side: str, T_real_sim: FloatArray | None = None) -> Side:
-    settings = inputs.settings.input
-    return side_of(
-        inputs.table("ground", side),
-        _sensor(inputs, side),
-        T_real_sim,
-        settings.sensor_position,
-        settings.voxel_m,
-    )
-
-
 def _sensor(inputs: Inputs, side: str) -> SensorDescription:
     return SensorDescription(**inputs.metadata("sensor", side)["sensor"])
-
-
-def side_of(
-    ground: pa.Table,
-    sensor: SensorDescription,
-    T_real_sim: FloatArray | None = None,
-    position: tuple[float, float, float] | None = None,
-    voxel_m: float | None = None,
-) -> Side:
-    """A side from its table `ground`, see `recorded_side`."""
-    from ...stages.causes.sides import recorded_side
-
-    return recorded_side(
-        coordinates(ground),
-        column(ground, "is_ground"),
-        column(ground, "height_m"),
-        sensor,
-        T_real_sim,
-        position,
-        voxel_m,
-    )
 
 
 def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
@@ -148,7 +115,7 @@ def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
 
 STAGE = Stage(
     name="causes",
-    takes={"ground": POINT_COLUMNS, "sensor": (), "rays": ()},
+    takes={"ground": CUT_COLUMNS, "sensor": (), "rays": ()},
     gives=("causes",),
     settings=("input",),
     grain=Grain.PAIR,

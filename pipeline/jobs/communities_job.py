@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ...schemas.settings import Settings
-from ...schemas.tables import TABLES
 from ...stages.arrays import IntArray
 from ...stages.method import PartitionedScan, partition
 from ...stages.objects import majority_labels
@@ -17,16 +14,12 @@ from .points_job import (
     ANNOTATED_COLUMNS,
     EDGE_COLUMNS,
     POINT_COLUMNS,
-    annotation,
+    annotation_in,
     column,
     graph_edges,
-    nulls_for_nan,
+    object_columns,
     object_points,
 )
-
-_CENTROID = ("cx", "cy", "cz")
-_EXTENT = ("extent_x", "extent_y", "extent_z")
-_SHAPE = ("linearity", "planarity", "scattering")
 
 
 def make_communities(inputs: Inputs) -> JobResult:
@@ -36,7 +29,7 @@ def make_communities(inputs: Inputs) -> JobResult:
     graph, or from the real side's objects where the settings say so.
     """
     point_ids, points = object_points(inputs, inputs.part)
-    noted = annotation(inputs, inputs.part)
+    noted = annotation_in(inputs.table("ground", inputs.part))
     reference = None
     if ("communities", "real") in inputs.tables:
         labels = column(inputs.table("communities", "real"), "community_id")
@@ -59,25 +52,18 @@ def _result(
     objects = scan.objects
     names = [None] * len(point_ids) if noted.labels is None else noted.labels.tolist()
     labels = majority_labels(scan.labels, names, len(objects.n_points))
-    both = {"pair_id": inputs.pair_id, "side": inputs.part}
-    communities = TABLES["communities"].build(
-        both | {"point_id": point_ids, "community_id": scan.labels}
-    )
-    columns: dict[str, Any] = {
-        "community_id": np.arange(len(objects.n_points), dtype=np.int32),
-        "n_points": objects.n_points,
-        "range_m": nulls_for_nan(objects.range_m.tolist()),
+    columns = object_columns(objects) | {
+        "community_id": np.arange(len(objects.n_points)),
         "label": labels,
     }
-    for names_of, values in (
-        (_CENTROID, objects.centroid),
-        (_EXTENT, objects.extent),
-        (_SHAPE, objects.shape),
-    ):
-        for name, of_axis in zip(names_of, values.T, strict=True):
-            columns[name] = nulls_for_nan(of_axis.tolist())
-    described = TABLES["objects"].build(both | columns)
-    return JobResult({"communities": communities, "objects": described})
+    for name, values in zip(("linearity", "planarity", "scattering"), objects.shape.T, strict=True):
+        columns[name] = values
+    of_points = {"point_id": point_ids, "community_id": scan.labels}
+    tables = {
+        "communities": inputs.columns("communities", of_points),
+        "objects": inputs.columns("objects", columns),
+    }
+    return JobResult(tables)
 
 
 def _takes_real(settings: Settings) -> Columns:

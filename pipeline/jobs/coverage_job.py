@@ -6,45 +6,41 @@ import numpy as np
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import COVERAGE_REACHES
-from ...schemas.tables import TABLES
-from ...stages.coverage import Coverage
-from ...stages.method import measure_coverage
+from ...stages.coverage import Coverage, below_cut, cover, nearest_distances
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from .points_job import POINT_COLUMNS, column, nulls_for_nan, object_points
-
-_MEASURES = (*(f"covered_{reach}" for reach in COVERAGE_REACHES), "median_distance_m", "road_share")
+from .points_job import POINT_COLUMNS, column, object_points
 
 
 def make_coverage(inputs: Inputs) -> JobResult:
     """Measure how much of each object the other side has; one row for each object and one for each side."""
-    points = [object_points(inputs, side)[1] for side in SIDES]
-    labels = [column(inputs.table("communities", side), "community_id") for side in SIDES]
-    n_objects = [inputs.table("objects", side).num_rows for side in SIDES]
-    grounds = [inputs.metadata("ground", side) for side in SIDES]
-    cuts = [(np.array(ground["axis"]), ground["threshold_m"]) for ground in grounds]
-    coverage = measure_coverage(points, labels, n_objects, cuts, watch=inputs.step)
-    rows: list[Row] = []
+    points = {side: object_points(inputs, side)[1] for side in SIDES}
+    with inputs.step("nearest"):
+        distances_m = nearest_distances(points["real"], points["sim"])
+    parts: list[Row] = []
     of_pair: Metadata = {}
-    for side, (of_objects, of_side) in zip(SIDES, coverage, strict=True):
-        both = {"pair_id": inputs.pair_id, "side": side}
-        for community_id, row in enumerate(_rows(of_objects)):
-            rows.append(both | {"community_id": community_id} | row)
-        (whole,) = _rows(of_side)
-        rows.append(both | whole)
-        for reach in COVERAGE_REACHES:
-            of_pair[f"covered_{side}_{reach}"] = whole[f"covered_{reach}"]
-    return JobResult({"coverage": TABLES["coverage"].from_rows(rows)}, {OF_PAIR: of_pair})
+    for side, other, distance_m in zip(SIDES, SIDES[::-1], distances_m, strict=True):
+        cut = inputs.metadata("ground", other)
+        is_road = below_cut(points[side], np.array(cut["axis"]), cut["threshold_m"])
+        labels = column(inputs.table("communities", side), "community_id")
+        n_objects = inputs.table("objects", side).num_rows
+        objects = cover(distance_m, labels, n_objects, is_road)
+        whole = cover(distance_m, np.zeros_like(labels), is_road=is_road)
+        parts.append(_columns(objects) | {"side": side, "community_id": np.arange(n_objects)})
+        parts.append(_columns(whole) | {"side": side})
+        for reach, share in zip(COVERAGE_REACHES, whole.covered[0].tolist(), strict=True):
+            of_pair[f"covered_{side}_{reach}"] = share
+    return JobResult({"coverage": inputs.columns("coverage", *parts)}, {OF_PAIR: of_pair})
 
 
-def _rows(coverage: Coverage) -> list[Row]:
-    """One row per object, without the columns that name it."""
-    measures = [coverage.covered, coverage.median_distance_m, coverage.road_share]
-    numbers = np.column_stack(measures).tolist()
-    rows = []
-    for n_points, values in zip(coverage.n_points.tolist(), numbers, strict=True):
-        row: Row = dict(zip(_MEASURES, nulls_for_nan(values), strict=True))
-        rows.append({"n_points": n_points} | row)
-    return rows
+def _columns(coverage: Coverage) -> Row:
+    columns: Row = {
+        "n_points": coverage.n_points,
+        "median_distance_m": coverage.median_distance_m,
+        "road_share": coverage.road_share,
+    }
+    for reach, share in zip(COVERAGE_REACHES, coverage.covered.T, strict=True):
+        columns[f"covered_{reach}"] = share
+    return columns
 
 
 STAGE = Stage(

@@ -13,7 +13,6 @@ import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES
 from ...schemas.settings import Settings
-from ...schemas.tables import TABLES
 from ...stages.causes.curves import curves
 from ...stages.causes.gain import Shares, corrections, shares
 from ..stage import (
@@ -27,7 +26,8 @@ from ..stage import (
     JobResult,
     Stage,
 )
-from .causes_job import POINT_COLUMNS, pair_scans, pose_of
+from .causes_job import pair_scans, pose_of
+from .points_job import CUT_COLUMNS
 
 SEED = 20240917  #: of corrections at random
 
@@ -63,15 +63,13 @@ def _rounded(of_sides: Any) -> dict[str, list[float]]:
 
 def _result(inputs: Inputs, gains: Shares, drawn: dict[str, dict[str, list[float]]]) -> JobResult:
     gain_m = gains.by_cause | {UNEXPLAINED: gains.after_m - gains.best_case_m}
-    rows = []
-    for name, value in sorted(gain_m.items()):
-        rows.append({"pair_id": inputs.pair_id, "cause": name, "gain_m": value})
+    rows = [{"cause": name, "gain_m": value} for name, value in gain_m.items()]
     metadata = {
         DISTANCES: [gains.before_m, gains.after_m, gains.best_case_m],
         CURVES: drawn,
         AMOUNTS: dict(inputs.arguments),
     }
-    return JobResult({"gains": TABLES["gains"].from_rows(rows)}, metadata)
+    return JobResult({"gains": inputs.rows("gains", rows)}, metadata)
 
 
 def gains_stage(amounts: dict[str, float]) -> Stage:
@@ -85,7 +83,7 @@ def _is_wanted(settings: Settings) -> bool:
 
 STAGE = Stage(
     name="gains",
-    takes={"ground": POINT_COLUMNS, "sensor": (), "causes": ("cause", "amount")},
+    takes={"ground": CUT_COLUMNS, "sensor": (), "causes": ("cause", "amount")},
     gives=("gains",),
     settings=("input",),
     grain=Grain.PAIR,

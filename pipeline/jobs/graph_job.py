@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ...schemas.tables import TABLES
 from ...stages.graph import build_graph
 from ..stage import Grain, Inputs, JobResult, Stage
 from .points_job import POINT_COLUMNS, object_points
@@ -14,14 +13,12 @@ def make_graph(inputs: Inputs) -> JobResult:
     with inputs.step("graph"):
         edges = build_graph(points, inputs.settings.graph)
     columns = {
-        "pair_id": inputs.pair_id,
-        "side": inputs.part,
         "src": point_ids[edges.src],
         "dst": point_ids[edges.dst],
         "length_m": edges.length_m,
     }
-    rows = TABLES["graph"].build(columns, len(edges.src))
-    return JobResult({"graph": rows}, {"n_edges": len(edges.src)})
+    table = inputs.columns("graph", columns)
+    return JobResult({"graph": table}, {"n_edges": len(edges.src)})
 
 
 STAGE = Stage(

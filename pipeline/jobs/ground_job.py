@@ -9,7 +9,6 @@ import pyarrow as pa
 
 from ...schemas.errors import StageError
 from ...schemas.settings import Settings
-from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, transform_of
 from ...stages.clean import CleanResult
 from ...stages.ground import GroundResult
@@ -67,10 +66,9 @@ def make_ground(inputs: Inputs) -> JobResult:
 def _rows(inputs: Inputs, scan: Scan, clean: CleanResult, cut: GroundResult) -> pa.Table:
     """The clean points with their ground flags."""
     x, y, z = clean.points.T
-    return TABLES["ground"].build(
+    return inputs.columns(
+        "ground",
         {
-            "pair_id": inputs.pair_id,
-            "side": inputs.part,
             "point_id": clean.point_ids,
             "x": x,
             "y": y,
@@ -81,7 +79,6 @@ def _rows(inputs: Inputs, scan: Scan, clean: CleanResult, cut: GroundResult) -> 
             "label": None if scan.labels is None else scan.labels[clean.point_ids].tolist(),
             "instance": None if scan.instances is None else scan.instances[clean.point_ids],
         },
-        len(x),
     )
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import Row
-from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.method import match_objects
 from ..stage import OBJECTS, Grain, Inputs, JobResult, Stage
@@ -22,19 +20,20 @@ def make_matching(inputs: Inputs) -> JobResult:
     sim, n_sim = _centroids(inputs.table("objects", "sim"))
     with inputs.step("match"):
         matching = match_objects(real, sim, n_real, n_sim, inputs.settings)
-    real_ids = matching.real_ids.tolist()
-    sim_ids = matching.sim_ids.tolist()
+    parts = (
+        {
+            "status": "matched",
+            "real_id": matching.real_ids,
+            "sim_id": matching.sim_ids,
+            "centroid_distance_m": matching.distance_m,
+        },
+        {"status": "not_found", "real_id": matching.not_found},
+        {"status": "extra", "sim_id": matching.extra},
+    )
+    table = inputs.columns("matching", *parts)
+    table = table.sort_by([("real_id", "ascending"), ("sim_id", "ascending")])
     n_keep = np.minimum(n_real[matching.real_ids], n_sim[matching.sim_ids])
-    rows: list[Row] = []
-    for real_id, sim_id, distance_m in zip(
-        real_ids, sim_ids, matching.distance_m.tolist(), strict=True
-    ):
-        both = {"real_id": real_id, "sim_id": sim_id}
-        rows.append(both | {"centroid_distance_m": distance_m, "status": "matched"})
-    rows += [{"real_id": i, "status": "not_found"} for i in matching.not_found.tolist()]
-    rows += [{"sim_id": i, "status": "extra"} for i in matching.extra.tolist()]
-    table = TABLES["matching"].from_rows({"pair_id": inputs.pair_id} | row for row in rows)
-    matched = list(zip(real_ids, n_keep.tolist(), strict=True))
+    matched = list(zip(matching.real_ids.tolist(), n_keep.tolist(), strict=True))
     return JobResult({"matching": table}, {OBJECTS: matched})
 
 

@@ -7,10 +7,7 @@ import pyarrow as pa
 
 from ...schemas.columns import Row
 from ...schemas.metric_catalogue import OBJECT_METRICS
-from ...schemas.results import Number
-from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
-from ...stages.method import n_communities
 from ...stages.metrics import score_object
 from ...stages.summary import summarise_pair
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage, Tables
@@ -24,7 +21,6 @@ def make_metrics(inputs: Inputs) -> JobResult:
     for match, real, sim in matched_objects(inputs):
         nodes = kept_nodes(selection, match["real_id"], real, sim)
         row: Row = {
-            "pair_id": inputs.pair_id,
             "real_id": match["real_id"],
             "sim_id": match["sim_id"],
             "centroid_distance_m": match["centroid_distance_m"],
@@ -33,7 +29,7 @@ def make_metrics(inputs: Inputs) -> JobResult:
             "n_keep": len(nodes.real_nodes),
         }
         rows.append(row | vars(score_object(real, sim, nodes, watch=inputs.step)))
-    return JobResult({"metrics": TABLES["metrics"].from_rows(rows)})
+    return JobResult({"metrics": inputs.rows("metrics", rows)})
 
 
 def gather_metrics(inputs: Inputs, tables: Tables) -> Metadata:
@@ -47,14 +43,14 @@ def gather_metrics(inputs: Inputs, tables: Tables) -> Metadata:
         range_m: FloatArray = column(inputs.table("objects", side), "range_m")[ids]
         return range_m
 
-    summary: dict[str, Number] = summarise_pair(
+    summary = summarise_pair(
         {metric: metrics.column(metric).to_numpy() for metric in OBJECT_METRICS},
         metrics.column("status").to_pylist(),
         range_of("real", "matched"),
         range_of("real", "not_found"),
         range_of("sim", "extra"),
     )
-    return {OF_PAIR: summary | n_communities(summary)}
+    return {OF_PAIR: summary}
 
 
 STAGE = Stage(

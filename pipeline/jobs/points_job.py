@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
+from ...schemas.columns import SIDES
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
+from ...stages.objects import Objects
 from ...stages.pieces import CutScan
 from ...stages.reference import Annotation
 from ...stages.selection import Selection
@@ -36,23 +37,13 @@ def column(table: pa.Table, name: str) -> Any:
     return table.column(name).to_numpy()
 
 
-def nulls_for_nan(values: Iterable[float]) -> list[float | None]:
-    """Numbers as in a table: null for NaN."""
-    return [None if math.isnan(value) else value for value in values]
-
-
 def object_points(inputs: Inputs, side: str) -> tuple[IntArray, FloatArray]:
     """Ids, (n,) int32, and coordinates, (n, 3) float64 metres, of the points of a side that are not ground."""
     return inputs.memo(points_in, inputs.table("ground", side))
 
 
-def annotation(inputs: Inputs, side: str) -> Annotation:
-    """Labels and instances of the object points of a side, where the input has them."""
-    return annotation_in(inputs.table("ground", side))
-
-
 def annotation_in(ground: pa.Table) -> Annotation:
-    """See `annotation`."""
+    """Labels and instances of the object points of a side, where the input has them."""
     ground = ground.select(("is_ground", "label", "instance"))
     ground = ground.filter(pa.array(~column(ground, "is_ground")))
     labels, instances = ground.column("label"), ground.column("instance")
@@ -67,33 +58,36 @@ def graph_edges(inputs: Inputs, side: str) -> Edges:
     return edges_in(object_points(inputs, side)[0], inputs.table("graph", side))
 
 
-def _matched_rows(inputs: Inputs) -> list[dict[str, Any]]:
-    """The rows of `matching` of the objects that the job is about: for grain OBJECT those of its batch, else all."""
+def matched_objects(inputs: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, Subgraph]]:
+    """The objects that the job is about: each with its row of `matching`, and as a subgraph of both sides.
+
+    For grain OBJECT they are those of its batch, else all.
+    """
     matching = inputs.table("matching")
+    graphs = []
+    for side in SIDES:
+        tables = [inputs.table(name, side) for name in ("ground", "graph", "communities")]
+        with inputs.step("subgraphs"):
+            graphs.append(inputs.memo(_matched_subgraphs, *tables, matching, f"{side}_id"))
     matched = _matched(matching)
     if inputs.objects:
         matched = matched.filter(pa.array(np.isin(column(matched, "real_id"), inputs.objects)))
-    rows: list[dict[str, Any]] = matched.to_pylist()
-    return rows
-
-
-def matched_subgraphs(inputs: Inputs, side: str) -> dict[int, Subgraph]:
-    """All matched objects of a side, by community id."""
-    tables = [inputs.table(name, side) for name in ("ground", "graph", "communities")]
-    with inputs.step("subgraphs"):
-        return inputs.memo(_matched_subgraphs, *tables, inputs.table("matching"), f"{side}_id")
-
-
-def matched_objects(inputs: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, Subgraph]]:
-    """The objects that the job is about: each with its row of `matching`, and as a subgraph of both sides."""
-    real, sim = matched_subgraphs(inputs, "real"), matched_subgraphs(inputs, "sim")
-    for match in _matched_rows(inputs):
-        yield match, real[match["real_id"]], sim[match["sim_id"]]
+    for match in matched.to_pylist():
+        yield match, graphs[0][match["real_id"]], graphs[1][match["sim_id"]]
 
 
 def coordinates(table: pa.Table) -> FloatArray:
     """The coordinates of points, (n, 3) float64 metres."""
     return np.column_stack([column(table, axis) for axis in "xyz"])
+
+
+def object_columns(objects: Objects) -> dict[str, Any]:
+    """Size and place of objects, by column of a table."""
+    columns = {"n_points": objects.n_points, "range_m": objects.range_m}
+    for i, axis in enumerate("xyz"):
+        columns[f"c{axis}"] = objects.centroid[:, i]
+        columns[f"extent_{axis}"] = objects.extent[:, i]
+    return columns
 
 
 def cut_scan(ground: pa.Table) -> CutScan:

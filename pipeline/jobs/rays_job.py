@@ -8,10 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import SIDES
+from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import INTENSITY_SCORES, RAY_SCORES
-from ...schemas.tables import TABLES
-from ...stages.arrays import BoolArray, FloatArray, transform_of
+from ...stages.arrays import BoolArray, transform_of
 from ...stages.clean import seen_from
 from ...stages.intensity import score_intensity
 from ...stages.rays import (
@@ -60,9 +59,9 @@ def _result(inputs: Inputs, rays: Rays | str, ground: Sequence[pa.Table]) -> Job
     of_pair |= {"rays_reason": None, "intensity_note": None}
     if isinstance(rays, str):
         of_pair["rays_reason"] = rays
-        tables = {name: TABLES[name].from_rows([]) for name in ("rays", "ray_scores")}
+        tables = {name: inputs.rows(name, []) for name in ("rays", "ray_scores")}
         return JobResult(tables, {OF_PAIR: of_pair})
-    table = _ray_table(inputs.pair_id, rays, ground)
+    table = inputs.columns("rays", _columns(rays, ground))
     label = table.column("label").combine_chunks()
     intensity = []
     for points in ground:
@@ -74,15 +73,15 @@ def _result(inputs: Inputs, rays: Rays | str, ground: Sequence[pa.Table]) -> Job
     of_pair |= score_intensity(rays, intensity, classes, has_one_scale=one_scale)
     scores = []
     for by, band, is_in in _groups(rays, label):
-        row = {"pair_id": inputs.pair_id, "by": by, "band": band} | score_rays(rays, is_in)
+        row = {"by": by, "band": band} | score_rays(rays, is_in)
         if by in ("range", "incidence", "class"):  # which rays without any return do not have
             row["rays_drop_f1"] = None
         scores.append(row)
-    of_groups = TABLES["ray_scores"].from_rows(scores)
-    return JobResult({"rays": table, "ray_scores": of_groups}, {OF_PAIR: of_pair})
+    tables = {"rays": table, "ray_scores": inputs.rows("ray_scores", scores)}
+    return JobResult(tables, {OF_PAIR: of_pair})
 
 
-def _ray_table(pair_id: str, rays: Rays, ground: Sequence[pa.Table]) -> pa.Table:
+def _columns(rays: Rays, ground: Sequence[pa.Table]) -> Row:
     """One row per ray, with the class of the real return, else of the simulated one."""
     import pyarrow.compute as pc
 
@@ -92,19 +91,17 @@ def _ray_table(pair_id: str, rays: Rays, ground: Sequence[pa.Table]) -> pa.Table
         returned = pa.array(rows, mask=rows < 0)
         ids.append(points.column("point_id").combine_chunks().take(returned))
         labels.append(points.column("label").combine_chunks().take(returned))
-    columns = {
-        "pair_id": pair_id,
+    return {
         "beam": rays.beam,
         "column": rays.column,
         "real_point_id": ids[0],
         "sim_point_id": ids[1],
-        "real_range_m": _or_null(rays.real_range_m),
-        "sim_range_m": _or_null(rays.sim_range_m),
+        "real_range_m": rays.real_range_m,
+        "sim_range_m": rays.sim_range_m,
         "outcome": pa.array(OUTCOMES).take(pa.array(rays.outcome)),
-        "incidence_deg": _or_null(rays.incidence_deg),
+        "incidence_deg": rays.incidence_deg,
         "label": pc.if_else(pa.array(rays.real_row >= 0), *labels).cast(pa.string()),
     }
-    return TABLES["rays"].build(columns, len(rays.beam))
 
 
 def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]:
@@ -125,10 +122,6 @@ def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]
                 yield by, f"{band} {unit}", is_in
     for name in sorted(set(label.to_pylist()) - {None}):
         yield "class", name, np.array(pc.equal(label, name).fill_null(False))
-
-
-def _or_null(values: FloatArray) -> pa.Array:
-    return pa.array(values, mask=np.isnan(values))
 
 
 STAGE = Stage(

@@ -14,14 +14,13 @@ import numpy as np
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.settings import Settings
-from ...schemas.tables import TABLES
-from ...stages.method import PartitionedScan, compare, n_communities, partition
+from ...stages.method import PartitionedScan, compare, partition
 from ...stages.statistics.spread import spread
 from ...stages.summary import mean_and_std
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.table_files import JobRecord
 from . import communities_job
-from .points_job import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation, graph_edges, object_points
+from .points_job import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation_in, graph_edges, object_points
 
 
 def make_seeds(inputs: Inputs) -> JobResult:
@@ -32,12 +31,11 @@ def make_seeds(inputs: Inputs) -> JobResult:
         scores[seed] = _repeat(inputs, seed)
     rows = []
     for seed, row in scores.items():
-        values = {name: row[name] for name in SEEDED_SCORES}
-        rows.append({"pair_id": inputs.pair_id, "seed": seed} | values)
+        rows.append({"seed": seed} | {name: row[name] for name in SEEDED_SCORES})
     by_score: Metadata = {}
     for name in SEEDED_SCORES:
         by_score[name] = [row[name] for row in rows]
-    return JobResult({"seeds": TABLES["seeds"].from_rows(rows)}, {"scores": by_score})
+    return JobResult({"seeds": inputs.rows("seeds", rows)}, {"scores": by_score})
 
 
 def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
@@ -73,11 +71,10 @@ def _repeat(inputs: Inputs, seed: int) -> Metadata:
                 settings,
                 edges=edges,
                 reference=real,
-                annotation=annotation(inputs, side),
+                annotation=annotation_in(inputs.table("ground", side)),
             )
     with inputs.step("scores"):
-        summary = compare(scans["real"], scans["sim"], settings).summary
-    return n_communities(summary) | summary
+        return compare(scans["real"], scans["sim"], settings)
 
 
 def _is_wanted(settings: Settings) -> bool:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pyarrow as pa
 
-from ...schemas.tables import TABLES
 from ...stages.selection import select_nodes
 from ..stage import Grain, Inputs, JobResult, Stage
 from .points_job import MATCHED_OBJECTS, matched_objects
@@ -13,7 +11,7 @@ from .points_job import MATCHED_OBJECTS, matched_objects
 
 def make_selection(inputs: Inputs) -> JobResult:
     """Keep the most influential nodes of each object on both sides, aligned one to one; one row per node."""
-    parts = [TABLES["selection"].from_rows([])]
+    parts = []
     for match, real, sim in matched_objects(inputs):
         kept = select_nodes(real, sim, inputs.settings.selection, watch=inputs.step)
         columns = {
@@ -23,10 +21,8 @@ def make_selection(inputs: Inputs) -> JobResult:
             "real_influence": kept.real_influence,
             "sim_influence": kept.sim_influence,
         }
-        ids = {name: match[name] for name in ("real_id", "sim_id")}
-        columns |= {"pair_id": inputs.pair_id} | ids
-        parts.append(TABLES["selection"].build(columns, len(kept.real_nodes)))
-    return JobResult({"selection": pa.concat_tables(parts).combine_chunks()})
+        parts.append(columns | {name: match[name] for name in ("real_id", "sim_id")})
+    return JobResult({"selection": inputs.columns("selection", *parts)})
 
 
 STAGE = Stage(

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from ...schemas.settings import Settings
-from ...schemas.tables import TABLES
 from ...stages.arrays import transform_of
 from ...stages.clean import at_sensor
 from ...stages.frame_search import check_frames
@@ -24,11 +23,10 @@ def make_sensor(inputs: Inputs) -> JobResult:
     points = at_sensor(scan.points, inputs.part, inputs.settings.input)
     with inputs.step("sensor"):
         sensor = describe_sensor(points, scan.rings, scan.times_s is not None)
-    row = {"pair_id": inputs.pair_id, "side": inputs.part} | sensor_row(sensor)
     metadata: Metadata = {"sensor": asdict(sensor), OF_PAIR: pair_columns(sensor, inputs.part)}
     if inputs.part == "sim" and "real" in inputs.scans:
         metadata[FRAMES] = _frame_check(inputs, scan)
-    return JobResult({"sensor": TABLES["sensor"].build(row, 1)}, metadata)
+    return JobResult({"sensor": inputs.rows("sensor", [sensor_row(sensor)])}, metadata)
 
 
 def _frame_check(inputs: Inputs, sim: Scan) -> Metadata | None:

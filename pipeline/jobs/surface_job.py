@@ -6,11 +6,9 @@ import numpy as np
 
 from ...schemas.columns import Row
 from ...schemas.metric_catalogue import SHIFT_COLUMNS
-from ...schemas.tables import TABLES
-from ...stages.method import measure_surface
-from ...stages.surface import Offsets
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from .points_job import POINT_COLUMNS, column, nulls_for_nan, object_points
+from ...stages.surface import Offsets, compare_roughness, describe_surface, measure_offsets
+from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
+from .points_job import POINT_COLUMNS, column, object_points
 
 
 def make_surface(inputs: Inputs) -> JobResult:
@@ -18,24 +16,26 @@ def make_surface(inputs: Inputs) -> JobResult:
     _, real = object_points(inputs, "real")
     _, sim = object_points(inputs, "sim")
     labels = column(inputs.table("communities", "real"), "community_id")
-    whole, objects, roughness = measure_surface(real, sim, labels, watch=inputs.step)
-    (pair,) = _rows(whole)
-    rows = [{"real_id": i} | row for i, row in enumerate(_rows(objects))]
-    of_pair: Metadata = {name: pair[name] for name in SHIFT_COLUMNS} | roughness
-    table = TABLES["surface"].from_rows({"pair_id": inputs.pair_id} | row for row in [*rows, pair])
-    return JobResult({"surface": table}, {OF_PAIR: of_pair})
+    with inputs.step("planes"):
+        real_surface, sim_surface = describe_surface(real), describe_surface(sim)
+    with inputs.step("offset"):
+        whole = measure_offsets(real_surface, sim_surface)
+        objects = measure_offsets(real_surface, sim_surface, labels)
+    ids = np.arange(len(objects.n_points))
+    of_objects = _columns(objects) | {"real_id": ids}
+    table = inputs.columns("surface", of_objects, _columns(whole))
+    (shift,) = table.select(SHIFT_COLUMNS).slice(len(ids)).to_pylist()
+    roughness = compare_roughness(real_surface, sim_surface)
+    return JobResult({"surface": table}, {OF_PAIR: shift | roughness})
 
 
-def _rows(offsets: Offsets) -> list[Row]:
-    """One row per piece of surface, null for directions that are not observable."""
-    values = np.column_stack([offsets.shift_m, offsets.distance_m]).tolist()
-    counts = zip(offsets.n_points.tolist(), offsets.n_directions.tolist(), strict=True)
-    rows = []
-    for (n_points, n_directions), of_piece in zip(counts, values, strict=True):
-        row: Row = {"n_points": n_points, "n_directions": n_directions}
-        row |= zip(SHIFT_COLUMNS, nulls_for_nan(of_piece), strict=True)
-        rows.append(row)
-    return rows
+def _columns(offsets: Offsets) -> Row:
+    shifts = zip(SHIFT_COLUMNS, (*offsets.shift_m.T, offsets.distance_m), strict=True)
+    return {
+        "n_points": offsets.n_points,
+        "n_directions": offsets.n_directions,
+        **dict(shifts),
+    }
 
 
 STAGE = Stage(

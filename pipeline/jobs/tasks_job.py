@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from ...schemas.columns import Row
 from ...schemas.settings import Settings
-from ...schemas.tables import TABLES
 from ...stages.arrays import IndexArray, IntArray
 from ...stages.pieces import CutScan
 from ...stages.summary import mean_and_std
@@ -43,20 +41,19 @@ def make_tasks(inputs: Inputs) -> JobResult:
     real = cut_scan(inputs.table("ground", "real"))
     sim = cut_scan(inputs.table("ground", "sim"))
     gaps: list[Gap] = []
-    obstacles = [TABLES["task_objects"].schema.empty_table()]
+    obstacles: list[Row] = []
     for name in settings.names:
         with inputs.step(name):
             if name == "objects":
                 task = compare_obstacles(real, sim, settings)
                 gaps += task.gaps
-                obstacles.append(_obstacle_table(inputs, "real", real, task.real))
-                obstacles.append(_obstacle_table(inputs, "sim", sim, task.sim))
+                obstacles.append(_obstacle_columns(inputs, "real", real, task.real))
+                obstacles.append(_obstacle_columns(inputs, "sim", sim, task.sim))
             else:
                 gaps += _TASKS[name](real, sim, settings)
-    rows = [{"pair_id": inputs.pair_id} | asdict(gap) for gap in gaps]
     tables = {
-        "tasks": TABLES["tasks"].from_rows(rows),
-        "task_objects": pa.concat_tables(obstacles).combine_chunks(),
+        "tasks": inputs.rows("tasks", map(asdict, gaps)),
+        "task_objects": inputs.columns("task_objects", *obstacles),
     }
     return JobResult(tables, {"gaps": [asdict(gap) for gap in gaps if gap.group == ALL]})
 
@@ -78,27 +75,26 @@ def summarise_tasks(records: Iterable[JobRecord], settings: Settings) -> dict[st
     return {"tasks": summary}
 
 
-def _obstacle_table(inputs: Inputs, side: str, scan: CutScan, obstacles: Obstacles) -> pa.Table:
+def _obstacle_columns(inputs: Inputs, side: str, scan: CutScan, obstacles: Obstacles) -> Row:
     """The obstacles of a side within range."""
     communities = column(inputs.table("communities", side), "community_id")
     community_of = _communities(obstacles.labels[~scan.is_ground], communities)
     rows = np.flatnonzero(obstacles.range_m <= inputs.settings.tasks.range_m)
     partner = obstacles.partner[rows]
-    columns: dict[str, Any] = {
-        "pair_id": inputs.pair_id,
+    columns = {
         "side": side,
         "obstacle_id": rows,
         "community_id": community_of[rows],
         "n_points": obstacles.n_points[rows],
         "range_m": obstacles.range_m[rows],
         "fate": np.where(partner >= 0, "found", _WITHOUT_PARTNER[side]),
-        "partner_id": [number if number >= 0 else None for number in partner.tolist()],
+        "partner_id": np.where(partner >= 0, partner, np.nan),
         "iou": obstacles.iou[rows],
     }
     for i, axis in enumerate("xyz"):
         columns[f"c{axis}"] = obstacles.centre[rows, i]
         columns[f"extent_{axis}"] = obstacles.size_m[rows, i]
-    return TABLES["task_objects"].build(columns, len(rows))
+    return columns
 
 
 def _communities(labels: IndexArray, communities: IntArray) -> IndexArray:

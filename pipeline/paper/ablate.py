@@ -19,7 +19,7 @@ from ...schemas.errors import SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
 from ...schemas.tables import TABLES
-from ...stages.method import Memo, compare, n_communities, partition
+from ...stages.method import Memo, compare, partition
 from ..datasets.readers.scan_ref import scan_ref
 from ..engine.progress import Reporter
 from ..jobs import ground_job
@@ -62,7 +62,13 @@ class AblateSettings(Settings):
 
 #: The ablated settings by name, which is also their column of `ablate`, with their group.
 PARAMETERS = {"k": "graph", "tau_m": "graph", "delta_m": "matching", "t": "selection"}
-_SUMMARY = ("n_matched", "match_rate", *(f"{metric}_mean" for metric in OBJECT_METRICS))
+_SUMMARY = (
+    "n_communities_real",
+    "n_communities_sim",
+    "n_matched",
+    "match_rate",
+    *(f"{metric}_mean" for metric in OBJECT_METRICS),
+)
 
 
 def make_ablation(inputs: Inputs) -> JobResult:
@@ -88,9 +94,8 @@ def make_ablation(inputs: Inputs) -> JobResult:
         memo: Memo = {}
         for parameters in of_graph:
             used = with_parameters(settings, parameters)
-            summary = compare(real, sim, used, memo=memo).summary
+            summary = compare(real, sim, used, memo=memo)
             row: Row = {"pair_id": inputs.pair_id, **parameters._asdict()}
-            row |= n_communities(summary)
             rows.append(row | {name: summary[name] for name in _SUMMARY})
     return JobResult({"ablate": TABLES["ablate"].from_rows(rows)}, metadata)
 

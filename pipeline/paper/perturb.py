@@ -21,7 +21,7 @@ from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
-from ...stages.baselines import compare_objects
+from ...stages.baselines import compare_points
 from ...stages.generate.perturbations import KINDS, Perturbation, perturb
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.linalg.subgraph import Subgraph
@@ -30,7 +30,6 @@ from ...stages.method import (
     compare,
     describe,
     graph_of,
-    n_communities,
     partition,
     score,
 )
@@ -233,9 +232,9 @@ def _altered_scan(scan: PartitionedScan, names: Row, settings: Settings) -> Row:
         communities = settings.communities.model_copy(update={"seed": names["seed"] % 2**31})
         used = settings.model_copy(update={"communities": communities})
     altered_scan = partition(altered, used, reference=scan.reference)
-    summary = compare(scan, altered_scan, settings).summary  # the unaltered scan is the real side
+    summary = compare(scan, altered_scan, settings)  # the unaltered scan is the real side
     row |= {name: summary[name] for name in _SUMMARY}
-    row["n_communities_altered"] = n_communities(summary)["n_communities_sim"]
+    row["n_communities_altered"] = summary["n_communities_sim"]
     return row
 
 
@@ -254,12 +253,11 @@ def _altered_object(before: Subgraph, names: Row, settings: Settings) -> tuple[R
     offset = altered.mean(axis=0) - before.points.mean(axis=0)
     row["centroid_distance_m"] = float(np.linalg.norm(offset))
     after = graph_of(altered, settings)
-    scored = score(before, after, settings.selection)
-    row |= vars(scored.scores)
+    nodes, scores = score(before, after, settings.selection)
+    row |= vars(scores)
     baselines = []
     if settings.metrics.baselines:
-        nodes = scored.selection
-        values = compare_objects(before, after, nodes, settings.selection.t, settings.metrics)
+        values = compare_points(before.points, after.points, settings.metrics, nodes=nodes)
         baselines = [
             {"baseline": value.name, "unit": value.unit, **vars(value)} for value in values
         ]

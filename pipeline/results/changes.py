@@ -22,14 +22,14 @@ from ...stages.arrays import FloatArray, IntArray, transform_of
 from ...stages.causes.estimates import estimate_between
 from ...stages.causes.gain import Shares, changes
 from ...stages.causes.pose import fit_pose
-from ...stages.causes.sides import Side
+from ...stages.causes.sides import Side, recorded_side
 from ...stages.frame_search import FrameCheck
 from ...stages.sensor_description import SensorDescription
 from ...stages.statistics.comparison import block_means
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
-from ..jobs.causes_job import POINT_COLUMNS, side_of
 from ..jobs.gains_job import SEED
+from ..jobs.points_job import CUT_COLUMNS, cut_scan
 from ..stage import FRAMES
 from ..storage.folder import RunFolder
 from ..storage.run_record import read_run
@@ -202,13 +202,13 @@ def measure_between(task: _Task) -> dict[str, float]:
 def _sim_side(folder: Path, pair_id: str) -> Side:
     """The simulated side of a pair of a run."""
     store = RunFolder(folder)
-    ground = store.read_table("ground", pair_id, "sim", list(POINT_COLUMNS))
+    ground = store.read_table("ground", pair_id, "sim", list(CUT_COLUMNS))
     jobs = store.ledger.jobs(pair_id)
     sensor = SensorDescription(**jobs["sensor", "sim"].metadata["sensor"])
     moved = jobs["ground", "sim"].metadata["T_real_sim"]
     settings = read_run(folder)["settings"]["input"]
-    return side_of(
-        ground,
+    return recorded_side(
+        cut_scan(ground),
         sensor,
         transform_of(moved),
         settings.get("sensor_position"),
@@ -262,10 +262,10 @@ def undo_changes(task: _Task) -> _Undone | None:
     """Gains of undoing the changes of a pair, and the flat surface elsewhere before and after."""
     base_folder, other_folder, pair_id, excess = task
     base, sim = _sim_side(base_folder, pair_id), _sim_side(other_folder, pair_id)
-    pose = fit_pose(base, sim)
-    if pose is None:
+    fit = fit_pose(base, sim)
+    if fit is None:
         return None
-    return changes(base, sim, pose, excess, np.random.default_rng(SEED))
+    return changes(base, sim, fit[0], excess, np.random.default_rng(SEED))
 
 
 def _changed(

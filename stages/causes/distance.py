@@ -19,7 +19,7 @@ _AROUND = 2  # nearest rays that another ray may lie next to
 _OFF_STDS, _LEAST_STD_M = 3.0, 0.02  # of a flat surface, from which a point is off
 
 
-def surface_distance(real: FloatArray, sim: FloatArray, real_tree: cKDTree | None = None) -> float:
+def surface_distance(real: cKDTree, sim: cKDTree) -> float:
     """Mean distance to the other side, counted up to 1 m, averaged over both directions; metres.
 
     It is also the mean uncovered share over all reaches from 0 to 1 m, since the integral of P(d > r) over r in
@@ -27,16 +27,12 @@ def surface_distance(real: FloatArray, sim: FloatArray, real_tree: cKDTree | Non
 
     Parameters
     ----------
-    real, sim : (n, 3), (m, 3) float64, metres
-    real_tree : search tree of the real points, if it exists already
+    real, sim : search trees of the points of both sides, metres; the simulated side may have none
     """
-    if not len(sim):
+    if not sim.n:
         return REACH_M
-    to_sim = mean_apart(cKDTree(sim), real[sample_rows(len(real))])
-    to_real = mean_apart(
-        cKDTree(real) if real_tree is None else real_tree,
-        sim[sample_rows(len(sim))],
-    )
+    to_sim = mean_apart(sim, real.data[sample_rows(real.n)])
+    to_real = mean_apart(real, sim.data[sample_rows(sim.n)])
     return (to_sim + to_real) / 2
 
 
@@ -70,7 +66,7 @@ def best_case_distance(real: Side, sim: Side, aligned: Side, rng: Generator) -> 
     noise_m = min(max(sim_noise_m, real_noise_m), real_noise_m + CAUSES["range noise"].tolerance)
     moved += real.rays * rng.normal(0.0, noise_m, len(moved))[:, None]
     is_kept = rng.random(len(moved)) >= (real.sensor.lost_in_all or 0.0)
-    return surface_distance(real.points, moved[is_kept], real.tree)
+    return surface_distance(real.tree, cKDTree(moved[is_kept]))
 
 
 def sample_rows(n: int) -> IndexArray:

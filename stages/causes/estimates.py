@@ -97,12 +97,12 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     doubts = doubts_of(scans.real.sensor, scans.sim.sensor)
     real, real_second_share = _without_second_returns(scans.real)
     sim, second_share = _without_second_returns(scans.sim)
-    pose = fit_pose(real, sim)
-    if pose is None:
+    fit = fit_pose(real, sim)
+    if fit is None:
         return None
-    aligned = pose.undisplaced(sim)
+    pose, aligned = fit
     explained = explain_directions(real, aligned)
-    distance_m = surface_distance(scans.real.points, scans.sim.points, scans.real.tree)
+    distance_m = surface_distance(scans.real.tree, scans.sim.tree)
     best_case_m = best_case_distance(scans.real, sim, aligned, np.random.default_rng(seed))
     amounts = _pose_amounts(pose, real, sim, best_case_m)
     more_second = second_share - real_second_share
@@ -139,9 +139,8 @@ def _is_without_road(real: Side, sim: Side, explained: Explained) -> bool:
     is_road = real.is_ground & ~explained.is_blind & ~explained.is_dead
     if is_road.sum() < _LEAST_POINTS:
         return False
-    apart_m, _ = sim.tree.query(real.points[is_road])
-    is_apart = apart_m > APART_M + APART_PER_M * real.range_m[is_road]
-    return bool(is_apart.mean() > _MISSING_ROAD)
+    is_near = _is_near(real.chosen(is_road), sim.tree)
+    return bool(is_near.mean() < 1.0 - _MISSING_ROAD)
 
 
 def _unlike_patterns(real: Side, sim: Side, recorded: Side) -> str | None:
@@ -210,23 +209,20 @@ def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | N
     """
     if min(len(base.points), len(sim.points)) < _LEAST_POINTS:
         return None
-    pose = fit_pose(base, sim)
-    if pose is None:
+    fit = fit_pose(base, sim)
+    if fit is None:
         return None
+    pose, aligned = fit
     amounts = dict(zip(PARAMETERS, pose.displacement.values.tolist(), strict=True))
     if pose.elevation_scale is not None:
         amounts["elevation scale"] = pose.elevation_scale
     if base.sensor.elevation_deg:
-        aligned = pose.undisplaced(sim)
         explained = explain_directions(base, aligned)
-        of_beams = {
-            "beams": _beam_amount(base, aligned, explained),
-            "elevation noise": _elevation_noise(base, aligned, sim),
-            "exchanged beams": _exchanged_amount(base, aligned, explained),
-        }
-        for name, amount in of_beams.items():
-            if amount.amount is not None:
-                amounts[name] = amount.amount
+        of_sensor = _sensor_amounts(base, aligned, sim, explained)
+        for name in ("beams", "elevation noise", "exchanged beams"):
+            amount = of_sensor[name].amount
+            if amount is not None:
+                amounts[name] = amount
     doubts = doubts_of(base.sensor, sim.sensor)
     certain = [name for name in amounts if doubts.keys().isdisjoint(CAUSES[name].needs)]
     return pose, {name: amounts[name] for name in certain}
@@ -260,32 +256,24 @@ def _pose_amounts(pose: Pose, real: Side, sim: Side, best_case_m: float) -> dict
     rescaled = undo_elevation_scale(points, pose.elevation_scale or 0.0)
     after_m = mean_apart(real.tree, displacement.undo(rescaled, is_low))
     whole = displacement.of(rescaled, is_low)
+
+    def share_of(before: FloatArray) -> float:
+        """Part of the distance of these points, over the best case, that the rest of the pose removes."""
+        gain_m = mean_apart(real.tree, before) - after_m
+        return gain_m / (gain_m + max(after_m - best_case_m, 0.0)) if gain_m > 0 else 0.0
+
     amounts = {}
     for i, name in enumerate(PARAMETERS):
         without = displacement.without(i)
         moved_m = np.linalg.norm(whole - without.of(rescaled, is_low), axis=1)
         share = 0.0
         if moved_m.mean() > _LEAST_MOVED_M:
-            with_it_m = mean_apart(real.tree, without.undo(rescaled, is_low))
-            share = _part_of(with_it_m - after_m, after_m - best_case_m)
+            share = share_of(without.undo(rescaled, is_low))
         amounts[name] = Amount(float(displacement.values[i]), share=share)
-    if pose.elevation_scale is None:
-        amounts["elevation scale"] = Amount(
-            None,
-            reason="the beams of both sides do not correspond",
-        )
-    else:
-        with_it_m = mean_apart(real.tree, displacement.undo(points, is_low))
-        share = _part_of(with_it_m - after_m, after_m - best_case_m)
-        amounts["elevation scale"] = Amount(pose.elevation_scale, share=share)
-    return amounts
-
-
-def _part_of(gain_m: float, left_m: float) -> float:
-    """Part of the distance before a gain that the gain removes; 0 if there is no gain."""
-    if gain_m <= 0.0:
-        return 0.0
-    return gain_m / (gain_m + max(left_m, 0.0))
+    scale = Amount(None, reason="the beams of both sides do not correspond")
+    if pose.elevation_scale is not None:
+        scale = Amount(pose.elevation_scale, share=share_of(displacement.undo(points, is_low)))
+    return amounts | {"elevation scale": scale}
 
 
 def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dict[str, Amount]:
@@ -298,7 +286,7 @@ def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dic
     missing, invented = find_unmatched(real, sim, explained)
     missing_parts = real.points[missing.is_part | missing.is_moved]
     invented_parts = sim.points[invented.is_part | invented.is_moved]
-    parts = np.vstack([missing_parts, invented_parts])
+    parts = cKDTree(np.vstack([missing_parts, invented_parts]))
     is_used_real = ~(_is_near(real, parts) | missing.is_beyond | explained.real)
     is_used_sim = ~(_is_near(sim, parts) | explained.sim)
     nearest_m = [float(np.quantile(side.range_m, 0.001)) for side in (real, sim)]
@@ -319,12 +307,10 @@ def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dic
     }
 
 
-def _is_near(side: Side, parts: FloatArray) -> BoolArray:
-    """(n,) True for points of missing, invented or moved parts, and at their rims, which have counterparts around."""
-    if not len(parts):
-        return np.zeros(len(side.points), dtype=np.bool_)
+def _is_near(side: Side, places: cKDTree) -> BoolArray:
+    """(n,) True for points of a side at some places: nearer than the counterpart of a point has to be."""
     limit_m = APART_M + APART_PER_M * side.range_m
-    apart_m, _ = cKDTree(parts).query(side.points, distance_upper_bound=1.001 * limit_m.max())
+    apart_m, _ = places.query(side.points, distance_upper_bound=1.001 * limit_m.max())
     return np.less_equal(apart_m, limit_m)
 
 
@@ -348,7 +334,7 @@ def _stray_amount(real: Side, sim: Side) -> Amount:
     if (
         not real.sensor.elevation_deg and not sim.sensor.elevation_deg
     ):  # the sensor may be elsewhere
-        return Amount(None, reason=_why_unknown(real.sensor, sim.sensor, "elevation_deg"))
+        return _unknown(real.sensor, sim.sensor, "elevation_deg")
     real_share = _stray_share(real)
     sim_share = _stray_share(sim)
     return _difference(real_share, sim_share, abs(sim_share - real_share))
@@ -401,10 +387,9 @@ def _sensor_amounts(
 ) -> dict[str, Amount]:
     """Amounts that follow from the descriptions of both sensors."""
     a, b = real.sensor, sim.sensor
-    unknown_step = _why_unknown(a, b, "azimuth_step_deg")
-    step = _known_difference(a.azimuth_step_deg, b.azimuth_step_deg, unknown_step)
-    azimuth_noise = _known_difference(a.azimuth_noise_deg, b.azimuth_noise_deg, unknown_step)
-    range_steps = Amount(None, reason=_why_unknown(a, b, "elevation_deg"))
+    step = _known_difference(a, b, "azimuth_step_deg")
+    azimuth_noise = _known_difference(a, b, "azimuth_noise_deg", "azimuth_step_deg")
+    range_steps = _unknown(a, b, "elevation_deg")
     if b.elevation_deg:
         range_steps = _difference(a.range_quantum_m or 0.0, b.range_quantum_m or 0.0)
     return {
@@ -422,15 +407,23 @@ def _noise_amount(real: SensorDescription, sim: SensorDescription) -> Amount:
     """Difference between the lower estimate of one side and the upper one of the other; 0 if they overlap."""
     real_m, sim_m = noise_bounds(real), noise_bounds(sim)
     if real_m is None or sim_m is None:
-        return Amount(None, reason=_why_unknown(real, sim, "range_noise_m"))
+        return _unknown(real, sim, "range_noise_m")
     amount = max(sim_m[0] - real_m[1], 0.0) + min(sim_m[1] - real_m[0], 0.0)
     return Amount(amount, real_m[1], sim_m[1])
 
 
-def _known_difference(real: float | None, sim: float | None, reason: str) -> Amount:
-    if real is None or sim is None:
-        return Amount(None, real, sim, reason=reason)
-    return _difference(real, sim)
+def _known_difference(
+    real: SensorDescription, sim: SensorDescription, field: str, cause: str | None = None
+) -> Amount:
+    """Difference of a property of both sensors, unknown for the reason of another one if `cause` is given."""
+    values = getattr(real, field), getattr(sim, field)
+    if None in values:
+        return replace(_unknown(real, sim, cause or field), real=values[0], sim=values[1])
+    return _difference(*values)
+
+
+def _unknown(real: SensorDescription, sim: SensorDescription, field: str) -> Amount:
+    return Amount(None, reason=_why_unknown(real, sim, field))
 
 
 def _why_unknown(real: SensorDescription, sim: SensorDescription, field: str) -> str:
@@ -452,8 +445,7 @@ def _with_share(amount: Amount, whole: float) -> Amount:
 def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
     """Noise of the elevations; if the simulated beams cannot be recognised, from their phase or from the road."""
     a, b = real.sensor, sim.sensor
-    reason = _why_unknown(a, b, "elevation_deg")
-    known = _known_difference(a.elevation_noise_deg, b.elevation_noise_deg, reason)
+    known = _known_difference(a, b, "elevation_noise_deg", "elevation_deg")
     grid = grid_of(a)
     if known.amount is not None or grid is None:
         return known
@@ -475,7 +467,7 @@ def _beam_amount(real: Side, sim: Side, explained: Explained) -> Amount:
     n_real = len(real.sensor.elevation_deg)
     n_sim = len(sim.sensor.elevation_deg)
     if not n_real:
-        return Amount(None, reason=_why_unknown(real.sensor, sim.sensor, "elevation_deg"))
+        return _unknown(real.sensor, sim.sensor, "elevation_deg")
     n_dead = len(explained.dead)
     if explained.exchanged and n_sim > n_real:
         n_sim = n_real
@@ -487,7 +479,7 @@ def _beam_amount(real: Side, sim: Side, explained: Explained) -> Amount:
 
 def _exchanged_amount(real: Side, sim: Side, explained: Explained) -> Amount:
     if not real.sensor.elevation_deg:
-        return Amount(None, reason=_why_unknown(real.sensor, sim.sensor, "elevation_deg"))
+        return _unknown(real.sensor, sim.sensor, "elevation_deg")
     return Amount(2.0 * len(explained.exchanged), share=float(explained.sim.mean()))
 
 

@@ -139,7 +139,7 @@ class _Pair:
             part = amount / max(amount if whole is None else whole, amount)
         if name in (FLAT, "solid foliage"):
             return self._onto_real(name, part)
-        return self._removed(name, part) or self._added(name, part) or self._replaced(name, part)
+        return self._other_points(name, part)
 
     def _density(self, name: str, amount: float, whole: float) -> Correction:
         """Real returns on common surface, where the simulated ones are farthest apart, or fewer of the simulated ones.
@@ -181,45 +181,40 @@ class _Pair:
         along_m[rows] = -step_m
         return Correction(along_m=np.where(self._some(along_m != 0, part), along_m, 0.0))
 
-    def _removed(self, name: str, part: float) -> Correction | None:
-        """Fewer simulated points."""
-        if name == "second returns":
-            return Correction(keep=~second_returns(self.recorded))
-        if name == "mixed pixels":
-            return Correction(
-                keep=~self._some(find_strays(self.sim, np.arange(len(self.sim.points)))[0], part)
-            )
-        if name == "invented parts":
-            return Correction(keep=~self._some(self.invented.is_part, part))
-        if name == "clutter":
-            return Correction(keep=~self._some(self.invented.is_clutter, part))
-        return None
-
-    def _added(self, name: str, part: float) -> Correction | None:
-        """More points, those of the real side."""
-        real = self.real
-        if name == "missing parts":
-            return Correction(add=real.points[self._some(self.missing.is_part, part)])
-        if name == "blind sector":
-            return Correction(add=real.points[self.explained.is_blind])
-        if name == "minimum range":
-            return Correction(add=real.points[real.range_m < self.sim.range_m.min()])
-        return None
-
-    def _replaced(self, name: str, part: float) -> Correction | None:
-        """Points of the real side in place of simulated ones."""
+    def _other_points(self, name: str, part: float) -> Correction | None:
+        """Points of the real side added, or simulated ones removed or replaced."""
         real, sim = self.real, self.sim
-        if name == "exchanged beams":
-            explained = self.explained
-            is_exchanged = explained.real & ~explained.is_blind & ~explained.is_dead
-            return Correction(keep=~explained.sim, add=real.points[is_exchanged])
-        if name == "moved parts":
-            is_moved = self._some(self.invented.is_moved, part)
-            return Correction(keep=~is_moved, add=real.points[self.missing.is_moved])
-        if name == "maximum range":
-            is_kept = sim.range_m <= real.range_m.max()
-            return Correction(keep=is_kept, add=real.points[self.missing.is_beyond])
-        return None
+        missing, invented = self.missing, self.invented
+        explained = self.explained
+        is_removed = np.zeros(len(sim.points), dtype=np.bool_)
+        is_added = np.zeros(len(real.points), dtype=np.bool_)
+        if name == "second returns":
+            is_removed = second_returns(self.recorded)
+        elif name == "mixed pixels":
+            is_stray, _ = find_strays(self.recorded, np.arange(len(sim.points)))
+            is_removed = self._some(is_stray, part)
+        elif name == "invented parts":
+            is_removed = self._some(invented.is_part, part)
+        elif name == "clutter":
+            is_removed = self._some(invented.is_clutter, part)
+        elif name == "missing parts":
+            is_added = self._some(missing.is_part, part)
+        elif name == "blind sector":
+            is_added = explained.is_blind
+        elif name == "minimum range":
+            is_added = real.range_m < sim.range_m.min()
+        elif name == "exchanged beams":
+            is_removed = explained.sim
+            is_added = explained.real & ~explained.is_blind & ~explained.is_dead
+        elif name == "moved parts":
+            is_removed = self._some(invented.is_moved, part)
+            is_added = missing.is_moved
+        elif name == "maximum range":
+            is_removed = sim.range_m > real.range_m.max()
+            is_added = missing.is_beyond
+        else:
+            return None
+        return Correction(keep=~is_removed, add=real.points[is_added])
 
     def _some(self, flags: BoolArray, part: float) -> BoolArray:
         """A random part of the flagged points."""
@@ -250,7 +245,7 @@ def _seen_m(rays: FloatArray, real: Side) -> FloatArray:
     """
     _, near = real.ray_tree.query(rays)
     places, of_ray = np.unique(near, return_inverse=True)
-    normal = fit_planes(real.points, real.points[places], _NEIGHBOURS).normal[of_ray]
+    normal = fit_planes(real.tree, real.points[places], _NEIGHBOURS).normal[of_ray]
     range_m = real.range_m[near]
     with np.errstate(divide="ignore", invalid="ignore"):
         met_m = (normal * real.points[near]).sum(axis=1) / (normal * rays).sum(axis=1)
@@ -261,7 +256,7 @@ def _seen_m(rays: FloatArray, real: Side) -> FloatArray:
 def _as_simulated(real: Side, sim: Side, rows: IndexArray) -> FloatArray:
     """Real points with the error of the simulated surface: moved along the real normal, as far as the nearest point."""
     points = real.points[rows]
-    normal = fit_planes(real.points, points, _NEIGHBOURS).normal
+    normal = fit_planes(real.tree, points, _NEIGHBOURS).normal
     _, near = sim.tree.query(points)
     return points + ((sim.points[near] - points) * normal).sum(axis=1, keepdims=True) * normal
 
@@ -297,7 +292,7 @@ def shares(
     def distance(chosen: frozenset[str]) -> float:
         if chosen not in known:
             points = corrected(scans.sim, [by_cause[name] for name in sorted(chosen)], seam_deg)
-            known[chosen] = surface_distance(scans.real.points, points, scans.real.tree)
+            known[chosen] = surface_distance(scans.real.tree, cKDTree(points))
         return known[chosen]
 
     before_all_m = distance(frozenset())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
 from ..displacement import Displacement, fit_displacement
@@ -37,26 +38,28 @@ class Pose:
         return replace(sim, points=points, sensor=self.sensor)
 
 
-def fit_pose(real: Side, sim: Side) -> Pose | None:
-    """Displacement of the simulated side and the scale of its elevations; None without enough surface in common.
+def fit_pose(real: Side, sim: Side) -> tuple[Pose, Side] | None:
+    """Pose of the simulated side, and the side without its displacement; None without enough surface in common.
 
     A scale of the elevations of the beams counts only if undoing it brings the surfaces closer: beams can also be
     spaced differently without distorting the world.
     """
-    displacement = fit_displacement(real.points, sim.points, real.moves_with_road)
+    displacement = fit_displacement(real.tree, sim.tree, real.moves_with_road)
     if displacement is None:
         return None
     aligned = replace(sim, points=displacement.undo(sim.points, sim.moves_with_road))
     scale = elevation_scale(real, sim)
+    confirmed = None if scale is None else 0.0
     if scale is not None and abs(scale) >= _LEAST_SCALE:
         points = undo_elevation_scale(sim.points, scale)
-        other = fit_displacement(real.points, points, real.moves_with_road)
+        other = fit_displacement(real.tree, cKDTree(points), real.moves_with_road)
         if other is not None:
             rescaled = replace(sim, points=other.undo(points, sim.moves_with_road))
-            distance_m = surface_distance(real.points, aligned.points, real.tree)
-            if surface_distance(real.points, rescaled.points, real.tree) < _BETTER * distance_m:
-                return Pose(other, scale, _described(real, rescaled))
-    return Pose(displacement, None if scale is None else 0.0, _described(real, aligned))
+            distance_m = surface_distance(real.tree, aligned.tree)
+            if surface_distance(real.tree, rescaled.tree) < _BETTER * distance_m:
+                displacement, aligned, confirmed = other, rescaled, scale
+    pose = Pose(displacement, confirmed, _described(real, aligned))
+    return pose, replace(aligned, sensor=pose.sensor)
 
 
 def undo_elevation_scale(points: FloatArray, scale: float) -> FloatArray:

@@ -45,12 +45,14 @@ def flat_shapes(real: Side, sim: Side) -> tuple[FloatArray, BoolArray]:
     real_surface = voxel_means(real.points[real.range_m < reach_m], _SHAPE_VOXEL_M)
     sim_surface = voxel_means(sim.points[sim.range_m < reach_m], _SHAPE_VOXEL_M)
     shape = fit_planes(real_surface, places, PLANE_NEIGHBOURS, SHAPE_M)
-    other = fit_planes(sim_surface, places, PLANE_NEIGHBOURS, SHAPE_M)
-    is_known = np.minimum(shape.n_neighbours, other.n_neighbours) >= _SHAPE_POINTS
     is_broad = (shape.variance[:, 1] > 0.05 * shape.variance[:, 2]) & (shape.scattering < _CURVED)
-    is_curved = is_known & is_broad & (shape.variance[:, 0] > _CURVED_M**2)
-    is_flat = other.variance[is_curved, 0] < _FLATTER**2 * shape.variance[is_curved, 0]
-    return places[is_curved], is_flat
+    is_curved = is_broad & (shape.variance[:, 0] > _CURVED_M**2)
+    is_curved &= shape.n_neighbours >= _SHAPE_POINTS
+    places = places[is_curved]
+    other = fit_planes(sim_surface, places, PLANE_NEIGHBOURS, SHAPE_M)
+    is_flat = other.variance[:, 0] < _FLATTER**2 * shape.variance[is_curved, 0]
+    is_known = other.n_neighbours >= _SHAPE_POINTS
+    return places[is_known], is_flat[is_known]
 
 
 def find_strays(side: Side, rows: IndexArray) -> tuple[BoolArray, BoolArray]:

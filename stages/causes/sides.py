@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import seen_from
+from ..pieces import CutScan
 from ..sensor_description import SensorDescription
 from ..surfels import LocalPlanes, fit_planes
 from ..trust import BEAMS
@@ -102,7 +103,7 @@ class Side:
     @cached_property
     def object_planes(self) -> LocalPlanes:
         """Planes through the neighbours of each point that is not ground."""
-        return fit_planes(self.points, self.points[self.object_rows], PLANE_NEIGHBOURS)
+        return fit_planes(self.tree, self.points[self.object_rows], PLANE_NEIGHBOURS)
 
     @cached_property
     def normals(self) -> FloatArray:
@@ -136,9 +137,7 @@ class Side:
 
 
 def recorded_side(
-    points: FloatArray,
-    is_ground: BoolArray,
-    height_m: FloatArray,
+    scan: CutScan,
     sensor: SensorDescription,
     T_real_sim: FloatArray | None = None,
     position: tuple[float, float, float] | None = None,
@@ -150,18 +149,20 @@ def recorded_side(
 
     Parameters
     ----------
-    points, is_ground, sensor, T_real_sim : see `Side`
-    height_m : (n,) float64, above the road; less than 0.5 m is low
+    scan : clean points; less than 0.5 m above the road is low
+    sensor, T_real_sim : see `Side`
     position : of the sensor in the frame of the points of both sides; the origin by default
     voxel_m : voxel by which the points were thinned, so that returns cannot be counted; None if they were not
     """
     if voxel_m is not None:
         thinned = f"thinned by input.voxel_m={voxel_m:g}, so that its returns cannot be counted"
         sensor = replace(sensor, doubts=sensor.doubts | {BEAMS: thinned})
+    points = scan.points
     if position is not None:
         points = points - position
         T_real_sim = seen_from(position, T_real_sim)
-    side = Side(points, is_ground, sensor, T_real_sim, is_ground | (height_m < _LOW_M))
+    is_low = scan.is_ground | (scan.height_m < _LOW_M)
+    side = Side(points, scan.is_ground, sensor, T_real_sim, is_low)
     return side.chosen(np.lexsort(side.points.T))
 
 
@@ -184,7 +185,9 @@ def medians_by_group(
     """
     n_values = np.bincount(group, minlength=n_groups)
     middle = np.cumsum(n_values) - n_values + n_values // 2
-    ordered = values[np.lexsort((values, group))]
+    order = np.argsort(values)
+    small = group[order].astype(np.min_scalar_type(n_groups))  # of which a stable sort is fast
+    ordered = values[order[np.argsort(small, kind="stable")]]
     return n_values, ordered[np.minimum(middle, len(ordered) - 1)]
 
 

@@ -6,7 +6,6 @@ import math
 from collections import Counter
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
@@ -94,16 +93,3 @@ def assignment_mean(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     """
     cost = cdist(a, b)
     return float(cost[linear_sum_assignment(cost)].mean())
-
-
-def r_h(L_real: NDArray[np.float64], L_sim: NDArray[np.float64], t: float) -> float:
-    """|exp(-t L_sim) - exp(-t L_real)| / (t |dL|), largest absolute eigenvalues; 0 if |dL| is that of equal objects.
-
-    Parameters
-    ----------
-    L_real, L_sim : (n, n) float64, nodes aligned
-    """
-    heat = scipy.linalg.expm(-t * L_sim) - scipy.linalg.expm(-t * L_real)
-    change = float(abs(np.linalg.eigvalsh(L_sim - L_real)).max())
-    of_heat = float(abs(np.linalg.eigvalsh((heat + heat.T) / 2)).max())
-    return min(1.0, of_heat / (t * change)) if change > 1e-5 else 0.0

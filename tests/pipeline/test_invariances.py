@@ -116,7 +116,7 @@ def test_a_rigid_motion_of_both_sides_changes_no_score(scene, angle_deg, shift_m
     after = [partition(moved(points, T), own) for points in sides]
     for a, b in zip(before, after, strict=True):
         np.testing.assert_array_equal(a.labels, b.labels)
-    one, other = compare(*before, own).summary, compare(*after, own).summary
+    one, other = compare(*before, own), compare(*after, own)
     for name, value in one.items():
         if not name.startswith("median_range"):  # distances from the sensor do change
             # lengths are stored as float32: an edge may be rounded another way

@@ -22,7 +22,7 @@ from fidpipe.schemas.metric_catalogue import (
 )
 from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
 from fidpipe.schemas.tables import TABLES
-from fidpipe.stages.baselines import compare_objects
+from fidpipe.stages.baselines import compare_points
 from fidpipe.stages.metrics import score_object
 from fidpipe.stages.selection import select_nodes
 from scenes import box, subgraph
@@ -85,7 +85,9 @@ def test_the_baselines_that_are_computed_are_those_of_the_catalogue_and_identica
     twice,
 ):
     own, chosen = twice
-    found = compare_objects(own, own, chosen, 1.0, MetricsSettings(baselines=BASELINE_NAMES))
+    found = compare_points(
+        own.points, own.points, MetricsSettings(baselines=BASELINE_NAMES), nodes=chosen
+    )
     assert [(each.name, each.unit) for each in found] == [
         (metric.column, metric.unit) for metric in BASELINES if metric.method != "nvs"
     ]

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.results.causes import cause_values, changed_causes, named_causes
 from fidpipe.schemas.cause_catalogue import FLAT, PARAMETERS
@@ -354,5 +355,5 @@ def test_boxes_instead_of_shapes_are_flat(places):
 def test_scans_without_common_surface_have_no_estimates(places):
     points, is_ground, sensor = places[0]
     far = points + [0, 0, 500.0]
-    assert fit_displacement(points, far, is_ground) is None
+    assert fit_displacement(cKDTree(points), cKDTree(far), is_ground) is None
     assert estimate(PairScans(*(Side(own, is_ground, sensor) for own in (points, far)))) is None

@@ -85,7 +85,7 @@ def test_losing_a_point_leaves_the_order_of_the_others(boxes):
 
 
 def test_a_scan_less_one_point_has_all_its_objects(boxes):
-    assert scores(boxes, boxes[1:]).summary["match_rate"] == 1.0
+    assert scores(boxes, boxes[1:])["match_rate"] == 1.0
 
 
 def test_a_side_of_which_all_is_left_out_is_refused_with_its_labels():
