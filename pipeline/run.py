@@ -6,19 +6,22 @@ package `stages`.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from ..schemas.columns import Row
 from ..schemas.errors import DatasetError
-from ..schemas.record import RunHeader, RunRecord
+from ..schemas.record import FrameSuspect, PairCounts, RunHeader, RunRecord
 from ..schemas.results import JsonObject
-from ..schemas.settings import Settings
+from ..schemas.settings import Settings, preset_of
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
@@ -36,19 +39,36 @@ from .engine.survey import (
     what_changed,
 )
 from .jobs import stages_under
-from .pair_checks import shared_files, swapped_sides
-from .run_tables import JobSummary, few_of_each, records_of, summarise, write_pairs, write_timings
-from .stage import Stage
+from .pair_checks import (
+    frame_suspect,
+    inspection_of,
+    pair_warnings,
+    shared_files,
+    swapped_sides,
+)
+from .results.overview import cautions, describe_objects
+from .run_tables import (
+    extra_entries,
+    few_of_each,
+    peaks_notes,
+    records_of,
+    write_pairs,
+    write_timings,
+)
+from .stage import OF_PAIR, Stage
 from .storage.files import key_of
 from .storage.folder import RunFolder, check_folder
 from .storage.run_record import (
+    StageSeconds,
     last_results,
     library_versions,
     read_run,
     replaced_results,
     run_header,
+    summarise_pairs,
     write_record,
 )
+from .storage.table_files import JobRecord
 
 
 @dataclass(frozen=True)
@@ -183,7 +203,10 @@ class Run:
     ----------
     before : last record of the folder
     files, survey, hashes : contents of input files, jobs to do, and hashes by pair_id and side
-    jobs : summary of the current jobs
+    n_jobs : current jobs
+    seconds : of the current jobs
+    keys : by pair, a hash of the keys that its row of `pairs` depends on
+    notes, suspects : see `run_record`; by pair
     n_workers : 0 if none were needed
     """
 
@@ -206,11 +229,17 @@ class Run:
         self.before = read_run(folder.folder)
         self.files = InputFiles()
         self.survey = Survey()
-        self.jobs = JobSummary()
         self.hashes: dict[str, dict[str, str]] = {}
+        self.n_jobs = 0
+        self.seconds = StageSeconds()
+        self.keys: dict[str, str] = {}
+        self.notes: defaultdict[str, list[str]] = defaultdict(list)
+        self.suspects: dict[str, FrameSuspect] = {}
+        self._warnings: dict[str, list[str]] = {}
         self.n_workers = 0
         self._jobs = plan_jobs(stages, settings)
         self._versions = {stage.name: stage.version for stage in stages}
+        self._times_s = {pair.pair_id: pair.timestamp_s for pair in dataset.pairs}
         self._last = last_results(self.before)
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()
@@ -245,7 +274,7 @@ class Run:
             self.folder,
             selected=self.selected,
             redo=frozenset(names[names.index(from_stage) :] if from_stage else ()),
-            complete=lambda plan: self.jobs.add(plan.pair, list(plan.records.values())),
+            complete=lambda plan: self._add_jobs(plan.pair, list(plan.records.values())),
         )
 
     def plan(self, pair: ScanPair) -> PairPlan:
@@ -264,55 +293,103 @@ class Run:
     def write(self) -> RunOutcome:
         """Write the tables of the whole run and its record."""
         self._end_phase("stages")
-        self._add_jobs()
-        failures = self.collector.failures
-        times_s = {pair.pair_id: pair.timestamp_s for pair in self.dataset.pairs}
-        job_keys = sorted(self.jobs.keys.items())
-        key = key_of(library_versions(["fidpipe"]), job_keys, failures, times_s)
+        self._summarise_jobs()
+        failures = self.survey.failures | self.collector.failures
+        job_keys = sorted(self.keys.items())
+        key = key_of(library_versions(["fidpipe"]), job_keys, failures, self._times_s)
         before = self.folder.ledger.jobs("").get(("pairs", ""))
         is_same = before is not None and before.key == key
         header = self._header(is_same=is_same)
         if not is_same:
             self._write_record(header)
-        pairs = write_pairs(self.folder, key, self.stages, self.survey.usable, failures, self.plan)
-        pair_ids = [pair.pair_id for pair in self.survey.usable]
+        pair_ids = {pair.pair_id for pair in self.survey.usable}
+        pairs = write_pairs(self.folder, key, self.stages, pair_ids | failures.keys(), failures)
         # where nothing was made, all rows are reused
         made_by = self.folder.token if self.collector.n_made else ""
         timings_key = key_of(key, list(self._versions), made_by)
         write_timings(self.folder, timings_key, self.stages, pair_ids)
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
-        record = summarise(
-            header,
-            pairs,
-            self.folder,
-            self.stages,
-            self.settings,
-            self.jobs,
-            times_s=times_s,
-            hashes=self.hashes,
-            last=self._last if is_same else None,
-            workers=self.n_workers,
-            wall_s=self._wall_s,
-        )
+        record = self._record(header, pairs, self._last if is_same else None)
         self._write_record(record)
         n_made = self.collector.n_made
-        n_reused = self.jobs.n_jobs - n_made
-        return RunOutcome(self.folder.folder, pairs, record, n_made, n_reused, failures)
+        n_reused = self.n_jobs - n_made
+        reported = self.collector.failures
+        return RunOutcome(self.folder.folder, pairs, record, n_made, n_reused, reported)
 
-    def _add_jobs(self) -> None:
-        """Summarise the jobs that were made, and report what inspection found."""
-        jobs = self.jobs
+    def _record(self, header: RunHeader, pairs: pa.Table, last: RunRecord | None) -> RunRecord:
+        """The record of a run that has ended.
+
+        Parameters
+        ----------
+        pairs : the table
+        last : record of the same results, whose findings are kept; None if results have changed
+        """
+        scored = pairs.filter(pc.equal(pairs["status"], "scored"))
+        for pair_id, note in peaks_notes(scored, self.settings):
+            self.notes[pair_id].append(note)
+        described: tuple[Any, Any, Any]
+        if last is not None and last.overview and last.metrics:
+            described = last.findings, last.overview, last.metrics
+        else:
+            by_reference = preset_of(self.settings) == "reference"
+            described = describe_objects(
+                self.folder, scored, self._times_s, self.hashes, by_reference=by_reference
+            )
+        findings, overview, metrics = described
+        scored_ids = scored["pair_id"].to_pylist()
+        times_s = {name: self._times_s[name] for name in scored_ids}
+        record = RunRecord(
+            **dict(header),
+            workers=self.n_workers,
+            wall_s=self._wall_s,
+            pairs=PairCounts(
+                scored=len(scored),
+                failed=len(pairs) - len(scored),
+                to_do=len(self._times_s) - len(pairs),
+            ),
+            summary=summarise_pairs(scored),
+            findings=findings,
+            metrics=metrics,
+            seconds=self.seconds.result(),
+            inputs=dict(sorted(self.hashes.items())),
+            times_s={name: time_s for name, time_s in times_s.items() if time_s is not None},
+            frames=dict(sorted(self.suspects.items())),
+            notes=dict(sorted(self.notes.items())),
+            **extra_entries(self.folder, self.stages, self.settings, scored_ids),
+        )
+        if not overview:
+            return record
+        overview = overview.model_copy(update={"trust": tuple(cautions(overview, record))})
+        return record.model_copy(update={"overview": overview})
+
+    def _summarise_jobs(self) -> None:
+        """Add the jobs that were made, and report what inspection found."""
         for pair in self.survey.usable:
-            if pair.pair_id not in jobs.keys:
+            if pair.pair_id not in self.keys:
                 records = list(records_of(self.folder, self.stages, [pair.pair_id]))
                 if records:
-                    jobs.add(pair, records)
-        names = [pair.pair_id for pair in self.survey.usable if pair.pair_id in jobs.keys]
+                    self._add_jobs(pair, records)
+        names = [pair.pair_id for pair in self.survey.usable if pair.pair_id in self.keys]
         warnings = shared_files({name: self.hashes[name] for name in names})
         for name in names:
-            warnings += jobs.warnings.pop(name)
+            warnings += self._warnings[name]
         self.reporter.warn(*few_of_each(warnings))
+
+    def _add_jobs(self, pair: ScanPair, records: Sequence[JobRecord]) -> None:
+        """Add the jobs of a pair to what the record says of all."""
+        sides, frames = inspection_of(records)
+        self._warnings[pair.pair_id] = pair_warnings(pair, sides, frames)
+        suspect = frame_suspect(frames)
+        if suspect:
+            self.suspects[pair.pair_id] = suspect
+        for job in records:
+            self.seconds.add(job)
+            for note in job.metadata.get("notes", ()):
+                self.notes[pair.pair_id].append(f"{job.part} side: {note}")
+        self.n_jobs += len(records)
+        keys = [job.key for job in records if OF_PAIR in job.metadata]
+        self.keys[pair.pair_id] = key_of(sorted(keys))
 
     def _header(self, *, is_same: bool = False) -> RunHeader:
         """Content of `run.json` from the start; identical results do not count as a replacement."""

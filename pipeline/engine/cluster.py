@@ -83,12 +83,7 @@ class Requirements:
 _CHECKED: list[Requirements] = []  #: that this worker process meets
 
 
-@cache
-def _limit_threads() -> Any:
-    """One thread for numeric libraries, as long as the process lives."""
-    limits = one_blas_thread()
-    limits.__enter__()
-    return limits
+_limit_threads = cache(one_blas_thread)  # as long as the process lives
 
 
 def _in_worker(required: Requirements | None, function: Callable[..., Any], *args: Any) -> Any:
@@ -133,7 +128,6 @@ class DaskPool(Pool):
             prefork.start(modules)  # before dask is imported, so that both run at the same time
         super().__init__(memory)
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._ended: list[Any] = []
         self._cluster: Any = None
         self._client: Any = None
         self._address = address
@@ -190,7 +184,7 @@ class DaskPool(Pool):
 
         future = self._next_future()
         try:
-            result = future.result()
+            result = future.result()  # again, if it was lost with its worker
         except KilledWorker as error:
             n_deaths = error.allowed_failures + 1
             return future, WorkerDied(
@@ -270,7 +264,7 @@ class DaskPool(Pool):
         ) from fault
 
     def _next_future(self) -> Any:
-        """The next task that has ended; dask repeats one whose result was lost with its worker.
+        """The next task that has ended.
 
         Raises
         ------
@@ -278,15 +272,12 @@ class DaskPool(Pool):
             The scheduler is lost, or has had no worker for a long time.
         """
         while True:
-            with suppress(queue.Empty):
-                self._ended.append(self._done.get(timeout=_SECONDS_BETWEEN_LOOKS))
-            for i, future in enumerate(self._ended):
-                if future.done():
-                    return self._ended.pop(i)
             if self._workers_now():
                 self._had_workers = monotonic()
             elif monotonic() - self._had_workers > _WITHOUT_WORKERS_S:
                 raise RunError(self._lost(f"no worker for {_WITHOUT_WORKERS_S:.0f} s"))
+            with suppress(queue.Empty):
+                return self._done.get(timeout=_SECONDS_BETWEEN_LOOKS)
 
     def _workers_now(self) -> dict[str, dict[str, Any]]:
         """The scheduler's description of its workers, by address; renewed every second."""

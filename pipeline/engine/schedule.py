@@ -2,9 +2,8 @@
 
 Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs
 are one together; only when few pairs are left for the workers does a pair fall into batches by side
-and, largest first, by object. If the workers of a batch die, its pairs are tried again, each in a
-separate batch. A pair whose workers die again is tried once more, job by job with nothing else
-running, so that only the job that causes it fails.
+and, largest first, by object. If the workers of a batch die, its pairs are tried again, job by job
+with nothing else running, so that only the job that causes it fails.
 """
 
 from __future__ import annotations
@@ -110,8 +109,7 @@ class Collector:
 class _Pair:
     """A pair that is being worked on.
 
-    is_lost : whether the pool has given up a batch of it, since the last submission
-    n_losses : number of times that has happened
+    is_lost : True if the pool has given up a batch of it
     n_waiting : batches of it that are queued or run
     scored : rows of its batches of objects
     n_scored : objects in them that are done
@@ -120,7 +118,6 @@ class _Pair:
     plan: PairPlan
     failures: list[JobFailure] = field(default_factory=list)
     is_lost: bool = False
-    n_losses: int = 0
     n_waiting: int = 0
     scored: list[ObjectRows] = field(default_factory=list)
     n_scored: int = 0
@@ -269,14 +266,9 @@ class Schedule:
 
     def _go_on(self, pair: _Pair) -> None:
         """Submit the next batches of a pair of which nothing is running."""
-        if pair.is_lost:
-            pair.is_lost = False
-            pair.n_losses += 1
-            pair.n_scored = 0
-            pair.scored.clear()
         reason = self._why_too_large(pair.plan)
         readers = [job for job in pair.ready if job.scan_sides]
-        while reason and pair.plan.is_counted and pair.todo:
+        while reason and pair.todo and not readers:
             pair.failures.append(JobFailure(pair.todo[0].name, reason))
         if not pair.todo:
             self._is_alone = False
@@ -284,7 +276,7 @@ class Schedule:
             self._collector.pair_done(pair.plan, pair.failures)
         elif self._is_alone:
             self._submit_jobs(pair, pair.ready[:1])
-        elif pair.n_losses > 1:
+        elif pair.is_lost:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
         elif reason and readers:
@@ -295,7 +287,7 @@ class Schedule:
             self._submit_jobs(pair, pair.chain(Grain.OBJECT, ""), _FIRST, rows)
         elif self._is_worth_splitting(pair):
             self._split(pair)
-        elif pair.n_losses or pair.plan.limit is not None:
+        elif pair.plan.limit is not None:
             # one that may end its worker takes no other pair along
             self._submit_together([pair])
         else:
@@ -340,9 +332,8 @@ class Schedule:
         """Some jobs of a pair as one batch."""
         with_objects = any(job.stage.grain is not Grain.SIDE for job in jobs)
         need = pair.plan.bytes_needed(with_objects=with_objects)
-        most_bytes = None if pair.plan.is_counted else need
         names = tuple(job.name for job in jobs)
-        self._submit([pair], [PairBatch(pair.plan, names, most_bytes, rows=rows)], need, priority)
+        self._submit([pair], [PairBatch(pair.plan, names, need, rows=rows)], need, priority)
 
     def _submit_bundle(self) -> None:
         """The pairs that wait for company, as one batch."""

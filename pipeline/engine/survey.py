@@ -49,12 +49,14 @@ class Survey:
     todo : selected pairs among them that have jobs to do
     stale : finished jobs whose results are no longer needed, each with the reason
     n_jobs : jobs to do, of the pairs in `todo`
+    failures : reasons by pair_id of other pairs, which failed in an earlier run
     """
 
     usable: list[ScanPair] = field(default_factory=list)
     todo: list[ScanPair] = field(default_factory=list)
     stale: dict[JobName, str] = field(default_factory=dict)
     n_jobs: int = 0
+    failures: dict[str, str] = field(default_factory=dict)
 
 
 def hash_files(pairs: Iterable[ScanPair], folder: RunFolder) -> InputFiles:
@@ -118,6 +120,10 @@ def survey_results(
             elif is_selected:
                 survey.todo.append(pair)
                 survey.n_jobs += len(plan.todo)
+            else:
+                keys = [plan.keys[job.name] for job in plan.todo]
+                if reason := folder.ledger.failure(pair.pair_id, keys):
+                    survey.failures[pair.pair_id] = reason
     for pair_id, reason in reasons.items():
         for record in folder.ledger.jobs(pair_id).values():
             survey.stale[record.name] = reason

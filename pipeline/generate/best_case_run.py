@@ -29,7 +29,6 @@ from ..datasets.readers import read_scan
 from ..engine.engine import Machines
 from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
-from ..engine.tasks import counting
 from ..results.best_case import (
     AS_MEASURED,
     BEST_CASE_AMOUNTS,
@@ -231,14 +230,13 @@ def _write_dataset(
             path.unlink(missing_ok=True)
         if pair.pair_id in selected and not is_current and scan_of.real is not None:
             missing.append(measurement)
-    with counting(reporter) as pair_done, one_blas_thread():  # a hundredth of the run's time
-        for n_done, measurement in enumerate(missing, 1):
+    with one_blas_thread():  # a hundredth of the run's time
+        for measurement in reporter.counted(missing, len(missing)):
             with suppress(ScanError):  # reported by the run, which reads it too
                 content = BytesIO()
                 table = _remeasured(measurement, recipe, settings, source.label_names)
                 pq.write_table(table, content)
                 write_whole(measurement.path, content.getbuffer())
-            pair_done(n_done, len(missing))
     if AS_MEASURED in (recipe.noise_m, recipe.lost_share):
         _report_amounts(shown, folder, reporter)
     columns = ["pair_id", "real", "sim", "timestamp_s", "T_real_sim"]
