@@ -149,7 +149,7 @@ def run_dataset(
         out = out.absolute()
     content = read_dataset(dataset)
     require_partners(content)
-    selected = select_pairs(content, pattern)
+    selected = {pair.pair_id for pair in select_pairs(content, pattern)}
     check_folder(out, dataset)
     folder = RunFolder(out)
     stages = stages_under(settings) if stages is None else stages
@@ -189,13 +189,14 @@ def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
     return selected
 
 
+@dataclass
 class Run:
     """One run while it works: what it was asked for, what it found in the folder, and what its jobs return.
 
     Parameters
     ----------
     dataset : all pairs
-    selected : pairs to work on
+    selected : names of the pairs to work on
     folder : of the run, locked
     stages : under the settings
 
@@ -210,23 +211,16 @@ class Run:
     n_workers : 0 if none were needed
     """
 
-    def __init__(
-        self,
-        dataset: Dataset,
-        selected: Sequence[ScanPair],
-        folder: RunFolder,
-        stages: Sequence[Stage],
-        settings: Settings,
-        reporter: Reporter,
-    ) -> None:
-        self.dataset = dataset
-        self.selected = {pair.pair_id for pair in selected}
-        self.folder = folder
-        self.stages = stages
-        self.settings = settings
-        self.reporter = reporter
-        self.collector = Collector(folder, reporter)
-        self.before = read_run(folder.folder)
+    dataset: Dataset
+    selected: set[str]
+    folder: RunFolder
+    stages: Sequence[Stage]
+    settings: Settings
+    reporter: Reporter
+
+    def __post_init__(self) -> None:
+        self.collector = Collector(self.folder, self.reporter)
+        self.before = read_run(self.folder.folder)
         self.files = InputFiles()
         self.survey = Survey()
         self.hashes: dict[str, dict[str, str]] = {}
@@ -237,9 +231,9 @@ class Run:
         self.suspects: dict[str, FrameSuspect] = {}
         self._warnings: dict[str, list[str]] = {}
         self.n_workers = 0
-        self._jobs = plan_jobs(stages, settings)
-        self._versions = {stage.name: stage.version for stage in stages}
-        self._times_s = {pair.pair_id: pair.timestamp_s for pair in dataset.pairs}
+        self._jobs = plan_jobs(self.stages, self.settings)
+        self._versions = {stage.name: stage.version for stage in self.stages}
+        self._times_s = {pair.pair_id: pair.timestamp_s for pair in self.dataset.pairs}
         self._last = last_results(self.before)
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()

@@ -70,7 +70,7 @@ class Pool:
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
-    """Limit numeric libraries to one thread until the context ends: two are slower in two processes, and sums differ."""
+    """Limit numeric libraries to one thread until the context ends: more are slower, and sums differ."""
     import scipy.linalg  # noqa: F401  (brings the libraries whose threads are to be limited)
     from threadpoolctl import threadpool_limits
 

@@ -80,7 +80,7 @@ def test_a_long_pair_is_made_job_by_job_and_object_by_object_so_that_progress_mo
 ):
     pool = WatchedPool(n_workers=n_workers)
     reporter, told = listening(seconds_between_lines=0.0)
-    policy = {"WORTH_SPLITTING_S": 0.0, "LONG_PAIR_S": 0.0, "BATCH_S": 0.0}
+    policy = {"WORTH_SPLITTING_S": 0.0, "LONG_PAIR": 0, "BATCH_S": 0.0}
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy, reporter=reporter).failures
     jobs_of_sides = [
         len(jobs) for jobs in pool.batches if jobs[0][1] in ("ground", "graph", "communities")
