@@ -26,16 +26,15 @@ from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
-from .engine.plan import PairPlan, plan_jobs, plan_pair
+from .engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_pair, with_results
 from .engine.progress import Reporter
 from .engine.schedule import Collector
 from .engine.survey import (
     InputFiles,
     Survey,
     hash_files,
-    refuse_replacing,
+    jobs_in_words,
     remove_stale,
-    survey_results,
     what_changed,
 )
 from .jobs import stages_under
@@ -57,9 +56,10 @@ from .run_tables import (
 )
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of
-from .storage.folder import RunFolder, check_folder
+from .storage.folder import RunFolder, check_folder, refuse_overwrite
 from .storage.run_record import (
     StageSeconds,
+    has_ended,
     last_results,
     library_versions,
     read_run,
@@ -158,7 +158,7 @@ def run_dataset(
         run.hash_files()
         run.survey_results(from_stage)
         if not (replace or from_stage):
-            refuse_replacing(run.survey, folder, run.before, stages, settings)
+            run.refuse_replacing()
         todo = run.survey.todo
         with started_pool(todo, folder, stages, settings, run.collector, machines) as pool:
             run.replace_stale()
@@ -261,15 +261,44 @@ class Run:
         from_stage : recompute this stage and those after it
         """
         names = list(self._versions)
-        self.survey = survey_results(
-            self.dataset.pairs,
-            self.files,
-            self.plan,
-            self.folder,
-            selected=self.selected,
-            redo=frozenset(names[names.index(from_stage) :] if from_stage else ()),
-            complete=lambda plan: self._add_jobs(plan.pair, list(plan.records.values())),
-        )
+        redo = frozenset(names[names.index(from_stage) :] if from_stage else ())
+        survey = self.survey
+        reasons = dict.fromkeys(self.folder.ledger.pair_ids(), "no longer in the dataset")
+        for pair in self.dataset.pairs:
+            name = pair.pair_id
+            reasons.pop(name, None)
+            if name in self.files.faults:
+                reasons[name] = "the input cannot be used"
+            elif name in self.files.contents:
+                survey.usable.append(pair)
+                redone = redo if name in self.selected else frozenset[str]()
+                plan, stale = with_results(self.plan(pair), self.folder, redone)
+                survey.stale |= stale
+                if not plan.todo:
+                    self._add_jobs(pair, list(plan.records.values()))
+                elif name in self.selected:
+                    survey.todo.append(pair)
+                    survey.n_jobs += len(plan.todo)
+                else:
+                    keys = [plan.keys[job.name] for job in plan.todo]
+                    if reason := self.folder.ledger.failure(name, keys):
+                        survey.failures[name] = reason
+        for name, reason in reasons.items():
+            for record in self.folder.ledger.jobs(name).values():
+                survey.stale[record.name] = reason
+
+    def refuse_replacing(self) -> None:
+        """Raise `RunError` if finished results would be replaced because of settings or version.
+
+        Those recomputed because of other input files or libraries are replaced too.
+        """
+        lost = [name for name, reason in self.survey.stale.items() if reason == OUT_OF_DATE]
+        if lost and has_ended(self.before):
+            names = {stage for stage, _, _ in lost}
+            stages = [stage for stage in self.stages if stage.name in names]
+            why = what_changed(self.before, self.settings, stages)
+            if why:
+                refuse_overwrite(f"run {self.folder.folder}", jobs_in_words(lost), why)
 
     def plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair under the current settings."""

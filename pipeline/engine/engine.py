@@ -103,7 +103,7 @@ def schedule_of(
 
     Parameters
     ----------
-    survey : from `survey_results`
+    survey : of the run
     plan_pair : returns the plan of a pair
     collector : receives the results
     """

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 #: What it imports in any case, and what dask calls in each worker.
@@ -36,13 +36,21 @@ def start(modules: Iterable[str] = ()) -> None:
     """
     from multiprocessing import forkserver, resource_tracker
 
-    # It removes what killed workers left and complains about that, after the command's last line.
-    words = ",".join(filter(None, [os.environ.get("PYTHONWARNINGS"), "ignore:resource_tracker"]))
-    with _environment({"PYTHONWARNINGS": words}):
-        resource_tracker.ensure_running()  # the forkserver wants it; starting it would let Ctrl-C through again
-    forkserver.set_forkserver_preload([WORKER_START, *modules])
-    with _environment(_ENVIRONMENT), _without_interrupts():
+    before = dict(os.environ)
+    # the tracker removes what killed workers left and complains about that, after the command's
+    # last line
+    words = filter(None, [before.get("PYTHONWARNINGS"), "ignore:resource_tracker"])
+    os.environ.update(_ENVIRONMENT, PYTHONWARNINGS=",".join(words))
+    resource_tracker.ensure_running()  # the forkserver wants it; starting it lets Ctrl-C through
+    # processes that are forked never get Ctrl-C: this one deals with it alone, at the end
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.set_forkserver_preload([WORKER_START, *modules])
         forkserver.ensure_running()
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 @contextmanager
@@ -62,24 +70,3 @@ def interrupts_afterwards() -> Iterator[None]:
             signal.signal(number, handler)
     if came:
         signal.raise_signal(came[0])
-
-
-@contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Processes that are started within it never get Ctrl-C: this one deals with it alone, at the end of the block."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    before = dict(os.environ)
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
