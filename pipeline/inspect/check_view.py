@@ -13,7 +13,7 @@ from ...schemas.results import JsonObject
 from ...stages.sensor_description import sensor_lines
 from ..engine import costs
 from ..report.view import Answers, Note, Part, Table, View, count, items_of
-from ..report.views.answer_view import cause_items
+from ..report.views.answer_view import cause_items, unknown_words
 from ..results.causes import MOST_SHOWN, no_cause_words
 from ..storage.files import free_bytes, megabytes
 from .cause_checks import CauseCheck
@@ -122,7 +122,8 @@ def _causes(check: CauseCheck) -> View:
         return []
     heading = Note(f"Seen in {count(len(check.pair_ids), 'pair')}", "bold")
     items = cause_items(check.causes[:MOST_SHOWN]) or items_of(no_cause_words(check.unknown))
-    return [heading, Answers([("Fix first", items)])]
+    trust = items_of(*unknown_words(check.unknown))
+    return [heading, Answers([("Fix first", items), ("Trust", trust)])]
 
 
 def _disk_bytes(dataset: DatasetCheck) -> int:

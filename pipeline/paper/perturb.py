@@ -35,7 +35,6 @@ from ...stages.method import (
 )
 from ...stages.metrics import MIN_NODES
 from ...stages.plausibility import ScanInspection
-from ...stages.statistics.typical_objects import ChosenObject
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
 from ..engine.plan import plan_jobs
@@ -54,7 +53,7 @@ from .experiment import (
     read_source,
     run_experiment,
 )
-from .perturb_objects import choose_objects, objects_in
+from .perturb_objects import ChosenObject, choose_objects, objects_in
 
 #: Difference of a scan from itself without a change, the first row of every table: one point less, rows in another
 #: order, another Louvain seed. Noise and rigid motion keep the order, dropout and the others do not.
@@ -166,8 +165,7 @@ def alter_scan(
     scan = PartitionedScan(points, edges, labels, describe(points, labels, settings))
     repeats = _repeats(request, pair.pair_id, "all", request["repeats"]["global"])
     global_rows = [names | _altered_scan(scan, names, settings) for names in repeats]
-    candidates = objects_in(tables, pair.pair_id)
-    objects = choose_objects(candidates, request["objects"], settings.graph.k)
+    objects = choose_objects(objects_in(tables), pair.pair_id, request["objects"], settings.graph.k)
     object_rows = []
     baseline_rows = []
     for chosen in objects:
