@@ -1,6 +1,7 @@
-"""Start of a worker process of a local cluster: its imports, and a limit on memory."""
+"""Start of a worker process of a local cluster: its imports, Ctrl-C left to the command, and a limit on memory."""
 
 import resource
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ __all__ = ["distributed", "ot", "scipy", "sklearn", "sknetwork", "worker"]
 
 def dask_setup(worker: Any) -> None:
     """Called by dask in each worker."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     if worker.memory_manager.memory_limit:
         limit_memory(worker.memory_manager.memory_limit)
 
