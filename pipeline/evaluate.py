@@ -69,18 +69,10 @@ class PairResult:
     task_objects: pd.DataFrame | None = None
 
     def __repr__(self) -> str:
-        names = (
-            "n_matched",
-            "n_not_found",
-            "n_extra",
-            "match_rate",
-            "cdc_mean",
-            "r_lambda_mean",
-        )
-        known = [
-            f"{name} {self.summary[name]:.4g}" for name in names if self.summary[name] is not None
-        ]
-        return f"<evaluated pair, preset {self.preset}: {', '.join(known)}>"
+        names = ("n_matched", "match_rate", "cdc_mean", "r_lambda_mean")
+        known = [name for name in names if self.summary[name] is not None]
+        scores = [f"{name} {self.summary[name]:.4g}" for name in known]
+        return f"<evaluated pair, preset {self.preset}: {', '.join(scores)}>"
 
 
 def evaluate_pair(
@@ -169,15 +161,11 @@ def _numbers(name: str, points: ArrayLike) -> FloatArray:
             f"{name}: expected numbers of shape (n, 3), got rows of unequal lengths",
         ) from error
     if array.ndim != 2 or array.shape[1] not in (3, 4):
-        hint = f"; pass {name}[:, :3]" if array.ndim == 2 and array.shape[1] > 4 else ""
         raise ScanError(
-            f"{name}: expected an array of shape (n, 3), or (n, 4) with the intensity, got {array.shape}{hint}",
+            f"{name}: expected an array of shape (n, 3), or (n, 4) with the intensity, got {array.shape}",
         )
     if array.dtype.kind not in "fiu":
-        convert = ".real" if array.dtype.kind == "c" else ".astype(float)"
-        raise ScanError(
-            f"{name}: expected real numbers, got {array.dtype} values; convert them with {name}{convert}",
-        )
+        raise ScanError(f"{name}: expected real numbers, got {array.dtype} values")
     with np.errstate(over="ignore"):  # what float64 does not hold is infinite, and dropped
         metres = array.astype(np.float64, copy=False)
     return np.asarray(np.ma.filled(metres, np.nan))

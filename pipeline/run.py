@@ -6,49 +6,69 @@ package `stages`.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from ..schemas.columns import Row
 from ..schemas.errors import DatasetError
-from ..schemas.record import RunHeader, RunRecord
+from ..schemas.record import FrameSuspect, PairCounts, RunHeader, RunRecord
 from ..schemas.results import JsonObject
-from ..schemas.settings import Settings
+from ..schemas.settings import Settings, preset_of
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
-from .engine.plan import PairPlan, plan_jobs, plan_pair
+from .engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_pair, with_results
 from .engine.progress import Reporter
 from .engine.schedule import Collector
 from .engine.survey import (
     InputFiles,
     Survey,
     hash_files,
-    refuse_replacing,
+    jobs_in_words,
     remove_stale,
-    survey_results,
     what_changed,
 )
 from .jobs import stages_under
-from .pair_checks import shared_files, swapped_sides
-from .run_tables import JobSummary, few_of_each, records_of, summarise, write_pairs, write_timings
-from .stage import Stage
+from .pair_checks import (
+    frame_suspect,
+    inspection_of,
+    pair_warnings,
+    shared_files,
+    swapped_sides,
+)
+from .results.overview import cautions, describe_objects
+from .run_tables import (
+    extra_entries,
+    few_of_each,
+    peaks_notes,
+    records_of,
+    write_pairs,
+    write_timings,
+)
+from .stage import OF_PAIR, Stage
 from .storage.files import key_of
-from .storage.folder import RunFolder, check_folder
+from .storage.folder import RunFolder, check_folder, refuse_overwrite
 from .storage.run_record import (
+    StageSeconds,
+    has_ended,
     last_results,
     library_versions,
     read_run,
     replaced_results,
     run_header,
+    summarise_pairs,
     write_record,
 )
+from .storage.table_files import JobRecord
 
 
 @dataclass(frozen=True)
@@ -129,7 +149,7 @@ def run_dataset(
         out = out.absolute()
     content = read_dataset(dataset)
     require_partners(content)
-    selected = select_pairs(content, pattern)
+    selected = {pair.pair_id for pair in select_pairs(content, pattern)}
     check_folder(out, dataset)
     folder = RunFolder(out)
     stages = stages_under(settings) if stages is None else stages
@@ -138,7 +158,7 @@ def run_dataset(
         run.hash_files()
         run.survey_results(from_stage)
         if not (replace or from_stage):
-            refuse_replacing(run.survey, folder, run.before, stages, settings)
+            run.refuse_replacing()
         todo = run.survey.todo
         with started_pool(todo, folder, stages, settings, run.collector, machines) as pool:
             run.replace_stale()
@@ -169,13 +189,14 @@ def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
     return selected
 
 
+@dataclass
 class Run:
     """One run while it works: what it was asked for, what it found in the folder, and what its jobs return.
 
     Parameters
     ----------
     dataset : all pairs
-    selected : pairs to work on
+    selected : names of the pairs to work on
     folder : of the run, locked
     stages : under the settings
 
@@ -183,34 +204,36 @@ class Run:
     ----------
     before : last record of the folder
     files, survey, hashes : contents of input files, jobs to do, and hashes by pair_id and side
-    jobs : summary of the current jobs
+    n_jobs : current jobs
+    seconds : of the current jobs
+    keys : by pair, a hash of the keys that its row of `pairs` depends on
+    notes, suspects : see `run_record`; by pair
     n_workers : 0 if none were needed
     """
 
-    def __init__(
-        self,
-        dataset: Dataset,
-        selected: Sequence[ScanPair],
-        folder: RunFolder,
-        stages: Sequence[Stage],
-        settings: Settings,
-        reporter: Reporter,
-    ) -> None:
-        self.dataset = dataset
-        self.selected = {pair.pair_id for pair in selected}
-        self.folder = folder
-        self.stages = stages
-        self.settings = settings
-        self.reporter = reporter
-        self.collector = Collector(folder, reporter)
-        self.before = read_run(folder.folder)
+    dataset: Dataset
+    selected: set[str]
+    folder: RunFolder
+    stages: Sequence[Stage]
+    settings: Settings
+    reporter: Reporter
+
+    def __post_init__(self) -> None:
+        self.collector = Collector(self.folder, self.reporter)
+        self.before = read_run(self.folder.folder)
         self.files = InputFiles()
         self.survey = Survey()
-        self.jobs = JobSummary()
         self.hashes: dict[str, dict[str, str]] = {}
+        self.n_jobs = 0
+        self.seconds = StageSeconds()
+        self.keys: dict[str, str] = {}
+        self.notes: defaultdict[str, list[str]] = defaultdict(list)
+        self.suspects: dict[str, FrameSuspect] = {}
+        self._warnings: dict[str, list[str]] = {}
         self.n_workers = 0
-        self._jobs = plan_jobs(stages, settings)
-        self._versions = {stage.name: stage.version for stage in stages}
+        self._jobs = plan_jobs(self.stages, self.settings)
+        self._versions = {stage.name: stage.version for stage in self.stages}
+        self._times_s = {pair.pair_id: pair.timestamp_s for pair in self.dataset.pairs}
         self._last = last_results(self.before)
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()
@@ -238,15 +261,44 @@ class Run:
         from_stage : recompute this stage and those after it
         """
         names = list(self._versions)
-        self.survey = survey_results(
-            self.dataset.pairs,
-            self.files,
-            self.plan,
-            self.folder,
-            selected=self.selected,
-            redo=frozenset(names[names.index(from_stage) :] if from_stage else ()),
-            complete=lambda plan: self.jobs.add(plan.pair, list(plan.records.values())),
-        )
+        redo = frozenset(names[names.index(from_stage) :] if from_stage else ())
+        survey = self.survey
+        reasons = dict.fromkeys(self.folder.ledger.pair_ids(), "no longer in the dataset")
+        for pair in self.dataset.pairs:
+            name = pair.pair_id
+            reasons.pop(name, None)
+            if name in self.files.faults:
+                reasons[name] = "the input cannot be used"
+            elif name in self.files.contents:
+                survey.usable.append(pair)
+                redone = redo if name in self.selected else frozenset[str]()
+                plan, stale = with_results(self.plan(pair), self.folder, redone)
+                survey.stale |= stale
+                if not plan.todo:
+                    self._add_jobs(pair, list(plan.records.values()))
+                elif name in self.selected:
+                    survey.todo.append(pair)
+                    survey.n_jobs += len(plan.todo)
+                else:
+                    keys = [plan.keys[job.name] for job in plan.todo]
+                    if reason := self.folder.ledger.failure(name, keys):
+                        survey.failures[name] = reason
+        for name, reason in reasons.items():
+            for record in self.folder.ledger.jobs(name).values():
+                survey.stale[record.name] = reason
+
+    def refuse_replacing(self) -> None:
+        """Raise `RunError` if finished results would be replaced because of settings or version.
+
+        Those recomputed because of other input files or libraries are replaced too.
+        """
+        lost = [name for name, reason in self.survey.stale.items() if reason == OUT_OF_DATE]
+        if lost and has_ended(self.before):
+            names = {stage for stage, _, _ in lost}
+            stages = [stage for stage in self.stages if stage.name in names]
+            why = what_changed(self.before, self.settings, stages)
+            if why:
+                refuse_overwrite(f"run {self.folder.folder}", jobs_in_words(lost), why)
 
     def plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair under the current settings."""
@@ -264,55 +316,103 @@ class Run:
     def write(self) -> RunOutcome:
         """Write the tables of the whole run and its record."""
         self._end_phase("stages")
-        self._add_jobs()
-        failures = self.collector.failures
-        times_s = {pair.pair_id: pair.timestamp_s for pair in self.dataset.pairs}
-        job_keys = sorted(self.jobs.keys.items())
-        key = key_of(library_versions(["fidpipe"]), job_keys, failures, times_s)
+        self._summarise_jobs()
+        failures = self.survey.failures | self.collector.failures
+        job_keys = sorted(self.keys.items())
+        key = key_of(library_versions(["fidpipe"]), job_keys, failures, self._times_s)
         before = self.folder.ledger.jobs("").get(("pairs", ""))
         is_same = before is not None and before.key == key
         header = self._header(is_same=is_same)
         if not is_same:
             self._write_record(header)
-        pairs = write_pairs(self.folder, key, self.stages, self.survey.usable, failures, self.plan)
-        pair_ids = [pair.pair_id for pair in self.survey.usable]
+        pair_ids = {pair.pair_id for pair in self.survey.usable}
+        pairs = write_pairs(self.folder, key, self.stages, pair_ids | failures.keys(), failures)
         # where nothing was made, all rows are reused
         made_by = self.folder.token if self.collector.n_made else ""
         timings_key = key_of(key, list(self._versions), made_by)
         write_timings(self.folder, timings_key, self.stages, pair_ids)
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
-        record = summarise(
-            header,
-            pairs,
-            self.folder,
-            self.stages,
-            self.settings,
-            self.jobs,
-            times_s=times_s,
-            hashes=self.hashes,
-            last=self._last if is_same else None,
-            workers=self.n_workers,
-            wall_s=self._wall_s,
-        )
+        record = self._record(header, pairs, self._last if is_same else None)
         self._write_record(record)
         n_made = self.collector.n_made
-        n_reused = self.jobs.n_jobs - n_made
-        return RunOutcome(self.folder.folder, pairs, record, n_made, n_reused, failures)
+        n_reused = self.n_jobs - n_made
+        reported = self.collector.failures
+        return RunOutcome(self.folder.folder, pairs, record, n_made, n_reused, reported)
 
-    def _add_jobs(self) -> None:
-        """Summarise the jobs that were made, and report what inspection found."""
-        jobs = self.jobs
+    def _record(self, header: RunHeader, pairs: pa.Table, last: RunRecord | None) -> RunRecord:
+        """The record of a run that has ended.
+
+        Parameters
+        ----------
+        pairs : the table
+        last : record of the same results, whose findings are kept; None if results have changed
+        """
+        scored = pairs.filter(pc.equal(pairs["status"], "scored"))
+        for pair_id, note in peaks_notes(scored, self.settings):
+            self.notes[pair_id].append(note)
+        described: tuple[Any, Any, Any]
+        if last is not None and last.overview and last.metrics:
+            described = last.findings, last.overview, last.metrics
+        else:
+            by_reference = preset_of(self.settings) == "reference"
+            described = describe_objects(
+                self.folder, scored, self._times_s, self.hashes, by_reference=by_reference
+            )
+        findings, overview, metrics = described
+        scored_ids = scored["pair_id"].to_pylist()
+        times_s = {name: self._times_s[name] for name in scored_ids}
+        record = RunRecord(
+            **dict(header),
+            workers=self.n_workers,
+            wall_s=self._wall_s,
+            pairs=PairCounts(
+                scored=len(scored),
+                failed=len(pairs) - len(scored),
+                to_do=len(self._times_s) - len(pairs),
+            ),
+            summary=summarise_pairs(scored),
+            findings=findings,
+            metrics=metrics,
+            seconds=self.seconds.result(),
+            inputs=dict(sorted(self.hashes.items())),
+            times_s={name: time_s for name, time_s in times_s.items() if time_s is not None},
+            frames=dict(sorted(self.suspects.items())),
+            notes=dict(sorted(self.notes.items())),
+            **extra_entries(self.folder, self.stages, self.settings, scored_ids),
+        )
+        if not overview:
+            return record
+        overview = overview.model_copy(update={"trust": tuple(cautions(overview, record))})
+        return record.model_copy(update={"overview": overview})
+
+    def _summarise_jobs(self) -> None:
+        """Add the jobs that were made, and report what inspection found."""
         for pair in self.survey.usable:
-            if pair.pair_id not in jobs.keys:
+            if pair.pair_id not in self.keys:
                 records = list(records_of(self.folder, self.stages, [pair.pair_id]))
                 if records:
-                    jobs.add(pair, records)
-        names = [pair.pair_id for pair in self.survey.usable if pair.pair_id in jobs.keys]
+                    self._add_jobs(pair, records)
+        names = [pair.pair_id for pair in self.survey.usable if pair.pair_id in self.keys]
         warnings = shared_files({name: self.hashes[name] for name in names})
         for name in names:
-            warnings += jobs.warnings.pop(name)
+            warnings += self._warnings[name]
         self.reporter.warn(*few_of_each(warnings))
+
+    def _add_jobs(self, pair: ScanPair, records: Sequence[JobRecord]) -> None:
+        """Add the jobs of a pair to what the record says of all."""
+        sides, frames = inspection_of(records)
+        self._warnings[pair.pair_id] = pair_warnings(pair, sides, frames)
+        suspect = frame_suspect(frames)
+        if suspect:
+            self.suspects[pair.pair_id] = suspect
+        for job in records:
+            self.seconds.add(job)
+            for note in job.metadata.get("notes", ()):
+                self.notes[pair.pair_id].append(f"{job.part} side: {note}")
+        self.n_jobs += len(records)
+        keys = [job.key for job in records if OF_PAIR in job.metadata]
+        self.keys[pair.pair_id] = key_of(sorted(keys))
 
     def _header(self, *, is_same: bool = False) -> RunHeader:
         """Content of `run.json` from the start; identical results do not count as a replacement."""

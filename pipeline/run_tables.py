@@ -1,66 +1,24 @@
-"""The tables of a whole run, pairs and timings, and its record."""
+"""The tables of a whole run, pairs and timings, and some entries of its record."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import islice
 from typing import Any
 
 import pyarrow as pa
 
 from ..schemas.columns import Row
-from ..schemas.record import FrameSuspect, PairCounts, RunHeader, RunRecord
-from ..schemas.settings import Settings, preset_of
+from ..schemas.settings import Settings
 from ..schemas.tables import TABLES
 from ..stages.ground import peaks_note
-from .datasets.pairs import ScanPair
-from .engine.plan import PairPlan, with_results
-from .pair_checks import frame_suspect, inspection_of, pair_warnings
-from .results.overview import cautions, describe_objects
 from .stage import OF_PAIR, Stage
-from .storage.files import key_of
 from .storage.folder import RunFolder
-from .storage.run_record import StageSeconds, summarise_pairs
 from .storage.table_files import JobRecord
 
 _MOST_ALIKE = 10  # warnings of a kind that are written out
-_PAIRS_AT_ONCE = 500
-_PAIRS_OF_TIMINGS_AT_ONCE = 100
+_PAIRS_AT_ONCE = 200
 _TIMINGS = ("pair_id", "side", "stage", "step", "seconds", "reused")
-
-
-@dataclass
-class JobSummary:
-    """Summary of the current jobs of a run.
-
-    keys : by pair, a hash of the keys that its row of `pairs` depends on
-    notes, suspects : see `run_record`; by pair
-    warnings : of the inspection, by pair
-    """
-
-    seconds: StageSeconds = field(default_factory=StageSeconds)
-    keys: dict[str, str] = field(default_factory=dict)
-    n_jobs: int = 0
-    notes: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
-    suspects: dict[str, FrameSuspect] = field(default_factory=dict)
-    warnings: dict[str, list[str]] = field(default_factory=dict)
-
-    def add(self, pair: ScanPair, records: Sequence[JobRecord]) -> None:
-        """Add the jobs of a pair that has any."""
-        sides, frames = inspection_of(records)
-        self.warnings[pair.pair_id] = pair_warnings(pair, sides, frames)
-        suspect = frame_suspect(frames)
-        if suspect:
-            self.suspects[pair.pair_id] = suspect
-        for job in records:
-            self.seconds.add(job)
-            for note in job.metadata.get("notes", ()):
-                self.notes[pair.pair_id].append(f"{job.part} side: {note}")
-        self.n_jobs += len(records)
-        keys = [job.key for job in records if OF_PAIR in job.metadata]
-        self.keys[pair.pair_id] = key_of(sorted(keys))
 
 
 def few_of_each(warnings: Sequence[str]) -> list[str]:
@@ -94,9 +52,8 @@ def write_pairs(
     folder: RunFolder,
     key: str,
     stages: Sequence[Stage],
-    usable: Iterable[ScanPair],
+    pair_ids: Iterable[str],
     failures: Mapping[str, str],
-    plan_pair: Callable[[ScanPair], PairPlan],
 ) -> pa.Table:
     """Write the table `pairs`, unless it exists under its key, and return it.
 
@@ -104,34 +61,21 @@ def write_pairs(
 
     Parameters
     ----------
-    usable : pairs whose files exist
+    pair_ids : that may have a row
     failures : reasons by pair_id
-    plan_pair : returns the plan of a pair
     """
-    pairs = {pair.pair_id: pair for pair in usable}
 
-    def past_failure(pair: ScanPair) -> str | None:
-        """Reason of a failure in an earlier run, if the same job is still to do."""
-        plan, _ = with_results(plan_pair(pair), folder)
-        return folder.ledger.failure(pair.pair_id, [plan.keys[job.name] for job in plan.todo])
+    def part(names: Sequence[str]) -> pa.Table:
+        rows = []
+        for pair_id in names:
+            row = _scored_row(folder, stages, pair_id)
+            if row is None and pair_id in failures:
+                row = {"pair_id": pair_id, "status": "failed", "reason": failures[pair_id]}
+            if row is not None:
+                rows.append(row)
+        return TABLES["pairs"].from_rows(rows)
 
-    def row_of(pair_id: str) -> Row | None:
-        row = _scored_row(folder, stages, pair_id) if pair_id in pairs else None
-        if row is not None:
-            return row
-        reason = failures.get(pair_id)
-        if reason is None and pair_id in pairs:
-            reason = past_failure(pairs[pair_id])
-        if not reason:
-            return None
-        return {"pair_id": pair_id, "status": "failed", "reason": reason}
-
-    def parts() -> Iterator[pa.Table]:
-        for pair_ids in _chunks(sorted(pairs.keys() | failures.keys()), _PAIRS_AT_ONCE):
-            rows = [row_of(pair_id) for pair_id in pair_ids]
-            yield TABLES["pairs"].from_rows([row for row in rows if row is not None])
-
-    record = _write_table(folder, "pairs", key, parts())
+    record = _write_table(folder, "pairs", key, pair_ids, part)
     (name,) = record.files
     return folder.read("pairs", record.files[name], name)
 
@@ -143,10 +87,10 @@ def _scored_row(folder: RunFolder, stages: Sequence[Stage], pair_id: str) -> Row
     for stage in stages:
         if stage.is_extra:
             continue
-        for part in stage.parts:
-            if (stage.name, part) not in records:
+        for side in stage.parts:
+            if (stage.name, side) not in records:
                 return None
-            row |= records[stage.name, part].metadata.get(OF_PAIR, {})
+            row |= records[stage.name, side].metadata.get(OF_PAIR, {})
     return row
 
 
@@ -158,97 +102,46 @@ def write_timings(
 ) -> None:
     """Write the table `timings`, unless it exists under its key."""
     schema = TABLES["timings"]
-    order = [(name, "ascending") for name in schema.keys]
 
-    def parts() -> Iterator[pa.Table]:
-        for names in _chunks(sorted(pair_ids), _PAIRS_OF_TIMINGS_AT_ONCE):
-            columns: dict[str, list[Any]] = {name: [] for name in _TIMINGS}
-            for record in records_of(folder, stages, names):
-                is_reused = record.made_by != folder.token
-                for step, seconds in record.steps:
-                    side = record.part or None
-                    row = (record.pair_id, side, record.stage, step, seconds, is_reused)
-                    for column, value in zip(columns.values(), row, strict=True):
-                        column.append(value)
-            yield schema.build(columns).sort_by(order)
+    def part(names: Sequence[str]) -> pa.Table:
+        columns: dict[str, list[Any]] = {name: [] for name in _TIMINGS}
+        for record in records_of(folder, stages, names):
+            is_reused = record.made_by != folder.token
+            for step, seconds in record.steps:
+                side = record.part or None
+                row = (record.pair_id, side, record.stage, step, seconds, is_reused)
+                for column, value in zip(columns.values(), row, strict=True):
+                    column.append(value)
+        return schema.build(columns).sort_by([(name, "ascending") for name in schema.keys])
 
-    _write_table(folder, "timings", key, parts())
+    _write_table(folder, "timings", key, pair_ids, part)
 
 
-def _write_table(folder: RunFolder, name: str, key: str, parts: Iterator[pa.Table]) -> JobRecord:
-    """Write a table of the whole run, unless it exists under its key; returns its entry in the ledger."""
+def _write_table(
+    folder: RunFolder,
+    name: str,
+    key: str,
+    pair_ids: Iterable[str],
+    part: Callable[[Sequence[str]], pa.Table],
+) -> JobRecord:
+    """Write a table of the whole run, unless it exists under its key; returns its entry in the ledger.
+
+    Parameters
+    ----------
+    part : returns the rows of some pairs
+    """
     record = folder.ledger.jobs("").get((name, ""))
     if record is None or record.key != key or folder.damaged_files(record):
         path = folder.folder / f"{name}.parquet"
+        names = sorted(pair_ids)
+        starts = range(0, len(names), _PAIRS_AT_ONCE)
+        parts = (part(names[start : start + _PAIRS_AT_ONCE]) for start in starts)
         record = JobRecord(name, "", "", key, {path.name: folder.write_at(path, name, parts, key)})
         folder.ledger.put_job(record)
     return record
 
 
-def summarise(
-    header: RunHeader,
-    pairs: pa.Table,
-    folder: RunFolder,
-    stages: Sequence[Stage],
-    settings: Settings,
-    jobs: JobSummary,
-    *,
-    times_s: Mapping[str, float | None],
-    hashes: Mapping[str, dict[str, str]],
-    last: RunRecord | None,
-    workers: int,
-    wall_s: dict[str, float],
-) -> RunRecord:
-    """The record of a run that has ended.
-
-    Parameters
-    ----------
-    pairs : the table
-    times_s, hashes : of all pairs, by pair_id
-    last : record of the same results, whose findings are kept; None if results have changed
-    """
-    scored = _scored(pairs)
-    _add_peaks(scored, jobs, settings)
-    described: tuple[Any, Any, Any]
-    if last is not None and last.overview and last.metrics:
-        described = last.findings, last.overview, last.metrics
-    else:
-        by_reference = preset_of(settings) == "reference"
-        described = describe_objects(folder, scored, times_s, hashes, by_reference=by_reference)
-    findings, overview, metrics = described
-    scored_ids = scored["pair_id"].to_pylist()
-    record = RunRecord(
-        **dict(header),
-        workers=workers,
-        wall_s=wall_s,
-        pairs=PairCounts(
-            scored=len(scored),
-            failed=len(pairs) - len(scored),
-            to_do=len(times_s) - len(pairs),
-        ),
-        summary=summarise_pairs(scored),
-        findings=findings,
-        metrics=metrics,
-        seconds=jobs.seconds.result(),
-        inputs=dict(sorted(hashes.items())),
-        times_s={name: times_s[name] for name in scored_ids if times_s[name] is not None},
-        frames=dict(sorted(jobs.suspects.items())),
-        notes=dict(sorted(jobs.notes.items())),
-        **_extras(folder, stages, settings, scored_ids),
-    )
-    if not overview:
-        return record
-    overview = overview.model_copy(update={"trust": tuple(cautions(overview, record))})
-    return record.model_copy(update={"overview": overview})
-
-
-def _scored(pairs: pa.Table) -> pa.Table:
-    """The rows of scored pairs; the table itself, without a copy, if all are."""
-    is_scored = [status == "scored" for status in pairs["status"].to_pylist()]
-    return pairs if all(is_scored) else pairs.filter(is_scored)
-
-
-def _extras(
+def extra_entries(
     folder: RunFolder, stages: Sequence[Stage], settings: Settings, pair_ids: Sequence[str]
 ) -> dict[str, Any]:
     """Entries of the record about stages that summarise their jobs."""
@@ -259,18 +152,10 @@ def _extras(
     return extras
 
 
-def _add_peaks(scored: pa.Table, jobs: JobSummary, settings: Settings) -> None:
-    """Note the pairs in which the heights of the ground are doubtful."""
+def peaks_notes(scored: pa.Table, settings: Settings) -> Iterator[tuple[str, str]]:
+    """Name and note of the pairs in which the heights of the ground are doubtful."""
     names = ("pair_id", "ground_real_peak_m", "ground_sim_peak_m")
-    rows = zip(*(scored[name].to_pylist() for name in names), strict=True)
-    for pair_id, real_m, sim_m in rows:
-        note = peaks_note(real_m, sim_m, settings.ground)
-        if note:
-            jobs.notes[pair_id].append(note)
-
-
-def _chunks(names: Iterable[str], n_names: int) -> Iterator[list[str]]:
-    """Some names at a time."""
-    left = iter(names)
-    while chunk := list(islice(left, n_names)):
-        yield chunk
+    for row in scored.select(names).to_pylist():
+        pair_id, real_m, sim_m = row.values()
+        if note := peaks_note(real_m, sim_m, settings.ground):
+            yield pair_id, note

@@ -60,10 +60,6 @@ class JobResult:
     metadata: Metadata = field(default_factory=dict)
 
 
-def _nothing(settings: Settings) -> Columns:
-    return {}
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stage:
     """One step of the pipeline.
@@ -94,7 +90,7 @@ class Stage:
     version: int = 1
     make: Callable[[Inputs], JobResult]
     libraries: tuple[str, ...] = ()
-    takes_real: Callable[[Settings], Columns] = _nothing
+    takes_real: Callable[[Settings], Columns] = lambda settings: {}
     gather: Callable[[Inputs, Tables], Metadata] | None = None
     is_wanted: Callable[[Settings], bool] | None = None
     summarise: Callable[[Iterable[JobRecord], Settings], dict[str, Any]] | None = None

@@ -161,7 +161,6 @@ def export(
     fidpipe export runs/dataset --mcap --ply --out viewers/
     """
     from ..engine.progress import Reporter
-    from ..engine.tasks import counting
     from ..exchange.export import LEGEND, export_run
     from ..results.finished import FinishedRun
 
@@ -170,10 +169,9 @@ def export(
     reporter = Reporter()
     finished = FinishedRun(run)
     folder = out or run / "export"
-    with counting(reporter) as pair_done:
-        files = export_run(
-            finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, pair_done=pair_done
-        )
+    files = export_run(
+        finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, counted=reporter.counted
+    )
     n_failed = finished.record.pairs.failed
     if n_failed:
         reporter.warn(f"{n_failed} pairs of the run failed and have no points to export")

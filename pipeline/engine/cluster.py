@@ -7,6 +7,7 @@ machine's memory from it).
 from __future__ import annotations
 
 import asyncio
+import atexit
 import hashlib
 import logging
 import os
@@ -40,10 +41,10 @@ from .pool import (
 _CONNECT_TIMEOUT_S = 10
 _FIRST_WORKER_TIMEOUT_S = 60
 _STARTS = 3
-_LONGEST_START_S = 60
 _STOP_S = 2.0
 _KILL_S = 0.2
 _SECONDS_BETWEEN_LOOKS = 1.0
+_GIVEN_UP_S = 5.0
 _WITHOUT_WORKERS_S = 600.0
 _LEAST_ADDRESS_SPACE = 2 * 2**30
 
@@ -83,12 +84,7 @@ class Requirements:
 _CHECKED: list[Requirements] = []  #: that this worker process meets
 
 
-@cache
-def _limit_threads() -> Any:
-    """One thread for numeric libraries, as long as the process lives."""
-    limits = one_blas_thread()
-    limits.__enter__()
-    return limits
+_limit_threads = cache(one_blas_thread)  # as long as the process lives
 
 
 def _in_worker(required: Requirements | None, function: Callable[..., Any], *args: Any) -> Any:
@@ -142,7 +138,8 @@ class DaskPool(Pool):
         self._required = required
         self._workers: dict[str, dict[str, Any]] = {}
         self._looked = -_SECONDS_BETWEEN_LOOKS
-        self._had_workers = monotonic()
+        self._had_workers = self._looked_after = monotonic()
+        self._dead_since: dict[Any, float] = {}
         try:
             self._start(n_workers)
             if required is not None:
@@ -259,11 +256,17 @@ class DaskPool(Pool):
                         memory_limit=self.memory.together,  # of each: one may need what the others leave
                         silence_logs=logging.CRITICAL,
                         preload=[prefork.WORKER_START],
-                        death_timeout=_LONGEST_START_S,
                     )
                 return
             except RuntimeError as error:
                 fault = error
+            except BaseException:
+                if self._cluster is None:
+                    prefork.kill_workers()
+                    atexit.unregister(
+                        distributed.deploy.spec.close_clusters
+                    )  # it asserts that all of it was there
+                raise
         raise RunError(
             f"no cluster could be started here in {_STARTS} tries ({fault}; was a worker killed, or is memory or "
             "ulimit short?); run the same command again, or with --workers 1"
@@ -278,6 +281,7 @@ class DaskPool(Pool):
             The scheduler is lost, or has had no worker for a long time.
         """
         while True:
+            self._look_after_workers()
             with suppress(queue.Empty):
                 self._ended.append(self._done.get(timeout=_SECONDS_BETWEEN_LOOKS))
             for i, future in enumerate(self._ended):
@@ -287,6 +291,22 @@ class DaskPool(Pool):
                 self._had_workers = monotonic()
             elif monotonic() - self._had_workers > _WITHOUT_WORKERS_S:
                 raise RunError(self._lost(f"no worker for {_WITHOUT_WORKERS_S:.0f} s"))
+
+    def _look_after_workers(self) -> None:
+        """Restart local workers that died while they started, which dask gives up."""
+        now = monotonic()
+        if self._cluster is None or now - self._looked_after < _SECONDS_BETWEEN_LOOKS:
+            return
+        self._looked_after = now
+        for name, nanny in list(self._cluster.workers.items()):
+            if nanny.is_alive():
+                self._dead_since.pop(name, None)
+            elif now - self._dead_since.setdefault(name, now) > _GIVEN_UP_S:
+                del self._dead_since[name]
+                self._cluster.workers.pop(name, None)
+                self._cluster.sync(_end, [nanny])
+        if len(self._cluster.workers) < len(self._cluster.worker_spec):
+            self._cluster.scale(len(self._cluster.worker_spec))  # starts the missing ones
 
     def _workers_now(self) -> dict[str, dict[str, Any]]:
         """The scheduler's description of its workers, by address; renewed every second."""

@@ -103,7 +103,7 @@ def schedule_of(
 
     Parameters
     ----------
-    survey : from `survey_results`
+    survey : of the run
     plan_pair : returns the plan of a pair
     collector : receives the results
     """
@@ -173,6 +173,8 @@ def voxel_for(pair: ScanPair, settings: InputSettings) -> float | None:
         T_real_sim = transform_of(pair.motion(side))
         frame = settings.frame_of(side)
         points = clean_scan(scan.points, settings, frame=frame, T_real_sim=T_real_sim).points
-        voxels_m.append(smallest_voxel(points, lambda points: len(points) < _LARGE_PAIR // 2))
-    known = [voxel_m for voxel_m in voxels_m if voxel_m is not None]
-    return max(known) if len(known) == len(voxels_m) else None
+        voxel_m = smallest_voxel(points, lambda points: len(points) < _LARGE_PAIR // 2)
+        if voxel_m is None:
+            return None
+        voxels_m.append(voxel_m)
+    return max(voxels_m)

@@ -101,20 +101,11 @@ class PairPlan:
     @property
     def n_points(self) -> int:
         """Points of both sides after cleaning; of a side that is not clean yet, estimated from the size of its file."""
-        counted = self._counted()
-        return sum(
-            counted.get(side, content.approximate_points) for side, content in self.inputs.items()
-        )
-
-    @property
-    def is_counted(self) -> bool:
-        """True if `n_points` was counted, not estimated."""
-        return self._counted().keys() >= self.inputs.keys()
-
-    def _counted(self) -> dict[str, int]:
-        records = self.records.values()
-        counted = [record for record in records if N_CLEAN in record.metadata]
-        return {record.part: record.metadata[N_CLEAN] for record in counted}
+        counts = {side: content.approximate_points for side, content in self.inputs.items()}
+        for record in self.records.values():
+            if N_CLEAN in record.metadata:
+                counts[record.part] = record.metadata[N_CLEAN]
+        return sum(counts.values())
 
     @property
     def todo(self) -> list[Job]:

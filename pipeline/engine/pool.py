@@ -6,8 +6,8 @@ A pool takes a function and its arguments and returns the outcomes in any order.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -69,14 +69,13 @@ class Pool:
         """End the pool, even if tasks are running."""
 
 
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Context in which numeric libraries use one thread: two processes of two threads are slower, and sums differ."""
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Limit numeric libraries to one thread until the context ends: more are slower, and sums differ."""
     import scipy.linalg  # noqa: F401  (brings the libraries whose threads are to be limited)
     from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(1):
-        yield
+    limits: AbstractContextManager[object] = threadpool_limits(1)
+    return limits
 
 
 def machine_memory() -> int:

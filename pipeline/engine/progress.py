@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 SECONDS_BETWEEN_LINES = 5.0
+Item = TypeVar("Item")
 _PACE_OVER_S = 600.0  # the time left follows the pace of this period
 
 
@@ -95,16 +97,19 @@ class Reporter:
         if self._bar.disable and now - self._last_line >= self._between:
             self._last_line = now
             task = self._bar.tasks[0]
-            left = (
-                f"; about {_in_words(left_s)} left"
-                if (left_s := task.time_remaining) is not None
-                else ""
-            )
-            self.say(
-                f"{self._counts()}{left}"
-                if self._n_ended
-                else f"{task.percentage:.0f} % done{self._objects}"
-            )
+            left_s = task.time_remaining
+            left = "" if left_s is None else f"; about {_in_words(left_s)} left"
+            self.say(f"{self._counts()}, {task.percentage:.0f} %{left}")
+
+    def counted(self, items: Iterable[Item], n_items: int) -> Iterator[Item]:
+        """The items, with progress: each counts as a pair when the next one is requested."""
+        self.start(n_items, n_items)
+        try:
+            for item in items:
+                yield item
+                self.advance(1, 1)
+        finally:
+            self.stop()
 
     def stop(self) -> None:
         """End the progress."""

@@ -2,15 +2,13 @@
 
 Pairs are begun through a bounded window. The jobs of a pair are one batch, and several small pairs
 are one together; only when few pairs are left for the workers does a pair fall into batches by side
-and, largest first, by object. If the workers of a batch die, its pairs are tried again, each in a
-separate batch. A pair whose workers die again is tried once more, job by job with nothing else
-running, so that only the job that causes it fails.
+and, largest first, by object. If the workers of a batch die, its pairs are tried again, job by job
+with nothing else running, so that only the job that causes it fails.
 """
 
 from __future__ import annotations
 
 import heapq
-import itertools
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -35,10 +33,9 @@ PAIRS_PER_WORKER = (
 WORTH_SPLITTING_S = 1.0  #: if they cost more than this
 BATCH_S = 0.5  #: seconds of objects per batch
 BUNDLE_S = 0.5  #: seconds of small pairs per batch
-LONG_PAIR_S = 100.0  #: pairs that cost more are done job by job, so that progress shows
+LONG_PAIR = 200_000  #: points of pairs that are done job by job, so that progress shows
 LEAST_WEIGHT = 1 / 16  #: share of a batch that a pair has at least
 _BATCHES_PER_WORKER = 2  # submitted at the same time, so that none waits for the next
-_FIRST = 1e6  # priority of what others wait for
 
 
 class Collector:
@@ -110,8 +107,7 @@ class Collector:
 class _Pair:
     """A pair that is being worked on.
 
-    is_lost : whether the pool has given up a batch of it, since the last submission
-    n_losses : number of times that has happened
+    is_lost : True if the pool has given up a batch of it
     n_waiting : batches of it that are queued or run
     scored : rows of its batches of objects
     n_scored : objects in them that are done
@@ -120,7 +116,6 @@ class _Pair:
     plan: PairPlan
     failures: list[JobFailure] = field(default_factory=list)
     is_lost: bool = False
-    n_losses: int = 0
     n_waiting: int = 0
     scored: list[ObjectRows] = field(default_factory=list)
     n_scored: int = 0
@@ -191,9 +186,8 @@ class Schedule:
         self._n_pending = len(survey.todo)
         self._n_jobs = survey.n_jobs
         self._active: dict[str, _Pair] = {}
-        self._waiting: list[tuple[float, int, _Batch]] = []
+        self._waiting: deque[_Batch] = deque()
         self._running: dict[Handle, _Batch] = {}
-        self._count = itertools.count()
         self._bundle: list[_Pair] = []
         self._quarantine: deque[_Pair] = deque()
         self._is_alone = False
@@ -269,14 +263,9 @@ class Schedule:
 
     def _go_on(self, pair: _Pair) -> None:
         """Submit the next batches of a pair of which nothing is running."""
-        if pair.is_lost:
-            pair.is_lost = False
-            pair.n_losses += 1
-            pair.n_scored = 0
-            pair.scored.clear()
         reason = self._why_too_large(pair.plan)
         readers = [job for job in pair.ready if job.scan_sides]
-        while reason and pair.plan.is_counted and pair.todo:
+        while reason and pair.todo and not readers:
             pair.failures.append(JobFailure(pair.todo[0].name, reason))
         if not pair.todo:
             self._is_alone = False
@@ -284,7 +273,7 @@ class Schedule:
             self._collector.pair_done(pair.plan, pair.failures)
         elif self._is_alone:
             self._submit_jobs(pair, pair.ready[:1])
-        elif pair.n_losses > 1:
+        elif pair.is_lost:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
         elif reason and readers:
@@ -292,10 +281,10 @@ class Schedule:
         elif pair.scored:
             rows = tuple(pair.scored)
             pair.scored.clear()
-            self._submit_jobs(pair, pair.chain(Grain.OBJECT, ""), _FIRST, rows)
+            self._submit_jobs(pair, pair.chain(Grain.OBJECT, ""), rows)
         elif self._is_worth_splitting(pair):
             self._split(pair)
-        elif pair.n_losses or pair.plan.limit is not None:
+        elif pair.plan.limit is not None:
             # one that may end its worker takes no other pair along
             self._submit_together([pair])
         else:
@@ -305,44 +294,35 @@ class Schedule:
 
     def _is_worth_splitting(self, pair: _Pair) -> bool:
         plan = pair.plan
-        grains = {job.stage.grain for job in pair.todo}
         largest = costs.object_bytes(plan.largest_object[1])
-        if Grain.OBJECT in grains and largest > self._object_share(plan):
+        has_objects = any(job.stage.grain is Grain.OBJECT for job in pair.todo)
+        if has_objects and largest > self._object_share(plan):
             return True  # its objects are admitted one by one
         if self._pool.n_workers == 1:
-            return self._is_long(pair)
-        if self._n_pending + len(self._active) > self._window():
-            return False
-        if Grain.SIDE in grains:
-            return costs.side_seconds(plan.n_points) > WORTH_SPLITTING_S
-        seconds = sum(costs.object_seconds(n) for _, n in plan.objects or [])
-        return plan.objects is None or seconds > WORTH_SPLITTING_S
-
-    def _is_long(self, pair: _Pair) -> bool:
-        return costs.pair_seconds(pair.plan.n_points) > LONG_PAIR_S
+            return plan.n_points > LONG_PAIR
+        is_large = costs.side_seconds(plan.n_points) > WORTH_SPLITTING_S
+        return is_large and self._n_pending + len(self._active) <= self._window()
 
     def _split(self, pair: _Pair) -> None:
         """The next layer of a pair in batches that run at the same time: by side, by object, or by job."""
         chains = [chain for side in SIDES if (chain := pair.chain(Grain.SIDE, side))]
         if chains:
             for chain in chains:
-                self._submit_jobs(pair, chain[:1] if self._is_long(pair) else chain, _FIRST)
+                is_long = pair.plan.n_points > LONG_PAIR
+                self._submit_jobs(pair, chain[:1] if is_long else chain)
         elif pair.ready[0].stage.grain is Grain.OBJECT:
             self._submit_objects(pair)
         else:
             for job in pair.ready:
                 if job.stage.grain is Grain.PAIR:
-                    self._submit_jobs(pair, [job], _FIRST)
+                    self._submit_jobs(pair, [job])
 
-    def _submit_jobs(
-        self, pair: _Pair, jobs: list[Job], priority: float = 0.0, rows: tuple[ObjectRows, ...] = ()
-    ) -> None:
+    def _submit_jobs(self, pair: _Pair, jobs: list[Job], rows: tuple[ObjectRows, ...] = ()) -> None:
         """Some jobs of a pair as one batch."""
         with_objects = any(job.stage.grain is not Grain.SIDE for job in jobs)
         need = pair.plan.bytes_needed(with_objects=with_objects)
-        most_bytes = None if pair.plan.is_counted else need
         names = tuple(job.name for job in jobs)
-        self._submit([pair], [PairBatch(pair.plan, names, most_bytes, rows=rows)], need, priority)
+        self._submit([pair], [PairBatch(pair.plan, names, need, rows=rows)], need)
 
     def _submit_bundle(self) -> None:
         """The pairs that wait for company, as one batch."""
@@ -365,14 +345,10 @@ class Schedule:
         return min(1.0, max(LEAST_WEIGHT, seconds / BUNDLE_S))
 
     def _submit_objects(self, pair: _Pair) -> None:
-        """The stages over a pair's objects: large objects alone, small ones together, largest first.
-
-        Pairs go one after the other, that of the largest object first: workers keep the tables of
-        the last ones.
-        """
+        """The stages over a pair's objects: large objects alone, small ones together, largest first."""
         chain = pair.chain(Grain.OBJECT, "")
         if not pair.plan.objects:
-            self._submit_jobs(pair, chain, _FIRST)
+            self._submit_jobs(pair, chain)
             return
         batches: list[list[tuple[int, int]]] = []
         left_s = 0.0
@@ -383,30 +359,26 @@ class Schedule:
             batches[-1].append((number, n_keep))
             left_s -= costs.object_seconds(n_keep)
         jobs = tuple(job.name for job in chain)
-        priority = costs.object_seconds(batches[0][0][1])
         for sizes in batches:
             need = costs.pair_bytes(pair.plan.n_points) + costs.object_bytes(sizes[0][1])
             objects = tuple(number for number, _ in sizes)
-            self._submit([pair], [PairBatch(pair.plan, jobs, objects=objects)], need, priority)
+            self._submit([pair], [PairBatch(pair.plan, jobs, objects=objects)], need)
 
-    def _submit(
-        self, pairs: list[_Pair], batches: list[PairBatch], need: int, priority: float = 0.0
-    ) -> None:
+    def _submit(self, pairs: list[_Pair], batches: list[PairBatch], need: int) -> None:
         """Queue a batch for `_admit`."""
         for pair in pairs:
             pair.n_waiting += 1
-        batch = _Batch(tuple(pairs), tuple(batches), need)
-        heapq.heappush(self._waiting, (-priority, next(self._count), batch))
+        self._waiting.append(_Batch(tuple(pairs), tuple(batches), need))
 
     def _admit(self) -> None:
         """Submit queued batches in their order, as long as those that may run at once fit into the memory."""
         n_workers = self._pool.n_workers
         while self._waiting and len(self._running) < _BATCHES_PER_WORKER * n_workers:
-            batch = self._waiting[0][2]
+            batch = self._waiting[0]
             needs = [batch.need, *(running.need for running in self._running.values())]
             if self._running and sum(heapq.nlargest(n_workers, needs)) > self._usable():
                 return
-            heapq.heappop(self._waiting)
+            self._waiting.popleft()
             self._running[self._pool.submit(run_batch, batch.batches)] = batch
 
     def _usable(self) -> int:

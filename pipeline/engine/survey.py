@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,13 +13,11 @@ from ...schemas.settings import Settings, preset_of
 from ..datasets.content import ScanContent, scan_content
 from ..datasets.pairs import ScanPair
 from ..stage import Stage
-from ..storage.folder import RunFolder, refuse_overwrite
-from ..storage.run_record import changed_settings, has_ended
+from ..storage.folder import RunFolder
+from ..storage.run_record import changed_settings
 from ..storage.table_files import JobId, JobName
-from .plan import OUT_OF_DATE, PairPlan, with_results
+from .plan import OUT_OF_DATE, PairPlan
 from .progress import Reporter
-
-_GONE = "no longer in the dataset"
 
 PlanPair = Callable[[ScanPair], PairPlan]
 
@@ -49,12 +47,14 @@ class Survey:
     todo : selected pairs among them that have jobs to do
     stale : finished jobs whose results are no longer needed, each with the reason
     n_jobs : jobs to do, of the pairs in `todo`
+    failures : reasons by pair_id of other pairs, which failed in an earlier run
     """
 
     usable: list[ScanPair] = field(default_factory=list)
     todo: list[ScanPair] = field(default_factory=list)
     stale: dict[JobName, str] = field(default_factory=dict)
     n_jobs: int = 0
+    failures: dict[str, str] = field(default_factory=dict)
 
 
 def hash_files(pairs: Iterable[ScanPair], folder: RunFolder) -> InputFiles:
@@ -77,75 +77,6 @@ def hash_files(pairs: Iterable[ScanPair], folder: RunFolder) -> InputFiles:
         if reasons:
             files.faults[pair.pair_id] = "; ".join(reasons)
     return files
-
-
-def survey_results(
-    pairs: Iterable[ScanPair],
-    files: InputFiles,
-    plan_pair: PlanPair,
-    folder: RunFolder,
-    *,
-    selected: Container[str],
-    redo: frozenset[str],
-    complete: Callable[[PairPlan], None],
-) -> Survey:
-    """Compare existing results with the plan.
-
-    Parameters
-    ----------
-    pairs : all pairs that may have results
-    files : of those that are selected or have results
-    plan_pair : returns the plan of a pair
-    selected : names of the pairs to work on
-    redo : stages of the selected pairs to recompute regardless of their keys
-    complete : called with the plan of each pair without jobs to do, so that its records are read
-        once
-    """
-    survey = Survey()
-    reasons = dict.fromkeys(folder.ledger.pair_ids(), _GONE)
-    for pair in pairs:
-        reasons.pop(pair.pair_id, None)
-        if pair.pair_id in files.faults:
-            reasons[pair.pair_id] = "the input cannot be used"
-        elif pair.pair_id in files.contents:
-            survey.usable.append(pair)
-            is_selected = pair.pair_id in selected
-            redone = redo if is_selected else frozenset[str]()
-            plan, stale = with_results(plan_pair(pair), folder, redone)
-            survey.stale |= stale
-            if not plan.todo:
-                complete(plan)
-            elif is_selected:
-                survey.todo.append(pair)
-                survey.n_jobs += len(plan.todo)
-    for pair_id, reason in reasons.items():
-        for record in folder.ledger.jobs(pair_id).values():
-            survey.stale[record.name] = reason
-    return survey
-
-
-def refuse_replacing(
-    survey: Survey,
-    folder: RunFolder,
-    before: Mapping[str, Any],
-    stages: Iterable[Stage],
-    settings: Settings,
-) -> None:
-    """Raise `RunError` if finished results would be replaced because of settings or version.
-
-    Those recomputed because of other input files or libraries are replaced too.
-
-    Parameters
-    ----------
-    before : last record of the folder
-    stages : of the run, with `settings`
-    """
-    lost = [name for name, reason in survey.stale.items() if reason == OUT_OF_DATE]
-    if lost and has_ended(before):
-        names = {stage for stage, _, _ in lost}
-        why = what_changed(before, settings, [stage for stage in stages if stage.name in names])
-        if why:
-            refuse_overwrite(f"run {folder.folder}", _jobs_in_words(lost), why)
 
 
 def what_changed(
@@ -182,7 +113,7 @@ def remove_stale(
         why = reason
         if reason == OUT_OF_DATE:
             why = f"{reason} ({'; '.join(changes) or 'the input files or libraries changed'})"
-        reporter.say(f"replacing {_jobs_in_words(names)}: {why}")
+        reporter.say(f"replacing {jobs_in_words(names)}: {why}")
         jobs_of_pairs: defaultdict[str, set[JobId]] = defaultdict(set)
         for stage, pair_id, part in names:
             jobs_of_pairs[pair_id].add((stage, part))
@@ -194,7 +125,7 @@ def remove_stale(
     folder.ledger.save_hashes()
 
 
-def _jobs_in_words(names: Sequence[JobName]) -> str:
+def jobs_in_words(names: Sequence[JobName]) -> str:
     """Stages of jobs in their order, and the number of their pairs."""
     stages = dict.fromkeys(stage for stage, _, _ in names)
     n_pairs = len({pair_id for _, pair_id, _ in names})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from typing import TypeVar, cast
 
 from ...schemas.errors import DiskFullError, FidpipeError
@@ -57,18 +56,15 @@ def map_tasks(
         n_workers = 1
     modules = [function.__module__]
     pool = start_pool(n_workers, memory_gib, modules, may_end_workers=may_end_workers)
-    reporter.start(len(tasks), len(tasks))
     try:
-        for name, result, reason in _outcomes(pool, function, tasks):
+        for name, result, reason in reporter.counted(_outcomes(pool, function, tasks), len(tasks)):
             if reason:
                 failures[name] = reason
                 reporter.fail(f"pair {name}", reason)
             else:
                 results[name] = cast(Result, result)
                 keep(results[name])
-            reporter.advance(1, 1)
     finally:
-        reporter.stop()
         pool.close()
     return results, failures
 
@@ -79,34 +75,18 @@ def _outcomes(
     """Name, result and reason of failure of each task; one whose worker died is tried again alone."""
     running = {pool.submit(_call, function, task): name for name, task in tasks.items()}
     lost = []
-    while running:
+    for _ in tasks:
         handle, outcome = pool.next_done()
-        name = running.pop(handle)
         if isinstance(outcome, WorkerDied):
-            lost.append(name)
+            lost.append(running[handle])
         else:
-            yield name, *outcome
+            yield running[handle], *outcome
     for name in lost:
         pool.submit(_call, function, tasks[name])
         _, outcome = pool.next_done()
         if isinstance(outcome, WorkerDied):
             outcome = None, f"{_DIED}: {outcome.detail}"
         yield name, *outcome
-
-
-@contextmanager
-def counting(reporter: Reporter) -> Iterator[Callable[[int, int], None]]:
-    """A function that shows how many pairs are done, of how many."""
-
-    def pair_done(n_done: int, n_pairs: int) -> None:
-        if n_done == 1:
-            reporter.start(n_pairs, n_pairs)
-        reporter.advance(1, 1)
-
-    try:
-        yield pair_done
-    finally:
-        reporter.stop()
 
 
 def _call(function: Callable[[Task], Result], task: Task) -> tuple[Result | None, str]:

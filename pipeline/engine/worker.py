@@ -115,7 +115,7 @@ def run_in_memory(
 
     Parameters
     ----------
-    jobs : by name, in their order, from `Planner.jobs`
+    jobs : by name, in their order, from `plan_jobs`
     scans : by side
 
     Raises

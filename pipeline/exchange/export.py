@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from enum import IntEnum
@@ -101,7 +101,7 @@ def export_run(
     mcap: bool = False,
     ply: bool = False,
     replace: bool = False,
-    pair_done: Callable[[int, int], None] = lambda n_done, n_pairs: None,
+    counted: Callable[[Sequence[str], int], Iterable[str]] = lambda names, n_names: names,
 ) -> Exported:
     """Writes the scored pairs of a run, one after the other: an MCAP file for all, a PLY file for each pair and side.
 
@@ -110,7 +110,7 @@ def export_run(
     folder : that they are written into
     pattern : only pairs whose name matches (shell style)
     replace : allow existing files to be replaced
-    pair_done : called after each pair with the number of pairs done and of all
+    counted : yields the names of the pairs, whose number it is given, and shows progress
 
     Raises
     ------
@@ -136,7 +136,7 @@ def export_run(
             raise RunError(f"{path}: already exists; add --replace, or choose another --out")
     stamps_ns, has_times = message_times(run, names)
     with _bag(bag, run) if bag else nullcontext() as write:
-        for n_done, name in enumerate(sorted(names, key=stamps_ns.__getitem__), 1):
+        for name in counted(sorted(names, key=stamps_ns.__getitem__), len(names)):
             for side, (points, objects) in pair_clouds(run, name).items():
                 if ply:
                     write_whole(plys[name, side], _ply(run, name, side, points))
@@ -149,7 +149,6 @@ def export_run(
                     stamps_ns[name],
                     json.dumps(run.row(name), allow_nan=False),
                 )
-            pair_done(n_done, len(names))
     return Exported(bag, tuple(plys.values()), len(names), has_times)
 
 

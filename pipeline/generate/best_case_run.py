@@ -26,7 +26,6 @@ from ..datasets.readers import read_scan
 from ..engine.engine import Machines
 from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
-from ..engine.tasks import counting
 from ..results.best_case import (
     AS_MEASURED,
     BEST_CASE_AMOUNTS,
@@ -160,8 +159,8 @@ def _write_dataset(
             wanted.append((pair, path))
     rows = []
     amounts = []
-    with counting(reporter) as pair_done, one_blas_thread():  # a hundredth of the run's time
-        for pair, path in wanted:
+    with one_blas_thread():  # a hundredth of the run's time
+        for pair, path in reporter.counted(wanted, len(wanted)):
             real = sim = str(pair.real.absolute()) if pair.real else ""
             try:
                 table, noise_m, lost_share, reason = _remeasured(
@@ -175,7 +174,6 @@ def _write_dataset(
                 sim = f"sim/{path.name}"
             time_s = "" if pair.timestamp_s is None else repr(pair.timestamp_s)
             rows.append((pair.pair_id, real, sim, time_s))
-            pair_done(len(rows), len(wanted))
     if amounts and AS_MEASURED in (recipe.noise_m, recipe.lost_share):
         _report_amounts(amounts, folder, reporter)
     write_whole(folder / MANIFEST, csv_bytes(["pair_id", "real", "sim", "timestamp_s"], rows))

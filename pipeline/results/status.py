@@ -83,11 +83,11 @@ def run_status(folder: Path) -> RunStatus:
         for stage in stages:
             state = _stage_state(stage, plan, unwanted, has_failed=pair.pair_id in failures)
             states[stage.name][state] += 1
-        for job in ledger.jobs(pair.pair_id).values():
-            if job.name in unwanted:
-                damaged += run_folder.damaged_files(job)
-    for job in ledger.jobs("").values():
-        damaged += run_folder.damaged_files(job)
+        for finished in ledger.jobs(pair.pair_id).values():
+            if finished.name in unwanted:
+                damaged += run_folder.damaged_files(finished)
+    for finished in ledger.jobs("").values():
+        damaged += run_folder.damaged_files(finished)
     return RunStatus(
         folder=folder,
         dataset=record["dataset"],

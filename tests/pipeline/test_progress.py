@@ -33,7 +33,7 @@ def test_before_the_first_pair_ends_the_share_of_the_jobs_is_shown():
     reporter.start(2, 10)
     reporter.advance(3)
     reporter.stop()
-    assert said.getvalue() == "30 % done\n"
+    assert said.getvalue().startswith("0 of 2 pairs, 0 failed, 30 %")
 
 
 def test_a_failure_is_a_line_and_counts():

@@ -80,13 +80,13 @@ def test_a_long_pair_is_made_job_by_job_and_object_by_object_so_that_progress_mo
 ):
     pool = WatchedPool(n_workers=n_workers)
     reporter, told = listening(seconds_between_lines=0.0)
-    policy = {"WORTH_SPLITTING_S": 0.0, "LONG_PAIR_S": 0.0, "BATCH_S": 0.0}
+    policy = {"WORTH_SPLITTING_S": 0.0, "LONG_PAIR": 0, "BATCH_S": 0.0}
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy, reporter=reporter).failures
     jobs_of_sides = [
         len(jobs) for jobs in pool.batches if jobs[0][1] in ("ground", "graph", "communities")
     ]
     assert set(jobs_of_sides) == {1}
-    assert re.search(r"^\d+ % done$", told.getvalue(), re.MULTILINE)
+    assert re.search(r"^0 of 3 pairs, 0 failed, \d+ %", told.getvalue(), re.MULTILINE)
     counts = re.findall(r"000: (\d+) of (\d+) objects", told.getvalue())
     assert [int(n) for n, _ in counts] == list(range(1, int(counts[0][1]) + 1))
     assert_same_tables(tmp_path / "run", finished)
@@ -115,30 +115,14 @@ def test_a_pair_with_a_large_object_whose_worker_dies_once_is_scored_all_the_sam
     assert_same_tables(tmp_path / "run", finished)
 
 
-def test_what_a_dying_worker_leaves_is_made_again_pair_by_pair_side_by_side(
+def test_what_a_dying_worker_leaves_is_made_job_by_job_with_nothing_next_to_it(
     dataset, finished, tmp_path
 ):
     pool = DyingPool(lambda jobs, name: True, 1)
     outcome = run(dataset, tmp_path / "run", pool=pool)
     assert (outcome.failures, outcome.n_made) == ({}, N_JOBS)
-    assert [len(jobs) for jobs in pool.batches] == [N_JOBS, *[JOBS_PER_PAIR] * 3]
-    assert [n for n, _ in pool.at_once] == [1, 1, 2, 3]
-    assert_same_tables(tmp_path / "run", finished)
-
-
-def test_a_pair_that_loses_its_worker_twice_is_made_job_by_job_with_nothing_beside_it(
-    dataset, finished, tmp_path
-):
-    pool = DyingPool(lambda jobs, name: ("001", "matching", "") in jobs, 2)
-    outcome = run(dataset, tmp_path / "run", pool=pool)
-    assert (outcome.failures, outcome.n_made) == ({}, N_JOBS)
-    assert [len(jobs) for jobs in pool.batches] == [
-        N_JOBS,
-        *[JOBS_PER_PAIR] * 3,
-        *[1] * JOBS_PER_PAIR,
-    ]
-    assert {jobs[0][0] for jobs in pool.batches[4:]} == {"001"}
-    assert {n for n, _ in pool.at_once[4:]} == {1}
+    assert [len(jobs) for jobs in pool.batches] == [N_JOBS, *[1] * N_JOBS]
+    assert {n for n, _ in pool.at_once} == {1}
     assert_same_tables(tmp_path / "run", finished)
 
 
@@ -147,8 +131,7 @@ def test_a_job_that_loses_its_worker_alone_too_fails_its_pair_alone(dataset, fin
     outcome = run(dataset, tmp_path / "run", pool=pool)
     assert list(outcome.failures) == ["001"]
     assert outcome.failures["001"].startswith("stage matching: the worker process died")
-    assert pool.n_deaths == 2 + 1  # with others, alone
-    assert {jobs[0][0] for jobs in pool.batches if len(jobs) == 1} == {"001"}
+    assert pool.n_deaths == 1 + 1  # with others, alone
     assert outcome.n_made == N_JOBS - JOBS_PER_PAIR  # nothing of the failed pair stays
     assert not (
         tmp_path / "run" / "matching" / "001.parquet"

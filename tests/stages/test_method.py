@@ -97,7 +97,7 @@ def test_paths_scans_and_arrays_with_intensity_have_the_same_results(scans, tmp_
     matched = results[0].summary["n_matched"]
     assert matched > 0
     assert repr(results[0]).startswith(
-        f"<evaluated pair, preset paper: n_matched {matched}, n_not_found "
+        f"<evaluated pair, preset paper: n_matched {matched}, match_rate "
     )
     with pytest.raises(ScanError, match=r"sim: .*\(60, 5\)"):
         evaluate_pair(columns[0], np.ones((60, 5)))
