@@ -7,14 +7,13 @@ from typing import Annotated
 
 import typer
 
-from . import completion
 from .options import AsCsv, AsJson, AsMarkdown, BestCase, Pairs, RunFolder, format_of
 from .output import print_as, print_line
 
 
 def show(
     run: RunFolder,
-    pair: Annotated[str | None, typer.Argument(autocompletion=completion.pairs)] = None,
+    pair: Annotated[str | None, typer.Argument()] = None,
     object_: Annotated[str | None, typer.Argument(metavar="[OBJECT]")] = None,
     all_: Annotated[bool, typer.Option("--all")] = False,
     best_case: BestCase = None,

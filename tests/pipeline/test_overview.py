@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pytest
 
 from fidpipe.pipeline import run as run_module
@@ -87,13 +86,12 @@ def test_the_overview_of_the_record_is_that_of_the_tables(finished):
 def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_nothing(
     finished, monkeypatch
 ):
-    from fidpipe.pipeline.results import object_frame, overview
+    from fidpipe.pipeline.results import object_frame
 
     _, folder, outcome = finished
     again = FinishedRun(folder)
     assert again.record.overview == outcome.record.overview
-    for module in (object_frame, overview):
-        monkeypatch.setattr(module, "PAIRS_AT_ONCE", 1)
+    monkeypatch.setattr(object_frame, "PAIRS_AT_ONCE", 1)
     pairs = outcome.pairs
     times = {name: 100.0 * i for i, name in enumerate(NUSCENES)}
     findings, found, metrics = describe_objects(
@@ -116,12 +114,9 @@ def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_
     ]
     rows += [("real", 1, 300, "moved", None), ("sim", 1, 310, "moved", None)]
     names = ("side", "piece_id", "n_points", "fate", "label")
-    table = pa.Table.from_pylist(
-        [dict(zip(names, row, strict=True)) | place | moved for row in rows]
-    )
-    store = SimpleNamespace(
-        read_pairs=lambda *_: {("pieces", ""): (table, np.array([2, 3]))}
-    )  # two of a, three of b
+    pieces = pd.DataFrame([dict(zip(names, row, strict=True)) | place | moved for row in rows])
+    pieces["pair_id"] = [*"aabbb"]
+    store = SimpleNamespace(read_pairs=lambda *_: {("pieces", ""): pieces})
     assert [
         (one.pair_id, one.fate_words, one.words.split(", ")[0])
         for one in largest_pieces(store, ["a", "b"])

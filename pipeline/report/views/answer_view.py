@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ....schemas.metric_catalogue import headline_scores, metric_of
 from ....schemas.record import RunHeader, RunRecord
-from ....schemas.results import Cause, Overview
+from ....schemas.results import Cause, Overview, Unknown
 from ....stages.statistics.comparison import LEAST_FOR_INTERVAL
 from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
 from ...results.causes import MANY_UNKNOWN, MOST_SHOWN, interval_words, no_cause_words
@@ -144,15 +144,17 @@ def trust_words(
         is_shown_above = caution.kind in ("failed", "frames")
         if not is_shown_above and not (has_best_case and caution.kind == "best_case"):
             trust.append(caution.words.replace("fidpipe best-case RUN", command))
-    trust = trust[:most]
-    if overview.unknown:
-        groups = []
-        for group in overview.unknown:
-            n_causes = len(group.causes)
-            names = ", ".join(group.causes) if n_causes < MANY_UNKNOWN else f"{n_causes} causes"
-            groups.append(f"{names} ({group.reason})")
-        trust.append(f"unknown: {'; '.join(groups)}")
-    return trust
+    return trust[:most] + unknown_words(overview.unknown)
+
+
+def unknown_words(unknown: Sequence[Unknown]) -> list[str]:
+    """One sentence about all unknown causes, with reasons; none without such causes."""
+    groups = []
+    for group in unknown:
+        n_causes = len(group.causes)
+        names = ", ".join(group.causes) if n_causes < MANY_UNKNOWN else f"{n_causes} causes"
+        groups.append(f"{names} ({group.reason})")
+    return [f"unknown: {'; '.join(groups)}"] if groups else []
 
 
 def next_commands(
