@@ -194,11 +194,14 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
 
 
 def _address(run: FinishedRun, piece: Piece) -> str:
-    """Fragment of the page's address that opens the object with most points of a piece."""
+    """Fragment of the page's address that opens the object with most points of a piece, if any."""
     points = points_of(run, piece.pair_id)[piece.side]
-    community = points.loc[points["piece_id"] == piece.piece_id, "community_id"].mode()[0]
-    name = f"{piece.side} {community}"
-    return f"#{urlencode({'pair': piece.pair_id, 'object': name}, quote_via=quote)}"
+    communities = points.loc[points["piece_id"] == piece.piece_id, "community_id"]
+    known = communities[communities >= 0]
+    asked = {"pair": piece.pair_id}
+    if len(known):
+        asked["object"] = f"{piece.side} {known.mode()[0]}"
+    return f"#{urlencode(asked, quote_via=quote)}"
 
 
 def _sensors(run: FinishedRun, pair_id: str) -> list[tuple[str, list[Item]]]:

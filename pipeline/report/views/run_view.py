@@ -151,7 +151,7 @@ def baselines_view(summaries: Sequence[BaselineSummary]) -> View:
     notes = []
     for summary in summaries:
         metric = METRIC[summary.baseline]
-        mean = f"{number(summary.mean, 4)} ± {number(summary.std, 4)}"
+        mean = mean_and_spread(summary.mean, summary.std, 4)
         seconds = "" if summary.seconds is None else number(summary.seconds)
         unit = unit_words(metric.unit)
         rows.append((metric.heading, summary.level, unit, mean, seconds))

@@ -16,7 +16,6 @@ from ....schemas.metric_catalogue import (
     reach_words,
     scores_in,
 )
-from ....schemas.results import JsonObject
 from ....stages.coverage import surface_state
 from ...results.best_case import RunExcess
 from ...results.finished import (
@@ -87,12 +86,12 @@ def show_json(
     run: FinishedRun, pair: str | None, name: str | None, excess: RunExcess | None = None
 ) -> JsonValue:
     """A run, a pair of it, or an object of a pair as plain values."""
-    if pair is not None and name is not None:
-        return {"pair_id": pair, **object_facts(run, pair, name).as_dict()}
-    values: JsonObject = run_facts(run) if pair is None else pair_facts(run, pair).as_dict()
-    if excess is not None:
-        values = values | {"excess": excess.as_dict()}
-    return values
+    if pair is None:
+        values = run_facts(run)
+        return values | {"excess": excess.as_dict()} if excess else values
+    if name is None:
+        return pair_facts(run, pair).as_dict()
+    return {"pair_id": pair, **object_facts(run, pair, name).as_dict()}
 
 
 def show_records(run: FinishedRun, pair: str | None, name: str | None) -> Table:
@@ -115,7 +114,7 @@ def pair_view(facts: PairFacts, command: str = "") -> View:
     row = facts.pair
     if row["status"] != "scored":
         return [Note(f"pair {row['pair_id']} failed: {row['reason']}", "red")]
-    matched = [entry for entry in facts.objects if entry.scores and entry.real and entry.sim]
+    matched = [entry for entry in facts.objects if entry.scores]
     parts: list[Part] = [Note(_pair_sentence(row), "bold"), _sides_table(row), _rays(facts)]
     parts.append(_matched_table(matched))
     if matched:
