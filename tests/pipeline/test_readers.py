@@ -126,10 +126,10 @@ def test_a_missing_file_and_an_unknown_format_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("n_columns", [3, 4])
-def test_float64_rows_in_a_bin_are_refused_with_their_layout(tmp_path, n_columns):
+def test_float64_rows_in_a_bin_are_refused(tmp_path, n_columns):
     rows = np.column_stack([street(), np.zeros(len(street()))])[:, :n_columns]
     (tmp_path / "a.bin").write_bytes(rows.astype("<f8").tobytes())
-    with pytest.raises(ScanError, match=f"float64 .*{n_columns} columns"):
+    with pytest.raises(ScanError, match="got float64; convert it"):
         read_scan(tmp_path / "a.bin")
     assert len(read_scan(write_bin(tmp_path / "b.bin", street())).points) == len(street())
 
