@@ -28,6 +28,7 @@ from fidpipe.pipeline.datasets.pairs import scans_of
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.schemas.settings import load
+from fidpipe.stages.sensor_description import describe_sensor
 
 NOISE_M, LOSS = 0.02, 0.03
 MIN_RANGE_M = 2.5  # nearer first returns are dropped, and their second ones would be left
@@ -275,6 +276,21 @@ def variants():
         ),
         "one point repeated, 10 %": Variant("one repeated point", repeated([-0.4, 0, 2.1], 0.1)),
     }
+    found |= {
+        "two even sweeps, sorted": Variant("finer sensor", even_sweeps(2, "azimuth")),
+        "two even sweeps, shuffled": Variant("finer sensor", even_sweeps(2, "random")),
+        "three even sweeps, shuffled": Variant("finer sensor", even_sweeps(3, "random")),
+        "without road": Variant("", without_road, allowed=("missing parts",)),
+        "second returns in other beams, 30 %": Variant("", in_other_beams(0.3)),
+        "rounded to 1 cm": Variant("rounded", rounded(0.01)),
+        "rounded to 10 cm": Variant("rounded", rounded(0.1)),
+        "float32 of projected coordinates": Variant("rounded", projected),
+        "simulated cropped to a box": Variant("", cropped(40, 40)),
+        "real cropped to a box": Variant("", unchanged, cropped(40, 40)),
+        "real of 90 degrees": Variant("", unchanged, ahead(90)),
+        "simulated of 90 degrees": Variant("", ahead(90), allowed=("blind sector",)),
+        "pitched by 3 degrees": Variant("", pitched(3), allowed=("pitch",)),
+    }
     for number in range(12):
         share = (0.0, 0.1, 0.3, 0.5)[number % 4]
         allowed = ("lost returns",) if share else ()
@@ -286,13 +302,73 @@ def variants():
     return found
 
 
+def even_sweeps(n_sweeps, order):
+    """Sweeps of a parked sensor whose azimuths lie evenly between each other, in rows that tell nothing."""
+
+    def accumulate(points, rng):
+        step_deg = describe_sensor(points).azimuth_step_deg or 0.2
+        turns = [moved(0, 0, 0, step_deg * k / n_sweeps) for k in range(n_sweeps)]
+        sweeps = np.concatenate([remeasured(turn(points, rng), rng) for turn in turns])
+        if order == "random":
+            return rng.permutation(sweeps)
+        return sweeps[np.argsort(np.arctan2(sweeps[:, 1], sweeps[:, 0]))]
+
+    return accumulate
+
+
+def without_road(points, rng):
+    heights = np.histogram(points[ranges(points) < 25, 2], bins=np.arange(-3, 2, 0.1))
+    return points[points[:, 2] > heights[1][heights[0].argmax()] + 0.3]
+
+
+def in_other_beams(share):
+    """Second returns of some rays, half a degree higher than the first."""
+
+    def repeat(points, rng):
+        second = points[(rng.random(len(points)) < share) & (ranges(points) > MIN_RANGE_M)]
+        second = along_ray(second, ranges(second) + rng.uniform(0.5, 3.0, len(second)))
+        second[:, 2] += np.radians(0.45) * ranges(second)
+        return np.concatenate([points, second])
+
+    return repeat
+
+
+def rounded(step_m):
+    return lambda points, rng: step_m * np.round(points / step_m)
+
+
+def projected(points, rng):
+    """As in a float32 file of projected coordinates."""
+    origin = np.array([448262.0, 5411932.0, 115.0])
+    return (points + origin).astype(np.float32) - origin
+
+
+def cropped(x, y):
+    return lambda points, rng: points[(np.abs(points[:, :2]) < [x, y]).all(axis=1)]
+
+
+def ahead(width_deg):
+    return lambda points, rng: points[
+        np.abs(np.degrees(np.arctan2(points[:, 1], points[:, 0]))) < width_deg / 2
+    ]
+
+
+def pitched(angle_deg):
+    matrix = Rotation.from_euler("y", angle_deg, degrees=True).as_matrix()
+    return lambda points, rng: points @ matrix.T
+
+
+def unchanged(points, rng):
+    return points
+
+
 def points_of(path):
     points = np.asarray(read_scan(scans_of(path)[0]).points, dtype=float)
     return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
 
 
 def check(folder, points, variant, rng, settings):
-    """Errors and warnings, and names of causes, of a pair of a scan and itself re-measured with a fault."""
+    """Warnings, reasons of unknown causes, and named causes of a scan and itself re-measured with a fault."""
     sim = variant.fault(remeasured(points, rng), rng)
     real = points if variant.real_fault is None else variant.real_fault(points, rng)
     np.save(folder / "real.npy", real)
@@ -300,8 +376,10 @@ def check(folder, points, variant, rng, settings):
     (folder / "pairs.csv").write_text("pair_id,real,sim\n0,real.npy,sim.npy\n")
     checked = check_dataset(folder, settings)
     texts = [*checked.doubts, *checked.faults, *checked.warnings]
+    reasons = [unknown.reason for unknown in checked.causes.unknown]
     return (
         texts,
+        reasons,
         [cause.words for cause in checked.causes.causes],
         [cause.name for cause in checked.causes.causes],
     )
@@ -319,10 +397,12 @@ def main(only=""):
                 continue
             points = points_of(sorted(DATA.glob(pattern))[0])
             with tempfile.TemporaryDirectory() as folder:
-                texts, words, names = check(
+                texts, reasons, words, names = check(
                     Path(folder), points, variant, random(name, scan), settings
                 )
-            is_named = not variant.named or any(re.search(variant.named, text) for text in texts)
+            is_named = not variant.named or any(
+                re.search(variant.named, text) for text in [*texts, *reasons]
+            )
             right = [w for w, n in zip(words, names, strict=True) if n in variant.allowed]
             wrong = [w for w, n in zip(words, names, strict=True) if n not in variant.allowed]
             number["all"] += 1
@@ -334,7 +414,7 @@ def main(only=""):
                 flush=True,
             )
             if not is_named or only:
-                print("    ", texts, flush=True)
+                print("    ", texts, reasons, flush=True)
     print(dict(number))
 
 

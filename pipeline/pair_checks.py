@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 from ..schemas.columns import SIDE_NAMES, SIDES
@@ -139,27 +137,15 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
 
 def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
     """One line for each pair one of whose files is named after the other side, by its own name or its folders."""
-    resolve = cache(Path.resolve)  # of folders: many files share one
-
-    def resolved(file: Path) -> tuple[str, ...]:
-        if file.is_symlink():
-            return Path(os.path.realpath(file)).parts
-        return (*resolve(file.parent).parts, file.name)
-
-    @cache
-    def below(parent: Path) -> tuple[str, ...] | None:
-        """The parts of a folder below that of the dataset; None if it is elsewhere, or a link leads to it."""
-        if not parent.is_relative_to(folder):
-            return None
-        parts = parent.relative_to(folder).parts
-        return parts if resolve(parent) == resolve(folder).joinpath(*parts) else None
+    root = folder.resolve()
 
     def words(scan: ScanRef, other: ScanRef) -> set[str]:
         """Words in a file's name and in its folders, below the dataset's folder or else where the other's differ."""
-        parts = {*resolved(scan.file)} - {*resolved(other.file)}
-        folders = None if scan.file.is_symlink() else below(scan.file.parent)
-        if folders is not None:
-            parts = {*folders, scan.file.name}
+        file = scan.file.resolve()
+        if file.is_relative_to(root):
+            parts = set(file.relative_to(root).parts)
+        else:
+            parts = {*file.parts} - {*other.file.resolve().parts}
         return set(re.split("[^a-z]+", "/".join([*parts, scan.topic or ""]).lower()))
 
     lines = []

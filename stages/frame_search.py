@@ -39,6 +39,7 @@ _MIN_SHIFT_M = 0.8
 _MAX_LIFT_LEFT_M = 0.05
 _MAX_COVERAGE_LOST = 0.02
 _LIFT_STEPS = 4
+_NEARER = 0.6  # of the median distance before a lift
 _SCALES = {
     "centimetres": 0.01,
     "millimetres": 0.001,
@@ -230,7 +231,11 @@ def check_frames(
         if source and not is_far_from_origin(real) and not is_far_from_origin(in_metres):
             levelled = _levelled(target, source, start)
             after = _coverage(target, source, levelled, settings.include_box) if levelled else 0.0
-            if levelled and after >= max(before - _MAX_COVERAGE_LOST, MIN_SAME_PLACE):
+            if (
+                levelled
+                and after >= max(before - _MAX_COVERAGE_LOST, MIN_SAME_PLACE)
+                and (is_suspect or _is_nearer(real, source, start.M, levelled.M, settings))
+            ):
                 best = levelled
                 coverage = after
                 is_suspect = True
@@ -355,6 +360,16 @@ def _levelled(target: _Side, source: _Side, candidate: _Candidate) -> _Candidate
     M = candidate.M.copy()
     M[2, 3] += change_m
     return replace(candidate, M=M, lift_m=lift_m)
+
+
+def _is_nearer(
+    real: FloatArray, source: _Side, before: FloatArray, after: FloatArray, settings: InputSettings
+) -> bool:
+    """True if points of the simulated scan are much nearer to the real one after a motion."""
+    tree = scipy.spatial.cKDTree(as_ros(real, settings.frame_of("real")))
+    points = source.points[source.sample]
+    apart_m = [np.median(tree.query(_placed(points, M))[0]) for M in (before, after)]
+    return bool(apart_m[1] < _NEARER * apart_m[0])
 
 
 def _candidates(

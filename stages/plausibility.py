@@ -87,8 +87,8 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
         odd.append(f"all points are within {spread.max():.2g} m; expected metres")
     elif not are_angles and spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
         odd.append(
-            f"z spans {spread[2]:.0f} m and x and y {spread[0]:.0f} and {spread[1]:.0f} m; "
-            + _axes_question(points, spread, side)
+            f"z spans {spread[2]:.0f} m and x and y {spread[0]:.0f} and {spread[1]:.0f} m: is z up, "
+            f"are the columns right? see input.{side}_frame and input.columns"
         )
     if are_angles:
         odd.append(
@@ -108,27 +108,10 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     if near > 0.5:
         left = float(np.mean((range_m >= min_range_m) & (range_m < EGO_RANGE_M)))
         odd.append(
-            f"{near:.0%} of the points are within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
-            + _advice_on_near_points(left, min_range_m)
+            f"{near:.0%} of the points are within {EGO_RANGE_M:g} m; hits on the ego vehicle? {left:.1%} are kept by "
+            f"input.min_range_m={min_range_m:g}; input.min_range_m={EGO_RANGE_M:g} or input.exclude_box drops them"
         )
     return odd
-
-
-def _advice_on_near_points(left: float, min_range_m: float) -> str:
-    """What to do about points on the ego vehicle, by the share that is kept."""
-    setting = f"input.min_range_m={min_range_m:g}"
-    if left < 0.0005:
-        return f"they are already dropped by {setting}"
-    return f"{left:.1%} are kept by {setting}; input.min_range_m={EGO_RANGE_M:g} or input.exclude_box drops them"
-
-
-def _axes_question(points: FloatArray, spread: FloatArray, side: str) -> str:
-    """Likely error of a scan that is as high as it is wide."""
-    if spread[1] >= STEEP_SPREAD * spread[[0, 2]].min():
-        return "are the columns right (input.columns)?"
-    if np.median(as_ros(points, "kitti-cam")[:, 2]) < 0:  # most points are lower than the sensor
-        return f"is it in camera axes? set input.{side}_frame=kitti-cam"
-    return "is y up? expected x forward, y left, z up; set T_real_sim in pairs.csv"
 
 
 def _are_angles(points: FloatArray) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -17,31 +17,41 @@ from .beam_patterns import BeamPattern, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
 from .trust import (
     BEAMS,
+    FRAME,
     MISSES,
     ONE_SWEEP,
     POSITION,
     RETURNS,
     SWEEPS_IN_A_ROW,
+    alternation_text,
     find_misses,
     grid_text,
     later_returns,
     misses_text,
     position_text,
     returns_text,
+    rounding_m,
+    rounding_text,
     sweep_parts,
     sweeps_text,
     thinned_text,
-    turns_text,
 )
 
 #: Limits of the range bands, metres, for the share of lost pulses.
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
 #: Columns of table `sensor` that `pairs` has for both sides.
 _PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
+#: Names of the properties that may be undetermined.
+_PROPERTIES = {
+    "azimuth step": "azimuth_step_deg",
+    "range quantum": "range_quantum_m",
+    "range noise": "range_noise_m",
+    "pulses lost in surfaces": "lost_share",
+}
 _YES = {True: "yes", False: "no"}
 _MIN_POINTS = 500
 _HOLE = 5  # pulses that a gap within a surface may lack, at most
-_QUANTA_M = (0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
+_QUANTA_M = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
 _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
 _RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
@@ -153,6 +163,9 @@ def describe_with_gaps(
             return _undetected(sensor, f"{len(rows)} points have a return"), NO_GAPS
     points = points[rows]
     sensor = replace(sensor, field_of_view_deg=_field_of_view(points))
+    sensor.doubts.update(rounding_text(rounding_m(points)))
+    if FRAME in sensor.doubts:
+        return _undetected(sensor, sensor.doubts[FRAME]), NO_GAPS
     pattern = find_beams(points, None if ring is None else ring[rows])
     if isinstance(pattern, str):
         if text := position_text(points):
@@ -184,9 +197,7 @@ def _describe_beams(
     if several_returns:
         sweep = sweep.first_returns(is_later)
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
-    several_sweeps = sweeps_text(sweep.gap_deg) or turns_text(
-        sweep.beam, sweep.azimuth_deg, sweep.row
-    )
+    several_sweeps = sweeps_text(sweep.gap_deg) or alternation_text(sweep.beam, sweep.range_m)
     if several_sweeps:
         doubts = {ONE_SWEEP: several_sweeps, **doubts}
         step = None
@@ -291,39 +302,29 @@ def _count_text(sensor: SensorDescription) -> str:
 
 def sensor_lines(sensor: SensorDescription) -> list[str]:
     """Lines with the properties of a sensor, and the reason for undetermined ones."""
-    rows = [("beams", beams_text(sensor).replace("no beams", "none").replace(" beams", "", 1))]
+    texts = {"beams": beams_text(sensor).replace("no beams", "none").replace(" beams", "", 1)}
     if sensor.origin_height_m:
-        rows.append(("beams start", _heights_text(sensor)))
+        texts["beams start"] = _heights_text(sensor)
     if sensor.focal_m:
-        rows.append(("beams cross", f"{1e3 * sensor.focal_m:.1f} mm before the axis"))
+        texts["beams cross"] = f"{1e3 * sensor.focal_m:.1f} mm before the axis"
     if sensor.field_of_view_deg:
         low, high, around = sensor.field_of_view_deg
-        rows.append(
-            ("field of view", f"{low:+.4g} to {high:+.4g} degrees, {around:.0f} degrees around"),
-        )
-    rows += _property(sensor, "azimuth step", "azimuth_step_deg", "{:.3f} degrees".format)
-    rows += _property(
-        sensor,
-        "range quantum",
-        "range_quantum_m",
-        lambda quantum: f"{1e3 * quantum:g} mm",
-    )
-    rows += _property(sensor, "range noise", "range_noise_m", lambda _: _noise_text(sensor))
+        texts["field of view"] = f"{low:+.4g} to {high:+.4g} degrees, {around:.0f} degrees around"
+    for name, attribute in _PROPERTIES.items():
+        if attribute in sensor.untold:
+            texts[name] = f"none detected ({sensor.untold[attribute]})"
+    if sensor.azimuth_step_deg:
+        texts["azimuth step"] = f"{sensor.azimuth_step_deg:.3f} degrees"
+    if sensor.range_quantum_m:
+        texts["range quantum"] = f"{1e3 * sensor.range_quantum_m:g} mm"
+    if sensor.range_noise_m is not None:
+        texts["range noise"] = _noise_text(sensor)
     if sensor.elevation_deg:
-        rows.append(("angular noise", _angular_text(sensor)))
-    rows += _property(sensor, "pulses lost in surfaces", "lost_share", _lost_text)
-    rows.append(("for each point", f"ring: {_YES[sensor.has_ring]}, time: {_YES[sensor.has_time]}"))
-    return [f"{name}: {text}" for name, text in rows]
-
-
-def _property(
-    sensor: SensorDescription, name: str, attribute: str, text: Callable[[Any], str]
-) -> list[tuple[str, str]]:
-    """The row of a property, or of the reason why it is not determined; none without both."""
-    if attribute in sensor.untold:
-        return [(name, f"none detected ({sensor.untold[attribute]})")]
-    value = getattr(sensor, attribute)
-    return [(name, text(value))] if value not in (None, ()) else []
+        texts["angular noise"] = _angular_text(sensor)
+    if sensor.lost_share:
+        texts["pulses lost in surfaces"] = _lost_text(sensor.lost_share)
+    texts["for each point"] = f"ring: {_YES[sensor.has_ring]}, time: {_YES[sensor.has_time]}"
+    return [f"{name}: {text}" for name, text in texts.items()]
 
 
 def _noise_text(sensor: SensorDescription) -> str:
@@ -344,8 +345,8 @@ def _angular_text(sensor: SensorDescription) -> str:
 
 
 def _lost_text(shares: Sequence[float | None]) -> str:
-    bands = zip(LOST_BANDS_M, LOST_BANDS_M[1:], shares, strict=False)
-    known = [band for band in bands if band[2] is not None]
+    bands = zip(pairwise(LOST_BANDS_M), shares, strict=True)
+    known = [(*band, share) for band, share in bands if share is not None]
     texts = [f"{share:.0%} at {low:.0f}-{high:.0f} m" for low, high, share in known]
     return ", ".join(texts) or "too few returns"
 
@@ -358,14 +359,8 @@ def _undetected(sensor: SensorDescription, reason: str) -> SensorDescription:
 
 
 def _heights_text(sensor: SensorDescription) -> str:
-    heights = sensor.origin_height_m or (0.0,)
-    if not any(heights):
-        return "at the origin"
-    if min(heights) >= 0 or max(heights) <= 0:
-        texts = [f"{abs(height):g}" for height in heights]
-        return f"{' and '.join(texts)} m {'above' if max(heights) > 0 else 'below'} the origin"
-    texts = [f"{height:+g}" for height in heights]
-    return f"{' and '.join(texts)} m from the origin"
+    heights_m = [f"{height:+g}" for height in sensor.origin_height_m]
+    return f"{' and '.join(heights_m)} m from the origin"
 
 
 @dataclass(frozen=True)

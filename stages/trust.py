@@ -20,10 +20,14 @@ MISSES, RETURNS = "misses", "single_returns"
 ONE_SWEEP, POSITION, BEAMS = "one_sweep", "sensor_position", "beams"
 #: Needed by causes of the pose and the world: several sweeps on both sides, or on none.
 SAME_SWEEPS = "same_sweeps"
-#: Needed by every cause: both sides in one frame.
+#: Needed by every cause: both sides in one frame, in fine coordinates.
 FRAME = "frame"
+#: Needed by causes of the angles: coordinates that are finer than a centimetre.
+FINE = "fine_coordinates"
+#: Of both sides: azimuth steps without a doubtful ratio; no side cropped to a box; road on the simulated side.
+STEPS, UNCROPPED, ROAD = "azimuth_steps", "uncropped", "road"
 #: Doubts that make `fidpipe check` fail.
-SERIOUS = (MISSES, ONE_SWEEP, POSITION)
+SERIOUS = (MISSES, ONE_SWEEP, POSITION, FRAME)
 _LEAST_DEPTH_M = 5.0
 #: Distance from the farthest point, metres, in which rays without a return are written, and their least share.
 _SHELLS = ((0.1, 0.03), (0.5, 0.1), (2.0, 0.2))
@@ -56,11 +60,14 @@ _SAMPLE = 5000
 _NEIGHBOURS = 10
 _DENSE_PART = 5  # a fifth of the points
 _DENSE_M = 15.0
-_ALTERNATING = 0.3  # of the returns of a beam; sweeps have 0.64 at least, other scans up to 0.04
-_MOST_STEPS = 20.0  # from a row of a beam to the next: scans in order have 1, n sweeps about n
-_SEVERAL_SWEEPS = "two or more sweeps or sensors in one scan? {}; export one revolution per file"
+_SEVERAL_SWEEPS = "two or more sweeps or sensors, or second returns, in one scan? {}; export one revolution per file"
 SWEEPS_IN_A_ROW = _SEVERAL_SWEEPS.format("Parts of it have beams, and all of it has not")
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
+_ROUNDED_M, _COARSE_M = 0.0095, 0.03
+_FEWEST_VALUES = 20
+_CHANGING = 2.0  # two sweeps of a moving sensor have 4, single ones up to 0.9
+_SURFACE_PART = 0.2  # of the range, between returns of one surface
+_FEWEST_AT_EDGE = 20
 
 
 @dataclass(frozen=True)
@@ -145,6 +152,87 @@ def returns_text(is_later: BoolArray) -> str | None:
     )
 
 
+def rounding_m(points: FloatArray) -> float:
+    """Step to which x and y are rounded, of the coarser of both; 0 if one is not.
+
+    Then the differences of neighbouring values are multiples of the least ones. A constant may be added, as after
+    a float32 file of projected coordinates.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    """
+    steps_m = []
+    for values in points[:, :2].T:
+        gap_m = np.diff(np.unique(np.round(values, 5)))
+        if len(gap_m) < _FEWEST_VALUES:
+            return 0.0
+        step_m = np.median(gap_m[gap_m < 1.5 * np.quantile(gap_m, 0.01)])
+        n_steps = gap_m / step_m
+        if np.mean(np.abs(n_steps - np.round(n_steps)) < 0.05) < 0.95:
+            return 0.0
+        steps_m.append(float(step_m))
+    return max(steps_m)
+
+
+def rounding_text(step_m: float) -> dict[str, str]:
+    """The doubt that coordinates are rounded, by what cannot be trusted."""
+    text = f"coordinates are rounded to {100 * step_m:.3g} cm; export them with more digits"
+    if step_m < _ROUNDED_M:
+        return {}
+    return {FRAME: f"{text}, or relative to the sensor"} if step_m > _COARSE_M else {FINE: text}
+
+
+def alternation_text(beam: IndexArray, range_m: FloatArray) -> str | None:
+    """The doubt that every second return of the beams is of another scan; None if it is not.
+
+    Third differences of the ranges of neighbours are then larger than those of every second return.
+
+    Parameters
+    ----------
+    beam, range_m : (n,) of returns sorted by beam, azimuth
+    """
+    if len(beam) < _FEWEST_GAPS:
+        return None
+    runs_m = sliding_window_view(range_m, 7)
+    is_surface = np.ptp(runs_m, axis=1) < _SURFACE_PART * runs_m[:, 3]
+    runs_m = runs_m[is_surface & (beam[6:] == beam[:-6])]
+    if len(runs_m) < _FEWEST_GAPS:
+        return None
+    weights = np.array([1.0, -3.0, 3.0, -1.0])
+    neighbours = np.median(np.abs(runs_m[:, 2:6] @ weights))
+    every_second = np.median(np.abs(runs_m[:, ::2] @ weights))
+    if neighbours < _CHANGING * every_second:
+        return None
+    return _SEVERAL_SWEEPS.format("The ranges of a beam alternate")
+
+
+def cropped_box(points: FloatArray, other: FloatArray) -> tuple[float, ...] | None:
+    """Box to which a scan is cropped, as minimum and maximum x and y; None if it is not.
+
+    At two or more of its edges the other side goes on beyond the last point, with as many points as before, which are
+    nearer than the farthest point of the scan.
+
+    Parameters
+    ----------
+    points, other : (n, 3), (m, 3) float64, metres, both in one frame
+    """
+    range_m = np.hypot(points[:, 0], points[:, 1])
+    other = other[np.hypot(other[:, 0], other[:, 1]) < range_m.max()]
+    corners = []
+    n_sharp = 0
+    for sign in (-1.0, 1.0):
+        for axis in (0, 1):
+            edge_m = (sign * points[:, axis]).max()
+            corners.append(sign * edge_m)
+            beyond_m = sign * other[:, axis] - edge_m
+            n_before = int((np.abs(beyond_m + 1.0) < 1.0).sum())
+            n_beyond = int((np.abs(beyond_m - 1.0) < 1.0).sum())
+            n_own = int((sign * points[:, axis] > edge_m - 2.0).sum())
+            n_sharp += n_before >= _FEWEST_AT_EDGE and 2 * min(n_own, n_beyond) >= n_before
+    return tuple(corners) if n_sharp > 1 else None
+
+
 def sweeps_text(gap_deg: FloatArray) -> str | None:
     """The doubt that a scan holds several sweeps or scans of several sensors; None if it does not.
 
@@ -167,33 +255,6 @@ def sweeps_text(gap_deg: FloatArray) -> str | None:
                 f"The steps of a beam alternate, and repeat after {n_sweeps} returns"
             )
     return None
-
-
-def turns_text(beam: IndexArray, azimuth_deg: FloatArray, row: IndexArray) -> str | None:
-    """The doubt that the rows of a scan go around more than once; None if they do not, or are in no order.
-
-    Then neighbouring returns of a beam are from different halves of its rows, which are in order of azimuths.
-
-    Parameters
-    ----------
-    beam, azimuth_deg, row : (n,) of returns sorted by beam, azimuth; row in the file
-    """
-    in_file = np.lexsort((row, beam))
-    n_returns = np.bincount(beam)
-    before = np.cumsum(n_returns) - n_returns
-    place = np.empty(len(beam), dtype=np.intp)
-    place[in_file] = np.arange(len(beam)) - before[beam]
-    is_second_half = 2 * place >= n_returns[beam]
-    is_same_beam = np.diff(beam) == 0
-    if not is_same_beam.any():
-        return None
-    alternating = np.diff(is_second_half)[is_same_beam].mean()
-    gap_deg = np.diff(azimuth_deg)[is_same_beam]
-    step_deg = np.abs((np.diff(azimuth_deg[in_file])[is_same_beam] + 180.0) % 360.0 - 180.0)
-    is_in_order = np.median(step_deg) < _MOST_STEPS * np.median(gap_deg)
-    if alternating < _ALTERNATING or not is_in_order:
-        return None
-    return _SEVERAL_SWEEPS.format("Its rows go around more than once")
 
 
 def thinned_text(gap_deg: FloatArray, range_m: FloatArray, points: FloatArray) -> str | None:

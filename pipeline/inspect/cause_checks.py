@@ -1,28 +1,29 @@
-"""Causes that a few pairs of a dataset show, by the same estimates and the same rules as those of a run."""
+"""Causes that a few pairs of a dataset show: the jobs of a run in memory, and the same rules."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from ...schemas.errors import StageError
 from ...schemas.results import Cause, Unknown
 from ...schemas.settings import Settings
-from ...stages.arrays import FloatArray, transform_of
-from ...stages.causes.estimates import Amount, estimate
-from ...stages.causes.sides import PairScans, recorded_side
-from ...stages.method import remove_road
+from ...stages.causes.estimates import Amount
 from ...stages.sensor_description import SensorDescription
 from ...stages.statistics.comparison import blocks_of
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
+from ..engine.plan import plan_jobs
 from ..engine.pool import one_blas_thread
+from ..engine.worker import run_in_memory
+from ..jobs import STAGES
 from ..results.causes import cause_values, named_causes, unknown_causes
 
-#: Most pairs whose causes are estimated: each takes about a second.
+#: Most pairs whose causes are estimated: each takes a few seconds.
 MOST_PAIRS = 3
+_STAGES = ("ground", "sensor", "rays", "causes")
 
 
 @dataclass(frozen=True)
@@ -39,90 +40,52 @@ class CauseCheck:
     unknown: tuple[Unknown, ...] = ()
 
 
-class CauseSamples:
-    """Amounts of the causes of a few pairs.
+@dataclass(frozen=True)
+class PairSample:
+    """Sensors of both sides of a pair, and amounts of its causes.
 
-    pair_ids : of which some are sampled, evenly
+    content : hash of the real scan; copies count once
     """
 
-    def __init__(self, pair_ids: Sequence[str], settings: Settings) -> None:
-        n_sampled = min(len(pair_ids), MOST_PAIRS)
-        rows = np.unique(np.linspace(0, len(pair_ids) - 1, n_sampled).round().astype(int))
-        self.pair_ids = {pair_ids[row] for row in rows}
-        self._settings = settings
-        self._pairs: list[ScanPair] = []
-        self._contents: list[str] = []
-        self._amounts: list[dict[str, Amount]] = []
+    pair: ScanPair
+    content: str
+    sensors: dict[str, SensorDescription]
+    amounts: dict[str, Amount]
 
-    def add(
-        self,
-        pair: ScanPair,
-        scans: Mapping[str, Scan],
-        sensors: Mapping[str, SensorDescription],
-        content: str,
-    ) -> None:
-        """Add a pair; left out if its scans have too little in common.
 
-        Parameters
-        ----------
-        content : hash of the real scan; copies count once
-        """
-        T_real_sim = transform_of(pair.T_real_sim)
-        with one_blas_thread():
-            try:
-                estimates = estimate(self._pair_scans(scans, sensors, T_real_sim))
-            except StageError:
-                return
-        if estimates is not None:
-            self._pairs.append(pair)
-            self._contents.append(content)
-            self._amounts.append(estimates.amounts)
+def evenly_chosen(pair_ids: Sequence[str]) -> set[str]:
+    """A few of some pairs."""
+    n_chosen = min(len(pair_ids), MOST_PAIRS)
+    rows = np.linspace(0, len(pair_ids) - 1, n_chosen).round().astype(int)
+    return {pair_ids[row] for row in rows}
 
-    def _pair_scans(
-        self,
-        scans: Mapping[str, Scan],
-        sensors: Mapping[str, SensorDescription],
-        T_real_sim: FloatArray | None,
-    ) -> PairScans:
-        real, real_cut = remove_road(scans["real"].points, self._settings, "real")
-        sim, sim_cut = remove_road(
-            scans["sim"].points,
-            self._settings,
-            "sim",
-            T_real_sim=T_real_sim,
-            real_cut=real_cut,
-            real_points=real.points,
-        )
-        settings = self._settings.input
-        position, voxel_m = settings.sensor_position, settings.voxel_m
-        return PairScans(
-            recorded_side(
-                real.points,
-                real_cut.is_ground,
-                real_cut.height_m,
-                sensors["real"],
-                None,
-                position,
-                voxel_m,
-            ),
-            recorded_side(
-                sim.points,
-                sim_cut.is_ground,
-                sim_cut.height_m,
-                sensors["sim"],
-                T_real_sim,
-                position,
-                voxel_m,
-            ),
-        )
 
-    def named(self) -> CauseCheck:
-        """The causes that the pairs show."""
-        if not self._pairs:
-            return CauseCheck()
-        blocks = blocks_of(self._contents, [pair.timestamp_s for pair in self._pairs])
-        values = cause_values(self._amounts)
-        causes = tuple(named_causes(values, blocks))
-        return CauseCheck(
-            tuple(pair.pair_id for pair in self._pairs), causes, tuple(unknown_causes(values))
-        )
+def sample_pair(
+    pair: ScanPair, scans: Mapping[str, Scan], content: str, settings: Settings
+) -> PairSample | None:
+    """Run the jobs of a pair; None if one of them fails."""
+    stages = [stage for stage in STAGES if stage.name in _STAGES]
+    with one_blas_thread():
+        try:
+            tables, outputs = run_in_memory(plan_jobs(stages, settings), scans, pair)
+        except StageError:
+            return None
+    amounts = {}
+    for row in tables["causes", ""].to_pylist():
+        amounts[row["cause"]] = Amount(*(row[field.name] for field in fields(Amount)))
+    sensors = {side: SensorDescription(**outputs["sensor", side]["sensor"]) for side in scans}
+    return PairSample(pair, content, sensors, amounts)
+
+
+def check_causes(samples: Sequence[PairSample]) -> CauseCheck:
+    """The causes that some pairs show."""
+    if not samples:
+        return CauseCheck()
+    times_s = [sample.pair.timestamp_s for sample in samples]
+    blocks = blocks_of([sample.content for sample in samples], times_s)
+    values = cause_values([sample.amounts for sample in samples])
+    return CauseCheck(
+        tuple(sample.pair.pair_id for sample in samples),
+        tuple(named_causes(values, blocks)),
+        tuple(unknown_causes(values)),
+    )

@@ -11,9 +11,9 @@ from pydantic import JsonValue
 from ...schemas.columns import SIDE_NAMES, SIDES
 from ...schemas.results import JsonObject
 from ...stages.sensor_description import sensor_lines
-from ..engine.costs import CostModel
+from ..engine import costs
 from ..report.view import Answers, Note, Part, Table, View, count, items_of
-from ..report.views.answer_view import cause_items
+from ..report.views.answer_view import cause_items, unknown_words
 from ..results.causes import MOST_SHOWN, no_cause_words
 from ..storage.files import free_bytes, megabytes
 from .cause_checks import CauseCheck
@@ -122,12 +122,13 @@ def _causes(check: CauseCheck) -> View:
         return []
     heading = Note(f"Seen in {count(len(check.pair_ids), 'pair')}", "bold")
     items = cause_items(check.causes[:MOST_SHOWN]) or items_of(no_cause_words(check.unknown))
-    return [heading, Answers([("Fix first", items)])]
+    trust = items_of(*unknown_words(check.unknown))
+    return [heading, Answers([("Fix first", items), ("Trust", trust)])]
 
 
 def _disk_bytes(dataset: DatasetCheck) -> int:
     """Disk space that the tables of a run may take."""
-    return CostModel().disk_bytes(
+    return costs.disk_bytes(
         sum(scan.n_raw for check in dataset.pairs for scan in check.sides.values()),
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from ..datasets.readers.scan_ref import ScanRef
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..pair_checks import pair_warnings, shared_files, swapped_sides
-from .cause_checks import CauseCheck, CauseSamples
+from .cause_checks import CauseCheck, check_causes, evenly_chosen, sample_pair
 from .side_checks import SensorCheck, SideSamples
 
 
@@ -53,18 +53,10 @@ class ScanCheck:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON; `azimuth_gap_deg` is 0 if the file cannot be read."""
+        values = asdict(self)
+        del values["sha256"], values["inspection"]
         gap_deg = self.inspection.azimuth_gap_deg if self.inspection else 0.0
-        numbers = {
-            name: getattr(self, name)
-            for name in (
-                "n_raw",
-                "n_clean",
-                "dropped",
-                "low",
-                "high",
-            )
-        }
-        return numbers | {"azimuth_gap_deg": gap_deg, "fault": self.fault}
+        return values | {"azimuth_gap_deg": gap_deg}
 
 
 @dataclass(frozen=True)
@@ -116,28 +108,26 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     dataset = read_dataset(folder)
     require_partners(dataset)
     checks = _check_pairs(dataset.pairs, settings.input, dataset.label_names)
-    samples = SideSamples(dataset.pairs, settings.input)
-    comparable = [
-        check.pair.pair_id
-        for check in checks
-        if check.frames and not (check.frames.is_suspect or check.frames.is_elsewhere)
-    ]
-    causes = CauseSamples(
-        [pair_id for pair_id in comparable if pair_id in samples.pair_ids],
-        settings,
+    sides = SideSamples(dataset.pairs, settings.input)
+    chosen = evenly_chosen(
+        [
+            check.pair.pair_id
+            for check in checks
+            if check.frames and not check.frames.doubt and check.pair.pair_id in sides.pair_ids
+        ]
     )
+    samples = []
     for check in checks:
-        pair_id = check.pair.pair_id
-        if pair_id in samples.pair_ids:
-            scans = _read_again(check, settings.input, dataset.label_names)
-            samples.add(check.pair, scans)
-            if pair_id in causes.pair_ids:
-                causes.add(
-                    check.pair,
-                    scans,
-                    samples.sensors_of(pair_id),
-                    check.sides["real"].sha256,
-                )
+        pair = check.pair
+        if pair.pair_id not in sides.pair_ids:
+            continue
+        scans = _read_again(check, settings.input, dataset.label_names)
+        sample = None
+        if pair.pair_id in chosen:
+            sample = sample_pair(pair, scans, check.sides["real"].sha256, settings)
+        if sample:
+            samples.append(sample)
+        sides.add(pair, scans, sample.sensors if sample else {})
     warnings = []
     faults = []
     hashes = {}
@@ -156,18 +146,18 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     return DatasetCheck(
         folder=folder,
         pairs=checks,
-        sensors=samples.sensors(),
-        causes=causes.named(),
-        notes=samples.notes(),
-        doubts=samples.doubts(serious=True),
+        sensors=sides.sensors(),
+        causes=check_causes(samples),
+        notes=sides.notes(),
+        doubts=sides.doubts(serious=True),
         faults=faults,
         warnings=[
             *dataset.warnings,
             *swapped_sides(dataset.pairs, folder),
             *shared_files(hashes),
             *warnings,
-            *samples.doubts(serious=False),
-            *samples.warnings(counts),
+            *sides.doubts(serious=False),
+            *sides.warnings(counts),
         ],
     )
 

@@ -27,7 +27,7 @@ from ...stages.inspect.sequence_checks import (
     is_moving,
     moved_m,
 )
-from ...stages.inspect.stamps import StampCheck, describe_stamps, stamp_differences
+from ...stages.inspect.stamps import check_stamps
 from ...stages.intensity import intensity_law
 from ...stages.sensor_description import (
     SensorDescription,
@@ -75,23 +75,28 @@ class SideSamples:
             side: {} for side in SIDES
         }  # clean, own frame, z up
         self._places: dict[str, dict[str, SequenceScan]] = {side: {} for side in SIDES}
-        self._stamps: dict[str, StampCheck] = {}
+        self._stamps: dict[str, tuple[float, list[str]]] = {}
         self._sensors: dict[str, dict[str, SensorDescription]] = {side: {} for side in SIDES}
         self._notes: dict[str, tuple[str, ...]] = {}
         self._intensity: dict[
             str, tuple[FloatArray, FloatArray]
         ] = {}  # of the first scan that has it, with its ranges
 
-    def add(self, pair: ScanPair, scans: Mapping[str, Scan]) -> None:
-        """Add the samples of one of `pair_ids`; scans that could not be read have no points."""
+    def add(
+        self, pair: ScanPair, scans: Mapping[str, Scan], sensors: Mapping[str, SensorDescription]
+    ) -> None:
+        """Add the samples of one of `pair_ids`; scans that could not be read have no points.
+
+        Parameters
+        ----------
+        sensors : by side, those that were described
+        """
         for side, scan in scans.items():
             # neither cleaned nor moved: beams are those of its frame
             points = at_sensor(scan.points, side, self._settings)
             if len(scan.points):
-                self._sensors[side][pair.pair_id] = describe_sensor(
-                    points,
-                    scan.rings,
-                    scan.times_s is not None,
+                self._sensors[side][pair.pair_id] = sensors.get(side) or describe_sensor(
+                    points, scan.rings, scan.times_s is not None
                 )
             if scan.notes:
                 self._notes[side] = scan.notes
@@ -104,7 +109,7 @@ class SideSamples:
                 and scan.times_s is not None
                 and side not in self._stamps
             ):
-                self._stamps[side] = describe_stamps(scan.times_s, points, scan.stamp_s)
+                self._stamps[side] = check_stamps(scan.times_s, points)
             if pair.pair_id in self._sampled:
                 uncut = self._settings.model_copy(update={"include_box": None, "voxel_m": None})
                 points = clean_scan(scan.points, uncut, frame=self._settings.frame_of(side)).points
@@ -127,12 +132,6 @@ class SideSamples:
                 pair_ids |= sensors.keys()
         return SensorCheck(tuple(sorted(pair_ids)), sides, unlike)
 
-    def sensors_of(self, pair_id: str) -> dict[str, SensorDescription]:
-        """The sensors of a pair by side; a side that could not be read is left out."""
-        return {
-            side: sensors[pair_id] for side, sensors in self._sensors.items() if pair_id in sensors
-        }
-
     def doubts(self, *, serious: bool) -> list[str]:
         """Doubts about the scans that make the check fail, or the others: one line for each side and kind."""
         lines = []
@@ -150,12 +149,9 @@ class SideSamples:
         lines = []
         for side, notes in self._notes.items():
             lines += [f"{SIDE_NAMES[side]} scans: {note}" for note in notes]
-        for side, stamps in self._stamps.items():
-            if stamps.span_s and not stamps.faults:
-                line = f"{SIDE_NAMES[side]} scans: {stamps.span_s:.3g} s from first to last point"
-                if stamps.place:
-                    line += f"; a scan's own time is that of its {stamps.place} point"
-                lines.append(line)
+        for side, (span_s, faults) in self._stamps.items():
+            if span_s and not faults:
+                lines.append(f"{SIDE_NAMES[side]} scans: {span_s:.3g} s from first to last point")
         return lines
 
     def warnings(self, n_clean: Mapping[str, Sequence[int]]) -> list[str]:
@@ -166,9 +162,8 @@ class SideSamples:
         n_clean : by side, points of each scan after cleaning, 0 of one that cannot be used
         """
         lines = []
-        for side, stamps in self._stamps.items():
-            lines += [f"{SIDE_NAMES[side]} scans: {text}" for text in stamps.faults]
-        lines += stamp_differences(self._stamps.get("real"), self._stamps.get("sim"))
+        for side, (_, faults) in self._stamps.items():
+            lines += [f"{SIDE_NAMES[side]} scans: {text}" for text in faults]
         lines += self._intensity_lines()
         counts = {side: np.array(n_clean[side], dtype=np.intp) for side in SIDES}
         empty = find_empty_side(counts["real"], counts["sim"])
@@ -293,12 +288,11 @@ def _unlike_others(sensors: Mapping[str, SensorDescription]) -> tuple[str, list[
     """
     seen = {name: sensor for name, sensor in sensors.items() if sensor.elevation_deg} or sensors
 
-    def rank(name: str) -> tuple[int, bool, bool, int]:
-        sensor = seen[name]
-        n_alike = sum(not has_other_beams(sensor, other) for other in seen.values())
-        return n_alike, sensor.model is not None, bool(sensor.is_sharp), sensor.n_points
+    def n_alike(name: str) -> tuple[int, int]:
+        others = [other for other in seen.values() if not has_other_beams(seen[name], other)]
+        return len(others), seen[name].n_points
 
-    usual = max(seen, key=rank)
+    usual = max(seen, key=n_alike)
     lines = []
     for name, sensor in seen.items():
         if has_other_beams(seen[usual], sensor):
@@ -307,13 +301,11 @@ def _unlike_others(sensors: Mapping[str, SensorDescription]) -> tuple[str, list[
 
 
 def _ego_text(hits: EgoHits, side: str, settings: InputSettings) -> str:
-    """The hits, the settings that drop them, and the share of other points that these drop."""
+    """The hits, the setting that drops them, and the share of other points that it drops."""
     axes = as_ros(np.eye(3), settings.frame_of(side))  # a row for each axis of the side's own frame
     corners = np.array([hits.low, hits.high]) @ axes.T
     box = ",".join(f"{value + 0.0:.1f}" for value in (*corners.min(axis=0), *corners.max(axis=0)))
     return (
-        f"{hits.share:.1%} of the points lie within {hits.farthest_m:.1f} m and move with the "
-        f"sensor: hits on the ego vehicle? input.exclude_box={box} drops them and "
-        f"{hits.others_in_box:.1%} others, input.min_range_m={hits.farthest_m:.1f} them and "
-        f"{hits.others_in_range:.1%} others"
+        f"{hits.share:.1%} of the points move with the sensor: hits on the ego vehicle? "
+        f"input.exclude_box={box} drops them and {hits.others_in_box:.1%} others"
     )

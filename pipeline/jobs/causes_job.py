@@ -153,6 +153,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=6,
+    version=7,
     libraries=("scikit-learn",),
 )

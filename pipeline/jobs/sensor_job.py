@@ -53,5 +53,5 @@ STAGE = Stage(
     grain=Grain.SIDE,
     make=make_sensor,
     takes_real=_takes_real,
-    version=7,
+    version=8,
 )

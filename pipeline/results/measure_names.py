@@ -55,7 +55,7 @@ CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES if name != UNEVEN
 #: Ends of the 95 % interval of a cause.
 INTERVAL_ENDS = ("low", "high")
 
-#: The names that stand for themselves, to guess what a wrong one means, and for the shell to complete.
+#: The names that stand for themselves, to guess what a wrong one means.
 PLAIN_NAMES = (
     *(f"{value}.{stat}" for value in (*PAIR_SCORES, *DOTTED, *SENSOR_VALUES) for stat in OF_PAIRS),
     *(f"objects.{score}.{stat}" for score in DISTRIBUTED for stat in OF_OBJECTS),

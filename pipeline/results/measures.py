@@ -162,13 +162,10 @@ class Measures:
 
     def _task(self, measure: str, stat: str | None) -> float:
         """A statistic over pairs of the gap of a task, by default the mean."""
-        task, _, name = measure.partition(".")
-        if not any(row.task == task for row in self.run.record.tasks):
-            raise _AbsentError(f"the run has no task {task}; add it with fidpipe run --tasks")
-        rows = self.run.tasks
-        is_measure = (rows["task"] == task) & (rows["measure"] == name) & (rows["group"] == "all")
-        gaps = rows.loc[is_measure, "gap"].to_numpy(dtype=np.float64)
-        return _statistic(gaps, stat or "mean", "pair", f"gap {measure}")
+        gaps = self.run.task_gaps if self.run.record.tasks else None
+        if gaps is None or measure not in gaps:
+            raise _AbsentError(f"the run has no {measure}; add it with fidpipe run --tasks")
+        return _statistic(gaps[measure].to_numpy(), stat or "mean", "pair", f"gap {measure}")
 
     def _odometry(self, measure: str) -> float:
         """The gap of odometry over the longest sequence of scans."""

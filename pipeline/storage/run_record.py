@@ -295,26 +295,6 @@ class StageSeconds:
         return Seconds.model_construct(mean=self.mean(), pairs=pairs)  # without a copy
 
 
-def what_changed(
-    before: Mapping[str, Any], settings: Settings, stages: Mapping[str, int]
-) -> list[str]:
-    """Differences from the record of the last run, as text: settings, library versions, stage code."""
-    if not before:
-        return []
-    changes = []
-    for texts in changed_settings(before, settings).values():
-        changes += texts
-    libraries = before.get("libraries", {})
-    for name, version_now in library_versions(libraries).items():
-        if version_now != libraries[name]:
-            changes.append(f"{name} was {libraries[name]}, is {version_now}")
-    old_stages = before.get("stages", {})
-    for stage, stage_version in stages.items():
-        if old_stages.get(stage, stage_version) != stage_version:
-            changes.append(f"code of stage {stage} is new")
-    return changes
-
-
 def changed_settings(before: Mapping[str, Any], settings: Settings) -> dict[str, list[str]]:
     """Changed settings since the record of the last run, as text by group; only groups that changed."""
     changes = {}

@@ -9,10 +9,21 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN
+from ...schemas.sensor_models import SENSORS
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..rays import grid_of
-from ..sensor_description import SensorDescription
-from ..trust import BEAMS, FRAME, ONE_SWEEP, RETURNS, SAME_SWEEPS
+from ..sensor_description import SensorDescription, has_other_beams
+from ..trust import (
+    BEAMS,
+    FRAME,
+    ONE_SWEEP,
+    RETURNS,
+    ROAD,
+    SAME_SWEEPS,
+    STEPS,
+    UNCROPPED,
+    cropped_box,
+)
 from .beams import blurred_elevation_deg, road_blur_deg2, second_returns
 from .distance import best_case_distance, mean_apart, sample_rows, surface_distance
 from .losses import FEWEST_OF_KIND, fit_losses
@@ -39,6 +50,9 @@ _FAR_SURFACE_M = 20.0
 _FEWEST_FAR = 50
 _STRAY_POINTS = 20_000
 _FEWEST_BEYOND = 10  # returns; fewer may be lost by chance
+_TOO_MANY_STRAYS = 0.09  # of mixed pixels
+_MISSING_ROAD = 0.5  # of the points of the real road
+_ALIKE = 0.05  # azimuth steps
 
 
 @dataclass(frozen=True)
@@ -87,15 +101,47 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     if pose is None:
         return None
     aligned = pose.undisplaced(sim)
+    explained = explain_directions(real, aligned)
     distance_m = surface_distance(scans.real.points, scans.sim.points, scans.real.tree)
     best_case_m = best_case_distance(scans.real, sim, aligned, np.random.default_rng(seed))
     amounts = _pose_amounts(pose, real, sim, best_case_m)
     more_second = second_share - real_second_share
     amounts["second returns"] = _difference(real_second_share, second_share, share=more_second)
-    amounts |= _amounts(real, aligned, sim)
-    if text := _unlike_patterns(real, aligned, sim):
-        doubts.setdefault(BEAMS, text)
+    amounts |= _amounts(real, aligned, sim, explained)
+    doubts = _doubts_of_pair(real, aligned, sim, explained, amounts["mixed pixels"]) | doubts
     return PairEstimates(pose, only_known(amounts, doubts), distance_m, best_case_m)
+
+
+def _doubts_of_pair(
+    real: Side, sim: Side, recorded: Side, explained: Explained, strays: Amount
+) -> dict[str, str]:
+    """Reasons why something is unknown of both sides together, see `trust`."""
+    doubts = {}
+    if (strays.amount or 0.0) > _TOO_MANY_STRAYS:
+        text = f"simulated scan: {strays.amount:.0%} of its points float off smooth surface: second returns in others?"
+        doubts = dict.fromkeys((ONE_SWEEP, SAME_SWEEPS, BEAMS), text)
+    if unlike := _unlike_patterns(real, sim, recorded):
+        doubts[BEAMS] = unlike
+    if _is_without_road(real, sim, explained):
+        doubts[ROAD] = "simulated scan: the road of the real scan is missing"
+    for name, side, other in (("real", real, sim), ("simulated", sim, real)):
+        if box := cropped_box(side.points, other.points):
+            low_x, low_y, high_x, high_y = box
+            doubts[UNCROPPED] = (
+                f"{name} scan: cropped to x {low_x:.0f} to {high_x:.0f} and y {low_y:.0f} to {high_y:.0f} m? "
+                "set input.include_box for both sides"
+            )
+    return doubts
+
+
+def _is_without_road(real: Side, sim: Side, explained: Explained) -> bool:
+    """True if most of the real road has no simulated surface around it, also in directions with simulated returns."""
+    is_road = real.is_ground & ~explained.is_blind & ~explained.is_dead
+    if is_road.sum() < _LEAST_POINTS:
+        return False
+    apart_m, _ = sim.tree.query(real.points[is_road])
+    is_apart = apart_m > APART_M + APART_PER_M * real.range_m[is_road]
+    return bool(is_apart.mean() > _MISSING_ROAD)
 
 
 def _unlike_patterns(real: Side, sim: Side, recorded: Side) -> str | None:
@@ -118,6 +164,9 @@ def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]
             doubts.setdefault(need, f"{side} scan: {text}")
     if (ONE_SWEEP in real.doubts) != (ONE_SWEEP in sim.doubts):
         doubts[SAME_SWEEPS] = doubts[ONE_SWEEP]
+    for side, sensor, other in (("real", real, sim), ("simulated", sim, real)):
+        if finer := _finer_text(sensor, other):
+            doubts[STEPS] = f"{side} scan: {finer}"
     if (
         real.elevation_deg
         and sim.elevation_deg
@@ -125,6 +174,22 @@ def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]
     ):
         doubts.setdefault(BEAMS, _why_unknown(real, sim, "azimuth_step_deg"))
     return doubts
+
+
+def _finer_text(sensor: SensorDescription, other: SensorDescription) -> str | None:
+    """The doubt that a scan has several sweeps whose azimuths are evenly apart; None if its sensor has these steps."""
+    step_deg = sensor.azimuth_step_deg
+    if not step_deg or not other.azimuth_step_deg or has_other_beams(sensor, other):
+        return None
+    ratio = other.azimuth_step_deg / step_deg
+    n_sweeps = round(ratio)
+    is_usual = any(
+        known.title in (sensor.model or "") and abs(step_deg / known.azimuth_step_deg - 1) < _ALIKE
+        for known in SENSORS.values()
+    )
+    if n_sweeps < 2 or is_usual or abs(ratio / n_sweeps - 1) > _ALIKE:
+        return None
+    return f"{n_sweeps} firings per firing of the other side: {n_sweeps} sweeps in one scan, or a finer sensor?"
 
 
 def only_known(amounts: Mapping[str, Amount], doubts: Mapping[str, str]) -> dict[str, Amount]:
@@ -223,14 +288,13 @@ def _part_of(gain_m: float, left_m: float) -> float:
     return gain_m / (gain_m + max(left_m, 0.0))
 
 
-def _amounts(real: Side, sim: Side, recorded: Side) -> dict[str, Amount]:
+def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dict[str, Amount]:
     """The amounts of a pair whose simulated side is without its displacement, except for those of the pose.
 
     Parameters
     ----------
     recorded : the simulated side as recorded, with its displacement
     """
-    explained = explain_directions(real, sim)
     missing, invented = find_unmatched(real, sim, explained)
     missing_parts = real.points[missing.is_part | missing.is_moved]
     invented_parts = sim.points[invented.is_part | invented.is_moved]

@@ -16,6 +16,7 @@ _SECTOR_DEG = 5.0
 _FINE_SECTOR_DEG = 1.0
 _SECTOR_POINTS = 10
 _BLIND = 0.1  # of the usual number of returns, in fine sectors
+_WIDE_GAP_DEG = (30.0, 330.0)
 _DENSE_DEG = 0.35  # azimuth step up to which sectors are fine
 #: A point without a counterpart is farther from the other side than this, and this times its range.
 APART_M, APART_PER_M = 0.25, 0.01
@@ -48,7 +49,7 @@ class Explained:
 def explain_directions(real: Side, sim: Side) -> Explained:
     """Blind directions, dead and exchanged beams of a pair whose simulated side is without its displacement."""
     sector, is_blind_sector = _blind_sectors(real, sim)
-    is_blind = is_blind_sector[sector]
+    is_blind = is_blind_sector[sector] | _in_gap(real, sim)
     dead = np.empty(0, dtype=np.intp)
     is_dead = np.zeros(len(real.points), dtype=np.bool_)
     exchanged, is_exchanged_real, is_exchanged_sim = _find_exchanged(real, sim)
@@ -63,8 +64,18 @@ def explain_directions(real: Side, sim: Side) -> Explained:
         is_blind=is_blind,
         is_dead=is_dead,
         real=is_blind | is_dead | is_exchanged_real,
-        sim=is_exchanged_sim,
+        sim=is_exchanged_sim | _in_gap(sim, real),
     )
+
+
+def _in_gap(side: Side, other: Side) -> BoolArray:
+    """(n,) True for points of a side in the widest sector of azimuth without returns of the other, if it is wide."""
+    azimuth_deg = np.sort(other.azimuth_deg)
+    gap_deg = np.diff(azimuth_deg, append=azimuth_deg[0] + 360.0)
+    widest = int(gap_deg.argmax())
+    if not _WIDE_GAP_DEG[0] < gap_deg[widest] < _WIDE_GAP_DEG[1]:
+        return np.zeros(len(side.points), dtype=np.bool_)
+    return (side.azimuth_deg - azimuth_deg[widest]) % 360.0 < gap_deg[widest]
 
 
 def _blind_sectors(real: Side, sim: Side) -> tuple[IndexArray, BoolArray]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray
 from ..frame_search import ground_height
 from ..linalg.subgraph import connected_points
 from ..surfels import voxel_ids
@@ -96,16 +96,13 @@ class EgoHits:
     """Returns from the ego vehicle.
 
     share : share of the points, mean over the scans
-    farthest_m : maximum range of these returns
     low, high : corners of their box, metres, the scan's own frame but z up
-    others_in_range, others_in_box : share of other points within that range, or in the box
+    others_in_box : share of other points in the box
     """
 
     share: float
-    farthest_m: float
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-    others_in_range: float
+    low: FloatArray
+    high: FloatArray
     others_in_box: float
 
 
@@ -230,20 +227,9 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
         return None
     low = np.floor(10 * all_hits.min(axis=0)) / 10
     high = np.ceil(10 * all_hits.max(axis=0)) / 10
-    farthest_m = float(np.ceil(10 * np.linalg.norm(all_hits, axis=1).max()) / 10)
-
-    def others(is_in: Callable[[FloatArray], BoolArray]) -> float:
-        n_in = np.array([int(is_in(points).sum()) for points in scans])
-        return max(0.0, float(np.mean((n_in - n_hits) / n_points)))
-
-    return EgoHits(
-        share=share,
-        farthest_m=farthest_m,
-        low=tuple(low.tolist()),
-        high=tuple(high.tolist()),
-        others_in_range=others(lambda points: (points**2).sum(axis=1) < farthest_m**2),
-        others_in_box=others(lambda points: ((points >= low) & (points <= high)).all(axis=1)),
-    )
+    n_in_box = [int(((points >= low) & (points <= high)).all(axis=1).sum()) for points in scans]
+    others = float(np.mean((np.array(n_in_box) - n_hits) / n_points))
+    return EgoHits(share, low, high, max(others, 0.0))
 
 
 def _staying(points: FloatArray, others: Sequence[cKDTree]) -> FloatArray:

@@ -211,11 +211,9 @@ def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
     assert str(finished) in one_error(command(words[0], finished / "run.json", *words[1:]))
 
 
-@pytest.mark.parametrize("address", ["tls://host:1", "foo", "tcp://host:99999"])
+@pytest.mark.parametrize("address", ["tls://host:1", "foo", "tcp://host"])
 def test_what_is_no_address_of_a_scheduler_is_said_at_once(dataset, tmp_path, address):
-    advice = (
-        "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" if address.startswith("tls") else "tcp://HOST:PORT"
-    )
+    advice = "tcp://HOST:PORT.*DASK_DISTRIBUTED__COMM__TLS__CA_FILE"
     with pytest.raises(RunError, match=f"^{re.escape(f'scheduler {address!r}: ')}.*{advice}"):
         run(dataset, tmp_path / "run", scheduler=address)
 
@@ -437,10 +435,11 @@ def test_check_estimates_the_sensors_of_both_sides_from_the_sampled_pairs_and_na
     tmp_path,
 ):
     beams = fire(SENSORS["vlp16"], step_deg=0.5)
-    rows = (10 + 4 * np.sin(3 * beams.azimuth_rad))[:, None] * beams.directions()
+    azimuth = np.arctan2(beams[:, 1], beams[:, 0])
+    rows = (10 + 4 * np.sin(3 * azimuth))[:, None] * beams
     dataset = folders(tmp_path, ("a", "b", "c"), ("a", "b"))
     for name in ("a", "b", "c"):
-        is_seen = (name != "c") | (np.round(np.degrees(beams.elevation_rad)) % 4 == 1)
+        is_seen = (name != "c") | (np.round(np.degrees(np.arcsin(beams[:, 2]))) % 4 == 1)
         write_bin(dataset / "real" / f"{name}.bin", rows[np.broadcast_to(is_seen, len(rows))])
     sensors = check_dataset(dataset, Settings()).sensors
     assert sensors.pair_ids == ("a", "b", "c")

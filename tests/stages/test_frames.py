@@ -311,7 +311,6 @@ def test_hits_that_go_with_the_sensor_are_found_with_their_box(n):
     high = np.array(BONNET[0]) + np.array(BONNET[1]) / 2
     assert np.all(np.array(found.low) == pytest.approx(low, abs=0.25))
     assert np.all(np.array(found.high) == pytest.approx(high, abs=0.25))
-    assert 2.5 < found.farthest_m < 3.1
     assert found.others_in_box < 0.002
 
 

@@ -9,7 +9,7 @@ from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.beam_patterns import BeamPattern, find_beams, recognise
 from fidpipe.stages.generate.ray_casting import fire, measure_ranges
-from fidpipe.stages.inspect.stamps import describe_stamps, stamp_differences
+from fidpipe.stages.inspect.stamps import check_stamps
 from fidpipe.stages.plausibility import implausible, inspect_points, widest_azimuth_gap_deg
 from fidpipe.stages.sensor_description import beams_text, describe_sensor, sensor_lines
 from runs import some_of
@@ -44,7 +44,7 @@ def room(sensor, step_deg=STEP_DEG, lost_share=None):
     rng = np.random.default_rng(0)
     if sensor.column_deg and step_deg:
         step_deg = sensor.column_deg * round(step_deg / sensor.column_deg)
-    directions = fire(sensor, step_deg=step_deg).directions()
+    directions = fire(sensor, step_deg=step_deg)
     steep = directions @ TILT.T
     steep = np.where(np.abs(steep) < 1e-9, 1e-9, steep)
     range_m = (np.where(steep > 0, CORNERS_M[1], CORNERS_M[0]) / steep).min(axis=1)
@@ -215,8 +215,8 @@ def test_beams_without_returns_are_counted_against_the_table():
 @pytest.mark.parametrize(
     ("heights_m", "text"),
     [
-        ((-0.12,), "0.12 m below the origin"),
-        ((0.11, 0.19), "0.11 and 0.19 m above the origin"),
+        ((-0.12,), "-0.12 m from the origin"),
+        ((0.11, 0.19), "+0.11 and +0.19 m from the origin"),
         ((-0.02, 0.1), "-0.02 and +0.1 m from the origin"),
     ],
 )
@@ -297,16 +297,14 @@ def turn(n=6000, way=-1):
     return points, TURN_S * share
 
 
-def faults(times, points=None, stamp_s=None):
-    return describe_stamps(times, turn()[0] if points is None else points, stamp_s).faults
+def faults(times, points=None):
+    return check_stamps(times, turn()[0] if points is None else points)[1]
 
 
 def test_a_turn_whose_times_are_right_has_no_fault():
     points, times = turn()
-    facts = describe_stamps(times, points, 0.0)
-    assert (facts.faults, facts.place, facts.rotation) == ((), "first", -1)
-    assert facts.span_s == pytest.approx(TURN_S, rel=1e-3)
-    assert describe_stamps(times, points * [1, -1, 1]).rotation == 1
+    assert check_stamps(times, points) == (pytest.approx(TURN_S, rel=1e-3), [])
+    assert faults(times, points * [1, -1, 1]) == []
 
 
 @pytest.mark.parametrize("wrong", [np.nan, 0.0])
@@ -331,7 +329,7 @@ def test_points_without_a_return_need_no_time():
     points, times = turn()
     points[::2], times[::2] = 0.0, 0.0
     points[1::4], times[1::4] = np.nan, np.nan
-    assert faults(times, points) == ()
+    assert faults(times, points) == []
 
 
 @pytest.mark.parametrize(
@@ -357,46 +355,17 @@ def test_times_of_other_points_do_not_go_round(shuffle):
         points.reshape(-1, 16, 3).swapaxes(0, 1).reshape(-1, 3)
     )  # beam by beam, as organised clouds are
     right = times.reshape(-1, 16).T.ravel()
-    assert faults(right, points) == ()
+    assert faults(right, points) == []
     (fault,) = faults(shuffle(right), points)
     assert "azimuth" in fault
 
 
-@pytest.mark.parametrize(("place", "at"), [("first", 0.0), ("middle", 0.5), ("last", 1.0)])
-@pytest.mark.parametrize("is_relative", [True, False])
-def test_it_is_told_of_which_point_the_time_of_the_scan_is(place, at, is_relative):
-    points, times = turn()
-    stamp_s = 1713492677.1
-    times = times - at * TURN_S + (0 if is_relative else stamp_s)
-    facts = describe_stamps(times, points, stamp_s)
-    assert (facts.place, facts.faults) == (place, ())
-    assert describe_stamps(times, points).place is None
-
-
-def test_a_time_of_the_scan_outside_of_its_turn_is_a_fault():
-    points, times = turn()
-    (fault,) = faults(1.7e9 + times, points, 1.7e9 + 5.0)
-    assert "+5.000 s" in fault
-
-
-def test_sides_whose_times_are_of_other_points_or_go_another_way_differ():
-    points, times = turn()
-    first, last = (
-        describe_stamps(times, points, 0.0),
-        describe_stamps(times - TURN_S, points * [1, -1, 1], 0.0),
-    )
-    assert stamp_differences(first, first) == stamp_differences(first, None) == []
-    places, ways = stamp_differences(first, last)
-    assert all(words in places for words in ("first point", "last point", "0.1 s"))
-    assert "anticlockwise" in ways
-
-
 def test_few_and_no_returns_are_not_judged():
-    assert describe_stamps(np.empty(0), np.empty((0, 3))).faults == ()
-    assert faults(np.linspace(0, 0.1, 100), turn()[0][:100]) == ()
+    assert faults(np.empty(0), np.empty((0, 3))) == []
+    assert faults(np.linspace(0, 0.1, 100), turn()[0][:100]) == []
     ahead = turn()[0]
     ahead = np.abs(ahead) * [1, 1, 1]  # a quarter of a turn: no spinning sensor's
-    assert faults(np.random.default_rng(0).permutation(turn()[1]), ahead) == ()
+    assert faults(np.random.default_rng(0).permutation(turn()[1]), ahead) == []
 
 
 def test_plausible_scans_raise_no_warning():
@@ -431,7 +400,7 @@ def test_half_the_points_not_finite_is_a_warning():
 def test_camera_axes_are_named_with_the_setting_of_the_side():
     scan = np.vstack([street(), road(3000, 40)])
     (odd,) = implausible(scan[:, [1, 2, 0]] * [-1, -1, 1], "real", 2.5)  # right, down, forward
-    assert odd.endswith("input.real_frame=kitti-cam")
+    assert "is z up" in odd and "input.real_frame" in odd
 
 
 def test_axes_that_a_motion_turns_upright_are_not_named():

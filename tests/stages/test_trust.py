@@ -10,13 +10,36 @@ from fidpipe.schemas.cause_catalogue import CAUSES, LOSSES
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.causes.beams import second_returns
-from fidpipe.stages.causes.estimates import Amount, _losses, _stray_amount, doubts_of, only_known
-from fidpipe.stages.causes.sides import Side
+from fidpipe.stages.causes.estimates import (
+    Amount,
+    _losses,
+    _stray_amount,
+    doubts_of,
+    estimate,
+    only_known,
+)
+from fidpipe.stages.causes.sides import PairScans, Side
 from fidpipe.stages.frame_search import check_frames
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.plausibility import implausible
 from fidpipe.stages.sensor_description import describe_sensor
-from fidpipe.stages.trust import BEAMS, FRAME, MISSES, ONE_SWEEP, POSITION, RETURNS, SAME_SWEEPS
+from fidpipe.stages.trust import (
+    BEAMS,
+    FINE,
+    FRAME,
+    MISSES,
+    ONE_SWEEP,
+    POSITION,
+    RETURNS,
+    ROAD,
+    SAME_SWEEPS,
+    STEPS,
+    UNCROPPED,
+    alternation_text,
+    cropped_box,
+)
+
+ROAD_M = -1.5  # all that is lower
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +88,9 @@ def turned(scan, degrees):
         (lambda scan: np.vstack([scan, scan + [1.1, 0.05, 0]]), ONE_SWEEP),
         (lambda scan: np.vstack([scan, turned(scan, 0.05)]), ONE_SWEEP),
         (lambda scan: np.vstack([scan, turned(scan, 0.06), turned(scan, 0.1)]), ONE_SWEEP),
-        (lambda scan: np.vstack([scan, turned(scan, 0.083)]), ONE_SWEEP),  # half a step
-        (lambda scan: np.vstack([scan, turned(scan, 0.055), turned(scan, 0.11)]), ONE_SWEEP),
+        (lambda scan: np.round(scan, 2), FINE),
+        (lambda scan: np.round(scan, 1), FRAME),
+        (lambda scan: (scan + [448262, 5411932, 115]).astype("f4") - [448262, 5411932, 115], FRAME),
     ],
 )
 def test_what_cannot_be_trusted_is_named(scan, change, need):
@@ -110,7 +134,59 @@ def test_every_need_of_the_catalogue_can_be_in_doubt():
         SAME_SWEEPS,
         POSITION,
         BEAMS,
+        FINE,
+        STEPS,
+        UNCROPPED,
+        ROAD,
     }
+
+
+def unknown_of(real, sim):
+    """Reasons of unknown causes of a pair without ground cut, by cause."""
+    sides = []
+    for points in (real, sim):
+        is_ground = points[:, 2] < ROAD_M
+        sides.append(Side(points, is_ground, describe_sensor(points)))
+    amounts = estimate(PairScans(*sides)).amounts
+    return {name: amount.reason for name, amount in amounts.items() if amount.amount is None}
+
+
+def test_even_sweeps_in_any_order_are_not_a_finer_azimuth_step(scan):
+    rng = np.random.default_rng(0)
+    step_deg = describe_sensor(scan).azimuth_step_deg
+    twice = rng.permutation(np.vstack([scan, turned(scan, step_deg / 2)]))
+    sensors = [describe_sensor(points) for points in (scan, twice)]
+    assert sensors[1].doubts == {}
+    doubts = doubts_of(*sensors)
+    assert [*doubts] == [STEPS] and "2 sweeps in one scan, or a finer sensor?" in doubts[STEPS]
+    assert doubts_of(sensors[0], sensors[0]) == {}
+    model = SENSORS["hdl32"]
+    usual = replace(sensors[1], model=model.title, azimuth_step_deg=model.azimuth_step_deg)
+    coarse = replace(usual, azimuth_step_deg=2 * model.azimuth_step_deg)
+    assert doubts_of(coarse, usual) == {}
+
+
+def test_ranges_of_two_sweeps_of_a_moving_sensor_alternate():
+    rng = np.random.default_rng(0)
+    range_m = 20 + 3 * np.sin(np.arange(2000) / 300) + rng.normal(0, 0.02, 2000)
+    beam = np.repeat([0, 1], 1000)
+    assert alternation_text(beam, range_m) is None
+    assert "ranges of a beam alternate" in alternation_text(beam, range_m + np.tile([0, 0.5], 1000))
+
+
+def test_a_simulated_side_without_road_has_no_dead_beams(scan):
+    above = scan[scan[:, 2] > ROAD_M]
+    unknown = unknown_of(scan, above)
+    assert all("the road" in unknown[name] for name in ("beams", "lost returns", "blind sector"))
+
+
+def test_a_crop_is_not_a_shorter_range(scan):
+    cropped = scan[(np.abs(scan[:, :2]) < 20).all(axis=1)]
+    assert np.abs(cropped_box(cropped, scan)) == pytest.approx(20, abs=0.2)
+    assert cropped_box(scan, cropped) is None
+    near = scan[np.linalg.norm(scan, axis=1) < 25]
+    assert cropped_box(near, scan) is None
+    assert "cropped to x -20 to 20" in unknown_of(scan, cropped)["maximum range"]
 
 
 def test_losses_are_unknown_if_only_one_side_has_an_azimuth_step(scan):
