@@ -149,8 +149,8 @@ def frame_number(scan: ScanRef, times_ns: Sequence[int]) -> int:
             return 0
         name = f"{scan.file.name}#{scan.topic}@" if scan.topic else f"{scan.file.name}#"
         raise ScanError(
-            f"{scan.file}: expected one frame, got {n_frames}; name one of {name}0 to "
-            f"{name}{n_frames - 1}, in a pairs.csv for instance"
+            f"{scan.file}: expected one frame, got {n_frames}; name one in a pairs.csv, such as "
+            f"{name}0"
         )
     time_ns = scan.time_ns
     if time_ns is None:
