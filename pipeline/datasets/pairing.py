@@ -294,19 +294,20 @@ def pair_times(
     step = tolerance_s / 100
     _, first = np.unique(np.round(offsets_s / step), return_index=True)
     offsets_s = offsets_s[np.sort(first)]
-    matches = [_nearest(real_s, sim_s + offset_s, tolerance_s) for offset_s in offsets_s]
-    most = max(len(gaps) for _, _, gaps in matches)
-    if not most:
-        return Pairing(*matches[0], 0.0)
-    mean_gaps = [np.abs(gaps).mean() if len(gaps) == most else np.inf for _, _, gaps in matches]
-    if np.isfinite(mean_gaps[0]):
-        return Pairing(*matches[0], 0.0)
-    best = int(np.argmin(np.round(np.array(mean_gaps) / step)))
-    limit_s = mean_gaps[best] + tolerance_s / 10
-    others_s = [
-        float(offsets_s[i]) for i, gap in enumerate(mean_gaps) if i != best and gap <= limit_s
-    ]
-    return Pairing(*matches[best], float(offsets_s[best]), tuple(others_s))
+    ranked = []
+    for order, tried_s in enumerate(offsets_s.tolist()):
+        match = _nearest(real_s, sim_s + tried_s, tolerance_s)
+        gaps_s = np.abs(match[2])
+        gap_s = float(gaps_s.mean()) if len(gaps_s) else 0.0
+        rank = (-len(gaps_s), tried_s != 0, round(gap_s / step), order)
+        ranked.append((rank, gap_s, tried_s, match))
+    (rank, gap_s, best_s, match), *others = sorted(ranked, key=lambda entry: entry[0])
+    limit_s = gap_s + tolerance_s / 10
+    others_s = []
+    for other_rank, other_gap_s, other_s, _ in others:
+        if best_s and other_rank[0] == rank[0] and other_gap_s <= limit_s:
+            others_s.append(other_s)
+    return Pairing(*match, best_s, tuple(others_s))
 
 
 def _nearest(
