@@ -27,7 +27,6 @@ from .readers.scan import LONGEST_LABEL
 from .readers.scan_ref import ScanRef, scan_ref
 
 MANIFEST = "pairs.csv"
-UNPAIRED = "unpaired.csv"
 LIST_NAMES = f"list real and simulated file names in a {MANIFEST}, see docs/formats.md"
 LABEL_NAMES = "labels.toml"
 _MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_world_sensor")
@@ -171,7 +170,7 @@ def scans_of(source: Path) -> list[ScanRef]:
 
 def scans_in(folder: Path) -> list[ScanRef]:
     """The scan files of a folder, in the order of their names; recordings of many scans are left out."""
-    scans = [scan_ref(path) for path in _files(folder) if path.name not in (MANIFEST, UNPAIRED)]
+    scans = [scan_ref(path) for path in _files(folder) if path.name != MANIFEST]
     return [scan for scan in scans if scan.format.module and not scan.format.holds_frames]
 
 
