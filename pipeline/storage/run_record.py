@@ -184,7 +184,7 @@ def run_header(
         machine=Machine(
             python=platform.python_version(),
             system=platform.platform(),
-            processor=_processor(),
+            processor=platform.machine(),
             cores=os.cpu_count(),
         ),
     )
@@ -298,14 +298,3 @@ def command_again(folder: Path, dataset: object) -> str:
     path = folder / SETTINGS_TOML
     settings = ["--settings", str(path)] if path.exists() else []
     return shlex.join(["fidpipe", "run", str(dataset), "--out", url_or_path(folder), *settings])
-
-
-def _processor() -> str:
-    """The processor's name."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor()

@@ -25,7 +25,7 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     array = np.load(path, allow_pickle=False)
     if array.dtype.names:
         return scan_from_columns(path, {name: array[name] for name in array.dtype.names})
-    names = _COLUMNS
+    names: tuple[str, ...] = _COLUMNS
     if array.ndim == 2 and array.shape[1] == len(columns):
         names = columns
     if array.ndim != 2 or not 3 <= array.shape[1] <= len(names) or array.dtype.kind not in "fiu":
