@@ -63,7 +63,6 @@ from .storage.run_record import (
     last_results,
     library_versions,
     read_run,
-    replaced_results,
     run_header,
     summarise_pairs,
     write_record,
@@ -322,7 +321,7 @@ class Run:
         key = key_of(library_versions(["fidpipe"]), job_keys, failures, self._times_s)
         before = self.folder.ledger.jobs("").get(("pairs", ""))
         is_same = before is not None and before.key == key
-        header = self._header(is_same=is_same)
+        header = self._header()
         if not is_same:
             self._write_record(header)
         pair_ids = {pair.pair_id for pair in self.survey.usable}
@@ -414,10 +413,9 @@ class Run:
         keys = [job.key for job in records if OF_PAIR in job.metadata]
         self.keys[pair.pair_id] = key_of(sorted(keys))
 
-    def _header(self, *, is_same: bool = False) -> RunHeader:
-        """Content of `run.json` from the start; identical results do not count as a replacement."""
-        previous = replaced_results(self.before, self._last, is_same=is_same)
-        return run_header(self.dataset.folder, self.settings, self._versions, previous)
+    def _header(self) -> RunHeader:
+        """Content of `run.json` from the start."""
+        return run_header(self.dataset.folder, self.settings, self._versions)
 
     def _write_record(self, record: RunHeader) -> None:
         """Write the settings and the record, or its header."""

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer
 
-from .results import Findings, JsonObject, Overview, PreviousRun, Result, ScoreSummary
+from .results import Findings, JsonObject, Overview, Result, ScoreSummary
 
 #: Levels of a baseline.
 OF_OBJECTS, OF_SCAN = "objects", "scans"
@@ -129,7 +129,6 @@ class RunHeader(Result):
     settings : effective settings by group and name
     stages : version of each stage's code
     libraries : version of each library, null if it is not installed
-    previous : the finished results of this folder that these replace; None if there were no other ones
     """
 
     fidpipe: str
@@ -142,7 +141,6 @@ class RunHeader(Result):
     stages: dict[str, int]
     libraries: dict[str, str | None]
     machine: Machine
-    previous: PreviousRun | None = None
 
 
 class SurfaceStates(Result):

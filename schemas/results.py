@@ -305,17 +305,6 @@ class Overview(Result):
     small: tuple[str, ...] = ()
 
 
-class PreviousRun(Result):
-    """The finished results of the same folder that a run replaced.
-
-    written : when
-    means : by column of `pairs`
-    """
-
-    written: str
-    means: dict[str, float | None]
-
-
 class Diagnosis(Result):
     """Causes of the difference between both sides, with the gain of correcting each.
 

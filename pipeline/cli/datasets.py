@@ -178,7 +178,7 @@ def pair(
 ) -> None:
     """Make a dataset from simultaneous frames of two recordings; nothing is copied.
 
-    Its pairs.csv points into the recordings; unpaired.csv lists the frames without a partner.
+    Its pairs.csv points into the recordings.
 
     Parameters
     ----------
@@ -221,4 +221,4 @@ def pair(
             "if this is not the right one, set it with --offset"
         )
     if n_unpaired:
-        print_line(f"{n_unpaired} frames have no partner: {out / 'unpaired.csv'}")
+        print_line(f"{count(n_unpaired, 'frame')} without a partner")

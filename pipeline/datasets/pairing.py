@@ -23,10 +23,8 @@ from .pairs import (
     LIST_NAMES,
     MANIFEST,
     NO_PARTNER,
-    UNPAIRED,
     Dataset,
     folders_of_scans,
-    read_manifest,
     scans_in,
 )
 from .readers import frames_of
@@ -112,7 +110,7 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     pairs = "1 pair" if n_pairs == 1 else f"{n_pairs} pairs"
     text = f"{pairs} by {how}: {out / MANIFEST}"
     if n_unpaired:
-        text += f"; frames without a partner, left out: {n_unpaired}, see {out / UNPAIRED}"
+        text += f"; frames without a partner, left out: {n_unpaired}"
     return out, text
 
 
@@ -136,17 +134,13 @@ def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
 
 def _require_same_sides(real: Path, sim: Path, out: Path) -> None:
     """Raise `DatasetError` if a folder has the pairs of other sides."""
-    if not (out / MANIFEST).exists():
-        return
-    before = read_manifest(out / MANIFEST, [])
-    if not before:
-        return
-    for source, scan in ((real, before[0].real), (sim, before[0].sim)):
-        file = scan.file.resolve() if scan else out
-        if scan_ref(source).file.resolve() not in (file, file.parent):
-            raise DatasetError(
-                f"{out}: has the pairs of other scans ({file.parent}); give another --out",
-            )
+    for _, *names in _listed(out / MANIFEST)[:1]:
+        for source, name in zip((real, sim), names, strict=True):
+            file = scan_ref(out / name).file.resolve()
+            if scan_ref(source).file.resolve() not in (file, file.parent):
+                raise DatasetError(
+                    f"{out}: has the pairs of other scans ({file.parent}); give another --out",
+                )
 
 
 def require_partners(dataset: Dataset) -> None:
@@ -294,19 +288,20 @@ def pair_times(
     step = tolerance_s / 100
     _, first = np.unique(np.round(offsets_s / step), return_index=True)
     offsets_s = offsets_s[np.sort(first)]
-    matches = [_nearest(real_s, sim_s + offset_s, tolerance_s) for offset_s in offsets_s]
-    most = max(len(gaps) for _, _, gaps in matches)
-    if not most:
-        return Pairing(*matches[0], 0.0)
-    mean_gaps = [np.abs(gaps).mean() if len(gaps) == most else np.inf for _, _, gaps in matches]
-    if np.isfinite(mean_gaps[0]):
-        return Pairing(*matches[0], 0.0)
-    best = int(np.argmin(np.round(np.array(mean_gaps) / step)))
-    limit_s = mean_gaps[best] + tolerance_s / 10
-    others_s = [
-        float(offsets_s[i]) for i, gap in enumerate(mean_gaps) if i != best and gap <= limit_s
-    ]
-    return Pairing(*matches[best], float(offsets_s[best]), tuple(others_s))
+    ranked = []
+    for order, tried_s in enumerate(offsets_s.tolist()):
+        match = _nearest(real_s, sim_s + tried_s, tolerance_s)
+        gaps_s = np.abs(match[2])
+        gap_s = float(gaps_s.mean()) if len(gaps_s) else 0.0
+        rank = (-len(gaps_s), tried_s != 0, round(gap_s / step), order)
+        ranked.append((rank, gap_s, tried_s, match))
+    (rank, gap_s, best_s, match), *others = sorted(ranked, key=lambda entry: entry[0])
+    limit_s = gap_s + tolerance_s / 10
+    others_s = []
+    for other_rank, other_gap_s, other_s, _ in others:
+        if best_s and other_rank[0] == rank[0] and other_gap_s <= limit_s:
+            others_s.append(other_s)
+    return Pairing(*match, best_s, tuple(others_s))
 
 
 def _nearest(
@@ -370,7 +365,7 @@ def write_dataset(
     *,
     replace: bool = False,
 ) -> int:
-    """Write `pairs.csv`, and `unpaired.csv` with the frames without a partner; return the number of these.
+    """Write `pairs.csv`; return the number of frames without a partner.
 
     Parameters
     ----------
@@ -394,38 +389,30 @@ def write_dataset(
     rows = []
     for number, i in enumerate(kept.tolist()):
         real_id = pairing.real_ids[i]
-        real_name, time_s = _entry(real, real_id, out)
-        sim_name, _ = _entry(sim, pairing.sim_ids[i], out)
-        pair_id = real.frames[real_id].stem if pairing.by_name else f"{number:06}"
-        rows.append((pair_id, real_name, sim_name, time_s))
-    unpaired = []
-    for side, line, ids in (("real", real, pairing.real_ids), ("sim", sim, pairing.sim_ids)):
-        lonely = np.setdiff1d(np.arange(len(line.frames)), ids)
-        unpaired += [(side, *_entry(line, i, out)) for i in lonely]
-    write_whole(out / UNPAIRED, csv_bytes(("side", "frame", "timestamp_s"), unpaired), advice="")
-    if not _has_pairs(manifest, rows):
+        real_frame = real.frames[real_id]
+        pair_id = real_frame.stem if pairing.by_name else f"{number:06}"
+        time_s = real.times_s[real_id]
+        names = _name(real_frame, out), _name(sim.frames[pairing.sim_ids[i]], out)
+        rows.append((pair_id, *names, "" if np.isnan(time_s) else f"{time_s:.6f}"))
+    if _listed(manifest) != [row[:3] for row in rows]:
         content = csv_bytes(("pair_id", *SIDES, "timestamp_s"), rows)
         write_whole(manifest, content, advice="")
-    return len(unpaired)
+    return len(real.frames) + len(sim.frames) - 2 * len(pairing.real_ids)
 
 
-def _has_pairs(manifest: Path, rows: Sequence[tuple[str, ...]]) -> bool:
-    """True if a manifest has these pairs of these files."""
+def _listed(manifest: Path) -> list[tuple[str, ...]]:
+    """Name of each pair of a manifest, and those of its scans; [] if it does not exist."""
     if not manifest.exists():
-        return False
-    with manifest.open(encoding="utf-8", newline="") as file:
-        before = [
-            (row.get("pair_id"), row.get("real"), row.get("sim")) for row in csv.DictReader(file)
-        ]
-    return before == [(row[0], row[1], row[2]) for row in rows]
+        return []
+    with manifest.open(encoding="utf-8", errors="replace", newline="") as file:
+        rows = list(csv.DictReader(file, restval=""))
+    return [(row.get("pair_id", ""), row.get("real", ""), row.get("sim", "")) for row in rows]
 
 
-def _entry(line: Timeline, i: int, folder: Path) -> tuple[str, str]:
-    """Name of a frame, relative to a folder, and its time; "" if unknown."""
-    frame = line.frames[i]
+def _name(frame: ScanRef, folder: Path) -> str:
+    """The name of a frame relative to a folder."""
     path = os.path.relpath(frame.file.absolute(), folder.absolute())
-    time_s = line.times_s[i]
-    return str(with_values(frame, file=Path(path))), "" if np.isnan(time_s) else f"{time_s:.6f}"
+    return str(with_values(frame, file=Path(path)))
 
 
 def _span(line: Timeline) -> str:

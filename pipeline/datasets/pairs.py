@@ -27,7 +27,6 @@ from .readers.scan import LONGEST_LABEL
 from .readers.scan_ref import ScanRef, scan_ref
 
 MANIFEST = "pairs.csv"
-UNPAIRED = "unpaired.csv"
 LIST_NAMES = f"list real and simulated file names in a {MANIFEST}, see docs/formats.md"
 LABEL_NAMES = "labels.toml"
 _MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_world_sensor")
@@ -171,7 +170,7 @@ def scans_of(source: Path) -> list[ScanRef]:
 
 def scans_in(folder: Path) -> list[ScanRef]:
     """The scan files of a folder, in the order of their names; recordings of many scans are left out."""
-    scans = [scan_ref(path) for path in _files(folder) if path.name not in (MANIFEST, UNPAIRED)]
+    scans = [scan_ref(path) for path in _files(folder) if path.name != MANIFEST]
     return [scan for scan in scans if scan.format.module and not scan.format.holds_frames]
 
 
@@ -227,7 +226,34 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     DatasetError
         The file is not a CSV table, lacks a column, repeats a pair, or a value is not a number.
     """
-    rows, columns = _manifest_rows(manifest)
+    try:
+        with manifest.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.DictReader(file, restval="", skipinitialspace=True, strict=True)
+            lines: list[dict[Any, Any]] = list(table)
+    except (OSError, ValueError, csv.Error) as error:
+        raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
+    columns = list(table.fieldnames or ())
+    _check_columns(manifest, columns, warnings, needs_sim=needs_sim)
+    rows = []
+    for line, values in enumerate(lines, start=2):
+        if None in values:  # the key of values beyond the header
+            raise DatasetError(f"{manifest}, line {line}: expected {len(columns)} values, got more")
+        rows.append({name: values.get(name, "").strip() for name in _MANIFEST_COLUMNS})
+    stubs = _stubs_of(manifest.parent, [row[side] for side in SIDES for row in rows])
+    pairs: dict[str, ScanPair] = {}
+    for line, row in enumerate(rows, start=2):
+        where = f"{manifest}, line {line}"
+        pair = _pair_of_row(where, manifest.parent, row, stubs)
+        if pair.pair_id in pairs:
+            raise DatasetError(f"{where}: pair_id {pair.pair_id} occurs twice; expected it once")
+        pairs[pair.pair_id] = pair
+    return list(pairs.values())
+
+
+def _check_columns(
+    manifest: Path, columns: list[str], warnings: list[str], *, needs_sim: bool
+) -> None:
+    """Raise `DatasetError` if a manifest lacks a column, repeats one, or has one that resembles a known one."""
     required = ("pair_id", *SIDES) if needs_sim else ("pair_id", "real")
     missing = [name for name in required if name not in columns]
     if missing:
@@ -244,20 +270,6 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
                     f"{manifest}: column {name} is not known; did you mean {meant}?",
                 )
             warnings.append(f"{manifest}: column {name} is not known, ignored")
-    names = []
-    for row in rows:
-        names += [row["real"], row["sim"]]
-    stubs = _stubs_of(manifest.parent, names)
-    pairs: dict[str, ScanPair] = {}
-    for line, row in enumerate(rows, start=2):
-        where = f"{manifest}, line {line}"
-        if None in row:
-            raise DatasetError(f"{where}: expected {len(columns)} values, got more")
-        pair = _pair_of_row(where, manifest.parent, row, stubs)
-        if pair.pair_id in pairs:
-            raise DatasetError(f"{where}: pair_id {pair.pair_id} occurs twice; expected it once")
-        pairs[pair.pair_id] = pair
-    return list(pairs.values())
 
 
 def _pair_of_row(
@@ -284,21 +296,6 @@ def _pair_of_row(
         fault=fault,
         T_world_sensor=_transform(where, "T_world_sensor", row["T_world_sensor"]),
     )
-
-
-def _manifest_rows(manifest: Path) -> tuple[list[dict[Any, Any]], list[str]]:
-    """Rows of a manifest as stripped text, "" where absent, and its columns; excess values of a row are under None."""
-    try:
-        with manifest.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, restval="", skipinitialspace=True, strict=True)
-            rows = list(table)
-    except (OSError, ValueError, csv.Error) as error:
-        raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
-    stripped = []
-    for row in rows:
-        values = {name: value.strip() for name, value in row.items() if name is not None}
-        stripped.append({**dict.fromkeys(_MANIFEST_COLUMNS, ""), **row, **values})
-    return stripped, list(table.fieldnames or ())
 
 
 def local_folder(name: str) -> Path:

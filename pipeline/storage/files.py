@@ -86,7 +86,9 @@ def named_errors(path: Path, advice: str = "; give another --out") -> Iterator[N
         yield
     except OSError as error:
         if error.errno in NO_SPACE:
-            raise disk_full(path, error.strerror) from error
+            raise DiskFullError(
+                f"{path}: {error.strerror}; make room, then run the same command again"
+            ) from error
         raise RunError(f"{path}: cannot be written ({error.strerror}){advice}") from error
 
 
@@ -96,19 +98,6 @@ def free_bytes(path: Path) -> int | None:
         with suppress(OSError):
             return shutil.disk_usage(folder).free
     return None
-
-
-def disk_full(path: Path, reason: object) -> DiskFullError:
-    """The error of a file for which no space is left, with the free space and the next step."""
-    return DiskFullError(
-        f"{path}: {reason}, {free_text(path)}; make room, then run the same command again"
-    )
-
-
-def free_text(path: Path) -> str:
-    """Free space at the path of a future file or folder, as text."""
-    free = free_bytes(path)
-    return "what is free is not known" if free is None else f"{megabytes(free)} free"
 
 
 def megabytes(n_bytes: int) -> str:

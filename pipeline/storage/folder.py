@@ -65,7 +65,6 @@ class RunFolder(TableFolder):
         with ExitStack() as lock:
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)
-                self.refuse_links()
                 file = lock.enter_context((self.folder / _LOCK).open("a"))
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 self.token_path.write_text(self.token)

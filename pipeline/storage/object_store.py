@@ -172,10 +172,10 @@ def _open(folder: str) -> tuple[Any, Any]:
         }
         return obstore, from_url(folder, **options)
     except Exception as error:
-        hint = ""
-        if folder.startswith("az"):
-            hint = "; az:// needs AZURE_STORAGE_ACCOUNT_NAME in the environment"
-        raise StoreError(f"{folder}: cannot be opened ({type(error).__name__}){hint}") from error
+        raise StoreError(
+            f"{folder}: cannot be opened ({type(error).__name__}); is the environment complete? See "
+            "docs/remote.md"
+        ) from error
 
 
 def _tried(url: str, work: Callable[[], Any]) -> Any:

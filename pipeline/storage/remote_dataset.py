@@ -24,7 +24,6 @@ from .object_store import (
     describe_object,
     read_object,
 )
-from .scratch import temporary_space
 from .urls import STUB, cache_of, read_stub
 
 #: Files of a dataset that are read when a run is planned, and so are fetched whole.
@@ -97,7 +96,7 @@ def fetched_scan(path: Path, labels: Path) -> Iterator[Path]:
         The object, or that of its labels, cannot be fetched whole.
     """
     stubs = [path, labels] if labels.exists() else [path]
-    with temporary_space(), tempfile.TemporaryDirectory(prefix="fidpipe-") as folder:
+    with tempfile.TemporaryDirectory(prefix="fidpipe-") as folder:
         for stub in stubs:
             url, etag, size = read_stub(stub)
             try:

@@ -13,7 +13,7 @@ import secrets
 import socket
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
@@ -40,7 +40,7 @@ from .object_store import (
     write_object,
 )
 from .remote_dataset import mirror_dataset
-from .run_record import RUN_JSON
+from .run_record import RUN_JSON, SETTINGS_TOML
 from .table_files import AT_URL, TOKEN, TableFolder
 from .urls import TEMPORARY_CACHE, cache_folder, cache_of, is_url, url_of_cache
 
@@ -124,35 +124,29 @@ class RemoteRun:
         for_reading : leave tables of pairs there, to be fetched when they are read
         """
         known = self._known()
-        remote = {stored.name: stored for stored in objects if stored.name not in (LOCK, TOKEN)}
-        if RUN_JSON not in remote:  # of a run that was killed, or no run at all
-            others = [name for name in remote if not name.startswith(f"{LEDGER}/")]
-            if not all(name.endswith((".parquet", "settings.toml")) for name in others):
+        remote = [stored for stored in objects if stored.name not in (LOCK, TOKEN)]
+        names = {stored.name for stored in remote}
+        if RUN_JSON not in names:  # of a run that was killed, or no run at all
+            others = [name for name in names if _group(name) == 0]
+            if not all(name.endswith((".parquet", SETTINGS_TOML)) for name in others):
                 raise RunError(
                     f"run {self.url}: the URL holds other things than a run; give another --out"
                 )
         self.folder.mkdir(parents=True, exist_ok=True)
-        there = set(remote)
         if for_reading:
-            remote = {
-                name: stored
-                for name, stored in remote.items()
-                if "/" not in name or name.startswith(f"{LEDGER}/")
-            }
             (self.folder / AT_URL).touch()
         else:
             (self.folder / AT_URL).unlink(missing_ok=True)
         missing = []
-        for name, stored in remote.items():
-            is_same = name in known and known[name][0] == stored.etag
-            if not is_same or not (self.folder / name).exists():
+        for stored in remote:
+            is_same = stored.name in known and known[stored.name][0] == stored.etag
+            is_left = for_reading and "/" in stored.name and _group(stored.name) == 0
+            if not is_left and not (is_same and (self.folder / stored.name).exists()):
                 missing.append(stored)
         known |= self._get_all(missing)
-        for name in (
-            self._files().keys() & known.keys()
-        ) - there:  # others are newer than the last push
-            remove_stale(self.folder / name)
-        self._keep({name: marks for name, marks in known.items() if name in there})
+        for name in (self._files().keys() & known.keys()) - names:
+            remove_stale(self.folder / name)  # others are newer than the last push
+        self._keep({name: marks for name, marks in known.items() if name in names})
 
     def push(self) -> None:
         """Write what has changed in the folder.
@@ -174,7 +168,8 @@ class RemoteRun:
             else:
                 self._renew()
             try:
-                for names in _in_order(changed):
+                for group in range(3):
+                    names = [name for name in changed if _group(name) == group]
                     puts = pool.map(self._put, names, [changed[name] for name in names])
                     for name, marks in zip(names, puts, strict=True):
                         if marks:
@@ -209,7 +204,7 @@ class RemoteRun:
         marks = _marks(self.folder / name)
         content = (self.folder / name).read_bytes()
         is_same = marks == listed == _marks(self.folder / name)
-        if not is_same and name not in _in_order([name])[0]:
+        if not is_same and _group(name):
             return None
         return [write_object(f"{self.url}/{name}", content), *marks]
 
@@ -251,8 +246,8 @@ class RemoteRun:
             names = [stored.name for stored in list_objects(self.url)]
             stored |= {name for name in names if name.partition("/")[0] in TABLES}
         removed = stored.difference(self._files(), Ledger(self.folder).files())
-        for names in reversed(_in_order(removed)):
-            delete_objects(self.url, names)
+        for group in (2, 1, 0):
+            delete_objects(self.url, [name for name in removed if _group(name) == group])
 
     def _follow(self, ended: threading.Event) -> None:
         pause_s = _PUSH_S
@@ -357,19 +352,11 @@ class RemoteRun:
         write_whole(self._index, orjson.dumps(known))
 
 
-def _in_order(names: Iterable[str]) -> tuple[list[str], list[str], list[str]]:
-    """Files of a run in three groups: tables, then the ledger that names them, then the record of all."""
-    tables: list[str] = []
-    ledger: list[str] = []
-    record: list[str] = []
-    for name in names:
-        if name == RUN_JSON:
-            record.append(name)
-        elif name.startswith(f"{LEDGER}/"):
-            ledger.append(name)
-        else:
-            tables.append(name)
-    return tables, ledger, record
+def _group(name: str) -> int:
+    """0 for a table, 1 for a file of the ledger, which names tables, 2 for the record, which names pairs."""
+    if name == RUN_JSON:
+        return 2
+    return 1 if name.startswith(f"{LEDGER}/") else 0
 
 
 @cache

@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, RUN_SCORES
 from ...schemas.record import Machine, RunHeader, RunRecord, Seconds
-from ...schemas.results import PreviousRun, ScoreSummary
+from ...schemas.results import ScoreSummary
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from .files import write_whole
 from .table_files import JobRecord
@@ -162,14 +162,12 @@ def run_header(
     dataset: Path,
     settings: Settings,
     stages: Mapping[str, int],
-    previous: PreviousRun | None = None,
 ) -> RunHeader:
     """Fields of `run.json` from the start of a run: inputs, settings and versions.
 
     Parameters
     ----------
     stages : code version by stage
-    previous : the finished results that it replaces
     """
     from ...schemas.settings import overrides, preset_of  # not needed to read a record
 
@@ -186,10 +184,9 @@ def run_header(
         machine=Machine(
             python=platform.python_version(),
             system=platform.platform(),
-            processor=_processor(),
+            processor=platform.machine(),
             cores=os.cpu_count(),
         ),
-        **({} if previous is None else {"previous": previous}),
     )
 
 
@@ -198,25 +195,6 @@ def last_results(before: Mapping[str, Any]) -> RunRecord | None:
     try:
         return RunRecord.from_dict(before)
     except ValueError:
-        return None
-
-
-def replaced_results(
-    before: Mapping[str, Any], last: RunRecord | None, *, is_same: bool
-) -> PreviousRun | None:
-    """The last results, in short; if they are the same, or their run has not ended, those that they replaced.
-
-    Parameters
-    ----------
-    before : the last record
-    last : the same, from `last_results`
-    """
-    if last is not None and not is_same:
-        means = {name: score.mean for name, score in last.summary.items()}
-        return PreviousRun(written=last.written, means=means)
-    try:
-        return PreviousRun.from_dict(before["previous"])
-    except (LookupError, ValueError):
         return None
 
 
@@ -320,14 +298,3 @@ def command_again(folder: Path, dataset: object) -> str:
     path = folder / SETTINGS_TOML
     settings = ["--settings", str(path)] if path.exists() else []
     return shlex.join(["fidpipe", "run", str(dataset), "--out", url_or_path(folder), *settings])
-
-
-def _processor() -> str:
-    """The processor's name."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor()

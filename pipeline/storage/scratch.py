@@ -12,7 +12,7 @@ from multiprocessing.util import Finalize
 from pathlib import Path
 
 from ...schemas.errors import DiskFullError
-from .files import NO_SPACE, free_text
+from .files import NO_SPACE
 
 _PREFIX = f"fidpipe-{os.getuid()}-"
 #: Characters; the sockets of worker processes are in the folder, and may have 107.
@@ -95,8 +95,7 @@ def temporary_space() -> Iterator[None]:
             cause = cause.__cause__ or cause.__context__
         if cause is None:
             raise
-        folder = tempfile.gettempdir()
         raise DiskFullError(
-            f"TMPDIR: no space left in {folder}, {free_text(Path(folder))}; make room, or set TMPDIR "
-            "to another folder, then run the same command again"
+            f"TMPDIR: no space left in {tempfile.gettempdir()}; make room, or set TMPDIR to another "
+            "folder, then run the same command again"
         ) from error

@@ -39,9 +39,8 @@ def cache_of(url: str) -> Path:
     """
     parts = urlsplit(url)
     if parts.scheme not in SCHEMES:
-        why = "; processes share no memory" if parts.scheme == "memory" else ""
         raise StoreError(
-            f"{parts.scheme}://: expected a URL of {', '.join(SCHEMES)}, or a local path{why}"
+            f"{parts.scheme}://: expected a URL of {', '.join(SCHEMES)}, or a local path"
         )
     if "@" in parts.netloc or parts.query:
         clean = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"

@@ -187,17 +187,6 @@ def test_a_bin_of_another_width_is_rejected_until_its_columns_are_named(tmp_path
     assert len(read_scan(tmp_path / "a.bin", names[:3] + ("i",)).points) == len(points) * width // 4
 
 
-def test_a_length_that_fits_no_row_names_the_width_that_does(tmp_path):
-    points = street()[:1001]
-    (tmp_path / "a.bin").write_bytes(
-        np.column_stack([points, np.zeros((1001, 2))]).astype("<f4").tobytes()
-    )
-    with pytest.raises(
-        ScanError, match='expected a multiple of 16 bytes.* such as "x y z intensity column5"'
-    ):
-        read_scan(tmp_path / "a.bin")
-
-
 def test_projected_coordinates_are_named_without_a_larger_range(tmp_path):
     for side in ("real", "sim"):
         (tmp_path / side).mkdir()

@@ -9,18 +9,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline import run as run_module
 from fidpipe.pipeline import run_tables
-from fidpipe.pipeline.report.page.run_data import page_words
-from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.report.views.run_view import outcome_view, summary_view
 from fidpipe.pipeline.report.views.show_view import show_view
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.overview import BAD_ALIGNMENT_M, describe_objects, largest_pieces
-from fidpipe.schemas.settings import MatchingSettings, Settings
+from fidpipe.schemas.settings import MatchingSettings
 from fidpipe.stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
 from reports import text_of
-from runs import command, copied, run
+from runs import command, run
 from scenes import drifted, street, write_bin, write_dataset, write_pair
 
 NUSCENES = [
@@ -121,46 +118,6 @@ def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_
         ("a", "missing", "car-sized"),
         ("a", "invented", "car-sized"),
     ]
-
-
-def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_still_does(
-    finished, tmp_path
-):
-    data, folder = copied(*finished[:2], tmp_path)
-    write_bin(data / "sim" / f"{NUSCENES[0]}.bin", drifted(street(0), noise=0.02, keep=0.9))
-    (data / "sim" / f"{NUSCENES[0]}.label").unlink()
-    after = run(data, folder).record
-    before = finished[2].record.summary
-    assert after.previous.means["cdc_mean"] == before["cdc_mean"].mean
-    again = run(data, folder).record
-    assert (again.previous, again.overview) == (after.previous, after.overview)
-    moved = f"CDC {after.summary['cdc_mean'].mean - before['cdc_mean'].mean:+.2f}"
-    for shown in (
-        text_of(show_view(FinishedRun(folder), None, None), 300),
-        str(page_words(read_results(folder))["answer"]),
-    ):
-        assert moved in shown
-        assert f"since {after.previous.written}; is it chance? fidpipe compare" in shown
-    other = run(data, folder, Settings.model_validate({"matching": {"delta_m": 3.0}})).record
-    assert other.previous.means["cdc_mean"] == after.summary["cdc_mean"].mean
-
-
-def test_a_run_that_was_stopped_keeps_the_results_that_it_was_replacing(
-    finished, tmp_path, monkeypatch
-):
-    data = finished[0]
-    folder = shutil.copytree(finished[1], tmp_path / "run")
-
-    def stop(*_):
-        raise KeyboardInterrupt
-
-    settings = Settings.model_validate({"matching": {"delta_m": 3.0}})
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(run_module.Run, "write", stop)
-        run(data, folder, settings)
-    assert "wall_s" not in json.loads((folder / "run.json").read_text())
-    previous = run(data, folder, settings).record.previous
-    assert previous.means["cdc_mean"] == finished[2].record.summary["cdc_mean"].mean
 
 
 def test_a_run_ends_with_surface_pieces_causes_places_scores_trust_and_the_next_step(finished):

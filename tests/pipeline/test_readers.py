@@ -99,7 +99,7 @@ def test_csv_is_read_whatever_the_case_of_its_header(tmp_path):
         (np.zeros(3), r"got .* shape \(3,\)"),
         (np.array([["a", "b", "c"]]), "U1 array"),
         (np.ones((3, 50)), r"array\.T"),
-        (np.ones((50, 7)), "7 columns in input.columns"),
+        (np.ones((50, 7)), "name the columns in input.columns"),
     ],
 )
 def test_an_npy_of_another_shape_or_type_is_refused(tmp_path, array, fault):
@@ -126,10 +126,10 @@ def test_a_missing_file_and_an_unknown_format_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("n_columns", [3, 4])
-def test_float64_rows_in_a_bin_are_refused_with_their_layout(tmp_path, n_columns):
+def test_float64_rows_in_a_bin_are_refused(tmp_path, n_columns):
     rows = np.column_stack([street(), np.zeros(len(street()))])[:, :n_columns]
     (tmp_path / "a.bin").write_bytes(rows.astype("<f8").tobytes())
-    with pytest.raises(ScanError, match=f"float64 .*{n_columns} columns"):
+    with pytest.raises(ScanError, match="got float64; convert it"):
         read_scan(tmp_path / "a.bin")
     assert len(read_scan(write_bin(tmp_path / "b.bin", street())).points) == len(street())
 
@@ -341,10 +341,10 @@ def test_the_file_in_a_folder_of_ros_2_is_read_without_its_metadata(tmp_path, fo
 @pytest.mark.parametrize(
     ("address", "fault"),
     [
-        ("", r"a\.bag#/points@0 to a\.bag#/points@1"),
+        ("", r"got 2; name one .* a\.bag#/points@0"),
         ("#2", "no frame 2; the last is 1"),
-        ("#5.2", r"a\.bag#/points@5\.100000000"),
-        ("#/other", r"/other; .* /points \(2 frames\)"),
+        ("#5.2", r"expected one frame at 5\.2 s, got 0; .* 5\.100000000"),
+        ("#/other", r"expected /other of .*, got /points \(sensor_msgs"),
         ("#/points@first", "got 'first'"),
     ],
 )
@@ -363,7 +363,7 @@ def test_of_two_topics_one_is_to_be_named(tmp_path, name):
             for i, side in enumerate(("left", "top"))
         ],
     )
-    with pytest.raises(ScanError, match="/left .*/top "):
+    with pytest.raises(ScanError, match="/left, /top; "):
         read_scan(bag)
     np.testing.assert_array_equal(
         read_scan(Path(f"{bag}#/top")).points, street(1).astype(np.float32)

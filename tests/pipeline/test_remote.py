@@ -384,7 +384,7 @@ def test_a_full_folder_for_temporary_files_ends_a_run_that_resumes(
         patch.setattr(Path, "write_bytes", fill)
         ended = command(*words, code=1)
     assert "error: TMPDIR: no space left in " in ended.stderr
-    assert "it resumes where it stopped" in ended.stderr
+    assert "run the same command again" in ended.stderr
     assert "Traceback" not in ended.stderr
     command(*words, code=0)
     assert_same_tables(tmp_path / "run", local / "run")

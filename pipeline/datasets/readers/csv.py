@@ -58,18 +58,15 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
             f"{cause_of(','.join(values))}; are these decimal commas? write decimal points"
         )
     check_names(path, names, f"; rename them, or {remedy}")
-    header = 0 if has_header else None
     frame = pd.read_csv(
         path,
+        names=names,
+        header=0 if has_header else None,
         skipinitialspace=True,
         low_memory=False,
-        header=header,
         index_col=False,
     )
-    return scan_from_columns(
-        path,
-        {name: frame.iloc[:, i].to_numpy() for i, name in enumerate(names)},
-    )
+    return scan_from_columns(path, {name: frame[name].to_numpy() for name in names})
 
 
 def _cells(file: BinaryIO) -> list[str]:

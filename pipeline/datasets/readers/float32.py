@@ -29,77 +29,53 @@ def read(path: Path, columns: tuple[str, ...]) -> Scan:
         The file's length is not a multiple of the row length, or x, y or z is not among the
         columns.
     """
-    n_bytes = path.stat().st_size
-    if (n_columns := _float64_columns(path)) is not None:
+    if _is_float64(path):
         raise ScanError(
-            f"{path}: expected float32, got float64 in rows of {n_columns} columns; convert it: "
+            f"{path}: expected float32, got float64; convert it: "
             "np.fromfile(file, '<f8').astype('<f4').tofile(file)"
         )
+    n_bytes = path.stat().st_size
     if n_bytes % (4 * len(columns)):
-        n_columns = _better_width(path, columns)
-        hint = _naming(n_columns) if n_columns else f"name them in {_SETTINGS}"
         raise ScanError(
             f"{path}: expected a multiple of {4 * len(columns)} bytes ({len(columns)} float32 "
             f"columns: {' '.join(columns)}), got {n_bytes}; the file is truncated, or has other "
-            f"columns: {hint}"
+            f"columns: name them in {_SETTINGS}"
         )
     rows = np.fromfile(path, dtype="<f4").reshape(-1, len(columns))
     return scan_from_columns(path, {name: rows[:, i] for i, name in enumerate(columns)})
 
 
 def check_width(path: Path, columns: tuple[str, ...]) -> None:
-    """Raise `ScanError` if the values of a file belong to rows of another width than that of the usual columns."""
-    n_columns = _better_width(path, columns)
-    if n_columns is not None:
+    """Raise `ScanError` if the values of a file belong to rows of another width than that of the usual columns.
+
+    Columns of the right width hold one quantity each, and spread less than those of a wrong one,
+    which mix them. Of a width and its multiples the smallest is right.
+    """
+    values = np.fromfile(path, dtype="<f4", count=_SAMPLE_BYTES // 16)
+    if len(values) < _FEWEST_ROWS * max(_WIDTHS) or _plausible_share(values) < 0.5:
+        return
+    values = np.where(np.isfinite(values), values, 0).astype(np.float64)
+    n_values = path.stat().st_size // 4
+    spreads = {n: _spread(values, n) for n in _WIDTHS if n_values % n == 0}
+    least = min(spreads.values())
+    n_columns = next(n for n, spread in spreads.items() if spread < least + _MAX_TIE)
+    if spreads[len(columns)] - spreads[n_columns] > _MIN_GAIN:
         raise ScanError(
             f"{path}: the values do not fit {len(columns)} float32 columns ({' '.join(columns)}), "
-            f"but {n_columns}: {_naming(n_columns)}"
+            f"but {n_columns}: name these in {_SETTINGS}"
         )
 
 
-def _naming(n_columns: int) -> str:
-    """Instruction to name the columns of a file of this width."""
-    names = " ".join(["x y z intensity", *(f"column{i}" for i in range(5, n_columns + 1))])
-    names = names if n_columns > 3 else "x y z"
-    return f'name its {n_columns} columns in {_SETTINGS}, such as "{names}"'
-
-
-def _float64_columns(path: Path) -> int | None:
-    """Number of float64 columns if the values are plausible only as float64; else None.
+def _is_float64(path: Path) -> bool:
+    """True if the values are plausible only as float64.
 
     The lower half of a float64 is noise when it is read as float32: of all magnitudes, NaN among
     them.
     """
     values = np.fromfile(path, dtype="<f8", count=_SAMPLE_BYTES // 8)
     if not len(values) or _plausible_share(values.view("<f4")) > 0.9:
-        return None
-    if _plausible_share(values) < 0.99:
-        return None
-    return _fitting_width(values, path.stat().st_size // 8)
-
-
-def _better_width(path: Path, columns: tuple[str, ...]) -> int | None:
-    """Number of float32 columns that fits the values clearly better than these columns, or None."""
-    values = np.fromfile(path, dtype="<f4", count=_SAMPLE_BYTES // 16)
-    if len(values) < _FEWEST_ROWS * max(_WIDTHS) or _plausible_share(values) < 0.5:
-        return None
-    values = np.where(np.isfinite(values), values, 0).astype(np.float64)
-    width = _fitting_width(values, path.stat().st_size // 4)
-    if width is None:
-        return None
-    gain = _spread(values, len(columns)) - _spread(values, width)
-    return width if gain > _MIN_GAIN else None
-
-
-def _fitting_width(values: FloatArray, n_values: int) -> int | None:
-    """Number of columns that divides the file and fits a sample of its values best; of its multiples the smallest.
-
-    Columns of the right width hold one quantity each, and spread less than those of a wrong one,
-    which mix them.
-    """
-    spreads = {n: _spread(values, n) for n in _WIDTHS if n_values % n == 0}
-    least = min(spreads.values(), default=0.0)
-    return next((n for n, spread in spreads.items() if spread < least + _MAX_TIE), None)
+        return False
+    return _plausible_share(values) >= 0.99
 
 
 def _spread(values: FloatArray, n_columns: int) -> float:

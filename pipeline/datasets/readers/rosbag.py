@@ -134,31 +134,23 @@ def _is_other_mcap(file: Path) -> bool:
 
 def _topic(bag: Any, scan: ScanRef) -> str:
     """The topic that is named, or the only one of point clouds, or else of packets."""
-    clouds: dict[str, int] = {}  # number of frames by topic
-    packets: dict[str, int] = {}
-    for connection in bag.connections:
-        of_type = packets if connection.msgtype == _PACKETS else clouds
-        if connection.msgtype in (_CLOUD, foxglove.CLOUD, _PACKETS):
-            of_type[connection.topic] = of_type.get(connection.topic, 0) + connection.msgcount
-    known = clouds | packets
-    listed = ", ".join(f"{topic} ({n} frames)" for topic, n in sorted(known.items()))
-    if not known:
-        names = {f"{connection.topic} ({connection.msgtype})" for connection in bag.connections}
-        topics = ", ".join(sorted(names)) or "no topics"
-        raise ScanError(
-            f"{scan.file}: expected a topic of {_CLOUD}, {foxglove.CLOUD}, {_PACKETS}, got {topics}",
-        )
-    if scan.topic is not None:
-        if scan.topic not in known:
-            raise ScanError(
-                f"{scan.file}: no point clouds on topic {scan.topic}; they are on {listed}",
-            )
-        return scan.topic
+    types = {connection.topic: connection.msgtype for connection in bag.connections}
+    clouds = [topic for topic, kind in types.items() if kind in (_CLOUD, foxglove.CLOUD)]
+    packets = [topic for topic, kind in types.items() if kind == _PACKETS]
     candidates = clouds or packets
-    if len(candidates) > 1:
+    if scan.topic is not None:
+        candidates = [topic for topic in (*clouds, *packets) if topic == scan.topic]
+    if len(candidates) == 1:
+        return candidates[0]
+    if candidates:
         example = f"{scan.file.name}#{min(candidates)}@{scan.frame or 0}"
+        listed = ", ".join(sorted(candidates))
         raise ScanError(f"{scan.file}: point clouds on {listed}; name one topic, such as {example}")
-    return next(iter(candidates))
+    listed = ", ".join(sorted(f"{topic} ({kind})" for topic, kind in types.items()))
+    raise ScanError(
+        f"{scan.file}: expected {scan.topic or 'a topic'} of {_CLOUD}, {foxglove.CLOUD} or "
+        f"{_PACKETS}, got {listed or 'no topics'}"
+    )
 
 
 def _marks(file: Path) -> tuple[tuple[int, int], ...]:

@@ -108,14 +108,13 @@ def scan_from_columns(
     """
     check_names(path, columns)
     in_lower_case = {name.lower(): np.asarray(column) for name, column in columns.items()}
-    by_name = {}
-    numbers: dict[str, FloatArray] = {}
     source = {}
     for name, aliases in _NAMES.items():
-        alias = next((alias for alias in aliases if alias in in_lower_case), None)
-        if alias is not None:
-            source[name] = alias
-            by_name[name] = in_lower_case[alias]
+        known = [alias for alias in aliases if alias in in_lower_case]
+        if known:
+            source[name] = known[0]
+    by_name = {name: in_lower_case[alias] for name, alias in source.items()}
+    numbers: dict[str, FloatArray] = {}
     for name, column in by_name.items():
         if column.ndim != 1:
             kind = f"{column.dtype} values of shape {column.shape}"

@@ -143,27 +143,26 @@ def frame_number(scan: ScanRef, times_ns: Sequence[int]) -> int:
     ScanError
         No frame has this number or time, or there are several and no frame is given.
     """
-    name = f"{scan.file.name}#{scan.topic}@" if scan.topic else f"{scan.file.name}#"
-    if not times_ns:
-        raise ScanError(f"{scan.file}: no frames found; expected at least one")
+    n_frames = len(times_ns)
     if scan.frame is None:
-        if len(times_ns) > 1:
-            raise ScanError(
-                f"{scan.file}: {len(times_ns)} frames found; name one of {name}0 to "
-                f"{name}{len(times_ns) - 1}, in a pairs.csv for instance"
-            )
-        return 0
+        if n_frames == 1:
+            return 0
+        name = f"{scan.file.name}#{scan.topic}@" if scan.topic else f"{scan.file.name}#"
+        raise ScanError(
+            f"{scan.file}: expected one frame, got {n_frames}; name one in a pairs.csv, such as "
+            f"{name}0"
+        )
     time_ns = scan.time_ns
     if time_ns is None:
-        if int(scan.frame) >= len(times_ns):
-            raise ScanError(f"{scan.file}: no frame {scan.frame}; the last is {len(times_ns) - 1}")
-        return int(scan.frame)
+        if int(scan.frame) < n_frames:
+            return int(scan.frame)
+        raise ScanError(f"{scan.file}: no frame {scan.frame}; the last is {n_frames - 1}")
     if times_ns.count(time_ns) == 1:
         return times_ns.index(time_ns)
-    nearest = min(range(len(times_ns)), key=lambda i: abs(times_ns[i] - time_ns))
+    times = ", ".join(map(_seconds, (*times_ns[:1], *times_ns[-1:])))
     raise ScanError(
-        f"{scan.file}: expected one frame at {scan.frame} s, got {times_ns.count(time_ns)}; the "
-        f"nearest is number {nearest}, {name}{_seconds(times_ns[nearest])}"
+        f"{scan.file}: expected one frame at {scan.frame} s, got {times_ns.count(time_ns)}; first "
+        f"and last are at {times}"
     )
 
 

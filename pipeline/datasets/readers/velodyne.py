@@ -36,15 +36,8 @@ def read(scan: ScanRef) -> Scan:
     file = scan.file
     revolutions = _revolutions(file, file.stat().st_mtime_ns)
     revolution = revolutions[frame_number(scan, [revolution.time_ns for revolution in revolutions])]
-    packets = [
-        (stamp, data)
-        for _, stamp, data in _packets(
-            file,
-            revolution.start,
-            revolution.stop,
-        )
-    ]
-    return scan_from_columns(file, decoded(file, packets))
+    packets = _packets(file, revolution.start, revolution.stop)
+    return scan_from_columns(file, decoded(file, [(stamp, data) for _, stamp, data in packets]))
 
 
 def frames(recording: ScanRef) -> list[ScanRef]:

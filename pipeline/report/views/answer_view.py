@@ -40,7 +40,6 @@ _TASK_WORDS = {
     "occupancy.wrongly_free": "{} of the occupied map free",
 }
 _NOT_YET = "the frame of the simulated scans: see the warning above"
-_LEAST_MOVE = 5e-3
 
 
 def answer_view(
@@ -95,7 +94,6 @@ def answer_sections(
         "Doubtful": items_of(doubtful),
         "Worst places": _worst_places(overview, with_all),
         "Objects": items_of(scores_words(record)),
-        "Last run": items_of(change_words(record)),
         "Trust": items_of(*trust),
         "Next": items_of(*next_commands(run, recipe, is_page=is_page)),
     }
@@ -244,18 +242,3 @@ def scores_words(record: RunRecord) -> str:
             word += f" (paper {metric.paper_mean:.2f})"
         words.append(word)
     return "   ".join(words)
-
-
-def change_words(record: RunRecord) -> str:
-    """Changes since the results that this run replaced in its folder; "" if it replaced none."""
-    last = record.previous
-    if last is None:
-        return ""
-    moved = []
-    for column in (*_COVERED, *headline_scores(record.preset)):
-        now = record.summary[column].mean
-        before = last.means.get(column)
-        if now is not None and before is not None and abs(now - before) >= _LEAST_MOVE:
-            moved.append(f"{metric_of(column).label.partition(',')[0]} {now - before:+.2f}")
-    changes = ", ".join(moved) or "no score moved"
-    return f"{changes} since {last.written}; is it chance? fidpipe compare"
