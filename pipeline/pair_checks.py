@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -137,15 +138,15 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
 
 def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
     """One line for each pair one of whose files is named after the other side, by its own name or its folders."""
-    root = folder.resolve()
+    root = _resolved(folder)
 
     def words(scan: ScanRef, other: ScanRef) -> set[str]:
         """Words in a file's name and in its folders, below the dataset's folder or else where the other's differ."""
-        file = scan.file.resolve()
+        file = _resolved(scan.file)
         if file.is_relative_to(root):
             parts = set(file.relative_to(root).parts)
         else:
-            parts = {*file.parts} - {*other.file.resolve().parts}
+            parts = {*file.parts} - {*_resolved(other.file).parts}
         return set(re.split("[^a-z]+", "/".join([*parts, scan.topic or ""]).lower()))
 
     lines = []
@@ -161,3 +162,8 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
                 )
                 break
     return lines
+
+
+def _resolved(path: Path) -> Path:
+    """A path without links; those that lead to themselves stay."""
+    return Path(os.path.realpath(path))

@@ -197,17 +197,18 @@ def _describe_beams(
     if several_returns:
         sweep = sweep.first_returns(is_later)
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
-    several_sweeps = sweeps_text(sweep.gap_deg) or alternation_text(sweep.beam, sweep.range_m)
-    if several_sweeps:
-        doubts = {ONE_SWEEP: several_sweeps, **doubts}
+    doubtful = sweeps_text(sweep.gap_deg) or alternation_text(sweep.beam, sweep.range_m)
+    if doubtful:
+        doubts = {ONE_SWEEP: doubtful, **doubts}
+    else:
+        if several_returns:
+            doubts[RETURNS] = several_returns
+        doubtful = thinned_text(sweep.gap_deg, sweep.range_m, points)
+        if doubtful:
+            doubts[BEAMS] = doubtful
+    if doubtful:
         step = None
-        untold["azimuth_step_deg"] = several_sweeps
-    elif several_returns:
-        doubts[RETURNS] = several_returns
-    if not several_sweeps and (thinned := thinned_text(sweep.gap_deg, sweep.range_m, points)):
-        doubts[BEAMS] = thinned
-        step = None
-        untold["azimuth_step_deg"] = thinned
+        untold["azimuth_step_deg"] = doubtful
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
     n_firings = _surface_firings(sweep, step)
@@ -332,11 +333,9 @@ def _noise_text(sensor: SensorDescription) -> str:
     noise_m = sensor.range_noise_m or 0.0
     low_m = sensor.range_noise_low_m
     text = f"{1e3 * noise_m:.0f} mm on smooth surfaces"
-    return (
-        text
-        if low_m is None or low_m > _CLEAR * noise_m
-        else f"at most {text}, as their roughness counts"
-    )
+    if low_m is None or low_m > _CLEAR * noise_m:
+        return text
+    return f"at most {text}, as their roughness counts"
 
 
 def _angular_text(sensor: SensorDescription) -> str:

@@ -120,8 +120,8 @@ def _doubts_of_pair(
     if (strays.amount or 0.0) > _TOO_MANY_STRAYS:
         text = f"simulated scan: {strays.amount:.0%} of its points float off smooth surface: second returns in others?"
         doubts = dict.fromkeys((ONE_SWEEP, SAME_SWEEPS, BEAMS), text)
-    if text := _unlike_patterns(real, sim, recorded):
-        doubts[BEAMS] = text
+    if unlike := _unlike_patterns(real, sim, recorded):
+        doubts[BEAMS] = unlike
     if _is_without_road(real, sim, explained):
         doubts[ROAD] = "simulated scan: the road of the real scan is missing"
     for name, side, other in (("real", real, sim), ("simulated", sim, real)):
@@ -165,8 +165,8 @@ def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]
     if (ONE_SWEEP in real.doubts) != (ONE_SWEEP in sim.doubts):
         doubts[SAME_SWEEPS] = doubts[ONE_SWEEP]
     for side, sensor, other in (("real", real, sim), ("simulated", sim, real)):
-        if text := _finer_text(sensor, other):
-            doubts[STEPS] = f"{side} scan: {text}"
+        if finer := _finer_text(sensor, other):
+            doubts[STEPS] = f"{side} scan: {finer}"
     if (
         real.elevation_deg
         and sim.elevation_deg
