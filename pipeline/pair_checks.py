@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -113,25 +112,18 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
     ----------
     hashes : by pair and side, the content hash of the scan file
     """
-    places: dict[str, list[tuple[str, str]]] = {}
+    places: dict[str, list[str]] = {}
     for pair_id, sides in hashes.items():
-        for side in SIDES:
-            if sides.get(side):
-                places.setdefault(sides[side], []).append((pair_id, side))
+        for side, content in sides.items():
+            if content:
+                places.setdefault(content, []).append(f"{pair_id} ({side})")
     lines = []
-    for shared in places.values():
-        counts = Counter(pair_id for pair_id, _ in shared)
-        for pair_id, n_sides in counts.items():
-            if n_sides == len(SIDES):
-                lines.append(
-                    f"pair {pair_id}: real and simulated file hold the same points; expected two different scans",
-                )
-        if len(counts) > 1:
-            named = ", ".join(f"{pair_id} ({side})" for pair_id, side in shared[:5])
-            if len(shared) > 5:
-                named += f" and {len(shared) - 5} more"
+    for names in places.values():
+        if len(names) > 1:
+            more = f" and {len(names) - 5} more" if len(names) > 5 else ""
             lines.append(
-                f"pairs {named}: the files hold the same points; expected each scan in one pair",
+                f"pairs {', '.join(names[:5])}{more}: the files hold the same points; expected each "
+                "scan in one pair, on one side"
             )
     return lines
 

@@ -39,6 +39,11 @@ from .trust import (
 
 #: Limits of the range bands, metres, for the share of lost pulses.
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
+#: Columns of table `sensor` that are attributes of a description.
+_COLUMNS = (
+    *("model", "azimuth_step_deg", "range_quantum_m", "range_noise_m"),
+    *("elevation_noise_deg", "azimuth_noise_deg"),
+)
 #: Columns of table `sensor` that `pairs` has for both sides.
 _PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
 #: Names of the properties that may be undetermined.
@@ -150,17 +155,13 @@ def describe_with_gaps(
     is_return = (np.abs(points) <= FARTHEST_M).all(axis=1) & points.any(axis=1)
     rows = np.flatnonzero(is_return)
     sensor = SensorDescription(len(rows), has_ring=ring is not None, has_time=has_time)
-    if len(rows) < _MIN_POINTS:
-        return _undetected(
-            sensor,
-            f"{len(rows)} points, at least {_MIN_POINTS} are needed",
-        ), NO_GAPS
     range_m = np.linalg.norm(points[rows], axis=1)
     if misses := find_misses(range_m):
         sensor.doubts[MISSES] = misses_text(misses)
         rows = rows[range_m <= misses[-1].limit_m]
-        if len(rows) < _MIN_POINTS:
-            return _undetected(sensor, f"{len(rows)} points have a return"), NO_GAPS
+    if len(rows) < _MIN_POINTS:
+        reason = f"{len(rows)} returns, at least {_MIN_POINTS} are needed"
+        return _undetected(sensor, reason), NO_GAPS
     points = points[rows]
     sensor = replace(sensor, field_of_view_deg=_field_of_view(points))
     sensor.doubts.update(rounding_text(rounding_m(points)))
@@ -245,17 +246,12 @@ def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
     """Columns of table `sensor`; None if undetermined, and then `reason` has the causes."""
     heights_m = sensor.origin_height_m
     height_m = float(np.mean([heights_m[0], heights_m[-1]])) if heights_m else 0.0
-    return {
-        "model": sensor.model,
+    row = {name: getattr(sensor, name) for name in _COLUMNS}
+    return row | {
         "n_beams": len(sensor.elevation_deg) or None,
         "lowest_deg": min(sensor.elevation_deg, default=None),
         "highest_deg": max(sensor.elevation_deg, default=None),
         "origin_height_m": height_m if sensor.elevation_deg else None,
-        "azimuth_step_deg": sensor.azimuth_step_deg,
-        "range_quantum_m": sensor.range_quantum_m,
-        "range_noise_m": sensor.range_noise_m,
-        "elevation_noise_deg": sensor.elevation_noise_deg,
-        "azimuth_noise_deg": sensor.azimuth_noise_deg,
         "lost_share": sensor.lost_in_all,
         "reason": "; ".join(f"{name}: {reason}" for name, reason in sensor.untold.items()) or None,
         "doubts": "\n".join(sensor.doubts.values()) or None,
