@@ -282,18 +282,11 @@ def beams_text(sensor: SensorDescription) -> str:
     return f"{text}: {sensor.model or sensor.untold['model']}"
 
 
-def name_text(sensor: SensorDescription) -> str:
-    """Number of the beams, and the model: "32 (...)"."""
-    return f"{_count_text(sensor)} ({sensor.model})" if sensor.model else _count_text(sensor)
-
-
 def _count_text(sensor: SensorDescription) -> str:
     """Number of beams as text; beams without a return are not detected."""
     n = len(sensor.elevation_deg)
     if sensor.model_beams:
         return f"{n} of {sensor.model_beams}" if n < sensor.model_beams else f"{sensor.model_beams}"
-    if not n:
-        return "none detected"
     return f"at least {n}" if sensor.is_sharp else f"about {n}"
 
 

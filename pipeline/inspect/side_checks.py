@@ -31,9 +31,9 @@ from ...stages.inspect.sequence_checks import (
 from ...stages.inspect.stamps import check_stamps
 from ...stages.sensor_description import (
     SensorDescription,
+    beams_text,
     describe_sensor,
     has_other_beams,
-    name_text,
 )
 from ...stages.trust import SERIOUS
 from ..datasets.pairs import ScanPair
@@ -246,7 +246,7 @@ def _unlike_others(sensors: Mapping[str, SensorDescription]) -> tuple[str, list[
     lines = []
     for name, sensor in seen.items():
         if has_other_beams(seen[usual], sensor):
-            lines.append(f"{name}: beams {name_text(sensor)}, others {name_text(seen[usual])}")
+            lines.append(f"{name}: {beams_text(sensor)}; others {beams_text(seen[usual])}")
     return usual, lines
 
 
