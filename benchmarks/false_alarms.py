@@ -34,7 +34,7 @@ import fidpipe
 from fidpipe.pipeline.datasets.pairs import read_dataset
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.results.compare import compare_runs
-from fidpipe.pipeline.results.families import judge_families, overall
+from fidpipe.pipeline.results.families import ScoredPairs, judge_families, overall
 from fidpipe.stages.statistics.comparison import adjusted_p_values, holm
 
 N_FAMILIES, N_SCORES = 8, 4
@@ -199,11 +199,15 @@ def of_runs(args):
         decisions = []
         names = sorted({pair for pair, _ in rows})
         for _ in range(args.repeats):
-            chosen = {}
+            before = []
+            after = []
             for name in names:
                 first, second = rng.choice(DRAWS, 2, replace=False)
-                chosen[name] = (rows[name, first], rows[name, second])
-            families = judge_families("reference", chosen, np.arange(len(names), dtype=np.int32))
+                before.append(rows[name, first])
+                after.append(rows[name, second])
+            blocks = np.arange(len(names), dtype=np.int32)
+            pairs = ScoredPairs([pd.DataFrame(before), pd.DataFrame(after)], blocks)
+            families = judge_families("reference", pairs)
             decisions.append(overall({family.verdict for family in families if not family.why}))
         print_rate(f"independent draws of {len(names)} pairs", decisions)
     couples = list(combinations(args.worlds or [], 2))

@@ -22,9 +22,9 @@ from measure import FIDPIPE, MIB, machine, repeated, scratch, weigh
 from rich.console import Console
 from small_pairs import N_FILES
 
+from fidpipe.pipeline.engine import schedule
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES, graph_job
 from fidpipe.pipeline.run import run_dataset
 from fidpipe.schemas.settings import Settings
@@ -81,7 +81,8 @@ def main(n_pairs=320, seconds=16.0, n_workers=32):
         try:
             with distributed.Client(address, set_as_default=False) as client:
                 client.wait_for_workers(n_workers)
-            machines = Machines(scheduler=address, policy=Policy(bundle_s=1e-9))  # a pair each
+            machines = Machines(scheduler=address)
+            schedule.BUNDLE_S = 1e-9  # a pair each
             begun = time.perf_counter()
             own = psutil.Process()
             of_command = used([own])[0]

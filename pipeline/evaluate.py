@@ -16,15 +16,15 @@ from ..schemas.errors import ScanError
 from ..schemas.settings import Settings, parse, preset_of
 from ..stages.arrays import FloatArray
 from ..stages.frame_search import FrameCheck
+from .datasets.pairs import ScanPair
 from .datasets.readers import read_scan
 from .datasets.readers.scan import Scan
-from .engine.memory import run_in_memory
-from .engine.plan import Planner
+from .engine.plan import plan_jobs
 from .engine.pool import one_blas_thread
+from .engine.worker import run_in_memory
 from .jobs import stages_under
 from .pair_checks import frame_warning
 from .stage import FRAMES, OF_PAIR
-from .storage.table_files import plain_metadata
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -131,11 +131,8 @@ def evaluate_pair(
     settings = settings if isinstance(settings, Settings) else parse(dict(settings or {}))
     scans = {"real": _scan("real", real, settings), "sim": _scan("sim", sim, settings)}
     with one_blas_thread():
-        tables, outputs = run_in_memory(
-            Planner(stages_under(settings), settings, {}).jobs(),
-            scans,
-            _PAIR,
-        )
+        jobs = plan_jobs(stages_under(settings), settings)
+        tables, outputs = run_in_memory(jobs, scans, ScanPair(_PAIR, None, None))
     check = outputs["sensor", "sim"][FRAMES]
     if check is not None and check["is_suspect"]:
         warnings.warn(frame_warning(FrameCheck(**check)), stacklevel=2)
@@ -144,7 +141,7 @@ def evaluate_pair(
             warnings.warn(f"{side} side: {text}", stacklevel=2)
     summary: dict[str, Any] = {"pair_id": _PAIR, "status": "scored"}
     for metadata in outputs.values():
-        summary |= plain_metadata(metadata.get(OF_PAIR, {}))
+        summary |= metadata.get(OF_PAIR, {})
     frames: dict[str, Any] = {}
     for (name, side), table in tables.items():
         frame = table.to_pandas()

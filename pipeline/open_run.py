@@ -45,7 +45,7 @@ class Run(FinishedRun):
         name : 7 or "real:7" for the real object 7 and its partner, "sim:7" for the simulated one
         ax : matplotlib axes in 3D to draw into; by default those of a new figure
         """
-        from .report.figures.object_plots import plot_object
+        from .report.figures.plots import plot_object
 
         return plot_object(self, pair_id, str(name), ax)
 
@@ -56,7 +56,7 @@ class Run(FinishedRun):
         ----------
         ax : matplotlib axes to draw into; by default those of a new figure
         """
-        from .report.figures.pair_plots import plot_pieces
+        from .report.figures.plots import plot_pieces
 
         return plot_pieces(self, pair_id, ax)
 
@@ -70,7 +70,7 @@ class Run(FinishedRun):
         value : "outcome" of each ray, "real_range_m", or "sim_range_m" on the same rays
         ax : matplotlib axes to draw into; by default those of a new figure
         """
-        from .report.figures.pair_plots import plot_range_image
+        from .report.figures.plots import plot_range_image
 
         return plot_range_image(self, pair_id, value, ax)
 

@@ -22,10 +22,10 @@ from ..schemas.settings import Settings
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
-from .engine.collector import Collector
-from .engine.engine import Machines, schedule_of, started_pool, working
-from .engine.plan import PairPlan, Planner
+from .engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
+from .engine.plan import PairPlan, plan_jobs, plan_pair
 from .engine.progress import Reporter
+from .engine.schedule import Collector
 from .engine.survey import (
     InputFiles,
     Survey,
@@ -33,6 +33,7 @@ from .engine.survey import (
     refuse_replacing,
     remove_stale,
     survey_results,
+    what_changed,
 )
 from .jobs import stages_under
 from .pair_checks import shared_files, swapped_sides
@@ -46,7 +47,6 @@ from .storage.run_record import (
     read_run,
     replaced_results,
     run_header,
-    what_changed,
     write_record,
 )
 
@@ -138,13 +138,13 @@ def run_dataset(
         run.hash_files()
         run.survey_results(from_stage)
         if not (replace or from_stage):
-            refuse_replacing(run.survey, f"run {out}", run.before, stages, settings)
+            refuse_replacing(run.survey, folder, run.before, stages, settings)
         todo = run.survey.todo
         with started_pool(todo, folder, stages, settings, run.collector, machines) as pool:
             run.replace_stale()
             if todo:
-                with working(run.survey, run.files, run.collector, machines, settings.input):
-                    schedule_of(run.survey, run.plan, pool, run.collector, machines).run()
+                reporter.warn(*large_pairs_warnings(todo, run.files, settings.input))
+                schedule_of(run.survey, run.plan, pool, run.collector, machines).run()
                 run.n_workers = pool.n_workers
         return run.write()
 
@@ -209,7 +209,7 @@ class Run:
         self.jobs = JobSummary()
         self.hashes: dict[str, dict[str, str]] = {}
         self.n_workers = 0
-        self._planner = Planner(stages, settings, dataset.label_names)
+        self._jobs = plan_jobs(stages, settings)
         self._versions = {stage.name: stage.version for stage in stages}
         self._last = last_results(self.before)
         self._wall_s: dict[str, float] = {}
@@ -238,32 +238,28 @@ class Run:
         from_stage : recompute this stage and those after it
         """
         names = list(self._versions)
-        redo = names[names.index(from_stage) :] if from_stage else []
-
-        def complete(plan: PairPlan) -> None:
-            self.jobs.add(plan.pair, list(plan.records.values()))
-
         self.survey = survey_results(
             self.dataset.pairs,
             self.files,
             self.plan,
             self.folder,
             selected=self.selected,
-            redo=frozenset(redo),
-            complete=complete,
+            redo=frozenset(names[names.index(from_stage) :] if from_stage else ()),
+            complete=lambda plan: self.jobs.add(plan.pair, list(plan.records.values())),
         )
 
     def plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair under the current settings."""
-        return self._planner.plan(pair, self.files.contents[pair.pair_id])
+        contents = self.files.contents[pair.pair_id]
+        return plan_pair(self._jobs, pair, contents, self.dataset.label_names)
 
     def replace_stale(self) -> None:
         """Remove stale results and a finished record, if there are jobs to do or stale results."""
         if not (self.survey.todo or self.survey.stale):
             return
         self._write_record(self._header())
-        changes = what_changed(self.before, self.settings, self._versions)
-        remove_stale(self.survey, self.folder, self.stages, self.reporter, changes)
+        changes = what_changed(self.before, self.settings, self.stages)
+        remove_stale(self.survey, self.folder, self.reporter, changes)
 
     def write(self) -> RunOutcome:
         """Write the tables of the whole run and its record."""
@@ -326,7 +322,7 @@ class Run:
     def _write_record(self, record: RunHeader) -> None:
         """Write the settings and the record, or its header."""
         out = self.folder.folder
-        write_record(out, self.settings, record.entries(), self.folder.check_token)
+        write_record(out, self.settings, record.as_dict(), self.folder.check_token)
 
     def _end_phase(self, name: str) -> None:
         now = perf_counter()

@@ -6,7 +6,7 @@ JSON, `from_dict` reads them again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Self
 
 from pydantic import BaseModel, ConfigDict, JsonValue
@@ -24,11 +24,6 @@ class Result(BaseModel):
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON; fields that were never given are left out."""
         return self.model_dump(mode="json", exclude_unset=True)
-
-    def entries(self) -> Iterator[tuple[str, JsonValue]]:
-        """The entries of `as_dict`, one by one."""
-        for name, _ in self:
-            yield from self.model_dump(mode="json", exclude_unset=True, include={name}).items()
 
     @classmethod
     def from_dict(cls, values: Mapping[str, object]) -> Self:

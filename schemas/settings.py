@@ -331,15 +331,10 @@ class MetricsSettings(_Group):
     f_score_distance_m : F-score: nearer points count as found
     dcd_alpha : DCD: weight of the squared distance, objects of unit size
     emd_max_points : EMD of all points: larger objects are left out, one may take over a minute
-    projections : sliced Wasserstein: random directions
     histogram_points : histogram: points sampled per side, all pairs of which are measured
     histogram_bins : histogram: equal bins from 0 to 1
     histogram_order : histogram: order of the Minkowski distance
     icp_distance_m : ICP: largest distance of corresponding points
-    heat_times : NetLSD: number of times, log-spaced
-    heat_time_min : NetLSD: first time
-    heat_time_max : NetLSD: last time
-    heat_max_nodes : NetLSD: larger objects are left out, their dense matrices would not fit
     """
 
     baselines: BaselineNames = Field(
@@ -349,23 +344,10 @@ class MetricsSettings(_Group):
     f_score_distance_m: float = Field(0.2, gt=0)
     dcd_alpha: float = Field(1000.0, gt=0)
     emd_max_points: int = Field(8000, ge=2)
-    projections: int = Field(200, ge=1, le=10_000)
     histogram_points: int = Field(2000, ge=2, le=10_000)
     histogram_bins: int = Field(100, ge=2, le=10_000)
     histogram_order: float = Field(2.0, ge=1)
     icp_distance_m: float = Field(1.0, gt=0)
-    heat_times: int = Field(250, ge=2, le=10_000)
-    heat_time_min: float = Field(0.01, gt=0)
-    heat_time_max: float = Field(100.0, gt=0)
-    heat_max_nodes: int = Field(8000, ge=2)
-
-    @model_validator(mode="after")
-    def _times_in_order(self) -> MetricsSettings:
-        if self.heat_time_min >= self.heat_time_max:
-            raise ValueError(
-                f"expected heat_time_min below heat_time_max, got {self.heat_time_min:g} and {self.heat_time_max:g}"
-            )
-        return self
 
 
 class StabilitySettings(_Group):

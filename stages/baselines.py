@@ -21,8 +21,8 @@ from ..schemas.settings import MetricsSettings
 from .arrays import BoolArray, FloatArray, Watch, unwatched
 from .coverage import nearest_distances
 from .linalg.assignment import assign_nodes
-from .linalg.heat import heat_change, heat_trace
-from .linalg.laplacian import induced_laplacian, normalised_laplacian
+from .linalg.heat import heat_change
+from .linalg.laplacian import induced_laplacian
 from .linalg.nearest import nearest_points
 from .linalg.spectrum import spectral_norm
 from .linalg.subgraph import Subgraph
@@ -30,9 +30,8 @@ from .metrics import IDENTICAL_CHANGE, MIN_NODES
 from .reference import visiting_order
 from .selection import Selection
 
-_SEED = 0  # of samples and directions
+_SEED = 0  # of samples
 _MAX_PIVOTS = 10**12  # of the network simplex; far more than it needs, so that it always converges
-_DIRECTIONS_PER_STEP = 10  # bounds the memory: all points are projected on each
 _ICP_POINTS = 11  # the library warns of fewer
 _ICP_ITERATIONS = 100
 # Range images of LiDAR4D: rows and columns, degrees from the upper edge to the horizon and to the lower edge, range
@@ -123,8 +122,6 @@ def compare_objects(
                 values += OF_POINTS[name](real.points, sim.points, settings)
             elif name == "emd":
                 values += _emd(real.points, sim.points, selection, settings)
-            elif name == "netlsd":
-                values.append(_netlsd(real, sim, settings))
             elif name == "r_h":
                 values.append(_r_h(real, sim, selection, t))
     return tuple(values)
@@ -132,15 +129,6 @@ def compare_objects(
 
 def _without_value(reason: str, *names: str) -> Baselines:
     return tuple(Baseline(name, None, reason) for name in names)
-
-
-def _too_large(
-    real: FloatArray, sim: FloatArray, settings: MetricsSettings, limit: str
-) -> str | None:
-    """Reason if a side has more points than a setting allows, else None."""
-    n_most = max(len(real), len(sim))
-    allowed = getattr(settings, limit)
-    return f"{n_most} points, metrics.{limit} allows {allowed}" if n_most > allowed else None
 
 
 def chamfer(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
@@ -263,31 +251,6 @@ def _one_way(x: FloatArray, y: FloatArray, alpha: float) -> tuple[float, int]:
     return float(term.mean()), int(np.count_nonzero(weight > 1.0))
 
 
-def sliced_wasserstein(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
-    """Mean over random directions u of W1(u . real, u . sim), in metres; for sets of any sizes, in n log n.
-
-    The earth mover's distance of points on a line needs only sorting; its mean over the sphere of directions is the
-    sliced Wasserstein distance of order 1 (Rabin, Peyre, Delon and Bernot, Wasserstein barycenter and its application
-    to texture mixing, SSVM 2011; Bonneel, Rabin, Peyre and Pfister, JMIV 2015), here by Monte Carlo with a fixed seed.
-    It is at most the earth mover's distance: a shift by v costs |v| there, |v| / 2 here. POT's implementation.
-
-    Parameters
-    ----------
-    real, sim : (n, 3), (m, 3) float64, metres, at least one point each; all points of a side have the same weight
-    settings : number of directions, `projections`
-    """
-    import ot
-
-    directions = np.random.default_rng(_SEED).standard_normal((settings.projections, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    total = 0.0
-    for start in range(0, len(directions), _DIRECTIONS_PER_STEP):
-        some = directions[start : start + _DIRECTIONS_PER_STEP].T
-        distance_m = ot.sliced_wasserstein_distance(real, sim, projections=some, p=1)
-        total += len(some.T) * float(distance_m)
-    return (Baseline("sliced_wasserstein_m", total / len(directions)),)
-
-
 def histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
     """(sum_k |h_k(real) - h_k(sim)|^p)^(1/p); None if all points of a side coincide.
 
@@ -368,10 +331,14 @@ def _emd(
     real: FloatArray, sim: FloatArray, selection: Selection, settings: MetricsSettings
 ) -> Baselines:
     """Earth mover's distance of all points, of the aligned nodes as given, and of these with both sides centred."""
-    reason = _too_large(real, sim, settings, "emd_max_points")
-    exact_m = None if reason else earth_movers(real, sim)
-    if exact_m is None:
-        reason = reason or "the network simplex ended without the optimum"
+    n_most = max(len(real), len(sim))
+    exact_m = reason = None
+    if n_most > settings.emd_max_points:
+        reason = f"{n_most} points, metrics.emd_max_points allows {settings.emd_max_points}"
+    else:
+        exact_m = earth_movers(real, sim)
+        if exact_m is None:
+            reason = "the network simplex ended without the optimum"
     a = real[selection.real_nodes]
     b = sim[selection.sim_nodes]
     # The alignment is the optimal assignment of the centred nodes, so it is not solved again for these.
@@ -432,43 +399,6 @@ def aligned_distance(a: FloatArray, b: FloatArray) -> float:
     a, b : (n, 3) float64, metres, at least one point
     """
     return float(np.linalg.norm(a - b, axis=1).mean())
-
-
-def _netlsd(real: Subgraph, sim: Subgraph, settings: MetricsSettings) -> Baseline:
-    """NetLSD of the whole object; None if a side has more than `heat_max_nodes`."""
-    reason = _too_large(real.points, sim.points, settings, "heat_max_nodes")
-    if reason:
-        return Baseline("netlsd", None, reason)
-    times = np.geomspace(settings.heat_time_min, settings.heat_time_max, settings.heat_times)
-    laplacian_real = normalised_laplacian(real.adjacency)
-    laplacian_sim = normalised_laplacian(sim.adjacency)
-    return Baseline("netlsd", heat_trace_distance(laplacian_real, laplacian_sim, times))
-
-
-def heat_trace_distance(
-    real: scipy.sparse.csr_matrix,
-    sim: scipy.sparse.csr_matrix,
-    times: FloatArray,
-) -> float:
-    """|h(real) - h(sim)|_2, h(t) = tr exp(-tL) / n at the given times; 0 for isospectral graphs.
-
-    Tsitsulin, Mottin, Karras, Bronstein and Mueller, NetLSD: hearing the shape of a graph, KDD 2018, section 4, heat
-    kernel, normalised by the empty graph of n nodes as in their code; from all eigenvalues, without interpolation. The
-    graphs need no alignment and may differ in size.
-
-    Parameters
-    ----------
-    real, sim : (n, n), (m, m) CSR float64, normalised Laplacians, at least one node each
-    times : (k,) float64, positive; the authors take 250 from 0.01 to 100, log-spaced
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> edge, apart = scipy.sparse.csr_matrix([[1.0, -1], [-1, 1]]), scipy.sparse.csr_matrix((2, 2))
-    >>> round(heat_trace_distance(edge, apart, np.array([0.5])), 6)  # 1 - (1 + 1 / e) / 2
-    0.31606
-    """
-    return float(np.linalg.norm(heat_trace(real, times) - heat_trace(sim, times)))
 
 
 def _r_h(real: Subgraph, sim: Subgraph, selection: Selection, t: float) -> Baseline:
@@ -591,7 +521,6 @@ OF_POINTS: dict[str, _OfPoints] = {
     "hausdorff": hausdorff,
     "f_score": f_score,
     "dcd": dcd,
-    "sliced_wasserstein": sliced_wasserstein,
     "histogram": histogram,
     "icp": icp,
 }

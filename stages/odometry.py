@@ -47,7 +47,7 @@ def trajectory(scans: Iterable[FloatArray]) -> FloatArray:
 
 def compare_trajectories(
     real: FloatArray, sim: FloatArray, known: FloatArray | None = None
-) -> tuple[Gap, ...]:
+) -> list[Gap]:
     """Differences of two trajectories of one drive.
 
     - drift_m: distance of the last poses. `real` and `sim` are the distances from the last known
@@ -69,24 +69,14 @@ def compare_trajectories(
     real_steps = np.linalg.inv(real[:-1]) @ real[1:]
     sim_steps = np.linalg.inv(sim[:-1]) @ sim[1:]
     apart = np.linalg.inv(real_steps) @ sim_steps
-    length_m = Gap(
-        "odometry",
-        "step_m",
-        _median_length_m(real_steps),
-        _median_length_m(sim_steps),
-        _median_length_m(apart),
-        "m",
-    )
-    angle_deg = Gap(
-        "odometry",
-        "turn_deg",
-        _median_angle_deg(real_steps),
-        _median_angle_deg(sim_steps),
-        _median_angle_deg(apart),
-        "degrees",
-    )
-    drift_m = Gap("odometry", "drift_m", real_drift_m, sim_drift_m, _apart_m(real, sim), "m")
-    return drift_m, length_m, angle_deg
+    gaps = [Gap("odometry", "drift_m", real_drift_m, sim_drift_m, _apart_m(real, sim), "m")]
+    for measure, median, unit in (
+        ("step_m", _median_length_m, "m"),
+        ("turn_deg", _median_angle_deg, "degrees"),
+    ):
+        values = (median(real_steps), median(sim_steps), median(apart))
+        gaps.append(Gap("odometry", measure, *values, unit))
+    return gaps
 
 
 def _apart_m(poses: FloatArray, others: FloatArray) -> float:

@@ -7,7 +7,7 @@ the usual pipeline of ground removal, Euclidean clustering and boxes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..schemas.settings import TaskSettings
 from .arrays import BoolArray, FloatArray, IndexArray, sums_by_id
 from .pieces import CutScan
+from .surfels import voxel_ids
 
 ALL = "all"  #: group of a gap over everything
 N_DIRECTIONS = 360
@@ -72,6 +73,11 @@ class Obstacles:
     partner: IndexArray
     iou: FloatArray
 
+    def match(self, number: int, partner: int, iou: float) -> None:
+        """Set the partner of an obstacle."""
+        self.partner[number] = partner
+        self.iou[number] = iou
+
     @property
     def size_m(self) -> FloatArray:
         """Extents of the boxes, (m, 3)."""
@@ -113,14 +119,10 @@ def compare_obstacles(real: CutScan, sim: CutScan, settings: TaskSettings) -> Ob
     real_obstacles = find_obstacles(real, settings)
     sim_obstacles = find_obstacles(sim, settings)
     overlap = box_iou(real_obstacles, sim_obstacles)
-    rows, columns = scipy.optimize.linear_sum_assignment(overlap, maximize=True)
-    iou = overlap[rows, columns]
-    is_found = iou >= settings.min_iou
-    rows = rows[is_found]
-    columns = columns[is_found]
-    iou = iou[is_found]
-    real_obstacles = _matched(real_obstacles, rows, columns, iou)
-    sim_obstacles = _matched(sim_obstacles, columns, rows, iou)
+    for row, column in zip(*scipy.optimize.linear_sum_assignment(-overlap), strict=True):
+        if overlap[row, column] >= settings.min_iou:
+            real_obstacles.match(row, column, overlap[row, column])
+            sim_obstacles.match(column, row, overlap[row, column])
     gaps = (
         *_unmatched("lost", real_obstacles, settings.range_m),
         *_unmatched("added", sim_obstacles, settings.range_m),
@@ -169,7 +171,9 @@ def _clusters(points: FloatArray, link_m: float) -> IndexArray:
         return np.empty(0, dtype=np.intp)
     range_m = np.linalg.norm(points, axis=1)
     scaled = points / (1 + range_m / _DOUBLE_AT_M)[:, None]
-    cell, n_in_cell = _number_cells(np.floor(scaled * (_CELLS_PER_LINK / link_m)))
+    _, cell, n_in_cell = np.unique(
+        voxel_ids(scaled, link_m / _CELLS_PER_LINK), return_inverse=True, return_counts=True
+    )
     means = sums_by_id(scaled, cell, len(n_in_cell)) / n_in_cell[:, None]
     dbscan = DBSCAN(eps=link_m, min_samples=_CORE_POINTS)
     labels: IndexArray = dbscan.fit(means, sample_weight=n_in_cell).labels_[cell]
@@ -277,25 +281,6 @@ def _within(scan: CutScan, range_m: float) -> CutScan:
     return CutScan(scan.points[is_near], scan.is_ground[is_near], scan.height_m[is_near])
 
 
-def _number_cells(cells: FloatArray) -> tuple[IndexArray, IndexArray]:
-    """Number of the cell of each point, (n,), from whole coordinates, and points of each, (m,)."""
-    whole = (cells - cells.min(axis=0)).astype(np.int64)
-    code = np.ravel_multi_index(tuple(whole.T), tuple(whole.max(axis=0) + 1))
-    _, number, n_points = np.unique(code, return_inverse=True, return_counts=True)
-    return number, n_points
-
-
-def _matched(
-    obstacles: Obstacles, rows: IndexArray, partners: IndexArray, iou: FloatArray
-) -> Obstacles:
-    """The obstacles with the partners of some of them."""
-    partner = obstacles.partner.copy()
-    partner[rows] = partners
-    overlap = obstacles.iou.copy()
-    overlap[rows] = iou
-    return replace(obstacles, partner=partner, iou=overlap)
-
-
 def _unmatched(measure: str, obstacles: Obstacles, range_m: float) -> list[Gap]:
     """Share of obstacles without a partner: of all, by size and by distance.
 
@@ -342,24 +327,20 @@ def _ground_on_common_surface(scan: CutScan, other: CutScan) -> tuple[float | No
 
 def _height_error_m(real: CutScan, sim: CutScan) -> float | None:
     """Median difference of the ground's height over cells that both sides have."""
-    real_points = real.points[real.is_ground]
-    sim_points = sim.points[sim.is_ground]
-    points = np.vstack([real_points, sim_points])
-    if not len(points):
-        return None
-    cell, n_points = _number_cells(np.floor(points[:, :2] / _GROUND_CELL_M))
-    real_cell, sim_cell = np.split(cell, [len(real_points)])
-    real_m = _mean_by_cell(real_points[:, 2], real_cell, len(n_points))
-    sim_m = _mean_by_cell(sim_points[:, 2], sim_cell, len(n_points))
-    difference_m = np.abs(sim_m - real_m)
-    return _median(difference_m[~np.isnan(difference_m)])
+    real_cells, real_m = _ground_heights(real)
+    sim_cells, sim_m = _ground_heights(sim)
+    _, rows, columns = np.intersect1d(real_cells, sim_cells, return_indices=True)
+    return _median(np.abs(sim_m[columns] - real_m[rows]))
 
 
-def _mean_by_cell(values: FloatArray, cell: IndexArray, n_cells: int) -> FloatArray:
-    """Mean of the values in each cell, (n_cells,); NaN with fewer than three."""
-    n = np.bincount(cell, minlength=n_cells)
-    total = np.bincount(cell, values, n_cells)
-    return np.where(n >= _GROUND_POINTS, total / np.maximum(n, 1), np.nan)
+def _ground_heights(scan: CutScan) -> tuple[IndexArray, FloatArray]:
+    """Cells of 1 m with at least three ground points, (m,), and the mean height of each, (m,)."""
+    x, y, z = scan.points[scan.is_ground].T
+    ids = voxel_ids(np.column_stack([x, y, np.zeros(len(z))]), _GROUND_CELL_M)
+    cells, cell_of, n_points = np.unique(ids, return_inverse=True, return_counts=True)
+    is_measured = n_points >= _GROUND_POINTS
+    mean_m = np.bincount(cell_of, z, len(cells)) / n_points
+    return cells[is_measured], mean_m[is_measured]
 
 
 def _map(scan: CutScan, settings: TaskSettings) -> tuple[BoolArray, BoolArray]:

@@ -1,6 +1,6 @@
 """Pools that run in this process what they are given, remember it, and lose workers where a test wants it."""
 
-from fidpipe.pipeline.engine.costs import CostModel, largest_object
+from fidpipe.pipeline.engine import costs
 from fidpipe.pipeline.engine.pool import Memory, Pool, WorkerDied
 
 GIB = 2**30
@@ -16,11 +16,10 @@ class WatchedPool(Pool):
 
     n_workers = 2
 
-    def __init__(self, n_workers=2, memory=8 * GIB, costs=None):
+    def __init__(self, n_workers=2, memory=8 * GIB):
         super().__init__()
         self.n_workers = n_workers
         self._given = Memory(memory, memory)
-        self._costs = costs or CostModel()
         self._needs = {}
         self.submitted = []
         self.batches = []
@@ -35,7 +34,7 @@ class WatchedPool(Pool):
         if jobs := jobs_in(function, args):
             self.batches.append(jobs)
         handle = super().submit(function, *args, **options)
-        self._needs[handle] = bytes_needed(function, args, self._costs)
+        self._needs[handle] = bytes_needed(function, args)
         self.at_once.append(
             (len(self._needs), sum(sorted(self._needs.values())[-self.n_workers :]))
         )
@@ -79,7 +78,7 @@ def name_of(function, args):
         batch = args[0][0]
         if batch.objects:
             return "score_objects"
-        if batch.rows is not None:
+        if batch.rows:
             return "gather_objects"
     return function.__name__
 
@@ -91,10 +90,10 @@ def jobs_in(function, args):
     return tuple((batch.plan.pair_id, *name) for batch in args[0] for name in batch.jobs)
 
 
-def bytes_needed(function, args, costs):
+def bytes_needed(function, args):
     """Bytes that a task may occupy, by the cost model."""
     if name_of(function, args) == "run_batch":
-        return max(_bytes_of_batch(batch, costs) for batch in args[0])
+        return max(_bytes_of_batch(batch) for batch in args[0])
     if name_of(function, args) == "score_objects":
         batch = args[0][0]
         nodes = [n_keep for number, n_keep in batch.plan.objects if number in batch.objects]
@@ -102,9 +101,7 @@ def bytes_needed(function, args, costs):
     return 0
 
 
-def _bytes_of_batch(batch, costs):
+def _bytes_of_batch(batch):
     if batch.most_bytes is not None:
         return batch.most_bytes
-    return costs.pair_bytes(batch.plan.n_points) + costs.object_bytes(
-        largest_object(batch.plan.objects or [])[1]
-    )
+    return batch.plan.bytes_needed(with_objects=True)

@@ -20,9 +20,9 @@ import pytest
 from rich.console import Console
 
 from fidpipe.pipeline.cli.main import main
+from fidpipe.pipeline.engine import cluster, costs, schedule
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.run import run_dataset
 from fidpipe.pipeline.storage.folder import RunFolder
@@ -47,23 +47,32 @@ def run(
     workers=1,
     scheduler=None,
     pool=None,
-    policy=None,
+    policy=(),
     replace=True,
     pair_timeout_s=None,
     reporter=QUIET,
     **options,
 ):
-    """A run in this process, or on workers or a pool; it may replace what was made with other settings."""
-    machines = Machines(workers, scheduler, pool, policy or Policy(), pair_timeout_s)
-    return run_dataset(
-        dataset,
-        out,
-        settings or Settings(),
-        reporter,
-        machines=machines,
-        replace=replace,
-        **options,
-    )
+    """A run in this process, or on workers or a pool; it may replace what was made with other settings.
+
+    policy : values of constants and functions of `engine.schedule` and `engine.costs`, by name
+    """
+    with contextlib.ExitStack() as stack:
+        for name, value in dict(policy).items():
+            module = schedule if hasattr(schedule, name) else costs
+            stack.enter_context(mock.patch.object(module, name, value))
+        if pool is not None:
+            given = mock.patch.object(cluster, "start_pool", lambda *args, **options: pool)
+            stack.enter_context(given)
+        return run_dataset(
+            dataset,
+            out,
+            settings or Settings(),
+            reporter,
+            machines=Machines(workers, scheduler, pair_timeout_s),
+            replace=replace,
+            **options,
+        )
 
 
 def listening(**options):

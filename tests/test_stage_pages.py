@@ -9,7 +9,7 @@ from PIL import Image
 import pictures
 from fidpipe.pipeline.generate import synth
 from fidpipe.pipeline.jobs import STAGES
-from fidpipe.stages.generate.street_objects import KINDS
+from fidpipe.stages.generate.streets import KINDS
 from object_pictures import EXAMPLES, numbers_table
 from runs import STAGE_NAMES, run
 

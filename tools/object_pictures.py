@@ -12,7 +12,7 @@ from PIL import Image
 
 from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.look import SIDE_COLOURS
-from fidpipe.pipeline.report.run_frames import PairFrames
+from fidpipe.pipeline.report.run_frames import coordinates
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.metric_catalogue import METRIC
 from fidpipe.stages.coverage import nearest_distances
@@ -98,24 +98,20 @@ class MatchedObject:
     """
 
     def __init__(self, results, row):
-        tables = PairFrames(results, row.pair_id)
         selection = results.run.read_table("selection", row.pair_id).to_pandas()
         kept = selection[selection.real_id == row.real_id]
         self.row = row
         self.graphs = {}
         self.nodes = {}
         for side in SIDES:
-            cloud = tables.clouds[side]
+            points = results.run.points(row.pair_id, side).query("not is_ground")
+            ids = points.point_id.to_numpy()
             edges = results.run.edges(row.pair_id, side)
-            ends = (
-                np.searchsorted(cloud.point_ids, edges[end]).astype(np.int32)
-                for end in ("src", "dst")
-            )
+            ends = (np.searchsorted(ids, edges[end]).astype(np.int32) for end in ("src", "dst"))
             graph = Edges(*ends, edges.length_m.to_numpy())
             own_id = row[f"{side}_id"]
-            own = split_by_community(
-                cloud.point_ids, cloud.points, graph, cloud.community, [own_id]
-            )[own_id]
+            community = points.community_id.to_numpy(np.int32)
+            own = split_by_community(ids, coordinates(points), graph, community, [own_id])[own_id]
             self.graphs[side] = own
             self.nodes[side] = np.searchsorted(own.point_ids, kept[f"{side}_point_id"])
         flat = np.concatenate([graph.points for graph in self.graphs.values()])[:, :2]

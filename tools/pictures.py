@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from matplotlib import colormaps
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
@@ -22,7 +21,7 @@ from fidpipe.pipeline.report.look import (
     QUADRANT_COLOURS,
     SIDE_COLOURS,
 )
-from fidpipe.pipeline.report.run_frames import PairFrames, read_results
+from fidpipe.pipeline.report.run_frames import coordinates, points_of, read_results
 from fidpipe.pipeline.results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT
 from fidpipe.schemas.cause_catalogue import CAUSES, UNEVEN
 from fidpipe.schemas.columns import SIDES
@@ -62,7 +61,6 @@ class PairView:
 
     def __init__(self, results, pair_id):
         self.results, self.run, self.pair_id = results, results.run, pair_id
-        self.tables = PairFrames(results, pair_id)
         self.row = results.pairs.set_index("pair_id").loc[pair_id]
         matched = results.matched[results.matched.pair_id == pair_id]
         aligned = matched[
@@ -75,13 +73,14 @@ class PairView:
         )
         self.own = MatchedObject(results, typical)
         self.matched = matched
-        self.points = {side: cloud.points for side, cloud in self.tables.clouds.items()}
+        clean = points_of(self.run, pair_id)
+        self.rows = {side: points.query("not is_ground") for side, points in clean.items()}
+        self.points = {side: coordinates(rows) for side, rows in self.rows.items()}
         self.frame = style.frame_of(*self.points.values())
 
     def centroids(self, side):
         """By object, the mean of its points from above, (n, 2)."""
-        cloud = self.tables.clouds[side]
-        return pd.DataFrame(cloud.points[:, :2]).groupby(cloud.community).mean().to_numpy()
+        return self.rows[side].groupby("community_id")[["x", "y"]].mean().to_numpy()
 
 
 def ground(axis, view):
@@ -197,7 +196,7 @@ def draw_graph(view, path):
     """The graph of one object, and how far the 90 nearest neighbours reach near to the sensor and far from it."""
     edges = view.run.edges(view.pair_id, "real")
     points = view.points["real"]
-    ids = view.tables.clouds["real"].point_ids
+    ids = view.rows["real"].point_id.to_numpy()
     ends = np.searchsorted(ids, edges[["src", "dst"]].to_numpy())
     longest = np.zeros(len(points))
     for end in ends.T:
@@ -229,9 +228,9 @@ def colours_of(labels):
 
 def communities(axis, view, side="real"):
     """The objects of a side from above, each in a colour."""
-    cloud = view.tables.clouds[side]
-    style.dots(axis, cloud.points, 1.2, colours_of(cloud.community))
-    axis.set_title(f"{len(np.unique(cloud.community))} {WORDS[side]} objects")
+    community = view.rows[side].community_id.to_numpy(int)
+    style.dots(axis, view.points[side], 1.2, colours_of(community))
+    axis.set_title(f"{len(np.unique(community))} {WORDS[side]} objects")
     style.from_above(axis, view.frame)
 
 
@@ -303,7 +302,7 @@ def draw_matching(view, path):
 
 def coverage(axis, view, side="real"):
     """The points of a side from above by their distance to the other side, far ones on top."""
-    distance_m = view.tables.distances_m[side]
+    distance_m = view.rows[side].distance_m.to_numpy()
     order = np.argsort(distance_m, kind="stable")
     ramp = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
     coloured = style.dots(axis, view.points[side][order], 1.2, distance_m[order], **ramp)
@@ -514,15 +513,13 @@ def draw_selection(view, path):
 
 def metrics(axis, view, score="r_lambda"):
     """The real objects from above by a score; those without a partner in grey."""
-    cloud = view.tables.clouds["real"]
-    matched = view.matched
-    values = np.full(cloud.community.max() + 1, np.nan)
-    values[matched.real_id] = matched[score].to_numpy(dtype=float)
-    of_point = values[cloud.community]
+    values = view.matched.set_index("real_id")[score]
+    of_point = view.rows["real"].community_id.map(values).to_numpy(float)
     is_known = ~np.isnan(of_point)
-    style.dots(axis, cloud.points[~is_known], 1.5, "#cccccc")
+    points = view.points["real"]
+    style.dots(axis, points[~is_known], 1.5, "#cccccc")
     look = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": 1}
-    coloured = style.dots(axis, cloud.points[is_known], 1.5, of_point[is_known], **look)
+    coloured = style.dots(axis, points[is_known], 1.5, of_point[is_known], **look)
     axis.set_title(
         f"{METRIC[score].heading} of the real objects, mean {view.row[f'{score}_mean']:.2f}"
     )

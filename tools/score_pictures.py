@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection
 
 from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.look import SIDE_COLOURS
-from fidpipe.pipeline.report.run_frames import PairFrames, read_results
+from fidpipe.pipeline.report.run_frames import coordinates, points_of, read_results
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.settings import Settings
 from fidpipe.stages.pieces import CutScan, find_pieces
@@ -21,18 +21,18 @@ FOLDER = Path(__file__).resolve().parents[1] / "docs" / "pictures"
 SIZE_IN = (4.2, 2.9)
 REACH_M = 25.0  #: a scan is shown this far around the sensor
 MARGIN_M = 3.0  #: around a piece
-MISSING_COLOUR = "#d62728"
+COVERED_COLOUR = "#aaaaaa"
 
 
 def draw_surface(results, pair_id, path):
     """The real points from above: covered by the simulation within 0.3 m, or not."""
-    tables = PairFrames(results, pair_id)
-    points = tables.clouds["real"].points
-    is_covered = tables.distances_m["real"] <= 0.3
+    rows = points_of(results.run, pair_id)["real"].query("not is_ground")
+    points = coordinates(rows)
+    is_covered = rows.distance_m <= 0.3
     with style.new_figure(*SIZE_IN) as figure:
         axis = figure.subplots()
-        style.dots(axis, points[is_covered], 3, SIDE_COLOURS["real"])
-        style.dots(axis, points[~is_covered], 3, MISSING_COLOUR)
+        style.dots(axis, points[is_covered], 3, COVERED_COLOUR)
+        style.dots(axis, points[~is_covered], 3, SIDE_COLOURS["real"])
         axis.set(
             xlim=(-REACH_M, REACH_M),
             ylim=(-0.7 * REACH_M, 0.7 * REACH_M),
@@ -40,7 +40,7 @@ def draw_surface(results, pair_id, path):
             xticks=[],
             yticks=[],
         )
-        axis.set_title(f"{100 * is_covered.mean():.0f} % of the real surface is simulated (blue)")
+        axis.set_title(f"{100 * is_covered.mean():.0f} % of the real surface is simulated (grey)")
         save(figure, path)
 
 
@@ -65,11 +65,11 @@ def draw_piece(results, pair_id, path):
                 < np.abs(spread).max() + MARGIN_M
             )
             seen = np.column_stack([(places[side] - centre) @ across, places[side][:, 2]])
-            style.dots(axis, seen[near], 2, "#aaaaaa")
+            style.dots(axis, seen[near], 2, COVERED_COLOUR)
             if side == "real":
-                style.dots(axis, seen[is_piece], 4, MISSING_COLOUR)
+                style.dots(axis, seen[is_piece], 4, SIDE_COLOURS["real"])
             axis.set(aspect="equal", xticks=[], yticks=[])
-        axes[0].set_title("real: a missing piece (red)")
+        axes[0].set_title("real: a missing piece (blue)")
         axes[1].set_title("simulated: nothing there")
         save(figure, path)
 

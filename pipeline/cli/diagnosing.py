@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from . import completion
 from .options import (
     AsCsv,
     AsJson,
@@ -28,14 +27,10 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    sources: Annotated[
-        list[Path], typer.Argument(metavar="RUN | REAL SIM", autocompletion=completion.run_folders)
-    ],
+    sources: Annotated[list[Path], typer.Argument(metavar="RUN | REAL SIM")],
     workers: Workers = None,
     scheduler: Scheduler = None,
-    since: Annotated[
-        Path | None, typer.Option(metavar="RUN", autocompletion=completion.run_folders)
-    ] = None,
+    since: Annotated[Path | None, typer.Option(metavar="RUN")] = None,
     tell_apart: bool = False,
     best_case: BestCase = None,
     picture: Annotated[Path | None, typer.Option(metavar="PNG")] = None,
@@ -185,10 +180,10 @@ def tasks(
     fidpipe tasks runs/dataset --odometry
     """
     from ..diagnose import predictions_view as views
-    from ..diagnose.odometry import compare_odometry
     from ..diagnose.predictions import compare_predictions
     from ..report.views.run_view import tasks_view
     from ..results.finished import FinishedRun
+    from ..results.odometry import compare_odometry
 
     output = format_of(as_json, as_markdown, as_csv)
     if predictions and odometry:

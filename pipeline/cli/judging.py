@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from . import completion
 from .options import (
     EXIT_GATE_FAILED,
     AsCsv,
@@ -21,7 +20,6 @@ from .options import (
     RunFolder,
     SettingsFile,
     Workers,
-    criterion_option,
     format_of,
 )
 from .output import print_as, print_view
@@ -29,8 +27,8 @@ from .output import print_as, print_view
 
 def gate(
     run: RunFolder,
-    at_most: Annotated[list[str] | None, criterion_option("--max")] = None,
-    at_least: Annotated[list[str] | None, criterion_option("--min")] = None,
+    at_most: Annotated[list[str] | None, typer.Option("--max", metavar="MEASURE=NUMBER")] = None,
+    at_least: Annotated[list[str] | None, typer.Option("--min", metavar="MEASURE=NUMBER")] = None,
     criteria: Path | None = None,
     best_case: BestCase = None,
     junit: Annotated[Path | None, typer.Option(show_default="RUN/gate.xml")] = None,
@@ -95,9 +93,7 @@ def gate(
 
 
 def compare(
-    runs: Annotated[
-        list[Path], typer.Argument(metavar="RUN_A RUN_B", autocompletion=completion.run_folders)
-    ],
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN_A RUN_B")],
     html: OutFile = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
     best_case: BestCase = None,

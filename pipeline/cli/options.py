@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-
-from . import completion
 
 #: Options of which each command says what they are, in its docstring.
 Count = Annotated[int, typer.Option(min=1)]
@@ -19,19 +17,13 @@ SettingsFile = Annotated[
 ]
 Assignments = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="GROUP.NAME=VALUE",
-        help="One setting; repeatable.",
-        autocompletion=completion.assignments,
-    ),
+    typer.Option("--set", metavar="GROUP.NAME=VALUE", help="One setting; repeatable."),
 ]
 Preset = Annotated[
     str | None,
     typer.Option(
         metavar="paper|reference",
         show_default="paper",
-        autocompletion=completion.presets,
         help="Objects of each side, or only of the real one, to compare simulators.",
     ),
 ]
@@ -40,7 +32,6 @@ ComparePreset = Annotated[
     typer.Option(
         "--preset",
         metavar="paper|reference",
-        autocompletion=completion.presets,
         help="Preset of what is evaluated first.",
     ),
 ]
@@ -57,9 +48,7 @@ SimFolder = Annotated[
 ]
 RunFolder = Annotated[
     Path,
-    typer.Argument(
-        help="Folder of a run, such as runs/dataset.", autocompletion=completion.run_folders
-    ),
+    typer.Argument(help="Folder of a run, such as runs/dataset."),
 ]
 Pairs = Annotated[
     str | None, typer.Option(metavar="PATTERN", help="Only these pairs, such as '00*'.")
@@ -78,11 +67,7 @@ PairTimeout = Annotated[
 ]
 BestCase = Annotated[
     Path | None,
-    typer.Option(
-        metavar="RUN",
-        help="Show scores minus those of this run of fidpipe best-case.",
-        autocompletion=completion.run_folders,
-    ),
+    typer.Option(metavar="RUN", help="Show scores minus those of this run of fidpipe best-case."),
 ]
 Replace = Annotated[bool, typer.Option(help="Replace finished results.")]
 AsMarkdown = Annotated[
@@ -90,12 +75,6 @@ AsMarkdown = Annotated[
 ]
 AsCsv = Annotated[bool, typer.Option("--csv", help="CSV, for a spreadsheet.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON, nothing else.")]
-
-
-def criterion_option(name: str) -> Any:
-    """An option that bounds a measure."""
-    return typer.Option(name, metavar="MEASURE=NUMBER", autocompletion=completion.criteria)
-
 
 EXIT_WRONG_INPUT = 1
 EXIT_PAIRS_FAILED = 3

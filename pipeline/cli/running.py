@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from ..builds import paired, run_folder, side_run_folder
-from . import completion
 from .options import (
     EXIT_WRONG_INPUT,
     AsJson,
@@ -122,9 +121,7 @@ def run(
     workers: Workers = None,
     scheduler: Scheduler = None,
     pair_timeout: PairTimeout = None,
-    from_stage: Annotated[
-        str | None, typer.Option("--from", metavar="STAGE", autocompletion=completion.stages)
-    ] = None,
+    from_stage: Annotated[str | None, typer.Option("--from", metavar="STAGE")] = None,
     pairs: Pairs = None,
     seeds: Annotated[int | None, typer.Option(min=1)] = None,
     tasks: bool = False,

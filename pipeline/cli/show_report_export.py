@@ -7,14 +7,13 @@ from typing import Annotated
 
 import typer
 
-from . import completion
 from .options import AsCsv, AsJson, AsMarkdown, BestCase, Pairs, RunFolder, format_of
 from .output import print_as, print_line
 
 
 def show(
     run: RunFolder,
-    pair: Annotated[str | None, typer.Argument(autocompletion=completion.pairs)] = None,
+    pair: Annotated[str | None, typer.Argument()] = None,
     object_: Annotated[str | None, typer.Argument(metavar="[OBJECT]")] = None,
     all_: Annotated[bool, typer.Option("--all")] = False,
     best_case: BestCase = None,
@@ -49,10 +48,8 @@ def show(
     output = format_of(as_json, as_markdown, as_csv)
     if all_ and object_ is not None:
         raise typer.BadParameter("--all is about a run or a pair; leave out the object")
-    if best_case is not None and object_ is not None:
-        raise typer.BadParameter(
-            "--best-case is about the scores of a run or of a pair; leave out the object"
-        )
+    if best_case is not None and pair is not None:
+        raise typer.BadParameter("--best-case is about the scores of a run; leave out the pair")
     if (as_markdown or as_csv) and (all_ or best_case is not None):
         raise typer.BadParameter(
             "--markdown and --csv are of a run, a pair or an object; leave out --all and "
@@ -64,8 +61,7 @@ def show(
     from ..results.finished import FinishedRun
 
     finished = FinishedRun(run)
-    pairs = None if pair is None else [pair]
-    excess = None if best_case is None else excess_over(finished, best_case, pairs)
+    excess = None if best_case is None else excess_over(finished, best_case)
     print_as(
         output,
         view=lambda: show_view(finished, pair, object_, excess, with_all=all_),
@@ -77,7 +73,6 @@ def show(
 def report(
     run: RunFolder,
     pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
-    folder: bool = False,
     figures: bool = False,
     best_case: BestCase = None,
     out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
@@ -94,9 +89,8 @@ def report(
     Parameters
     ----------
     pairs : Show pairs whose name matches in 3D, such as '0000*'.
-    folder : One page per pair and an index, in RUN/report.
     figures : Also draw the figures for print, in RUN/figures, as PNG, SVG and PDF.
-    out : Folder for pages and figures.
+    out : Folder for page and figures.
     html : Write the page to this file.
     opens : Open the page in the browser.
 
@@ -106,15 +100,10 @@ def report(
 
     fidpipe report runs/dataset --pairs '0007'
 
-    fidpipe report runs/dataset --folder
-
     fidpipe report runs/dataset --figures
 
     fidpipe report runs/dataset --best-case runs/dataset-best-case
     """
-    if folder and html is not None:
-        raise typer.BadParameter("--html names one page, --folder writes several; give one of them")
-
     import webbrowser
 
     from ..engine.progress import Reporter
@@ -123,15 +112,13 @@ def report(
     files = write_report(
         run,
         pairs,
-        one_page_a_pair=folder,
         out=out,
         html=html,
         best_case=best_case,
         with_figures=figures,
         reporter=Reporter(),
     )
-    pages = f" and {files.n_pages - 1} more" if files.n_pages > 1 else ""
-    print_line(f"page:    {files.page}{pages} ({files.n_views} of {files.n_pairs} pairs in 3D)")
+    print_line(f"page:    {files.page} ({files.n_views} of {files.n_pairs} pairs in 3D)")
     if files.figures:
         names = ", ".join(dict.fromkeys(path.stem for path in files.figures))
         print_line(f"figures: {files.figures[0].parent} ({names}; PNG, SVG and PDF)")

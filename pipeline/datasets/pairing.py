@@ -119,19 +119,18 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
 def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
     """The frames of both sides, paired by name if both are folders, else by time."""
     is_recording = any(scan_ref(side).format.holds_frames for side in (real, sim))
-    by_name = None if is_recording else _paired_by_name(real, sim)
-    if by_name is not None:
-        return by_name
+    if not is_recording:
+        real_line, sim_line = _timeline_if_known(real), _timeline_if_known(sim)
+        for name_of in (str, _only_number):
+            pairing = _pair_names(real_line.frames, sim_line.frames, name_of)
+            if len(pairing.real_ids):
+                return real_line, sim_line, pairing
     try:
-        real_line = read_timeline(real)
-        sim_line = read_timeline(sim)
+        real_line, sim_line = read_timeline(real), read_timeline(sim)
     except DatasetError as error:
         if is_recording:
             raise
-        message = _no_partner(real, sim)
-        if scans_in(real) and scans_in(sim):
-            message += f" (by time: {error})"
-        raise DatasetError(message) from error
+        raise DatasetError(f"{_no_partner(real, sim)} (by time: {error})") from error
     return real_line, sim_line, pair_times(real_line.times_s, sim_line.times_s, TOLERANCE_S)
 
 
@@ -153,8 +152,11 @@ def _require_same_sides(real: Path, sim: Path, out: Path) -> None:
 def require_partners(dataset: Dataset) -> None:
     """Raise `DatasetError` if no scan of a dataset has a partner."""
     if all(NO_PARTNER in (pair.fault or "") for pair in dataset.pairs):
+        real = dataset.folder / "real"
+        sim = dataset.folder / "sim"
         raise DatasetError(
-            f"dataset {dataset.folder}: {_no_partner(*(dataset.folder / side for side in SIDES))}",
+            f"dataset {dataset.folder}: {_no_partner(real, sim)}; or pair them by numbers in their "
+            f"names or by time: {shlex.join(['fidpipe', 'run', str(real), str(sim)])}"
         )
 
 
@@ -170,24 +172,15 @@ def _are_a_dataset(real: Path, sim: Path) -> bool:
 
 
 def _no_partner(real: Path, sim: Path) -> str:
-    """Error of two folders of scans that no name pairs: counts, an example, and the next step."""
-    frames = {side: scans_in(side) for side in (real, sim)}
-    for side, other in ((real, sim), (sim, real)):
-        if not frames[side]:
-            deeper = [path for path in sorted(side.glob("*/*")) if path.is_dir() and scans_in(path)]
-            if deeper:
-                return f"no scans found in {side}; did you mean {deeper[0]}?"
-            return (
-                f"no scans found in {side}; expected one of the same name for each of the "
-                f"{len(frames[other])} in {other}; known formats are {', '.join(known_formats())}"
-            )
-    first = f"{frames[real][0]} and {frames[sim][0]}"
-    counts = f"none of {len(frames[real])} real and {len(frames[sim])} simulated scans has a partner of the same name"
-    if _paired_by_name(real, sim):
-        advice = f"their numbers pair them: {shlex.join(['fidpipe', 'run', str(real), str(sim)])}"
-    else:
-        advice = f"rename them, or {LIST_NAMES}"
-    return f"{counts}, such as {first}; {advice}"
+    """Error of two folders of scans that no name pairs."""
+    real_scans, sim_scans = scans_in(real), scans_in(sim)
+    if not (real_scans and sim_scans):
+        empty = sim if real_scans else real
+        return f"no scans found in {empty}; known formats are {', '.join(known_formats())}"
+    return (
+        f"none of {len(real_scans)} real and {len(sim_scans)} simulated scans has a partner of the "
+        f"same name, such as {real_scans[0]} and {sim_scans[0]}; rename them, or {LIST_NAMES}"
+    )
 
 
 def read_timeline(source: Path) -> Timeline:
@@ -238,19 +231,16 @@ def _in_order(source: Path, frames: Sequence[ScanRef], times_s: FloatArray) -> T
     return Timeline(source, tuple(frames[i] for i in order), times_s[order])
 
 
-def _paired_by_name(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing] | None:
-    """The files of two folders that have the same name, or the same number in it; None without any."""
-    real_line, sim_line = _timeline_if_known(real), _timeline_if_known(sim)
-    for name_of in (str, _only_number):
-        real_places = _unique_places(real_line.frames, name_of)
-        sim_places = _unique_places(sim_line.frames, name_of)
-        names = [name for name in real_places if name in sim_places]
-        if names:
-            real_ids = np.array([real_places[name] for name in names])
-            sim_ids = np.array([sim_places[name] for name in names])
-            pairing = Pairing(real_ids, sim_ids, np.zeros(len(names)), 0.0, by_name=True)
-            return real_line, sim_line, pairing
-    return None
+def _pair_names(
+    real: Sequence[ScanRef], sim: Sequence[ScanRef], name_of: Callable[[str], str]
+) -> Pairing:
+    """The frames of both sides that have the same name, which is made of their stems."""
+    real_places = _unique_places(real, name_of)
+    sim_places = _unique_places(sim, name_of)
+    names = [name for name in real_places if name in sim_places]
+    real_ids = np.array([real_places[name] for name in names])
+    sim_ids = np.array([sim_places[name] for name in names])
+    return Pairing(real_ids, sim_ids, np.zeros(len(names)), 0.0, by_name=True)
 
 
 def _timeline_if_known(folder: Path) -> Timeline:

@@ -9,9 +9,8 @@ named as in `readers/scan_ref.py`: `drive.mcap#/points@12`.
 from __future__ import annotations
 
 import csv
-import shlex
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from ...stages.arrays import FloatArray
 from ..storage.files import path_exists
 from ..storage.urls import STUB, is_stub, is_url, url_of_cache
 from .readers import frames_of
-from .readers.formats import known_formats
 from .readers.scan import LONGEST_LABEL
 from .readers.scan_ref import ScanRef, scan_ref
 
@@ -34,8 +32,7 @@ LIST_NAMES = f"list real and simulated file names in a {MANIFEST}, see docs/form
 LABEL_NAMES = "labels.toml"
 _MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_world_sensor")
 _ROTATION_TOLERANCE = 1e-3
-_IGNORED = "not a known scan format, ignored"
-_FORMATS = "see docs/formats.md"
+_MOST_NAMES = 5  # in the message of a folder that is no dataset
 NO_PARTNER = "no partner"
 
 
@@ -95,10 +92,10 @@ def read_dataset(folder: Path) -> Dataset:
         files have one stem.
     """
     if folder.is_file():
-        hint = "fidpipe pair REAL SIM makes one of two recordings"
-        if folder.name == MANIFEST:
-            hint = f"its folder is {folder.parent}"
-        raise DatasetError(f"dataset {folder}: expected a folder, got a file; {hint}")
+        raise DatasetError(
+            f"dataset {folder}: expected a folder, such as {folder.parent}, got a file; two "
+            "recordings are one: fidpipe run REAL SIM"
+        )
     if not folder.is_dir():
         raise DatasetError(f"dataset {folder}: no such folder")
     manifest = folder / MANIFEST
@@ -107,10 +104,10 @@ def read_dataset(folder: Path) -> Dataset:
         read_manifest(manifest, warnings) if manifest.exists() else _from_folders(folder, warnings)
     )
     if not pairs:
-        why = f"expected scans in real/ and sim/, or a {MANIFEST}, {_FORMATS}"
-        if manifest.exists():
-            why = f"{MANIFEST} is empty"
-        raise DatasetError(f"dataset {folder}: no scan pairs found; {why}")
+        raise DatasetError(
+            f"dataset {folder}: no scan pairs found; expected scans in real/ and sim/, or in a "
+            f"{MANIFEST}, see docs/formats.md"
+        )
     pairs.sort(key=lambda pair: pair.pair_id)
     return Dataset(folder, tuple(pairs), read_label_names(folder), tuple(warnings))
 
@@ -140,78 +137,23 @@ def read_label_names(folder: Path) -> dict[int, str]:
 
 
 def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
-    scans: dict[str, dict[str, ScanRef]] = {}
-    unread: dict[str, dict[str, Path]] = {}
-    for side in SIDES:
-        if not (folder / side).is_dir():
-            hint = _missing_folder_hint(folder, side)
-            raise DatasetError(f"dataset {folder}: no folder {side}/ and no {MANIFEST} found{hint}")
-        scans[side], others = _scans_by_stem(folder / side)
-        warnings += [f"{path}: {_IGNORED}" for path in others]
-        unread[side] = {path.stem: path for path in others}
+    if not all((folder / side).is_dir() for side in SIDES):
+        names = sorted(path.name for path in folder.iterdir())
+        content = ", ".join(names[:_MOST_NAMES]) if names else "nothing"
+        raise DatasetError(
+            f"dataset {folder}: expected folders real/ and sim/ or a {MANIFEST}, got {content}; "
+            "two folders of scans, or two recordings, may have any name: fidpipe run REAL SIM"
+        )
+    scans = {side: _scans_by_stem(folder / side, warnings) for side in SIDES}
     pairs = []
     for stem in scans["real"].keys() | scans["sim"].keys():
-        pair = ScanPair(stem, scans["real"].get(stem), scans["sim"].get(stem))
-        for absent in set(SIDES) - pair.scans.keys():
-            (scan,) = pair.scans.values()
-            fault = f"{scan}: {NO_PARTNER}; expected a scan named {stem} in {folder / absent}"
-            path = unread[absent].get(stem)
-            if path is not None:
-                fault = f"{path}: not readable; known formats are {', '.join(known_formats())}"
-                warnings.remove(f"{path}: {_IGNORED}")  # the error reports it
-            pair = replace(pair, fault=fault)
-        pairs.append(pair)
-    lonely = [pair for pair in pairs if pair.fault]
-    if len(lonely) > 1:
-        n_real = sum(pair.sim is None for pair in lonely)
-        warnings.append(
-            f"{folder}: {n_real} real and {len(lonely) - n_real} simulated scans have no partner "
-            f"of the same name, such as {min(pair.pair_id for pair in lonely)}; rename them, or "
-            f"{LIST_NAMES}"
-        )
+        fault = None
+        for side, other in (SIDES, SIDES[::-1]):
+            if stem not in scans[other]:
+                scan = scans[side][stem]
+                fault = f"{scan}: {NO_PARTNER}; expected a scan named {stem} in {folder / other}"
+        pairs.append(ScanPair(stem, scans["real"].get(stem), scans["sim"].get(stem), fault=fault))
     return pairs
-
-
-def _missing_folder_hint(folder: Path, side: str) -> str:
-    """The most likely reason why a dataset has no folder of a side, and what to do."""
-    paths = sorted(folder.iterdir())
-    names = [path.name for path in paths if path.is_dir()]
-    for name in names:
-        if (folder / name / "real").is_dir():
-            return f"; it is one level below: {folder / name}"
-    if not paths:
-        return (
-            f"; the folder is empty: expected scans of the same names in real/ and sim/, {_FORMATS}"
-        )
-    alike = [name for name in names if name.lower().startswith(side)]
-    near = alike[0] if alike else nearest(side, names)
-    if near is not None:
-        return f"; did you mean {near}/? rename it {side}/"
-    return _command_hint(folder, paths)
-
-
-def _command_hint(folder: Path, paths: list[Path]) -> str:
-    """The command for a folder of recordings, of one side, or with one of both folders."""
-    recordings = [path for path in paths if scan_ref(path).format.holds_frames]
-    if recordings:
-        sources: list[object] = ["REAL", "SIM"]
-        if len(recordings) == 2:
-            sources = [*recordings]
-        command = _command("pair", *sources, "-o", f"{folder.resolve().name}-pairs")
-        listed = ", ".join(path.name for path in recordings[:4])
-        return f"; it holds recordings ({listed}); to pair them, the real one first: {command}"
-    for side in SIDES:
-        if (folder / side).is_dir():
-            sources = [folder / side if name == side else name.upper() for name in SIDES]
-            command = _command("run", *sources)
-            return f"; expected it next to {side}/; if its scans are elsewhere: {command}"
-    if folders_of_scans(folder):
-        return f"; it holds scans of one side: {_command('run', folder, 'SIM')}"
-    return f"; expected one of the two, {_FORMATS}"
-
-
-def _command(*words: object) -> str:
-    return shlex.join(["fidpipe", *map(str, words)])
 
 
 def may_crash(pairs: Iterable[ScanPair]) -> bool:
@@ -253,26 +195,23 @@ def _files(folder: Path) -> list[Path]:
     return files
 
 
-def _scans_by_stem(folder: Path) -> tuple[dict[str, ScanRef], list[Path]]:
-    """The scans of a folder by stem, and files of unknown formats."""
+def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, ScanRef]:
+    """The scans of a folder by stem; `warnings` gets a line for each file of an unknown format."""
     scans: dict[str, ScanRef] = {}
-    unread = []
     for path in _files(folder):
         scan = scan_ref(path)
         if not scan.format.module:
-            unread.append(path)
+            warnings.append(f"{path}: not a known scan format, ignored")
             continue
         stem = scan.stem
-        if not stem or any(
-            "\ud800" <= character <= "\udfff" for character in stem
-        ):  # bytes that are not UTF-8
+        if not stem or stem.encode(errors="ignore").decode() != stem:
             raise DatasetError(f"{path}: the name is not UTF-8; rename the file")
         if stem in scans:
             raise DatasetError(
                 f"{folder}: {scans[stem].file.name} and {path.name} have the same stem {stem}; keep one of them",
             )
         scans[stem] = scan
-    return scans, unread
+    return scans
 
 
 def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True) -> list[ScanPair]:
@@ -297,9 +236,7 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
         )
     for name in columns:
         if columns.count(name) > 1:
-            raise DatasetError(
-                f"{manifest}: column {name} occurs {columns.count(name)} times; expected it once",
-            )
+            raise DatasetError(f"{manifest}: column {name} occurs twice; expected it once")
         if name not in _MANIFEST_COLUMNS:
             meant = nearest(name, _MANIFEST_COLUMNS)
             if meant is not None and meant not in columns:
@@ -315,14 +252,10 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     for line, row in enumerate(rows, start=2):
         where = f"{manifest}, line {line}"
         if None in row:
-            n_values = len(columns) + len(row[None])
-            raise DatasetError(f"{where}: expected {len(columns)} values, got {n_values}")
+            raise DatasetError(f"{where}: expected {len(columns)} values, got more")
         pair = _pair_of_row(where, manifest.parent, row, stubs)
         if pair.pair_id in pairs:
-            first = 2 + list(pairs).index(pair.pair_id)
-            raise DatasetError(
-                f"{where}: pair_id {pair.pair_id} is already in line {first}; expected unique names",
-            )
+            raise DatasetError(f"{where}: pair_id {pair.pair_id} occurs twice; expected it once")
         pairs[pair.pair_id] = pair
     return list(pairs.values())
 

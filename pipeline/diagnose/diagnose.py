@@ -8,11 +8,11 @@ from ...schemas.errors import RunError
 from ...schemas.results import Diagnosis
 from ...schemas.settings import Settings, parse
 from ..datasets.pairs import ScanPair
-from ..engine.collector import Collector
-from ..engine.engine import Machines, schedule_of, started_pool, working
-from ..engine.plan import OUT_OF_DATE, PairPlan, Planner
+from ..engine.engine import Machines, schedule_of, started_pool
+from ..engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_on_results
 from ..engine.progress import Reporter
-from ..engine.survey import InputFiles, PlanPair, Survey, remove_stale
+from ..engine.schedule import Collector
+from ..engine.survey import PlanPair, Survey, remove_stale
 from ..jobs import stages_under
 from ..jobs.gains_job import gains_stage
 from ..results.diagnosis import causes_to_correct, diagnosis_of
@@ -43,21 +43,19 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     }
     settings = parse(groups)
     stage = gains_stage({cause.name: cause.estimate for cause in causes_to_correct(overview)})
-    planner = Planner((*stages_under(settings), stage), settings, {})
+    jobs = plan_jobs((*stages_under(settings), stage), settings)
 
     def plan_pair(pair: ScanPair) -> PairPlan:
         """The job that measures the gains of a pair, with its other results as they are."""
-        return planner.plan_on_results(pair, run.store.finished_jobs(pair.pair_id), stage)
+        return plan_on_results(jobs, pair, run.store.finished_jobs(pair.pair_id), stage)
 
     with run.store.locked():
         survey = _survey(run, plan_pair, stage)
         collector = Collector(run.store, reporter)
         with started_pool(survey.todo, run.store, (stage,), settings, collector, machines) as pool:
-            remove_stale(survey, run.store, (stage,), reporter, ["the causes changed"])
+            remove_stale(survey, run.store, reporter, ["the causes changed"])
             if survey.todo:
-                files = InputFiles({pair.pair_id: {} for pair in survey.todo})
-                with working(survey, files, collector, machines, settings.input):
-                    schedule_of(survey, plan_pair, pool, collector, machines).run()
+                schedule_of(survey, plan_pair, pool, collector, machines).run()
     if collector.failures:
         reasons = [f"pair {name}: {reason}" for name, reason in collector.failures.items()]
         raise RunError(f"run {folder}: {'; '.join(reasons)}")

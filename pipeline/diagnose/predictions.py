@@ -6,10 +6,10 @@ Predictions are files named after the pairs: `PAIR.label` (a class for each poin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -88,7 +88,13 @@ def compare_predictions(run: FinishedRun, real: Path, sim: Path) -> Agreement:
     else:
         kind = "boxes"
         classes, objects = _compare_boxes(run, files, _BOX_READERS[suffix])
-    return Agreement(kind, tuple(classes), tuple(objects), _scores_of_lost(objects), left_out)
+    return Agreement(
+        kind,
+        classes=tuple(plain_rows(classes)),
+        objects=tuple(plain_rows(objects)),
+        scores=_scores_of_lost(objects),
+        left_out=left_out,
+    )
 
 
 def _files(run: FinishedRun, real: Path, sim: Path) -> tuple[str, dict[str, tuple[Path, Path]]]:
@@ -110,34 +116,34 @@ def _files(run: FinishedRun, real: Path, sim: Path) -> tuple[str, dict[str, tupl
 
 def _compare_labels(
     run: FinishedRun, files: Mapping[str, tuple[Path, Path]], label_names: Mapping[int, str]
-) -> tuple[list[Row], list[Row]]:
+) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Agreement by class, and the real objects that both sides see with the class of most points."""
     import pandas as pd
     from sklearn.metrics import confusion_matrix
 
     parts = []
-    objects: list[Row] = []
+    objects = []
     for pair_id, (real_path, sim_path) in files.items():
         real = _labelled_points(run, pair_id, "real", real_path)
         sim = _labelled_points(run, pair_id, "sim", sim_path)
         nearest = counterparts(real[_XYZ].to_numpy(), sim[_XYZ].to_numpy())
         seen = real[nearest >= 0].reset_index(drop=True)
         seen["counterpart"] = sim["predicted"].to_numpy()[nearest[nearest >= 0]]
-        seen["agrees"] = seen["predicted"] == seen["counterpart"]
         parts.append(seen)
-        objects += _labelled_objects(run, pair_id, seen, label_names)
+        objects.append(_labelled_objects(run, pair_id, seen))
     points = pd.concat(parts)
-    if points.empty:  # no common surface
-        return [], objects
     numbers = np.unique(points[["predicted", "counterpart"]])
+    names = {number: label_names.get(number, str(number)) for number in numbers.tolist()}
+    lost_objects = pd.concat(objects).replace({"predicted_real": names, "predicted_sim": names})
+    if points.empty:  # no common surface
+        return pd.DataFrame(), lost_objects
     confusion = confusion_matrix(points["predicted"], points["counterpart"], labels=numbers)
-    n_real = confusion.sum(axis=1)
-    n_sim = confusion.sum(axis=0)
+    classes = pd.DataFrame({"class": [*names.values()]})
+    classes["n_real"] = confusion.sum(axis=1)
+    classes["n_sim"] = confusion.sum(axis=0)
     n_both = confusion.diagonal()
-    names = [label_names.get(number, str(number)) for number in numbers.tolist()]
-    iou = n_both / (n_real + n_sim - n_both)
-    classes = pd.DataFrame({"class": names, "n_real": n_real, "n_sim": n_sim, "iou": iou})
-    return plain_rows(classes), objects
+    classes["iou"] = n_both / (classes["n_real"] + classes["n_sim"] - n_both)
+    return classes, lost_objects
 
 
 def _labelled_points(run: FinishedRun, pair_id: str, side: str, path: Path) -> pd.DataFrame:
@@ -147,31 +153,29 @@ def _labelled_points(run: FinishedRun, pair_id: str, side: str, path: Path) -> p
     return points.assign(predicted=labels[points["point_id"]])
 
 
-def _labelled_objects(
-    run: FinishedRun, pair_id: str, seen: pd.DataFrame, label_names: Mapping[int, str]
-) -> list[Row]:
+def _labelled_objects(run: FinishedRun, pair_id: str, seen: pd.DataFrame) -> pd.DataFrame:
     """The real objects among points that both sides see."""
-    objects = _real_objects(run, pair_id)
-    rows = []
-    for community_id, points in seen.groupby("community_id"):  # without ground, which has none
-        row = objects[cast(int, community_id)]
-        for side, column in (("real", "predicted"), ("sim", "counterpart")):
-            number = int(points[column].mode()[0])
-            row[f"predicted_{side}"] = label_names.get(number, str(number))
-        row["agreement"] = float(points["agrees"].mean())
-        row["fate"] = "lost" if row["agreement"] < _LOST_BELOW else "kept"
-        rows.append(row)
-    return rows
+    seen["agreement"] = seen["predicted"] == seen["counterpart"]
+    by_object = seen.groupby("community_id")  # without ground, which has none
+    objects = by_object[["agreement"]].mean()
+    objects["predicted_real"] = by_object["predicted"].agg(_most_frequent)
+    objects["predicted_sim"] = by_object["counterpart"].agg(_most_frequent)
+    objects["fate"] = np.where(objects["agreement"] < _LOST_BELOW, "lost", "kept")
+    return _real_objects(run, pair_id).join(objects, on="community_id", how="inner")
+
+
+def _most_frequent(numbers: pd.Series) -> int:
+    return int(numbers.mode()[0])
 
 
 def _compare_boxes(
     run: FinishedRun, files: Mapping[str, tuple[Path, Path]], read: Callable[[Path], Boxes]
-) -> tuple[list[Row], list[Row]]:
+) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Agreement by class, and the real objects that are in a real box."""
     import pandas as pd
 
     parts = []
-    objects: list[Row] = []
+    objects = []
     for pair_id, (real_path, sim_path) in files.items():
         real = read(real_path)
         sim = read(sim_path)
@@ -182,46 +186,45 @@ def _compare_boxes(
         place_m[is_found] = np.linalg.norm(offset_m[:, :2], axis=1)
         parts.append(pd.DataFrame({"class": real.names, "n_real": 1, "place_m": place_m}))
         parts.append(pd.DataFrame({"class": sim.names, "n_sim": 1}))
-        objects += _boxed_objects(run, pair_id, real, is_found)
+        objects.append(_boxed_objects(run, pair_id, real, is_found))
     by_class = pd.concat(parts).groupby("class")
     classes = by_class[["n_real", "n_sim"]].sum().astype(int)
     classes["n_found"] = by_class["place_m"].count()
     classes["place_m"] = by_class["place_m"].median()
-    return plain_rows(classes.reset_index()), objects
+    return classes.reset_index(), pd.concat(objects)
 
 
-def _boxed_objects(run: FinishedRun, pair_id: str, real: Boxes, is_found: BoolArray) -> list[Row]:
+def _boxed_objects(
+    run: FinishedRun, pair_id: str, real: Boxes, is_found: BoolArray
+) -> pd.DataFrame:
     """The object with the most points inside of each real box."""
+    import pandas as pd
+
     points = run.points(pair_id, "real").dropna(subset="community_id")
     xyz = points[_XYZ].to_numpy()
-    objects = _real_objects(run, pair_id)
-    rows = []
-    for i, name in enumerate(real.names.tolist()):
-        communities = points.loc[inside(xyz, real, i), "community_id"]
-        if len(communities):
-            fate = "kept" if is_found[i] else "lost"
-            row = objects[int(communities.mode()[0])]
-            rows.append(row | {"predicted_real": name, "fate": fate})
-    return rows
+    boxes = pd.DataFrame({"predicted_real": real.names, "fate": np.where(is_found, "kept", "lost")})
+    boxes["community_id"] = [
+        points.loc[inside(xyz, real, i), "community_id"].mode().min() for i in range(len(boxes))
+    ]
+    return _real_objects(run, pair_id).merge(boxes, on="community_id")
 
 
-def _real_objects(run: FinishedRun, pair_id: str) -> dict[int, Row]:
-    """Place, size and scores of the real objects of a pair, by number."""
+def _real_objects(run: FinishedRun, pair_id: str) -> pd.DataFrame:
+    """Place, size and scores of the real objects of a pair."""
     columns = ["label", "range_m", *OBJECT_METRICS]
-    frame = run.objects_of([pair_id], columns)
-    frame = frame[frame["side"] == "real"]
-    rows = frame[["community_id", "n_points", *columns]]
-    return {row["community_id"]: {"pair_id": pair_id} | row for row in plain_rows(rows)}
+    objects = run.objects_of([pair_id], columns)
+    chosen = objects.loc[objects["side"] == "real", ["community_id", "n_points", *columns]]
+    chosen.insert(0, "pair_id", pair_id)
+    return chosen
 
 
-def _scores_of_lost(objects: Sequence[Row]) -> tuple[Row, ...]:
+def _scores_of_lost(objects: pd.DataFrame) -> tuple[Row, ...]:
     """Area under the ROC curve of each score of matched objects, for their loss."""
     import pandas as pd
 
-    frame = pd.DataFrame(objects, columns=["pair_id", "fate", *OBJECT_METRICS])
     rows = []
     for score in OBJECT_METRICS:
-        known = frame.dropna(subset=[score])
+        known = objects.dropna(subset=[score])
         values = known[score].to_numpy(dtype=np.float64)
         is_lost = (known["fate"] == "lost").to_numpy()
         scan_of, _ = pd.factorize(known["pair_id"])

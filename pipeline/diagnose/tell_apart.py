@@ -169,31 +169,11 @@ def _compare(
     *,
     is_paired: bool,
 ) -> TellApart:
-    first = [side[0]() for side in (real, sim)]
-    has_rays = all(
-        describe_sensor(frame.own_points).azimuth_step_deg is not None for frame in first
-    )
-    has_intensity = all(
-        frame.intensity is not None and np.ptp(frame.intensity) > 0 for frame in first
-    )
-    draw = partial(draw_sample, has_rays=has_rays, has_intensity=has_intensity)
-    sides = draw(real), draw(sim)
-    points, splits = both_sides(*sides, is_paired=is_paired)
-    by_place = int(points.place.max()) + 1 >= LEAST_PLACES
-    notes = []
-    if not is_paired:
-        notes.append(
-            "the two folders may show different places; so do the two halves of the real frames"
-        )
-    if not by_place:
-        notes.append(
-            f"fewer than {LEAST_PLACES} places, hence cross-validated by sectors: other places are not tested"
-        )
-    base, base_of = _base_samples(sides[0], draw(second) if second else None, is_paired=is_paired)
-    if base_of == _RANDOM_HALVES:
-        notes.append(
-            "no second real frame of the same place: random halves of one frame differ less than two frames"
-        )
+    draw = _sampler(real[0](), sim[0]())
+    real_points = draw(real)
+    sim_points = draw(sim)
+    points, splits = both_sides(real_points, sim_points, is_paired=is_paired)
+    base, base_of = _base_samples(real_points, draw(second) if second else None, is_paired)
     families = {}
     features = {}
     for family, names in FAMILIES.items():
@@ -201,13 +181,13 @@ def _compare(
             families[family] = _separate(points, splits, names)
             for name in names:
                 features[family, name] = _separate(points, splits, [name]).auc
-    is_sim = points.is_sim.to_numpy()
     points["probability"] = simulated_probability(
-        points[[*FAMILIES["surface"]]].to_numpy(), is_sim, splits
+        points[[*FAMILIES["surface"]]].to_numpy(), points.is_sim.to_numpy(), splits
     )
+    by_place = points.place.nunique() >= LEAST_PLACES
     return TellApart(
         title=title,
-        n_points=min(len(side) for side in sides),
+        n_points=min(len(real_points), len(sim_points)),
         test=_separate(points, splits, _features_of(points)),
         base=compare_samples(*base, is_paired=is_paired),
         base_of=base_of,
@@ -216,12 +196,41 @@ def _compare(
         where=_where(points),
         points=points,
         by_place=by_place,
-        notes=tuple(notes),
+        notes=_notes(base_of, is_paired=is_paired, by_place=by_place),
     )
 
 
+def _sampler(real: Frame, sim: Frame) -> Callable[[Sequence[Source]], pd.DataFrame]:
+    """Draws a sample of frames with the features that both sides have, as the first frames show."""
+    frames = (real, sim)
+    return partial(
+        draw_sample,
+        has_rays=all(describe_sensor(f.own_points).azimuth_step_deg is not None for f in frames),
+        has_intensity=all(f.intensity is not None and np.ptp(f.intensity) > 0 for f in frames),
+    )
+
+
+def _notes(base_of: str, *, is_paired: bool, by_place: bool) -> tuple[str, ...]:
+    notes = []
+    if not is_paired:
+        notes.append(
+            "the two folders may show different places; so do the two halves of the real frames"
+        )
+    if not by_place:
+        notes.append(
+            f"fewer than {LEAST_PLACES} places, hence cross-validated by sectors: other places are "
+            "not tested"
+        )
+    if base_of == _RANDOM_HALVES:
+        notes.append(
+            "no second real frame of the same place: random halves of one frame differ less than "
+            "two frames"
+        )
+    return tuple(notes)
+
+
 def _base_samples(
-    real: pd.DataFrame, second: pd.DataFrame | None, *, is_paired: bool
+    real: pd.DataFrame, second: pd.DataFrame | None, is_paired: bool
 ) -> tuple[tuple[pd.DataFrame, pd.DataFrame], str]:
     """Two samples of the real side, which a classifier should hardly tell apart, and what they are."""
     if second is not None:

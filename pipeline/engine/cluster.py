@@ -7,11 +7,11 @@ machine's memory from it).
 from __future__ import annotations
 
 import asyncio
-import atexit
 import hashlib
 import logging
 import os
 import queue
+import re
 import resource
 import socket
 from collections.abc import Callable, Iterable, Mapping
@@ -23,12 +23,10 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from ...schemas.errors import FidpipeError, RunError, StoreError
-from ..storage.object_store import describe_object
+from ...schemas.errors import RunError, StoreError
 from ..storage.run_record import library_versions
-from ..storage.urls import is_url
-from . import prefork
-from .costs import CostModel
+from ..storage.table_files import tables_of_run
+from . import costs, prefork
 from .pool import (
     SHARE_OF_MEMORY,
     Handle,
@@ -40,16 +38,14 @@ from .pool import (
 )
 
 _CONNECT_TIMEOUT_S = 10
-_DASHBOARD_TIMEOUT_S = 2
 _FIRST_WORKER_TIMEOUT_S = 60
 _STARTS = 3
+_LONGEST_START_S = 60
 _STOP_S = 2.0
 _KILL_S = 0.2
 _SECONDS_BETWEEN_LOOKS = 1.0
-_GIVEN_UP_S = 5.0
 _WITHOUT_WORKERS_S = 600.0
 _LEAST_ADDRESS_SPACE = 2 * 2**30
-_BEGINNING_BYTES = 64
 
 #: For a cluster on this machine. A task at which two workers die is given up; `schedule` decides
 #: what is tried again. A silent worker is busy in a library, a busy event loop is not reported,
@@ -73,13 +69,15 @@ class Requirements:
     """Everything that the workers of a scheduler must share with the command.
 
     libraries : versions
-    beginnings : by absolute path, the first bytes of files; by URL, the etag of objects
     code : hash of fidpipe's code
+    folder, token, url : of the run, see `tables_of_run`
     """
 
     libraries: dict[str, str]
-    beginnings: dict[str, bytes]
     code: str
+    folder: Path
+    token: str
+    url: str = ""
 
 
 _CHECKED: list[Requirements] = []  #: that this worker process meets
@@ -93,16 +91,11 @@ def _limit_threads() -> Any:
     return limits
 
 
-def _in_worker(requirements: Requirements | None, function: Callable[..., Any], *args: Any) -> Any:
-    if (
-        requirements is not None and requirements not in _CHECKED
-    ):  # it may have joined after the first check
-        versions = requirements.libraries
-        if fault := other_versions(library_versions(versions), versions) or worker_fault(
-            requirements
-        ):
+def _in_worker(required: Requirements | None, function: Callable[..., Any], *args: Any) -> Any:
+    if required is not None and required not in _CHECKED:
+        if fault := worker_fault(required):  # it has joined after the first check
             raise RunError(f"a worker on {socket.gethostname()}: {fault}")
-        _CHECKED.append(requirements)
+        _CHECKED.append(required)
     _limit_threads()
     return function(*args)
 
@@ -113,34 +106,31 @@ class DaskPool(Pool):
     Parameters
     ----------
     n_workers : processes of a cluster on this machine
-    address : of a scheduler whose workers see the same files; no cluster is started then
-    shared_files : paths and URLs that every worker must see with the same content
-    libraries : versions that every worker must have
     memory : bytes that the worker processes may occupy together; None for the default
     modules : names of the modules of the jobs, to be imported once for all workers of this machine
     may_end_workers : True if tasks may end their process, so that something must restart it
+    address : of a scheduler; no cluster is started then
+    required : of its workers
 
     Raises
     ------
     RunError
-        The scheduler cannot be reached, or a worker does not see the files, has other versions, or
-        lacks a limit.
+        The scheduler cannot be reached, or a worker does not meet the requirements, or lacks a
+        limit.
     """
 
     def __init__(
         self,
         n_workers: int,
-        address: str | None,
-        shared_files: Iterable[str],
-        libraries: dict[str, str],
         memory: int | None = None,
         modules: Iterable[str] = (),
         *,
         may_end_workers: bool = False,
+        address: str | None = None,
+        required: Requirements | None = None,
     ) -> None:
         if address is None:
             prefork.start(modules)  # before dask is imported, so that both run at the same time
-        _set_up_dask()
         super().__init__(memory)
         self._done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._ended: list[Any] = []
@@ -149,18 +139,15 @@ class DaskPool(Pool):
         self._address = address
         self._memory_there = Memory(0, 0)
         self._may_end_workers = may_end_workers
-        self._requirements: Requirements | None = None
+        self._required = required
         self._workers: dict[str, dict[str, Any]] = {}
         self._looked = -_SECONDS_BETWEEN_LOOKS
-        self._had_workers = self._looked_after = monotonic()
-        self._dead_since: dict[Any, float] = {}
+        self._had_workers = monotonic()
         try:
-            self._start(n_workers, address)
-            if address is not None:
-                beginnings = {name: _beginning(name) for name in shared_files}
-                self._requirements = Requirements(libraries, beginnings, code_hash())
-                self._check_versions(self._requirements)
-                self._check_workers(self._requirements)
+            self._start(n_workers)
+            if required is not None:
+                self._workers_now()
+                self._check_workers(required)
         except BaseException:
             self.close()
             raise
@@ -189,20 +176,11 @@ class DaskPool(Pool):
     @property
     def dashboard(self) -> str:
         """See `Pool`; a cluster on this machine has none."""
-        if self._address is None:
-            return ""
-        from urllib.request import urlopen
-
-        link = str(self._client.dashboard_link)
-        try:
-            with urlopen(link, timeout=_DASHBOARD_TIMEOUT_S):
-                return link
-        except (OSError, ValueError):  # a scheduler without one has the same link
-            return ""
+        return str(self._client.dashboard_link) if self._address else ""
 
     def submit(self, function: Callable[..., Any], *args: Any) -> Handle:
         """See `Pool`."""
-        future = self._client.submit(_in_worker, self._requirements, function, *args, pure=False)
+        future = self._client.submit(_in_worker, self._required, function, *args, pure=False)
         future.add_done_callback(self._done.put)
         return future
 
@@ -220,14 +198,6 @@ class DaskPool(Pool):
             )
         except CancelledError as error:
             raise RunError(self._lost("the connection is lost, or it gave up a task")) from error
-        except FidpipeError:
-            raise
-        except Exception:
-            if self._requirements is not None:
-                self._check_versions(
-                    self._requirements
-                )  # a worker of another version cannot unpickle the task
-            raise
         future.release()  # or it would be repeated, and its files written again, if the worker that holds it dies
         return future, result
 
@@ -241,23 +211,29 @@ class DaskPool(Pool):
             with suppress(TimeoutError):
                 self._cluster.close(timeout=_STOP_S)
 
-    def _start(self, n_workers: int, address: str | None) -> None:
-        """Start the cluster and wait for its first worker; Ctrl-C is delayed until its processes can be ended."""
+    def _start(self, n_workers: int) -> None:
+        """Connect to the scheduler, or start a cluster, and wait for the first worker."""
+        import dask
         import distributed
 
-        if address is None:
+        # dask sets the level of its client separately; asyncio reports workers that were ended
+        # while they started
+        for name in ("distributed", "distributed.client", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        dask.config.set(_DASK_SETTINGS)
+        if self._address is None:
             self._start_cluster(n_workers)
         else:
-            _check_address(address)
+            _check_address(self._address)
         try:
             self._client = distributed.Client(
-                self._cluster or address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
+                self._cluster or self._address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False
             )
             _task = self._client.submit(os.getpid)  # adaptive clusters start workers for tasks
             self._client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT_S)
         except (OSError, TimeoutError) as error:
             raise RunError(
-                f"scheduler {address}: no cluster with a worker could be reached ({error})"
+                self._lost(f"no cluster with a worker could be reached ({error})")
             ) from error
 
     def _start_cluster(self, n_workers: int) -> None:
@@ -283,17 +259,11 @@ class DaskPool(Pool):
                         memory_limit=self.memory.together,  # of each: one may need what the others leave
                         silence_logs=logging.CRITICAL,
                         preload=[prefork.WORKER_START],
+                        death_timeout=_LONGEST_START_S,
                     )
                 return
             except RuntimeError as error:
                 fault = error
-            except BaseException:
-                if self._cluster is None:
-                    prefork.kill_workers()
-                    atexit.unregister(
-                        distributed.deploy.spec.close_clusters
-                    )  # it asserts that all of it was there
-                raise
         raise RunError(
             f"no cluster could be started here in {_STARTS} tries ({fault}; was a worker killed, or is memory or "
             "ulimit short?); run the same command again, or with --workers 1"
@@ -308,7 +278,6 @@ class DaskPool(Pool):
             The scheduler is lost, or has had no worker for a long time.
         """
         while True:
-            self._look_after_workers()
             with suppress(queue.Empty):
                 self._ended.append(self._done.get(timeout=_SECONDS_BETWEEN_LOOKS))
             for i, future in enumerate(self._ended):
@@ -318,22 +287,6 @@ class DaskPool(Pool):
                 self._had_workers = monotonic()
             elif monotonic() - self._had_workers > _WITHOUT_WORKERS_S:
                 raise RunError(self._lost(f"no worker for {_WITHOUT_WORKERS_S:.0f} s"))
-
-    def _look_after_workers(self) -> None:
-        """Restart local workers that died while they started, which dask gives up."""
-        now = monotonic()
-        if self._cluster is None or now - self._looked_after < _SECONDS_BETWEEN_LOOKS:
-            return
-        self._looked_after = now
-        for name, nanny in list(self._cluster.workers.items()):
-            if nanny.is_alive():
-                self._dead_since.pop(name, None)
-            elif now - self._dead_since.setdefault(name, now) > _GIVEN_UP_S:
-                del self._dead_since[name]
-                self._cluster.workers.pop(name, None)
-                self._cluster.sync(_end, [nanny])
-        if len(self._cluster.workers) < len(self._cluster.worker_spec):
-            self._cluster.scale(len(self._cluster.worker_spec))  # starts the missing ones
 
     def _workers_now(self) -> dict[str, dict[str, Any]]:
         """The scheduler's description of its workers, by address; renewed every second."""
@@ -355,53 +308,29 @@ class DaskPool(Pool):
                 "has no memory limit; start it with --memory-limit, or set the limit of all workers together: "
                 "--set machine.memory_gib=NUMBER"
             )
-        if self._may_end_workers and not worker["nanny"]:
-            return "has no nanny, and a pair that exceeds its time ends its worker process; start it with --nanny"
+        if self._may_end_workers and not (worker["nanny"] and worker["nthreads"] == 1):
+            return "a pair that exceeds its time ends its worker process; start it with a nanny and --nthreads 1"
         return ""
 
     def _lost(self, fault: str) -> str:
         return f"scheduler {self._address or 'here'}: {fault}; run the same command again: it resumes where it stopped"
 
-    def _check_versions(self, required: Requirements) -> None:
-        """Raise `RunError` if the scheduler or a worker has other versions; runs no code of ours there."""
-        versions = self._client.get_versions(packages=list(required.libraries))
-        for name, there in [("", versions["scheduler"]), *versions["workers"].items()]:
-            if isinstance(there, dict) and (
-                fault := other_versions(there["packages"], required.libraries)
-            ):
-                raise RunError(
-                    f"scheduler {self._address}{f', worker {name}' if name else ''}: {fault}"
-                )
-
     def _check_workers(self, required: Requirements) -> None:
         """Raise `RunError` if a run could not be completed on a worker."""
-        self._workers_now()
-        for worker, fault in self._client.run(worker_fault, required, on_error="ignore").items():
-            if fault:
+        faults = self._client.run(worker_fault, required, on_error="return")
+        for worker, fault in faults.items():
+            if fault and not isinstance(fault, OSError):  # it has just ended
                 raise RunError(f"scheduler {self._address}, worker {worker}: {fault}")
-
-
-def _set_up_dask() -> None:
-    """Import dask, set it up, and silence its logs."""
-    import dask
-    import distributed  # noqa: F401
-
-    # dask sets the level of its client separately; asyncio reports workers that were ended while
-    # they started
-    for name in ("distributed", "distributed.client", "asyncio"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
-    dask.config.set(_DASK_SETTINGS)
 
 
 def start_pool(
     n_workers: int | None,
-    address: str | None,
     memory_gib: float | None,
-    shared_files: Iterable[str],
-    libraries: dict[str, str],
-    modules: Iterable[str] = (),
+    modules: Iterable[str],
     *,
     may_end_workers: bool = False,
+    address: str | None = None,
+    required: Requirements | None = None,
 ) -> Pool:
     """A pool in this process for one worker; else a cluster here, or the one behind an address. See `DaskPool`.
 
@@ -412,20 +341,19 @@ def start_pool(
 
     memory = None if memory_gib is None else int(memory_gib * 2**30)
     n_workers = n_workers or CPU_COUNT
-    if address is None and n_workers > 1:
-        n_workers = min(n_workers, CostModel().most_workers(memory or machine_memory()))
-    if address is None and n_workers == 1 and not may_end_workers:
-        return Pool(memory)
     if address is None:
+        if n_workers > 1:
+            n_workers = min(n_workers, costs.most_workers(memory or machine_memory()))
+        if n_workers == 1 and not may_end_workers:
+            return Pool(memory)
         _check_address_space()
     return DaskPool(
         n_workers,
-        address,
-        shared_files,
-        libraries,
         memory,
         modules,
         may_end_workers=may_end_workers,
+        address=address,
+        required=required,
     )
 
 
@@ -436,25 +364,16 @@ async def _end(nannies: Iterable[Any]) -> None:
 
 
 def _check_address(address: str) -> None:
-    """Raise `RunError` if an address is invalid: dask would end with two tracebacks, 20 s apart."""
-    from distributed.comm.addressing import get_address_host_port
+    """Raise `RunError` if an address is invalid: dask would end with a traceback after 10 s."""
     from distributed.security import Security
 
-    if (
-        address.startswith("tls://")
-        and Security().get_connection_args("client")["ssl_context"] is None
-    ):
+    is_valid = re.fullmatch(r"(tcp|tls)://\S+:\d+", address) is not None
+    if is_valid and address.startswith("tls"):
+        is_valid = Security().get_connection_args("client")["ssl_context"] is not None
+    if not is_valid:
         raise RunError(
-            f"scheduler {address!r}: expected dask's settings distributed.comm.tls to name the certificates "
-            "(DASK_DISTRIBUTED__COMM__TLS__CA_FILE)"
-        )
-    try:
-        is_known = 0 < get_address_host_port(address)[1] < 2**16
-    except ValueError:
-        is_known = False
-    if not is_known:
-        raise RunError(
-            f"scheduler {address!r}: expected an address tcp://HOST:PORT, such as tcp://host:8786"
+            f"scheduler {address!r}: expected an address tcp://HOST:PORT, or tls://HOST:PORT and the files of the "
+            "certificates in DASK_DISTRIBUTED__COMM__TLS__CA_FILE, ..__CLIENT__CERT and ..__CLIENT__KEY"
         )
 
 
@@ -473,38 +392,27 @@ def _check_address_space() -> None:
 
 
 def worker_fault(required: Requirements) -> str:
-    """Reason why a worker cannot serve a run: it does not see the run's files, or runs other code; "" if it can."""
-    code = code_hash()
-    same = "workers must see the same files under the same paths"
-    if code != required.code:
-        return f"fidpipe of the same version with other code ({code}, here {required.code}); install the same one there"
-    for path, beginning in required.beginnings.items():
-        try:
-            if _beginning(path) != beginning:
-                return f"{path} is another file there; {same}"
-        except OSError as error:
-            return f"{path} cannot be read there ({error.strerror}); {same}, or give the dataset and --out by URL"
-        except StoreError as error:
-            return f"there, {error}; each worker needs credentials in its environment"
+    """Reason why a worker cannot serve a run: other versions, code or files; "" if it can."""
+    others = []
+    for name, version in library_versions(required.libraries).items():
+        if version != required.libraries[name]:
+            others.append(f"{name} {version} (here {required.libraries[name]})")
+    if not others and code_hash() != required.code:
+        others.append(
+            f"fidpipe of the same version with other code ({code_hash()}, here {required.code})"
+        )
+    if others:
+        return f"other versions: {', '.join(others)}; install the same ones there"
+    try:
+        tables_of_run(required.folder, required.token, required.url).check_token()
+    except StoreError as error:
+        return f"there, {error}; each worker needs credentials in its environment"
+    except (OSError, RunError):
+        return (
+            f"{required.folder} there is not the folder of this run; workers must see the same files under the same "
+            "paths, or give the dataset and --out by URL"
+        )
     return ""
-
-
-def _beginning(path: str) -> bytes:
-    """The first bytes of a file, or the etag of an object."""
-    if is_url(path):
-        return describe_object(path).etag.encode()
-    with Path(path).open("rb") as file:
-        return file.read(_BEGINNING_BYTES)
-
-
-def other_versions(there: Mapping[str, str | None], here: Mapping[str, str]) -> str:
-    """Versions that differ, there and here; "" if all agree."""
-    other = [
-        f"{name} {there.get(name) or 'is not installed'} (here {version})"
-        for name, version in here.items()
-        if (there.get(name) or "absent") != version
-    ]
-    return f"other versions: {', '.join(other)}; install the same ones there" if other else ""
 
 
 @cache
@@ -513,10 +421,8 @@ def code_hash() -> str:
     root = Path(__file__).parents[2]
     digest = hashlib.sha256()
     for folder in ("pipeline", "schemas", "stages"):
-        for path in sorted(
-            path
-            for ending in ("py", "csv", "toml")
-            for path in (root / folder).rglob(f"*.{ending}")
-        ):
-            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+        for path in sorted((root / folder).rglob("*.*")):
+            if path.suffix in (".py", ".csv", ".toml"):
+                name = path.relative_to(root).as_posix()
+                digest.update(name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:8]

@@ -6,56 +6,42 @@ numbers, but that a pair whose object cannot fit into the memory fails.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-
-_MIB = 2**20
-
-
-@dataclass(frozen=True)
-class CostModel:
-    """Costs of tasks.
-
-    process_bytes : what a worker process occupies before it has read anything
-    bytes_per_point : a scan's tables, its graph twice, and what Louvain makes of it
-    bytes_per_node : an object's arcs, the candidates for its alignment
-    disk_bytes_per_point : of all tables of a run, over the points of both files
-    """
-
-    process_bytes: int = 300 * _MIB
-    bytes_per_point: int = 6_000
-    bytes_per_node: int = 15_000
-    disk_bytes_per_point: int = 120
-
-    def disk_bytes(self, n_raw: int) -> int:
-        """Bytes of the tables of pairs whose files have `n_raw` points in all, without extras."""
-        return self.disk_bytes_per_point * n_raw
-
-    def side_seconds(self, n_raw: int) -> float:
-        """Seconds of the stages of one side, whose file has `n_raw` points."""
-        return 0.01 + 3e-5 * n_raw
-
-    def pair_seconds(self, n_raw: int) -> float:
-        """Seconds of a large pair, at least; both files have `n_raw` points in all (measured up to 600,000)."""
-        return 5e-4 * n_raw
-
-    def object_seconds(self, n_keep: int) -> float:
-        """Seconds of selection and scores of one matched object with `n_keep` aligned nodes."""
-        return 0.005 + 5e-5 * n_keep + 2e-8 * n_keep**2 + 4e-11 * n_keep**3
-
-    def pair_bytes(self, n_raw: int) -> int:
-        """Bytes of the tables of a pair while a process works on them; both files have `n_raw` points in all."""
-        return self.bytes_per_point * n_raw
-
-    def object_bytes(self, n_keep: int) -> int:
-        """Bytes of one object with `n_keep` aligned nodes while it is scored: at worst a dense matrix."""
-        return 8 * n_keep**2 + self.bytes_per_node * n_keep
-
-    def most_workers(self, memory: int) -> int:
-        """Number of worker processes that may share a memory, at least half of which is left for results."""
-        return max(1, memory // (2 * self.process_bytes))
+PROCESS_BYTES = 300 * 2**20  #: what a worker process occupies before it has read anything
+BYTES_PER_POINT = 6_000  #: a scan's tables, its graph twice, and what Louvain makes of it
+BYTES_PER_NODE = 15_000  #: an object's arcs, the candidates for its alignment
+DISK_BYTES_PER_POINT = 120  #: of all tables of a run, over the points of both files
 
 
-def largest_object(objects: Iterable[tuple[int, int]]) -> tuple[int, int]:
-    """Id and nodes of the object that has the most nodes; (-1, 0) if there are none."""
-    return max(objects, key=lambda entry: entry[1], default=(-1, 0))
+def disk_bytes(n_raw: int) -> int:
+    """Bytes of the tables of pairs whose files have `n_raw` points in all, without extras."""
+    return DISK_BYTES_PER_POINT * n_raw
+
+
+def side_seconds(n_raw: int) -> float:
+    """Seconds of the stages of one side, whose file has `n_raw` points."""
+    return 0.01 + 3e-5 * n_raw
+
+
+def pair_seconds(n_raw: int) -> float:
+    """Seconds of a large pair, at least; both files have `n_raw` points in all (measured up to 600,000)."""
+    return 5e-4 * n_raw
+
+
+def object_seconds(n_keep: int) -> float:
+    """Seconds of selection and scores of one matched object with `n_keep` aligned nodes."""
+    return 0.005 + 5e-5 * n_keep + 2e-8 * n_keep**2 + 4e-11 * n_keep**3
+
+
+def pair_bytes(n_raw: int) -> int:
+    """Bytes of the tables of a pair while a process works on them; both files have `n_raw` points in all."""
+    return BYTES_PER_POINT * n_raw
+
+
+def object_bytes(n_keep: int) -> int:
+    """Bytes of one object with `n_keep` aligned nodes while it is scored: at worst a dense matrix."""
+    return 8 * n_keep**2 + BYTES_PER_NODE * n_keep
+
+
+def most_workers(memory: int) -> int:
+    """Number of worker processes that may share a memory, at least half of which is left for results."""
+    return max(1, memory // (2 * PROCESS_BYTES))

@@ -1,13 +1,12 @@
-"""The surroundings of the jobs of a run: the pool that runs them, what it needs to know, and what is cleaned up."""
+"""The pool that runs the jobs of a run, what workers need to know, and the announcement of large pairs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from shutil import rmtree
+from dataclasses import dataclass, replace
 
-from ...schemas.errors import DiskFullError, FidpipeError
+from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import transform_of
 from ...stages.clean import clean_scan
@@ -15,20 +14,17 @@ from ...stages.thinning import smallest_voxel
 from ..datasets.pairs import ScanPair, may_crash
 from ..datasets.readers import read_scan
 from ..stage import Stage
-from ..storage.files import megabytes
 from ..storage.folder import RunFolder
 from ..storage.run_record import LIBRARIES, library_versions
-from ..storage.urls import read_stub, stub_texts, url_of_cache
-from .collector import Collector
-from .costs import CostModel
+from ..storage.urls import stub_texts, url_of_cache
+from . import costs
 from .plan import PairPlan, with_results
 from .pool import Pool
-from .schedule import Policy, Schedule
+from .schedule import Collector, Schedule
 from .survey import InputFiles, PlanPair, Survey
-from .time_limit import TimeLimit
+from .time_limit import NOTES, TimeLimit
 
 _LARGE_PAIR = 500_000  # points of both files
-_TIME_NOTES = ".time_limit"  # folder in that of a run, while it works
 
 
 @dataclass(frozen=True)
@@ -38,15 +34,11 @@ class Machines:
     workers : processes on this machine; None for one per core; 1 for this process alone, unless a
         job may end it
     scheduler : address of a dask scheduler, instead of a cluster on this machine
-    pool : to be used instead of either; it is not closed
-    policy : for cutting work into batches
     pair_timeout_s : a pair that takes workers longer than this fails; None for no limit
     """
 
     workers: int | None = None
     scheduler: str | None = None
-    pool: Pool | None = None
-    policy: Policy = field(default_factory=Policy)
     pair_timeout_s: float | None = None
 
 
@@ -69,28 +61,32 @@ def started_pool(
     stages : all stages whose jobs may be planned
     """
     if not pairs:
-        yield machines.pool or Pool()
+        yield Pool()
         return
     if machines.scheduler and url_of_cache(folder.folder):
         from ..storage.remote_run import share_folder
 
         share_folder(folder)
-    if machines.pool is not None:
-        yield machines.pool
-        return
-    from .cluster import start_pool
+    from .cluster import Requirements, code_hash, start_pool
 
     is_local = machines.scheduler is None
     reader_may_crash = is_local and may_crash(pairs)
-    libraries = {name: "" for stage in stages for name in stage.libraries}
+    required = None
+    if not is_local:
+        libraries = ["fidpipe", *LIBRARIES]
+        for stage in stages:
+            libraries += stage.libraries
+        versions = library_versions(libraries)
+        required = Requirements(
+            versions, code_hash(), folder.folder.resolve(), folder.token, folder.url
+        )
     pool = start_pool(
         machines.workers,
-        machines.scheduler,
         settings.machine.memory_gib,
-        _shared_files(pairs, folder),
-        library_versions(("fidpipe", *LIBRARIES, *libraries)),
-        dict.fromkeys(stage.make.__module__ for stage in stages),
+        {stage.make.__module__ for stage in stages},
         may_end_workers=machines.pair_timeout_s is not None or reader_may_crash,
+        address=machines.scheduler,
+        required=required,
     )
     try:
         if pool.dashboard:
@@ -98,17 +94,6 @@ def started_pool(
         yield pool
     finally:
         pool.close()
-
-
-def _shared_files(pairs: Iterable[ScanPair], folder: RunFolder) -> list[str]:
-    """A scan and the token of the run, which all workers must be able to read."""
-    token = folder.token_path
-    shared = [f"{folder.url}/{token.name}" if folder.url else str(token.resolve())]
-    scan = next((scan for pair in pairs for scan in pair.scans.values()), None)
-    if scan is not None:
-        file = scan.files[0]
-        shared.insert(0, read_stub(file)[0] if scan.is_remote else str(file.resolve()))
-    return shared
 
 
 def schedule_of(
@@ -123,7 +108,7 @@ def schedule_of(
     collector : receives the results
     """
     plans = _plans_for_workers(survey.todo, plan_pair, collector.folder, machines)
-    return Schedule(pool, plans, len(survey.todo), collector, machines.policy)
+    return Schedule(pool, plans, survey, collector)
 
 
 def _plans_for_workers(
@@ -133,7 +118,7 @@ def _plans_for_workers(
     for i, pair in enumerate(pairs):
         plan, _ = with_results(plan_pair(pair), folder)
         if machines.pair_timeout_s is not None:
-            notes = folder.folder / _TIME_NOTES / str(i)
+            notes = folder.folder / NOTES / str(i)
             plan = replace(plan, limit=TimeLimit(machines.pair_timeout_s, notes))
         if machines.scheduler is not None:
             scans = pair.scans.values()
@@ -142,49 +127,19 @@ def _plans_for_workers(
         yield plan
 
 
-@contextmanager
-def working(
-    survey: Survey,
-    files: InputFiles,
-    collector: Collector,
-    machines: Machines,
-    settings: InputSettings,
-) -> Iterator[None]:
-    """Context of the work on all jobs to do: large pairs are announced and progress is shown.
-
-    At the end files of workers that died are removed.
-
-    Raises
-    ------
-    DiskFullError
-        As it came, with the space that the pairs need.
-    """
-    folder, reporter = collector.folder, collector.reporter
-    costs = machines.policy.costs
-    notes = folder.folder / _TIME_NOTES
-    rmtree(notes, ignore_errors=True)  # of an earlier run
-    n_points = [files.n_points(pair) for pair in survey.todo]
-    if settings.voxel_m is None and max(n_points) >= _LARGE_PAIR:
-        largest = survey.todo[n_points.index(max(n_points))]
-        reporter.warn(large_pairs_text(n_points, costs, voxel_for(largest, settings)))
-    reporter.start(len(survey.todo), survey.n_jobs)
-    try:
-        yield
-    except DiskFullError as error:
-        pairs = "pair that was not finished needs"
-        if len(survey.todo) > 1:
-            pairs = f"{len(survey.todo)} pairs that were not finished need"
-        need = megabytes(costs.disk_bytes(sum(n_points)))
-        raise DiskFullError(
-            f"{error}: it resumes where it stopped; the {pairs} about {need} in all"
-        ) from error
-    finally:
-        reporter.stop()
-        rmtree(notes, ignore_errors=True)
-    folder.remove_strays()  # of workers that died: complete and incomplete files
+def large_pairs_warnings(
+    pairs: Sequence[ScanPair], files: InputFiles, settings: InputSettings
+) -> list[str]:
+    """The warning of pairs beyond the points of usual sensors, if there are any."""
+    n_points = [files.n_points(pair) for pair in pairs]
+    n_most = max(n_points, default=0)
+    if settings.voxel_m is not None or n_most < _LARGE_PAIR:
+        return []
+    largest = pairs[n_points.index(n_most)]
+    return [large_pairs_text(n_points, voxel_for(largest, settings))]
 
 
-def large_pairs_text(n_points: Sequence[int], costs: CostModel, voxel_m: float | None) -> str:
+def large_pairs_text(n_points: Sequence[int], voxel_m: float | None) -> str:
     """Memory and time of pairs beyond the points of usual sensors, of which there are some, and how to reduce them.
 
     Parameters

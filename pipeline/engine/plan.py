@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +19,7 @@ from ..storage.files import key_of
 from ..storage.folder import RunFolder
 from ..storage.run_record import library_versions
 from ..storage.table_files import JobId, JobName, JobRecord
+from . import costs
 from .time_limit import TimeLimit
 
 OUT_OF_DATE = "out of date"  #: reason why a result made from or with something else is stale
@@ -130,6 +131,18 @@ class PairPlan:
         ]
         return [(number, n_keep) for number, n_keep in lists[-1]] if lists else None
 
+    @property
+    def largest_object(self) -> tuple[int, int]:
+        """Id and nodes of the object that has the most nodes; (-1, 0) if there are none."""
+        return max(self.objects or [], key=lambda entry: entry[1], default=(-1, 0))
+
+    def bytes_needed(self, *, with_objects: bool) -> int:
+        """Bytes that jobs may need, estimated from the counts known so far; with objects: also the largest one."""
+        n_bytes = costs.pair_bytes(self.n_points)
+        if with_objects:
+            n_bytes += costs.object_bytes(self.largest_object[1])
+        return n_bytes
+
     def reads(self, job: Job) -> tuple[str, ...]:
         """The keys of all that a job takes."""
         return _reads(job, self.keys)
@@ -139,101 +152,95 @@ class PairPlan:
         return replace(self, records={**self.records, **{record.job: record for record in records}})
 
 
-class Planner:
-    """Plans pairs under one set of settings.
+def plan_jobs(stages: Iterable[Stage], settings: Settings) -> dict[JobId, Job]:
+    """The jobs of any pair under some settings, by name.
 
     Parameters
     ----------
     stages : in their order
-    settings : effective settings
-    label_names : class names by number
 
     Raises
     ------
-    ValueError
+    ValueError, KeyError
         A stage takes what none before it gives, or names a table or a column that `schemas.tables`
         does not have.
     """
+    makers: dict[tuple[str, str], JobId | None] = {(SCAN, side): None for side in SIDES}
+    jobs: dict[JobId, Job] = {}
+    for stage in stages:
+        known = {table for table, _ in makers}
+        missing = [table for table in stage.takes if table not in known]
+        if missing:
+            raise ValueError(
+                f"stage {stage.name} takes {', '.join(missing)}, which no earlier stage makes"
+            )
+        method_key = _method_key(stage, settings)
+        for part in stage.parts:
+            key = key_of(method_key, part, list(stage.arguments))
+            sources = _sources(stage, part, settings, makers)
+            jobs[stage.name, part] = Job(stage, part, key, settings, sources)
+            makers |= {(table, part): (stage.name, part) for table in stage.gives}
+    return jobs
 
-    def __init__(
-        self, stages: Sequence[Stage], settings: Settings, label_names: Mapping[int, str]
-    ) -> None:
-        self.stages = tuple(stages)
-        self.settings = settings
-        self.label_names = label_names
-        self._jobs = self._layout()
 
-    def plan(self, pair: ScanPair, inputs: Mapping[str, ScanContent]) -> PairPlan:
-        """The jobs of a pair with their expected keys, none of them done yet.
+def plan_pair(
+    jobs: Mapping[JobId, Job],
+    pair: ScanPair,
+    inputs: Mapping[str, ScanContent],
+    label_names: Mapping[int, str],
+) -> PairPlan:
+    """The jobs of a pair with their expected keys, none of them done yet.
 
-        The key of a result is a hash of its stage's name, version, settings and libraries, the
-        columns of the tables that it gives, its arguments and part, and the keys of what it reads;
-        that of an input file hashes its content, its labels with their names, and T_real_sim.
+    The key of a result is a hash of its stage's name, version, settings and libraries, the columns
+    of the tables that it gives, its arguments and part, and the keys of what it reads; that of an
+    input file hashes its content, its labels with their names, and T_real_sim.
 
-        Parameters
-        ----------
-        pair : the pair
-        inputs : by side, what its file holds
-        """
-        keys = {
-            (SCAN, side): inputs[side].key(self.label_names, pair.motion(side)) for side in SIDES
-        }
-        for name, job in self._jobs.items():
-            keys[name] = _key(job, keys)
-        return PairPlan(pair, self._jobs, keys, {}, inputs, self.label_names)
+    Parameters
+    ----------
+    inputs : by side, what its file holds
+    label_names : class names by number
+    """
+    keys = {(SCAN, side): inputs[side].key(label_names, pair.motion(side)) for side in SIDES}
+    for name, job in jobs.items():
+        keys[name] = _key(job, keys)
+    return PairPlan(pair, jobs, keys, {}, inputs, label_names)
 
-    def jobs(self) -> tuple[Job, ...]:
-        """The jobs of a pair, in their order."""
-        return tuple(self._jobs.values())
 
-    def plan_on_results(
-        self, pair: ScanPair, records: Mapping[JobId, JobRecord], stage: Stage
-    ) -> PairPlan:
-        """The job of one stage of a pair whose other results are taken as they are, whatever they were made of.
+def plan_on_results(
+    jobs: Mapping[JobId, Job], pair: ScanPair, records: Mapping[JobId, JobRecord], stage: Stage
+) -> PairPlan:
+    """The job of one stage of a pair whose other results are taken as they are, whatever they were made of.
 
-        Parameters
-        ----------
-        records : finished jobs of the pair, by name
-        stage : one of the planner's, of grain PAIR
-        """
-        name = (stage.name, "")
-        jobs = {job: self._jobs[job] for job in self._jobs if job in records or job == name}
-        keys = {job: record.key for job, record in records.items()}
-        keys[name] = _key(jobs[name], keys)
-        others = {job: record for job, record in records.items() if job in jobs and job != name}
-        return PairPlan(pair, jobs, keys, others, {}, self.label_names)
+    Parameters
+    ----------
+    records : finished jobs of the pair, by name
+    stage : of grain PAIR
+    """
+    name = (stage.name, "")
+    used = {job: jobs[job] for job in jobs if job in records or job == name}
+    keys = {job: record.key for job, record in records.items()}
+    keys[name] = _key(jobs[name], keys)
+    others = {job: record for job, record in records.items() if job in used and job != name}
+    return PairPlan(pair, used, keys, others)
 
-    def _layout(self) -> dict[JobId, Job]:
-        """The jobs of all pairs."""
-        makers: dict[tuple[str, str], JobId | None] = {(SCAN, side): None for side in SIDES}
-        jobs: dict[JobId, Job] = {}
-        for stage in self.stages:
-            known = {table for table, _ in makers}
-            missing = [table for table in stage.takes if table not in known]
-            if missing:
-                raise ValueError(
-                    f"stage {stage.name} takes {', '.join(missing)}, which no earlier stage makes"
-                )
-            method_key = self._method_key(stage)
-            for part in stage.parts:
-                key = key_of(method_key, part, list(stage.arguments))
-                sources = _sources(stage, part, self.settings, makers)
-                jobs[stage.name, part] = Job(stage, part, key, self.settings, sources)
-                makers |= {(table, part): (stage.name, part) for table in stage.gives}
-        return jobs
 
-    def _method_key(self, stage: Stage) -> str:
-        """A hash of the settings, versions and code of a stage, which is the same for all pairs."""
-        groups = {}
-        for group in stage.settings:
-            groups[group] = getattr(self.settings, group).model_dump(mode="json")
-        return key_of(
-            stage.name,
-            stage.version,
-            groups,
-            library_versions(("numpy", "scipy", *stage.libraries)),
-            _given_columns(stage, self.settings),
+def _method_key(stage: Stage, settings: Settings) -> str:
+    """A hash of the settings, versions and code of a stage, which is the same for all pairs."""
+    if SCAN in stage.takes and "input" not in stage.settings:
+        raise ValueError(
+            f"stage {stage.name}: takes {SCAN}, whose columns are read by the settings input"
         )
+    groups = {}
+    for group in stage.settings:
+        groups[group] = getattr(settings, group).model_dump(mode="json")
+    for table, columns in (*stage.takes.items(), *stage.takes_real(settings).items()):
+        for column in columns:
+            TABLES[table].schema.field(column)
+    given = {}
+    for table in stage.gives:
+        given[table] = [f"{field.name} {field.type}" for field in TABLES[table].schema]
+    libraries = library_versions(("numpy", "scipy", *stage.libraries))
+    return key_of(stage.name, stage.version, groups, libraries, given)
 
 
 def _sources(
@@ -261,26 +268,6 @@ def _sources(
         if (table, side) in makers:
             sources.append(Source(table, side, columns, makers[table, side]))
     return tuple(sources)
-
-
-def _given_columns(stage: Stage, settings: Settings) -> dict[str, list[str]]:
-    """Name and type of the columns of each table of a stage; `ValueError` for a table or column that does not exist."""
-    for table in (*stage.takes, *stage.gives):
-        if table not in (*TABLES, SCAN):
-            raise ValueError(f"stage {stage.name}: schemas.tables has no table {table}")
-    if SCAN in stage.takes and "input" not in stage.settings:
-        raise ValueError(
-            f"stage {stage.name}: takes {SCAN}, whose columns are read by the settings input"
-        )
-    for table, columns in (*stage.takes.items(), *stage.takes_real(settings).items()):
-        known = () if table == SCAN else TABLES[table].schema.names
-        surplus = [name for name in columns if name not in known]
-        if surplus:
-            raise ValueError(f"stage {stage.name}: {table} has no column {', '.join(surplus)}")
-    given = {}
-    for table in stage.gives:
-        given[table] = [f"{field.name} {field.type}" for field in TABLES[table].schema]
-    return given
 
 
 def with_results(

@@ -7,7 +7,6 @@ worker.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import threading
@@ -26,9 +25,6 @@ _ENVIRONMENT = {
     "MALLOC_TRIM_THRESHOLD_": str(1 << 30),
     "MALLOC_MMAP_THRESHOLD_": str(1 << 25),
 }
-
-_STOPPING = (signal.SIGINT, signal.SIGTERM)
-_LONGEST_WAIT_S = 15.0
 
 
 def start(modules: Iterable[str] = ()) -> None:
@@ -51,37 +47,21 @@ def start(modules: Iterable[str] = ()) -> None:
 
 @contextmanager
 def interrupts_afterwards() -> Iterator[None]:
-    """Context that delays Ctrl-C and SIGTERM until the processes being started can be ended in order.
-
-    The delay is limited to some seconds, because a worker may never be ready.
-    """
+    """Context that delays Ctrl-C and SIGTERM until the processes being started can be ended in order."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     came: list[int] = []
-
-    def note(number: int, _: object) -> None:
-        came.append(number)
-        if len(came) == 1:
-            signal.setitimer(signal.ITIMER_REAL, _LONGEST_WAIT_S)
-
-    before = {number: signal.signal(number, note) for number in _STOPPING}
-    before[signal.SIGALRM] = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    before = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        before[number] = signal.signal(number, lambda number, _: came.append(number))
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():
             signal.signal(number, handler)
     if came:
         signal.raise_signal(came[0])
-
-
-def kill_workers() -> None:
-    """End the workers of a cluster that never started completely: this process would wait for them at its end."""
-    for process in multiprocessing.active_children():
-        if process.name.startswith("Dask Worker"):
-            process.kill()
 
 
 @contextmanager
@@ -96,13 +76,10 @@ def _without_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in values}
+    before = dict(os.environ)
     os.environ.update(values)
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        os.environ.clear()
+        os.environ.update(before)

@@ -14,40 +14,96 @@ import itertools
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from shutil import rmtree
 
 from ...schemas.columns import SIDES
 from ..stage import Grain
-from .collector import Collector
-from .costs import CostModel, largest_object
+from ..storage.folder import RunFolder
+from ..storage.table_files import JobRecord
+from . import costs
 from .plan import Job, PairPlan
 from .pool import Handle, Pool, WorkerDied
-from .worker import BatchResult, JobFailure, ObjectRows, PairBatch, run_batch
+from .progress import Reporter
+from .survey import Survey
+from .time_limit import NOTES
+from .worker import BatchResult, JobFailure, ObjectRows, PairBatch, job_title, run_batch
 
-_FIRST = 1e6  # priority of what others wait for
+# How work is cut into batches; no result depends on it.
+PAIRS_PER_WORKER = (
+    2  #: that are begun; with no more left than these, pairs fall into smaller batches
+)
+WORTH_SPLITTING_S = 1.0  #: if they cost more than this
+BATCH_S = 0.5  #: seconds of objects per batch
+BUNDLE_S = 0.5  #: seconds of small pairs per batch
+LONG_PAIR_S = 100.0  #: pairs that cost more are done job by job, so that progress shows
+LEAST_WEIGHT = 1 / 16  #: share of a batch that a pair has at least
 _BATCHES_PER_WORKER = 2  # submitted at the same time, so that none waits for the next
+_FIRST = 1e6  # priority of what others wait for
 
 
-@dataclass(frozen=True)
-class Policy:
-    """Batching policy; no result depends on it.
+class Collector:
+    """Collects what comes of the jobs of one folder: results in the ledger, failures by pair, progress.
 
-    costs : memory and seconds of batches
-    pairs_per_worker : pairs that are begun for each worker; with no more left than these, pairs
-        fall into smaller batches
-    worth_splitting_s : that cost more than this
-    batch_s : seconds of objects per batch
-    bundle_s : seconds of small pairs per batch
-    long_pair_s : pairs that cost more than this are done job by job, so that progress shows
-    least_weight : share of a batch that a pair has at least
+    Parameters
+    ----------
+    folder : of the run, locked
+    reporter : shows progress
+
+    Attributes
+    ----------
+    failures : reasons by pair_id
+    n_made : jobs that were done
     """
 
-    costs: CostModel = field(default_factory=CostModel)
-    pairs_per_worker: int = 2
-    worth_splitting_s: float = 1.0
-    batch_s: float = 0.5
-    bundle_s: float = 0.5
-    long_pair_s: float = 100.0
-    least_weight: float = 1 / 16
+    def __init__(self, folder: RunFolder, reporter: Reporter) -> None:
+        self.folder = folder
+        self.reporter = reporter
+        self.failures: dict[str, str] = {}
+        self.n_made = 0
+        self._traces: set[str] = set()
+
+    def fail(self, pair_id: str, key: str, reason: str) -> None:
+        """Record and report the failure of a pair.
+
+        Parameters
+        ----------
+        key : of the job that failed; "" if the input cannot be used
+        """
+        self.failures[pair_id] = reason
+        self.folder.ledger.put_failure(pair_id, key, reason)
+        self.reporter.fail(f"pair {pair_id}", reason)
+
+    def jobs_done(self, pair_id: str, records: Sequence[JobRecord]) -> None:
+        """Add finished jobs of a pair to the ledger."""
+        if records:
+            self.folder.ledger.put_jobs(pair_id, records)
+        self.n_made += len(records)
+        self.reporter.advance(len(records))
+
+    def pair_done(self, plan: PairPlan, failures: Iterable[JobFailure]) -> None:
+        """Report the failures of a pair that has ended.
+
+        The ledger keeps the reason of a failed pair; all results of a pair without scores are
+        removed.
+        """
+        order = list(plan.jobs)
+        failures = sorted(failures, key=lambda failure: order.index(failure.job))
+        self.reporter.advance(len(plan.todo), 1)
+        required = [failure for failure in failures if not plan.jobs[failure.job].stage.is_extra]
+        if required:
+            for record in self.folder.forget(plan.pair_id):
+                self.n_made -= record.made_by == self.folder.token
+        # which of the others were begun depends on the number of workers
+        reported = required[:1] or failures
+        if reported:
+            reasons = [f"{job_title(*failure.job)}: {failure.reason}" for failure in reported]
+            self.fail(plan.pair_id, plan.keys[reported[0].job], "; ".join(reasons))
+        else:
+            self.folder.ledger.drop_failure(plan.pair_id)
+        for failure in failures:
+            if failure.trace and failure.trace not in self._traces:
+                self._traces.add(failure.trace)
+                self.reporter.say(failure.trace)
 
 
 @dataclass
@@ -118,25 +174,22 @@ class Schedule:
     ----------
     pool : where batches run
     plans : of the pairs, each with jobs to be made; taken one by one as they are begun
-    n_pairs : number of plans
+    survey : of the same pairs
     collector : receives the results while the work proceeds
-    policy : rules for cutting work into batches
     """
 
     def __init__(
         self,
         pool: Pool,
         plans: Iterable[PairPlan],
-        n_pairs: int,
+        survey: Survey,
         collector: Collector,
-        policy: Policy,
     ) -> None:
         self._pool = pool
         self._collector = collector
-        self._policy = policy
-        self._costs = policy.costs
         self._pending = iter(plans)
-        self._n_pending = n_pairs
+        self._n_pending = len(survey.todo)
+        self._n_jobs = survey.n_jobs
         self._active: dict[str, _Pair] = {}
         self._waiting: list[tuple[float, int, _Batch]] = []
         self._running: dict[Handle, _Batch] = {}
@@ -146,27 +199,37 @@ class Schedule:
         self._is_alone = False
 
     def run(self) -> None:
-        """Work until every pair has ended."""
-        self._fill()
-        while self._running:
-            handle, outcome = self._pool.next_done()
-            batch = self._running.pop(handle)
-            is_lost = isinstance(outcome, WorkerDied)
-            results = [outcome] * len(batch.pairs) if is_lost else outcome
-            for pair, part, result in zip(batch.pairs, batch.batches, results, strict=True):
-                pair.n_waiting -= 1
-                self._take(pair, part, result)
-                if not pair.n_waiting:
-                    self._go_on(pair)
+        """Work until every pair has ended, and show progress."""
+        folder, reporter = self._collector.folder, self._collector.reporter
+        notes = folder.folder / NOTES
+        rmtree(notes, ignore_errors=True)  # of an earlier run
+        reporter.start(self._n_pending, self._n_jobs)
+        try:
             self._fill()
+            while self._running:
+                handle, outcome = self._pool.next_done()
+                batch = self._running.pop(handle)
+                is_lost = isinstance(outcome, WorkerDied)
+                results = [outcome] * len(batch.pairs) if is_lost else outcome
+                for pair, part, result in zip(batch.pairs, batch.batches, results, strict=True):
+                    pair.n_waiting -= 1
+                    self._take(pair, part, result)
+                    if not pair.n_waiting:
+                        self._go_on(pair)
+                self._fill()
+        finally:
+            reporter.stop()
+            rmtree(notes, ignore_errors=True)
         if n_left := self._n_pending + len(self._active) + len(self._quarantine):
             raise RuntimeError(f"{n_left} pairs were left over though nothing ran any more")
+        folder.remove_strays()  # of workers that died: complete and incomplete files
 
     def _fill(self) -> None:
         """Begin pairs while the window has room, and submit batches that fit into the memory."""
         if not self._is_alone:
-            window = self._policy.pairs_per_worker * self._pool.n_workers
-            while self._n_pending and sum(map(self._weight, self._active.values())) < window:
+            while (
+                self._n_pending and sum(map(self._weight, self._active.values())) < self._window()
+            ):
                 self._n_pending -= 1
                 self._begin(_Pair(next(self._pending)))
             if not self._n_pending:
@@ -176,6 +239,10 @@ class Schedule:
             self._is_alone = True
             self._begin(self._quarantine.popleft())
             self._admit()
+
+    def _window(self) -> int:
+        """Number of pairs that may be worked on at the same time."""
+        return PAIRS_PER_WORKER * self._pool.n_workers
 
     def _begin(self, pair: _Pair) -> None:
         self._active[pair.plan.pair_id] = pair
@@ -191,13 +258,14 @@ class Schedule:
                 pair.failures.append(JobFailure(pair.ready[0].name, f"{again}: {result.detail}"))
             return
         pair.plan = pair.plan.with_records(result.records)
-        pair.failures.extend(result.failures)
-        if result.scored is None:
-            self._collector.batch_done(result)
-        else:
+        pair.failures += result.failures
+        self._collector.jobs_done(pair.plan.pair_id, result.records)
+        if batch.objects:
             pair.scored.append(result.scored)
             pair.n_scored += len(batch.objects)
-            self._collector.objects_done(pair.plan, pair.n_scored)
+            n_objects = len(pair.plan.objects or [])
+            objects = f"; {pair.plan.pair_id}: {pair.n_scored} of {n_objects} objects"
+            self._collector.reporter.advance(0, objects=objects)
 
     def _go_on(self, pair: _Pair) -> None:
         """Submit the next batches of a pair of which nothing is running."""
@@ -213,7 +281,7 @@ class Schedule:
         if not pair.todo:
             self._is_alone = False
             del self._active[pair.plan.pair_id]
-            self._collector.pair_done(pair.plan, tuple(pair.failures))
+            self._collector.pair_done(pair.plan, pair.failures)
         elif self._is_alone:
             self._submit_jobs(pair, pair.ready[:1])
         elif pair.n_losses > 1:
@@ -222,10 +290,9 @@ class Schedule:
         elif reason and readers:
             self._submit_jobs(pair, readers)  # the input files may have fewer points than estimated
         elif pair.scored:
-            jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
-            batch = PairBatch(pair.plan, jobs, rows=tuple(pair.scored))
+            rows = tuple(pair.scored)
             pair.scored.clear()
-            self._submit([pair], [batch], priority=_FIRST)
+            self._submit_jobs(pair, pair.chain(Grain.OBJECT, ""), _FIRST, rows)
         elif self._is_worth_splitting(pair):
             self._split(pair)
         elif pair.n_losses or pair.plan.limit is not None:
@@ -237,29 +304,22 @@ class Schedule:
                 self._submit_bundle()
 
     def _is_worth_splitting(self, pair: _Pair) -> bool:
-        objects = pair.plan.objects
-        has_objects = any(job.stage.grain is Grain.OBJECT for job in pair.todo)
-        if objects and has_objects:
-            largest = self._costs.object_bytes(largest_object(objects)[1])
-            if largest > self._object_share(pair.plan):
-                return True  # its objects are admitted one by one
+        plan = pair.plan
+        grains = {job.stage.grain for job in pair.todo}
+        largest = costs.object_bytes(plan.largest_object[1])
+        if Grain.OBJECT in grains and largest > self._object_share(plan):
+            return True  # its objects are admitted one by one
         if self._pool.n_workers == 1:
             return self._is_long(pair)
-        if not self._few_left():
+        if self._n_pending + len(self._active) > self._window():
             return False
-        if any(job.stage.grain is Grain.SIDE for job in pair.todo):
-            return self._costs.side_seconds(pair.plan.n_points) > self._policy.worth_splitting_s
-        seconds = sum(self._costs.object_seconds(n) for _, n in objects or [])
-        return objects is None or seconds > self._policy.worth_splitting_s
+        if Grain.SIDE in grains:
+            return costs.side_seconds(plan.n_points) > WORTH_SPLITTING_S
+        seconds = sum(costs.object_seconds(n) for _, n in plan.objects or [])
+        return plan.objects is None or seconds > WORTH_SPLITTING_S
 
     def _is_long(self, pair: _Pair) -> bool:
-        return self._costs.pair_seconds(pair.plan.n_points) > self._policy.long_pair_s
-
-    def _few_left(self) -> bool:
-        return (
-            self._n_pending + len(self._active)
-            <= self._policy.pairs_per_worker * self._pool.n_workers
-        )
+        return costs.pair_seconds(pair.plan.n_points) > LONG_PAIR_S
 
     def _split(self, pair: _Pair) -> None:
         """The next layer of a pair in batches that run at the same time: by side, by object, or by job."""
@@ -270,19 +330,19 @@ class Schedule:
         elif pair.ready[0].stage.grain is Grain.OBJECT:
             self._submit_objects(pair)
         else:
-            waited_for = {name for job in pair.todo for name in job.needs}
             for job in pair.ready:
                 if job.stage.grain is Grain.PAIR:
-                    self._submit_jobs(pair, [job], _FIRST if job.name in waited_for else 0.0)
+                    self._submit_jobs(pair, [job], _FIRST)
 
-    def _submit_jobs(self, pair: _Pair, jobs: list[Job], priority: float = 0.0) -> None:
+    def _submit_jobs(
+        self, pair: _Pair, jobs: list[Job], priority: float = 0.0, rows: tuple[ObjectRows, ...] = ()
+    ) -> None:
         """Some jobs of a pair as one batch."""
-        need = self._costs.pair_bytes(pair.plan.n_points)
-        if any(job.stage.grain is not Grain.SIDE for job in jobs):
-            need += self._costs.object_bytes(largest_object(pair.plan.objects or [])[1])
+        with_objects = any(job.stage.grain is not Grain.SIDE for job in jobs)
+        need = pair.plan.bytes_needed(with_objects=with_objects)
+        most_bytes = None if pair.plan.is_counted else need
         names = tuple(job.name for job in jobs)
-        batch = PairBatch(pair.plan, names, None if pair.plan.is_counted else need)
-        self._submit([pair], [batch], need=need, priority=priority)
+        self._submit([pair], [PairBatch(pair.plan, names, most_bytes, rows=rows)], need, priority)
 
     def _submit_bundle(self) -> None:
         """The pairs that wait for company, as one batch."""
@@ -295,14 +355,14 @@ class Schedule:
         """All that is left of some pairs as one batch; each stops before a job that may need more than its share."""
         batches = []
         for pair in pairs:
-            need = self._costs.pair_bytes(pair.plan.n_points) + self._object_share(pair.plan)
+            need = costs.pair_bytes(pair.plan.n_points) + self._object_share(pair.plan)
             batches.append(PairBatch(pair.plan, tuple(job.name for job in pair.todo), need))
-        self._submit(pairs, batches, need=max(batch.most_bytes or 0 for batch in batches))
+        self._submit(pairs, batches, max(batch.most_bytes or 0 for batch in batches))
 
     def _weight(self, pair: _Pair) -> float:
         """The part of a batch that a pair is worth."""
-        seconds = 2 * self._costs.side_seconds(pair.plan.n_points // 2)
-        return min(1.0, max(self._policy.least_weight, seconds / self._policy.bundle_s))
+        seconds = 2 * costs.side_seconds(pair.plan.n_points // 2)
+        return min(1.0, max(LEAST_WEIGHT, seconds / BUNDLE_S))
 
     def _submit_objects(self, pair: _Pair) -> None:
         """The stages over a pair's objects: large objects alone, small ones together, largest first.
@@ -310,36 +370,27 @@ class Schedule:
         Pairs go one after the other, that of the largest object first: workers keep the tables of
         the last ones.
         """
-        jobs = tuple(job.name for job in pair.chain(Grain.OBJECT, ""))
-        sizes = sorted(pair.plan.objects or [], key=lambda entry: (-entry[1], entry[0]))
-        if not sizes:
-            self._submit([pair], [PairBatch(pair.plan, jobs, rows=())], priority=_FIRST)
+        chain = pair.chain(Grain.OBJECT, "")
+        if not pair.plan.objects:
+            self._submit_jobs(pair, chain, _FIRST)
             return
-        first = 1000.0 * self._costs.object_seconds(sizes[0][1])
-        batch: list[tuple[int, int]] = []
-        for i, entry in enumerate(sizes):
-            batch.append(entry)
-            seconds = sum(self._costs.object_seconds(n) for _, n in batch)
-            if seconds >= self._policy.batch_s or i + 1 == len(sizes):
-                need = self._costs.pair_bytes(pair.plan.n_points) + self._costs.object_bytes(
-                    batch[0][1]
-                )
-                objects = tuple(number for number, _ in batch)
-                self._submit(
-                    [pair],
-                    [PairBatch(pair.plan, jobs, objects=objects)],
-                    need=need,
-                    priority=first + seconds,
-                )
-                batch = []
+        batches: list[list[tuple[int, int]]] = []
+        left_s = 0.0
+        for number, n_keep in sorted(pair.plan.objects, key=lambda entry: (-entry[1], entry[0])):
+            if left_s <= 0:
+                batches.append([])
+                left_s = BATCH_S
+            batches[-1].append((number, n_keep))
+            left_s -= costs.object_seconds(n_keep)
+        jobs = tuple(job.name for job in chain)
+        priority = costs.object_seconds(batches[0][0][1])
+        for sizes in batches:
+            need = costs.pair_bytes(pair.plan.n_points) + costs.object_bytes(sizes[0][1])
+            objects = tuple(number for number, _ in sizes)
+            self._submit([pair], [PairBatch(pair.plan, jobs, objects=objects)], need, priority)
 
     def _submit(
-        self,
-        pairs: Sequence[_Pair],
-        batches: Sequence[PairBatch],
-        *,
-        need: int = 0,
-        priority: float = 0.0,
+        self, pairs: list[_Pair], batches: list[PairBatch], need: int, priority: float = 0.0
     ) -> None:
         """Queue a batch for `_admit`."""
         for pair in pairs:
@@ -356,31 +407,28 @@ class Schedule:
             if self._running and sum(heapq.nlargest(n_workers, needs)) > self._usable():
                 return
             heapq.heappop(self._waiting)
-            self._running[self._pool.submit(run_batch, batch.batches, self._costs)] = batch
+            self._running[self._pool.submit(run_batch, batch.batches)] = batch
 
     def _usable(self) -> int:
         """Bytes available to batches, of all workers together."""
-        return max(0, self._pool.memory.together - self._costs.process_bytes * self._pool.n_workers)
+        return max(0, self._pool.memory.together - costs.PROCESS_BYTES * self._pool.n_workers)
 
     def _object_share(self, plan: PairPlan) -> int:
         """Bytes that an object may need for its pair to run as one batch."""
-        return max(
-            0, self._usable() // self._pool.n_workers - self._costs.pair_bytes(plan.n_points)
-        )
+        return max(0, self._usable() // self._pool.n_workers - costs.pair_bytes(plan.n_points))
 
     def _why_too_large(self, plan: PairPlan) -> str | None:
         """Reason why the rest of a pair does not fit into the memory even if nothing else runs; None if it fits."""
-        number, n_keep = largest_object(plan.objects or [])
-        usable = max(0, self._pool.memory.alone - self._costs.process_bytes)
-        need = self._costs.pair_bytes(plan.n_points) + self._costs.object_bytes(n_keep)
+        usable = max(0, self._pool.memory.alone - costs.PROCESS_BYTES)
+        need = plan.bytes_needed(with_objects=True)
         if need <= usable:
             return None
+        number, n_keep = plan.largest_object
         what = f"object {number} of {n_keep} aligned nodes" if n_keep else f"{plan.n_points} points"
-        lower = "a smaller graph.k makes smaller objects, " if n_keep else ""
         return (
             f"{what}: {_gib(need)} of memory may be needed at once, {_gib(usable)} are available "
-            f"(machine.memory_gib minus {_gib(self._costs.process_bytes)} for the worker process); {lower}"
-            "input.voxel_m, input.include_box or input.max_range_m fewer points"
+            f"(machine.memory_gib minus {_gib(costs.PROCESS_BYTES)} for the worker process); a smaller graph.k "
+            "makes smaller objects, input.voxel_m, input.include_box or input.max_range_m fewer points"
         )
 
 

@@ -86,8 +86,8 @@ def survey_results(
     folder: RunFolder,
     *,
     selected: Container[str],
-    redo: frozenset[str] = frozenset(),
-    complete: Callable[[PairPlan], None] = lambda _: None,
+    redo: frozenset[str],
+    complete: Callable[[PairPlan], None],
 ) -> Survey:
     """Compare existing results with the plan.
 
@@ -102,25 +102,23 @@ def survey_results(
         once
     """
     survey = Survey()
-    names = set()
+    reasons = dict.fromkeys(folder.ledger.pair_ids(), _GONE)
     for pair in pairs:
-        names.add(pair.pair_id)
-        if pair.pair_id not in files.contents or pair.pair_id in files.faults:
-            continue
-        survey.usable.append(pair)
-        is_selected = pair.pair_id in selected
-        redone = redo if is_selected else frozenset[str]()
-        plan, stale = with_results(plan_pair(pair), folder, redone)
-        survey.stale |= stale
-        if not plan.todo:
-            complete(plan)
-        elif is_selected:
-            survey.todo.append(pair)
-            survey.n_jobs += len(plan.todo)
-    for pair_id in folder.ledger.pair_ids():
-        if pair_id in names and pair_id not in files.faults:
-            continue
-        reason = "the input cannot be used" if pair_id in files.faults else _GONE
+        reasons.pop(pair.pair_id, None)
+        if pair.pair_id in files.faults:
+            reasons[pair.pair_id] = "the input cannot be used"
+        elif pair.pair_id in files.contents:
+            survey.usable.append(pair)
+            is_selected = pair.pair_id in selected
+            redone = redo if is_selected else frozenset[str]()
+            plan, stale = with_results(plan_pair(pair), folder, redone)
+            survey.stale |= stale
+            if not plan.todo:
+                complete(plan)
+            elif is_selected:
+                survey.todo.append(pair)
+                survey.n_jobs += len(plan.todo)
+    for pair_id, reason in reasons.items():
         for record in folder.ledger.jobs(pair_id).values():
             survey.stale[record.name] = reason
     return survey
@@ -128,7 +126,7 @@ def survey_results(
 
 def refuse_replacing(
     survey: Survey,
-    name: str,
+    folder: RunFolder,
     before: Mapping[str, Any],
     stages: Iterable[Stage],
     settings: Settings,
@@ -139,78 +137,65 @@ def refuse_replacing(
 
     Parameters
     ----------
-    name : of the results, for the error
     before : last record of the folder
     stages : of the run, with `settings`
     """
-    lost = [job for job, reason in survey.stale.items() if reason == OUT_OF_DATE]
-    if not lost or not has_ended(before):
-        return
-    names = {stage for stage, _, _ in lost}
-    stages = [stage for stage in stages if stage.name in names]
-    why = _reasons(before, stages, settings)
-    if why:
-        n_pairs = len({pair_id for _, pair_id, _ in lost})
-        listed = _in_order(names, stages)
-        refuse_overwrite(name, f"{listed} of {n_pairs} pair{'s' if n_pairs > 1 else ''}", why)
+    lost = [name for name, reason in survey.stale.items() if reason == OUT_OF_DATE]
+    if lost and has_ended(before):
+        names = {stage for stage, _, _ in lost}
+        why = what_changed(before, settings, [stage for stage in stages if stage.name in names])
+        if why:
+            refuse_overwrite(f"run {folder.folder}", _jobs_in_words(lost), why)
 
 
-def _reasons(before: Mapping[str, Any], stages: Sequence[Stage], settings: Settings) -> list[str]:
+def what_changed(
+    before: Mapping[str, Any], settings: Settings, stages: Iterable[Stage]
+) -> list[str]:
     """Changes of preset, settings and code since the last record that concern some stages, as text."""
-    groups = {group for stage in stages for group in stage.settings}
-    why = []
-    for group, texts in changed_settings(before, settings).items():
-        if group in groups:
-            why += texts
-    preset = preset_of(settings)
-    if why and before.get("preset", preset) != preset:
-        why.insert(0, f"preset was {before['preset']}, is {preset}")
+    by_group = changed_settings(before, settings)
     versions = before.get("stages", {})
-    old = [
-        stage.name for stage in stages if versions.get(stage.name, stage.version) != stage.version
-    ]
-    if old:
-        written = f"fidpipe {before.get('fidpipe')} on {before.get('written', '')[:10]}"
-        why.append(f"{written} had other code of {', '.join(old)}")
-    return why
+    changes = []
+    for stage in stages:
+        for group in stage.settings:
+            changes += by_group.pop(group, [])
+        if versions.get(stage.name, stage.version) != stage.version:
+            changes.append(f"code of stage {stage.name} is new")
+    preset = preset_of(settings)
+    if changes and before.get("preset", preset) != preset:
+        changes.insert(0, f"preset was {before['preset']}, is {preset}")
+    return changes
 
 
 def remove_stale(
-    survey: Survey,
-    folder: RunFolder,
-    stages: Sequence[Stage],
-    reporter: Reporter,
-    changes: Sequence[str] = (),
+    survey: Survey, folder: RunFolder, reporter: Reporter, changes: Sequence[str]
 ) -> None:
     """Report which results are replaced or removed and why, and remove them.
 
     Parameters
     ----------
-    stages : in the order in which they are named
     changes : since the last run, as text
     """
-    by_reason: dict[str, defaultdict[str, set[JobId]]] = {}
-    for (stage, pair_id, part), reason in survey.stale.items():
-        jobs_of_pairs = by_reason.setdefault(reason, defaultdict(set))
-        jobs_of_pairs[pair_id].add((stage, part))
-    for reason, jobs_of_pairs in by_reason.items():
-        names = {stage for jobs in jobs_of_pairs.values() for stage, _ in jobs}
+    by_reason: defaultdict[str, list[JobName]] = defaultdict(list)
+    for name, reason in survey.stale.items():
+        by_reason[reason].append(name)
+    for reason, names in by_reason.items():
         why = reason
         if reason == OUT_OF_DATE:
-            why = f"{reason} ({'; '.join(changes) or 'the input files changed'})"
-        n_pairs = len(jobs_of_pairs)
-        pairs = f"{n_pairs} pair{'s' if n_pairs > 1 else ''}"
-        reporter.say(f"replacing {_in_order(names, stages)} of {pairs}: {why}")
+            why = f"{reason} ({'; '.join(changes) or 'the input files or libraries changed'})"
+        reporter.say(f"replacing {_jobs_in_words(names)}: {why}")
+        jobs_of_pairs: defaultdict[str, set[JobId]] = defaultdict(set)
+        for stage, pair_id, part in names:
+            jobs_of_pairs[pair_id].add((stage, part))
         for pair_id, jobs in jobs_of_pairs.items():
             folder.forget(pair_id, jobs)
     n_strays = folder.remove_strays()
     if n_strays:
-        files = f"{n_strays} file{'s' if n_strays > 1 else ''}"
-        reporter.say(f"removing {files} that no finished job accounts for")
+        reporter.say(f"removing files that no finished job accounts for: {n_strays}")
     folder.ledger.save_hashes()
 
 
-def _in_order(names: set[str], stages: Iterable[Stage]) -> str:
-    """Names of stages in the order of the run, then those that it does not know."""
-    known = [stage.name for stage in stages if stage.name in names]
-    return ", ".join([*known, *sorted(names - set(known))])
+def _jobs_in_words(names: Sequence[JobName]) -> str:
+    """Stages of jobs in their order, and the number of their pairs."""
+    stages = dict.fromkeys(stage for stage, _, _ in names)
+    n_pairs = len({pair_id for _, pair_id, _ in names})
+    return f"{', '.join(stages)} of {n_pairs} pair{'s' if n_pairs > 1 else ''}"

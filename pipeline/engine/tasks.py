@@ -56,7 +56,7 @@ def map_tasks(
     if len(tasks) == 1:
         n_workers = 1
     modules = [function.__module__]
-    pool = start_pool(n_workers, None, memory_gib, (), {}, modules, may_end_workers=may_end_workers)
+    pool = start_pool(n_workers, memory_gib, modules, may_end_workers=may_end_workers)
     reporter.start(len(tasks), len(tasks))
     try:
         for name, result, reason in _outcomes(pool, function, tasks):

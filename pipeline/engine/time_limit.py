@@ -10,19 +10,17 @@ from __future__ import annotations
 
 import faulthandler
 import secrets
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
-from typing import TextIO
 
 from ...schemas.errors import StageError
 
+NOTES = ".time_limit"  #: folder in that of a run, while it works
 _FINISHED = ".seconds"
 _OVER = "Timeout ("  # as faulthandler writes it
-_LEAST_S = 0.001
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ class OutOfTimeError(StageError):
 
 @contextmanager
 def limited(limit: TimeLimit | None) -> Iterator[Callable[[str], object]]:
-    """Context in which this thread works on a pair; the process ends if the pair's time is over.
+    """Context in which this process works on one pair; it ends if the pair's time is over.
 
     The function notes the name of the work that begins, for the case that it does not end.
 
@@ -66,11 +64,11 @@ def limited(limit: TimeLimit | None) -> Iterator[Callable[[str], object]]:
     path = limit.folder / secrets.token_hex(8)
     begun = monotonic()
     with path.open("w", buffering=1, encoding="utf-8") as note:
-        _watch(begun + left, note)
+        faulthandler.dump_traceback_later(left, exit=True, file=note)
         try:
             yield lambda work: note.write(f"{work}\n")
         finally:
-            _watch(None, note)
+            faulthandler.cancel_dump_traceback_later()
             path.with_suffix(_FINISHED).write_text(str(monotonic() - begun), encoding="utf-8")
             path.unlink(missing_ok=True)
 
@@ -94,22 +92,3 @@ def _seconds_used(limit: TimeLimit) -> float:
 def _used_up(limit: TimeLimit, stage: str = "") -> str:
     where = f" in {stage}" if stage else ""
     return f"not finished after {limit.seconds:g} s of work{where}; a larger --pair-timeout gives it more"
-
-
-_DEADLINES: dict[int, tuple[float, TextIO]] = {}
-_LOCK = threading.Lock()
-
-
-def _watch(deadline: float | None, note: TextIO) -> None:
-    """Set or remove this thread's deadline; the process has one timer, for the earliest of its threads."""
-    with _LOCK:
-        if deadline is None:
-            _DEADLINES.pop(threading.get_ident(), None)
-        else:
-            _DEADLINES[threading.get_ident()] = deadline, note
-        faulthandler.cancel_dump_traceback_later()
-        if _DEADLINES:
-            first, noted = min(_DEADLINES.values(), key=lambda entry: entry[0])
-            faulthandler.dump_traceback_later(
-                max(_LEAST_S, first - monotonic()), exit=True, file=noted
-            )

@@ -1,4 +1,4 @@
-"""Work of a worker: jobs of a pair one after the other, or some objects of one; and the tables that they work on.
+"""Work of a worker: jobs of a pair one after the other, or some objects of one; also in memory.
 
 A table that comes from the job before it and one that comes from the run's folder are the same,
 value for value.
@@ -7,25 +7,33 @@ value for value.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from itertools import chain
+from types import SimpleNamespace
+from typing import cast
 
 import pyarrow as pa
 
 from ...schemas.errors import DiskFullError, FidpipeError, StageError
+from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ..datasets.content import scan_content
+from ..datasets.pairs import ScanPair
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
-from ..stage import Grain, Inputs, JobResult, Memo, Steps, Tables
+from ..stage import Grain, Inputs, JobResult, Memo, Metadata, Steps, Tables
 from ..storage.remote_dataset import restored_scan
 from ..storage.scratch import temporary_space
 from ..storage.table_files import JobId, JobRecord, plain_metadata, table_name, tables_of_run
-from .costs import CostModel, largest_object
-from .inputs import declared_inputs
 from .plan import Job, PairPlan, Source
 from .time_limit import OutOfTimeError, limited
+
+#: Tables of a pair by name and side.
+PairTables = dict[tuple[str, str], pa.Table]
+#: Of some objects, by job: rows of its tables, and name and seconds of its steps.
+ObjectRows = dict[JobId, tuple[Tables, tuple[tuple[str, float], ...]]]
 
 
 @dataclass(frozen=True)
@@ -38,21 +46,12 @@ class JobFailure:
 
 
 @dataclass(frozen=True)
-class ObjectRows:
-    """Rows of some objects of a pair, and the seconds of their steps, by job."""
-
-    tables: dict[JobId, Tables] = field(default_factory=dict)
-    steps: dict[JobId, tuple[tuple[str, float], ...]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class BatchResult:
     """Outcome of a batch for one pair: finished and failed jobs, or the rows of some objects."""
 
-    pair_id: str
-    records: tuple[JobRecord, ...] = ()
-    failures: tuple[JobFailure, ...] = ()
-    scored: ObjectRows | None = None
+    records: list[JobRecord] = field(default_factory=list)
+    failures: list[JobFailure] = field(default_factory=list)
+    scored: ObjectRows = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -62,194 +61,186 @@ class PairBatch:
     jobs : their names
     most_bytes : a batch ends before a job that may need more than this
     objects : score these objects alone, and write nothing
-    rows : of all objects, from such batches, from which the jobs write their tables; None if they
-        are to be made
+    rows : of all objects, from such batches, from which the jobs write their tables
     """
 
     plan: PairPlan
     jobs: tuple[JobId, ...]
     most_bytes: int | None = None
     objects: tuple[int, ...] = ()
-    rows: tuple[ObjectRows, ...] | None = None
+    rows: tuple[ObjectRows, ...] = ()
 
 
-def run_batch(batches: Sequence[PairBatch], costs: CostModel) -> list[BatchResult]:
+def run_batch(batches: Sequence[PairBatch]) -> list[BatchResult]:
     """Run the jobs of each pair and write their results; a failed job does not stop those that do not need it."""
     results = []
     for batch in batches:
-        tables = _kept_tables(batch.plan) if batch.objects else PairTables(batch.plan)
-        records: list[JobRecord] = []
-        failures: list[JobFailure] = []
-        scored = ObjectRows() if batch.objects else None
+        runner = JobRunner(batch.plan, objects=batch.objects)
+        failures = runner.result.failures
         try:
             with limited(batch.plan.limit) as note:
-                for job in _next_jobs(batch, tables, failures, costs):
+                for job in _next_jobs(batch, runner):
                     note(job_title(*job.name))
-                    with _caught(job, failures):
-                        if scored is not None:
-                            _score_objects(tables, job, batch.objects, scored)
-                        else:
-                            records.append(make_job(tables, job, batch.rows))
+                    try:
+                        with temporary_space():
+                            runner.make_job(job, batch.rows)
+                    except DiskFullError:
+                        raise  # no other pair could go on either
+                    except Exception as error:
+                        failures.append(_failure(job, error))
         except OutOfTimeError as error:
             failures.append(JobFailure(batch.jobs[0], str(error)))
-        pair_id = batch.plan.pair_id
-        results.append(BatchResult(pair_id, tuple(records), tuple(failures), scored))
+        results.append(runner.result)
     return results
 
 
-def _next_jobs(
-    batch: PairBatch, tables: PairTables, failures: Sequence[JobFailure], costs: CostModel
-) -> Iterator[Job]:
-    """The jobs of a batch that do not need one that failed; none after a failure that fails the pair.
+def _next_jobs(batch: PairBatch, runner: JobRunner) -> Iterator[Job]:
+    """The jobs of a batch whose needs are done; none after a failure that fails the pair."""
+    for name in batch.jobs:
+        job = batch.plan.jobs[name]
+        failed = [batch.plan.jobs[failure.job] for failure in runner.result.failures]
+        if not all(job.stage.is_extra for job in failed):
+            return
+        need = runner.plan.bytes_needed(with_objects=job.stage.grain is Grain.OBJECT)
+        if batch.most_bytes is not None and need > batch.most_bytes:
+            return
+        if runner.done.issuperset(job.needs):
+            yield job
+
+
+def run_in_memory(
+    jobs: Mapping[JobId, Job], scans: Mapping[str, Scan], pair: ScanPair
+) -> tuple[PairTables, dict[JobId, Metadata]]:
+    """Run jobs of a pair one after the other; returns their tables and metadata, and writes nothing.
 
     Parameters
     ----------
-    failures : grows while the jobs run
+    jobs : by name, in their order, from `Planner.jobs`
+    scans : by side
+
+    Raises
+    ------
+    StageError
+        A stage fails; with the name of its job.
     """
-    lost: set[JobId] = set()
-    for job in [batch.plan.jobs[name] for name in batch.jobs]:
-        lost |= {failure.job for failure in failures}
-        if lost.intersection(job.needs):
-            lost.add(job.name)
-            continue
-        limit = batch.most_bytes
-        if limit is not None and tables.bytes_needed(job, costs) > limit:
-            return
-        yield job
-        if not job.stage.is_extra and failures and failures[-1].job == job.name:
-            return
+    runner = JobRunner(PairPlan(pair, jobs, {}), scans)
+    for job in jobs.values():
+        try:
+            runner.make_job(job)
+        except StageError as error:
+            raise StageError(f"{job_title(*job.name)}: {error}") from error
+    outputs = {name: record.metadata for name, record in runner.plan.records.items()}
+    return runner.tables, outputs
 
 
-@contextmanager
-def _caught(job: Job, failures: list[JobFailure]) -> Iterator[None]:
-    """Context of a job whose error fails its pair alone, unless no other pair could go on either."""
-    try:
-        with temporary_space():
-            yield
-    except DiskFullError:
-        raise
-    except Exception as error:
-        failures.append(_failure(job, error))
-
-
-def _score_objects(
-    tables: PairTables, job: Job, objects: tuple[int, ...], scored: ObjectRows
-) -> None:
-    """Run a stage over objects on some of them; later stages take its rows in place of its tables."""
-    rows: Tables = {}
-    for earlier in scored.tables.values():
-        rows |= earlier
-    inputs = tables.inputs(job, objects, rows)
-    scored.tables[job.name] = job.stage.make(inputs).tables
-    scored.steps[job.name] = inputs.step.total()
-
-
-def make_job(tables: PairTables, job: Job, rows: tuple[ObjectRows, ...] | None = None) -> JobRecord:
-    """Run one job of a pair and write its results; errors of its stage are raised unchanged.
+class JobRunner:
+    """Runs jobs of one pair, and keeps their tables for each other.
 
     Parameters
     ----------
-    rows : see `PairBatch`
+    plan : of the pair
+    scans : by side, of jobs that write nothing; None for those of the plan, whose results are
+        written
+    objects : score these alone, and write nothing
+
+    Attributes
+    ----------
+    done : names of the jobs whose results exist
+    tables : results of its jobs
+    result : the same for the command
     """
-    if rows is None:
-        objects = tables.plan.objects if job.stage.grain is Grain.OBJECT else None
-        inputs = tables.inputs(job, tuple(number for number, _ in objects or []))
-        result = job.stage.make(inputs)
-        parts = [result.tables]
-    else:
-        steps: list[tuple[str, float]] = []
-        for part in rows:
-            steps += part.steps[job.name]
-        inputs = tables.inputs(job, step=Steps(steps))
-        parts = [part.tables[job.name] for part in rows]
-    if job.stage.grain is Grain.OBJECT:
-        result = _gathered(job, inputs, parts)
-    return tables.finish(job, inputs, result)
 
-
-def _gathered(job: Job, inputs: Inputs, parts: Sequence[Tables]) -> JobResult:
-    """The rows of all objects, in the order of the table's keys."""
-    tables = {}
-    for name in job.stage.gives:
-        schema = TABLES[name]
-        rows = pa.concat_tables([schema.schema.empty_table(), *(part[name] for part in parts)])
-        tables[name] = rows.sort_by([(key, "ascending") for key in schema.keys]).combine_chunks()
-    metadata = job.stage.gather(inputs, tables) if job.stage.gather is not None else {}
-    return JobResult(tables, metadata)
-
-
-class PairTables:
-    """The tables of one pair while jobs run on it: new ones, and those that are read when first requested."""
-
-    def __init__(self, plan: PairPlan) -> None:
-        self._folder = tables_of_run(plan.folder, plan.token, plan.url)
-        self._scans: dict[str, Scan] = {}
-        self._tables: dict[tuple[str, str], pa.Table] = {}
-        self._parts: dict[Source, pa.Table] = {}
-        self._memo = Memo()
-        self.plan = plan
-
-    def bytes_needed(self, job: Job, costs: CostModel) -> int:
-        """Memory that a job may need, bytes, estimated from the counts known so far."""
-        n_bytes = costs.pair_bytes(self.plan.n_points)
-        if job.stage.grain is Grain.OBJECT:
-            n_bytes += costs.object_bytes(largest_object(self.plan.objects or [])[1])
-        return n_bytes
-
-    def inputs(
+    def __init__(
         self,
-        job: Job,
+        plan: PairPlan,
+        scans: Mapping[str, Scan] | None = None,
         objects: tuple[int, ...] = (),
-        rows: Mapping[str, pa.Table] | None = None,
-        step: Steps | None = None,
-    ) -> Inputs:
-        """The argument of a job: the inputs that its stage declares.
+    ) -> None:
+        self.plan = plan
+        self.done = set(plan.records)
+        self.tables: PairTables = {}
+        self.result = BatchResult()
+        self._folder = tables_of_run(plan.folder, plan.token, plan.url)
+        self._is_stored = scans is None
+        self._scans = dict(scans or {})
+        self._objects = objects
+        self._selected: dict[Source, pa.Table] = {}
+        self._stored: dict[Source, pa.Table] = {}
+        self._memo = Memo()
+        if objects:  # the pair's other batches read the same
+            keys = tuple(plan.keys.values())
+            self._stored, self._memo = _kept(plan.token, plan.pair_id, keys)
+
+    def make_job(self, job: Job, rows: tuple[ObjectRows, ...] = ()) -> None:
+        """Run a job, and write its results unless they are those of some objects; its errors are raised unchanged.
 
         Parameters
         ----------
-        objects : of grain OBJECT, the ids of the matched objects to be scored
-        rows : of these objects, in place of tables that are not written yet
-        step : times the steps of the job
+        rows : see `PairBatch`
         """
-        step = step or Steps()
-        outputs = {}
-        for name, record in self.plan.records.items():
-            is_gathered = (
-                name in self.plan.jobs and self.plan.jobs[name].stage.grain is Grain.OBJECT
-            )
-            if not (is_gathered and job.stage.grain is Grain.OBJECT):
-                outputs[name] = record.metadata
+        parts = [part[job.name] for part in rows]
+        steps = Steps(chain.from_iterable(seconds for _, seconds in parts))
+        inputs = self._inputs(job, steps)
+        made = _joined([tables for tables, _ in parts]) if parts else job.stage.make(inputs)
+        if self._objects:
+            self.result.scored[job.name] = made.tables, steps.total()
+        else:
+            if job.stage.grain is Grain.OBJECT:
+                made = _gathered(job, inputs, made)
+            self._finish(job, made, steps)
+        self.done.add(job.name)
+        self.tables |= {(name, job.part): table for name, table in made.tables.items()}
 
-        def read_table(source: Source) -> pa.Table:
-            if rows and source.table in rows:
-                return rows[source.table].select(source.columns)
-            return self._read(source, step)
-
-        return declared_inputs(
-            job,
-            read_table,
-            self._scan,
-            outputs,
-            self.plan.pair.T_real_sim,
+    def _inputs(self, job: Job, step: Steps) -> Inputs:
+        """The argument of a job: what its stage declares, read when first requested."""
+        tables: dict[tuple[str, str], Callable[[], pa.Table]] = {}
+        scans: dict[str, Callable[[], Scan]] = {}
+        metadata: dict[tuple[str, str], Metadata] = {}
+        is_of_objects = job.stage.grain is Grain.OBJECT
+        for source in job.sources:
+            if source.maker is None:
+                scans[source.side] = partial(self._scan, source.side)
+                continue
+            name = source.table, source.side
+            if source.columns:
+                tables[name] = partial(self._read, source, step)
+            maker = self.plan.jobs[source.maker]
+            record = self.plan.records.get(source.maker)
+            # rows of objects may be made before the metadata of all
+            if record and not (is_of_objects and maker.stage.grain is Grain.OBJECT):
+                metadata[name] = record.metadata
+        objects = self._objects
+        if is_of_objects and not objects:
+            objects = tuple(number for number, _ in self.plan.objects or [])
+        groups = {group: getattr(job.settings, group) for group in job.stage.settings}
+        return Inputs(
             pair_id=self.plan.pair_id,
+            part=job.part,
+            settings=cast(Settings, SimpleNamespace(**groups)),
+            tables=tables,
+            outputs=metadata,
+            scans=scans,
+            T_real_sim=self.plan.pair.T_real_sim if "sim" in scans else None,
             objects=objects,
+            arguments=job.stage.arguments,
             step=step,
             memo=self._memo,
         )
 
     def _read(self, source: Source, step: Steps) -> pa.Table:
         """The declared columns of a table that was made here or is in the run's folder."""
-        if source not in self._parts:
-            made = self._tables.get((source.table, source.side))
-            if made is not None:
-                rows = made.select(source.columns)
-            else:
-                path = table_name(source.table, self.plan.pair_id, source.side)
-                stored = self.plan.records[source.maker].files[path]  # type: ignore[index]
-                with step("read"):
-                    rows = self._folder.read(source.table, stored, path, list(source.columns))
-            self._parts[source] = rows
-        return self._parts[source]
+        made = self.tables.get((source.table, source.side))
+        if made is not None:
+            if source not in self._selected:
+                self._selected[source] = made.select(source.columns)
+            return self._selected[source]
+        if source not in self._stored:
+            path = table_name(source.table, self.plan.pair_id, source.side)
+            stored = self.plan.records[source.maker].files[path]  # type: ignore[index]
+            with step("read"):
+                rows = self._folder.read(source.table, stored, path, list(source.columns))
+            self._stored[source] = rows
+        return self._stored[source]
 
     def _scan(self, side: str) -> Scan:
         """The scan of a side, whose file must be the one that the keys were made of."""
@@ -268,53 +259,58 @@ class PairTables:
             self._scans[side] = scan
         return self._scans[side]
 
-    def finish(self, job: Job, inputs: Inputs, result: JobResult) -> JobRecord:
-        """Keep and write the results of a job.
+    def _finish(self, job: Job, made: JobResult, steps: Steps) -> None:
+        """Record a job, and write its tables.
 
         Raises
         ------
         ValueError
             The tables are not those that the stage declares.
         """
-        if set(result.tables) != set(job.stage.gives):
-            found = ", ".join(result.tables)
+        if set(made.tables) != set(job.stage.gives):
+            found = ", ".join(made.tables)
             raise ValueError(
                 f"stage {job.stage.name}: expected tables {job.stage.gives}, got {found}"
             )
-        record = JobRecord(
-            job.stage.name,
-            self.plan.pair_id,
-            job.part,
-            self.plan.keys[job.name],
-            {},
-            self.plan.reads(job),
-            plain_metadata(result.metadata),
-            made_by=self.plan.token,
-        )
-        with inputs.step("write"):
-            files = self._folder.write_job(record, result.tables)
-        record = replace(record, files=files, steps=inputs.step.total())
-        self._tables |= {(name, job.part): rows for name, rows in result.tables.items()}
-        self.plan = self.plan.with_records([record])
-        for side in list(self._scans):
-            readers = {job.name for job in self.plan.jobs.values() if side in job.scan_sides}
-            if self.plan.records.keys() >= readers:
-                del self._scans[side]  # no later job reads it
-        return record
+        plan = self.plan
+        metadata = plain_metadata(made.metadata)
+        record = JobRecord(job.stage.name, plan.pair_id, job.part, "", {}, metadata=metadata)
+        if self._is_stored:
+            record.key = plan.keys[job.name]
+            record.reads = plan.reads(job)
+            record.made_by = plan.token
+            with steps("write"):
+                record.files = self._folder.write_job(record, made.tables)
+        record.steps = steps.total()
+        self.plan = plan.with_records([record])
+        needed = [left.scan_sides for left in self.plan.todo]
+        for side in set(self._scans).difference(*needed):
+            del self._scans[side]  # no later job reads it
+        self.result.records.append(record)
 
 
-def _kept_tables(plan: PairPlan) -> PairTables:
-    """The tables of a pair that has several batches of objects; a process keeps the last two."""
-    name = plan.token, plan.pair_id, tuple(plan.keys.values())
-    if name not in _KEPT:
-        while len(_KEPT) >= 2:
-            del _KEPT[next(iter(_KEPT))]
-        _KEPT[name] = PairTables(plan)
-    _KEPT[name].plan = plan.with_records(_KEPT[name].plan.records.values())
-    return _KEPT[name]
+def _joined(parts: Sequence[Tables]) -> JobResult:
+    """The rows of several parts of the same tables."""
+    tables = {}
+    for name in parts[0]:
+        tables[name] = pa.concat_tables([part[name] for part in parts])
+    return JobResult(tables)
 
 
-_KEPT: dict[tuple[str, str, tuple[str, ...]], PairTables] = {}
+def _gathered(job: Job, inputs: Inputs, made: JobResult) -> JobResult:
+    """The rows of all objects, in the order of the table's keys."""
+    tables = {}
+    for name, rows in made.tables.items():
+        keys = [(key, "ascending") for key in TABLES[name].keys]
+        tables[name] = rows.sort_by(keys).combine_chunks()
+    metadata = job.stage.gather(inputs, tables) if job.stage.gather is not None else {}
+    return JobResult(tables, metadata)
+
+
+@lru_cache(maxsize=2)
+def _kept(token: str, pair_id: str, keys: tuple[str, ...]) -> tuple[dict[Source, pa.Table], Memo]:
+    """Stored tables and common results of a pair that has several batches of objects, kept by the process."""
+    return {}, Memo()
 
 
 def _failure(job: Job, error: Exception) -> JobFailure:
@@ -324,11 +320,6 @@ def _failure(job: Job, error: Exception) -> JobFailure:
         return JobFailure(job.name, f"out of memory ({error})")
     trace = "".join(traceback.format_exception(error))
     return JobFailure(job.name, f"internal error: {type(error).__name__}: {error}", trace)
-
-
-def failure_text(failures: Iterable[JobFailure]) -> str:
-    """Failed jobs and their reasons, in one line."""
-    return "; ".join(f"{job_title(*failure.job)}: {failure.reason}" for failure in failures)
 
 
 def job_title(stage: str, part: str) -> str:

@@ -9,14 +9,14 @@ import numpy as np
 from ...schemas.errors import FidpipeError
 from ...schemas.sensor_models import SENSORS
 from ...stages.generate.ray_casting import require_ray_caster
-from ...stages.generate.street_objects import KINDS
 from ...stages.generate.street_scans import make_pair
+from ...stages.generate.streets import KINDS
 from ..engine.progress import Reporter
 from ..storage.files import write_whole
 from .dataset_folder import GeneratedPair, Recipe, generate_dataset
 
 RECIPE = "synth.toml"
-RECIPE_VERSION = 2  # increase it when the same recipe results in other scans
+RECIPE_VERSION = 3  # increase it when the same recipe results in other scans
 SECONDS_APART = 75.0
 
 

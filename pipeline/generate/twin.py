@@ -199,7 +199,7 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
         if task.sensor.name == RECORDED.name:
             directions = recorded_directions(scan, np.concatenate(others))
         else:
-            directions = fire(task.sensor, rng.uniform(0.0, 360.0)).directions()
+            directions = fire(task.sensor, rng.uniform(0.0, 360.0))
         points, intensity = rescan(voxels, directions, task.sensor, rng)
         for flaw in task.flaws:
             kind = FLAWS[flaw.name]

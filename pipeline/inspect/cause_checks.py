@@ -15,9 +15,9 @@ from ...stages.sensor_description import SensorDescription
 from ...stages.statistics.comparison import blocks_of
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
-from ..engine.memory import run_in_memory
-from ..engine.plan import Planner
+from ..engine.plan import plan_jobs
 from ..engine.pool import one_blas_thread
+from ..engine.worker import run_in_memory
 from ..jobs import STAGES
 from ..results.causes import cause_values, named_causes, unknown_causes
 
@@ -35,9 +35,9 @@ class CauseCheck:
     unknown : causes that cannot be estimated
     """
 
-    pair_ids: tuple[str, ...] = ()
-    causes: tuple[Cause, ...] = ()
-    unknown: tuple[Unknown, ...] = ()
+    pair_ids: tuple[str, ...]
+    causes: tuple[Cause, ...]
+    unknown: tuple[Unknown, ...]
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,9 @@ def sample_pair(
 ) -> PairSample | None:
     """Run the jobs of a pair; None if one of them fails."""
     stages = [stage for stage in STAGES if stage.name in _STAGES]
-    jobs = Planner(stages, settings, {}).jobs()
     with one_blas_thread():
         try:
-            tables, outputs = run_in_memory(jobs, scans, pair.pair_id, pair.T_real_sim)
+            tables, outputs = run_in_memory(plan_jobs(stages, settings), scans, pair)
         except StageError:
             return None
     amounts = {}
@@ -80,8 +79,6 @@ def sample_pair(
 
 def check_causes(samples: Sequence[PairSample]) -> CauseCheck:
     """The causes that some pairs show."""
-    if not samples:
-        return CauseCheck()
     times_s = [sample.pair.timestamp_s for sample in samples]
     blocks = blocks_of([sample.content for sample in samples], times_s)
     values = cause_values([sample.amounts for sample in samples])

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 
 from ...schemas.columns import Row
@@ -107,12 +108,8 @@ def _communities(labels: IndexArray, communities: IntArray) -> IndexArray:
     ----------
     labels, communities : (n,) obstacle (-1 for none) and object of each object point
     """
-    is_inside = labels >= 0
-    shape = (labels.max(initial=-1) + 1, communities.max(initial=0) + 1)
-    n_points = np.zeros(shape, dtype=np.int64)
-    np.add.at(n_points, (labels[is_inside], communities[is_inside]), 1)
-    largest: IndexArray = n_points.argmax(axis=1)
-    return largest
+    rows = pd.Series(communities[labels >= 0]).groupby(labels[labels >= 0])
+    return rows.agg(lambda ids: ids.mode()[0]).to_numpy(np.intp)
 
 
 def _is_wanted(settings: Settings) -> bool:

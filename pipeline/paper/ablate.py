@@ -25,9 +25,9 @@ from ...stages.plausibility import ScanInspection
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
 from ..datasets.readers.scan_ref import scan_ref
-from ..engine.memory import run_in_memory
-from ..engine.plan import Planner
+from ..engine.plan import plan_jobs
 from ..engine.progress import Reporter
+from ..engine.worker import run_in_memory
 from ..jobs import ground_job
 from ..jobs.points_job import annotation_in, points_in
 from ..pair_checks import pair_warnings
@@ -103,8 +103,8 @@ def evaluate_pair(
     Graphs and communities of both sides are computed once for each k and tau; an object that is
     matched under several delta is scored once for each t.
     """
-    jobs = Planner((ground_job.STAGE,), settings, {}).jobs()
-    tables, outputs = run_in_memory(jobs, scans, pair.pair_id, pair.T_real_sim)
+    jobs = plan_jobs((ground_job.STAGE,), settings)
+    tables, outputs = run_in_memory(jobs, scans, pair)
     _, real_points = points_in(tables["ground", "real"])
     _, sim_points = points_in(tables["ground", "sim"])
     annotation = annotation_in(tables["ground", "real"])

@@ -187,7 +187,7 @@ def run_experiment(
         done = _finished(tasks, folder)
         stale = [pair_id for pair_id in folder.ledger.pair_ids() if pair_id not in done]
         if stale or len(done) < len(tasks):
-            write_record(out, settings, header.items(), folder.check_token)
+            write_record(out, settings, header, folder.check_token)
         _remove(stale, folder, reporter, "; ".join(changes) or "out of date")
         missing = {pair_id: task for pair_id, task in tasks.items() if pair_id not in done}
         made, failures_of_tasks = map_tasks(
@@ -207,7 +207,7 @@ def run_experiment(
         header["scans"] = {record.pair_id: record.metadata for record in records}
         header["failures"] = failures
         header["wall_s"] = perf_counter() - start
-        write_record(out, settings, header.items(), folder.check_token)
+        write_record(out, settings, header, folder.check_token)
     for record in records:
         reporter.warn(*record.metadata["warnings"])
     return ExperimentOutcome(

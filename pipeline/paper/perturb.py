@@ -35,12 +35,11 @@ from ...stages.method import (
 )
 from ...stages.metrics import MIN_NODES
 from ...stages.plausibility import ScanInspection
-from ...stages.statistics.typical_objects import ChosenObject
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
-from ..engine.memory import run_in_memory
-from ..engine.plan import Planner
+from ..engine.plan import plan_jobs
 from ..engine.progress import Reporter
+from ..engine.worker import run_in_memory
 from ..jobs import communities_job, graph_job, ground_job
 from ..jobs.points_job import column, edges_in, points_in
 from ..pair_checks import pair_warnings
@@ -54,7 +53,7 @@ from .experiment import (
     read_source,
     run_experiment,
 )
-from .perturb_objects import choose_objects, objects_in
+from .perturb_objects import ChosenObject, choose_objects, objects_in
 
 #: Difference of a scan from itself without a change, the first row of every table: one point less, rows in another
 #: order, another Louvain seed. Noise and rigid motion keep the order, dropout and the others do not.
@@ -157,17 +156,16 @@ def alter_scan(
     request: Request,
 ) -> JobResult:
     """All perturbations of the real scan of a pair and of its chosen objects, with all repeats."""
-    jobs = Planner(_PARTITION_STAGES, settings, {}).jobs()
-    real_jobs = [job for job in jobs if job.part == "real"]
-    tables, outputs = run_in_memory(real_jobs, scans, pair.pair_id)
+    jobs = plan_jobs(_PARTITION_STAGES, settings)
+    real_jobs = {name: job for name, job in jobs.items() if job.part == "real"}
+    tables, outputs = run_in_memory(real_jobs, scans, pair)
     point_ids, points = points_in(tables["ground", "real"])
     edges = edges_in(point_ids, tables["graph", "real"])
     labels = column(tables["communities", "real"], "community_id")
     scan = PartitionedScan(points, edges, labels, describe(points, labels, settings))
     repeats = _repeats(request, pair.pair_id, "all", request["repeats"]["global"])
     global_rows = [names | _altered_scan(scan, names, settings) for names in repeats]
-    candidates = objects_in(tables, pair.pair_id)
-    objects = choose_objects(candidates, request["objects"], settings.graph.k)
+    objects = choose_objects(objects_in(tables), pair.pair_id, request["objects"], settings.graph.k)
     object_rows = []
     baseline_rows = []
     for chosen in objects:

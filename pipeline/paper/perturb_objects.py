@@ -3,29 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
+import pandas as pd
 
 from ...schemas.errors import DatasetError
-from ...stages.statistics.typical_objects import (
-    SHAPES,
-    ChosenObject,
-    ScanObjects,
-    typical_of_class,
-    typical_of_shapes,
-)
-from ..engine.memory import PairTables
+from ..engine.worker import PairTables
 from ..jobs.points_job import column
+from ..results.object_frame import SHAPES
 
 #: The classes of the paper, section "Controlled Perturbation Analysis".
 CLASSES = ("vegetation", "car", "tree", "wall")
 #: An object of at most k + 1 points remains a complete graph under any alteration; a typical one has twice as many.
 LEAST_POINTS_OVER_K = 2
+PURE_SHARE = 0.75
 
 
-def choose_objects(scan: ScanObjects, names: Sequence[str] | None, k: int) -> list[ChosenObject]:
+@dataclass(frozen=True)
+class ChosenObject:
+    """Chosen object of a scan.
+
+    name : class or shape, or "object 7"
+    n_points, range_m : size and distance
+    why : text of the criterion of the choice
+    """
+
+    pair_id: str
+    community_id: int
+    name: str
+    n_points: int
+    range_m: float
+    why: str
+
+
+def choose_objects(
+    objects: pd.DataFrame, pair_id: str, names: Sequence[str] | None, k: int
+) -> list[ChosenObject]:
     """One object for each given name; by default for each class of the paper, otherwise for each shape class.
 
     A number is a community id, a label stands for the typical object of the class. Without objects
@@ -34,6 +49,7 @@ def choose_objects(scan: ScanObjects, names: Sequence[str] | None, k: int) -> li
 
     Parameters
     ----------
+    objects : from `objects_in`
     names : community ids and labels, or None
     k : neighbours of the graph, `graph.k`; a typical object has at least 2 k points
 
@@ -43,51 +59,91 @@ def choose_objects(scan: ScanObjects, names: Sequence[str] | None, k: int) -> li
         A community does not exist, or no object has the label.
     """
     least = LEAST_POINTS_OVER_K * k
-    if names is None:
-        typical = [typical_of_class(scan, name, least) for name in CLASSES]
-        chosen = [candidate for candidate in typical if candidate is not None]
-        return chosen or typical_of_shapes(scan, least)
-    by_id: dict[int, ChosenObject] = {}
-    for name in names:
-        candidate = _by_name(scan, name, least)
-        by_id.setdefault(candidate.community_id, candidate)
-    return list(by_id.values())
+    labels = set(objects["label"].dropna())
+    chosen: dict[int, tuple[str, str]] = {}
+    for name in names or CLASSES:
+        if names and name.isdigit() and int(name) < len(objects):
+            chosen.setdefault(int(name), (f"object {name}", "as requested"))
+        elif name in labels:
+            number, why = _typical_of_class(objects[objects["label"] == name], least)
+            chosen.setdefault(number, (name, why))
+        elif names:
+            raise DatasetError(
+                f"--objects {name}: expected an id of scan {pair_id} from 0 to "
+                f"{len(objects) - 1}, or one of its labels: {', '.join(sorted(labels)) or 'none'}"
+            )
+    found = []
+    for number, (name, why) in (chosen or _typical_of_shapes(objects, least)).items():
+        n_points = int(objects["n_points"].to_numpy()[number])
+        range_m = float(objects["range_m"].to_numpy()[number])
+        found.append(ChosenObject(pair_id, number, name, n_points, range_m, why))
+    return found
 
 
-def objects_in(tables: PairTables, scan_id: str) -> ScanObjects:
-    """The objects of the real side of a pair.
+def objects_in(tables: PairTables) -> pd.DataFrame:
+    """The objects of the real side of a pair by id: n_points, range_m, label, `SHAPES`, and `label_share`.
+
+    `label_share` is the share of the points of an object that have its label.
 
     Parameters
     ----------
     tables : among them ground, communities and objects
     """
-    ground = tables["ground", "real"]
-    objects = tables["objects", "real"]
+    ground = tables["ground", "real"].select(["is_ground", "label"]).to_pandas()
+    objects: pd.DataFrame = tables["objects", "real"].to_pandas()
     community = column(tables["communities", "real"], "community_id")
-    n_points = column(objects, "n_points")
-    labels = objects.column("label").to_pylist()
-    point_labels = ground.filter(pc.invert(ground.column("is_ground"))).column("label")
-    label_of_object = pa.array([labels[number] for number in community.tolist()], pa.string())
-    has_label = pc.fill_null(pc.equal(point_labels, label_of_object), False)
-    labelled = community[has_label.to_numpy(zero_copy_only=False)]
-    return ScanObjects(
-        pair_id=scan_id,
-        n_points=n_points,
-        range_m=column(objects, "range_m"),
-        labels=labels,
-        label_share=np.bincount(labelled, minlength=len(n_points)) / n_points,
-        shape=np.column_stack([column(objects, feature) for feature in SHAPES]),
-    )
+    labels = objects["label"].to_numpy()[community]
+    has_label = (ground.loc[~ground["is_ground"], "label"] == labels) & pd.notna(labels)
+    labelled = community[has_label.to_numpy()]
+    n_labelled = np.bincount(labelled, minlength=len(objects))
+    return objects.assign(label_share=n_labelled / objects["n_points"])
 
 
-def _by_name(scan: ScanObjects, name: str, least: int) -> ChosenObject:
-    if name.isdigit() and int(name) < len(scan.n_points):
-        return scan.chosen(int(name), f"object {name}", "as requested")
-    chosen = typical_of_class(scan, name, least)
-    if chosen is None:
-        labels = {label for label in scan.labels if label}
-        raise DatasetError(
-            f"--objects {name}: expected an id of scan {scan.pair_id} from 0 to "
-            f"{len(scan.n_points) - 1}, or one of its labels: {', '.join(sorted(labels)) or 'none'}"
-        )
-    return chosen
+def _typical_of_class(objects: pd.DataFrame, least: int) -> tuple[int, str]:
+    """Id of the typical object of a class, and why.
+
+    It is the one of median size among the objects of at least `least` points with three quarters of them of the label;
+    without such objects, the largest with that most frequent label.
+    """
+    pure = f"{PURE_SHARE:.0%} of the label"
+    typical = objects[(objects["label_share"] >= PURE_SHARE) & (objects["n_points"] >= least)]
+    if typical.empty:
+        largest: Any = objects["n_points"].idxmax()
+        return int(largest), f"the largest; none has {least} points and {pure}"
+    why = f"median size of {len(typical)} with {least} points and {pure} or more"
+    return _median_sized(typical), why
+
+
+def _typical_of_shapes(objects: pd.DataFrame, least: int) -> dict[int, tuple[str, str]]:
+    """One object for each shape, no object twice: id, and shape and why.
+
+    The shape of an object is that of the largest of the three features; among the objects of a shape and at least
+    `least` points the one of median size is chosen. Then shapes without an object get the nearest of the others; one
+    without a remaining object is left out.
+    """
+    large = objects[objects["n_points"] >= least]
+    free = objects if large.empty else large
+    n_candidates = len(free)
+    shapes = large[[*SHAPES]].to_numpy().argmax(axis=1) if len(large) else np.empty(0)
+    chosen: dict[str, tuple[int, str]] = {}
+    for i, name in enumerate(SHAPES.values()):
+        typical = large[shapes == i]
+        if len(typical):
+            why = f"median size of {len(typical)} {name} objects"
+            chosen[name] = _median_sized(typical), why
+            free = free.drop(index=chosen[name][0])
+    for feature, name in SHAPES.items():
+        if name not in chosen and len(free):
+            nearest: Any = free[feature].idxmax()
+            rest = "" if len(free) == n_candidates else " of the others"
+            share = f"{free.loc[nearest, feature]:.2f}"
+            why = f"none mostly {name}; this one has the largest {feature}{rest}, {share}"
+            chosen[name] = int(nearest), why
+            free = free.drop(index=nearest)
+    return {chosen[name][0]: (name, chosen[name][1]) for name in SHAPES.values() if name in chosen}
+
+
+def _median_sized(objects: pd.DataFrame) -> int:
+    """Id of the object of median size; for an even number the smaller one."""
+    by_size: Any = objects.sort_values("n_points", kind="stable").index
+    return int(by_size[(len(by_size) - 1) // 2])

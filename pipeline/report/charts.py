@@ -6,39 +6,22 @@ page replaces by their values. The charts of one pair are drawn by the page.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import orjson
-import pandas as pd
 
-from ...schemas.metric_catalogue import METRIC
 from ...schemas.results import Evidence
-from ...stages.statistics.findings import evenly
-from ..results.object_frame import CDC_LIMIT, QUADRANTS, R_LAMBDA_LIMIT
 from .look import (
     BLUE,
     OUTCOME_COLOURS,
     OUTCOME_WORDS,
-    QUADRANT_COLOURS,
     VERMILION,
-    in_chart,
     of_theme,
     on_page,
 )
-from .run_frames import RunResults, axis_title, quadrants
+from .run_frames import RunResults
 
 Chart = dict[str, Any]  #: data and layout
-
-#: More dots would make a page slow; the text next to the chart then names the part that is shown.
-MOST_DOTS = 3000
-#: Scores along the sequence: symbol and colour.
-_SEQUENCE = {
-    "match_rate": ("square", of_theme("soft")),
-    "r_lambda": ("circle", of_theme("ink")),
-    "cdc": ("diamond-open", of_theme("ink")),
-}
 
 _INK = of_theme("ink")
 _SOFT = of_theme("soft")
@@ -70,92 +53,27 @@ TEMPLATE: Chart = {
 }
 
 
-def run_charts(results: RunResults) -> dict[str, Chart]:
-    """The charts of a whole run, by the id of their place in the page."""
-    charts = {"quadrants": _quadrants(results), "sequence": _sequence(results)}
-    outcomes = ray_outcomes(results)
-    if len(outcomes):
-        charts["rays_range"] = _rays(outcomes)
-    return charts
+def rays_chart(results: RunResults) -> Chart | None:
+    """Shares of the outcomes of rays by range, stacked, over the scored pairs; None without rays.
 
-
-def ray_outcomes(results: RunResults) -> pd.DataFrame:
-    """Shares of the outcomes of rays by range, over the scored pairs.
-
-    Rows are ranges, by name and so near to far; columns the outcomes, and `n_rays`.
+    Ranges are in the order of their names and so from near to far.
     """
     names = results.pairs.pair_id.tolist()
     rows = results.run.table("ray_scores", names).to_pandas().query("by == 'range'")
-    columns = {f"rays_{name}": name for name in OUTCOME_COLOURS}
-    counts = rows[[*columns]].mul(rows.n_rays, axis=0).rename(columns=columns)
-    total = counts.assign(n_rays=rows.n_rays).groupby(rows.band).sum()
-    return total.div(total.n_rays, axis=0).assign(n_rays=total.n_rays)
-
-
-def along_the_sequence(results: RunResults) -> pd.DataFrame:
-    """The scored pairs by the time of their real scans if known of each, else by name.
-
-    Their `place` is the number of seconds since the first one, or their number from 1.
-    """
-    pairs = results.pairs
-    times_s = pairs.pair_id.map(results.run.record.times_s).astype(float)
-    if times_s.notna().all():
-        return pairs.assign(place=times_s - times_s.min()).sort_values(["place", "pair_id"])
-    return pairs.sort_values("pair_id").assign(place=np.arange(1.0, len(pairs) + 1))
-
-
-def _quadrants(results: RunResults) -> Chart:
-    """r_lambda over CDC, one dot per object.
-
-    Of too many objects those evenly over the order from worst to best.
-    """
-    scored = results.matched[results.matched.r_lambda.notna()]
-    dots = scored.iloc[evenly(len(scored), MOST_DOTS)]
-    counted = quadrants(results)
-    data = []
-    for key in QUADRANTS:
-        rows = dots[dots.quadrant == key]
-        titles = []
-        for row in rows.itertuples():
-            titles.append(f"pair {in_chart(str(row.pair_id))}, object {row.real_id}")
-        data.append(
-            {
-                "mode": "markers",
-                "name": f"{key}: {counted[key]['n']} ({100 * counted[key]['share']:.0f} %)",
-                "x": rows.cdc.to_numpy(np.float32),
-                "y": rows.r_lambda.to_numpy(np.float32),
-                "customdata": rows[["pair", "name"]].to_numpy().tolist(),
-                "text": titles,
-                "hovertemplate": "%{text}<br>CDC %{x:.3f}<br>r_lambda %{y:.3f}<extra></extra>",
-                "marker": {"color": QUADRANT_COLOURS[key], "size": 6, "opacity": 0.8},
-                "cliponaxis": False,
-            }
-        )
-    limits = []
-    for x, y in (((CDC_LIMIT, CDC_LIMIT), (0, 1)), ((0, 2), (R_LAMBDA_LIMIT, R_LAMBDA_LIMIT))):
-        ends = {"x0": x[0], "x1": x[1], "y0": y[0], "y1": y[1]}
-        limits.append({"type": "line", "line": {"width": 1}, **ends})
-    layout = {
-        "xaxis": {"range": [0, 2.02], "title": {"text": axis_title("cdc")}},
-        "yaxis": {"range": [0, 1.02], "title": {"text": axis_title("r_lambda")}},
-        "shapes": limits,
-        "legend": {"font": {"size": 11}},
-    }
-    return _chart(data, layout)
-
-
-def _rays(outcomes: pd.DataFrame) -> Chart:
-    """Shares of the outcomes of rays by range, stacked."""
+    n_rays = rows.n_rays.groupby(rows.band).sum()
+    if n_rays.empty:
+        return None
     data = []
     for name, colour in OUTCOME_COLOURS.items():
         words = OUTCOME_WORDS[name]
+        counts = (rows[f"rays_{name}"] * rows.n_rays).groupby(rows.band).sum()
         data.append(
             {
                 "type": "bar",
                 "name": words,
-                "x": outcomes.index.tolist(),
-                "y": 100 * outcomes[name].to_numpy(),
-                "customdata": outcomes.n_rays.to_numpy(),
+                "x": n_rays.index.tolist(),
+                "y": (100 * counts / n_rays).tolist(),
+                "customdata": n_rays.tolist(),
                 "marker": {"color": on_page(colour)},
                 "hovertemplate": f"%{{y:.1f}} % {words} of %{{customdata:,}} rays<extra></extra>",
             }
@@ -166,36 +84,7 @@ def _rays(outcomes: pd.DataFrame) -> Chart:
         "xaxis": {"type": "category", "showgrid": False},
         "yaxis": {"title": {"text": "share of the rays (%)"}},
     }
-    return _chart(data, layout)
-
-
-def _sequence(results: RunResults) -> Chart:
-    """Match rate and the means of both scores of each pair, one after the other."""
-    pairs = along_the_sequence(results)
-    rows = pairs.iloc[evenly(len(pairs), MOST_DOTS)]
-    titles = [f"pair {in_chart(name)}" for name in rows.pair_id]
-    data = []
-    for score, (symbol, colour) in _SEQUENCE.items():
-        metric = METRIC[score]
-        data.append(
-            {
-                "mode": "lines+markers",
-                "name": f"{metric.label} ({metric.scale})",
-                "x": rows.place.to_numpy(),
-                "y": rows[metric.pair_column].to_numpy(dtype=float),
-                "text": titles,
-                "hovertemplate": f"%{{text}}<br>{metric.label} %{{y:.3f}}<extra></extra>",
-                "line": {"color": colour, "width": 1},
-                "marker": {"color": colour, "size": 7, "symbol": symbol},
-            }
-        )
-    along = "seconds, or number of the pair"
-    layout = {
-        "xaxis": {"title": {"text": along}, "nticks": min(10, len(rows))},
-        "yaxis": {"rangemode": "tozero", "title": {"text": "match rate, means of scores"}},
-        "margin": {"t": 30},
-    }
-    return _chart(data, layout)
+    return {"data": data, "layout": layout}
 
 
 def evidence_chart(evidence: Evidence) -> Chart:
@@ -214,7 +103,8 @@ def evidence_chart(evidence: Evidence) -> Chart:
     for name, (values, colour, dash) in curves.items():
         if values:
             line = {"color": on_page(colour), "dash": dash}
-            data.append({"name": name, "x": evidence.x[part], "y": values[part], "line": line})
+            look = {"type": "scatter", "mode": "lines", "name": name, "line": line}
+            data.append({**look, "x": evidence.x[part], "y": values[part]})
     small = {"size": 9}
     layout = {
         "xaxis": {"nticks": 6},
@@ -223,13 +113,4 @@ def evidence_chart(evidence: Evidence) -> Chart:
         "margin": {"l": 36, "r": 8, "t": 8, "b": 18},
         "font": small,
     }
-    return _chart(data, layout)
-
-
-def _chart(data: Sequence[Mapping[str, Any]], layout: Chart) -> Chart:
-    """Traces (lines by default) and their layout as JSON: arrays as lists, NaN as null."""
-    traces = [{"type": "scatter", "mode": "lines", **trace} for trace in data]
-    content = {"data": traces, "layout": layout}
-    text = orjson.dumps(content, np.ndarray.tolist, orjson.OPT_SERIALIZE_NUMPY)
-    chart: Chart = orjson.loads(text)
-    return chart
+    return {"data": data, "layout": layout}

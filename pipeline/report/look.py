@@ -5,10 +5,7 @@ Colours that colour-blind readers can distinguish, and names of any characters.
 
 from __future__ import annotations
 
-from html import escape
-
 from ..results.object_frame import UNKNOWN
-from ..terminal import shown
 
 #: Okabe and Ito, Color Universal Design (2008), vermilion darker for a contrast of 5 on white. One
 #: meaning per colour: blue and vermilion are the sides, green is good, crimson is bad, purple is
@@ -108,11 +105,6 @@ def on_page(colour: str) -> str:
 def clipped(text: str, most: int = 22) -> str:
     """Text truncated to at most `most` characters, ending in an ellipsis."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
-
-
-def in_chart(name: str, most: int = 22) -> str:
-    """A name for a text of plotly, which reads a little markup: shortened and escaped."""
-    return escape(clipped(shown(name), most), quote=False)
 
 
 #: Colours that the pages' JavaScript draws with.

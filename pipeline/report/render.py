@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
@@ -75,12 +73,12 @@ def csv_table(table: Table) -> str:
     -5
     -0.5
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table.headings)
-    for row in table.rows:
-        writer.writerow(map(_in_spreadsheet, row))
-    return text.getvalue()
+    import pandas as pd  # takes as long to load as all else here
+
+    rows = [[*map(_in_spreadsheet, row)] for row in table.rows]
+    frame = pd.DataFrame(rows, columns=[*table.headings], dtype=object)
+    text: str = frame.to_csv(index=False, lineterminator="\n")
+    return text
 
 
 def _in_terminal(part: Part) -> RenderableType:

@@ -23,7 +23,7 @@ from ...stages.statistics.validation import double_validation_metric
 from ...stages.summary import mean_and_std
 from ..storage.run_record import read_run
 from ..storage.urls import url_or_path
-from .finished import FinishedRun, differences, settings_changes
+from .finished import FinishedRun, settings_changes, version_changes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -193,18 +193,13 @@ def excess_over(run: FinishedRun, best_case: Path, pairs: Sequence[str] | None =
         )
     of_pairs = [_pairs(run, names), _pairs(other, names)]
     of_objects = [_matched(run, names), _matched(other, names)]
-    versions = differences(run.record.stages, other.record.stages)
-    libraries = differences(run.record.libraries, other.record.libraries)
     return RunExcess(
         run=run.folder,
         best_case=best_case,
         recipe=recipe,
         pairs=names,
         left_out=tuple(name for name in wanted if name not in scored),
-        notes=tuple(
-            f"{name}: {a} in the run and {b} in its best case"
-            for name, a, b in [*versions, *libraries]
-        ),
+        notes=tuple(version_changes(run, other)),
         scores={column: _excess(column, names, of_pairs, of_objects) for column in SCORES},
         task_gaps=other.record.task_gaps,
     )

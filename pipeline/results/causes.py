@@ -85,9 +85,7 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseVal
     RunError
         A table is damaged or gone.
     """
-    table, n_rows = store.read_pairs(pair_ids, {("causes", ""): _COLUMNS})["causes", ""]
-    frame = table.to_pandas()
-    frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
+    frame = store.read_pairs(pair_ids, {("causes", ""): _COLUMNS})["causes", ""]
     return _by_cause(frame, sorted(CAUSES), len(pair_ids))
 
 
@@ -98,7 +96,7 @@ def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, CauseValu
     rows = []
     for pair, of_pair in enumerate(amounts):
         rows += [{"pair": pair, "cause": name} | vars(amount) for name, amount in of_pair.items()]
-    frame = pd.DataFrame(rows)
+    frame = pd.DataFrame(rows, columns=["pair", *_COLUMNS])
     return _by_cause(frame, frame["cause"].unique(), len(amounts))
 
 
@@ -178,10 +176,10 @@ def no_cause_words(unknown: Sequence[Unknown]) -> str:
     return f"no cause can be named: {n_unknown} of {n_causes} are unknown ({largest.reason})"
 
 
-def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | None:
-    """A cause with its mean amount over the pairs, also if it is too small to be named; None if it is unknown."""
+def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | Unknown:
+    """A cause with its mean amount over the pairs, also if it is too small to be named."""
     if not _is_known(values.amount):
-        return None
+        return Unknown(causes=(name,), reason=values.reason)
     return _cause(CAUSES[name], values, values.amount, independent_blocks(blocks))
 
 

@@ -7,11 +7,13 @@ estimates; so a change of the pose or of the world counts only if undoing it bri
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
+import pandas as pd
 
 from ...schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS
 from ...schemas.columns import Row
@@ -43,6 +45,7 @@ from .causes import (
 from .diagnosis import LEAST_PART
 from .finished import FinishedRun
 
+Result = TypeVar("Result")
 #: Pairs that are compared between the simulated scans, and of which corrections are tried, evenly over all.
 MOST_BETWEEN, MOST_CORRECTED = 40, 10
 #: Flat surface that is elsewhere than before is reported from this share on, if corrections bring back less than half.
@@ -61,6 +64,10 @@ _CONFIRMED = frozenset(
         FLAT,
     )
 )
+#: Folders of two runs, a pair of both, and by cause the amount of the change to undo.
+_Task = tuple[Path, Path, str, dict[str, float]]
+#: Gains of undoing the changes, and the flat surface elsewhere before and after.
+_Undone = tuple[Shares, float, float]
 #: Part of the distance between the simulated scans from which a gain counts more than what no correction undoes.
 _LEAST_GAIN = 0.1
 
@@ -96,20 +103,6 @@ class Changes:
     elsewhere: float | None = None
 
 
-@dataclass(frozen=True)
-class _PairTask:
-    """Two simulated scans of one pair.
-
-    base, other : folders of the runs
-    excess : by cause, the amount of the change to be corrected
-    """
-
-    base: Path
-    other: Path
-    pair_id: str
-    excess: tuple[tuple[str, float], ...] = ()
-
-
 def find_changes(
     base: FinishedRun,
     other: FinishedRun,
@@ -132,9 +125,15 @@ def find_changes(
     """
     before, after = read_causes(base.store, names), read_causes(other.store, names)
     between = _measure_between(base, other, names, reporter)
-    found = changed_causes(before, after, between, blocks)
-    gains, elsewhere = _undo(base, other, names, found, reporter)
-    confirmed, doubtful = confirm_changes(found, gains) if gains else (found, [])
+    confirmed = changed_causes(before, after, between, blocks)
+    excess = {cause.name: cause.estimate for cause in confirmed}
+    corrected = _evenly(names, MOST_CORRECTED)
+    undone = _map_pairs(undo_changes, base, other, corrected, excess, reporter).values()
+    doubtful: list[Cause] = []
+    elsewhere = None
+    if undone:
+        confirmed, doubtful = confirm_changes(confirmed, [gains for gains, _, _ in undone])
+        elsewhere = elsewhere_share([shares for _, *shares in undone])
     changed = [_changed(cause, before, after, blocks) for cause in confirmed]
     return Changes(tuple(changed), tuple(cause.words for cause in doubtful), elsewhere)
 
@@ -148,40 +147,54 @@ def _is_same_scan(base: FinishedRun, other: FinishedRun, name: str) -> bool:
     return bool(base.record.inputs[name]["sim"] == other.record.inputs[name]["sim"])
 
 
+def _map_pairs(
+    function: Callable[[_Task], Result | None],
+    base: FinishedRun,
+    other: FinishedRun,
+    names: Sequence[str],
+    excess: dict[str, float],
+    reporter: Reporter | None,
+) -> dict[str, Result]:
+    """Results by pair, without those that are empty and those of one simulated scan in both runs."""
+    tasks = {
+        name: (base.folder, other.folder, name, excess)
+        for name in names
+        if not _is_same_scan(base, other, name)
+    }
+    n_workers = None if len(tasks) > _FEW else 1
+    results, _ = map_tasks(function, tasks, reporter or Reporter(), n_workers=n_workers)
+    found = {}
+    for name in tasks:
+        if result := results.get(name):
+            found[name] = result
+    return found
+
+
 def _measure_between(
     base: FinishedRun, other: FinishedRun, names: Sequence[str], reporter: Reporter | None
 ) -> dict[str, FloatArray]:
     """By cause, the amounts between the two simulated scans, (n,), NaN for pairs that were not measured."""
     chosen = _evenly(names, MOST_BETWEEN)
-    tasks = {name: _PairTask(base.folder, other.folder, name) for name in chosen}
-    tasks = {name: task for name, task in tasks.items() if not _is_same_scan(base, other, name)}
-    measured, _ = map_tasks(
-        measure_between, tasks, reporter or Reporter(), n_workers=None if len(tasks) > _FEW else 1
-    )
-    known = {name: amounts for name, amounts in measured.items() if amounts}
-    if 2 * (len(tasks) - len(known)) >= max(len(chosen), 1):
+    same = [name for name in chosen if _is_same_scan(base, other, name)]
+    measured = _map_pairs(measure_between, base, other, chosen, {}, reporter)
+    if 2 * (len(chosen) - len(same) - len(measured)) >= len(chosen):
         return {}
-    causes = {cause for amounts in known.values() for cause in amounts}
-    values = {
-        cause: np.full(len(names), np.nan)
-        for cause in (*PARAMETERS, *sorted(causes - {*PARAMETERS}))
-    }
-    rows = {name: row for row, name in enumerate(names)}
-    for name in chosen:
-        amounts = known.get(name, {}) if name in tasks else dict.fromkeys(values, 0.0)
-        for cause, amount in amounts.items():
-            values[cause][rows[name]] = amount
-    return values
+    amounts = pd.DataFrame.from_dict(measured, orient="index", dtype=np.float64)
+    causes = [*PARAMETERS, *amounts.columns.difference([*PARAMETERS])]
+    amounts = amounts.reindex(index=[*names], columns=causes)
+    amounts.loc[same] = 0.0
+    return {cause: amounts[cause].to_numpy() for cause in causes}
 
 
-def measure_between(task: _PairTask) -> dict[str, float]:
+def measure_between(task: _Task) -> dict[str, float]:
     """Amounts between the simulated scans of a pair; empty without enough surface in common, or in another frame."""
+    *folders, pair_id, _ = task
     sides = []
-    for folder in (task.base, task.other):
-        frames = RunFolder(folder).ledger.jobs(task.pair_id)["sensor", "sim"].metadata.get(FRAMES)
+    for folder in folders:
+        frames = RunFolder(folder).ledger.jobs(pair_id)["sensor", "sim"].metadata.get(FRAMES)
         if frames and FrameCheck(**frames).is_other_frame:
             return {}
-        sides.append(_sim_side(folder, task.pair_id))
+        sides.append(_sim_side(folder, pair_id))
     found = estimate_between(*sides)
     return {} if found is None else found[1]
 
@@ -201,29 +214,6 @@ def _sim_side(folder: Path, pair_id: str) -> Side:
         settings.get("sensor_position"),
         settings.get("voxel_m"),
     )
-
-
-def _undo(
-    base: FinishedRun,
-    other: FinishedRun,
-    names: Sequence[str],
-    found: Sequence[Cause],
-    reporter: Reporter | None,
-) -> tuple[list[Shares], float | None]:
-    """Gains of undoing the changes in some pairs, and the share of surface that stays elsewhere."""
-    excess = tuple((cause.name, cause.estimate) for cause in found)
-    tasks = {
-        name: _PairTask(base.folder, other.folder, name, excess)
-        for name in _evenly(names, MOST_CORRECTED)
-        if not _is_same_scan(base, other, name)
-    }
-    corrected, _ = map_tasks(
-        undo_changes, tasks, reporter or Reporter(), n_workers=None if len(tasks) > _FEW else 1
-    )
-    known = [result for result in corrected.values() if result is not None]
-    if not known:
-        return [], None
-    return [gains for gains, _, _ in known], elsewhere_share([shares for _, *shares in known])
 
 
 def confirm_changes(
@@ -268,13 +258,14 @@ def elsewhere_share(shares: Sequence[Sequence[float]]) -> float | None:
     return after if after >= LEAST_ELSEWHERE and after > before / 2 else None
 
 
-def undo_changes(task: _PairTask) -> tuple[Shares, float, float] | None:
+def undo_changes(task: _Task) -> _Undone | None:
     """Gains of undoing the changes of a pair, and the flat surface elsewhere before and after."""
-    base, sim = _sim_side(task.base, task.pair_id), _sim_side(task.other, task.pair_id)
+    base_folder, other_folder, pair_id, excess = task
+    base, sim = _sim_side(base_folder, pair_id), _sim_side(other_folder, pair_id)
     pose = fit_pose(base, sim)
     if pose is None:
         return None
-    return changes(base, sim, pose, dict(task.excess), np.random.default_rng(SEED))
+    return changes(base, sim, pose, excess, np.random.default_rng(SEED))
 
 
 def _changed(
@@ -303,12 +294,10 @@ def _mean(amounts: FloatArray, blocks: IntArray) -> float | None:
 
 def _verdict(before: float | None, after: float | None, resolution: float) -> str:
     """Worse or better by the distance from no flaw."""
-    if before is None or after is None:
-        return (
-            "worse"
-            if before is None and after is not None and abs(after) > resolution
-            else "changed"
-        )
+    if after is None:
+        return "changed"
+    if before is None:
+        return "worse" if abs(after) > resolution else "changed"
     nearer = abs(before) - abs(after)
     if abs(nearer) <= resolution / 2:
         return "changed"

@@ -9,26 +9,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from ...schemas.columns import Row
 from ...schemas.errors import RunError
+from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import KINDS, LEAST_FLIPPED, LEAST_PAIRS
+from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
 from .best_case import RunExcess, excess_over
 from .changes import Changes, change_rows, find_changes
-from .families import FamilyChange, ScoreChange, judge_families, overall, score_rows
-from .finished import FinishedRun, differences, partition_note, settings_changes
+from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall, score_rows
+from .finished import FinishedRun, partition_note, settings_changes, version_changes
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, by_class, by_range, follow
 from .independence import how_found, pairs_and_places
 from .object_frame import plain_rows
-from .sectors import N_SECTORS, sector_rows
+from .sectors import N_SECTORS, sector_frame
 
 #: Largest number of runs in one command.
 MOST_RUNS = 8
@@ -61,16 +62,16 @@ class Comparison:
     left_out: dict[str, str]
     lost: tuple[str, ...]
     failed: tuple[str, ...]
-    unfollowed: tuple[str, ...]
     settings: tuple[str, ...]
     notes: tuple[str, ...]
-    changes: Changes
-    families: tuple[FamilyChange, ...]
-    objects: pd.DataFrame
     n_places: int
     counted: str
     by_direction: bool
     on_partition: str
+    unfollowed: tuple[str, ...] = ()
+    changes: Changes = field(default_factory=Changes)
+    families: tuple[FamilyChange, ...] = ()
+    objects: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=CHANGE_COLUMNS))
     excess: tuple[RunExcess, RunExcess] | None = None
 
     @property
@@ -120,16 +121,7 @@ class Comparison:
 
     def as_dict(self) -> JsonObject:
         """Plain values, for programs."""
-        as_they_are = vars(self).keys() - {
-            "base",
-            "other",
-            "changes",
-            "families",
-            "objects",
-            "excess",
-        }
-        plain = {name: value for name, value in vars(self).items() if name in as_they_are}
-        return plain | {
+        plain = vars(self) | {
             "base": str(self.base),
             "other": str(self.other),
             "decision": self.decision,
@@ -142,6 +134,8 @@ class Comparison:
             "by_class": by_class(self.objects),
             "by_range": by_range(self.objects),
         }
+        del plain["changes"]
+        return plain
 
 
 def compare_runs(
@@ -171,55 +165,31 @@ def compare_runs(
     for other in others:
         settings = settings_changes(base, other)
         if settings and not allow_different_settings:
-            raise RunError(_settings_differ(base, other, settings))
-        comparisons.append(_compare(base, other, settings, best_case, independent, reporter))
+            raise RunError(
+                f"runs {base.folder} and {other.folder}: settings differ ({'; '.join(settings)}), so "
+                "that a difference need not be the simulator's; run both with the same settings, or "
+                "give --allow-different-settings"
+            )
+        comparison = _pairs_of(base, other, settings, independent=independent)
+        if comparison.pairs:
+            comparison = _compared(comparison, base, other, best_case, independent, reporter)
+        comparisons.append(comparison)
     return comparisons
 
 
-def _settings_differ(base: FinishedRun, other: FinishedRun, differing: Sequence[str]) -> str:
-    presets = (
-        "" if base.preset == other.preset else f"preset {base.preset} and preset {other.preset}: "
-    )
-    return (
-        f"runs {base.folder} and {other.folder}: settings differ "
-        f"({presets}{'; '.join(differing)}), so that a "
-        "difference need not be the simulator's; run both with the same settings, or give "
-        "--allow-different-settings"
-    )
-
-
-def _compare(
-    base: FinishedRun,
-    other: FinishedRun,
-    settings: Sequence[str],
-    best_case: Path | None,
-    independent: bool,
-    reporter: Reporter | None,
+def _pairs_of(
+    base: FinishedRun, other: FinishedRun, settings: Sequence[str], *, independent: bool
 ) -> Comparison:
-    """One run against the base; `settings` differ."""
+    """A comparison without results: the pairs of both runs, and what else differs."""
     left_out = pairs_left_out(base, other)
     names = [row["pair_id"] for row in base.scored if row["pair_id"] not in left_out]
     lost = [row["pair_id"] for row in base.scored if row["pair_id"] in left_out]
-    failed_now = {row["pair_id"] for row in other.rows if row["status"] != "scored"}
-    failed = [name for name in lost if name in failed_now]
+    failed = [name for name in lost if other.rows_by_name.get(name, {}).get("status") == "failed"]
     if not names and not failed:
         reasons = [f"{name!r}: {reason}" for name, reason in left_out.items()]
         why = "; ".join(reasons[:3]) or "no pair is scored"
         raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why})")
-    blocks = np.arange(len(names), dtype=np.int32) if independent else base.places(names)
-    n_places = len(np.unique(blocks))
-    by_direction = n_places < min(LEAST_FLIPPED, len(names))
-    excess = None
-    changes = Changes()
-    families: tuple[FamilyChange, ...] = ()
-    objects = pd.DataFrame(columns=CHANGE_COLUMNS)
-    unfollowed: list[str] = []
-    if names:
-        if best_case is not None:
-            excess = excess_over(base, best_case, names), excess_over(other, best_case, names)
-        changes = find_changes(base, other, names, blocks, reporter)
-        families = _families(base, other, names, blocks, by_direction, excess, changes)
-        objects, unfollowed = follow(_real_objects(base, names), _real_objects(other, names))
+    n_places = len(np.unique(_blocks(base, names, independent=independent)))
     return Comparison(
         base=base.folder,
         other=other.folder,
@@ -227,72 +197,93 @@ def _compare(
         left_out=left_out,
         lost=tuple(lost),
         failed=tuple(failed),
-        unfollowed=tuple(unfollowed),
         settings=tuple(settings),
         notes=tuple(_notes(base, other)),
+        n_places=n_places,
+        counted=_counted(base, names, n_places, independent=independent),
+        by_direction=n_places < min(LEAST_FLIPPED, len(names)),
+        on_partition=partition_note((base, other)),
+    )
+
+
+def _blocks(base: FinishedRun, names: Sequence[str], *, independent: bool) -> IntArray:
+    """(n,) independent place of each pair."""
+    return np.arange(len(names), dtype=np.int32) if independent else base.places(names)
+
+
+def _compared(
+    comparison: Comparison,
+    base: FinishedRun,
+    other: FinishedRun,
+    best_case: Path | None,
+    independent: bool,
+    reporter: Reporter | None,
+) -> Comparison:
+    """The comparison with its causes, families and objects."""
+    names = comparison.pairs
+    blocks = _blocks(base, names, independent=independent)
+    best_cases: dict[str, float | None] = {}
+    excess = None
+    if best_case is not None:
+        excess = excess_over(base, best_case, names), excess_over(other, best_case, names)
+        for column, score in excess[0].scores.items():
+            best_cases[column] = score.best_case_from_equal
+        best_cases |= excess[0].task_gaps
+    changes = find_changes(base, other, names, blocks, reporter)
+    sectors = None
+    if comparison.by_direction:
+        of_sectors = [sector_frame(run, names) for run in (base, other)]
+        directions = (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
+        sectors = ScoredPairs(of_sectors, directions)
+        blocks = np.arange(len(names), dtype=np.int32)
+    families = judge_families(
+        base.preset if base.preset == other.preset else "paper",
+        ScoredPairs(_scores(base, other, names), blocks),
+        sectors=sectors,
+        seed_noise=_noise_of_seeds(base, other, names),
+        best_cases=best_cases,
+        worse_causes=[change.cause.name for change in changes.causes if change.verdict == "worse"],
+    )
+    real_objects = [run.objects_of(names, FOLLOWED_COLUMNS, ("real",)) for run in (base, other)]
+    objects, unfollowed = follow(*real_objects)
+    return replace(
+        comparison,
         changes=changes,
         families=families,
         objects=objects,
-        n_places=n_places,
-        counted=_counted(base, names, n_places, independent=independent),
-        by_direction=by_direction,
-        on_partition=partition_note((base, other)),
+        unfollowed=tuple(unfollowed),
         excess=excess,
     )
 
 
-def _families(
-    base: FinishedRun,
-    other: FinishedRun,
-    names: Sequence[str],
-    blocks: IntArray,
-    by_direction: bool,
-    excess: tuple[RunExcess, RunExcess] | None,
-    changes: Changes,
-) -> tuple[FamilyChange, ...]:
-    """The families of scores of the world."""
-    rows = {name: (base.row(name), other.row(name)) for name in names}
-    if base.record.tasks and other.record.tasks and _have_same_tasks(base, other):
-        for name, (before, after) in rows.items():
-            rows[name] = (before | _task_gaps(base, name), after | _task_gaps(other, name))
-    sectors = None
-    if by_direction:
-        both = zip(sector_rows(base, names), sector_rows(other, names), strict=True)
-        directions = (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
-        sectors = {str(i): sector for i, sector in enumerate(both)}, directions
-        blocks = np.arange(len(names), dtype=np.int32)
-    best_cases = {}
-    if excess is not None:
-        best_cases = {
-            column: score.best_case_from_equal for column, score in excess[0].scores.items()
-        }
-        best_cases |= excess[0].task_gaps
-    return judge_families(
-        base.preset if base.preset == other.preset else "paper",
-        rows,
-        blocks,
-        _noise_of_seeds(base, other, len(names)),
-        best_cases,
-        sectors,
-        [change.cause.name for change in changes.causes if change.verdict == "worse"],
-    )
+def _scores(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> list[pd.DataFrame]:
+    """The rows of `pairs` of both runs, with the gaps of tasks where they have the same."""
+    frames = []
+    for run in (base, other):
+        frame = run.pairs.set_index("pair_id").loc[[*names]]
+        if base.record.tasks and other.record.tasks and _have_same_tasks(base, other):
+            frame = frame.join(run.task_gaps)
+        frames.append(frame)
+    return frames
 
 
-def _noise_of_seeds(base: FinishedRun, other: FinishedRun, n_pairs: int) -> dict[str, float]:
-    """Difference of two means over n pairs that Louvain seeds alone make, by column, if both runs were repeated."""
+def _noise_of_seeds(
+    base: FinishedRun, other: FinishedRun, names: Sequence[str]
+) -> dict[str, float]:
+    """Difference of two means over pairs that Louvain seeds alone make, by column, if both runs were repeated."""
     if base.record.seeds is None or other.record.seeds is None:
         return {}
+    seeds = [run.table("seeds", names).to_pandas() for run in (base, other)]
     noise = {}
-    for column, spread in base.record.seeds.dataset.items():
-        least = spread.least_pair
-        other_least = other.record.seeds.dataset[column].least_pair
-        if least is not None and other_least is not None:
-            noise[column] = math.hypot(least, other_least) / math.sqrt(2 * n_pairs)
+    for column in SEEDED_SCORES:
+        least = []
+        for frame in seeds:
+            of_pairs = frame.pivot(index="pair_id", columns="seed", values=column)
+            least.append(spread(of_pairs.to_numpy()).least_pair)
+        known = [value for value in least if value is not None]
+        if len(known) == len(least):
+            noise[column] = math.hypot(*known) / math.sqrt(2 * len(names))
     return noise
-
-
-def _real_objects(run: FinishedRun, names: Sequence[str]) -> pd.DataFrame:
-    return run.objects_of(names, FOLLOWED_COLUMNS, sides=("real",))
 
 
 def _counted(base: FinishedRun, names: Sequence[str], n_places: int, *, independent: bool) -> str:
@@ -311,37 +302,20 @@ def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
     """Other things that can change a number: scans that are not in one frame or place, code of stages, libraries."""
     notes = []
     for run in (base, other):
-        unfit = list(run.record.frames)
-        if unfit:
-            named = unfit[0] if len(unfit) == 1 else f"{unfit[0]} ..."
+        n_unfit = len(run.record.frames)
+        if n_unfit:
             notes.append(
-                f"{run.folder}: scans are not in one frame or show two places, but count: "
-                f"{len(unfit)} of "
-                f"{len(run.scored)} pairs ({named}); see fidpipe show {run.folder}"
+                f"{run.folder}: {n_unfit} of {len(run.scored)} pairs are not in one frame or show "
+                f"two places, but count; see fidpipe show {run.folder}"
             )
-    a, b = base.record, other.record
-    if a.tasks and b.tasks and not _have_same_tasks(base, other):
+    if base.record.tasks and other.record.tasks and not _have_same_tasks(base, other):
         notes.append("the runs have other settings of tasks: these are not compared")
-    notes += [
-        f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)
-    ]
-    notes += [
-        f"library {name}: {x} and {y}" for name, x, y in differences(a.libraries, b.libraries)
-    ]
-    return notes
+    return notes + version_changes(base, other)
 
 
 def _have_same_tasks(base: FinishedRun, other: FinishedRun) -> bool:
     """True if the tasks of both runs have the same settings."""
     return bool(base.record.settings.get("tasks") == other.record.settings.get("tasks"))
-
-
-def _task_gaps(run: FinishedRun, pair_id: str) -> Row:
-    """The gap of each measure of the tasks of a pair, by names such as `objects.lost`."""
-    job = run.store.ledger.jobs(pair_id).get(("tasks", ""))
-    if job is None:
-        return {}
-    return {f"{gap['task']}.{gap['measure']}": gap["gap"] for gap in job.metadata["gaps"]}
 
 
 def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:

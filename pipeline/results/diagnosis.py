@@ -7,16 +7,14 @@ the amounts that were corrected.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...schemas.cause_catalogue import BEST_CASE_ACCURACY, CAUSES, PARAMETERS
 from ...schemas.record import RunRecord
 from ...schemas.results import Cause, Diagnosis, Evidence, Overview
-from ...stages.arrays import FloatArray
 from ...stages.causes.axes import AXES
-from ..stage import AMOUNTS, CURVES, DISTANCES
+from ..stage import AMOUNTS, CURVES, DISTANCES, Metadata
 from ..storage.folder import RunFolder
 from .causes import least_part_of_pose
 
@@ -25,54 +23,6 @@ GAINS = "gains"
 LEAST_EXCESS_M = 0.005
 #: Part of what the other causes leave that a cause must explain, else fixing it would not help.
 LEAST_PART = 0.03
-
-
-@dataclass(frozen=True)
-class Gains:
-    """Gains of all pairs.
-
-    by_cause : (n,) metres by which the distance of each pair becomes smaller
-    distances_m : (n, 3) distance before and after all corrections, and that of a second measurement
-    curves : by kind, then by side, the mean over the pairs
-    """
-
-    by_cause: dict[str, FloatArray]
-    distances_m: FloatArray
-    curves: dict[str, dict[str, FloatArray]]
-
-
-def read_gains(store: RunFolder, pair_ids: Sequence[str], causes: Sequence[Cause]) -> Gains | None:
-    """The gains of all pairs; None if they are unknown or those of other amounts.
-
-    Raises
-    ------
-    RunError
-        A table is damaged or gone.
-    """
-    amounts = {cause.name: cause.estimate for cause in causes}
-    records = []
-    for pair_id in pair_ids:
-        record = store.ledger.jobs(pair_id).get((GAINS, ""))
-        if record is None or record.metadata[AMOUNTS] != amounts:
-            return None
-        records.append(record)
-    if not records:
-        return None
-    table, n_rows = store.read_pairs(pair_ids, {(GAINS, ""): ["cause", "gain_m"]})[GAINS, ""]
-    frame = table.to_pandas()
-    frame["pair"] = np.repeat(np.arange(len(pair_ids)), n_rows)
-    by_cause = {str(name): rows["gain_m"].to_numpy() for name, rows in frame.groupby("cause")}
-    distances_m = np.array([record.metadata[DISTANCES] for record in records])
-    curves: dict[str, dict[str, FloatArray]] = {}
-    for kind, sides in records[0].metadata[CURVES].items():
-        drawn = [
-            record.metadata[CURVES][kind] for record in records if kind in record.metadata[CURVES]
-        ]
-        curves[kind] = {}
-        for side in sides:
-            of_pairs = [values[side] for values in drawn]
-            curves[kind][side] = np.mean(of_pairs, axis=0)
-    return Gains(by_cause, distances_m, curves)
 
 
 def causes_to_correct(overview: Overview) -> list[Cause]:
@@ -90,25 +40,43 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
     if record.overview is None:
         return None
     causes = causes_to_correct(record.overview)
-    gains = read_gains(store, pair_ids, causes)
-    if gains is None:
+    jobs = _gains_jobs(store, pair_ids, {cause.name: cause.estimate for cause in causes})
+    if not jobs:
         return None
-    before_m, after_m, best_case_m = gains.distances_m.mean(axis=0).tolist()
-    gains_m = {name: float(values.mean()) for name, values in gains.by_cause.items()}
-    confirmed, doubtful = confirm(causes, gains_m, (before_m, after_m, best_case_m))
+    table = store.read_pairs(pair_ids, {(GAINS, ""): ["cause", "gain_m"]})[GAINS, ""]
+    gains_m = {}
+    for name, of_pairs in table.groupby("cause")["gain_m"]:
+        gains_m[str(name)] = float(of_pairs.to_numpy().mean())
+    of_jobs = np.array([job[DISTANCES] for job in jobs])
+    before_m, after_m, best_case_m = of_jobs.mean(axis=0).tolist()
+    distances_m = before_m, after_m, best_case_m
+    confirmed, doubtful = confirm(causes, gains_m, distances_m)
     shown = []
     for cause in confirmed:
-        evidence = _evidence(CAUSES[cause.name].curve, gains)
+        evidence = _evidence(CAUSES[cause.name].curve, [job[CURVES] for job in jobs])
         shown.append(cause.model_copy(update={"evidence": evidence}))
     return Diagnosis(
         n_pairs=len(pair_ids),
         distance_m=before_m,
         best_case_m=best_case_m,
-        unexplained=unexplained_share((before_m, after_m, best_case_m)),
+        unexplained=unexplained_share(distances_m),
         causes=tuple(shown),
         doubtful=tuple(cause.words for cause in doubtful),
         unknown=record.overview.unknown,
     )
+
+
+def _gains_jobs(
+    store: RunFolder, pair_ids: Sequence[str], amounts: Mapping[str, float]
+) -> list[Metadata]:
+    """What the jobs of the gains found in each pair; none if one is missing or corrected other amounts."""
+    found = []
+    for pair_id in pair_ids:
+        job = store.ledger.jobs(pair_id).get((GAINS, ""))
+        if job is None or job.metadata[AMOUNTS] != amounts:
+            return []
+        found.append(job.metadata)
+    return found
 
 
 def confirm(
@@ -129,14 +97,15 @@ def confirm(
     confirmed: list[Cause] = []
     doubtful: list[Cause] = []
     for cause in causes:
-        diagnosed = _with_gain(cause, gains_m.get(cause.name), excess_m)
-        if _is_weak(diagnosed, left_m):
-            doubtful.append(diagnosed)
-        else:
-            confirmed.append(diagnosed)
-    return sorted(
-        confirmed, key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0))
-    ), doubtful
+        gain_m = gains_m.get(cause.name)
+        gain = None if gain_m is None or excess_m is None else gain_m / excess_m
+        is_upper_bound = CAUSES[cause.name].is_restored
+        least = least_part_of_pose(cause.name) if cause.name in PARAMETERS else LEAST_PART
+        is_weak = gain_m is not None and gain_m <= least * (gain_m + left_m)
+        update = {"is_upper_bound": is_upper_bound, "gain_m": gain_m, "gain": gain}
+        (doubtful if is_weak else confirmed).append(cause.model_copy(update=update))
+    confirmed.sort(key=lambda cause: (cause.gain_m is None, -(cause.gain_m or 0.0)))
+    return confirmed, doubtful
 
 
 def unexplained_share(distances_m: tuple[float, float, float]) -> float | None:
@@ -167,28 +136,22 @@ def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overvi
     return overview.model_copy(update={"causes": diagnosis.causes})
 
 
-def _with_gain(cause: Cause, gain_m: float | None, excess_m: float | None) -> Cause:
-    found: dict[str, object] = {"is_upper_bound": CAUSES[cause.name].is_restored}
-    if gain_m is not None:
-        found |= {"gain_m": gain_m, "gain": None if excess_m is None else gain_m / excess_m}
-    return cause.model_copy(update=found)
+def _evidence(kind: str, curves: Sequence[Metadata]) -> Evidence | None:
+    """Mean curves of a kind over the pairs that have it; None if the first does not.
 
-
-def _is_weak(cause: Cause, left_m: float) -> bool:
-    """True if correcting a cause brings the sides hardly closer, next to the distance that the others leave."""
-    if cause.gain_m is None:
-        return False
-    least = least_part_of_pose(cause.name) if cause.name in PARAMETERS else LEAST_PART
-    return cause.gain_m <= least * (cause.gain_m + left_m)
-
-
-def _evidence(kind: str, gains: Gains) -> Evidence | None:
-    """Mean curves of a kind over the pairs."""
-    if kind not in gains.curves:
+    Parameters
+    ----------
+    curves : of each pair, by kind, then by side
+    """
+    if kind not in curves[0]:
         return None
     axis = AXES[kind]
     middles = (axis["edges"][:-1] + axis["edges"][1:]) / 2
-    sides = {side: tuple(values.round(4).tolist()) for side, values in gains.curves[kind].items()}
+    drawn = [of_pair[kind] for of_pair in curves if kind in of_pair]
+    sides = {}
+    for side in drawn[0]:
+        mean = np.mean([of_pair[side] for of_pair in drawn], axis=0)
+        sides[side] = tuple(mean.round(4).tolist())
     return Evidence(
         x_label=axis["label"],
         y_label=axis["values"],

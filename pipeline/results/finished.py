@@ -145,6 +145,13 @@ class FinishedRun:
         return _frame(self.table("tasks"))
 
     @property
+    def task_gaps(self) -> pd.DataFrame:
+        """(pairs, measures) the gap over everything, by names such as `objects.lost`; `RunError` without tasks."""
+        rows = self.tasks.query("group == 'all'")
+        rows = rows.assign(name=rows["task"] + "." + rows["measure"])
+        return rows.pivot(index="pair_id", columns="name", values="gap")
+
+    @property
     def task_summaries(self) -> tuple[TaskSummary, ...]:
         """Means over pairs of the measures of the tasks; raises `RunError` without tasks."""
         self._refuse_without_tasks()
@@ -232,14 +239,9 @@ class FinishedRun:
         """Every cause of the catalogue with its mean amount over the scored pairs, also those that are not named."""
         names = [row["pair_id"] for row in self.scored]
         values = read_causes(self.store, names)
+        del values[UNEVEN]
         blocks = self.places(names)
-        amounts: dict[str, Cause | Unknown] = {}
-        for name, of_cause in values.items():
-            if name == UNEVEN:
-                continue
-            amount = mean_amount(name, of_cause, blocks)
-            amounts[name] = amount or Unknown(causes=(name,), reason=of_cause.reason)
-        return amounts
+        return {name: mean_amount(name, values[name], blocks) for name in values}
 
     @property
     def preset(self) -> str:
@@ -364,6 +366,16 @@ def settings_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
             if name not in _OF_SIM_FILES:
                 changes.append(f"{group}.{name} is {before} and {after}")
     return changes
+
+
+def version_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
+    """Versions of stages and of libraries that differ, as text."""
+    a, b = base.record, other.record
+    stages = [
+        f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)
+    ]
+    libraries = differences(a.libraries, b.libraries)
+    return stages + [f"library {name}: {x} and {y}" for name, x, y in libraries]
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:

@@ -47,13 +47,15 @@ TASK_MEASURES = (
     *("occupancy.mismatch", "occupancy.wrongly_free", "occupancy.wrongly_occupied"),
     *("free_space.distance_m", "free_space.too_far"),
 )
+#: Measures of odometry: `tasks.odometry.drift_m` is the gap over the longest sequence of scans.
+ODOMETRY_MEASURES = ("drift_m", "step_m", "turn_deg")
 
 #: Names of causes by that of the catalogue.
 CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES if name != UNEVEN}
 #: Ends of the 95 % interval of a cause.
 INTERVAL_ENDS = ("low", "high")
 
-#: The names that stand for themselves, to guess what a wrong one means, and for the shell to complete.
+#: The names that stand for themselves, to guess what a wrong one means.
 PLAIN_NAMES = (
     *(f"{value}.{stat}" for value in (*PAIR_SCORES, *DOTTED, *SENSOR_VALUES) for stat in OF_PAIRS),
     *(f"objects.{score}.{stat}" for score in DISTRIBUTED for stat in OF_OBJECTS),
@@ -62,6 +64,7 @@ PLAIN_NAMES = (
     *(f"pairs.{state}" for state in STATES),
     *(f"causes.{name}" for name in CAUSE_NAMES),
     *(f"tasks.{measure}" for measure in TASK_MEASURES),
+    *(f"tasks.odometry.{measure}" for measure in ODOMETRY_MEASURES),
     *(
         f"excess.{score}.{stat}"
         for score in (*PAIR_SCORES, *DOTTED)

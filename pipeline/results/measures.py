@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...schemas.columns import Row
-from ...schemas.errors import DatasetError, ScanError, SettingsError, nearest, suggestion
+from ...schemas.errors import (
+    DatasetError,
+    RunError,
+    ScanError,
+    SettingsError,
+    StageError,
+    nearest,
+    suggestion,
+)
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, OBJECT_METRICS
 from ...schemas.results import Cause, Unknown
 from ...stages.arrays import FloatArray, IndexArray
@@ -24,6 +32,7 @@ from .measure_names import (
     COUNTS,
     DOTTED,
     INTERVAL_ENDS,
+    ODOMETRY_MEASURES,
     OF_DISTRIBUTIONS,
     OF_OBJECTS,
     OF_PAIRS,
@@ -33,6 +42,7 @@ from .measure_names import (
     STATES,
     TASK_MEASURES,
 )
+from .odometry import compare_odometry
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -152,13 +162,22 @@ class Measures:
 
     def _task(self, measure: str, stat: str | None) -> float:
         """A statistic over pairs of the gap of a task, by default the mean."""
-        task, _, name = measure.partition(".")
-        if not any(row.task == task for row in self.run.record.tasks):
-            raise _AbsentError(f"the run has no task {task}; add it with fidpipe run --tasks")
-        rows = self.run.tasks
-        is_measure = (rows["task"] == task) & (rows["measure"] == name) & (rows["group"] == "all")
-        gaps = rows.loc[is_measure, "gap"].to_numpy(dtype=np.float64)
-        return _statistic(gaps, stat or "mean", "pair", f"gap {measure}")
+        gaps = self.run.task_gaps if self.run.record.tasks else None
+        if gaps is None or measure not in gaps:
+            raise _AbsentError(f"the run has no {measure}; add it with fidpipe run --tasks")
+        return _statistic(gaps[measure].to_numpy(), stat or "mean", "pair", f"gap {measure}")
+
+    def _odometry(self, measure: str) -> float:
+        """The gap of odometry over the longest sequence of scans."""
+        try:
+            gaps = {row["measure"]: row["gap"] for row in self._odometry_rows}
+        except (RunError, StageError) as error:
+            raise _AbsentError(str(error)) from error
+        return float(gaps[measure])
+
+    @cached_property
+    def _odometry_rows(self) -> list[Row]:
+        return compare_odometry(self.run)
 
     def _both(self, count: str) -> float:
         return _counted(np.array([row["n_matched"] for row in self._scored]), count)
@@ -252,6 +271,7 @@ _MEASURES: dict[str, Callable[..., float]] = {
     rf"matched\.{_either('count', ('total', 'mean', 'min'))}": Measures._both,
     rf"pairs\.{_either('state', STATES)}": Measures._pairs,
     rf"tasks\.{_TASK}(?:\.{_OF_PAIRS})?": Measures._task,
+    rf"tasks\.odometry\.{_either('measure', ODOMETRY_MEASURES)}": Measures._odometry,
     rf"causes\.{_either('cause', CAUSE_NAMES)}(?:\.{_either('end', INTERVAL_ENDS)})?": (
         Measures._cause
     ),

@@ -13,11 +13,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import DISTRIBUTED, QUADRANT_LIMITS
+from ...schemas.metric_catalogue import QUADRANT_LIMITS
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
-from ...stages.statistics.findings import BAND_EDGES_M, Objects
-from ...stages.statistics.typical_objects import SHAPES
+from ...stages.statistics.findings import BAND_EDGES_M
 from ..storage.folder import RunFolder
 
 if TYPE_CHECKING:
@@ -36,6 +35,8 @@ for _table, _keys in _KEYS.items():
     _known = {"pair_id", "side", "n_points", *_keys}
     COLUMNS_OF[_table] = tuple(name for name in TABLES[_table].schema.names if name not in _known)
 
+#: The shape features of objects, and the name of an object of that shape.
+SHAPES = {"linearity": "linear", "planarity": "planar", "scattering": "scattered"}
 CDC_LIMIT = QUADRANT_LIMITS["cdc"]
 R_LAMBDA_LIMIT = QUADRANT_LIMITS["r_lambda"]
 
@@ -151,10 +152,7 @@ def object_parts(
                 wanted[table, side] = [*_KEYS[table], *stored]
     for first in range(0, len(pair_ids), PAIRS_AT_ONCE):
         names = pair_ids[first : first + PAIRS_AT_ONCE]
-        tables = {}
-        for source, (table, n_rows) in store.read_pairs(names, wanted).items():
-            pair = np.repeat(np.arange(len(names), dtype=np.int32), n_rows)
-            tables[source] = table.to_pandas().assign(pair=pair)
+        tables = store.read_pairs(names, wanted)
         n_real = tables["objects", "real"].groupby("pair").size()
         parts = []
         for side in sides:
@@ -189,22 +187,6 @@ def _of_side(side: str, tables: Mapping[tuple[str, str], pd.DataFrame]) -> pd.Da
     objects[counts] = objects[counts].fillna(0)
     objects["partner"] = objects["partner"].fillna(-1)
     return objects.astype(dict.fromkeys([*counts, "partner"], np.int32))
-
-
-#: Columns of the frame that the statistics over all objects use.
-STATISTICS_COLUMNS = ("range_m", "label", "n_real", "n_sim", *DISTRIBUTED)
-
-
-def arrays_of(objects: pd.DataFrame) -> Objects:
-    """The objects for the statistics over all of them; remnants do not count."""
-    counted = objects[objects["fate"] != "remnant"]
-    numbers = [name for name in STATISTICS_COLUMNS if name != "label"]
-    return Objects(
-        is_real=(counted["side"] == "real").to_numpy(),
-        label=counted["label"].fillna("").to_numpy(dtype=np.str_),
-        is_matched=(counted["fate"] == "matched").to_numpy(),
-        **{name: counted[name].to_numpy() for name in numbers},
-    )
 
 
 def plain_rows(rows: pd.DataFrame) -> list[Row]:

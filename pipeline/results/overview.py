@@ -29,14 +29,15 @@ from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.coverage import ROAD, surface_state
 from ...stages.statistics.comparison import LEAST_PAIRS
-from ...stages.statistics.findings import BAND_NAMES, summarise_objects
+from ...stages.statistics.findings import BAND_NAMES
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.urls import recorded_path
 from .best_case import BEST_CASE_RECIPE
 from .causes import named_and_small, read_causes, unknown_causes
 from .independence import NEEDED, find_places, pairs_and_places
-from .object_frame import PAIRS_AT_ONCE, STATISTICS_COLUMNS, arrays_of, object_parts, plain_rows
+from .object_findings import FINDINGS_COLUMNS, summarise_objects
+from .object_frame import object_parts, plain_rows
 from .places import moved_words, place_words
 
 if TYPE_CHECKING:
@@ -61,8 +62,6 @@ NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
 #: Columns of the frame of objects that the overview uses.
 OVERVIEW_COLUMNS = (
-    "band",
-    "label",
     "covered_0p3m",
     "road_share",
     "r_lambda",
@@ -116,12 +115,12 @@ def describe_objects(
             MetricsSummary(unmatched=UnmatchedSurface(not_found=none, extra=none)),
         )
     pair_ids = scored["pair_id"].to_pylist()
-    columns = list({*STATISTICS_COLUMNS, *OVERVIEW_COLUMNS})
+    columns = list({*FINDINGS_COLUMNS, *OVERVIEW_COLUMNS})
     parts = object_parts(store, pair_ids, columns, by_reference=by_reference)
     objects = pd.concat([part.loc[part["fate"] != "remnant", [*_KEYS, *columns]] for part in parts])
     objects["label"] = objects["label"].fillna("")
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
-    found = summarise_objects(arrays_of(objects), len(pair_ids))
+    found = summarise_objects(objects, len(pair_ids))
     places = dict(zip(pair_ids, blocks.tolist(), strict=True))
     findings = Findings(n_places=len(np.unique(blocks)), places=places, **vars(found))
     causes = read_causes(store, pair_ids)
@@ -143,8 +142,7 @@ def _doubts(store: RunFolder, pair_ids: Sequence[str]) -> list[str]:
     tables = store.read_pairs(pair_ids, {("sensor", side): ["doubts"] for side in SIDES})
     lines = []
     for side in SIDES:
-        table, _ = tables["sensor", side]
-        texts = "\n".join(table["doubts"].drop_null().to_pylist()).splitlines()
+        texts = "\n".join(tables["sensor", side]["doubts"].dropna()).splitlines()
         lines += doubt_lines(side, texts, len(pair_ids))
     return lines
 
@@ -203,19 +201,11 @@ def _alignment(objects: pd.DataFrame) -> dict[str, int]:
 
 def largest_pieces(store: RunFolder, pair_ids: Sequence[str]) -> list[Piece]:
     """The largest pieces of surface without a counterpart; one that moved counts once, on the real side."""
-    import pandas as pd
-
-    kept: list[pd.DataFrame] = []
     columns = {("pieces", ""): TABLES["pieces"].schema.names}
-    for first in range(0, len(pair_ids), PAIRS_AT_ONCE):
-        names = pair_ids[first : first + PAIRS_AT_ONCE]
-        table, n_rows = store.read_pairs(names, columns)["pieces", ""]
-        names_of_rows = np.repeat(np.array(names, dtype=object), n_rows)
-        pieces: pd.DataFrame = table.to_pandas().assign(pair_id=names_of_rows)
-        pieces = pieces[(pieces["side"] == "real") | (pieces["fate"] != "moved")]
-        kept.append(pieces.sort_values("n_points", ascending=False, kind="stable").head(N_PIECES))
+    pieces = store.read_pairs(pair_ids, columns)["pieces", ""]
+    pieces = pieces[(pieces["side"] == "real") | (pieces["fate"] != "moved")]
     order = ["n_points", "pair_id", "side", "piece_id"]
-    largest = pd.concat(kept).sort_values(order, ascending=False).head(N_PIECES)
+    largest = pieces.sort_values(order, ascending=False).head(N_PIECES)
     return [_piece(row) for row in plain_rows(largest)]
 
 

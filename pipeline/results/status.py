@@ -10,7 +10,7 @@ from pathlib import Path
 from ...schemas.errors import RunError
 from ...schemas.settings import parse
 from ..datasets.pairs import local_folder, read_dataset
-from ..engine.plan import PairPlan, Planner, with_results
+from ..engine.plan import PairPlan, plan_jobs, plan_pair, with_results
 from ..engine.survey import hash_files
 from ..jobs import stages_under
 from ..stage import Stage
@@ -62,7 +62,7 @@ def run_status(folder: Path) -> RunStatus:
     stages = stages_under(settings)
     run_folder = RunFolder(folder)
     ledger = run_folder.ledger
-    planner = Planner(stages, settings, dataset.label_names)
+    jobs = plan_jobs(stages, settings)
     states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
     failures: dict[str, str] = {}
     damaged: list[str] = []
@@ -74,7 +74,9 @@ def run_status(folder: Path) -> RunStatus:
             for counts in states.values():
                 counts["failed"] += 1
             continue
-        plan, unwanted = with_results(planner.plan(pair, files.contents[pair.pair_id]), run_folder)
+        contents = files.contents[pair.pair_id]
+        plan = plan_pair(jobs, pair, contents, dataset.label_names)
+        plan, unwanted = with_results(plan, run_folder)
         past = ledger.failure(pair.pair_id, [plan.keys[job.name] for job in plan.todo])
         if past:
             failures[pair.pair_id] = past

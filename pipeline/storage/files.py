@@ -28,7 +28,7 @@ _to_canonical_json = json.JSONEncoder(sort_keys=True, allow_nan=False).encode
 
 def write_whole(
     path: Path,
-    content: bytes | memoryview | Iterable[bytes | memoryview],
+    content: bytes | memoryview,
     *,
     before_rename: Callable[[], None] | None = None,
     advice: str = "; give another --out",
@@ -41,7 +41,6 @@ def write_whole(
     Parameters
     ----------
     path : of the file; its folder is created if missing
-    content : everything, or its parts one after the other, which are then never in memory together
     before_rename : may raise, and the file in place stays
     advice : ends the message of the error
     outlasts_power : wait until it is on the disk, a millisecond or more; False for a file whose
@@ -52,16 +51,15 @@ def write_whole(
     RunError
         It cannot be written there.
     """
-    parts = [content] if isinstance(content, bytes | memoryview) else content
     temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
     try:
         with named_errors(path, advice):
             if path.is_char_device():
-                path.write_bytes(b"".join(parts))
+                path.write_bytes(content)
                 return
             path.parent.mkdir(parents=True, exist_ok=True)
             with temporary.open("wb") as file:
-                file.writelines(parts)
+                file.write(content)
                 file.flush()
                 if outlasts_power:
                     os.fsync(file.fileno())

@@ -9,13 +9,13 @@ import secrets
 from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
-from ...stages.arrays import IntArray
 from .files import is_locked
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, read_run
@@ -29,6 +29,9 @@ from .table_files import (
     table_name,
 )
 from .urls import is_url, name_in_records, url_of_cache
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _LOCK = ".lock"
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # such as NFS without lockd
@@ -125,8 +128,8 @@ class RunFolder(TableFolder):
 
     def read_pairs(
         self, pair_ids: Iterable[str], columns: Mapping[tuple[str, str], list[str]]
-    ) -> dict[tuple[str, str], tuple[pa.Table, IntArray]]:
-        """Tables of some pairs, each in one, pair after pair, and the number of rows of each pair.
+    ) -> dict[tuple[str, str], pd.DataFrame]:
+        """Tables of some pairs, each in one frame, pair after pair; `pair` is the index of the pair of a row.
 
         Parameters
         ----------
@@ -147,11 +150,13 @@ class RunFolder(TableFolder):
                 if name not in files:
                     raise self.damaged(name)
                 parts[table, side].append(self.read(table, files[name], name, names))
-        joined = {}
+        frames = {}
         for source, tables in parts.items():
-            n_rows = np.array([len(table) for table in tables], dtype=np.int32)
-            joined[source] = pa.concat_tables(tables).combine_chunks(), n_rows
-        return joined
+            pair = np.repeat(
+                np.arange(len(tables), dtype=np.int32), [len(table) for table in tables]
+            )
+            frames[source] = pa.concat_tables(tables).to_pandas().assign(pair=pair)
+        return frames
 
     def again(self) -> str:
         """The command that recomputes what is damaged."""
@@ -162,7 +167,7 @@ class RunFolder(TableFolder):
         """Names of the files of a job that are not as they were written; files at the URL alone are not checked."""
         damaged = []
         for name, stored in record.files.items():
-            if stored.is_at(f"{self.folder}/{name}"):
+            if stored.is_at(self.folder / name):
                 continue
             if self.url and not (self.folder / name).exists():
                 continue

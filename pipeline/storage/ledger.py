@@ -10,31 +10,36 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Container, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
 import orjson
+from pydantic import TypeAdapter, ValidationError
 
 from .files import file_marks, hash_file, write_whole
-from .table_files import JobId, JobRecord, file_stem, job_record, plain_record
+from .table_files import JobId, JobRecord, file_stem
 
 LEDGER = "ledger"  #: the folder of its files in that of a run
 INPUT_HASHES = "_inputs.json"  #: in it: hashes of input files, which only this machine can use
-_WHOLE_RUN = "_run.json"  # in it: the tables of the whole run; no pair has a file of this name
+_WHOLE_RUN = "_run"  # in it: the tables of the whole run; no pair has a file of this name
 
 
 @dataclass
 class _PairEntry:
     """The content of the file of a pair.
 
-    jobs : that are finished, by stage and part
+    jobs : that are finished
     failure : key of the job that failed, and the reason; None if none did
     """
 
-    jobs: dict[JobId, JobRecord] = field(default_factory=dict)
+    pair_id: str
+    jobs: list[JobRecord] = field(default_factory=list)
     failure: tuple[str, str] | None = None
+
+
+_ENTRY = TypeAdapter(_PairEntry)
 
 
 class Ledger:
@@ -47,15 +52,19 @@ class Ledger:
 
     def jobs(self, pair_id: str) -> dict[JobId, JobRecord]:
         """The finished jobs of a pair, by stage and part."""
-        return self._read(pair_id).jobs
+        return {record.job: record for record in self._read(pair_id).jobs}
 
     def pair_ids(self) -> list[str]:
         """The pairs with finished jobs or a failure, by name."""
         if not self._folder.is_dir():
             return []
         stems = [path.stem for path in self._folder.glob("[!._]*.json")]
-        names = [self._name_in(stem) if "~" in stem else unquote(stem) for stem in stems]
-        return sorted(filter(None, names))
+        names = []
+        for stem in stems:
+            entry = self._entry(stem) if "~" in stem else _PairEntry(unquote(stem))
+            if entry is not None:
+                names.append(entry.pair_id)
+        return sorted(names)
 
     def files(self) -> set[str]:
         """Names of all files of finished jobs, relative to the run."""
@@ -68,8 +77,8 @@ class Ledger:
     def put_jobs(self, pair_id: str, records: Iterable[JobRecord]) -> None:
         """Add finished jobs of a pair, in place of those of the same names."""
         entry = self._read(pair_id)
-        entry.jobs |= {record.job: record for record in records}
-        self._write(pair_id, entry)
+        jobs = {record.job: record for record in (*entry.jobs, *records)}
+        self._write(replace(entry, jobs=list(jobs.values())))
 
     def put_job(self, record: JobRecord) -> None:
         """Add one finished job."""
@@ -78,9 +87,8 @@ class Ledger:
     def drop_jobs(self, pair_id: str, records: Iterable[JobRecord]) -> None:
         """Forget finished jobs of a pair."""
         entry = self._read(pair_id)
-        for record in records:
-            entry.jobs.pop(record.job, None)
-        self._write(pair_id, entry)
+        dropped = {record.job for record in records}
+        self._write(replace(entry, jobs=[job for job in entry.jobs if job.job not in dropped]))
 
     def failure(self, pair_id: str, keys: Container[str]) -> str | None:
         """Reason why a pair failed, if the failed job has one of these keys."""
@@ -89,16 +97,13 @@ class Ledger:
 
     def put_failure(self, pair_id: str, key: str, reason: str) -> None:
         """Add the key of the failed job of a pair, and the reason."""
-        entry = self._read(pair_id)
-        entry.failure = key, reason
-        self._write(pair_id, entry)
+        self._write(replace(self._read(pair_id), failure=(key, reason)))
 
     def drop_failure(self, pair_id: str) -> None:
         """Forget why a pair failed, if it did."""
         entry = self._read(pair_id)
         if entry.failure is not None:
-            entry.failure = None
-            self._write(pair_id, entry)
+            self._write(replace(entry, failure=None))
 
     def input_hash(self, path: Path) -> str:
         """SHA-256 of an input file; computed again only if its length, times or inode have changed."""
@@ -120,33 +125,22 @@ class Ledger:
             _save(self._folder / INPUT_HASHES, self._hashes)
 
     def _read(self, pair_id: str) -> _PairEntry:
-        content = _load(self._path(pair_id))
+        entry = self._entry(file_stem(pair_id) if pair_id else _WHOLE_RUN)
+        return entry if entry is not None and entry.pair_id == pair_id else _PairEntry(pair_id)
+
+    def _entry(self, stem: str) -> _PairEntry | None:
+        """The content of a file; None if it does not exist or is damaged."""
         try:
-            if content["pair_id"] != pair_id:
-                return _PairEntry()
-            records = [job_record(values) for values in content["jobs"]]
-            failure = content["failure"]
-            return _PairEntry(
-                {record.job: record for record in records}, failure and tuple(failure)
-            )
-        except (ValueError, TypeError, AttributeError, LookupError):
-            return _PairEntry()
+            return _ENTRY.validate_python(_load(self._folder / f"{stem}.json"))
+        except ValidationError:
+            return None
 
-    def _write(self, pair_id: str, entry: _PairEntry) -> None:
-        path = self._path(pair_id)
-        if not entry.jobs and entry.failure is None:
+    def _write(self, entry: _PairEntry) -> None:
+        path = self._folder / f"{file_stem(entry.pair_id) if entry.pair_id else _WHOLE_RUN}.json"
+        if entry.jobs or entry.failure is not None:
+            _save(path, entry)
+        else:
             path.unlink(missing_ok=True)
-            return
-        jobs = [plain_record(record) for record in entry.jobs.values()]
-        _save(path, {"pair_id": pair_id, "jobs": jobs, "failure": entry.failure})
-
-    def _path(self, pair_id: str) -> Path:
-        return self._folder / (f"{file_stem(pair_id)}.json" if pair_id else _WHOLE_RUN)
-
-    def _name_in(self, stem: str) -> str:
-        """The pair whose file has a shortened name; "" if it is damaged."""
-        content = _load(self._folder / f"{stem}.json")
-        return str(content.get("pair_id", "")) if isinstance(content, dict) else ""
 
 
 def _save(path: Path, content: Any) -> None:

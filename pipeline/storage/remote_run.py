@@ -13,10 +13,11 @@ import secrets
 import socket
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,7 @@ from .object_store import (
     write_object,
 )
 from .remote_dataset import mirror_dataset
+from .run_record import RUN_JSON
 from .table_files import AT_URL, TOKEN, TableFolder
 from .urls import TEMPORARY_CACHE, cache_folder, cache_of, is_url, url_of_cache
 
@@ -86,7 +88,7 @@ def local_of(url: str) -> Path:
             return run.folder
         objects = [] if run.url.startswith("http") else list_objects(run.url)
         names = {stored.name for stored in objects}
-        if not names & {"run.json", LOCK}:
+        if not names & {RUN_JSON, LOCK}:
             return mirror_dataset(run.url, objects)
         run.pull(objects, for_reading=True)
         return run.folder
@@ -123,7 +125,7 @@ class RemoteRun:
         """
         known = self._known()
         remote = {stored.name: stored for stored in objects if stored.name not in (LOCK, TOKEN)}
-        if "run.json" not in remote:  # of a run that was killed, or no run at all
+        if RUN_JSON not in remote:  # of a run that was killed, or no run at all
             others = [name for name in remote if not name.startswith(f"{LEDGER}/")]
             if not all(name.endswith((".parquet", "settings.toml")) for name in others):
                 raise RunError(
@@ -162,19 +164,22 @@ class RemoteRun:
         """
         with self._pushing, ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
             known = self._known()
-            changed = []
-            for name, marks in self._files().items():
-                if name not in known or known[name][1:] != marks:
-                    changed.append(name)
-            changed.sort(key=lambda name: name.startswith(f"{LEDGER}/"))  # after the tables
+            changed = {
+                name: marks
+                for name, marks in self._files().items()
+                if name not in known or known[name][1:] != marks
+            }
             if changed:
                 self._claim()
             else:
                 self._renew()
             try:
-                for name, marks in zip(changed, pool.map(self._put, changed), strict=True):
-                    known[name] = marks
-                    self._renew()
+                for names in _in_order(changed):
+                    puts = pool.map(self._put, names, [changed[name] for name in names])
+                    for name, marks in zip(names, puts, strict=True):
+                        if marks:
+                            known[name] = marks
+                        self._renew()
             finally:
                 self._keep(known)
 
@@ -195,9 +200,17 @@ class RemoteRun:
                 self._renew()
         return known
 
-    def _put(self, name: str) -> Marks:
+    def _put(self, name: str, listed: Marks) -> Marks | None:
+        """Write an object; returns what is known of it.
+
+        None, without writing, if it names other files and has changed since it was listed: those
+        may not have been listed.
+        """
         marks = _marks(self.folder / name)
         content = (self.folder / name).read_bytes()
+        is_same = marks == listed == _marks(self.folder / name)
+        if not is_same and name not in _in_order([name])[0]:
+            return None
         return [write_object(f"{self.url}/{name}", content), *marks]
 
     @contextmanager
@@ -237,7 +250,9 @@ class RemoteRun:
         if (self.folder / AT_URL).exists():  # workers wrote there, and some may have died
             names = [stored.name for stored in list_objects(self.url)]
             stored |= {name for name in names if name.partition("/")[0] in TABLES}
-        delete_objects(self.url, stored.difference(self._files(), Ledger(self.folder).files()))
+        removed = stored.difference(self._files(), Ledger(self.folder).files())
+        for names in reversed(_in_order(removed)):
+            delete_objects(self.url, names)
 
     def _follow(self, ended: threading.Event) -> None:
         pause_s = _PUSH_S
@@ -316,12 +331,18 @@ class RemoteRun:
             ) from error
 
     def _files(self) -> dict[str, Marks]:
-        """Marks of the finished files of the folder by name; temporary ones and locks begin with a dot."""
+        """Marks of the finished files of the folder by name; temporary ones and locks begin with a dot.
+
+        Files that name others are looked at first, so that what they name is listed, too.
+        """
         files = {}
-        for path in self.folder.rglob("*"):
+        naming = [self.folder / RUN_JSON, *self.folder.glob(f"{LEDGER}/*")]
+        for path in chain(naming, self.folder.rglob("*")):
             name = path.relative_to(self.folder).as_posix()
-            if path.is_file() and "/." not in f"/{name}" and name not in _LOCAL:
+            if name not in files and path.is_file() and "/." not in f"/{name}":
                 files[name] = _marks(path)
+        for name in _LOCAL:
+            files.pop(name, None)
         return files
 
     def _known(self) -> dict[str, Marks]:
@@ -334,6 +355,21 @@ class RemoteRun:
 
     def _keep(self, known: dict[str, Marks]) -> None:
         write_whole(self._index, orjson.dumps(known))
+
+
+def _in_order(names: Iterable[str]) -> tuple[list[str], list[str], list[str]]:
+    """Files of a run in three groups: tables, then the ledger that names them, then the record of all."""
+    tables: list[str] = []
+    ledger: list[str] = []
+    record: list[str] = []
+    for name in names:
+        if name == RUN_JSON:
+            record.append(name)
+        elif name.startswith(f"{LEDGER}/"):
+            ledger.append(name)
+        else:
+            tables.append(name)
+    return tables, ledger, record
 
 
 @cache

@@ -9,7 +9,7 @@ import re
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -124,10 +124,7 @@ def finished_record(folder: Path) -> dict[str, Any]:
         It is not, or is damaged.
     """
     if folder.is_file():
-        wanted = (
-            str(folder.parent) if folder.name == RUN_JSON else "a folder written by fidpipe run"
-        )
-        raise RunError(f"run {folder}: expected {wanted}, got a file")
+        raise RunError(f"run {folder}: expected a folder, such as {folder.parent}, got a file")
     record = read_run(folder)
     if not record and (folder / RUN_JSON).exists():
         raise RunError(
@@ -144,32 +141,16 @@ def finished_record(folder: Path) -> dict[str, Any]:
 def write_record(
     folder: Path,
     settings: Settings,
-    entries: Iterable[tuple[str, Any]],
+    record: Mapping[str, Any],
     before_rename: Callable[[], None],
 ) -> None:
-    """Write `settings.toml` and `run.json`, whose last entry is the hash of the text before it.
-
-    Parameters
-    ----------
-    entries : of the record, written one by one: the text of ten thousand pairs is never in memory
-        as a whole
-    """
+    """Write `settings.toml` and `run.json`, whose last entry is the hash of the text before it."""
     from ...schemas.settings_text import to_toml  # not needed to read a record
 
     write_whole(folder / SETTINGS_TOML, to_toml(settings).encode(), before_rename=before_rename)
-    write_whole(folder / RUN_JSON, _sealed(entries), before_rename=before_rename)
-
-
-def _sealed(entries: Iterable[tuple[str, Any]]) -> Iterator[bytes | memoryview]:
-    """The text of a record in parts, each hashed, and the hash."""
-    digest = hashlib.sha256()
-    before = b"{"
-    for name, value in entries:
-        for part in (before, memoryview(dumps({name: value}))[1:-3]):
-            digest.update(part)
-            yield part
-        before = b","
-    yield f',\n  "sha256": "{digest.hexdigest()}"\n}}\n'.encode()
+    text = dumps(record).removesuffix(b"\n}\n")
+    seal = f',\n  "sha256": "{hashlib.sha256(text).hexdigest()}"\n}}\n'
+    write_whole(folder / RUN_JSON, text + seal.encode(), before_rename=before_rename)
 
 
 def dumps(record: Mapping[str, Any]) -> bytes:
@@ -312,26 +293,6 @@ class StageSeconds:
                 of_pair[stage] = round(seconds, 6)
         pairs = dict(sorted(self._pairs.items()))
         return Seconds.model_construct(mean=self.mean(), pairs=pairs)  # without a copy
-
-
-def what_changed(
-    before: Mapping[str, Any], settings: Settings, stages: Mapping[str, int]
-) -> list[str]:
-    """Differences from the record of the last run, as text: settings, library versions, stage code."""
-    if not before:
-        return []
-    changes = []
-    for texts in changed_settings(before, settings).values():
-        changes += texts
-    libraries = before.get("libraries", {})
-    for name, version_now in library_versions(libraries).items():
-        if version_now != libraries[name]:
-            changes.append(f"{name} was {libraries[name]}, is {version_now}")
-    old_stages = before.get("stages", {})
-    for stage, stage_version in stages.items():
-        if old_stages.get(stage, stage_version) != stage_version:
-            changes.append(f"code of stage {stage} is new")
-    return changes
 
 
 def changed_settings(before: Mapping[str, Any], settings: Settings) -> dict[str, list[str]]:

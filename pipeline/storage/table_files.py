@@ -6,7 +6,6 @@ ledger keeps, has the length and the hash of each file.
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
 import re
@@ -17,12 +16,13 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import Annotated, Any
 from urllib.parse import quote
 
 import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import StringConstraints
 
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
@@ -33,9 +33,6 @@ TOKEN = ".writer"  #: the file that names the run which may write
 AT_URL = (
     ".at_url"  #: a file of this name in a folder of the cache: tables that it lacks are at its URL
 )
-_READ_NO_LINK = (
-    os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
-)  # without waiting for the writer of a named pipe
 _LONGEST_NAME_BYTES = 120
 _SECONDS_BETWEEN_CHECKS = 10.0
 _FEWEST_COMPRESSED = 1000  # rows; of smaller tables the compressor takes a third of the time
@@ -51,32 +48,34 @@ _ENCODINGS = {
 
 #: What a table of a run may be called: `TABLE.parquet`, or `TABLE/FILE.parquet`; nothing that leads
 #: out of the folder.
-_TABLE_NAME = re.compile(r"[a-z0-9_]+(\.parquet|/[A-Za-z0-9][^/\0]*)")
+TableName = Annotated[
+    str, StringConstraints(pattern=r"^[a-z0-9_]+(\.parquet|/[A-Za-z0-9][^/\x00]*)$")
+]
 
 JobName = tuple[str, str, str]  #: stage, pair_id, part (a side, or "" for one job of a pair)
 JobId = tuple[str, str]  #: stage and part, among the jobs of a pair
 
 
-class StoredFile(NamedTuple):
+@dataclass(frozen=True)
+class StoredFile:
     """A file as it was written: its length, content hash, and time in the file system."""
 
     size: int
     sha256: str
     mtime_ns: int
 
-    def is_at(self, path: str) -> bool:
+    def is_at(self, path: Path) -> bool:
         """True if the file at a path is as it was written, and not a link; hashed only if length or time differ."""
         try:
-            status = os.lstat(path)
-            if (status.st_size, status.st_mtime_ns) == (self.size, self.mtime_ns) and stat.S_ISREG(
-                status.st_mode
-            ):
-                return True
-            return self.read(path) is not None
-        except OSError:  # missing, or the disk or the user's rights do not allow to read it: it can be recomputed
+            status = path.lstat()
+            is_same = (status.st_size, status.st_mtime_ns) == (self.size, self.mtime_ns)
+            return (is_same and stat.S_ISREG(status.st_mode)) or self.read(path) is not None
+        except (
+            OSError
+        ):  # the disk or the user's rights do not allow to read it: it can be recomputed
             return False
 
-    def read(self, path: str | Path) -> bytes | None:
+    def read(self, path: Path) -> bytes | None:
         """The content as it was written; None if the file is missing, a link, or has another content.
 
         Raises
@@ -85,19 +84,12 @@ class StoredFile(NamedTuple):
             The file cannot be read.
         """
         try:
-            file = os.open(path, _READ_NO_LINK)
-        except OSError as error:
-            if error.errno in (errno.ENOENT, errno.ELOOP):
-                return None
-            raise
-        try:
-            content = os.read(file, self.size + 1)
-            while len(content) < self.size and (
-                more := os.read(file, self.size + 1 - len(content))
-            ):
-                content += more
-        finally:
-            os.close(file)
+            status = path.lstat()
+        except FileNotFoundError:
+            return None
+        if status.st_size != self.size or not stat.S_ISREG(status.st_mode):
+            return None
+        content = path.read_bytes()
         return content if hashlib.sha256(content).hexdigest() == self.sha256 else None
 
 
@@ -118,7 +110,7 @@ class JobRecord:
     pair_id: str
     part: str
     key: str
-    files: dict[str, StoredFile]
+    files: dict[TableName, StoredFile]
     reads: tuple[str, ...] = ()
     metadata: dict[str, Any] = field(default_factory=dict)
     steps: tuple[tuple[str, float], ...] = ()
@@ -244,17 +236,10 @@ class TableFolder:
         RunError
             The file is damaged or gone.
         """
-        schema = TABLES[table]
         content = self.content(stored, name)
         try:
             rows = pq.ParquetFile(pa.BufferReader(content)).read(columns, use_threads=False)
-            if columns is None:
-                return schema.check(rows)
-            if not rows.schema.equals(
-                pa.schema([schema.schema.field(column) for column in columns])
-            ):
-                raise ValueError(f"expected the columns {', '.join(columns)}")
-            return rows
+            return TABLES[table].check(rows) if columns is None else rows.select(columns)
         except (OSError, ValueError, KeyError, pa.ArrowException) as error:
             raise self.damaged(name, str(error)) from error
 
@@ -347,27 +332,3 @@ def _writer_options(schema: pa.Schema) -> dict[str, Any]:
         "column_encoding": encodings,
         "store_schema": False,
     }
-
-
-def plain_record(record: JobRecord) -> list[Any]:
-    """The values of a finished job, for JSON."""
-    files = {name: list(stored) for name, stored in record.files.items()}
-    return list((vars(record) | {"files": files}).values())
-
-
-def job_record(values: list[Any]) -> JobRecord:
-    """A finished job from its plain values.
-
-    Raises
-    ------
-    ValueError, TypeError, AttributeError
-        They are not those of a job, or a file is named that is not a table of a run.
-    """
-    record = JobRecord(*values)
-    for name, stored in record.files.items():
-        if not _TABLE_NAME.fullmatch(name):
-            raise ValueError(f"{name!r} is not the name of a table of a run")
-        record.files[name] = StoredFile(*stored)
-    record.reads = tuple(record.reads)
-    record.steps = tuple([(name, seconds) for name, seconds in record.steps])
-    return record

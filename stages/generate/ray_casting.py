@@ -16,25 +16,6 @@ from ..arrays import FloatArray, IndexArray
 
 
 @dataclass(frozen=True)
-class Beams:
-    """The rays of one revolution, firing by firing, in each firing laser by laser.
-
-    azimuth_rad : (n,) float64, from x (forward) towards y (left)
-    elevation_rad : (n,) float64
-    """
-
-    azimuth_rad: FloatArray
-    elevation_rad: FloatArray
-
-    def directions(self) -> FloatArray:
-        """(n, 3) float64, unit vectors."""
-        level = np.cos(self.elevation_rad)
-        x = level * np.cos(self.azimuth_rad)
-        y = level * np.sin(self.azimuth_rad)
-        return np.column_stack([x, y, np.sin(self.elevation_rad)])
-
-
-@dataclass(frozen=True)
 class Hits:
     """First hits of rays; rays without a hit have no row.
 
@@ -49,8 +30,10 @@ class Hits:
     cos_incidence: FloatArray
 
 
-def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = None) -> Beams:
-    """The beams of one revolution, clockwise seen from above.
+def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = None) -> FloatArray:
+    """The beams of one revolution, clockwise seen from above: (n, 3) unit vectors.
+
+    They come firing by firing, in each firing laser by laser; x is forward, y is left.
 
     Firing c has the azimuth start - c step; laser i has that plus its azimuth offset, and its
     elevation. The number of firings is the largest that fits into 360 degrees.
@@ -65,14 +48,15 @@ def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = N
     --------
     >>> from ...schemas.sensor_models import SENSORS
     >>> beams = fire(SENSORS["vlp32c"])
-    >>> len(beams.azimuth_rad) // 32, round(float(np.degrees(beams.elevation_rad[3])), 3)
+    >>> len(beams) // 32, round(float(np.degrees(np.arcsin(beams[3, 2]))), 3)
     (1808, -15.639)
     """
     step_deg = sensor.azimuth_step_deg if step_deg is None else step_deg
     firing_deg = start_deg - step_deg * np.arange(max(1, int(360.0 / step_deg)))
-    azimuth_deg = firing_deg[:, None] + np.array(sensor.azimuth_offset_deg)
-    elevation_deg = np.broadcast_to(sensor.elevation_deg, azimuth_deg.shape)
-    return Beams(np.radians(azimuth_deg.ravel()), np.radians(elevation_deg.ravel()))
+    azimuth = np.radians(firing_deg[:, None] + np.array(sensor.azimuth_offset_deg)).ravel()
+    elevation = np.tile(np.radians(sensor.elevation_deg), len(firing_deg))
+    level = np.cos(elevation)
+    return np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
 
 
 def require_ray_caster() -> None:
@@ -89,13 +73,13 @@ def require_ray_caster() -> None:
         )
 
 
-class RayTarget:
-    """A surface at which rays from the origin are cast.
+def cast_rays(triangles: FloatArray, directions: FloatArray) -> Hits:
+    """The first hit of each ray from the origin, on the front or the back of a triangle.
 
     Parameters
     ----------
-    vertices : (v, 3) float64, metres, sensor frame
-    faces : (f, 3) intp, rows of `vertices`
+    triangles : (f, 3, 3) float64, corners in metres, sensor frame
+    directions : (n, 3) float64, unit vectors
 
     Raises
     ------
@@ -104,35 +88,24 @@ class RayTarget:
 
     Examples
     --------
-    >>> wall = RayTarget(np.array([[10.0, -5, -5], [10, 5, -5], [10, 0, 5]]), np.array([[0, 1, 2]]))
-    >>> wall.first_hits(np.array([[1.0, 0, 0], [-1, 0, 0]])).range_m.round(6).tolist()
+    >>> wall = np.array([[[10.0, -5, -5], [10, 5, -5], [10, 0, 5]]])
+    >>> cast_rays(wall, np.array([[1.0, 0, 0], [-1, 0, 0]])).range_m.round(6).tolist()
     [10.0]
     """
+    require_ray_caster()
+    from trimesh import Trimesh
 
-    def __init__(self, vertices: FloatArray, faces: IndexArray) -> None:
-        require_ray_caster()
-        from trimesh import Trimesh
-
-        self._mesh = Trimesh(vertices, faces, process=False)
-
-    def first_hits(self, directions: FloatArray) -> Hits:
-        """The first hit of each ray, on the front or the back of a triangle.
-
-        Parameters
-        ----------
-        directions : (n, 3) float64, unit vectors
-        """
-        if not len(directions) or not len(self._mesh.faces):
-            no_ids = np.empty(0, dtype=np.intp)
-            return Hits(no_ids, no_ids, np.empty(0), np.empty(0))
-        places, ray_ids, face_ids = self._mesh.ray.intersects_location(
-            np.zeros_like(directions), directions, multiple_hits=False
-        )
-        range_m = np.linalg.norm(places, axis=1)
-        cos_incidence = np.abs(
-            (self._mesh.face_normals[face_ids] * directions[ray_ids]).sum(axis=1),
-        )
-        return Hits(ray_ids.astype(np.intp), face_ids.astype(np.intp), range_m, cos_incidence)
+    if not len(directions) or not len(triangles):
+        no_ids = np.empty(0, dtype=np.intp)
+        return Hits(no_ids, no_ids, np.empty(0), np.empty(0))
+    corners = triangles.reshape(-1, 3)
+    mesh = Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+    places, ray_ids, face_ids = mesh.ray.intersects_location(
+        np.zeros_like(directions), directions, multiple_hits=False
+    )
+    range_m = np.linalg.norm(places, axis=1)
+    cos_incidence = np.abs((mesh.face_normals[face_ids] * directions[ray_ids]).sum(axis=1))
+    return Hits(ray_ids.astype(np.intp), face_ids.astype(np.intp), range_m, cos_incidence)
 
 
 def return_probability(

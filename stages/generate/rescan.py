@@ -15,7 +15,7 @@ from ...schemas.sensor_models import SensorModel
 from ..arrays import FloatArray, IndexArray, sums_by_id
 from ..surfels import fit_planes, voxel_ids
 from .flaws import SCATTERED
-from .ray_casting import RayTarget, measure_ranges
+from .ray_casting import cast_rays, measure_ranges
 
 VOXEL_M = 0.1
 _FULL_DETAIL_M = 15.0
@@ -121,8 +121,8 @@ def rescan(
     leaf = np.where(planes.scattering >= SCATTERED, _LEAF, 1.0)
     radius_m = np.minimum(apart[:, 0], widest_m) * leaf
     off_m = ((planes.mean - points) * planes.normal).sum(axis=1)[:, None]
-    target = RayTarget(*_discs(points + off_m * planes.normal, planes.normal, radius_m))
-    hits = target.first_hits(directions)
+    discs = _discs(points + off_m * planes.normal, planes.normal, radius_m)
+    hits = cast_rays(discs, directions)
     rays = directions[hits.ray_ids]
     surfels = hits.face_ids // 2
     range_m = _onto_planes(points, rays, hits.range_m, widest_m[surfels])
@@ -193,15 +193,12 @@ def _discs(
     centre: FloatArray,
     normal: FloatArray,
     radius_m: FloatArray,
-) -> tuple[FloatArray, IndexArray]:
-    """Vertices and faces of squares, two triangles each, of the area of a disc."""
+) -> FloatArray:
+    """Corners, (2 n, 3, 3), of squares, two triangles each, of the area of a disc."""
     upright = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     u = np.cross(normal, upright)
     u /= np.linalg.norm(u, axis=1)[:, None]
     v = np.cross(normal, u)
     half_m = (np.sqrt(np.pi) / 2 * radius_m)[:, None]
     corners = [centre + half_m * (a * u + b * v) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
-    first = 4 * np.arange(len(centre), dtype=np.intp)
-    faces = (first[:, None] + np.array([0, 1, 2, 0, 2, 3])).reshape(-1, 3)
-    vertices: FloatArray = np.stack(corners, axis=1).reshape(-1, 3)
-    return vertices, faces
+    return np.stack(corners, axis=1)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 3)

@@ -1,4 +1,4 @@
-"""The heat kernel exp(-tL) of a graph: row sums, trace, and the change between two graphs.
+"""The heat kernel exp(-tL) of a graph: row sums, and the change between two graphs.
 
 With S = I - L, the normalised adjacency matrix, exp(-tL) v = e^-t sum_k t^k / k! S^k v. No eigenvalue of S is larger
 than 1, so that no term outgrows its weight; the exponential itself, a dense matrix, is never formed for many nodes.
@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from ..arrays import FloatArray
-from .spectrum import eigenvalues, lanczos_norm
+from .spectrum import lanczos_norm
 
 _DENSE_NODES = 64  # up to here the dense kernel is the faster one
 
@@ -43,18 +43,6 @@ def heat_row_sums(laplacian: scipy.sparse.csr_matrix, t: float) -> FloatArray:
         term = similarity @ term * (t / k)
         total += term
     return total
-
-
-def heat_trace(laplacian: scipy.sparse.csr_matrix, times: FloatArray) -> FloatArray:
-    """Trace of exp(-tL) over n at each time, (k,) float64: the mean of exp(-t l) over all eigenvalues l.
-
-    Parameters
-    ----------
-    laplacian : (n, n) CSR float64, normalised Laplacian, n at least 1
-    times : (k,) float64, diffusion times
-    """
-    spectrum = eigenvalues(laplacian)
-    return np.array([np.exp(-t * spectrum).mean() for t in times])
 
 
 def heat_change(real: scipy.sparse.csr_matrix, sim: scipy.sparse.csr_matrix, t: float) -> float:

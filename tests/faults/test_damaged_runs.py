@@ -7,6 +7,7 @@ times of the damaged file.
 import json
 import random
 import re
+from dataclasses import replace
 
 import pyarrow as pa
 import pytest
@@ -136,7 +137,7 @@ def test_a_bit_that_the_disk_loses_is_seen_though_no_time_changes(again, finishe
     with store.locked():
         record = job_of_file(store, name)
         stored = record.files[name]
-        record.files[name] = stored._replace(mtime_ns=status.st_mtime_ns)
+        record.files[name] = replace(stored, mtime_ns=status.st_mtime_ns)
         store.ledger.put_job(record)
     with pytest.raises(RunError, match=re.escape(name)):
         read_all(again)

@@ -1,4 +1,4 @@
-"""A disk that is full ends a run once, with what it needs, and no finished batch is lost."""
+"""A disk that is full ends a run once, with what is free, and no finished batch is lost."""
 
 import errno
 import os
@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from fidpipe.pipeline.engine.costs import CostModel
+from fidpipe.pipeline.engine import costs
 from fidpipe.pipeline.storage.scratch import temporary_space
 from fidpipe.schemas.errors import DiskFullError, ScanError
 from runs import JOBS_PER_PAIR, assert_same_tables, run
@@ -15,7 +15,9 @@ N_PAIRS = 3
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
-def test_a_full_disk_stops_a_run_once_with_path_and_need(dataset, tmp_path, monkeypatch, number):
+def test_a_full_disk_stops_a_run_once_with_path_and_free_space(
+    dataset, tmp_path, monkeypatch, number
+):
     rename = os.replace
     written = []
 
@@ -31,7 +33,6 @@ def test_a_full_disk_stops_a_run_once_with_path_and_need(dataset, tmp_path, monk
             run(dataset, tmp_path / "run")
     told = str(error.value)
     assert re.search(rf"run/\w+/00\d\S*\.parquet: {os.strerror(number)}, [0-9.]+ [MG]B free", told)
-    assert "3 pairs" in told
     assert "\n" not in told
     assert not (tmp_path / "run" / "pairs.parquet").exists()
     assert run(dataset, tmp_path / "run").n_made == 3 * JOBS_PER_PAIR
@@ -58,4 +59,4 @@ def test_the_estimate_of_disk_space_is_near_what_a_run_takes(real_data, tmp_path
     run(data, tmp_path / "run", pattern="000002", workers=None)
     taken = sum(path.stat().st_size for path in (tmp_path / "run").rglob("*.parquet"))
     n_raw = sum(path.stat().st_size // 16 for path in data.glob("*/000002.bin"))
-    assert 0.7 < taken / CostModel().disk_bytes(n_raw) < 1.3
+    assert 0.7 < taken / costs.disk_bytes(n_raw) < 1.3

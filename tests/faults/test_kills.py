@@ -106,7 +106,7 @@ def note(path):
 def pool(monkeypatch):
     """One worker process, which can import this module."""
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
-    pool = DaskPool(1, None, (), {})
+    pool = DaskPool(1)
     yield pool
     pool.close()
 

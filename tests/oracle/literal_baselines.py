@@ -10,7 +10,6 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
-from scipy.stats import wasserstein_distance
 
 from literal_method import distances, nearest_distances
 from literal_surfaces import visiting_order
@@ -38,7 +37,6 @@ def of_points(
         "f_score": 2 * precision * recall / (precision + recall) if precision + recall else 0.0,
         "dcd": dcd(real, sim, settings["dcd_alpha"]),
         "histogram": histogram(real, sim, settings),
-        "sliced_wasserstein_m": sliced_wasserstein(real, sim, int(settings["projections"])),
     }
 
 
@@ -87,20 +85,6 @@ def histogram(
     return float((abs(shares[0] - shares[1]) ** order).sum() ** (1 / order))
 
 
-def sliced_wasserstein(
-    real: NDArray[np.float64], sim: NDArray[np.float64], n_projections: int
-) -> float:
-    """Mean over random directions of the earth mover's distance along each.
-
-    Parameters
-    ----------
-    real, sim : (n, 3), (m, 3) float64, metres
-    """
-    directions = np.random.default_rng(0).standard_normal((n_projections, 3))
-    along = [(real @ u / math.hypot(*u), sim @ u / math.hypot(*u)) for u in directions]
-    return math.fsum(wasserstein_distance(a, b) for a, b in along) / n_projections
-
-
 def assignment_mean(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     """Mean distance of the best one-to-one assignment, metres: the earth mover's distance of sets of equal size.
 
@@ -110,22 +94,6 @@ def assignment_mean(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     """
     cost = cdist(a, b)
     return float(cost[linear_sum_assignment(cost)].mean())
-
-
-def netlsd(
-    L_real: NDArray[np.float64], L_sim: NDArray[np.float64], settings: dict[str, float]
-) -> float:
-    """Distance of the mean heat traces of two whole objects.
-
-    Parameters
-    ----------
-    L_real, L_sim : (n, n), (m, m) float64, normalised Laplacians
-    """
-    a, b = np.linalg.eigvalsh(L_real), np.linalg.eigvalsh(L_sim)
-    times = np.geomspace(
-        settings["heat_time_min"], settings["heat_time_max"], int(settings["heat_times"])
-    ).tolist()
-    return math.sqrt(sum(float(np.exp(-t * a).mean() - np.exp(-t * b).mean()) ** 2 for t in times))
 
 
 def r_h(L_real: NDArray[np.float64], L_sim: NDArray[np.float64], t: float) -> float:

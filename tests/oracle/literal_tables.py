@@ -575,8 +575,6 @@ def _baselines_of_object(pair, match):
     values["emd_kept_mean_m"] = literal_baselines.assignment_mean(real_kept, sim_kept)
     if len(real) == len(sim) <= settings["emd_max_points"]:
         values["emd_mean_m"] = literal_baselines.assignment_mean(real, sim)
-    if max(len(real), len(sim)) <= settings["heat_max_nodes"]:
-        values["netlsd"] = literal_baselines.netlsd(*pair.laplacians(members), settings)
     if len(real_kept) >= _FEWEST_FOR_SPECTRA:
         values["r_h"] = literal_baselines.r_h(*pair.laplacians(kept), pair.settings.selection.t)
     return values

@@ -6,6 +6,7 @@ import re
 import signal
 import time
 import urllib.request
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -15,14 +16,18 @@ from clusters import TEST_MODULES, Cluster
 from distributed import LocalCluster
 
 import broken_jobs
-from fidpipe import __version__
 from fidpipe.pipeline.engine import cluster as engine_cluster
-from fidpipe.pipeline.engine.cluster import DaskPool, Requirements, code_hash, worker_fault
+from fidpipe.pipeline.engine.cluster import (
+    DaskPool,
+    Requirements,
+    code_hash,
+    worker_fault,
+)
 from fidpipe.pipeline.engine.engine import Machines
-from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.generate.best_case_run import run_best_case
 from fidpipe.pipeline.jobs import metrics_job, selection_job
 from fidpipe.pipeline.storage.run_record import library_versions
+from fidpipe.pipeline.storage.table_files import TOKEN
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import Settings
 from runs import (
@@ -186,19 +191,17 @@ def test_a_worker_of_another_version_is_refused_before_anything_runs(
 
 
 def test_a_cluster_that_starts_workers_for_tasks_is_asked_for_one(tmp_path):
-    (tmp_path / "file").write_text("shared")
+    (tmp_path / TOKEN).write_text("shared")
     with LocalCluster(
         n_workers=0, threads_per_worker=1, host="127.0.0.1", scheduler_kwargs={"dashboard": False}
     ) as adaptive:
         adaptive.adapt(minimum=0, maximum=1, interval="100ms")
-        pool = DaskPool(
-            1, adaptive.scheduler_address, [str(tmp_path / "file")], {"fidpipe": __version__}
-        )
-        (tmp_path / "file").write_text("moved")  # a worker that joins from now on sees other files
+        required = Requirements({}, code_hash(), tmp_path, "shared")
+        pool = DaskPool(1, address=adaptive.scheduler_address, required=required)
+        (tmp_path / TOKEN).write_text("moved")  # a worker that joins from now on sees other files
         try:
-            assert pool.dashboard == ""
             pool.submit(pow, 2, 5)
-            with pytest.raises(RunError, match=str(tmp_path / "file")):
+            with pytest.raises(RunError, match=str(tmp_path)):
                 pool.next_done()
         finally:
             pool.close()
@@ -223,7 +226,7 @@ def test_workers_without_a_memory_limit_or_with_a_time_limit_but_no_nanny_are_re
     assert "--memory-limit" in refused.stderr
     named = (*words, "--set", "machine.memory_gib=2")
     refused = own_process(*named, "--pair-timeout", "60", code=1)
-    assert "has no nanny" in refused.stderr
+    assert "a nanny and --nthreads 1" in refused.stderr
     assert own_process(*named).returncode == 0
 
 
@@ -269,21 +272,22 @@ def test_a_pair_that_never_ends_fails_alone_and_leaves_no_process(
 
 
 def test_a_worker_with_other_code_or_other_files_is_refused(tmp_path):
-    assert f"({code_hash()}, here 01234567)" in worker_fault(Requirements({}, {}, "01234567"))
-    gone, own = str(tmp_path / "gone"), str(tmp_path / "own")
-    Path(own).write_text("another")
-    assert worker_fault(Requirements({}, {own: b"another"}, code_hash())) == ""
-    assert worker_fault(Requirements({}, {own: b"own"}, code_hash())).startswith(own)
-    assert worker_fault(Requirements({}, {gone: b""}, code_hash())).startswith(gone)
+    (tmp_path / TOKEN).write_text("mine")
+    required = Requirements({}, code_hash(), tmp_path, "mine")
+    assert worker_fault(required) == ""
+    assert f"({code_hash()}, here 01234567)" in worker_fault(replace(required, code="01234567"))
+    assert worker_fault(replace(required, token="another")).startswith(str(tmp_path))
+    gone = tmp_path / "gone"
+    assert worker_fault(replace(required, folder=gone)).startswith(str(gone))
     with pytest.raises(RunError, match=r"scipy .*0\.0\.9"):
-        engine_cluster._in_worker(Requirements({"scipy": "0.0.9"}, {}, code_hash()), pow, 2, 5)
+        engine_cluster._in_worker(replace(required, libraries={"scipy": "0.0.9"}), pow, 2, 5)
 
 
 @pytest.mark.exhaustive
 def test_a_pair_in_many_batches_of_which_none_ends_fails_alone(dataset, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", TEST_MODULES)
     stages = broken_jobs.with_job("selection", never_ending_selection)
-    small = Policy(worth_splitting_s=0.0, batch_s=0.0)
+    small = {"WORTH_SPLITTING_S": 0.0, "BATCH_S": 0.0}
     outcome = run(
         dataset, tmp_path / "run", workers=2, stages=stages, policy=small, pair_timeout_s=LIMIT_S
     )

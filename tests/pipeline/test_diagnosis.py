@@ -200,7 +200,7 @@ def test_a_world_too_far_ahead_may_be_late(tmp_path):
 
 def room(rng, low_m=(-18.0, -12.0, -1.8), high_m=(31.0, 9.0, 6.0)):
     """Returns of a VLP-16 in a room, with 5 mm of noise."""
-    directions = fire(SENSORS["vlp16"], step_deg=0.4).directions()
+    directions = fire(SENSORS["vlp16"], step_deg=0.4)
     range_m = (
         np.where(directions > 0, high_m, low_m) / np.where(directions == 0, 1e-9, directions)
     ).min(axis=1)

@@ -4,13 +4,12 @@ import numpy as np
 
 from fidpipe.pipeline.datasets.pairs import ScanPair
 from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
-from fidpipe.pipeline.engine.costs import CostModel
 from fidpipe.pipeline.engine.engine import large_pairs_text, voxel_for
 from fidpipe.schemas.settings import InputSettings
 
 
 def test_a_pair_of_many_points_is_announced_with_its_memory_and_minutes():
-    text = large_pairs_text([400_000, 2_000_000], CostModel(), 0.1)
+    text = large_pairs_text([400_000, 2_000_000], 0.1)
     assert (
         "1 of 2 pairs have 500,000 points or more; the largest has about 2,000,000; with all"
         in text

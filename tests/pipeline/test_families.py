@@ -1,8 +1,9 @@
 """Verdicts of families of scores of the world, from rows of `pairs` written by hand."""
 
 import numpy as np
+import pandas as pd
 
-from fidpipe.pipeline.results.families import judge_families, overall
+from fidpipe.pipeline.results.families import ScoredPairs, judge_families, overall
 
 SURFACES = [
     f"covered_{side}_{reach}" for side in ("real", "sim") for reach in ("0p1m", "0p3m", "1m")
@@ -20,19 +21,27 @@ def verdict_of(families):
     )
 
 
+def scored(rows, blocks=None):
+    """Pairs of rows before and after; by default each is a block."""
+    before, after = zip(*rows, strict=True)
+    if blocks is None:
+        blocks = np.arange(len(rows), dtype=np.int32)
+    return ScoredPairs([pd.DataFrame(before), pd.DataFrame(after)], blocks)
+
+
 def judged(n=10, preset="reference", base=None, worse_causes=(), **steps):
     """The families by name if columns of n pairs change by these steps, with a tenth of them as noise."""
     rng = np.random.default_rng(0)
     before = PERFECT | (base or {})
-    rows = {}
-    for i in range(n):
+    rows = []
+    for _ in range(n):
         noisy = {column: before[column] + rng.normal(0, 0.01) for column in SURFACES}
         first = before | noisy
         after = {
             column: first[column] + step * rng.normal(1, 0.1) for column, step in steps.items()
         }
-        rows[str(i)] = (first, first | after)
-    families = judge_families(preset, rows, np.arange(n, dtype=np.int32), worse_causes=worse_causes)
+        rows.append((first, first | after))
+    families = judge_families(preset, scored(rows), worse_causes=worse_causes)
     return {family.name: family for family in families}, verdict_of(families)
 
 
@@ -87,14 +96,12 @@ def test_scores_of_one_family_that_move_both_ways_are_mixed():
 def test_no_simulator_is_better_while_a_family_tends_to_the_worse():
     assert judged(covered_real_0p3m=0.1)[1] == "better"
     rises = (0.02, 0.03, -0.005, 0.03, 0.02, 0.0, 0.03, 0.01, 0.02, -0.005)
-    rows = {}
+    rows = []
     for i, rise in enumerate(rises):
         sim = 0.8 + 0.02 * (-1) ** i
-        rows[str(i)] = (
-            PERFECT,
-            PERFECT | {"covered_real_0p3m": 0.9, "covered_sim_1m": sim, "cdc_mean": 0.3 + rise},
-        )
-    families = judge_families("reference", rows, np.arange(10, dtype=np.int32))
+        moved = {"covered_real_0p3m": 0.9, "covered_sim_1m": sim, "cdc_mean": 0.3 + rise}
+        rows.append((PERFECT, PERFECT | moved))
+    families = judge_families("reference", scored(rows))
     by_name = {family.name: family for family in families}
     assert (by_name["objects"].verdict, by_name["objects"].tendency) == ("undecided", "worse")
     assert verdict_of(families) == "mixed"
@@ -115,26 +122,25 @@ def test_preset_paper_compares_the_match_rate():
 
 
 def test_a_change_that_seeds_alone_make_is_undecided():
-    rows = {str(i): (PERFECT, PERFECT | {"cdc_mean": 0.32 + 0.001 * i}) for i in range(10)}
-    blocks = np.arange(10, dtype=np.int32)
-    assert verdict_of(judge_families("reference", rows, blocks, {"cdc_mean": 0.01})) == "worse"
-    assert verdict_of(judge_families("reference", rows, blocks, {"cdc_mean": 0.1})) == "undecided"
+    pairs = scored([(PERFECT, PERFECT | {"cdc_mean": 0.32 + 0.001 * i}) for i in range(10)])
+    for noise, verdict in ((0.01, "worse"), (0.1, "undecided")):
+        families = judge_families("reference", pairs, seed_noise={"cdc_mean": noise})
+        assert verdict_of(families) == verdict
 
 
 def changed_in(n_changed, n_frames=10):
     """The decision on frames of one place if the coverage of some of its eight sectors falls."""
     rng = np.random.default_rng(1)
-    rows = {}
-    parts = {}
-    for i in range(n_frames):
+    rows = []
+    parts = []
+    for _ in range(n_frames):
         steps = -0.1 * (np.arange(8) < n_changed) + rng.normal(0, 0.002, 8)
-        rows[str(i)] = PERFECT, PERFECT | {"covered_real_0p3m": 0.8 + steps.mean()}
-        for k, step in enumerate(steps):
-            parts[f"{i}/{k}"] = {"covered_real_0p3m": 0.8}, {"covered_real_0p3m": 0.8 + step}
-    sectors = parts, np.tile(np.arange(8, dtype=np.int32), n_frames)
-    blocks = np.arange(n_frames, dtype=np.int32)
-    alone = judge_families("reference", rows, blocks)
-    with_sectors = judge_families("reference", rows, blocks, None, None, sectors)
+        rows.append((PERFECT, PERFECT | {"covered_real_0p3m": 0.8 + steps.mean()}))
+        for step in steps:
+            parts.append(({"covered_real_0p3m": 0.8}, {"covered_real_0p3m": 0.8 + step}))
+    sectors = scored(parts, np.tile(np.arange(8, dtype=np.int32), n_frames))
+    alone = judge_families("reference", scored(rows))
+    with_sectors = judge_families("reference", scored(rows), sectors=sectors)
     return verdict_of(alone), verdict_of(with_sectors)
 
 
@@ -151,7 +157,7 @@ def test_tasks_are_decided_over_places_but_not_without_directions():
     families, decision = judged(base=lost, **{"objects.lost": 0.1})
     assert (families["tasks"].verdict, decision) == ("worse", "worse")
     assert [score.verdict for score in families["tasks"].scores] == ["worse", "same"]
-    rows = {str(i): ({"objects.lost": 0.2}, {"objects.lost": 0.3 + 0.001 * i}) for i in range(10)}
-    sectors = {str(i): (PERFECT, PERFECT) for i in range(80)}, np.arange(80, dtype=np.int32)
-    (tasks,) = judge_families("reference", rows, np.arange(10, dtype=np.int32), sectors=sectors)
+    rows = [({"objects.lost": 0.2}, {"objects.lost": 0.3 + 0.001 * i}) for i in range(10)]
+    sectors = scored([(PERFECT, PERFECT)] * 80)
+    (tasks,) = judge_families("reference", scored(rows), sectors=sectors)
     assert (tasks.verdict, tasks.scores[0].towards) == ("undecided", "worse")

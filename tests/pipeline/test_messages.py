@@ -101,25 +101,15 @@ def test_a_manifest_in_place_of_its_folder_is_named_as_a_file(tmp_path):
         read_dataset(tmp_path / "pairs.csv")
 
 
-@pytest.mark.parametrize(
-    ("made", "side"), [("Real", "real"), ("simulated", "sim"), ("reel", "real")]
-)
-def test_a_folder_of_nearly_the_right_name_is_pointed_at(data, made, side):
-    (data / side).rename(data / made)
-    with pytest.raises(DatasetError, match=f"did you mean {made}/.* {side}/"):
-        read_dataset(data)
-
-
-def test_a_file_of_an_unknown_format_is_not_called_a_missing_partner(data):
+def test_a_file_of_an_unknown_format_is_named(data):
     (data / "sim" / "000.bin").rename(data / "sim" / "000.e57")
-    found = read_dataset(data)
-    assert "sim/000.e57" in found.pairs[0].fault
-    assert found.warnings == ()
+    alone = read_dataset(data)
+    assert "000.bin: no partner" in alone.pairs[0].fault
     shutil.copy(data / "real" / "000.bin", data / "sim" / "000.bin")
     beside = read_dataset(data)
     assert beside.pairs[0].fault is None
-    (warning,) = beside.warnings
-    assert "000.e57" in warning
+    for (warning,) in (alone.warnings, beside.warnings):
+        assert "sim/000.e57: not a known scan format" in warning
 
 
 def folders(folder, real=("a",), sim=("a",)):
@@ -156,9 +146,9 @@ def test_names_of_the_same_number_are_answered_with_the_command_that_pairs_them(
 @pytest.mark.parametrize(
     ("sides", "words"),
     [
-        ((), "the folder is empty"),
-        (("real",), "no folder sim/ .*fidpipe run {0}/real SIM"),
-        (("sim",), "no folder real/ .*fidpipe run REAL {0}/sim"),
+        ((), "got nothing; .*fidpipe run REAL SIM"),
+        (("real",), "folders real/ and sim/ .*got real; .*fidpipe run REAL SIM"),
+        (("sim",), "folders real/ and sim/ .*got sim; .*fidpipe run REAL SIM"),
         (("real", "sim"), "no scans found in {0}/sim"),
     ],
 )
@@ -221,11 +211,9 @@ def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
     assert str(finished) in one_error(command(words[0], finished / "run.json", *words[1:]))
 
 
-@pytest.mark.parametrize("address", ["tls://host:1", "foo", "tcp://host:99999"])
+@pytest.mark.parametrize("address", ["tls://host:1", "foo", "tcp://host"])
 def test_what_is_no_address_of_a_scheduler_is_said_at_once(dataset, tmp_path, address):
-    advice = (
-        "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" if address.startswith("tls") else "tcp://HOST:PORT"
-    )
+    advice = "tcp://HOST:PORT.*DASK_DISTRIBUTED__COMM__TLS__CA_FILE"
     with pytest.raises(RunError, match=f"^{re.escape(f'scheduler {address!r}: ')}.*{advice}"):
         run(dataset, tmp_path / "run", scheduler=address)
 
@@ -342,10 +330,8 @@ def manifest(tmp_path, rows, header="pair_id,real,sim,timestamp_s,T_real_sim"):
     return tmp_path
 
 
-def test_folders_are_paired_by_stem_and_scans_without_a_partner_are_counted_and_fail(tmp_path):
+def test_folders_are_paired_by_stem_and_scans_without_a_partner_fail(tmp_path):
     dataset = read_dataset(folders(tmp_path, ("b", "a"), ("a", "c")))
-    (text,) = dataset.warnings
-    assert text.startswith(f"{tmp_path}: 1 real and 1 simulated")
     paired, *alone = dataset.pairs
     assert (paired.pair_id, paired.real.file.name, paired.fault) == ("a", "a.bin", None)
     for pair, name in zip(alone, "bc", strict=True):
@@ -393,7 +379,7 @@ def test_a_manifest_file_that_is_not_there_is_a_fault_of_its_pair(tmp_path):
         ("p,real/a.bin,sim/a.bin,,1 0 0 0 0 -1 0 0 0 0 1 0", "line 3: T_real_sim .*mirror"),
         ("p,real/a.bin,sim/a.bin,,1 0 0 x 0 1 0 0 0 0 1 0", "line 3: T_real_sim: .*'x'"),
         (" ,real/a.bin,sim/a.bin,,", "line 3: pair_id is empty"),
-        ("first,real/a.bin,sim/a.bin,,", "line 3: pair_id first .*line 2"),
+        ("first,real/a.bin,sim/a.bin,,", "line 3: pair_id first occurs twice"),
     ],
 )
 def test_a_bad_manifest_stops_everything(tmp_path, row, fault):
@@ -406,7 +392,7 @@ def test_a_bad_manifest_stops_everything(tmp_path, row, fault):
     [
         ("pair_id,real,sim,T_sim_real", "T_sim_real .*did you mean T_real_sim"),
         ("pair_id,real,sim,t_real_sim", "t_real_sim .*did you mean T_real_sim"),
-        ("pair_id,real,sim", "line 2: .*got 4"),
+        ("pair_id,real,sim", "line 2: .*got more"),
         ("pair_id,real,sim,real", "column real"),
         ("name,real", "pair_id, sim; got name, real"),
     ],
@@ -449,10 +435,11 @@ def test_check_estimates_the_sensors_of_both_sides_from_the_sampled_pairs_and_na
     tmp_path,
 ):
     beams = fire(SENSORS["vlp16"], step_deg=0.5)
-    rows = (10 + 4 * np.sin(3 * beams.azimuth_rad))[:, None] * beams.directions()
+    azimuth = np.arctan2(beams[:, 1], beams[:, 0])
+    rows = (10 + 4 * np.sin(3 * azimuth))[:, None] * beams
     dataset = folders(tmp_path, ("a", "b", "c"), ("a", "b"))
     for name in ("a", "b", "c"):
-        is_seen = (name != "c") | (np.round(np.degrees(beams.elevation_rad)) % 4 == 1)
+        is_seen = (name != "c") | (np.round(np.degrees(np.arcsin(beams[:, 2]))) % 4 == 1)
         write_bin(dataset / "real" / f"{name}.bin", rows[np.broadcast_to(is_seen, len(rows))])
     sensors = check_dataset(dataset, Settings()).sensors
     assert sensors.pair_ids == ("a", "b", "c")

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 import fidpipe
-from fidpipe.pipeline.report.figures.pair_plots import plot_range_image
+from fidpipe.pipeline.report.figures.plots import plot_range_image
 from fidpipe.pipeline.report.look import SIDE_COLOURS
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.tables import TABLES

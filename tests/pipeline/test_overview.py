@@ -7,12 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pytest
 
 from fidpipe.pipeline import run as run_module
 from fidpipe.pipeline import run_tables
-from fidpipe.pipeline.report.page.run_data import verdict_of
+from fidpipe.pipeline.report.page.run_data import page_words
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.report.views.run_view import outcome_view, summary_view
 from fidpipe.pipeline.report.views.show_view import show_view
@@ -87,13 +86,12 @@ def test_the_overview_of_the_record_is_that_of_the_tables(finished):
 def test_the_overview_read_again_is_the_one_written_and_pairs_at_a_time_change_nothing(
     finished, monkeypatch
 ):
-    from fidpipe.pipeline.results import object_frame, overview
+    from fidpipe.pipeline.results import object_frame
 
     _, folder, outcome = finished
     again = FinishedRun(folder)
     assert again.record.overview == outcome.record.overview
-    for module in (object_frame, overview):
-        monkeypatch.setattr(module, "PAIRS_AT_ONCE", 1)
+    monkeypatch.setattr(object_frame, "PAIRS_AT_ONCE", 1)
     pairs = outcome.pairs
     times = {name: 100.0 * i for i, name in enumerate(NUSCENES)}
     findings, found, metrics = describe_objects(
@@ -116,12 +114,9 @@ def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_
     ]
     rows += [("real", 1, 300, "moved", None), ("sim", 1, 310, "moved", None)]
     names = ("side", "piece_id", "n_points", "fate", "label")
-    table = pa.Table.from_pylist(
-        [dict(zip(names, row, strict=True)) | place | moved for row in rows]
-    )
-    store = SimpleNamespace(
-        read_pairs=lambda *_: {("pieces", ""): (table, np.array([2, 3]))}
-    )  # two of a, three of b
+    pieces = pd.DataFrame([dict(zip(names, row, strict=True)) | place | moved for row in rows])
+    pieces["pair_id"] = [*"aabbb"]
+    store = SimpleNamespace(read_pairs=lambda *_: {("pieces", ""): pieces})
     assert [
         (one.pair_id, one.fate_words, one.words.split(", ")[0])
         for one in largest_pieces(store, ["a", "b"])
@@ -147,7 +142,7 @@ def test_a_run_of_other_scans_says_what_it_replaced_and_one_with_nothing_to_do_s
     moved = f"CDC {after.summary['cdc_mean'].mean - before['cdc_mean'].mean:+.2f}"
     for shown in (
         text_of(show_view(FinishedRun(folder), None, None), 300),
-        str(verdict_of(read_results(folder))["answer"]),
+        str(page_words(read_results(folder))["answer"]),
     ):
         assert moved in shown
         assert f"since {after.previous.written}; is it chance? fidpipe compare" in shown
@@ -254,8 +249,8 @@ def test_show_gives_csv_that_pandas_reads_and_markdown_tables(by_command):
     metrics = pd.read_parquet(out / "metrics").query("pair_id == @NUSCENES[0]").set_index("real_id")
     matched = objects[objects.status == "matched"].set_index("real_id")
     assert matched.cdc.to_dict() == metrics.cdc.to_dict()
-    one = pd.read_csv(StringIO(command("show", out, NUSCENES[0], 0, "--csv").stdout), index_col=0)
-    assert float(one.score["cdc"]) == metrics.cdc[0]
+    one = pd.read_csv(StringIO(command("show", out, NUSCENES[0], 0, "--csv").stdout))
+    assert one.cdc.tolist() == [metrics.cdc[0]]
     markdown = command("show", out, "--markdown").stdout
     assert markdown.startswith("**streets: 3 pairs, preset paper**")
     assert "\nsurface: " in markdown
@@ -346,7 +341,7 @@ def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp
     summary, n_scored = outcome.record.summary, outcome.record.pairs.scored
     assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (n_scored - 1, n_scored)
     assert summary["cdc_unmatched_worst_mean"].n_pairs == n_scored
-    view = summary_view(outcome.folder, outcome.rows, outcome.record, with_all=True)
+    view = summary_view(FinishedRun(outcome.folder), with_all=True)
     line = next(
         line for line in text_of(view, 300).splitlines() if line.strip().startswith("CDC  ")
     )

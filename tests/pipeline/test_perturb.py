@@ -15,13 +15,13 @@ from fidpipe.pipeline.paper.perturb import LEVELS as DEFAULT_LEVELS
 from fidpipe.pipeline.paper.perturb import NULL, chosen_objects, parse_levels, perturb_source
 from fidpipe.pipeline.paper.perturb_objects import choose_objects
 from fidpipe.pipeline.report.view import Table
+from fidpipe.pipeline.results.object_frame import SHAPES
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, ScanError, SettingsError
 from fidpipe.schemas.settings import load
 from fidpipe.stages.generate.perturbations import Perturbation, perturb
 from fidpipe.stages.graph import build_graph
 from fidpipe.stages.method import partition
-from fidpipe.stages.statistics.typical_objects import ScanObjects
 from runs import QUIET, command, contents
 from scenes import street, write_bin, write_dataset
 
@@ -214,11 +214,10 @@ def test_an_object_that_is_named_twice_is_altered_once(labelled, tmp_path):
     ],
 )
 def test_no_object_stands_for_two_shapes(shapes, chosen):
-    n = len(shapes)
-    ones = np.ones(n)
-    scan = ScanObjects("a", np.full(n, 99), ones, [None] * n, ones, np.array(shapes))
-    objects = choose_objects(scan, None, SETTINGS.graph.k)
-    assert [of.community_id for of in objects] == chosen
+    objects = pd.DataFrame(shapes, columns=[*SHAPES])
+    objects = objects.assign(n_points=99, range_m=1.0, label=None, label_share=1.0)
+    found = choose_objects(objects, "a", None, SETTINGS.graph.k)
+    assert [of.community_id for of in found] == chosen
 
 
 def test_levels_that_agree_to_many_digits_are_two(scan, tmp_path):

@@ -1,9 +1,11 @@
 """Datasets and runs in an object store, against a server of S3's interface on this machine."""
 
 import errno
+import hashlib
 import http.server
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -30,7 +32,7 @@ from fidpipe.pipeline.storage.object_store import (
     write_object,
 )
 from fidpipe.pipeline.storage.remote_run import LOCK, RemoteRun
-from fidpipe.pipeline.storage.table_files import TOKEN
+from fidpipe.pipeline.storage.table_files import TOKEN, JobRecord, StoredFile
 from fidpipe.pipeline.storage.urls import cache_of, url_of_cache
 from fidpipe.schemas.errors import DatasetError, RunError, StoreError
 from runs import FIDPIPE, assert_same_tables, command, one_line, run, some_of
@@ -427,6 +429,51 @@ def test_a_command_whose_lock_was_taken_over_stops_writing_and_leaves_the_lock(
         (folder / "settings.toml").write_text("")
     assert read_object(f"{own.url}/{LOCK}") == other
     assert [one.name for one in list_objects(own.url)] == [LOCK]
+
+
+def test_the_url_never_holds_a_ledger_without_the_tables_that_it_names(tmp_path, monkeypatch):
+    """At each PUT and before it: a machine may die there, and the run goes on while its files are written."""
+    monkeypatch.setenv("FIDPIPE_CACHE", str(tmp_path))
+    folder = cache_of("s3://data/runs/order")
+    folder.mkdir(parents=True)
+    lock = threading.Lock()
+    stored = {}
+    n_jobs = 0
+
+    def finish_job():
+        nonlocal n_jobs
+        n_jobs += 1
+        name = f"graph/{n_jobs:03d}.parquet"
+        content = name.encode()
+        (folder / "graph").mkdir(exist_ok=True)
+        (folder / name).write_bytes(content)
+        file = StoredFile(len(content), hashlib.sha256(content).hexdigest(), 0)
+        for pair_id in ("a", str(n_jobs)):
+            Ledger(folder).put_job(JobRecord("graph", pair_id, str(n_jobs), "key", {name: file}))
+        (folder / "run.json").write_text(str(n_jobs))
+
+    def put(url, content, mode="overwrite"):
+        name = url.removeprefix("s3://data/runs/order/")
+        time.sleep(0.05 if name.endswith("0.parquet") else 0)  # others overtake it
+        with lock:
+            if name.startswith("graph/") and n_jobs < 60:
+                finish_job()
+            stored[name] = content
+            if name.startswith("ledger/"):
+                assert set(re.findall(r"graph/\d+[.]parquet", content.decode())) <= set(stored)
+            if name == "run.json":
+                assert {f"ledger/{i}.json" for i in range(1, int(content) + 1)} <= set(stored)
+        return "etag"
+
+    monkeypatch.setattr("fidpipe.pipeline.storage.remote_run.write_object", put)
+    for _ in range(20):
+        finish_job()
+    own = RemoteRun("s3://data/runs/order")
+    for _ in range(4):
+        own.push()
+    assert set(stored) - {LOCK} == {
+        path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()
+    }
 
 
 def test_an_object_that_is_lost_fails_its_pair_by_name(bucket, local, tmp_path):

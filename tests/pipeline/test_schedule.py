@@ -2,14 +2,13 @@
 
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import pandas as pd
 import pytest
 
 from fidpipe.pipeline.datasets import content
-from fidpipe.pipeline.engine.costs import CostModel
-from fidpipe.pipeline.engine.schedule import Policy
+from fidpipe.pipeline.engine import costs
 from fidpipe.pipeline.jobs import EXTRAS, STAGES
 from fidpipe.schemas.errors import StageError
 from fidpipe.schemas.settings import load
@@ -18,19 +17,14 @@ from runs import JOBS_PER_PAIR, assert_same_tables, listening, run
 
 N_PAIRS = 3
 
-LARGE_NODES = CostModel(bytes_per_node=2**22)
+LARGE_NODES = {"BYTES_PER_NODE": 2**22}
 N_JOBS = 3 * JOBS_PER_PAIR
 EXTRA = load(None, ["metrics.baselines=chamfer", "stability.seeds=2"])
 
 
-@dataclass(frozen=True)
-class TooLargeAbove(CostModel):
+def too_large_above(limit):
     """Objects above a limit need more memory than anybody has, all others none."""
-
-    limit: float = 0.0
-
-    def object_bytes(self, n_keep):
-        return 100 * GIB if n_keep > self.limit else 0
+    return {"object_bytes": lambda n_keep: 100 * GIB if n_keep > limit else 0}
 
 
 def fail(context):
@@ -62,8 +56,8 @@ def test_a_pair_that_cannot_fit_fails_with_size_need_and_setting(
 def test_an_object_that_cannot_fit_fails_its_pair_alone(dataset, finished, tmp_path):
     largest = pd.read_parquet(finished / "metrics").groupby("pair_id").n_keep.max()
     loser = largest.idxmax()
-    costs = TooLargeAbove(limit=(largest.max() + largest.drop(loser).max()) / 2)
-    outcome = run(dataset, tmp_path / "run", pool=WatchedPool(), policy=Policy(costs))
+    policy = too_large_above((largest.max() + largest.drop(loser).max()) / 2)
+    outcome = run(dataset, tmp_path / "run", pool=WatchedPool(), policy=policy)
     assert list(outcome.failures) == [loser]
     assert f"of {largest.max()} aligned nodes: 1e+02 GiB" in outcome.failures[loser]
     assert "graph.k" in outcome.failures[loser]
@@ -74,7 +68,7 @@ def test_objects_larger_than_a_share_are_scored_one_by_one_with_the_same_numbers
     dataset, finished, tmp_path
 ):
     pool = WatchedPool(memory=3 * GIB // 2)
-    policy = Policy(LARGE_NODES, worth_splitting_s=math.inf)  # no pair is split for speed
+    policy = LARGE_NODES | {"WORTH_SPLITTING_S": math.inf}  # no pair is split for speed
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
     assert "score_objects" in pool.submitted
     assert_same_tables(tmp_path / "run", finished)
@@ -86,7 +80,7 @@ def test_a_long_pair_is_made_job_by_job_and_object_by_object_so_that_progress_mo
 ):
     pool = WatchedPool(n_workers=n_workers)
     reporter, told = listening(seconds_between_lines=0.0)
-    policy = Policy(worth_splitting_s=0.0, long_pair_s=0.0, batch_s=0.0)
+    policy = {"WORTH_SPLITTING_S": 0.0, "LONG_PAIR_S": 0.0, "BATCH_S": 0.0}
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy, reporter=reporter).failures
     jobs_of_sides = [
         len(jobs) for jobs in pool.batches if jobs[0][1] in ("ground", "graph", "communities")
@@ -99,12 +93,12 @@ def test_a_long_pair_is_made_job_by_job_and_object_by_object_so_that_progress_mo
 
 
 def test_tasks_that_may_run_at_once_fit_into_the_memory(dataset, tmp_path):
-    policy = Policy(LARGE_NODES, worth_splitting_s=0.0, batch_s=0.0)  # one task per object
-    ample = WatchedPool(memory=64 * GIB, costs=LARGE_NODES)
-    scarce = WatchedPool(memory=2 * GIB, costs=LARGE_NODES)
+    policy = LARGE_NODES | {"WORTH_SPLITTING_S": 0.0, "BATCH_S": 0.0}  # one task per object
+    ample = WatchedPool(memory=64 * GIB)
+    scarce = WatchedPool(memory=2 * GIB)
     for name, pool in (("ample", ample), ("scarce", scarce)):
         assert not run(dataset, tmp_path / name, pool=pool, policy=policy).failures
-    usable = 2 * GIB - 2 * LARGE_NODES.process_bytes
+    usable = 2 * GIB - 2 * costs.PROCESS_BYTES
     assert max(need for _, need in ample.at_once) > usable
     assert max(need for n, need in scarce.at_once if n > 1) <= usable
     assert_same_tables(tmp_path / "ample", tmp_path / "scarce")
@@ -115,7 +109,7 @@ def test_a_pair_with_a_large_object_whose_worker_dies_once_is_scored_all_the_sam
     dataset, finished, tmp_path, function
 ):
     pool = DyingPool(lambda jobs, name: name == function, 1, memory=3 * GIB // 2)
-    policy = Policy(LARGE_NODES, worth_splitting_s=math.inf)
+    policy = LARGE_NODES | {"WORTH_SPLITTING_S": math.inf}
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
     assert pool.n_deaths == 1
     assert_same_tables(tmp_path / "run", finished)
@@ -175,7 +169,7 @@ def test_an_extra_that_loses_its_worker_alone_too_fails_alone(dataset, finished,
 
 def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(dataset, finished, tmp_path):
     pool = WatchedPool()
-    policy = Policy(worth_splitting_s=0.0, batch_s=0.0)
+    policy = {"WORTH_SPLITTING_S": 0.0, "BATCH_S": 0.0}
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures
     n_objects = len(pd.read_parquet(tmp_path / "run" / "metrics"))
     assert pool.submitted.count("score_objects") == n_objects > 3
@@ -194,7 +188,7 @@ def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(dataset, f
 
 
 def test_pairs_that_nobody_began_are_an_error_not_a_silence(dataset, tmp_path):
-    nothing_begins = Policy(pairs_per_worker=0)
+    nothing_begins = {"PAIRS_PER_WORKER": 0}
     with pytest.raises(RuntimeError, match="3 pairs"):
         run(dataset, tmp_path / "run", pool=WatchedPool(), policy=nothing_begins)
 
@@ -208,8 +202,8 @@ def test_what_fits_alone_does_not_depend_on_the_number_of_workers(
 
 
 def test_there_are_no_more_workers_than_the_memory_holds():
-    assert CostModel().most_workers(2 * GIB) == 3
-    assert CostModel().most_workers(1) == 1
+    assert costs.most_workers(2 * GIB) == 3
+    assert costs.most_workers(1) == 1
 
 
 def test_a_failed_extra_does_not_stop_another(dataset, finished, tmp_path):

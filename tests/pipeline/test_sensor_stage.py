@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 
 from fidpipe import evaluate_pair
-from fidpipe.pipeline.report.run_frames import PairFrames, read_results
+from fidpipe.pipeline.report.page.run_data import page_words
+from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.measures import Measures
 from fidpipe.schemas.sensor_models import SENSORS
@@ -53,8 +54,10 @@ def test_the_table_has_the_sensor_of_each_side_in_the_frame_of_its_own_file(fini
 
 
 def test_the_report_has_the_description_of_both_sensors(finished):
-    sensors = PairFrames(read_results(finished), "a").sensors
-    assert (sensors["real"].model, len(sensors["sim"].elevation_deg)) == ("Velodyne VLP-16", 32)
+    (sensors,) = page_words(read_results(finished))["sensors"]
+    assert [side for side, _ in sensors.sections] == ["real", "sim"]
+    assert "Velodyne VLP-16" in str(sensors.sections[0])
+    assert "Velodyne HDL-32E" in str(sensors.sections[1])
 
 
 def test_a_gate_tests_every_property_of_both_sensors(finished):

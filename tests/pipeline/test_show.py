@@ -6,7 +6,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline.report.figures.object_plots import plot_object
+from fidpipe.pipeline.report.figures.plots import plot_object
 from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.report.views.show_view import object_view, pair_view
 from fidpipe.pipeline.results.finished import FinishedRun, object_facts, pair_facts

@@ -9,7 +9,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import toys
-from fidpipe.pipeline.engine.schedule import Policy
 from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.jobs.points_job import object_points
 from fidpipe.pipeline.stage import SCAN, JobResult, Memo
@@ -24,7 +23,7 @@ from toys import OF_OBJECT, OF_PAIR, OF_SIDE, TOY_TABLES, ToySettings, with_toys
 N_POINTS = 100
 
 N_PAIRS = 2
-ALL_SPLIT = Policy(worth_splitting_s=0.0, batch_s=0.0)
+ALL_SPLIT = {"WORTH_SPLITTING_S": 0.0, "BATCH_S": 0.0}
 JOBS_PER_PAIR = sum(len(stage.parts) for stage in with_toys())
 
 
@@ -94,7 +93,7 @@ def test_split_into_sides_and_objects_they_give_the_same(whole, dataset, tmp_pat
     assert_same_results(tmp_path / "run", whole)
 
 
-@pytest.mark.parametrize("policy", some_of([Policy(), ALL_SPLIT], [ALL_SPLIT]))
+@pytest.mark.parametrize("policy", some_of([{}, ALL_SPLIT], [ALL_SPLIT]))
 def test_on_two_workers_they_give_the_same(whole, dataset, tmp_path, policy):
     run_with_toys(dataset, tmp_path / "run", workers=2, policy=policy)
     assert_same_results(tmp_path / "run", whole)
@@ -260,14 +259,14 @@ def test_a_stage_that_takes_what_none_before_it_gives_is_refused_before_any_work
 @pytest.mark.parametrize(
     ("declared", "fault"),
     [
-        ({"takes": {"communities": ("comunity_id",)}}, ".*comunity_id"),
-        ({"gives": ("toy_clouds",)}, ".*toy_clouds"),
+        ({"takes": {"communities": ("comunity_id",)}}, "comunity_id"),
+        ({"gives": ("toy_clouds",)}, "toy_clouds"),
     ],
 )
 def test_a_stage_that_names_what_no_contract_has_is_refused_before_any_work(
     dataset, tmp_path, declared, fault
 ):
-    with pytest.raises(ValueError, match=f"stage crowds: {fault}"):
+    with pytest.raises(KeyError, match=fault):
         run_with_toys(dataset, tmp_path / "run", stages=with_toys(replace(OF_SIDE, **declared)))
     assert not (tmp_path / "run" / "ground").exists()
 

@@ -89,14 +89,13 @@ def test_a_key_depends_on_every_part():
     assert key_of({"a": 1, "b": 2}) == key_of({"b": 2, "a": 1})
 
 
-def test_a_file_whose_parts_fail_leaves_the_one_before(tmp_path):
-    def parts():
-        yield b"new"
+def test_a_file_whose_writing_fails_leaves_the_one_before(tmp_path):
+    def refuse():
         raise ValueError("no more")
 
     write_whole(tmp_path / "file", b"old")
     with pytest.raises(ValueError, match="no more"):
-        write_whole(tmp_path / "file", parts())
+        write_whole(tmp_path / "file", b"new", before_rename=refuse)
     assert (tmp_path / "file").read_bytes() == b"old"
     assert len(list(tmp_path.iterdir())) == 1
 

@@ -15,8 +15,8 @@ from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import GroundSettings, InputSettings
 from fidpipe.stages.clean import clean_scan
-from fidpipe.stages.generate.street_objects import KINDS
 from fidpipe.stages.generate.street_scans import make_pair
+from fidpipe.stages.generate.streets import KINDS
 from fidpipe.stages.ground import remove_ground
 from runs import files_in, listening
 

@@ -39,7 +39,6 @@ BOTH_WAYS = (
     "chamfer_squared_m2",
     "hausdorff_m",
     "f_score",
-    "sliced_wasserstein_m",
     "histogram",
 )
 

@@ -19,7 +19,7 @@ def grid(name="vlp16", step_deg=STEP_DEG):
 
 def room(name="vlp16", step_deg=STEP_DEG, turned_deg=0.0, corners_m=CORNERS_M):
     """Returns of a sensor inside a box, one per firing."""
-    directions = fire(SENSORS[name], step_deg=step_deg).directions()
+    directions = fire(SENSORS[name], step_deg=step_deg)
     angle = np.radians(turned_deg)
     turn = np.array(
         [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]

@@ -44,7 +44,7 @@ def room(sensor, step_deg=STEP_DEG, lost_share=None):
     rng = np.random.default_rng(0)
     if sensor.column_deg and step_deg:
         step_deg = sensor.column_deg * round(step_deg / sensor.column_deg)
-    directions = fire(sensor, step_deg=step_deg).directions()
+    directions = fire(sensor, step_deg=step_deg)
     steep = directions @ TILT.T
     steep = np.where(np.abs(steep) < 1e-9, 1e-9, steep)
     range_m = (np.where(steep > 0, CORNERS_M[1], CORNERS_M[0]) / steep).min(axis=1)

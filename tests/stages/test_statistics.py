@@ -8,7 +8,6 @@ import pytest
 from scipy import stats
 
 from fidpipe.pipeline.datasets.readers import read_scan
-from fidpipe.schemas.results import GroupMean, RankCorrelation
 from fidpipe.stages.statistics.comparison import (
     adjusted_p_values,
     block_means,
@@ -19,11 +18,7 @@ from fidpipe.stages.statistics.comparison import (
     paired_difference,
 )
 from fidpipe.stages.statistics.findings import (
-    Objects,
-    density_ratio,
     distribution,
-    rank_correlation,
-    summarise_objects,
 )
 from fidpipe.stages.statistics.neighbours import SAME_PLACE, map_place, neighbours, overlap
 from fidpipe.stages.statistics.spread import spread
@@ -228,102 +223,10 @@ def test_the_same_values_are_no_distance_apart_and_nulls_are_left_out(rng):
     assert area_validation_metric(values[:0], values) is None
 
 
-def both_sides(real, sim):
-    """Objects of ten points each; of each side range_m, label, is_matched, and perhaps cdc and r_lambda."""
-    columns = [[] for _ in range(6)]
-    for is_real, (range_m, label, is_matched, *scores) in ((True, real), (False, sim)):
-        n = len(range_m)
-        values = (
-            [is_real] * n,
-            range_m,
-            label,
-            is_matched,
-            *(scores or ([np.nan] * n, [np.nan] * n)),
-        )
-        for column, of_side in zip(columns, values, strict=True):
-            column.extend(of_side)
-    is_real, range_m, label, is_matched, cdc, r_lambda = columns
-    n = len(range_m)
-    return Objects(
-        np.array(is_real, dtype=bool),
-        np.array(range_m, dtype=float),
-        np.array(label, dtype=str),
-        np.array(is_matched, dtype=bool),
-        *np.full((2, n), 10),
-        *np.array([cdc, r_lambda, [0.0] * n], dtype=float),
-    )
-
-
-@pytest.fixture
-def by_hand():
-    """Two pairs: cars near and matched, trees far; one tree missing, one invented."""
-    place = [5.0, 25.0, 5.0, 45.0], ["car", "tree", "car", "tree"], [True, True, True, False]
-    real = *place, [0.1, 0.9, 0.3, np.nan], [0.2, 0.5, np.nan, np.nan]
-    sim = [5.0, 25.0, 6.0, 60.0], *place[1:]
-    return summarise_objects(both_sides(real, sim), 2)
-
-
-def test_unmatched_objects_are_counted_by_range_of_their_own_side(by_hand):
-    bands = {band.from_m: band for band in by_hand.range_m.bands}
-    assert (bands[0.0].n_real, bands[0.0].n_not_found, bands[0.0].not_found_share) == (2, 0, 0.0)
-    assert (bands[30.0].n_real, bands[30.0].not_found_share, bands[30.0].n_sim) == (1, 1.0, 0)
-    assert (bands[50.0].n_extra, bands[50.0].not_found_share) == (1, None)
-    assert by_hand.range_m.median_matched == 5.0
-    assert by_hand.range_m.median_unmatched == 52.5
-
-
-def test_a_class_is_that_of_the_real_object_and_nulls_are_left_out(by_hand):
-    classes = {row.label: row for row in by_hand.classes}
-    car = classes["car"]
-    assert (car.n_matched, car.scores["cdc"].mean) == (2, 0.2)
-    assert car.scores["r_lambda"] == GroupMean(mean=0.2, std=None, n=1)
-    assert (classes["tree"].not_found_share, classes["tree"].extra_share) == (0.5, 0.5)
-
-
-def test_scans_without_labels_have_no_classes():
-    one = [5.0], [""], [True], [0.1], [0.2]
-    found = summarise_objects(both_sides(one, one), 1)
-    assert found.classes == ()
-
-
-def test_nothing_at_all_gives_nulls_and_no_error():
-    nothing = [], [], []
-    found = summarise_objects(both_sides(nothing, nothing), 1)
-    assert found.distributions.cdc.mean is None
-    assert found.rank_correlation == RankCorrelation(n=0, spearman=None, kendall=None)
-    assert found.density_ratio.min is None
-
-
 def test_a_distribution_by_hand():
     found = distribution(np.array([0.0, 0.01, 0.02, 1.0, np.nan]))
     assert (found.n, found.min, found.max) == (4, 0.0, 1.0)
     assert found.cv == pytest.approx(np.std([0, 0.01, 0.02, 1], ddof=1) / 0.2575)
-
-
-@pytest.mark.parametrize(("n", "n_values"), [(3, 2), (64, 5), (65, 1000), (700, 30), (2000, 10**6)])
-def test_a_rank_correlation_is_that_of_scipy_also_with_ties(n, n_values):
-    rng = np.random.default_rng(n)
-    a, b = rng.integers(0, n_values, (2, n)) + np.eye(2, n)
-    b[::3] = a[::3]
-    found = rank_correlation(a, b)
-    assert found.spearman == pytest.approx(stats.spearmanr(a, b).statistic, abs=1e-12)
-    assert found.kendall == pytest.approx(stats.kendalltau(a, b).statistic, abs=1e-12)
-
-
-def test_a_rank_correlation_sees_order_only():
-    a = np.array([1.0, 2.0, 3.0, 100.0, np.nan])
-    assert vars(rank_correlation(a, -(a**3))) == {
-        "n": 4,
-        "spearman": pytest.approx(-1),
-        "kendall": pytest.approx(-1),
-    }
-    assert rank_correlation(a, np.ones(5)).kendall is None
-
-
-def test_density_ratios_are_simulated_over_real():
-    found = density_ratio(np.array([100, 10, 10]), np.array([10, 10, 50]))
-    assert (found.min, found.median, found.max) == (0.1, 1.0, 5.0)
-    assert found.share_below_quarter == found.share_above_four == pytest.approx(1 / 3)
 
 
 def town(seed):

@@ -10,10 +10,9 @@ from matplotlib.figure import Figure
 
 from ...storage.files import write_whole
 from ..look import QUADRANT_COLOURS
-from ..run_frames import SCORES, RunResults, axis_title, read_cloud
+from ..run_frames import SCORES, RunResults, axis_title, coordinates
 from . import style
-from .object_plots import plot_object
-from .pair_plots import plot_pieces, plot_range_image
+from .plots import plot_object, plot_pieces, plot_range_image
 
 _KINDS = ("png", "svg", "pdf")
 _MOST_OBJECTS = 4
@@ -54,16 +53,17 @@ def draw_figures(results: RunResults, pair_id: str, folder: Path) -> list[Path]:
 
 def _plot_r_lambda(results: RunResults, pair_id: str) -> Figure:
     """A map of the real objects by r_lambda, Fig. 1; those without it are grey."""
-    cloud = read_cloud(results.run, pair_id, "real")
+    points = results.run.points(pair_id, "real").query("not is_ground")
+    places = coordinates(points)
     matched = results.matched[results.matched.pair_id == pair_id].set_index("real_id")
-    r_lambda = matched.r_lambda.astype(float).reindex(cloud.community).to_numpy()
+    r_lambda = points["community_id"].map(matched["r_lambda"]).astype(float)
     with style.axes_for(None, 8, 6) as axis:
-        style.dots(axis, cloud.points, 1, "#cccccc", label="no counterpart, or no score")
+        style.dots(axis, places, 1, "#cccccc", label="no counterpart, or no score")
         ramp = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": 1}
-        coloured = style.dots(axis, cloud.points, 1.2, r_lambda, **ramp)
+        coloured = style.dots(axis, places, 1.2, r_lambda, **ramp)
         style.colour_bar(axis, coloured, axis_title("r_lambda"))
         axis.set_title(f"pair {style.shown_name(pair_id)}")
-        style.from_above(axis, style.frame_of(cloud.points))
+        style.from_above(axis, style.frame_of(places))
     return style.figure_of(axis)
 
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....stages.arrays import FloatArray
-from ..look import GREY, RAMPS, clipped
+from ...terminal import shown
+from ..look import RAMPS, clipped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -123,46 +124,6 @@ def from_above(axis: Any, frame: FloatArray) -> None:
         axis.legend(ncols=3, markerscale=4, **below)
 
 
-def box_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest corner and size, (3,) each, of a box around all points.
-
-    No side is shorter than a third of the longest.
-    """
-    low = points.min(axis=0)
-    high = points.max(axis=0)
-    size = np.maximum(high - low, (high - low).max() / 3)
-    return (low + high - size) / 2, size
-
-
-def draw_object(
-    axis: Any,
-    points: FloatArray,
-    colour: str,
-    box: tuple[FloatArray, FloatArray],
-    zoom: float = 0.87,
-    **look: Any,
-) -> None:
-    """Draw points in space, in metres from the corner of their box (see `box_of`)."""
-    corner, size = box
-    dots(axis, points - corner, 2, colour, **look)
-    _metres(axis, size, zoom)
-
-
-def _metres(axis: Any, size: FloatArray, zoom: float) -> None:
-    """Set an axis in space to a box that begins at 0, true to scale."""
-    from matplotlib.ticker import MaxNLocator
-
-    axis.set_box_aspect(tuple(size), zoom=zoom)  # an array would be changed
-    label_pads = (-4, -6, -4)
-    for name, pad, length in zip("xyz", label_pads, size, strict=True):
-        getattr(axis, f"set_{name}lim")(0, length)
-        ticks = getattr(axis, f"{name}axis")
-        ticks.set_major_locator(MaxNLocator(4 if length > 0.6 * size.max() else 2))
-        ticks.set_tick_params(labelsize=6, pad=-2)
-        ticks.pane.set(facecolor="none", edgecolor=GREY)
-        getattr(axis, f"set_{name}label")(f"{name} (m)", fontsize=7, labelpad=pad)
-
-
 def draw_band(axis: Any, x: FloatArray, mean: FloatArray, std: FloatArray, **look: Any) -> None:
     """A line of means with a band of one standard deviation to either side, not below 0.
 
@@ -182,18 +143,12 @@ def mark_amounts(axis: Any, amounts: Iterable[float]) -> None:
 
 
 def shown_name(name: str, most: int = 28) -> str:
-    r"""A name as a figure can show it: shortened, characters that the font lacks as escapes.
+    r"""A name as a figure can show it: shortened, characters beyond Latin-1 as escapes.
 
     Examples
     --------
     >>> shown_name("street 5"), shown_name("雪")
     ('street 5', '\\u96ea')
     """
-    from matplotlib.font_manager import findfont, get_font
-
-    known = get_font(findfont("DejaVu Sans")).get_charmap()
-    text = ""
-    for character in name:
-        is_drawn = ord(character) in known and character.isprintable()
-        text += character if is_drawn else character.encode("unicode_escape").decode()
+    text = shown(name).encode("latin-1", "backslashreplace").decode("latin-1")
     return clipped(text, most)

@@ -10,13 +10,18 @@ from urllib.parse import quote
 
 import numpy as np
 
+from ....schemas.columns import Row
+from ....stages.arrays import FloatArray
+from ....stages.statistics.findings import evenly
+from ....stages.surface import signed_distances
 from ...results.causes import read_causes
 from ...results.compare import Comparison
 from ...results.finished import FinishedRun
 from ...results.followed import worst_changes
 from ...terminal import STEERING
 from ..look import PAGE_COLOURS, SIGNED_RAMP_M
-from ..pictures import draw_around_sensor, draw_change
+from ..run_frames import box_around, coordinates, inside
+from ..view import percent
 from ..views.compare_view import answer, decision, numbers_view, place_words
 from .page_templates import render
 from .run_page import PAGE
@@ -26,6 +31,10 @@ _METHOD = (
     "score alone (Student's t). Verdicts: exact sign-flip test per family (maxT over its scores), "
     "Holm over the families."
 )
+#: The place that shows a flaw of the sensor or its pose: half its width.
+_NEAR_M = 10.0
+_REACH_M = 0.5
+_MOST_POINTS = 5000
 
 
 def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str:
@@ -71,19 +80,78 @@ def _places(comparison: Comparison, runs: Sequence[FinishedRun]) -> dict[str, di
     places = {}
     causes = [change for change in comparison.changes.causes if change.cause.kind == "sensor"]
     if causes:
-        pair_id = _clearest_pair(comparison, runs, causes[0].cause.name)
+        before, after = [read_causes(run.store, comparison.pairs) for run in runs]
+        name = causes[0].cause.name
+        changed = np.nan_to_num(np.abs(after[name].amount - before[name].amount))
+        pair_id = comparison.pairs[int(np.argmax(changed))]
         words = f"{causes[0].words}: around the sensor, pair {pair_id}"
-        places[words] = draw_around_sensor(pair_id, runs)
+        places[words] = _draw_place(pair_id, np.full(3, -_NEAR_M), np.full(3, _NEAR_M), runs)
     for row in worst_changes(comparison.objects):
         words = f"{place_words(row)}, pair {row['pair_id']}, object {row['real_id']}"
         places[words] = draw_change(row, runs)
     return places
 
 
-def _clearest_pair(comparison: Comparison, runs: Sequence[FinishedRun], cause: str) -> str:
-    """The pair in which a cause changed most."""
-    before, after = [read_causes(run.store, comparison.pairs)[cause].amount for run in runs]
-    return comparison.pairs[int(np.argmax(np.nan_to_num(np.abs(after - before))))]
+def draw_change(change: Row, runs: Sequence[FinishedRun]) -> dict[str, Any]:
+    """Both simulated scans in the box of a real object and its counterparts, see `_draw_place`."""
+    members = []
+    for run, side, community in (
+        (runs[0], "real", change["real_id"]),
+        (runs[0], "sim", change["sim_before"]),
+        (runs[1], "sim", change["sim_after"]),
+    ):
+        points = run.points(change["pair_id"], side)
+        if community is not None:
+            members.append(coordinates(points[points["community_id"] == community]))
+    return _draw_place(change["pair_id"], *box_around(np.concatenate(members)), runs)
+
+
+def _draw_place(
+    pair_id: str, low: FloatArray, high: FloatArray, runs: Sequence[FinishedRun]
+) -> dict[str, Any]:
+    """The points of both runs in a box: real ones, and simulated ones with their signed distances.
+
+    Parameters
+    ----------
+    runs : the base and the other run
+
+    Raises
+    ------
+    RunError
+        A table is damaged or gone.
+    """
+    real = coordinates(runs[0].points(pair_id, "real"))
+    surface = real[inside(real, low - _REACH_M, high + _REACH_M)]
+    sims = []
+    for run in runs:
+        scan = coordinates(run.points(pair_id, "sim"))
+        points = _some(scan[inside(scan, low, high)])
+        signed_m = signed_distances(points, surface, _REACH_M)
+        known = signed_m[~np.isnan(signed_m)]
+        words = "no simulated point with a real plane next to it"
+        if len(known):
+            middle_cm = 100 * float(np.median(known))
+            where = "behind" if middle_cm < 0 else "in front of"
+            share = percent(len(known) / len(points))
+            words = (
+                f"median {abs(middle_cm):.1f} cm {where} the real surface, which {share} of the "
+                "simulated points have next to them"
+            )
+        plain = [None if np.isnan(value) else round(value, 3) for value in signed_m.tolist()]
+        sims.append({"words": words, "points": _columns(points), "signed_m": plain})
+    return {"real": _columns(_some(real[inside(real, low, high)])), "sims": sims}
+
+
+def _some(points: FloatArray) -> FloatArray:
+    """At most as many points as a place shows, evenly over their order."""
+    some: FloatArray = points[evenly(len(points), _MOST_POINTS)]
+    return some
+
+
+def _columns(points: FloatArray) -> list[list[float]]:
+    """All x, all y and all z of some points, rounded."""
+    columns: list[list[float]] = points.T.round(2).tolist()
+    return columns
 
 
 def _report_link(run: Path, start: Path) -> str:

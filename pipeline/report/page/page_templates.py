@@ -21,22 +21,17 @@ from ..look import QUADRANT_COLOURS, THEMES, clipped
 from ..view import sentence
 
 
-def render(template: str, report: dict[str, Any], plotly_source: str = "", **words: Any) -> str:
+def render(template: str, report: dict[str, Any], **words: Any) -> str:
     """A page as HTML.
 
     Parameters
     ----------
     template : its file in `templates`
     report : what JavaScript reads, plain values
-    plotly_source : address of plotly.js next to the page; by default it is inside
     words : what the template shows
     """
     report = {"template": TEMPLATE, **report}
-    return (
-        _environment()
-        .get_template(template)
-        .render(report=report, plotly_source=plotly_source, **words)
-    )
+    return _environment().get_template(template).render(report=report, **words)
 
 
 @cache
@@ -60,15 +55,15 @@ def _environment() -> Environment:
         "themes": THEMES,
         "asset": _asset,
         "code": _code,
-        "plotly": lambda: Markup(plotly_js()),
+        "plotly": _plotly,
     }
     return environment
 
 
-def plotly_js() -> str:
+def _plotly() -> Markup:
     """The text of plotly.js as installed; to import the rest of plotly takes half a second."""
     file = resources.files("plotly").joinpath("package_data", "plotly.min.js")
-    return file.read_text(encoding="utf-8")
+    return Markup(file.read_text(encoding="utf-8"))
 
 
 def _asset(name: str) -> Markup:

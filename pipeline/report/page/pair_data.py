@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -17,12 +16,12 @@ from numpy.typing import NDArray
 
 from ....schemas.columns import SIDES
 from ....schemas.metric_catalogue import scores_in
-from ....stages.arrays import FloatArray, IndexArray
+from ....stages.arrays import BoolArray, FloatArray
 from ....stages.coverage import COVERAGE_DISTANCES_M
 from ....stages.statistics.findings import evenly
 from ....stages.surface import signed_distances
 from ...results.object_frame import plain_rows
-from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, PairFrames, RunResults, frames_of
+from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, RunResults, coordinates, points_of
 from ..view import columns_of
 from ..views.show_view import alone_judgement, judgement
 
@@ -33,7 +32,7 @@ _FACTS = (
 )
 FACTS = tuple(dict.fromkeys(_FACTS))  # each once
 #: Columns of the objects, in the order of their rows in the page.
-OBJECT_COLUMNS = ("name", "real_id", "sim_id", "cx", "cy", "cz", "sentence", *FACTS)
+OBJECT_COLUMNS = ("name", "real_id", "sim_id", "sentence", *FACTS)
 #: The distance of a point to the other side is a byte, its largest value for this and more metres.
 FAR_M = COVERAGE_DISTANCES_M[-1]
 _FAR = 255
@@ -42,8 +41,7 @@ SIGNED_M = 0.5
 _NO_SIGN = 255
 #: Largest number of object points of a page.
 MOST_POINTS = 1_000_000
-#: Of one object.
-_MOST_OF_OBJECT = 20_000
+#: Of one object, if it has as many.
 _FEWEST_OF_OBJECT = 80
 _MOST_ROAD_POINTS = 4000
 _ROAD_CELL_M = 0.4
@@ -62,73 +60,62 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
     RunError
         One of the pair's tables is damaged.
     """
-    tables = frames_of(results, pair_id)
-    step_m = _step_m(tables)
-    objects = plain_rows(tables.objects)
+    points = points_of(results.run, pair_id)
+    farthest_m = max(float(np.abs(coordinates(rows)).max()) for rows in points.values())
+    step_m = farthest_m / _STEPS  # coordinates fit into 16 bits
+    objects = plain_rows(results.objects[results.objects["pair_id"] == pair_id])
     for row in objects:
         row["sentence"] = judgement(row) if row["partner"] >= 0 else alone_judgement(row)
     return {
         "step_m": step_m,
-        "sides": {side: _side_data(tables, side, most_points // 2, step_m) for side in SIDES},
+        "sides": {side: _side_data(points, side, most_points // 2, step_m) for side in SIDES},
         "objects": columns_of(objects, OBJECT_COLUMNS),
     }
 
 
-def _step_m(tables: PairFrames) -> float:
-    """The step with which the farthest coordinate of a pair fits into 16 bits."""
-    farthest_m = 0.0
-    for cloud in tables.clouds.values():
-        for points in (cloud.points, cloud.road):
-            farthest_m = max(farthest_m, float(np.abs(points).max(initial=0.0)))
-    return farthest_m / _STEPS
-
-
-def thinned(community: Iterable[int], most: int) -> IndexArray:
-    """Indices of about `most` points, of each object the same share but not too few.
+def thinned(ids: pd.Series, most: int) -> BoolArray:
+    """(n,) about `most` of the points of objects with these ids: every k-th, of each object enough.
 
     For display only.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> kept = thinned(np.repeat([0, 1], [10_000, 50]), most=1000)
-    >>> np.bincount(np.repeat([0, 1], [10_000, 50])[kept]).tolist()
-    [996, 50]
+    >>> ids = pd.Series([0] * 10_000 + [1] * 50)
+    >>> ids[thinned(ids, most=1000)].value_counts().tolist()
+    [910, 50]
     """
-    ids = np.asarray(community)
-    share = min(1.0, most / max(1, len(ids)))
-    n_all = np.bincount(ids)[ids]
-    n_kept = np.maximum(_FEWEST_OF_OBJECT, np.ceil(share * n_all))
-    n_kept = np.minimum(np.minimum(n_kept, n_all), _MOST_OF_OBJECT)
-    place = pd.Series(ids).groupby(ids).cumcount().to_numpy()
-    steps = np.floor(place * n_kept / n_all)
-    kept: IndexArray = np.flatnonzero(np.floor((place + 1) * n_kept / n_all) > steps)
-    return kept
+    place = ids.groupby(ids).cumcount()
+    n_points = ids.groupby(ids).transform("size")
+    step = (n_points // _FEWEST_OF_OBJECT).clip(1, -(-len(ids) // most))
+    is_shown: BoolArray = (place % step == 0).to_numpy()
+    return is_shown
 
 
-def _side_data(tables: PairFrames, side: str, most: int, step_m: float) -> dict[str, Any]:
+def _side_data(
+    points: dict[str, pd.DataFrame], side: str, most: int, step_m: float
+) -> dict[str, Any]:
     """The points of a side: how many of each object, and the packed arrays of objects and road."""
-    cloud = tables.clouds[side]
-    shown = thinned(cloud.community, most)
-    shown = shown[np.argsort(cloud.community[shown], kind="stable")]
-    points = cloud.points[shown]
-    road = _some_road(cloud.road)
-    ids, counts = np.unique(cloud.community[shown], return_counts=True)
+    rows = points[side]
+    of_objects = rows[rows["community_id"].fillna(-1) >= 0]  # without those left out
+    of_objects = of_objects.sort_values("community_id", kind="stable")
+    shown = of_objects[thinned(of_objects["community_id"], most)]
+    road = _some_road(coordinates(rows[rows["is_ground"]]))
+    counts = shown["community_id"].value_counts(sort=False)
     data = {
-        "n": len(cloud.points),
-        "ids": ids.tolist(),
+        "n": len(of_objects),
+        "ids": counts.index.tolist(),
         "counts": counts.tolist(),
-        "points": _packed_points(points, step_m),
-        "distance": _packed(_in_bytes(tables.distances_m[side][shown] / FAR_M, _FAR)),
-        "piece": _packed(tables.is_piece[side][shown]),
+        "points": _packed_points(coordinates(shown), step_m),
+        "distance": _packed(_in_bytes(shown["distance_m"].to_numpy() / FAR_M, _FAR)),
+        "piece": _packed((shown["piece_id"] >= 0).to_numpy()),
         "road": _packed_points(road, step_m),
     }
     if side == "sim":
-        surface = tables.clouds["real"].everything
-        signed = signed_distances(np.concatenate([points, road]), surface, SIGNED_M)
+        places = np.concatenate([coordinates(shown), road])
+        signed = signed_distances(places, coordinates(points["real"]), SIGNED_M)
         steps = _in_bytes((signed / SIGNED_M + 1) / 2, _NO_SIGN - 1)
-        data["signed"] = _packed(steps[: len(points)])
-        data["road_signed"] = _packed(steps[len(points) :])
+        data["signed"] = _packed(steps[: len(shown)])
+        data["road_signed"] = _packed(steps[len(shown) :])
     return data
 
 

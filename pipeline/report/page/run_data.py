@@ -5,36 +5,37 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
+from urllib.parse import quote, urlencode
 
 import numpy as np
 import orjson
 import pandas as pd
 from pydantic import TypeAdapter
 
+from ....schemas.columns import SIDES
 from ....schemas.errors import RunError
 from ....schemas.metric_catalogue import (
     COVERAGE_REACHES,
     METRIC,
-    metric_of,
+    QUADRANT_LIMITS,
     pair_columns_in,
     scores_in,
 )
-from ....schemas.results import Evidence
-from ....stages.sensor_description import sensor_lines
+from ....schemas.results import Evidence, Piece
+from ....stages.sensor_description import SensorDescription, sensor_lines
 from ...results.best_case import RunExcess
-from ...results.diagnosis import unexplained_words
+from ...results.finished import FinishedRun
 from ...results.gate import Criterion, judge_run
-from ...results.object_frame import CDC_LIMIT, R_LAMBDA_LIMIT, UNKNOWN, plain_rows
+from ...results.object_frame import QUADRANTS, UNKNOWN, plain_rows
 from ...terminal import STEERING
-from ..charts import MOST_DOTS, evidence_chart, run_charts
+from ..charts import evidence_chart, rays_chart
 from ..look import FATE_WORDS, PAGE_COLOURS, SIGNED_RAMP_M
-from ..pictures import FRAME, draw_pieces
-from ..run_frames import OBJECT_COVERAGE, SCORES, RunResults, frames_of, quadrants
-from ..view import Answers, Table, columns_of, items_of, percent, sentence
-from ..views.answer_view import amount_words, answer_sections, caution_words
+from ..run_frames import OBJECT_COVERAGE, SCORES, RunResults, points_of
+from ..view import Answers, Item, Note, Table, View, columns_of, items_of, percent
+from ..views.answer_view import amount_words, answer_sections, frame_warnings, run_line
 from ..views.best_case_view import excess_view
-from ..views.gate_view import gate_checks
-from ..views.run_view import details_view, preset_line
+from ..views.gate_view import gate_view
+from ..views.run_view import details_view, failures_view
 from .pair_data import FACTS, FAR_M, OBJECT_COLUMNS, SIGNED_M
 
 #: More rows would make the page slow; the table then says what part it shows.
@@ -45,10 +46,6 @@ _COLOURED = (0.02, 0.98)
 
 #: Parts of a bar of surface: within each reach of coverage, beyond the one before.
 _REACHES = ("within 0.1 m", "0.1 to 0.3 m", "0.3 to 1 m")
-
-#: Sections of the answer in the first sentence, and below it.
-_SENTENCES = ("  surface", "  pieces", "  tasks")
-_FIRST = ("Check first", "Fix first", "Doubtful", "Last run", "Next")
 
 _WORDS = ("pair_id", "object", "group", "quadrant", "status")
 #: Columns of the tables of pairs and objects.
@@ -61,7 +58,7 @@ _OBJECTS = (
     *(*scores_in("page"), "n_real", "n_sim", "n_keep", *OBJECT_COVERAGE),
 )
 
-#: Headings of columns without a score; other names are their own heading.
+#: Headings of columns without a score; other columns are their own heading.
 _HEADINGS = {
     "pair_id": "pair",
     "range_m": "range (m)",
@@ -71,15 +68,15 @@ _HEADINGS = {
     "n_keep": "nodes kept",
     "road_share_real": "real, road on sim side",
     "road_share_sim": "sim, road on real side",
-    **{name: name for name in ("object", "quadrant", "status", "reason")},
 }
 
 
 def page_data(results: RunResults) -> dict[str, Any]:
     """Data of the whole run for the page's JavaScript: charts, colours, tables; no points."""
-    charts = run_charts(results)
-    for name, evidence in _curves(results).items():
-        charts[f"cause_{name}"] = evidence_chart(evidence)
+    charts = {f"cause_{name}": evidence_chart(curves) for name, curves in _curves(results).items()}
+    rays = rays_chart(results)
+    if rays:
+        charts["rays_range"] = rays
     scores = {}
     for score, (low, high) in score_limits(results).items():
         scores[score] = {"name": METRIC[score].label, "low": low, "high": high}
@@ -129,19 +126,14 @@ def _described(class_is: str) -> dict[str, dict[str, Any]]:
     digits = {"range_m": 1, "bearing_deg": 0}
     described = {}
     for key in dict.fromkeys((*_PAIRS, *_OBJECTS, *FACTS)):
-        column: dict[str, Any] = {"text": key in _WORDS, "digits": digits.get(key, 3)}
-        if key in headings:
-            column |= {"title": headings[key], "about": "", "up": False}
-        else:
-            metric = metric_of(key)
-            column |= {
-                "title": re.sub(r"(?<=\d) (?=m\b)", "\N{NO-BREAK SPACE}", metric.label),
-                "about": f"{key}: {metric.reading or metric.meaning}",
-                "up": metric.higher_is_better,
-            }
-            if metric.unit == "m":
-                column["digits"] = 2
-        described[key] = column
+        metric = METRIC.get(key.removesuffix("_mean"))
+        column: dict[str, Any] = {"title": headings.get(key, key), "about": "", "up": False}
+        if metric and key not in headings:
+            column["title"] = re.sub(r"(?<=\d) (?=m\b)", "\N{NO-BREAK SPACE}", metric.label)
+            column["about"] = f"{key}: {metric.reading or metric.meaning}"
+            column["up"] = metric.higher_is_better
+        n_digits = 2 if metric and metric.unit == "m" else 3
+        described[key] = column | {"text": key in _WORDS, "digits": digits.get(key, n_digits)}
     return described
 
 
@@ -157,94 +149,85 @@ def score_limits(results: RunResults) -> dict[str, tuple[float, float]]:
     """
     limits = {}
     for score in SCORES:
-        values = results.matched[score].dropna().to_numpy(dtype=float)
-        limits[score] = (0.0, METRIC[score].high or 1.0)
-        if len(values):
-            low, high = np.quantile(values, _COLOURED).tolist()
-            if high > low:
-                limits[score] = (low, high)
+        low, high = results.matched[score].astype(float).quantile(_COLOURED)
+        limits[score] = (low, high) if low < high else (0.0, METRIC[score].high or 1.0)
     return limits
 
 
 def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
-    """Values of the whole run for the page's template, and scores over a best case if any."""
-    record = results.run.record
-    diagnosis = results.run.diagnosis
-    sensor_pair = results.pairs.pair_id.min()
-    sensors = {}
-    for side, sensor in frames_of(results, sensor_pair).sensors.items():
-        sensors[side] = sensor_lines(sensor)
-    names = ("fidpipe", "written", "dataset", "seed", "workers")
-    failures = [row for row in results.run.rows if row["status"] == "failed"]
+    """Values of the whole run for the page's template, and scores over a best case if any.
+
+    Everything but the bars and the places is a view, as the terminal shows it.
+    """
+    run = results.run
+    record = run.record
+    causes = run.diagnosis.causes if run.diagnosis else ()
+    overview = run.overview
+    assert overview is not None  # a pair is scored
+    sections = answer_sections(run, excess, with_all=True, is_page=True)
+    sections.pop("Worst places", None)
+    trust = sections.pop("Trust", [])
+    sensor_pair = results.pairs["pair_id"].min()
+    made = ("fidpipe", "written", "dataset", "seed", "workers")
     return {
-        "title": results.run.folder.resolve().name,
-        "preset": preset_line(record),
-        "verdict": verdict_of(results, excess),
-        "details": details_view(record),
-        "frame": FRAME,
-        "limits": (CDC_LIMIT, R_LAMBDA_LIMIT),
-        "drawn": (
-            min(int(results.matched.r_lambda.notna().sum()), MOST_DOTS),
-            len(results.matched),
-        ),
-        "diagnosis": diagnosis,
-        "diagnosed": [
-            (cause, amount_words(cause)) for cause in (diagnosis.causes if diagnosis else ())
-        ],
-        "unexplained": sentence(unexplained_words(diagnosis)) if diagnosis else "",
-        "failures": {row["pair_id"]: row["reason"] for row in failures},
-        "best_case": excess_view(excess) if excess else [],
+        "title": run.folder.resolve().name,
+        "line": run_line(run),
+        "answer": [*frame_warnings(run), Answers([*sections.items()])],
+        "bars": _bars(results, excess),
+        "worst": [(_address(run, piece), piece) for piece in overview.pieces],
+        "failures": failures_view(run),
+        "causes": [(cause, amount_words(cause)) for cause in causes],
+        "gate": _gate(run, excess),
+        "trust": [Answers([("Trust", trust)])],
         "sensor_pair": sensor_pair,
-        "sensors": [Answers([(side, items_of(*lines)) for side, lines in sensors.items()])],
+        "sensors": [Answers(_sensors(run, sensor_pair))],
+        "details": details_view(record),
+        "limits": QUADRANT_LIMITS,
+        "best_case": excess_view(excess) if excess else [],
         "made": [
             _key_table("Settings", record.settings),
-            _key_table("Run", {"": {name: getattr(record, name) for name in names}}),
-            _key_table("Stages and libraries", {"": record.stages | record.libraries}),
-            _key_table("Machine", {"": record.machine.as_dict()}),
+            _key_table("Run", {name: getattr(record, name) for name in made}),
+            _key_table("Stages and libraries", record.stages | record.libraries),
+            _key_table("Machine", record.machine.as_dict()),
         ],
     }
 
 
-def _key_table(title: str, groups: Mapping[str, Any]) -> Table:
+def _address(run: FinishedRun, piece: Piece) -> str:
+    """Fragment of the page's address that opens the object with most points of a piece."""
+    points = points_of(run, piece.pair_id)[piece.side]
+    community = points.loc[points["piece_id"] == piece.piece_id, "community_id"].mode()[0]
+    name = f"{piece.side} {community}"
+    return f"#{urlencode({'pair': piece.pair_id, 'object': name}, quote_via=quote)}"
+
+
+def _sensors(run: FinishedRun, pair_id: str) -> list[tuple[str, list[Item]]]:
+    """The sensor of each side, as stage `sensor` describes it for a pair."""
+    jobs = run.store.ledger.jobs(pair_id)
+    sensors = []
+    for side in SIDES:
+        sensor = SensorDescription(**jobs["sensor", side].metadata["sensor"])
+        sensors.append((side, items_of(*sensor_lines(sensor))))
+    return sensors
+
+
+def _key_table(title: str, values: Mapping[str, Any]) -> Table:
     """Settings and the like by name."""
-    values = pd.json_normalize(dict(groups)).iloc[0]
-    rows = [(str(name).removeprefix("."), str(value)) for name, value in values.items()]
+    rows = [(name, str(value)) for name, value in pd.json_normalize(dict(values)).iloc[0].items()]
     return Table(title, ("", ""), rows, words=(0, 1))
 
 
-def verdict_of(results: RunResults, excess: RunExcess | None = None) -> dict[str, Any]:
-    """The first screen of a run's page, over a best case if any, and what limits the trust in it.
-
-    is_met is True if the acceptance criteria of the last gate are met, None without any.
-    """
-    record = results.run.record
-    overview = results.run.overview
-    if overview is None:
-        raise RunError(
-            f"run {results.run.folder}: no pair is scored, so there is nothing to report"
-        )
-    sections = answer_sections(
-        results.run.folder,
-        record,
-        overview,
-        results.run.diagnosis,
-        excess,
-        with_all=True,
-        is_page=True,
-    )
-    texts = [sections[heading][0][0] for heading in _SENTENCES if heading in sections]
-    first = [(heading, sections[heading]) for heading in _FIRST if heading in sections]
-    is_met, good_enough = _good_enough(results, excess)
-    return {
-        "sentence": " ".join(map(sentence, texts)).replace(" missing", " pieces missing", 1),
-        "warnings": [f"Warning: {words}" for words in caution_words(overview, ("frames",))],
-        "bars": _bars(results, excess),
-        "answer": [Answers(first)],
-        "worst": draw_pieces(results, overview.pieces),
-        "is_met": is_met,
-        "good_enough": good_enough,
-        "trust": [sentence(words) for words, _, _ in sections.get("Trust", [])],
-    }
+def _gate(run: FinishedRun, excess: RunExcess | None) -> View:
+    """The criteria of the folder's last gate, evaluated again; or how to set some."""
+    path = run.folder / "gate.json"
+    if not path.exists():
+        command = f"fidpipe gate {run.folder} --max r_lambda.mean=0.4"
+        return [Note(f"No acceptance limits are set yet: {command} sets one.")]
+    try:
+        criteria = _CRITERIA.validate_python(orjson.loads(path.read_bytes())["criteria"])
+        return gate_view(judge_run(run.folder, criteria, excess.best_case if excess else None))
+    except (RunError, ValueError, LookupError, TypeError) as error:
+        return [Note(f"The criteria of {path} cannot be evaluated again: {error}")]
 
 
 def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]:
@@ -252,13 +235,13 @@ def _bars(results: RunResults, excess: RunExcess | None) -> list[dict[str, Any]]
 
     The parts of each, from good to bad, are kind (its look), words, and share of the whole.
     """
-    counts = {name: quadrant["n"] for name, quadrant in quadrants(results).items()}
+    counts = results.matched["quadrant"].value_counts().reindex([*QUADRANTS, UNKNOWN], fill_value=0)
     not_found = FATE_WORDS["not_found"]
-    counts[not_found] = int((results.unmatched.status == "not_found").sum())
-    n_all = max(1, sum(counts.values()))
+    counts[not_found] = (results.unmatched["status"] == "not_found").sum()
     looks = {UNKNOWN: "unknown", not_found: "real step3"}
-    parts = [(looks.get(name, name), name, n / n_all) for name, n in counts.items()]
-    value = f"{percent(parts[0][2])} faithful"
+    shares = counts / max(1, counts.sum())
+    parts = [(looks.get(str(name), name), name, share) for name, share in shares.items()]
+    value = f"{percent(shares['faithful'])} faithful"
     return [
         _surface_bar(results, excess, "real", "Real surface", "missing"),
         _surface_bar(results, excess, "sim", "Simulated surface", "invented"),
@@ -279,25 +262,6 @@ def _surface_bar(
     note = f"best case {percent(excess.scores[near].best_case)}" if excess else ""
     value = f"{percent(summary[near].mean or 0.0)} within 0.3 m"
     return {"name": name, "value": value, "note": note, "parts": parts}
-
-
-def _good_enough(results: RunResults, excess: RunExcess | None) -> tuple[bool | None, list[str]]:
-    """The criteria of the folder's last gate, evaluated again; or how to set some."""
-    folder = results.run.folder
-    path = folder / "gate.json"
-    if not path.exists():
-        command = f"fidpipe gate {folder} --max r_lambda.mean=0.4"
-        return None, [f"No acceptance limits are set yet: {command} sets one."]
-    try:
-        criteria = _CRITERIA.validate_python(orjson.loads(path.read_bytes())["criteria"])
-        result = judge_run(folder, criteria, None if excess is None else excess.best_case)
-    except (RunError, ValueError, LookupError, TypeError) as error:
-        return None, [f"The criteria of {path} cannot be evaluated again: {error}"]
-    checks = gate_checks(result)
-    failed = [sentence(check.found) for check in checks if check.fault]
-    word = "No" if failed else "Yes"
-    n_met = len(checks) - len(failed)
-    return not failed, [f"{word}: {n_met} of {len(checks)} criteria are met.", *failed]
 
 
 _CRITERIA = TypeAdapter(list[Criterion])

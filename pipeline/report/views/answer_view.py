@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ....schemas.metric_catalogue import headline_scores, metric_of
 from ....schemas.record import RunHeader, RunRecord
-from ....schemas.results import Cause, Diagnosis, Overview, Unknown
+from ....schemas.results import Cause, Overview, Unknown
 from ....stages.statistics.comparison import LEAST_FOR_INTERVAL
 from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
 from ...results.causes import MANY_UNKNOWN, MOST_SHOWN, interval_words, no_cause_words
-from ...results.diagnosis import gain_words, unexplained_words, with_gains
+from ...results.diagnosis import gain_words, unexplained_words
+from ...results.finished import FinishedRun
 from ...storage.urls import url_or_path
 from ..view import (
     Answers,
@@ -43,37 +44,22 @@ _LEAST_MOVE = 5e-3
 
 
 def answer_view(
-    folder: Path,
-    record: RunRecord,
-    diagnosis: Diagnosis | None = None,
-    excess: RunExcess | None = None,
-    *,
-    with_all: bool = False,
-    took: str = "",
+    run: FinishedRun, excess: RunExcess | None = None, *, with_all: bool = False, took: str = ""
 ) -> View:
     """The first answer of a run; its first line alone if no pair is scored.
 
     Parameters
     ----------
-    diagnosis : of the run, if it has one
     excess : the run over a best case, whose coverage is shown
     with_all : all causes, places and cautions
     took : time and reused jobs of a run that just ended
     """
-    recipe = read_recipe(folder)
-    line = Note(run_line(record, took, recipe), "bold")
-    overview = with_gains(record.overview, diagnosis)
-    if overview is None:
-        return [line]
-    sections = answer_sections(folder, record, overview, diagnosis, excess, with_all=with_all)
-    return [line, Answers(list(sections.items()))]
+    sections = answer_sections(run, excess, with_all=with_all)
+    return [Note(run_line(run, took), "bold"), Answers(list(sections.items()))]
 
 
 def answer_sections(
-    folder: Path,
-    record: RunRecord,
-    overview: Overview,
-    diagnosis: Diagnosis | None = None,
+    run: FinishedRun,
     excess: RunExcess | None = None,
     *,
     with_all: bool = False,
@@ -83,20 +69,23 @@ def answer_sections(
 
     is_page : names the commands that lead on from a page
     """
-    recipe = read_recipe(folder)
+    record = run.record
+    overview = run.overview
+    if overview is None:
+        return {}
     first = cause_items(overview.causes if with_all else overview.causes[:MOST_SHOWN])
     if not first:
         first = items_of(_NOT_YET if record.frames else no_cause_words(overview.unknown))
-    if diagnosis is not None:
-        first += items_of(unexplained_words(diagnosis))
+    if run.diagnosis is not None:
+        first += items_of(unexplained_words(run.diagnosis))
     doubtful = ""
     if overview.small:
         doubtful = f"seen, but a small part of the distance: {'; '.join(overview.small)}"
+    recipe = read_recipe(run.folder)
     most = None if with_all else _MOST_CAUTIONS
-    trust = trust_words(folder, overview, most, has_best_case=bool(excess or recipe))
+    trust = trust_words(run.folder, overview, most, has_best_case=bool(excess or recipe))
     if not with_all:
-        trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(folder), '--all'])}")
-    commands = next_commands(folder, record, diagnosis, recipe, is_page=is_page)
+        trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(run.folder), '--all'])}")
     sections = {
         "  surface": items_of(surface_words(record, excess)),
         "  pieces": items_of(pieces_words(record)),
@@ -108,9 +97,16 @@ def answer_sections(
         "Objects": items_of(scores_words(record)),
         "Last run": items_of(change_words(record)),
         "Trust": items_of(*trust),
-        "Next": items_of(*commands),
+        "Next": items_of(*next_commands(run, recipe, is_page=is_page)),
     }
     return {heading: items for heading, items in sections.items() if items}
+
+
+def frame_warnings(run: FinishedRun) -> list[Note]:
+    """Warnings that the frames of both sides differ."""
+    cautions = run.overview.trust if run.overview else ()
+    words = [caution.words for caution in cautions if caution.kind == "frames"]
+    return [Note(f"warning: {text}", "red") for text in words]
 
 
 def run_options(record: RunHeader) -> list[str]:
@@ -143,13 +139,12 @@ def trust_words(
     Commands name the folder of the run.
     """
     command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
-    kinds = {caution.kind for caution in overview.trust} - {"failed", "frames"}  # shown above
-    if has_best_case:
-        kinds.discard("best_case")
     trust = []
-    for words in caution_words(overview, kinds)[:most]:
-        trust.append(words.replace("fidpipe best-case RUN", command))
-    return trust + unknown_words(overview.unknown)
+    for caution in overview.trust:
+        is_shown_above = caution.kind in ("failed", "frames")
+        if not is_shown_above and not (has_best_case and caution.kind == "best_case"):
+            trust.append(caution.words.replace("fidpipe best-case RUN", command))
+    return trust[:most] + unknown_words(overview.unknown)
 
 
 def unknown_words(unknown: Sequence[Unknown]) -> list[str]:
@@ -162,28 +157,18 @@ def unknown_words(unknown: Sequence[Unknown]) -> list[str]:
     return [f"unknown: {'; '.join(groups)}"] if groups else []
 
 
-def caution_words(overview: Overview, kinds: Container[str]) -> list[str]:
-    """The cautions of these kinds."""
-    return [caution.words for caution in overview.trust if caution.kind in kinds]
-
-
 def next_commands(
-    folder: Path,
-    record: RunRecord,
-    diagnosis: Diagnosis | None,
-    recipe: BestCaseRecipe | None = None,
-    *,
-    is_page: bool = False,
+    run: FinishedRun, recipe: BestCaseRecipe | None, *, is_page: bool = False
 ) -> list[str]:
     """The commands that lead on from a run, or from its page."""
-    run = url_or_path(folder)
+    name = url_or_path(run.folder)
     if recipe is not None:
-        commands = [["show", run_of_best_case(folder, recipe), "--best-case", run]]
-    elif record.frames:
-        commands = [["check", record.dataset, *run_options(record)]]
+        commands = [["show", run_of_best_case(run.folder, recipe), "--best-case", name]]
+    elif run.record.frames:
+        commands = [["check", run.record.dataset, *run_options(run.record)]]
     else:
-        last = ["compare", run, "NEW_RUN"] if is_page else ["report", run, "--open"]
-        commands = [last] if diagnosis else [["diagnose", run], last]
+        last = ["compare", name, "NEW_RUN"] if is_page else ["report", name, "--open"]
+        commands = [last] if run.diagnosis else [["diagnose", name], last]
     return [shlex.join(["fidpipe", *words]) for words in commands]
 
 
@@ -196,22 +181,18 @@ def amount_words(cause: Cause) -> str:
     return f"{words}; {gain}" if gain else words
 
 
-def run_line(record: RunRecord, took: str = "", recipe: BestCaseRecipe | None = None) -> str:
-    """Dataset, pairs, time and preset of a run, or of a best case if its recipe is given."""
+def run_line(run: FinishedRun, took: str = "") -> str:
+    """Dataset, pairs, time and preset of a run, or of a best case."""
+    record = run.record
     n_scored = record.pairs.scored
     n_all = n_scored + record.pairs.failed + record.pairs.to_do
     pairs = count(n_all, "pair")
     if n_scored < n_all:
         pairs = f"{n_scored} of {pairs} scored"
-    name = Path(record.dataset if recipe is None else recipe.dataset).name
-    if recipe is not None:
-        name = f"best case of {name}"
-    return f"{name}: {pairs}{took}, preset {record.preset}{departures(record)}"
-
-
-def departures(record: RunRecord) -> str:
-    """The settings of a run that differ from its preset."""
-    return f", but {' '.join(record.departures)}" if record.departures else ""
+    recipe = read_recipe(run.folder)
+    name = f"best case of {Path(recipe.dataset).name}" if recipe else Path(record.dataset).name
+    departures = f", but {' '.join(record.departures)}" if record.departures else ""
+    return f"{name}: {pairs}{took}, preset {record.preset}{departures}"
 
 
 def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:

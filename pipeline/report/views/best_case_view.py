@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ....schemas.metric_catalogue import metric_of, pair_columns_in
-from ...results.best_case import RunExcess, ScoreExcess
+from ...results.best_case import RunExcess
 from ..view import Note, Table, View, count, signed, warnings
 
 _EXCESS_NOTE = (
@@ -28,7 +28,10 @@ def excess_view(excess: RunExcess, columns: Sequence[str] = ()) -> View:
     columns : of `pairs`; by default all that have a best case
     """
     rows = []
-    for score in _known(excess, columns):
+    for column in columns or excess.scores:
+        score = excess.scores[column]
+        if not score.n_pairs:  # no pair has it in both runs
+            continue
         rows.append(
             (
                 *(metric_of(score.column).label, score.mean, score.best_case),
@@ -41,26 +44,12 @@ def excess_view(excess: RunExcess, columns: Sequence[str] = ()) -> View:
         *("values", "in best\ncase"),
     )
     n_pairs = count(len(excess.pairs), "pair")
-    title = f"{excess.run} {_over(excess)}: {n_pairs}"
+    title = f"{excess.run} over the best case {excess.best_case} ({excess.recipe.words}): {n_pairs}"
     return [
         Table(title, headings, rows),
         Note(_EXCESS_NOTE),
         *warnings(excess_notes(excess)),
     ]
-
-
-def pair_excess_table(excess: RunExcess, pair_id: str) -> Table:
-    """The headline scores of one pair over its best case."""
-    rows = []
-    for score in _known(excess, HEADLINES):
-        label = metric_of(score.column).label
-        rows.append((label, score.mean, score.best_case, signed(score.excess)))
-    headings = ("score", "score", "best case", "excess")
-    return Table(f"Pair {pair_id} {_over(excess)}", headings, rows)
-
-
-def _over(excess: RunExcess) -> str:
-    return f"over the best case {excess.best_case} ({excess.recipe.words})"
 
 
 def excess_notes(excess: RunExcess) -> list[str]:
@@ -75,9 +64,3 @@ def excess_notes(excess: RunExcess) -> list[str]:
             f"{n_left_out} pairs are not in the best case {excess.best_case} and left out: {named}"
         )
     return notes
-
-
-def _known(excess: RunExcess, columns: Sequence[str]) -> list[ScoreExcess]:
-    """The scores that some pair has in both runs; of these columns, or all."""
-    scores = [excess.scores[column] for column in columns or excess.scores]
-    return [score for score in scores if score.n_pairs]

@@ -6,12 +6,14 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 
+import pandas as pd
+
 from ....schemas.columns import Row
 from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ....stages.statistics.comparison import LEAST_CHANGE, LEAST_PAIRS, Difference
 from ...results.causes import interval_words
 from ...results.compare import Comparison
-from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, ScoreChange, score_rows
+from ...results.families import ERROR_RATE, MARKS_NOTE, FamilyChange, score_rows
 from ...results.followed import by_change, by_class, by_range, worst_changes
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.object_frame import plain_rows
@@ -83,16 +85,11 @@ def numbers_view(comparison: Comparison, *, with_all: bool) -> View:
 
 
 def object_view(comparison: Comparison) -> View:
-    """The real objects by class or shape, by range, and those that have changed."""
+    """The real objects by class or shape and by range, and those that have changed."""
     objects = comparison.objects
     if objects.empty:
         return []
-    group = "class" if objects["label"].notna().any() else "shape"
-    parts: list[Part] = [
-        _group_table(group, by_class(objects)),
-        _group_table("range", by_range(objects)),
-        Note(GROUPS_NOTE),
-    ]
+    parts: list[Part] = [_group_table(objects), Note(GROUPS_NOTE)]
     changed = by_change(objects[objects["kind"].isin(_CHANGED)])
     first = plain_rows(changed.groupby("kind").head(_MOST_OBJECTS))
     first.sort(key=lambda row: _CHANGED.index(row["kind"]))
@@ -114,13 +111,28 @@ def decision(comparison: Comparison) -> str:
     for verdict in ("worse", "mixed", "better"):
         if behind[verdict]:
             heading = "" if verdict == comparison.decision else f"{verdict}: "
-            n_more = len(behind[verdict]) - 1
-            parts.append(
-                heading + behind[verdict][0][0] + (f" and {n_more} more" if n_more else "")
-            )
+            parts.append(heading + _first_words(behind[verdict]))
     if not parts:
-        parts.append(_nothing_decided(comparison))
+        parts.append(_nothing_decided(comparison, behind["changed"]))
     return f"{comparison.decision}: {'; '.join(parts)}"
+
+
+def _first_words(items: Sequence[Item]) -> str:
+    """The first item, and the number of the others."""
+    n_more = len(items) - 1
+    return items[0][0] + (f" and {n_more} more" if n_more else "")
+
+
+def _nothing_decided(comparison: Comparison, changed: Sequence[Item]) -> str:
+    """Why nothing is worse or better."""
+    if comparison.decision == "same":
+        return "no score changed"
+    if changed:
+        return f"changed, neither better nor worse: {_first_words(changed)}"
+    counted = pairs_and_places(len(comparison.pairs), comparison.n_places)
+    if comparison.lacks_places:
+        return f"{counted}. {NEEDED.capitalize()}"
+    return f"no change stands out from chance over {counted}"
 
 
 def reasons(comparison: Comparison) -> dict[str, list[Item]]:
@@ -178,34 +190,14 @@ def _score_words(family: FamilyChange) -> str:
     return ", ".join(verdicts)
 
 
-def _nothing_decided(comparison: Comparison) -> str:
-    """Why nothing is worse or better."""
-    if comparison.decision == "same":
-        return "no score changed"
-    changed = [words for words, _, _ in reasons(comparison)["changed"]]
-    if changed:
-        n_more = len(changed) - 1
-        more = f" and {n_more} more" if n_more else ""
-        return f"changed, neither better nor worse: {changed[0]}{more}"
-    counted = pairs_and_places(len(comparison.pairs), comparison.n_places)
-    if comparison.lacks_places:
-        return f"{counted}. {NEEDED.capitalize()}"
-    return f"no change stands out from chance over {counted}"
-
-
 def _moved(comparison: Comparison) -> list[str]:
-    """The families that moved clearly on the scans at hand."""
-    moved = []
-    for towards in ("worse", "better"):
-        names = [family.name for family in comparison.families if _clearly(family) == towards]
-        if names:
-            moved.append(f"{towards}: {', '.join(names)}")
-    return moved
-
-
-def _clearly(family: FamilyChange) -> str:
-    """Direction of the clearest score of a family, worse or better; "" if it is not clear."""
-    return next((score.towards for score in family.scores if score.is_clear), "")
+    """The families that moved clearly on the scans at hand, by their clearest score."""
+    names: dict[str, list[str]] = {"worse": [], "better": []}
+    for family in comparison.families:
+        clear = [score.towards for score in family.scores if score.is_clear]
+        if clear and clear[0]:
+            names[clear[0]].append(family.name)
+    return [f"{towards}: {', '.join(moved)}" for towards, moved in names.items() if moved]
 
 
 def chance(comparison: Comparison) -> str:
@@ -304,47 +296,17 @@ def changed_since(comparison: Comparison) -> View:
 
 
 def score_table(comparison: Comparison) -> Table:
-    """One row per score with its numbers, and an arrow to where it is better.
-
-    Not in a terminal: the pairs; if both runs were repeated under other seeds, whether the change
-    is more than they alone make; with a best case, whether it is more than a second measurement
-    makes.
-    """
-    scores = comparison.scores
-    with_seeds = any(score.seed_noise is not None for score in scores)
-    with_best_case = any(score.best_case is not None for score in scores)
-    headings = ["family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict"]
-    if with_seeds:
-        headings.append("more than seeds make")
-    if with_best_case:
-        headings.append("more than the best case")
+    """One row per score with its numbers, and an arrow to where it is better."""
     rows = []
-    for score in scores:
-        change = score.difference
-        row: list[object] = [
-            *(_family_of(comparison, score), f"{score.name} {score.mark}", change.n_pairs),
-            *(change.before, change.after, _interval(change), _p(score.p)),
-            f"({score.verdict})" if score.why else score.verdict,
-        ]
-        if with_seeds:
-            row.append(_beyond(score, score.seed_noise))
-        if with_best_case:
-            row.append(_beyond(score, score.best_case))
-        rows.append(row)
+    for family in comparison.families:
+        for score in family.scores:
+            change = score.difference
+            numbers = (change.n_pairs, change.before, change.after, _interval(change), _p(score.p))
+            verdict = f"({score.verdict})" if score.why else score.verdict
+            rows.append((family.name, f"{score.name} {score.mark}", *numbers, verdict))
+    headings = ("family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict")
     title = f"Means over {len(comparison.pairs)} pairs; in brackets: does not count"
-    return Table(title, headings, rows, words=(0, 1, 7), wide=(0, 2, 8, 9), whole=(7,))
-
-
-def _family_of(comparison: Comparison, score: ScoreChange) -> str:
-    return next(family.name for family in comparison.families if score in family.scores)
-
-
-def _beyond(score: ScoreChange, noise: float | None) -> str:
-    """True if a change is larger than some noise, as text; a dash if the noise is unknown."""
-    is_beyond = score.exceeds(noise)
-    if is_beyond is None:
-        return "-"
-    return f"{'yes' if is_beyond else 'no'} ({number(noise)})"
+    return Table(title, headings, rows, words=(0, 1, 7), wide=(0, 2), whole=(7,))
 
 
 def _object_table(title: str, changes: Sequence[Row]) -> Table:
@@ -362,16 +324,18 @@ def _object_table(title: str, changes: Sequence[Row]) -> Table:
     return Table(title, headings, rows, words=(0, 1, 2), digits={3: 1}, whole=(1,))
 
 
-def _group_table(what: str, groups: Sequence[Row]) -> Table:
-    """One row per class or band of range: number of objects by fate, and changes of scores."""
+def _group_table(objects: pd.DataFrame) -> Table:
+    """One row per class or shape and per band of range: fates, and mean changes of scores."""
     kinds = ("vanished", "appeared", "worse", "better")
     changes = [f"{METRIC[score].label}\nchange" for score in QUADRANT_SCORES]
     rows = []
-    for group in groups:
+    for group in by_class(objects) + by_range(objects):
         counts = [group["kinds"][kind] for kind in kinds]
         means = [signed(group[score]) for score in QUADRANT_SCORES]
         rows.append((group["name"], group["n"], *counts, group["n_both"], *means))
-    return Table(f"Real objects by {what}", (what, "count", *kinds, "in\nboth", *changes), rows)
+    what = "class" if objects["label"].notna().any() else "shape"
+    headings = ("", "count", *kinds, "in\nboth", *changes)
+    return Table(f"Real objects by {what} and by range", headings, rows)
 
 
 def compare_records(comparisons: Sequence[Comparison]) -> Table:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
@@ -26,11 +25,10 @@ from ....schemas.record import (
     TaskSummary,
     UnmatchedSurface,
 )
-from ....schemas.results import Diagnosis, Findings, Overview, Unmatched
+from ....schemas.results import Findings, Overview, Unmatched
 from ....stages.coverage import ABSENT, THERE
 from ...results.best_case import RunExcess
-from ...results.diagnosis import diagnosis_of
-from ...storage.folder import RunFolder
+from ...results.finished import FinishedRun
 from ...storage.run_record import unmatched_worst
 from ...storage.urls import url_or_path
 from ..look import FATE_WORDS
@@ -45,7 +43,7 @@ from ..view import (
     number,
     percent,
 )
-from .answer_view import answer_view, caution_words, departures
+from .answer_view import answer_view, frame_warnings
 from .best_case_view import HEADLINES, excess_view
 
 if TYPE_CHECKING:
@@ -64,25 +62,18 @@ _DATASET = (
 
 def outcome_view(outcome: RunOutcome) -> View:
     """The end of a run: failures, baselines and spread over seeds if computed, and the answer."""
-    record = outcome.record
-    rows = outcome.pairs.select(["pair_id", "status", "reason"]).to_pylist()
-    scored = [row["pair_id"] for row in rows if row["status"] == "scored"]
-    diagnosis = diagnosis_of(RunFolder(outcome.folder), record, scored)
-    seconds = record.wall_s["total"]
+    seconds = outcome.record.wall_s["total"]
     took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     if outcome.n_reused:
         took += f", {outcome.n_made} jobs done, {outcome.n_reused} reused"
-    return summary_view(outcome.folder, rows, record, diagnosis, outcome.reported, took=took)
+    return summary_view(FinishedRun(outcome.folder), reported=outcome.reported, took=took)
 
 
 def summary_view(
-    folder: Path,
-    rows: Sequence[Row],
-    record: RunRecord,
-    diagnosis: Diagnosis | None = None,
-    reported: Container[str] = frozenset(),
+    run: FinishedRun,
     excess: RunExcess | None = None,
     *,
+    reported: Container[str] = frozenset(),
     with_all: bool = False,
     took: str = "",
 ) -> View:
@@ -90,38 +81,23 @@ def summary_view(
 
     Parameters
     ----------
-    diagnosis : of the run, if it has one
-    reported : pairs whose failure was reported before
     excess : the run over a best case
+    reported : pairs whose failure was reported before
     took : time and reused jobs of a run that just ended
     """
+    record = run.record
     parts: list[Part] = []
-    if with_all:
-        parts += _all_tables(rows, record)
+    if with_all and record.findings:
+        parts += [_pairs_table(run.scored), *details_view(record)]
+        parts += _findings_parts(record.findings)
     if record.baselines:
         parts += baselines_view(record.baselines)
     if record.seeds:
         parts += seeds_view(record.seeds)
     if excess:
         parts += [*excess_view(excess, HEADLINES), Note("")]
-    parts += _failures_parts(folder, rows, reported)
-    for words in caution_words(record.overview, ("frames",)) if record.overview else ():
-        parts.append(Note(f"warning: {words}", "yellow"))
-    parts += answer_view(folder, record, diagnosis, excess, with_all=with_all, took=took)
-    return parts
-
-
-def _all_tables(rows: Sequence[Row], record: RunRecord) -> View:
-    """The pairs of a run, their summary and the statistics over all objects."""
-    if record.findings is None:
-        return []
-    scored = [row for row in rows if row["status"] == "scored"]
-    return [
-        Note(preset_line(record)),
-        _pairs_table(scored),
-        *details_view(record),
-        *_findings_parts(record.findings),
-    ]
+    parts += [*failures_view(run, reported), *frame_warnings(run)]
+    return [*parts, *answer_view(run, excess, with_all=with_all, took=took)]
 
 
 def details_view(record: RunRecord) -> View:
@@ -147,17 +123,17 @@ def surface_table(overview: Overview) -> Table:
     return Table(title, ("", "real points", "missing", "simulated points", "invented"), rows)
 
 
-def _failures_parts(folder: Path, rows: Sequence[Row], reported: Container[str]) -> View:
+def failures_view(run: FinishedRun, reported: Container[str] = frozenset()) -> View:
     """Failed pairs with their reasons; failures already reported are only counted."""
-    failures = [row for row in rows if row["status"] == "failed"]
+    failures = [row for row in run.rows if row["status"] == "failed"]
     if not failures:
         return []
     new = [row for row in failures if row["pair_id"] not in reported]
     n_reported = len(failures) - len(new)
-    text = f"{len(failures)} of {len(rows)} pairs failed"
+    text = f"{len(failures)} of {len(run.rows)} pairs failed"
     if n_reported:
         which = "" if n_reported == len(failures) else f"{n_reported} of them "
-        command = f"fidpipe show {quote(url_or_path(folder))}"
+        command = f"fidpipe show {quote(url_or_path(run.folder))}"
         text += f", {which}as reported above; show them again with: {command}"
     if new:
         text += ":"
@@ -280,13 +256,6 @@ def _unmatched_table(unmatched: UnmatchedSurface, n_pairs: int) -> Table:
     return Table(title, headings, rows, digits=dict.fromkeys(range(1, 5), 1))
 
 
-def preset_line(record: RunRecord) -> str:
-    """The preset of a run, the kind of its objects, and the settings that differ from it."""
-    from ....schemas.settings import PRESET_OBJECTS  # takes as long to load as all else here
-
-    return f"preset {record.preset} ({PRESET_OBJECTS[record.preset]}){departures(record)}"
-
-
 def _findings_parts(findings: Findings) -> View:
     """Distributions over all objects, as in the paper's "Real experiments"."""
     rank = findings.rank_correlation
@@ -327,13 +296,14 @@ def _objects_table(findings: Findings) -> Table:
         rows.append((name, *_unmatched(band), None, None, None, None))
     for group in (findings.classes or ())[:_MOST_CLASSES]:
         means = [group.scores[score].mean for score in DISTRIBUTED]
-        rows.append((group.label, *_unmatched(group), group.n_matched, *means))
+        n_both = f"{group.n_matched} ({group.scores['r_lambda'].n})"
+        rows.append((group.label, *_unmatched(group), n_both, *means))
     title = (
         "Objects by range and by the most frequent classes (median range of matched objects "
         f"{number(ranges.median_matched, 1)} m, of unmatched ones "
         f"{number(ranges.median_unmatched, 1)} m)"
     )
-    headings = ("", "real", "not found", "sim", "extra", "both", *labels(DISTRIBUTED))
+    headings = ("", "real", "not found", "sim", "extra", "both\n(scored)", *labels(DISTRIBUTED))
     return Table(title, headings, rows)
 
 

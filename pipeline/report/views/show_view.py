@@ -32,7 +32,6 @@ from ...results.overview import alignment_is_bad
 from ...storage.urls import url_or_path
 from ..look import FATE_WORDS
 from ..view import Note, Part, Table, View, columns_of, number, percent, warnings
-from .best_case_view import pair_excess_table
 from .run_view import summary_view
 
 _NEAR = "covered_0p3m"
@@ -70,23 +69,18 @@ def show_view(
 
     Parameters
     ----------
-    excess : of run or pair over a best case, to be shown as well
+    excess : of the run over a best case, to be shown as well
     with_all : all tables of the run, all objects of the pair
     """
     if pair is None:
-        return summary_view(
-            run.folder, run.rows, run.record, run.diagnosis, excess=excess, with_all=with_all
-        )
+        return summary_view(run, excess, with_all=with_all)
     if name is not None:
         return object_view(pair, object_facts(run, pair, name))
     command = ""
     if not with_all:
         command = shlex.join(["fidpipe", "show", url_or_path(run.folder), pair, "--all"])
-    parts = [*pair_view(pair_facts(run, pair), command)]
-    parts += warnings((run.record.notes or {}).get(pair, ()))
-    if excess:
-        parts.append(pair_excess_table(excess, pair))
-    return parts
+    parts = pair_view(pair_facts(run, pair), command)
+    return [*parts, *warnings((run.record.notes or {}).get(pair, ()))]
 
 
 def show_json(
@@ -102,13 +96,13 @@ def show_json(
 
 
 def show_records(run: FinishedRun, pair: str | None, name: str | None) -> Table:
-    """A table for programs: one row per pair of a run, object of a pair, or value of an object."""
+    """A table for programs: one row per pair of a run, or per object of a pair."""
     if pair is None:
         columns = list(run.rows[0])
         return Table("", columns, columns_of(run.rows, columns))
     if name is None:
-        return pair_records(pair_facts(run, pair))
-    return object_records(object_facts(run, pair, name))
+        return object_records(pair_facts(run, pair).objects)
+    return object_records([object_facts(run, pair, name)])
 
 
 def pair_view(facts: PairFacts, command: str = "") -> View:
@@ -177,19 +171,20 @@ def _short(band: str) -> str:
 def _matched_table(matched: Sequence[ObjectFacts]) -> Table:
     scores = scores_in("pair")
     columns = ("label", "community_id", "partner", "range_m", "n_real", "n_sim", *scores)
-    rows = []
-    for entry in matched:
-        covered = [percent(side[_NEAR]) for side in (entry.real, entry.sim) if side]
-        rows.append([*(entry.row[column] for column in columns), *covered])
-    headings = (
-        *("class", "real", "sim", "range\n(m)", "points\nreal", "\nsim"),
-        *(*narrow_labels(scores), "real in\n0.3 m", "sim in\n0.3 m"),
-    )
+    rows = columns_of((entry.row for entry in matched), columns)
     title = "Objects that both sides have, largest r_lambda first"
     digits = {3: 1}
     digits |= dict.fromkeys(range(6, 6 + len(scores)), 2)
-    last = len(headings) - 1
-    return Table(title, headings, rows, digits=digits, wide=(last - 1, last), whole=(0,))
+    headings = [
+        "class",
+        "real",
+        "sim",
+        "range\n(m)",
+        "points\nreal",
+        "\nsim",
+        *narrow_labels(scores),
+    ]
+    return Table(title, headings, rows, digits=digits, whole=(0,))
 
 
 def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
@@ -219,7 +214,7 @@ def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
     return parts
 
 
-def pair_records(facts: PairFacts) -> Table:
+def object_records(objects: Sequence[ObjectFacts]) -> Table:
     """One row per object of a pair: its place, how much is covered, and its scores."""
     scores = ("n_keep", *scores_in("object"), "reason")
     headings = (
@@ -227,7 +222,7 @@ def pair_records(facts: PairFacts) -> Table:
         *("covered_real_0p3m", "covered_sim_0p3m", *scores),
     )
     rows = []
-    for entry in facts.objects:
+    for entry in objects:
         real = entry.real or {}
         sim = entry.sim or {}
         rows.append(
@@ -243,14 +238,16 @@ def pair_records(facts: PairFacts) -> Table:
 
 def object_view(pair_id: str, facts: ObjectFacts) -> View:
     """A sentence on an object, its scores, and its place and shape on both sides."""
-    rows = _by_side(facts, ("community_id", *_OBJECT_COLUMNS))
-    rows[0][0] = "object"
+    real = facts.real or {}
+    sim = facts.sim or {}
+    rows = [("object", real.get("community_id"), sim.get("community_id"))]
+    rows += [(column, real.get(column), sim.get(column)) for column in _OBJECT_COLUMNS]
     title = f"Object of pair {pair_id}: {FATE_WORDS[facts.status]}"
     table = Table(title, ("", "real", "simulated"), rows)
     if facts.scores is None:
         parts: list[Part] = [Note(alone_judgement(facts.row)), table]
-        if facts.real and facts.sim:
-            n_sim = facts.sim["n_points"] or "no"
+        if real and sim:
+            n_sim = sim["n_points"] or "no"
             parts.append(Note(f"{n_sim} of its points are simulated, too few to match it"))
         return parts
     scores = facts.scores
@@ -259,20 +256,12 @@ def object_view(pair_id: str, facts: ObjectFacts) -> View:
     for name in scores_in("object"):
         values.append((METRIC[name].label, scores[name], METRIC[name].reading))
     headings = ("score", "value", "how to read it")
-    real, sim = rows[1 + _OBJECT_COLUMNS.index(_NEAR)][1:]
-    covered = {"covered_real_0p3m": real, "covered_sim_0p3m": sim}
+    covered = {"covered_real_0p3m": real.get(_NEAR), "covered_sim_0p3m": sim.get(_NEAR)}
     return [
         Note(judgement(facts.row | covered)),
         Table(title, headings, values, words=(0, 2), digits={1: 4}),
         table,
     ]
-
-
-def _by_side(facts: ObjectFacts, columns: Sequence[str]) -> list[list[Any]]:
-    """One row per column of an object: its name, and the values of both sides."""
-    real = facts.real or {}
-    sim = facts.sim or {}
-    return [[column, real.get(column), sim.get(column)] for column in columns]
 
 
 def judgement(row: Mapping[str, Any]) -> str:
@@ -319,13 +308,3 @@ def alone_judgement(row: Mapping[str, Any]) -> str:
     if road >= _LEAST_ROAD:
         text += f"; {percent(road)} of it is road on the {other} side"
     return f"{text}."
-
-
-def object_records(facts: ObjectFacts) -> Table:
-    """One row for each column of an object, on each side, and one for each score."""
-    rows: list[list[object]] = []
-    for row in _by_side(facts, ("community_id", *_OBJECT_COLUMNS)):
-        rows.append([*row, None])
-    for name, value in (facts.scores or {"status": facts.status}).items():
-        rows.append([name, None, None, value])
-    return Table("", ("", "real", "simulated", "score"), rows)

@@ -16,7 +16,8 @@ function drawPlace(section, place) {
     const { words, points, signed_m } = sims[k];
     say(`${id}_words`, words);
     drawInView(id, () => {
-      const look = { ...setOf(points), text: signed_m, hovertemplate: "%{text} m<extra></extra>" };
+      const text = signed_m.map((metres) => (metres === null ? "no real plane next to it" : `${metres} m`));
+      const look = { ...setOf(points), text, hovertemplate: "%{text}<extra></extra>" };
       const data = [
         dots("real", paint("var(--line)"), 1.8, { ...setOf(real), hoverinfo: "skip" }),
         dots("simulated", signed_m.map(signedColour), 2.6, look),

@@ -35,11 +35,6 @@ export function draw(id, { data, layout }, config = {}) {
   const size = { width: place.offsetWidth, height: place.offsetHeight };
   Plotly.react(id, data, { ...size, ...layout, template: themed(report.template) }, { ...shared, ...config });
   resizes.observe(place);
-  if (place.dataset.clicks) return;
-  place.dataset.clicks = "yes";
-  place.on("plotly_click", ({ points: [{ customdata: detail }] }) =>
-    place.dispatchEvent(new CustomEvent("dot", { detail })),
-  );
 }
 
 // How each place is drawn, by its id, and which ones have been.

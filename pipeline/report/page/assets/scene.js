@@ -42,11 +42,11 @@ const scene = { pair: null, opening: null, chosen: null, hovered: null };
 const linkWithin = (pair, name) =>
   `#pair=${encodeURIComponent(pair)}${name ? `&object=${encodeURIComponent(name)}` : ""}`;
 
-// The address of a pair or of an object: here, on the page of its pair, or null if it is nowhere in 3D.
-export function linkTo(pair, name) {
-  if (report.views[pair]) return linkWithin(pair, name);
-  return report.links[pair] ? report.links[pair] + linkWithin(pair, name) : null;
-}
+// Pairs that the page shows in 3D, worst first. A name may be any, also that of a property of all objects.
+const pairs = report.names.filter((name) => Object.hasOwn(report.views, name));
+
+// The address of a pair or of an object, or null if the page does not show it in 3D.
+export const linkTo = (pair, name) => (pairs.includes(pair) ? linkWithin(pair, name) : null);
 
 // Opens a pair without choosing an object; false if another one was requested meanwhile.
 async function openPair(name) {
@@ -276,14 +276,9 @@ export async function showAsked() {
   const asked = new URLSearchParams(window.location.hash.slice(1));
   const [pair, name] = [asked.get("pair"), asked.get("object")];
   if (pair === null) return;
-  if (!report.views[pair] && report.links[pair]) {
-    window.location.replace(report.links[pair] + window.location.hash);
-    return;
-  }
   byId("view").scrollIntoView();
-  if (!report.views[pair]) {
-    const elsewhere =
-      " is not among those that this page shows in 3D; fidpipe report with --pairs or --folder shows it.";
+  if (!pairs.includes(pair)) {
+    const elsewhere = " is not among those that this page shows in 3D; fidpipe report with --pairs shows it.";
     const isKnown = report.names.includes(pair);
     say(
       "asked",
@@ -315,7 +310,6 @@ function stepObject(step) {
 }
 
 export async function startScene() {
-  const pairs = Object.keys(report.views);
   if (pairs.length && !("DecompressionStream" in window)) {
     say("asked", "This browser cannot unpack the points: Chrome 80, Firefox 113, Safari 16.4 or a later one can.");
     return;
@@ -326,10 +320,6 @@ export async function startScene() {
     if (link && link.getAttribute("href") === window.location.hash) showAsked();
   });
   window.addEventListener("hashchange", showAsked);
-  byId("quadrants").addEventListener("dot", ({ detail: [pair, name] }) => {
-    const link = linkTo(report.names[pair], name);
-    if (link !== null) window.location.href = link;
-  });
   if (pairs.length) {
     byId("viewer").hidden = false;
     byId("pair").append(...pairs.map((pair) => element("option", shorten(pair, 60), { value: pair, title: pair })));

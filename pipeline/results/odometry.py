@@ -12,7 +12,7 @@ from ...stages.arrays import FloatArray
 from ...stages.odometry import compare_trajectories, trajectory
 from ..datasets.pairs import local_folder, read_dataset
 from ..jobs.points_job import coordinates
-from ..results.finished import FinishedRun
+from .finished import FinishedRun
 
 _LONGEST_STEP_S = 0.5
 
