@@ -39,11 +39,6 @@ from .trust import (
 
 #: Limits of the range bands, metres, for the share of lost pulses.
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
-#: Columns of table `sensor` that are attributes of a description.
-_COLUMNS = (
-    *("model", "azimuth_step_deg", "range_quantum_m", "range_noise_m"),
-    *("elevation_noise_deg", "azimuth_noise_deg"),
-)
 #: Columns of table `sensor` that `pairs` has for both sides.
 _PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
 #: Names of the properties that may be undetermined.
@@ -246,12 +241,17 @@ def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
     """Columns of table `sensor`; None if undetermined, and then `reason` has the causes."""
     heights_m = sensor.origin_height_m
     height_m = float(np.mean([heights_m[0], heights_m[-1]])) if heights_m else 0.0
-    row = {name: getattr(sensor, name) for name in _COLUMNS}
-    return row | {
+    return {
+        "model": sensor.model,
         "n_beams": len(sensor.elevation_deg) or None,
         "lowest_deg": min(sensor.elevation_deg, default=None),
         "highest_deg": max(sensor.elevation_deg, default=None),
         "origin_height_m": height_m if sensor.elevation_deg else None,
+        "azimuth_step_deg": sensor.azimuth_step_deg,
+        "range_quantum_m": sensor.range_quantum_m,
+        "range_noise_m": sensor.range_noise_m,
+        "elevation_noise_deg": sensor.elevation_noise_deg,
+        "azimuth_noise_deg": sensor.azimuth_noise_deg,
         "lost_share": sensor.lost_in_all,
         "reason": "; ".join(f"{name}: {reason}" for name, reason in sensor.untold.items()) or None,
         "doubts": "\n".join(sensor.doubts.values()) or None,
