@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -112,40 +112,33 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
     ----------
     hashes : by pair and side, the content hash of the scan file
     """
-    places: dict[str, list[tuple[str, str]]] = {}
+    places: dict[str, list[str]] = {}
     for pair_id, sides in hashes.items():
-        for side in SIDES:
-            if sides.get(side):
-                places.setdefault(sides[side], []).append((pair_id, side))
+        for side, content in sides.items():
+            if content:
+                places.setdefault(content, []).append(f"{pair_id} ({side})")
     lines = []
-    for shared in places.values():
-        counts = Counter(pair_id for pair_id, _ in shared)
-        for pair_id, n_sides in counts.items():
-            if n_sides == len(SIDES):
-                lines.append(
-                    f"pair {pair_id}: real and simulated file hold the same points; expected two different scans",
-                )
-        if len(counts) > 1:
-            named = ", ".join(f"{pair_id} ({side})" for pair_id, side in shared[:5])
-            if len(shared) > 5:
-                named += f" and {len(shared) - 5} more"
+    for names in places.values():
+        if len(names) > 1:
+            more = f" and {len(names) - 5} more" if len(names) > 5 else ""
             lines.append(
-                f"pairs {named}: the files hold the same points; expected each scan in one pair",
+                f"pairs {', '.join(names[:5])}{more}: the files hold the same points; expected each "
+                "scan in one pair, on one side"
             )
     return lines
 
 
 def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
     """One line for each pair one of whose files is named after the other side, by its own name or its folders."""
-    root = folder.resolve()
+    root = _resolved(folder)
 
     def words(scan: ScanRef, other: ScanRef) -> set[str]:
         """Words in a file's name and in its folders, below the dataset's folder or else where the other's differ."""
-        file = scan.file.resolve()
+        file = _resolved(scan.file)
         if file.is_relative_to(root):
             parts = set(file.relative_to(root).parts)
         else:
-            parts = {*file.parts} - {*other.file.resolve().parts}
+            parts = {*file.parts} - {*_resolved(other.file).parts}
         return set(re.split("[^a-z]+", "/".join([*parts, scan.topic or ""]).lower()))
 
     lines = []
@@ -161,3 +154,8 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
                 )
                 break
     return lines
+
+
+def _resolved(path: Path) -> Path:
+    """A path without links; those that lead to themselves stay."""
+    return Path(os.path.realpath(path))

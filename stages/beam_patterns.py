@@ -59,7 +59,7 @@ class BeamPattern:
     def beam_of(self, points: FloatArray) -> tuple[IndexArray, FloatArray]:
         """Beam of each point, (n,) intp, -1 for none; and the elevation above it, (n,) degrees."""
         level = np.maximum(np.hypot(points[:, 0], points[:, 1]) - self.focal_m, 1e-9)
-        elevation = _elevation(
+        elevation = elevation_of_beams(
             points[:, 2] / level,
             1.0 / level,
             self.origin_height_m,
@@ -303,7 +303,7 @@ def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
     if heights:
         tangent = tangent[is_far]
         nearness = nearness[is_far]
-    elevation = _elevation(tangent, nearness, heights, block_deg)
+    elevation = elevation_of_beams(tangent, nearness, heights, block_deg)
     bins = ((elevation + 90.0) / _BIN_DEG).astype(np.intp)
     count = np.bincount(bins, minlength=int(180 / _BIN_DEG) + 1)
     candidates = []
@@ -328,7 +328,7 @@ def _by_ring(
     """Beams from rings; None if there are too few, or if rings do not have one elevation each."""
     heights = whole.origin_height_m if whole else ()
     block_deg = whole.block_deg if whole else -90.0
-    elevation = _elevation(tangent, nearness, heights, block_deg)
+    elevation = elevation_of_beams(tangent, nearness, heights, block_deg)
     is_far = nearness < 1.0 / _FARTHER_M
     parts = []
     for number in np.unique(ring[ring >= 0]):
@@ -350,7 +350,7 @@ def _by_ring(
     return BeamPattern(centre, width, _is_even(centre), heights, block_deg, 1.0)
 
 
-def _elevation(
+def elevation_of_beams(
     tangent: FloatArray,
     nearness: FloatArray,
     heights: tuple[float, ...],

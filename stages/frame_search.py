@@ -40,22 +40,19 @@ _MAX_LIFT_LEFT_M = 0.05
 _MAX_COVERAGE_LOST = 0.02
 _LIFT_STEPS = 4
 _NEARER = 0.6  # of the median distance before a lift
-_SCALES = {
-    "centimetres": 0.01,
-    "millimetres": 0.001,
-    "decimetres": 0.1,
-    "feet": 0.3048,
-    "inches": 0.0254,
+#: Metres per unit, and the largest ratio of the reach of both sides in a unit.
+_UNITS = {
+    "centimetres": (0.01, 10.0),
+    "millimetres": (0.001, 10.0),
+    "decimetres": (0.1, 1.6),
+    "feet": (0.3048, 1.6),
+    "inches": (0.0254, 1.6),
 }
-#: Ratio of the reach of both sides in a unit; 10 in units that are farther apart.
-_SIMILAR_REACH = {"decimetres": 1.6, "feet": 1.6, "inches": 1.6}
 _GROUND_STEP_M = 0.1
 
 _DIRECTIONS = (("forward", "back"), ("left", "right"), ("up", "down"))
-_FEW_POINTS, _MOST_PROMISING = (
-    300,
-    8,
-)  # of a sample, by which candidates are chosen that the whole sample compares
+#: Points of a sample, by which candidates are chosen that the whole sample compares.
+_FEW_POINTS, _MOST_PROMISING = 300, 8
 _LEAST_SCALE, _MOST_SCALE, _ALIKE = 0.2, 5.0, 0.05
 _FINE_SCALES = np.linspace(0.9, 1.1, 11)
 _LEAST_HEIGHT_M = 0.3
@@ -212,7 +209,7 @@ def check_frames(
         return None
     target = _Side(target_points)
     sources = {}
-    for unit, scale in {"": 1.0, **_units_that_fit(sim, real)}.items():
+    for unit, scale in _scales(real, sim).items():
         points = _thinned(sim * scale, settings, "sim")
         if len(points) >= _MIN_POINTS:
             sources[unit] = _Side(points)
@@ -333,9 +330,9 @@ def _is_better(as_given: float, coverage: float, unit: str) -> bool:
 
 
 def _reach_m(points: FloatArray) -> float:
-    """Median distance of the points, but for missing returns."""
+    """Median distance of the points, but for missing returns; 0 without any."""
     x, y, z = points[points.any(axis=1)].T
-    return float(np.median(np.hypot(np.hypot(x, y), z)))
+    return float(np.median(np.hypot(np.hypot(x, y), z))) if len(x) else 0.0
 
 
 def _levelled(target: _Side, source: _Side, candidate: _Candidate) -> _Candidate | None:
@@ -487,21 +484,14 @@ def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArr
     return clean_scan(first, all_points, frame=settings.frame_of(side)).points
 
 
-def _units_that_fit(sim: FloatArray, real: FloatArray) -> dict[str, float]:
-    """Units in which a simulated scan far beyond the real one would have about the same extent; metres per unit."""
-    sim = sim[sim.any(axis=1)]  # missing returns are often written as zeros
-    real = real[real.any(axis=1)]
-    if not len(sim) or not len(real):
-        return {}
-    with np.errstate(over="ignore", invalid="ignore"):  # infinite distances fit no unit
-        sim_m = float(np.quantile(np.linalg.norm(sim, axis=1), 0.75))
-        real_m = float(np.quantile(np.linalg.norm(real, axis=1), 0.75))
-    units = {}
-    for unit, scale in _SCALES.items():
-        reach = _SIMILAR_REACH.get(unit, 10.0)
-        if real_m / reach < scale * sim_m < reach * real_m:
-            units[unit] = scale
-    return units
+def _scales(real: FloatArray, sim: FloatArray) -> dict[str, float]:
+    """Metres per unit of metres, "", and of units in which a simulated scan reaches about as far as the real one."""
+    ratio = _reach_m(real) / max(_reach_m(sim), 1e-9)
+    scales = {"": 1.0}
+    for unit, (scale, most) in _UNITS.items():
+        if 1 / most < scale / max(ratio, 1e-9) < most:
+            scales[unit] = scale
+    return scales
 
 
 def _placed(points: FloatArray, M: FloatArray) -> FloatArray:

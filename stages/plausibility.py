@@ -33,7 +33,7 @@ class ScanInspection:
     """
 
     azimuth_gap_deg: float
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
 
 def inspect_points(

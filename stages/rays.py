@@ -9,6 +9,7 @@ import scipy
 
 from ..schemas.results import Number
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .beam_patterns import elevation_of_beams
 from .sensor_description import SensorDescription
 from .statistics.findings import BAND_EDGES_M
 
@@ -71,15 +72,9 @@ class RayGrid:
     def elevation_of(self, points: FloatArray) -> FloatArray:
         """(n,) degrees, elevation of each point seen from where its beam starts."""
         level = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
-        height: float | FloatArray = 0.0
-        if self.origin_height_m:
-            seen = np.degrees(np.arctan2(points[:, 2] - np.mean(self.origin_height_m), level))
-            height = np.where(
-                seen < self.block_deg,
-                self.origin_height_m[0],
-                self.origin_height_m[-1],
-            )
-        return np.degrees(np.arctan2(points[:, 2] - height, level))
+        return elevation_of_beams(
+            points[:, 2] / level, 1.0 / level, self.origin_height_m, self.block_deg
+        )
 
     def beam_of(self, points: FloatArray) -> IndexArray:
         """(n,) intp, the beam nearest in elevation to each point."""

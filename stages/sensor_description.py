@@ -150,17 +150,13 @@ def describe_with_gaps(
     is_return = (np.abs(points) <= FARTHEST_M).all(axis=1) & points.any(axis=1)
     rows = np.flatnonzero(is_return)
     sensor = SensorDescription(len(rows), has_ring=ring is not None, has_time=has_time)
-    if len(rows) < _MIN_POINTS:
-        return _undetected(
-            sensor,
-            f"{len(rows)} points, at least {_MIN_POINTS} are needed",
-        ), NO_GAPS
     range_m = np.linalg.norm(points[rows], axis=1)
     if misses := find_misses(range_m):
         sensor.doubts[MISSES] = misses_text(misses)
         rows = rows[range_m <= misses[-1].limit_m]
-        if len(rows) < _MIN_POINTS:
-            return _undetected(sensor, f"{len(rows)} points have a return"), NO_GAPS
+    if len(rows) < _MIN_POINTS:
+        reason = f"{len(rows)} returns, at least {_MIN_POINTS} are needed"
+        return _undetected(sensor, reason), NO_GAPS
     points = points[rows]
     sensor = replace(sensor, field_of_view_deg=_field_of_view(points))
     sensor.doubts.update(rounding_text(rounding_m(points)))
@@ -197,17 +193,18 @@ def _describe_beams(
     if several_returns:
         sweep = sweep.first_returns(is_later)
     step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
-    several_sweeps = sweeps_text(sweep.gap_deg) or alternation_text(sweep.beam, sweep.range_m)
-    if several_sweeps:
-        doubts = {ONE_SWEEP: several_sweeps, **doubts}
+    doubtful = sweeps_text(sweep.gap_deg) or alternation_text(sweep.beam, sweep.range_m)
+    if doubtful:
+        doubts = {ONE_SWEEP: doubtful, **doubts}
+    else:
+        if several_returns:
+            doubts[RETURNS] = several_returns
+        doubtful = thinned_text(sweep.gap_deg, sweep.range_m, points)
+        if doubtful:
+            doubts[BEAMS] = doubtful
+    if doubtful:
         step = None
-        untold["azimuth_step_deg"] = several_sweeps
-    elif several_returns:
-        doubts[RETURNS] = several_returns
-    if not several_sweeps and (thinned := thinned_text(sweep.gap_deg, sweep.range_m, points)):
-        doubts[BEAMS] = thinned
-        step = None
-        untold["azimuth_step_deg"] = thinned
+        untold["azimuth_step_deg"] = doubtful
     quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
     noise, untold["range_noise_m"] = _range_noise(sweep, step)
     n_firings = _surface_firings(sweep, step)
@@ -285,18 +282,11 @@ def beams_text(sensor: SensorDescription) -> str:
     return f"{text}: {sensor.model or sensor.untold['model']}"
 
 
-def name_text(sensor: SensorDescription) -> str:
-    """Number of the beams, and the model: "32 (...)"."""
-    return f"{_count_text(sensor)} ({sensor.model})" if sensor.model else _count_text(sensor)
-
-
 def _count_text(sensor: SensorDescription) -> str:
     """Number of beams as text; beams without a return are not detected."""
     n = len(sensor.elevation_deg)
     if sensor.model_beams:
         return f"{n} of {sensor.model_beams}" if n < sensor.model_beams else f"{sensor.model_beams}"
-    if not n:
-        return "none detected"
     return f"at least {n}" if sensor.is_sharp else f"about {n}"
 
 
@@ -332,11 +322,9 @@ def _noise_text(sensor: SensorDescription) -> str:
     noise_m = sensor.range_noise_m or 0.0
     low_m = sensor.range_noise_low_m
     text = f"{1e3 * noise_m:.0f} mm on smooth surfaces"
-    return (
-        text
-        if low_m is None or low_m > _CLEAR * noise_m
-        else f"at most {text}, as their roughness counts"
-    )
+    if low_m is None or low_m > _CLEAR * noise_m:
+        return text
+    return f"at most {text}, as their roughness counts"
 
 
 def _angular_text(sensor: SensorDescription) -> str:

@@ -67,7 +67,7 @@ _ROUNDED_M, _COARSE_M = 0.0095, 0.03
 _FEWEST_VALUES = 20
 _CHANGING = 2.0  # two sweeps of a moving sensor have 4, single ones up to 0.9
 _SURFACE_PART = 0.2  # of the range, between returns of one surface
-_FEWEST_AT_EDGE = 20
+_FEWEST_AT_EDGE, _BEYOND_EDGE, _INSIDE = 20, 0.2, 0.92
 
 
 @dataclass(frozen=True)
@@ -210,26 +210,27 @@ def alternation_text(beam: IndexArray, range_m: FloatArray) -> str | None:
 def cropped_box(points: FloatArray, other: FloatArray) -> tuple[float, ...] | None:
     """Box to which a scan is cropped, as minimum and maximum x and y; None if it is not.
 
-    At two or more of its edges the other side goes on beyond the last point, with as many points as before, which are
-    nearer than the farthest point of the scan.
+    At two or more of its edges the other side goes on beyond the last point, with a fifth of the points before, which
+    are nearer than the farthest point of the scan.
 
     Parameters
     ----------
     points, other : (n, 3), (m, 3) float64, metres, both in one frame
     """
-    range_m = np.hypot(points[:, 0], points[:, 1])
-    other = other[np.hypot(other[:, 0], other[:, 1]) < range_m.max()]
+    reach_m = float(np.hypot(points[:, 0], points[:, 1]).max())
+    other = other[np.hypot(other[:, 0], other[:, 1]) < reach_m]
     corners = []
     n_sharp = 0
     for sign in (-1.0, 1.0):
         for axis in (0, 1):
             edge_m = (sign * points[:, axis]).max()
-            corners.append(sign * edge_m)
+            corners.append(float(sign * edge_m))
             beyond_m = sign * other[:, axis] - edge_m
             n_before = int((np.abs(beyond_m + 1.0) < 1.0).sum())
             n_beyond = int((np.abs(beyond_m - 1.0) < 1.0).sum())
             n_own = int((sign * points[:, axis] > edge_m - 2.0).sum())
-            n_sharp += n_before >= _FEWEST_AT_EDGE and 2 * min(n_own, n_beyond) >= n_before
+            goes_on = n_beyond > _BEYOND_EDGE * n_before and edge_m < _INSIDE * reach_m
+            n_sharp += goes_on and 2 * n_own > n_before >= _FEWEST_AT_EDGE
     return tuple(corners) if n_sharp > 1 else None
 
 

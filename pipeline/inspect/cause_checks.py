@@ -35,9 +35,9 @@ class CauseCheck:
     unknown : causes that cannot be estimated
     """
 
-    pair_ids: tuple[str, ...] = ()
-    causes: tuple[Cause, ...] = ()
-    unknown: tuple[Unknown, ...] = ()
+    pair_ids: tuple[str, ...]
+    causes: tuple[Cause, ...]
+    unknown: tuple[Unknown, ...]
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,6 @@ def sample_pair(
 
 def check_causes(samples: Sequence[PairSample]) -> CauseCheck:
     """The causes that some pairs show."""
-    if not samples:
-        return CauseCheck()
     times_s = [sample.pair.timestamp_s for sample in samples]
     blocks = blocks_of([sample.content for sample in samples], times_s)
     values = cause_values([sample.amounts for sample in samples])

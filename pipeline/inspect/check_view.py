@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import asdict
-from pathlib import Path
 
 from pydantic import JsonValue
 
 from ...schemas.columns import SIDE_NAMES, SIDES
 from ...schemas.results import JsonObject
 from ...stages.sensor_description import sensor_lines
-from ..engine import costs
 from ..report.view import Answers, Note, Part, Table, View, count, items_of
 from ..report.views.answer_view import cause_items, unknown_words
 from ..results.causes import MOST_SHOWN, no_cause_words
-from ..storage.files import free_bytes, megabytes
 from .cause_checks import CauseCheck
 from .scan_checks import DatasetCheck
 from .side_checks import SensorCheck
-
-RUNS = Path("runs")  #: where runs lie unless --out says otherwise
 
 
 def check_json(dataset: DatasetCheck) -> JsonObject:
@@ -42,7 +37,6 @@ def check_json(dataset: DatasetCheck) -> JsonObject:
             "pair_ids": [*dataset.causes.pair_ids],
             "causes": [cause.as_dict() for cause in dataset.causes.causes],
         },
-        "disk_bytes": _disk_bytes(dataset),
     }
 
 
@@ -56,7 +50,6 @@ def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
     view += _notes("", dataset.notes)
     view += _notes("warning: ", dataset.warnings, "yellow")
     view += _notes("error: ", dataset.faults, "red")
-    view.append(_space_needed(_disk_bytes(dataset)))
     view.append(
         Note(
             f"{n_usable} of {n_pairs} pairs can be evaluated",
@@ -124,24 +117,3 @@ def _causes(check: CauseCheck) -> View:
     items = cause_items(check.causes[:MOST_SHOWN]) or items_of(no_cause_words(check.unknown))
     trust = items_of(*unknown_words(check.unknown))
     return [heading, Answers([("Fix first", items), ("Trust", trust)])]
-
-
-def _disk_bytes(dataset: DatasetCheck) -> int:
-    """Disk space that the tables of a run may take."""
-    return costs.disk_bytes(
-        sum(scan.n_raw for check in dataset.pairs for scan in check.sides.values()),
-    )
-
-
-def _space_needed(need: int) -> Note:
-    """Disk space that the tables of a run may take, and free space in the default folder of runs."""
-    free = free_bytes(RUNS)
-    text = f"a run needs about {megabytes(need)} on disk"
-    if free is None:
-        return Note(text)
-    if need > free:
-        return Note(
-            f"warning: {text}; {megabytes(free)} are free here, give it another --out",
-            "yellow",
-        )
-    return Note(f"{text}; {megabytes(free)} are free here")

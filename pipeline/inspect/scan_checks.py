@@ -34,11 +34,11 @@ from .side_checks import SensorCheck, SideSamples
 class ScanCheck:
     """Result of checking one scan file.
 
-    sha256 : of its content
+    sha256 : of its content; "" if it cannot be read
+    inspection : None if it cannot be read
     n_raw, n_clean : points in the file, and after cleaning
     dropped : points dropped by cleaning, by reason
     low, high : corners of the axis-aligned box of the clean points, metres
-    inspection : None if the file cannot be read
     `fault` : reason why the file cannot be used, or None
     """
 
@@ -130,19 +130,19 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         sides.add(pair, scans, sample.sensors if sample else {})
     warnings = []
     faults = []
-    hashes = {}
     counts: dict[str, list[int]] = {side: [] for side in SIDES}
     for check in checks:
-        reasons = [check.pair.fault, check.fault]
-        inspections = {}
-        for side, scan in check.sides.items():
-            reasons.append(scan.fault)
-            counts[side].append(scan.n_clean)
-            if scan.inspection is not None:
-                inspections[side] = scan.inspection
-        hashes[check.pair.pair_id] = {side: scan.sha256 for side, scan in check.sides.items()}
+        reasons = [check.pair.fault, check.fault, *(scan.fault for scan in check.sides.values())]
         faults += [f"pair {check.pair.pair_id}: {reason}" for reason in reasons if reason]
+        inspections = {
+            side: scan.inspection for side, scan in check.sides.items() if scan.inspection
+        }
         warnings += pair_warnings(check.pair, inspections, check.frames)
+        for side, scan in check.sides.items():
+            counts[side].append(scan.n_clean)
+    hashes = {}
+    for check in checks:
+        hashes[check.pair.pair_id] = {side: scan.sha256 for side, scan in check.sides.items()}
     return DatasetCheck(
         folder=folder,
         pairs=checks,
@@ -240,6 +240,6 @@ def _read_again(
     scans = {}
     for side, result in check.sides.items():
         scans[side] = Scan(np.empty((0, 3)))
-        if result.inspection is not None:
+        if result.sha256:
             scans[side] = read_scan(check.pair.scans[side], settings.columns_of(side), label_names)
     return scans

@@ -106,7 +106,8 @@ def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
     sim = scores["intensity_sim_by_range"]
     if real is not None and sim is not None:
         amounts["intensity by range"] = Amount(sim - real, real, sim)
-    if scores["intensity_rank_distance"] is not None:
+    is_constant = "constant" in (scores["intensity_note"] or "")  # as of files with an empty column
+    if scores["intensity_rank_distance"] is not None and not is_constant:
         amounts["intensity ranks"] = Amount(scores["intensity_rank_distance"])
     if scores["intensity_ratio"] is not None and scores["intensity_rmse"] is not None:
         amounts["intensity scale"] = Amount(1.0 - scores["intensity_ratio"])

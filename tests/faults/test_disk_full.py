@@ -6,13 +6,9 @@ import re
 
 import pytest
 
-from fidpipe.pipeline.cli.output import print_view
 from fidpipe.pipeline.engine import costs
-from fidpipe.pipeline.inspect import check_view
-from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.pipeline.storage.scratch import temporary_space
 from fidpipe.schemas.errors import DiskFullError, ScanError
-from fidpipe.schemas.settings import Settings
 from runs import JOBS_PER_PAIR, assert_same_tables, run
 
 N_PAIRS = 3
@@ -62,9 +58,3 @@ def test_the_estimate_of_disk_space_is_near_what_a_run_takes(real_data, tmp_path
     taken = sum(path.stat().st_size for path in (tmp_path / "run").rglob("*.parquet"))
     n_raw = sum(path.stat().st_size // 16 for path in data.glob("*/000002.bin"))
     assert 0.7 < taken / costs.disk_bytes(n_raw) < 1.3
-
-
-def test_check_warns_where_a_run_does_not_fit(dataset, monkeypatch, capsys):
-    monkeypatch.setattr(check_view, "free_bytes", lambda path: 1000)
-    print_view(check_view.check_view(check_dataset(dataset, Settings())))
-    assert re.search(r"warning: .*1\.2 MB .*--out", capsys.readouterr().out)

@@ -169,10 +169,7 @@ def test_equal_files_are_named_within_a_pair_and_between_pairs(tmp_path):
         write_bin(tmp_path / f"{name}.bin", scan(0))
     write_bin(tmp_path / "sim/b.bin", drifted(scan(0)))
     warnings = check_dataset(tmp_path, Settings()).warnings
-    assert [text.partition(":")[0] for text in warnings] == [
-        "pair a",
-        "pairs a (real), a (sim), b (real)",
-    ]
+    assert [text.partition(":")[0] for text in warnings] == ["pairs a (real), a (sim), b (real)"]
 
 
 def test_many_warnings_of_a_kind_are_counted():

@@ -111,36 +111,6 @@ def test_ego_hits_are_named_with_settings_that_drop_them(tmp_path, frame, turn):
         assert not [text for text in warnings(folder, *words, setting) if "ego vehicle" in text]
 
 
-def bright(intensity):
-    """Scans whose intensity is a function of their points."""
-    scans = [pd.DataFrame(points, columns=list("xyz")) for points in drive(n=2)]
-    return [table.assign(intensity=intensity(table)) for table in scans]
-
-
-def speckled(table):
-    return np.random.default_rng(0).uniform(0, 1, len(table))
-
-
-@pytest.mark.parametrize(
-    ("intensity", "message"),
-    [
-        (lambda table: 0.3, "simulated scans: intensity is constant (0.3)"),
-        (
-            lambda table: np.exp(-0.004 * np.linalg.norm(table[["x", "y", "z"]], axis=1)),
-            "simulated scans: intensity is a function of range",
-        ),
-        (lambda table: 255 * speckled(table), "intensities have different scales"),
-        (speckled, None),
-    ],
-)
-def test_intensities_that_no_material_explains_and_different_scales_are_named(
-    tmp_path, intensity, message
-):
-    found = warnings(write(tmp_path, bright(speckled), bright(intensity)), NONE_NEARER)
-    found = [line for line in found if "intensit" in line]
-    assert [line[: len(message)] for line in found] == [message] if message else found == []
-
-
 def timed(i, change=lambda times: times, way=-1, seed=0):
     """A table of points that are measured one after the other as the sensor turns."""
     points = scan(i, seed)
