@@ -154,17 +154,7 @@ def run_dataset(
     stages = stages_under(settings) if stages is None else stages
     with folder.locked():
         run = Run(content, selected, folder, stages, settings, reporter)
-        run.hash_files()
-        run.survey_results(from_stage)
-        if not (replace or from_stage):
-            run.refuse_replacing()
-        todo = run.survey.todo
-        with started_pool(todo, folder, stages, settings, run.collector, machines) as pool:
-            run.replace_stale()
-            if todo:
-                reporter.warn(*large_pairs_warnings(todo, run.files, settings.input))
-                schedule_of(run.survey, run.plan, pool, run.collector, machines).run()
-                run.n_workers = pool.n_workers
+        run.make_jobs(machines, from_stage, replace=replace)
         return run.write()
 
 
@@ -237,7 +227,25 @@ class Run:
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()
 
-    def hash_files(self) -> None:
+    def make_jobs(
+        self, machines: Machines, from_stage: str | None = None, *, replace: bool = False
+    ) -> None:
+        """Remove stale results, and make all that are missing; the parameters are those of `run_dataset`."""
+        self._hash_files()
+        self._survey_results(from_stage)
+        if not (replace or from_stage):
+            self._refuse_replacing()
+        todo = self.survey.todo
+        with started_pool(
+            todo, self.folder, self.stages, self.settings, self.collector, machines
+        ) as pool:
+            self._replace_stale()
+            if todo:
+                self.reporter.warn(*large_pairs_warnings(todo, self.files, self.settings.input))
+                schedule_of(self.survey, self._plan, pool, self.collector, machines).run()
+                self.n_workers = pool.n_workers
+
+    def _hash_files(self) -> None:
         """Hash the files of the selected pairs and of those with results."""
         names = {*self.selected, *self.folder.ledger.pair_ids()}
         pairs = [pair for pair in self.dataset.pairs if pair.pair_id in names]
@@ -252,7 +260,7 @@ class Run:
                 self.hashes[pair.pair_id] = input_hashes(pair, self.dataset.label_names, contents)
         self._end_phase("inspect")
 
-    def survey_results(self, from_stage: str | None) -> None:
+    def _survey_results(self, from_stage: str | None) -> None:
         """Find pairs with jobs to do, and results that are stale.
 
         Parameters
@@ -271,7 +279,7 @@ class Run:
             elif name in self.files.contents:
                 survey.usable.append(pair)
                 redone = redo if name in self.selected else frozenset[str]()
-                plan, stale = with_results(self.plan(pair), self.folder, redone)
+                plan, stale = with_results(self._plan(pair), self.folder, redone)
                 survey.stale |= stale
                 if not plan.todo:
                     self._add_jobs(pair, list(plan.records.values()))
@@ -286,7 +294,7 @@ class Run:
             for record in self.folder.ledger.jobs(name).values():
                 survey.stale[record.name] = reason
 
-    def refuse_replacing(self) -> None:
+    def _refuse_replacing(self) -> None:
         """Raise `RunError` if finished results would be replaced because of settings or version.
 
         Those recomputed because of other input files or libraries are replaced too.
@@ -299,12 +307,12 @@ class Run:
             if why:
                 refuse_overwrite(f"run {self.folder.folder}", jobs_in_words(lost), why)
 
-    def plan(self, pair: ScanPair) -> PairPlan:
+    def _plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair under the current settings."""
         contents = self.files.contents[pair.pair_id]
         return plan_pair(self._jobs, pair, contents, self.dataset.label_names)
 
-    def replace_stale(self) -> None:
+    def _replace_stale(self) -> None:
         """Remove stale results and a finished record, if there are jobs to do or stale results."""
         if not (self.survey.todo or self.survey.stale):
             return

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from ...schemas.columns import Row
 from ...schemas.settings import Settings
@@ -104,6 +103,8 @@ def _communities(labels: IndexArray, communities: IntArray) -> IndexArray:
     ----------
     labels, communities : (n,) obstacle (-1 for none) and object of each object point
     """
+    import pandas as pd
+
     rows = pd.Series(communities[labels >= 0]).groupby(labels[labels >= 0])
     return rows.agg(lambda ids: ids.mode()[0]).to_numpy(np.intp)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -18,35 +17,29 @@ import pyarrow as pa
 
 from ...schemas.columns import Row
 from ...schemas.errors import ScanError
+from ...schemas.record import RunHeader
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.plausibility import ScanInspection
 from ...stages.summary import mean_and_std
 from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
 from ..datasets.readers.scan_ref import scan_ref
-from ..engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
-from ..engine.plan import PairPlan, plan_jobs, plan_pair
+from ..engine.engine import Machines
+from ..engine.plan import plan_jobs
 from ..engine.progress import Reporter
-from ..engine.schedule import Collector
-from ..engine.survey import (
-    hash_files,
-    refuse_replacing,
-    remove_stale,
-    survey_results,
-    what_changed,
-)
 from ..engine.worker import PairTables, run_in_memory
 from ..jobs import STAGES, baselines_job
 from ..pair_checks import pair_warnings
-from ..run import select_pairs
+from ..run import Run, select_pairs
 from ..stage import INSPECTION, SCAN, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
-from ..storage.run_record import has_ended, read_run, run_header, write_record
+from ..storage.run_record import has_ended, write_record
 from ..storage.table_files import JobRecord
 
 #: From the tables of all pairs by name, frames with a row per score and its `value`.
 Scores = Callable[[Mapping[str, pd.DataFrame]], list[pd.DataFrame]]
+_INSPECTIONS = "inspections"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +106,7 @@ def run_stages(
     jobs_of_sides = {name: job for name, job in jobs.items() if job.part in sides}
     pair = ScanPair(inputs.pair_id, None, None, T_real_sim=inputs.T_real_sim)
     tables, outputs = run_in_memory(jobs_of_sides, scans, pair)
-    return tables, {INSPECTION: {side: outputs["ground", side][INSPECTION] for side in sides}}
+    return tables, {_INSPECTIONS: {side: outputs["ground", side][INSPECTION] for side in sides}}
 
 
 def read_source(path: Path, pattern: str | None) -> Dataset:
@@ -170,73 +163,64 @@ def run_experiment(
         The only scan cannot be evaluated.
     """
     check_folder(out, source.folder, stage.name)
-    start = perf_counter()
     folder = RunFolder(out)
-    collector = Collector(folder, reporter)
-    machines = Machines(n_workers)
-    jobs = plan_jobs((stage,), settings)
-    header: dict[str, Any] = {"experiment": stage.name}
-    header |= run_header(source.folder, settings, {stage.name: stage.version}).as_dict()
-
-    def plan(pair: ScanPair) -> PairPlan:
-        return plan_pair(jobs, pair, files.contents[pair.pair_id], source.label_names)
-
-    def write_header() -> None:
-        run_settings = Settings(**{name: getattr(settings, name) for name in Settings.model_fields})
-        write_record(out, run_settings, header, folder.check_token)
-
+    names = {pair.pair_id for pair in source.pairs}
     with folder.locked():
-        before = read_run(out)
-        files = hash_files(source.pairs, folder)
-        names = {pair.pair_id for pair in source.pairs}
-        survey = survey_results(
-            source.pairs,
-            files,
-            plan,
-            folder,
-            selected=names,
-            redo=frozenset(),
-            complete=lambda plan: None,
-        )
-        if not replace_finished:
-            refuse_replacing(survey, folder, before, (stage,), settings)
-            others = {pair_id for _, pair_id, _ in survey.stale} - names
-            if others and has_ended(before):
-                why = f"pairs {', '.join(sorted(others))} not requested"
-                refuse_overwrite(f"run {out}", "their results", [why])
-        for pair_id, fault in files.faults.items():
-            collector.fail(pair_id, "", fault)
-        with started_pool(survey.todo, folder, (stage,), settings, collector, machines) as pool:
-            if survey.todo or survey.stale:
-                write_header()
-            changes = what_changed(before, settings, (stage,))
-            remove_stale(survey, folder, reporter, changes)
-            if survey.todo:
-                reporter.warn(*large_pairs_warnings(survey.todo, files, settings.input))
-                schedule_of(survey, plan, pool, collector, machines).run()
-        if collector.failures and scan_ref(source.folder).exists:
-            raise ScanError("; ".join(collector.failures.values()))
-        done = [pair for pair in survey.usable if pair.pair_id not in collector.failures]
+        run = _ExperimentRun(source, names, folder, (stage,), settings, reporter)
+        run.make_jobs(Machines(n_workers), replace=replace_finished)
+        failures = run.collector.failures
+        if failures and scan_ref(source.folder).exists:
+            raise ScanError("; ".join(failures.values()))
+        done = [pair for pair in run.survey.usable if pair.pair_id not in failures]
         records = [folder.ledger.jobs(pair.pair_id)[stage.name, ""] for pair in done]
         tables = _write_tables(stage, folder, records, scores)
         metadata = {record.pair_id: record.metadata for record in records}
-        header["scans"] = metadata
-        header["failures"] = collector.failures
-        header["wall_s"] = perf_counter() - start
-        write_header()
+        run.write_results(metadata)
     for pair in done:
-        inspections = metadata[pair.pair_id][INSPECTION]
+        inspections = metadata[pair.pair_id][_INSPECTIONS]
         sides = {side: ScanInspection(**values) for side, values in inspections.items()}
         reporter.warn(*pair_warnings(pair, sides, None))
     return ExperimentOutcome(
         folder=out,
         settings=settings,
-        failures=collector.failures,
-        n_made=collector.n_made,
-        n_reused=len(done) - collector.n_made,
+        failures=failures,
+        n_made=run.collector.n_made,
+        n_reused=len(done) - run.collector.n_made,
         metadata=metadata,
         tables=tables,
     )
+
+
+class _ExperimentRun(Run):
+    """A run of the stage of an experiment, whose record says how each scan was read."""
+
+    def write_results(self, scans: Mapping[str, Metadata]) -> None:
+        """Write the record of an experiment that has ended."""
+        self._end_phase("total")
+        results = {
+            "scans": scans,
+            "failures": self.collector.failures,
+            "wall_s": sum(self._wall_s.values()),
+        }
+        self._write(self._header().as_dict() | results)
+
+    def _write_record(self, record: RunHeader) -> None:
+        self._write(record.as_dict())
+
+    def _write(self, record: Mapping[str, Any]) -> None:
+        """Write settings that a run can take, and the record."""
+        settings = Settings(
+            **{name: getattr(self.settings, name) for name in Settings.model_fields}
+        )
+        content = {"experiment": self.stages[0].name, **record}
+        write_record(self.folder.folder, settings, content, self.folder.check_token)
+
+    def _refuse_replacing(self) -> None:
+        super()._refuse_replacing()
+        others = {pair_id for _, pair_id, _ in self.survey.stale} - self.selected
+        if others and has_ended(self.before):
+            why = f"pairs {', '.join(sorted(others))} not requested"
+            refuse_overwrite(f"run {self.folder.folder}", "their results", [why])
 
 
 def _write_tables(
