@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from .arrays import BoolArray, FloatArray, IndexArray, sums_by_id
 
@@ -40,7 +40,7 @@ class LocalPlanes:
 
 
 def fit_planes(
-    surface: FloatArray | cKDTree,
+    surface: FloatArray | scipy.spatial.cKDTree,
     places: FloatArray,
     n_most: int,
     reach_m: float = np.inf,
@@ -64,7 +64,7 @@ def fit_planes(
     >>> np.abs(planes.normal).tolist(), planes.n_neighbours.tolist()
     ([[0.0, 0.0, 1.0]], [9])
     """
-    tree = surface if isinstance(surface, cKDTree) else cKDTree(surface)
+    tree = surface if isinstance(surface, scipy.spatial.cKDTree) else scipy.spatial.cKDTree(surface)
     points = tree.data
     n = len(places)
     n_most = min(n_most, len(points))

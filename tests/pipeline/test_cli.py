@@ -94,7 +94,7 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
         ("compare {run} {run} --junit a.xml", "give it as well"),
         ("compare {run} {run} --json --csv", "give one of them"),
         ("diagnose {run} elsewhere", "--tell-apart"),
-        ("diagnose {run} --tell-apart --set input.min_range_m=1", "two folders"),
+        ("diagnose {run} --tell-apart --set input.min_range_m=1", "a run has its settings"),
         ("show {run} --csv --json", "give one of them"),
         ("show {run} --markdown --all", "leave out --all"),
         ("gate {run}", "no criterion given"),
