@@ -143,7 +143,7 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
 
     lines = []
     for pair in pairs:
-        if pair.real is None or pair.sim is None:
+        if pair.real is None or pair.sim is None or pair.real == pair.sim:
             continue
         named = {"real": words(pair.real, pair.sim), "sim": words(pair.sim, pair.real)}
         for side, other in (("real", "sim"), ("sim", "real")):
