@@ -80,6 +80,7 @@ class Stage:
     is_wanted : for an extra, True if the settings request it; None for a stage that every run has
     summarise : entries of `run.json` about its finished jobs
     arguments : plain values for its jobs, covered by their keys
+    is_long : True if a job takes minutes, however small its pair is: no other pair shares its batch
     """
 
     name: str
@@ -95,6 +96,7 @@ class Stage:
     is_wanted: Callable[[Settings], bool] | None = None
     summarise: Callable[[Iterable[JobRecord], Settings], dict[str, Any]] | None = None
     arguments: tuple[Any, ...] = ()
+    is_long: bool = False
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -285,8 +285,8 @@ class Schedule:
             self._submit_jobs(pair, pair.chain(Grain.OBJECT, ""), rows)
         elif self._is_worth_splitting(pair):
             self._split(pair)
-        elif pair.plan.limit is not None:
-            # one that may end its worker takes no other pair along
+        elif pair.plan.limit is not None or any(job.stage.is_long for job in pair.todo):
+            # one that may end its worker, or be interrupted, takes no other pair along
             self._submit_together([pair])
         else:
             self._bundle.append(pair)

@@ -88,6 +88,7 @@ def experiment_stage(
         version=version + sum(stage.version for stage in stages),
         make=make,
         libraries=tuple(dict.fromkeys(libraries)),
+        is_long=True,
     )
 
 

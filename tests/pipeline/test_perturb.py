@@ -182,7 +182,6 @@ def test_an_interrupted_experiment_keeps_the_scans_that_are_done(tmp_path, monke
         return describe(points, labels, settings)
 
     describe = experiment_module.describe
-    monkeypatch.setattr("fidpipe.pipeline.engine.schedule.LEAST_WEIGHT", 1.0)  # a batch for each
     monkeypatch.setattr(experiment_module, "describe", interrupted)
     with pytest.raises(KeyboardInterrupt):
         perturbed(dataset, tmp_path / "run", **once)
