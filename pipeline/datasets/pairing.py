@@ -404,8 +404,12 @@ def _listed(manifest: Path) -> list[tuple[str, ...]]:
     """Name of each pair of a manifest, and those of its scans; [] if it does not exist."""
     if not manifest.exists():
         return []
-    with manifest.open(encoding="utf-8", errors="replace", newline="") as file:
-        rows = list(csv.DictReader(file, restval=""))
+    try:
+        with manifest.open(encoding="utf-8", errors="replace", newline="") as file:
+            lines = (line.replace("\0", "?") for line in file)  # no path has a null byte
+            rows = list(csv.DictReader(lines, restval=""))
+    except (OSError, csv.Error) as error:
+        raise DatasetError(f"{manifest}: not a CSV table ({error})") from error
     return [(row.get("pair_id", ""), row.get("real", ""), row.get("sim", "")) for row in rows]
 
 

@@ -203,3 +203,16 @@ def test_a_capture_and_a_bag_of_the_same_turns_are_paired_turn_by_turn(real_data
     assert len(pairs) == 3
     for pair in pairs:
         assert columns_of(read_scan(pair.real)) == columns_of(read_scan(pair.sim))
+
+
+@pytest.mark.parametrize(
+    ("row", "fault"),
+    [("0," + "x" * 200_000 + ",b", "not a CSV table"), ("0,a\0b,c", "pairs of other scans")],
+)
+def test_a_damaged_list_of_pairs_is_an_error_in_one_line(tmp_path, row, fault):
+    for side in ("left", "right"):
+        write_bin(tmp_path / side / "a.bin", street())
+    folder, _ = dataset_of(tmp_path / "left", tmp_path / "right", tmp_path / "pairs")
+    (folder / "pairs.csv").write_text(f"pair_id,real,sim\n{row}\n")
+    with pytest.raises(DatasetError, match=fault):
+        dataset_of(tmp_path / "left", tmp_path / "right", tmp_path / "pairs")
