@@ -41,11 +41,12 @@ from .trust import (
 LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
 #: Columns of table `sensor` that `pairs` has for both sides.
 _PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
-#: Names of the properties that may be undetermined.
+#: Names of the properties that may be undetermined, and of the noise of angles, in the order of their lines.
 _PROPERTIES = {
     "azimuth step": "azimuth_step_deg",
     "range quantum": "range_quantum_m",
     "range noise": "range_noise_m",
+    "angular noise": "elevation_noise_deg",
     "pulses lost in surfaces": "lost_share",
 }
 _YES = {True: "yes", False: "no"}
@@ -300,19 +301,22 @@ def sensor_lines(sensor: SensorDescription) -> list[str]:
     if sensor.field_of_view_deg:
         low, high, around = sensor.field_of_view_deg
         texts["field of view"] = f"{low:+.4g} to {high:+.4g} degrees, {around:.0f} degrees around"
-    for name, attribute in _PROPERTIES.items():
-        if attribute in sensor.untold:
-            texts[name] = f"none detected ({sensor.untold[attribute]})"
+    values = {}
     if sensor.azimuth_step_deg:
-        texts["azimuth step"] = f"{sensor.azimuth_step_deg:.3f} degrees"
+        values["azimuth step"] = f"{sensor.azimuth_step_deg:.3f} degrees"
     if sensor.range_quantum_m:
-        texts["range quantum"] = f"{1e3 * sensor.range_quantum_m:g} mm"
+        values["range quantum"] = f"{1e3 * sensor.range_quantum_m:g} mm"
     if sensor.range_noise_m is not None:
-        texts["range noise"] = _noise_text(sensor)
+        values["range noise"] = _noise_text(sensor)
     if sensor.elevation_deg:
-        texts["angular noise"] = _angular_text(sensor)
+        values["angular noise"] = _angular_text(sensor)
     if sensor.lost_share:
-        texts["pulses lost in surfaces"] = _lost_text(sensor.lost_share)
+        values["pulses lost in surfaces"] = _lost_text(sensor.lost_share)
+    for name, attribute in _PROPERTIES.items():
+        if name in values:
+            texts[name] = values[name]
+        elif attribute in sensor.untold:
+            texts[name] = f"none detected ({sensor.untold[attribute]})"
     texts["for each point"] = f"ring: {_YES[sensor.has_ring]}, time: {_YES[sensor.has_time]}"
     return [f"{name}: {text}" for name, text in texts.items()]
 
