@@ -130,7 +130,7 @@ def _tell_apart(
         draw_map(found, picture)
     view = tell_apart_view(found)
     print_as(
-        output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": found.as_dict()}
+        output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": found.values}
     )
 
 
