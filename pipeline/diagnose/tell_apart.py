@@ -125,15 +125,15 @@ def _compare(
     points, splits = _both_sides(real, sim, is_paired=is_paired)
     features = features_of(points)
     families = []
-    alone = []
+    alone: list[dict[str, Any]] = []
     for family, names in FAMILIES.items():
         if names[0] in features:
             families.append({"name": family, **_values(_separate(points, splits, names))})
             for name in names:
                 auc = _separate(points, splits, [name]).auc
                 alone.append({"family": family, "name": name, "auc": auc})
-    base_of, *halves = _real_samples(real, second, is_paired)
-    base = compare_samples(*halves, features, is_paired=is_paired)
+    base_of, a, b = _real_samples(real, second, is_paired)
+    base = compare_samples(a, b, features, is_paired=is_paired)
     values = _values(_separate(points, splits, features)) | {
         "folds": "places" if points.place.nunique() >= LEAST_PLACES else "sectors",
         "n_folds": len(splits),
@@ -245,9 +245,10 @@ def compare_samples(
 
 def features_of(points: pd.DataFrame) -> list[str]:
     """The features that every point has."""
-    names = []
+    complete = points.columns[points.notna().all()]
+    names: list[str] = []
     for family in FAMILIES.values():
-        if points.get(family[0]) is not None and points[family[0]].notna().all():
+        if family[0] in complete:
             names += family
     return names
 
