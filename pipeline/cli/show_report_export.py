@@ -161,24 +161,24 @@ def export(
     fidpipe export runs/dataset --mcap --ply --out viewers/
     """
     from ..engine.progress import Reporter
-    from ..exchange.export import LEGEND, export_run
+    from ..exchange.export import export_run
     from ..results.finished import FinishedRun
 
     if not (mcap or ply):
         raise typer.BadParameter("no format given; expected --mcap, --ply or both")
     reporter = Reporter()
     finished = FinishedRun(run)
-    folder = out or run / "export"
-    files = export_run(
-        finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, counted=reporter.counted
+    lines = export_run(
+        finished,
+        out or run / "export",
+        pairs,
+        mcap=mcap,
+        ply=ply,
+        replace=replace,
+        counted=reporter.counted,
     )
     n_failed = finished.record.pairs.failed
     if n_failed:
         reporter.warn(f"{n_failed} pairs of the run failed and have no points to export")
-    if files.mcap:
-        stamps = "of the dataset" if files.has_times else "one second apart"
-        print_line(f"MCAP:   {files.mcap}, stamps {stamps}")
-    if files.ply:
-        print_line(f"PLY:    {len(files.ply)} files in {folder}")
-    print_line(f"pairs:  {files.n_pairs}")
-    print_line(f"status: {LEGEND}")
+    for line in lines:
+        print_line(line)
