@@ -51,11 +51,10 @@ class GeneratedPair:
         """True if both scans exist."""
         return (folder / "real" / self.real).exists() and (folder / "sim" / self.sim).exists()
 
-    def row(self) -> tuple[str, ...]:
+    def row(self) -> tuple[str | float | None, ...]:
         """The row of the manifest."""
-        time_s = "" if self.timestamp_s is None else repr(self.timestamp_s)
         pose = " ".join(map(repr, self.T_world_sensor or ()))
-        return self.pair_id, f"real/{self.real}", f"sim/{self.sim}", time_s, pose
+        return self.pair_id, f"real/{self.real}", f"sim/{self.sim}", self.timestamp_s, pose
 
 
 def generate_dataset(

@@ -95,14 +95,12 @@ def test_it_is_resumed_and_made_again_only_where_the_real_scan_changed(folder, t
     (out / "dataset" / "pairs.csv").unlink()  # as if it had been interrupted
     assert best_case(data, out).n_made
     assert_same_tables(out, folder / "best_case")
-    made = {path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()}
+    made = {path.name: path.read_bytes() for path in (out / "dataset" / "sim").iterdir()}
     assert best_case(data, out).n_made == 0
-    assert {
-        path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()
-    } == made
+    assert {path.name: path.read_bytes() for path in (out / "dataset" / "sim").iterdir()} == made
     write_bin(data / "real" / "001.bin", street(seed=77))
     assert best_case(data, out).n_made == first.n_made
-    now = {path.name: path.stat().st_mtime_ns for path in (out / "dataset" / "sim").iterdir()}
+    now = {path.name: path.read_bytes() for path in (out / "dataset" / "sim").iterdir()}
     assert {name for name in now if now[name] != made[name]} == {"001.parquet"}
 
 
