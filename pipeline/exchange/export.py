@@ -108,9 +108,11 @@ def export_run(
     plys = {}
     for name, side in product(names, SIDES):
         plys[name, side] = folder / f"{file_stem(name)}.{side}.ply"
-    for path in (bag, *plys.values()):
-        is_written = mcap if path == bag else ply
-        if is_written and path.exists() and not replace:
+    paths = [bag] if mcap else []
+    if ply:
+        paths += plys.values()
+    for path in paths:
+        if path.exists() and not replace:
             raise RunError(f"{path}: already exists; add --replace, or choose another --out")
     lines = []
     if mcap:
