@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ from .object_store import (
 from .remote_dataset import mirror_dataset
 from .run_record import RUN_JSON, SETTINGS_TOML
 from .table_files import AT_URL, TOKEN, TableFolder
-from .urls import cache_of, is_url, url_of_cache
+from .urls import TEMPORARY_CACHE, cache_folder, cache_of, is_url, url_of_cache
 
 LOCK = "_writer.json"
 #: Files of a run that stay on this machine.
@@ -81,6 +82,7 @@ def local_of(url: str) -> Path:
         The URL cannot be read.
     """
     try:
+        _prepare_cache()
         run = RemoteRun(url)
         if run.is_in_use:
             return run.folder
@@ -216,6 +218,7 @@ class RemoteRun:
         RunError
             Another command writes there.
         """
+        _prepare_cache()
         self._claim_first()
         ended = threading.Event()
         follow = threading.Thread(target=self._follow, args=(ended,), daemon=True)
@@ -355,6 +358,20 @@ def _group(name: str) -> int:
     if name == RUN_JSON:
         return 2
     return 1 if name.startswith(f"{LEDGER}/") else 0
+
+
+@cache
+def _prepare_cache() -> None:
+    """Say once if the cache is among temporary files, where no other user may have made it."""
+    folder = cache_folder()
+    if not folder.name.startswith(TEMPORARY_CACHE):
+        return
+    say(f"no home folder: files of URLs are kept in {folder}; FIDPIPE_CACHE names another place")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.lstat().st_uid != os.getuid():
+        raise StoreError(
+            f"{folder}: belongs to another user; set FIDPIPE_CACHE to a folder of yours"
+        )
 
 
 def share_folder(folder: TableFolder) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
-from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -17,6 +17,7 @@ from ...schemas.errors import StoreError
 
 SCHEMES = ("s3", "gs", "az", "http", "https")
 STUB = ".url"
+TEMPORARY_CACHE = "fidpipe-cache-"
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 
 
@@ -34,7 +35,7 @@ def cache_of(url: str) -> Path:
     Raises
     ------
     StoreError
-        fidpipe does not read such URLs, it holds a secret, or there is no folder for the cache.
+        fidpipe does not read such URLs, or it holds a secret.
     """
     parts = urlsplit(url)
     if parts.scheme not in SCHEMES:
@@ -49,10 +50,7 @@ def cache_of(url: str) -> Path:
     names = [name for name in (parts.netloc, *parts.path.split("/")) if name]
     if ".." in names:
         raise StoreError(f"{url}: expected no .. in it")
-    cache = cache_folder()
-    if "~" in cache.parts:
-        raise StoreError(f"{url}: no home folder to keep it in; set FIDPIPE_CACHE to a folder")
-    return cache.joinpath(parts.scheme, str(len(names)), *names)
+    return cache_folder().joinpath(parts.scheme, str(len(names)), *names)
 
 
 def url_of_cache(folder: Path) -> str:
@@ -102,8 +100,17 @@ def stub_texts(paths: Iterable[Path]) -> dict[Path, str]:
 
 
 def cache_folder() -> Path:
-    """FIDPIPE_CACHE, by default ~/.cache/fidpipe, where ~ stays if the user has no home."""
-    folder = Path(os.environ.get("FIDPIPE_CACHE") or "~/.cache/fidpipe")
-    with suppress(RuntimeError):
-        folder = folder.expanduser()
-    return folder.absolute()
+    """FIDPIPE_CACHE, by default ~/.cache/fidpipe; in the folder for temporary files if the user has no home."""
+    return _cache_at(os.environ.get("FIDPIPE_CACHE"), os.environ.get("HOME"))
+
+
+@lru_cache(maxsize=4)
+def _cache_at(named: str | None, home: str | None) -> Path:
+    if named:
+        return Path(named).absolute()
+    try:
+        return Path(home or Path.home(), ".cache", "fidpipe").absolute()
+    except RuntimeError:  # a user id without an entry, as in containers
+        from tempfile import gettempdir
+
+        return Path(gettempdir(), f"{TEMPORARY_CACHE}{os.getuid()}").absolute()
