@@ -28,7 +28,7 @@ from ...stages.diagnose.tell_apart import (
     simulated_probability,
     usable_folds,
 )
-from ...stages.method import remove_road
+from ...stages.ground import remove_road
 from ...stages.sensor_description import describe_sensor
 from ...stages.statistics.findings import BAND_EDGES_M
 from ...stages.statistics.neighbours import SAME_PLACE, PlaceMap, map_place, overlap

@@ -25,7 +25,6 @@ from ...stages.summary import mean_and_std
 from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
 from ..datasets.readers.scan_ref import scan_ref
 from ..engine.engine import Machines
-from ..engine.plan import plan_jobs
 from ..engine.progress import Reporter
 from ..engine.worker import PairTables, run_in_memory
 from ..jobs import STAGES, baselines_job
@@ -102,10 +101,8 @@ def run_stages(
 ) -> tuple[PairTables, Metadata]:
     """Tables of stages on some sides of a pair, in memory, and the inspection of its scans."""
     scans = {side: inputs.scans[side]() for side in sides}
-    jobs = plan_jobs(stages, settings_of(inputs))
-    jobs_of_sides = {name: job for name, job in jobs.items() if job.part in sides}
     pair = ScanPair(inputs.pair_id, None, None, T_real_sim=inputs.T_real_sim)
-    tables, outputs = run_in_memory(jobs_of_sides, scans, pair)
+    tables, outputs = run_in_memory(stages, settings_of(inputs), pair, scans=scans)
     return tables, {_INSPECTIONS: {side: outputs["ground", side][INSPECTION] for side in sides}}
 
 

@@ -9,6 +9,7 @@ from matplotlib.image import imread
 from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.evaluate import evaluate_pair
+from fidpipe.pipeline.jobs.scoring import score_pair
 from fidpipe.pipeline.paper import perturb as experiment_module
 from fidpipe.pipeline.paper.experiment_views import show_perturbations
 from fidpipe.pipeline.paper.perturb import (
@@ -25,7 +26,6 @@ from fidpipe.schemas.errors import DatasetError, RunError, ScanError, SettingsEr
 from fidpipe.schemas.settings import load
 from fidpipe.stages.generate.perturbations import Perturbation, perturb
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.method import partition
 from runs import QUIET, command, contents
 from scenes import street, write_bin, write_dataset
 
@@ -92,11 +92,11 @@ def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(
 ):
     seeds = []
 
-    def watched(points, settings, **options):
+    def watched(pair_id, settings, tables):
         seeds.append(settings.communities.seed)
-        return partition(points, settings, **options)
+        return score_pair(pair_id, settings, tables)
 
-    monkeypatch.setattr("fidpipe.pipeline.paper.perturb.partition", watched)
+    monkeypatch.setattr("fidpipe.pipeline.paper.perturb.score_pair", watched)
     outcome = perturbed(
         scan,
         tmp_path / "run",
@@ -122,7 +122,7 @@ def test_all_seeds_differ(done):
 def test_an_object_is_rebuilt_from_its_points_alone(done, scan, tmp_path, monkeypatch):
     sizes = []
     monkeypatch.setattr(
-        "fidpipe.stages.method.build_graph",
+        "fidpipe.stages.graph.build_graph",
         lambda points, settings: (sizes.append(len(points)), build_graph(points, settings))[1],
     )
     chosen = chosen_objects(done)[0]
@@ -175,15 +175,14 @@ def test_an_interrupted_experiment_keeps_the_scans_that_are_done(tmp_path, monke
     once = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 0, "pattern": "*"}
     seen = []
 
-    def interrupted(points, labels, settings):
+    def interrupted(*arguments):
         if seen:
             raise KeyboardInterrupt
-        seen.append(len(points))
-        return describe(points, labels, settings)
+        seen.append(arguments)
+        return choose_objects(*arguments)
 
-    describe = experiment_module.describe
     monkeypatch.setattr("fidpipe.pipeline.engine.schedule.LEAST_WEIGHT", 1.0)  # a batch for each
-    monkeypatch.setattr(experiment_module, "describe", interrupted)
+    monkeypatch.setattr(experiment_module, "choose_objects", interrupted)
     with pytest.raises(KeyboardInterrupt):
         perturbed(dataset, tmp_path / "run", **once)
     monkeypatch.undo()
