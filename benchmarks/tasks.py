@@ -66,7 +66,6 @@ from unseen_flaws import (
 )
 
 from fidpipe import FidpipeError
-from fidpipe.pipeline.datasets.pairs import ScanPair
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.worker import PairTables, run_in_memory
 from fidpipe.pipeline.jobs.scoring import PARTITION, ground_table, score_pair
@@ -278,14 +277,14 @@ def prepare(points, real=None):
     points = clean.points[~cut.is_ground]
     tables = {("ground", side): ground_table(points)}
     if real is None:
-        tables, _ = run_in_memory(PARTITION, SETTINGS, ScanPair("", None, None), tables=tables)
+        tables, _ = run_in_memory(PARTITION, SETTINGS, tables=tables)
     return Side(CutScan(clean.points, cut.is_ground, cut.height_m), cut, points, tables)
 
 
 def scored(real, points):
     """Scores and gaps of a simulated scan: the numbers of `fidpipe run`, without the stages that are not needed."""
     sim = prepare(points, real)
-    summary = score_pair("", SETTINGS, real.tables | sim.tables)
+    summary = score_pair(SETTINGS, real.tables | sim.tables)
     row = {name: summary[name] for name in SCORES if name in summary}
     row["found"] = summary["n_matched"] / (summary["n_matched"] + summary["n_not_found"])
     both = (real.points, sim.points)

@@ -32,6 +32,8 @@ from .time_limit import OutOfTimeError, limited
 
 #: Tables of a pair by name and side.
 PairTables = dict[tuple[str, str], pa.Table]
+#: A pair without a name, whose tables are of no dataset.
+NAMELESS = ScanPair("", None, None)
 #: Of some objects, by job: rows of its tables, and name and seconds of its steps.
 ObjectRows = dict[JobId, tuple[Tables, tuple[tuple[str, float], ...]]]
 
@@ -111,8 +113,8 @@ def _next_jobs(batch: PairBatch, runner: JobRunner) -> Iterator[Job]:
 def run_in_memory(
     stages: Iterable[Stage],
     settings: Settings,
-    pair: ScanPair,
     *,
+    pair: ScanPair = NAMELESS,
     scans: Mapping[str, Scan] | None = None,
     tables: PairTables | None = None,
 ) -> tuple[PairTables, dict[JobId, Metadata]]:

@@ -66,7 +66,7 @@ def sample_pair(
     stages = [stage for stage in STAGES if stage.name in _STAGES]
     with one_blas_thread():
         try:
-            tables, outputs = run_in_memory(stages, settings, pair, scans=scans)
+            tables, outputs = run_in_memory(stages, settings, pair=pair, scans=scans)
         except StageError:
             return None
     amounts = {}

@@ -7,7 +7,6 @@ import pyarrow as pa
 
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray
-from ..datasets.pairs import ScanPair
 from ..engine.worker import PairTables, run_in_memory
 from ..stage import OF_PAIR, Metadata
 from . import (
@@ -25,15 +24,14 @@ MATCHING = (*PARTITION, matching_job.STAGE)
 SCORING = (*MATCHING, selection_job.STAGE, metrics_job.STAGE)
 
 
-def score_pair(pair_id: str, settings: Settings, tables: PairTables) -> Metadata:
-    """The pair's columns of `pairs` with its scores.
+def score_pair(settings: Settings, tables: PairTables) -> Metadata:
+    """The columns of `pairs` with the scores of a pair.
 
     Parameters
     ----------
     tables : ground of both sides, and tables of later stages that are not to be recomputed
     """
-    pair = ScanPair(pair_id, None, None)
-    _, outputs = run_in_memory(SCORING, settings, pair, tables=tables)
+    _, outputs = run_in_memory(SCORING, settings, tables=tables)
     scores: Metadata = outputs["metrics", ""][OF_PAIR]
     return scores
 

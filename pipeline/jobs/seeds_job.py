@@ -28,9 +28,12 @@ def make_seeds(inputs: Inputs) -> JobResult:
     """Score the pair under each seed: the configured one, whose tables exist, and those that follow it."""
     first = inputs.settings.communities.seed
     scores = {first: inputs.metadata("metrics")[OF_PAIR]}
+    tables = {name: inputs.table(*name) for name in product(("ground", "graph"), SIDES)}
     for seed in range(first + 1, first + inputs.settings.stability.seeds):
+        communities = inputs.settings.communities.model_copy(update={"seed": seed})
+        settings = Settings(**(vars(inputs.settings) | {"communities": communities}))
         with inputs.step("scores"):
-            scores[seed] = _repeat(inputs, seed)
+            scores[seed] = score_pair(settings, tables)
     rows = []
     for seed, row in scores.items():
         rows.append({"seed": seed} | {name: row[name] for name in SEEDED_SCORES})
@@ -56,16 +59,6 @@ def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[st
             pairs[pair_id][name] = {"mean": mean, "std": std}
     counts = {"n_seeds": settings.stability.seeds, "n_pairs": len(of_pairs)}
     return {"seeds": counts | {"dataset": dataset, "pairs": pairs}}
-
-
-def _repeat(inputs: Inputs, seed: int) -> Metadata:
-    """The scores of the pair under another seed."""
-    communities = inputs.settings.communities.model_copy(update={"seed": seed})
-    settings = Settings(**(vars(inputs.settings) | {"communities": communities}))
-    tables = {}
-    for name in product(("ground", "graph"), SIDES):
-        tables[name] = inputs.table(*name)
-    return score_pair(inputs.pair_id, settings, tables)
 
 
 def _is_wanted(settings: Settings) -> bool:

@@ -20,7 +20,6 @@ from ...schemas.errors import SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
 from ...schemas.tables import TABLES
-from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan_ref import scan_ref
 from ..engine.progress import Reporter
 from ..engine.worker import PairTables, run_in_memory
@@ -80,7 +79,7 @@ def make_ablation(inputs: Inputs) -> JobResult:
     Graphs and communities of both sides are computed once for each k and tau; an object that is
     matched under several delta is scored once for each t.
     """
-    settings = settings_of(inputs)
+    settings = settings_of(inputs.settings)
     ground, metadata = run_stages(inputs, [ground_job.STAGE], SIDES)
     rows: list[Row] = []
     request = inputs.settings.ablate  # type: ignore[attr-defined]
@@ -95,17 +94,16 @@ def _rows_of_graph(
     sets: list[ParameterSet], settings: Settings, ground: PairTables
 ) -> Iterator[Row]:
     """The rows of parameter sets with the same k and tau."""
-    pair = ScanPair("", None, None)
-    tables, _ = run_in_memory(PARTITION, with_parameters(settings, sets[0]), pair, tables=ground)
+    tables, _ = run_in_memory(PARTITION, with_parameters(settings, sets[0]), tables=ground)
     objects = {side: tables["objects", side] for side in SIDES}
     ids = ["real_id", "sim_id"]
     scored = dict.fromkeys((chosen.t for chosen in sets), TABLES["metrics"].schema.empty_table())
     for chosen in sets:
         used = with_parameters(settings, chosen)
-        matched, _ = run_in_memory(MATCHING, used, pair, tables=tables)
+        matched, _ = run_in_memory(MATCHING, used, tables=tables)
         matching = matched["matching", ""]
         new = matching.join(scored[chosen.t], ids, join_type="left anti").sort_by("real_id")
-        added, _ = run_in_memory(SCORING, used, pair, tables=matched | {("matching", ""): new})
+        added, _ = run_in_memory(SCORING, used, tables=matched | {("matching", ""): new})
         scored[chosen.t] = pa.concat_tables([scored[chosen.t], added["metrics", ""]])
         metrics = scored[chosen.t].join(matching, ids, join_type="left semi").sort_by("real_id")
         summary = pair_scores(metrics, matching, objects)

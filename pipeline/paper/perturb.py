@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,7 @@ from .experiment import (
     run_stages,
     settings_of,
 )
-from .perturb_objects import ChosenObject, choose_objects, objects_in
+from .perturb_objects import choose_objects, objects_in
 
 #: Amounts by kind. Noise, dropout and rigid motion are those of the paper; hallucination and density are ours. `null`
 #: is the difference of a scan from itself without a change, the first row of every table: one point less, rows in
@@ -134,17 +135,14 @@ def perturb_source(
     )
 
 
-def chosen_objects(outcome: ExperimentOutcome) -> list[ChosenObject]:
-    """The altered objects of all scans."""
-    chosen = []
-    for metadata in outcome.metadata.values():
-        chosen += [ChosenObject(**values) for values in metadata["chosen"]]
-    return chosen
+def chosen_objects(outcome: ExperimentOutcome) -> list[Row]:
+    """The altered objects of all scans, see `choose_objects`."""
+    return [*chain.from_iterable(scan["chosen"] for scan in outcome.metadata.values())]
 
 
 def make_perturbations(inputs: Inputs) -> JobResult:
     """All perturbations of the real scan of a pair and of its chosen objects, with all repeats."""
-    settings = settings_of(inputs)
+    settings = settings_of(inputs.settings)
     request: PerturbRequest = inputs.settings.perturb  # type: ignore[attr-defined]
     tables, metadata = run_stages(inputs, PARTITION, ["real"])
     _, points = points_in(tables["ground", "real"])
@@ -157,10 +155,10 @@ def make_perturbations(inputs: Inputs) -> JobResult:
     object_rows = []
     baseline_rows = []
     for chosen in objects:
-        number = chosen.community_id
+        number = chosen["community_id"]
         before = graph_of(points[labels == number], settings.graph)
         for repeat in _repeats(request, inputs.pair_id, number, request.repeats):
-            names = repeat | {"community_id": number, "object": chosen.name}
+            names = repeat | {"community_id": number, "object": chosen["name"]}
             scores, baselines = _altered_object(before, names, settings)
             object_rows.append(names | scores)
             baseline_rows += [names | baseline for baseline in baselines]
@@ -169,7 +167,7 @@ def make_perturbations(inputs: Inputs) -> JobResult:
         "perturb_objects": TABLES["perturb_objects"].from_rows(object_rows),
         "perturb_baselines": TABLES["perturb_baselines"].from_rows(baseline_rows),
     }
-    return JobResult(results, metadata | {"chosen": [vars(chosen) for chosen in objects]})
+    return JobResult(results, metadata | {"chosen": objects})
 
 
 STAGE = experiment_stage(
@@ -223,7 +221,7 @@ def _altered_scan(tables: PairTables, points: FloatArray, names: Row, settings: 
         communities = settings.communities.model_copy(update={"seed": names["seed"] % 2**31})
         used = settings.model_copy(update={"communities": communities})
     both = tables | {("ground", "sim"): ground_table(altered)}  # the real side is unaltered
-    summary = score_pair(names["pair_id"], used, both)
+    summary = score_pair(used, both)
     row |= {name: summary[name] for name in _SUMMARY}
     row["n_communities_altered"] = summary["n_communities_sim"]
     return row

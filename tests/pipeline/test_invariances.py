@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 import literal_method
-from fidpipe.pipeline.datasets.pairs import ScanPair
 from fidpipe.pipeline.engine.worker import run_in_memory
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.pipeline.jobs.scoring import SCORING, ground_table
@@ -116,14 +115,13 @@ def test_a_rigid_motion_of_both_sides_changes_no_score(scene, angle_deg, shift_m
     T = rigid(angle_deg, shift_m)
     real = street(scene, n=60)
     sides = [points[points[:, 2] > -1.5] for points in (real, drifted(real, scene))]
-    pair = ScanPair("a", None, None)
     tables = []
     scores = []
     for scans in (sides, [moved(points, T) for points in sides]):
         ground = {
             ("ground", side): ground_table(scan) for side, scan in zip(SIDES, scans, strict=True)
         }
-        made, outputs = run_in_memory(SCORING, own, pair, tables=ground)
+        made, outputs = run_in_memory(SCORING, own, tables=ground)
         tables.append(made)
         scores.append(outputs["metrics", ""][OF_PAIR])
     for side in SIDES:

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from fidpipe.pipeline.datasets.pairs import ScanPair
 from fidpipe.pipeline.engine.worker import run_in_memory
 from fidpipe.pipeline.jobs.scoring import PARTITION, ground_table, score_pair
 from fidpipe.schemas.errors import StageError
@@ -33,13 +32,13 @@ def boxes():
 
 def scores(real, sim, settings=SETTINGS):
     tables = {("ground", "real"): ground_table(real), ("ground", "sim"): ground_table(sim)}
-    return score_pair("a", settings, tables)
+    return score_pair(settings, tables)
 
 
 def objects_of(points, settings):
     """Object of each point of the real side, and the table of objects."""
     ground = {("ground", "real"): ground_table(points)}
-    tables, _ = run_in_memory(PARTITION, settings, ScanPair("a", None, None), tables=ground)
+    tables, _ = run_in_memory(PARTITION, settings, tables=ground)
     labels = tables["communities", "real"].column("community_id").to_numpy()
     return labels, tables["objects", "real"]
 
