@@ -26,7 +26,7 @@ from fidpipe.pipeline.diagnose.tell_apart import Frame, compare_samples, draw_sa
 from fidpipe.schemas.settings import load
 from fidpipe.stages.coverage import cover, nearest_distances
 from fidpipe.stages.diagnose import tell_apart as classifier
-from fidpipe.stages.method import remove_road
+from fidpipe.stages.ground import remove_road
 from fidpipe.stages.pieces import CutScan, find_pieces
 from fidpipe.stages.rays import find_rays, score_rays
 from fidpipe.stages.sensor_description import describe_sensor

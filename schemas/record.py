@@ -17,7 +17,6 @@ class BaselineSummary(Result):
 
     level : "objects" (mean over the matched objects of a pair) or "scans" (its two scans)
     n, n_null : objects or pairs of scans with and without a value
-    seconds : per pair, with the first number of a method; else null
     """
 
     baseline: str
@@ -27,7 +26,6 @@ class BaselineSummary(Result):
     std: float | None
     n: int
     n_null: int
-    seconds: float | None
 
 
 class Spread(Result):

@@ -25,7 +25,7 @@ from ...stages.diagnose.tell_apart import (
     separate,
     simulated_probability,
 )
-from ...stages.method import remove_road
+from ...stages.ground import remove_road
 from ...stages.sensor_description import describe_sensor
 from ...stages.statistics.neighbours import SAME_PLACE, PlaceMap, map_place, overlap
 from ..datasets.pairs import scans_of

@@ -143,27 +143,21 @@ def failures_view(run: FinishedRun, reported: Container[str] = frozenset()) -> V
 
 
 def baselines_view(summaries: Sequence[BaselineSummary]) -> View:
-    """Mean and deviation over pairs of each baseline, and seconds per pair.
-
-    Of matched objects and of whole scans.
-    """
+    """Mean and deviation over pairs of each baseline, of matched objects and of whole scans."""
     rows = []
     notes = []
     for summary in summaries:
         metric = METRIC[summary.baseline]
         mean = mean_and_spread(summary.mean, summary.std, 4)
-        seconds = "" if summary.seconds is None else number(summary.seconds)
-        unit = unit_words(metric.unit)
-        rows.append((metric.heading, summary.level, unit, mean, seconds))
+        rows.append((metric.heading, summary.level, unit_words(metric.unit), mean))
         if summary.n_null:
             n = summary.n + summary.n_null
             notes.append(f"{summary.baseline} is null for {summary.n_null} of {n} {summary.level}")
-    headings = ("baseline", "of", "unit", "mean", "s")
+    headings = ("baseline", "of", "unit", "mean")
     title = "Baselines (mean and standard deviation over pairs)"
     lines = (
         "A pair counts with the mean over its matched objects, or with all object points of its "
         "two scans (nvs: ground as well).",
-        "s: seconds per pair, next to the first number of a method",
         *notes,
     )
     return [Table(title, headings, rows, words=(0, 1, 2)), *map(Note, lines)]
