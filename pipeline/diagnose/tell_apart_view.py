@@ -60,12 +60,14 @@ def draw_map(found: TellApart, path: Path) -> None:
         side = found.points[found.points.is_sim == is_sim]
         sides.append((side[["x", "y", "z"]].to_numpy(), side.probability.to_numpy()))
     frame = style.frame_of(*(points for points, _ in sides))
-    with style.new_maps(frame, style.shown_name(found.title, 80)) as (figure, axes):
+    with style.new_figure(9.4, 5.25, style.shown_name(found.title, 80)) as figure:
+        axes = figure.subplots(1, 2, sharex=True, sharey=True)
         for axis, name, (points, probability) in zip(
             axes, ("real", "simulated"), sides, strict=True
         ):
             coloured = style.dots(axis, points, 2.0, probability, cmap="coolwarm", vmin=0, vmax=1)
             axis.set_title(f"{name} points")
+            style.from_above(axis, frame)
         style.colour_bar(axes[1], coloured, "probability of being simulated")
     with style.in_our_style():
         content = BytesIO()
