@@ -17,21 +17,12 @@ from ....schemas.metric_catalogue import (
     pair_columns_in,
     unit_words,
 )
-from ....schemas.record import (
-    SURFACE_STATES,
-    BaselineSummary,
-    RunRecord,
-    SeedSummary,
-    TaskSummary,
-    UnmatchedSurface,
-)
+from ....schemas.record import BaselineSummary, RunRecord, SeedSummary, TaskSummary
 from ....schemas.results import Findings, Overview, Unmatched
-from ....stages.coverage import ABSENT, THERE
 from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun
 from ...storage.run_record import unmatched_worst
 from ...storage.urls import url_or_path
-from ..look import FATE_WORDS
 from ..view import (
     Note,
     Part,
@@ -107,8 +98,6 @@ def details_view(record: RunRecord) -> View:
         parts.append(surface_table(record.overview))
     if record.findings:
         parts.append(_objects_table(record.findings))
-    if record.metrics:
-        parts.append(_unmatched_table(record.metrics.unmatched, record.pairs.scored))
     return parts
 
 
@@ -238,22 +227,6 @@ def dataset_table(record: RunRecord) -> Table:
         rows.append(row)
     title = "Dataset (mean and standard deviation over pairs)"
     return Table(title, headings, rows, words=(0, 5), wide=(5,), whole=(0,))
-
-
-def _unmatched_table(unmatched: UnmatchedSurface, n_pairs: int) -> Table:
-    """Whether the surface of the unmatched objects is on the other side."""
-    rows = []
-    for fate in ("not_found", "extra"):
-        states = getattr(unmatched, fate)
-        n_states = [getattr(states, name) / max(1, n_pairs) for name in SURFACE_STATES]
-        rows.append((FATE_WORDS[fate], *n_states, states.road / max(1, n_pairs)))
-    title = (
-        "Unmatched objects per pair (on the other side: over "
-        f"{100 * THERE:.0f} % of their points have one within 0.3 m, but in other objects; absent: "
-        f"at most {100 * ABSENT:.0f} %; road: below the other side's ground cut)"
-    )
-    headings = ("objects", "on the other side", "partly", "absent", "road")
-    return Table(title, headings, rows, digits=dict.fromkeys(range(1, 5), 1))
 
 
 def _findings_parts(findings: Findings) -> View:
