@@ -92,7 +92,7 @@ class FinishedRun:
             raise RunError(
                 f"run {folder}: the run has not ended; finish it with: {command}"
             ) from error
-        self.rows: list[Row] = self.read_table("pairs").to_pylist()
+        self.rows: list[Row] = self.store.read_table("pairs").to_pylist()
         self.rows_by_name: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
 
     def __repr__(self) -> str:
@@ -186,7 +186,7 @@ class FinishedRun:
             The table is unknown, a pair failed, or a file is damaged or gone.
         """
         if name in _OF_RUN:
-            return self.read_table(name)
+            return self.store.read_table(name)
         if name not in PAIR_TABLES:
             raise RunError(
                 f"run {self.folder}: no table {name!r}; it has "
@@ -196,7 +196,7 @@ class FinishedRun:
         sides = SIDES if "side" in TABLES[name].of_file else ("",)
         parts = []
         for pair_id in names:
-            parts += [self.read_table(name, self._scored(pair_id), side) for side in sides]
+            parts += [self.store.read_table(name, self._scored(pair_id), side) for side in sides]
         if not parts:
             return TABLES[name].schema.empty_table()
         return pa.concat_tables(
@@ -297,26 +297,10 @@ class FinishedRun:
         """True if the real side fixes the objects."""
         return self.preset == "reference"
 
-    def read_table(
-        self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None
-    ) -> pa.Table:
-        """A table of one pair (of one side where each side has its own), or of the whole run where `pair_id` is "".
-
-        Parameters
-        ----------
-        columns : only these; by default all
-
-        Raises
-        ------
-        RunError
-            The file is damaged or gone.
-        """
-        return self.store.read_table(table, pair_id, side, columns)
-
     def _of_side(self, table: str, pair_id: str, side: str) -> pa.Table:
         if side not in SIDES:
             raise RunError(f"run {self.folder}: expected side {' or '.join(SIDES)}, got {side!r}")
-        return self.read_table(table, self._scored(pair_id), side)
+        return self.store.read_table(table, self._scored(pair_id), side)
 
     def _scored(self, pair_id: str) -> str:
         """The name of a pair that is scored; `RunError` if it failed or is not there."""
@@ -396,7 +380,7 @@ def pair_values(run: FinishedRun, pair_id: str) -> Row:
     row = run.row(pair_id)
     if row["status"] != "scored":
         return {"pair": row, "objects": [], "rays": []}
-    rays = run.read_table("ray_scores", pair_id).drop_columns(["pair_id"])
+    rays = run.store.read_table("ray_scores", pair_id).drop_columns(["pair_id"])
     return {"pair": row, "objects": pair_objects(run, pair_id), "rays": rays.to_pylist()}
 
 

@@ -141,10 +141,7 @@ def reasons(comparison: Comparison) -> dict[str, list[Item]]:
 
 def answer(comparison: Comparison) -> Answers:
     """The causes and families behind a decision, where to look, and how pairs were counted."""
-    sections: list[tuple[str, Sequence[Item]]] = []
-    for verdict, items in reasons(comparison).items():
-        if items:
-            sections.append((_HEADINGS[verdict], items))
+    sections = _by_verdict(comparison)
     if comparison.lacks_places:
         sections.append(("These frames", items_of(*_moved(comparison))))
     where = []
@@ -159,6 +156,12 @@ def answer(comparison: Comparison) -> Answers:
         ("Next", items_of(shlex.join(["fidpipe", "diagnose", *map(str, again)]))),
     ]
     return Answers([(heading, items) for heading, items in sections if items])
+
+
+def _by_verdict(comparison: Comparison) -> list[tuple[str, Sequence[Item]]]:
+    """The causes and families behind a decision, by the heading of their verdict."""
+    behind = reasons(comparison).items()
+    return [(_HEADINGS[verdict], items) for verdict, items in behind if items]
 
 
 def place_words(row: Row) -> str:
@@ -264,10 +267,7 @@ def family_table(comparison: Comparison) -> Table:
 def changed_since(comparison: Comparison) -> View:
     """The causes that changed since an earlier build; not those against the real scans."""
     title = Note(f"Changed since {comparison.base}", "bold")
-    sections = []
-    for verdict, items in reasons(replace(comparison, families=())).items():
-        if items:
-            sections.append((_HEADINGS[verdict], items))
+    sections = _by_verdict(replace(comparison, families=()))
     if not sections:
         return [title, Note("no cause changed by more than the accuracy of its estimate")]
     return [title, Answers(sections)]

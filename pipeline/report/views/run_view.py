@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
-from shlex import quote
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ....schemas.columns import SIDES, Row
@@ -22,7 +21,6 @@ from ....schemas.results import Findings, Overview, Unmatched
 from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun
 from ...storage.run_record import unmatched_worst
-from ...storage.urls import url_or_path
 from ..view import (
     Note,
     Part,
@@ -57,14 +55,13 @@ def outcome_view(outcome: RunOutcome) -> View:
     took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     if outcome.n_reused:
         took += f", {outcome.n_made} jobs done, {outcome.n_reused} reused"
-    return summary_view(FinishedRun(outcome.folder), reported=outcome.reported, took=took)
+    return summary_view(FinishedRun(outcome.folder), took=took)
 
 
 def summary_view(
     run: FinishedRun,
     excess: RunExcess | None = None,
     *,
-    reported: Container[str] = frozenset(),
     with_all: bool = False,
     took: str = "",
 ) -> View:
@@ -73,7 +70,6 @@ def summary_view(
     Parameters
     ----------
     excess : the run over a best case
-    reported : pairs whose failure was reported before
     took : time and reused jobs of a run that just ended
     """
     record = run.record
@@ -87,7 +83,7 @@ def summary_view(
         parts += seeds_view(record.seeds)
     if excess:
         parts += [*excess_view(excess, HEADLINES), Note("")]
-    parts += [*failures_view(run, reported), *frame_warnings(run)]
+    parts += [*failures_view(run), *frame_warnings(run)]
     return [*parts, *answer_view(run, excess, with_all=with_all, took=took)]
 
 
@@ -112,21 +108,13 @@ def surface_table(overview: Overview) -> Table:
     return Table(title, ("", "real points", "missing", "simulated points", "invented"), rows)
 
 
-def failures_view(run: FinishedRun, reported: Container[str] = frozenset()) -> View:
-    """Failed pairs with their reasons; failures already reported are only counted."""
+def failures_view(run: FinishedRun) -> View:
+    """Failed pairs with their reasons."""
     failures = [row for row in run.rows if row["status"] == "failed"]
     if not failures:
         return []
-    new = [row for row in failures if row["pair_id"] not in reported]
-    n_reported = len(failures) - len(new)
-    text = f"{len(failures)} of {len(run.rows)} pairs failed"
-    if n_reported:
-        which = "" if n_reported == len(failures) else f"{n_reported} of them "
-        command = f"fidpipe show {quote(url_or_path(run.folder))}"
-        text += f", {which}as reported above; show them again with: {command}"
-    if new:
-        text += ":"
-    reasons = [f"  {row['pair_id']}: {row['reason']}" for row in new]
+    text = f"{len(failures)} of {len(run.rows)} pairs failed:"
+    reasons = [f"  {row['pair_id']}: {row['reason']}" for row in failures]
     lines = first_of(reasons, _MOST_PAIRS, "  and {} more, see pairs.parquet")
     return [Note(text, "red"), *map(Note, lines)]
 
