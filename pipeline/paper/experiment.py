@@ -167,7 +167,12 @@ def run_experiment(
     names = {pair.pair_id for pair in source.pairs}
     with folder.locked():
         run = _ExperimentRun(source, names, folder, (stage,), settings, reporter)
-        run.make_jobs(Machines(n_workers), replace=replace_finished)
+        run.survey_results(replace=replace_finished)
+        machines = Machines(n_workers)
+        with run.started_pool(machines) as pool:
+            run.replace_stale()
+            if run.survey.todo:
+                run.schedule(pool, machines).run()
         failures = run.collector.failures
         if failures and scan_ref(source.folder).exists:
             raise ScanError("; ".join(failures.values()))
