@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import pyarrow as pa
 
@@ -365,15 +364,13 @@ class Run:
         scored = pairs if all(is_scored) else pairs.filter(is_scored)
         for pair_id, note in peaks_notes(scored, self.settings):
             self.notes[pair_id].append(note)
-        described: tuple[Any, Any, Any]
-        if last is not None and last.overview and last.metrics:
-            described = last.findings, last.overview, last.metrics
-        else:
+        if last is None or not last.overview:
             by_reference = preset_of(self.settings) == "reference"
-            described = describe_objects(
+            findings, overview = describe_objects(
                 self.folder, scored, self._times_s, self.hashes, by_reference=by_reference
             )
-        findings, overview, metrics = described
+        else:
+            findings, overview = last.findings, last.overview
         scored_ids = scored["pair_id"].to_pylist()
         times_s = {name: self._times_s[name] for name in scored_ids}
         record = RunRecord(
@@ -387,7 +384,6 @@ class Run:
             ),
             summary=summarise_pairs(scored),
             findings=findings,
-            metrics=metrics,
             seconds=self.seconds.result(),
             inputs=dict(sorted(self.hashes.items())),
             times_s={name: time_s for name, time_s in times_s.items() if time_s is not None},

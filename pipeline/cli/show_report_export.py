@@ -39,11 +39,11 @@ def show(
 
     fidpipe show runs/dataset --best-case runs/dataset-best-case    minus a perfect simulator
 
-    fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
+    fidpipe show runs/dataset 0007 --json | jq '.objects[0].real.r_lambda'
 
     fidpipe show runs/dataset --markdown       the summary, for a merge request
 
-    fidpipe show runs/dataset --csv > pairs.csv    one row per pair; of a pair one row per object
+    fidpipe show runs/dataset --csv > pairs.csv    a row per pair; of a pair a row per object and side
     """
     output = format_of(as_json, as_markdown, as_csv)
     if all_ and object_ is not None:

@@ -258,7 +258,7 @@ def _separate(points: pd.DataFrame, splits: list[Fold], names: Sequence[str]) ->
 
 
 def _read_stored(run: FinishedRun, side: str, name: str) -> Frame:
-    ground = run.read_table("ground", name, side)
+    ground = run.store.read_table("ground", name, side)
     points = np.column_stack([column(ground, axis) for axis in "xyz"])
     moved = run.store.ledger.jobs(name)["ground", side].metadata["T_real_sim"]
     T = np.array(moved).reshape(3, 4) if moved and side == "sim" else np.eye(3, 4)

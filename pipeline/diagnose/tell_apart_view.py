@@ -44,13 +44,15 @@ def tell_apart_view(found: TellApart) -> View:
 def draw_map(found: TellApart, path: Path) -> None:
     """Write a PNG: both sides seen from above, points coloured by the probability of being simulated."""
     frame = style.frame_of(found.points[["x", "y", "z"]].to_numpy())
-    with style.new_maps(frame, style.shown_name(found.title, 80)) as (figure, axes):
+    with style.new_figure(9.4, 5.25, style.shown_name(found.title, 80)) as figure:
+        axes = figure.subplots(1, 2, sharex=True, sharey=True)
         for axis, (is_sim, side) in zip(axes, found.points.groupby("is_sim"), strict=True):
             points = side[["x", "y", "z"]].to_numpy()
             coloured = style.dots(
                 axis, points, 2.0, side.probability, cmap="coolwarm", vmin=0, vmax=1
             )
             axis.set_title("simulated points" if is_sim else "real points")
+            style.from_above(axis, frame)
         style.colour_bar(axes[1], coloured, "probability of being simulated")
     with style.in_our_style():
         content = BytesIO()
