@@ -248,8 +248,7 @@ def find_rays(
     for side, sensor in zip(("real", "simulated"), sensors, strict=True):
         grid = grid_of(sensor)
         if grid is None or not grid.step_deg:
-            reason = sensor.untold.get("azimuth_step_deg" if grid else "elevation_deg", "no beams")
-            return f"{side} scan: {reason}"
+            return f"{side} scan: {sensor.why_unknown('azimuth_step_deg')}"
         grids.append(grid)
     apart_m = 0.0 if T_real_sim is None else float(np.linalg.norm(T_real_sim[:, 3]))
     median_m = float(np.median(np.linalg.norm(real, axis=1)))

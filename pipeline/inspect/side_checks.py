@@ -103,7 +103,7 @@ class SideSamples:
             points = at_sensor(scan.points, side, self._settings)
             if len(points):
                 kept.sensors[pair.pair_id] = sensors.get(side) or describe_sensor(
-                    points, scan.rings, scan.times_s is not None
+                    points, scan.rings
                 )
             if scan.times_s is not None and kept.stamps is None:
                 kept.stamps = check_stamps(scan.times_s, points)

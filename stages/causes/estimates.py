@@ -429,8 +429,7 @@ def _unknown(real: SensorDescription, sim: SensorDescription, field: str) -> Amo
 def _why_unknown(real: SensorDescription, sim: SensorDescription, field: str) -> str:
     """Reason why a property of one of the sensors is unknown."""
     for side, sensor in (("real", real), ("simulated", sim)):
-        reason = sensor.untold.get(field) or sensor.untold.get("elevation_deg")
-        if reason:
+        if reason := sensor.why_unknown(field):
             return f"{side} scan: {reason}"
     return "unknown on one side"
 
