@@ -137,10 +137,14 @@ def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> Bea
 
 
 class Recognition(NamedTuple):
-    """Known sensor with some beams: its title, or None and the reason; and the number of beams in its table."""
+    """Known sensor with some beams, or the reason why there is none.
 
-    title: str | None
+    title : of the sensor, or of two sensors; None if unknown
+    n_beams : number of beams in its table
+    """
+
     reason: str = ""
+    title: str | None = None
     n_beams: int | None = None
 
 
@@ -166,7 +170,6 @@ def recognise(
     observed = pattern.elevation_deg
     if len(observed) < _MIN_BEAMS:
         return Recognition(
-            None,
             f"{len(observed)} beams, at least {_MIN_BEAMS} are needed to know a sensor by them",
         )
     fits: dict[str, _Fit] = {}
@@ -177,9 +180,9 @@ def recognise(
         if score and (title not in fits or score >= fits[title].score):
             fits[title] = _Fit(score, sensor, len(table))
     if not fits and pattern.is_even:
-        return Recognition(None, "no known sensor has these; simulators space theirs evenly")
+        return Recognition("no known sensor has these; simulators space theirs evenly")
     if not fits:
-        return Recognition(None, "no sensor of the table has such beams")
+        return Recognition("no sensor of the table has such beams")
     best = max(fit.score for fit in fits.values())
     closest = {title: fit for title, fit in fits.items() if fit.score >= best - 0.02}
     objections = {
@@ -188,10 +191,10 @@ def recognise(
     agreeing = [title for title in closest if not objections[title]]
     if not agreeing:
         texts = [f"the beams of {title}, but {objections[title]}" for title in closest]
-        return Recognition(None, "; ".join(texts))
+        return Recognition("; ".join(texts))
     if len(agreeing) > 2:
-        return Recognition(None, f"these beams fit {', '.join(agreeing)} equally well")
-    return Recognition(" or ".join(agreeing), "", closest[agreeing[0]].n_beams)
+        return Recognition(f"these beams fit {', '.join(agreeing)} equally well")
+    return Recognition("", " or ".join(agreeing), closest[agreeing[0]].n_beams)
 
 
 class _Fit(NamedTuple):
@@ -429,12 +432,10 @@ def _block_heights(
 
 def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
     """Bins of peaks of the smoothed count: prominent by half their height, and with enough returns."""
-    from scipy.signal import find_peaks
-
     sigma = width_deg / _BIN_DEG
     smooth = scipy.ndimage.gaussian_filter1d(count.astype(np.float64), sigma, mode="constant")
     smooth = smooth * np.sqrt(2 * np.pi) * sigma
-    peaks, shape = find_peaks(smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2)
+    peaks, shape = scipy.signal.find_peaks(smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2)
     return peaks[shape["prominences"] > 0.5 * smooth[peaks]]
 
 

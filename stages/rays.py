@@ -29,16 +29,6 @@ RANGE_EDGES_M = BAND_EDGES_M
 INCIDENCE_EDGES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
 #: Edges of the directions in which rays are scored.
 AZIMUTH_EDGES_DEG = tuple(range(-180, 181, 45))
-_RANGE_SCORES = (
-    "rays_bias_m",
-    "rays_bias_low_m",
-    "rays_bias_high_m",
-    "rays_scale",
-    "rays_mae_m",
-    "rays_medae_m",
-    "rays_p90_m",
-    "rays_rmse_m",
-)
 _CANDIDATES = 6
 _NEIGHBOURS = 8
 _PHASE_CELLS = 32  # columns over which the columns of the two sides keep their phase
@@ -262,8 +252,8 @@ def find_rays(
     return compare_rays(real, sim, grids[0], grids[1], noise_m)
 
 
-def score_rays(rays: Rays, is_in: BoolArray | None = None) -> dict[str, Number]:
-    """Scores of some rays, by column of `pairs`; None if no ray allows them.
+def score_rays(rays: Rays, is_in: BoolArray | slice = slice(None)) -> dict[str, Number]:
+    """Scores of some rays, by column of `pairs`; None, or left out for ranges, if no ray allows them.
 
     Shares are of the rays with a return on either side. `rays_hit_f1` is 2 b / (2 b + r + s) and `rays_drop_f1`
     2 n / (2 n + r + s), with b, r, s, n the rays that both sides, the real side only, the simulated side only, and
@@ -275,9 +265,8 @@ def score_rays(rays: Rays, is_in: BoolArray | None = None) -> dict[str, Number]:
     ----------
     is_in : (n,) bool, rays to be scored; all by default
     """
-    if is_in is None:
-        is_in = np.ones(len(rays.outcome), dtype=np.bool_)
-    counts = np.bincount(rays.outcome[is_in], minlength=len(OUTCOMES)).tolist()
+    outcome = rays.outcome[is_in]
+    counts = np.bincount(outcome, minlength=len(OUTCOMES)).tolist()
     n_none = counts[NONE]
     n_rays = sum(counts[:NONE])
     n_both = sum(counts[:DROPPED])
@@ -287,30 +276,31 @@ def score_rays(rays: Rays, is_in: BoolArray | None = None) -> dict[str, Number]:
         scores[f"rays_{name}"] = n / n_rays if n_rays else None
     for name, n in (("hit", n_both), ("drop", n_none)):
         scores[f"rays_{name}_f1"] = 2 * n / (2 * n + n_single) if n + n_single else None
-    is_both = (rays.outcome <= BEHIND) & is_in
-    return scores | _range_scores(rays.real_range_m[is_both], rays.sim_range_m[is_both])
+    is_both = outcome <= BEHIND
+    real_m = rays.real_range_m[is_in][is_both]
+    sim_m = rays.sim_range_m[is_in][is_both]
+    return scores | _range_scores(real_m, sim_m)
 
 
-def _range_scores(real: FloatArray, sim: FloatArray) -> dict[str, Number]:
+def _range_scores(real: FloatArray, sim: FloatArray) -> dict[str, float]:
     """Bias, scale and error of the ranges of rays that both sides returned, by column of `pairs`."""
     n = len(real)
     if not n:
-        return dict.fromkeys(_RANGE_SCORES)
+        return {}
     difference = np.sort(sim - real)
     reach = 0.98 * np.sqrt(n)
     low, high = np.clip([n / 2 - reach, n / 2 + reach], 0, n - 1).astype(np.intp)
     error = np.abs(difference)
-    values = (
-        np.median(difference),
-        difference[low],
-        difference[high],
-        np.median(sim / real) - 1.0,
-        error.mean(),
-        np.median(error),
-        np.quantile(error, 0.9),
-        np.sqrt((error**2).mean()),
-    )
-    return dict(zip(_RANGE_SCORES, map(float, values), strict=True))
+    return {
+        "rays_bias_m": float(np.median(difference)),
+        "rays_bias_low_m": float(difference[low]),
+        "rays_bias_high_m": float(difference[high]),
+        "rays_scale": float(np.median(sim / real)) - 1.0,
+        "rays_mae_m": float(error.mean()),
+        "rays_medae_m": float(np.median(error)),
+        "rays_p90_m": float(np.quantile(error, 0.9)),
+        "rays_rmse_m": float(np.sqrt((error**2).mean())),
+    }
 
 
 def _rows_of(real_grid: RayGrid, sim_grid: RayGrid) -> tuple[FloatArray, FloatArray]:

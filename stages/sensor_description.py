@@ -230,12 +230,7 @@ def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
         "lowest_deg": min(sensor.elevation_deg, default=None),
         "highest_deg": max(sensor.elevation_deg, default=None),
         "origin_height_m": height_m if sensor.elevation_deg else None,
-        "azimuth_step_deg": sensor.azimuth_step_deg,
-        "range_quantum_m": sensor.range_quantum_m,
-        "range_noise_m": sensor.range_noise_m,
-        "elevation_noise_deg": sensor.elevation_noise_deg,
-        "azimuth_noise_deg": sensor.azimuth_noise_deg,
-        "lost_share": sensor.lost_share,
+        **{name: getattr(sensor, name) for name in _PROPERTIES},
         "reason": "; ".join(f"{name}: {reason}" for name, reason in sensor.untold.items()) or None,
         "doubts": "\n".join(sensor.doubts.values()) or None,
     }
@@ -339,8 +334,6 @@ def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
 
 
 def _azimuth_step(sweep: _Sweep) -> float | str:
-    from scipy.signal import find_peaks
-
     bin_deg = 0.002
     most_deg = 4.0
     gap = sweep.gap_deg
@@ -350,7 +343,7 @@ def _azimuth_step(sweep: _Sweep) -> float | str:
     bins = (gap / bin_deg).astype(np.intp)
     count = np.bincount(bins, minlength=int(most_deg / bin_deg))
     density = scipy.ndimage.gaussian_filter1d(count.astype(np.float64), 3.0)
-    peaks, _ = find_peaks(density, height=0.4 * density.max())
+    peaks, _ = scipy.signal.find_peaks(density, height=0.4 * density.max())
     step = (peaks[0] + 0.5) * bin_deg
     near = gap[np.abs(gap / step - 1.0) < 0.15]
     if len(near) < 0.15 * len(gap):

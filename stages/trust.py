@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from .arrays import BoolArray, FloatArray, IndexArray
@@ -306,9 +307,7 @@ def _grid_text(points: FloatArray) -> str | None:
     ----------
     points : (n, 3) float64, metres
     """
-    from scipy.spatial import cKDTree
-
-    apart_m, _ = cKDTree(points).query(points[:: -(-len(points) // _SAMPLE)], k=2)
+    apart_m, _ = scipy.spatial.cKDTree(points).query(points[:: -(-len(points) // _SAMPLE)], k=2)
     for size_m in _GRIDS_M:
         if np.median(apart_m[:, 1]) > size_m:
             continue
@@ -382,10 +381,8 @@ def _position_text(points: FloatArray) -> str | None:
     if is_far_from_origin(points):
         reason = f"nothing within {_NEAR_M:g} m of the origin (are they in metres?)"
     else:
-        from scipy.spatial import cKDTree
-
         sample = points[np.random.default_rng(0).permutation(len(points))[:_SAMPLE]]
-        apart_m, _ = cKDTree(sample).query(sample, k=_NEIGHBOURS)
+        apart_m, _ = scipy.spatial.cKDTree(sample).query(sample, k=_NEIGHBOURS)
         dense = sample[np.argsort(apart_m[:, -1])[: len(sample) // _DENSE_PART]]
         place_m = float(np.hypot(*np.median(dense[:, :2], axis=0)))
         if place_m < _DENSE_M:

@@ -179,12 +179,12 @@ def test_even_channels_are_no_known_sensors(low, high, n):
 
 
 def test_units_that_are_in_no_table_are_known_by_their_pattern():
-    assert recognise(pattern(HDL64_S3))[0] == "Velodyne HDL-64E"
-    assert recognise(pattern(OS1_64))[0] == "Ouster OS1-64 (gen 1)"
+    assert recognise(pattern(HDL64_S3)).title == "Velodyne HDL-64E"
+    assert recognise(pattern(OS1_64)).title == "Ouster OS1-64 (gen 1)"
     halved = BeamPattern(pattern(HDL64_S3).elevation_deg[1::2], 0.02, False, (), -90.0, 1.0)
-    assert recognise(halved)[0] == "every second beam of Velodyne HDL-64E"
+    assert recognise(halved).title == "every second beam of Velodyne HDL-64E"
     assert recognise(pattern(VLP32A)).title is None
-    assert "at least 8" in recognise(pattern("-3 -2 0 1"))[1]
+    assert "at least 8" in recognise(pattern("-3 -2 0 1")).reason
 
 
 def test_a_name_agrees_with_step_and_quantum():
