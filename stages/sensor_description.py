@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ..schemas.columns import FARTHEST_M
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray
-from .beam_patterns import BeamPattern, find_beams, recognise
+from .beam_patterns import BeamPattern, elevation_of_beams, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
 from .trust import (
     BEAMS,
@@ -97,6 +97,23 @@ class SensorDescription:
     model_beams: int | None = None
     untold: dict[str, str] = field(default_factory=dict)
     doubts: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def beams_deg(self) -> FloatArray:
+        """(b,) elevations of the beams, ascending."""
+        return np.array(self.elevation_deg)
+
+    def elevation_of(self, points: FloatArray) -> FloatArray:
+        """(n,) degrees, elevation of each point seen from where its beam starts."""
+        level = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
+        return elevation_of_beams(
+            points[:, 2] / level, 1.0 / level, self.origin_height_m, self.block_deg
+        )
+
+    def beam_of(self, points: FloatArray) -> IndexArray:
+        """(n,) intp, the beam nearest in elevation to each point."""
+        limits = (self.beams_deg[1:] + self.beams_deg[:-1]) / 2
+        return np.searchsorted(limits, self.elevation_of(points))
 
     def why_unknown(self, name: str) -> str | None:
         """Reason why a field is undetermined: its own, or that of the beams or of the step which it needs."""
