@@ -58,13 +58,7 @@ class BeamPattern:
 
     def beam_of(self, points: FloatArray) -> tuple[IndexArray, FloatArray]:
         """Beam of each point, (n,) intp, -1 for none; and the elevation above it, (n,) degrees."""
-        level = np.maximum(np.hypot(points[:, 0], points[:, 1]) - self.focal_m, 1e-9)
-        elevation = elevation_of_beams(
-            points[:, 2] / level,
-            1.0 / level,
-            self.origin_height_m,
-            self.block_deg,
-        )
+        elevation = elevation_of_points(points, self.origin_height_m, self.block_deg, self.focal_m)
         middle = (self.elevation_deg[1:] + self.elevation_deg[:-1]) / 2
         beam = np.searchsorted(middle, elevation)
         reach = np.minimum(2 * self.width_deg, 0.4 * _spacing(self.elevation_deg))
@@ -306,7 +300,7 @@ def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
     if heights:
         tangent = tangent[is_far]
         nearness = nearness[is_far]
-    elevation = elevation_of_beams(tangent, nearness, heights, block_deg)
+    elevation = _elevation_of_beams(tangent, nearness, heights, block_deg)
     bins = ((elevation + 90.0) / _BIN_DEG).astype(np.intp)
     count = np.bincount(bins, minlength=int(180 / _BIN_DEG) + 1)
     candidates = []
@@ -331,7 +325,7 @@ def _by_ring(
     """Beams from rings; None if there are too few, or if rings do not have one elevation each."""
     heights = whole.origin_height_m if whole else ()
     block_deg = whole.block_deg if whole else -90.0
-    elevation = elevation_of_beams(tangent, nearness, heights, block_deg)
+    elevation = _elevation_of_beams(tangent, nearness, heights, block_deg)
     is_far = nearness < 1.0 / _FARTHER_M
     parts = []
     for number in np.unique(ring[ring >= 0]):
@@ -353,7 +347,15 @@ def _by_ring(
     return BeamPattern(centre, width, _is_even(centre), heights, block_deg, 1.0)
 
 
-def elevation_of_beams(
+def elevation_of_points(
+    points: FloatArray, heights: tuple[float, ...], block_deg: float, focal_m: float = 0.0
+) -> FloatArray:
+    """Elevation of each point seen from the origin of its beam, degrees."""
+    level = np.maximum(np.hypot(points[:, 0], points[:, 1]) - focal_m, 1e-9)
+    return _elevation_of_beams(points[:, 2] / level, 1.0 / level, heights, block_deg)
+
+
+def _elevation_of_beams(
     tangent: FloatArray,
     nearness: FloatArray,
     heights: tuple[float, ...],

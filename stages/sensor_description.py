@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ..schemas.columns import FARTHEST_M
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray
-from .beam_patterns import BeamPattern, elevation_of_beams, find_beams, recognise
+from .beam_patterns import BeamPattern, elevation_of_points, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
 from .trust import (
     BEAMS,
@@ -105,10 +105,7 @@ class SensorDescription:
 
     def elevation_of(self, points: FloatArray) -> FloatArray:
         """(n,) degrees, elevation of each point seen from where its beam starts."""
-        level = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
-        return elevation_of_beams(
-            points[:, 2] / level, 1.0 / level, self.origin_height_m, self.block_deg
-        )
+        return elevation_of_points(points, self.origin_height_m, self.block_deg)
 
     def beam_of(self, points: FloatArray) -> IndexArray:
         """(n,) intp, the beam nearest in elevation to each point."""

@@ -83,8 +83,6 @@ def _sensor_lines(sensors: SensorCheck) -> list[Note]:
     lines = []
     if sensors.sides:
         pairs = count(len(sensors.pair_ids), "pair")
-        if len(sensors.pair_ids) < 4:
-            pairs = f"pair{'s' if len(sensors.pair_ids) > 1 else ''} {', '.join(sensors.pair_ids)}"
         lines.append(Note(f"Sensors (estimated from {pairs})", "bold"))
     for side, sensor in sensors.sides.items():
         lines.append(Note(f"{SIDE_NAMES[side]} sensor"))
