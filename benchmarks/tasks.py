@@ -55,7 +55,6 @@ from unseen_flaws import (
     cartesian,
     dead,
     describe_sensor,
-    grid_of,
     jittering,
     remeasured,
     rolled,
@@ -357,7 +356,7 @@ class Scene:
         """Flaw and amount of each condition, and a function that evaluates it."""
         yield NONE, 0.0, lambda: self.evaluate(self.simulated)
         has_cars = all(scan.car is not None for scan in self.scans)
-        has_beams = grid_of(describe_sensor(self.simulated[0])) is not None
+        has_beams = bool(describe_sensor(self.simulated[0]).elevation_deg)
         for flaw, (amounts, make) in FLAWS.items():
             if (flaw.startswith("car") and not has_cars) or ("beams" in flaw and not has_beams):
                 continue

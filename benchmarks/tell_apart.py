@@ -33,7 +33,7 @@ from fidpipe.stages.sensor_description import describe_sensor
 from fidpipe.stages.surface import compare_roughness, describe_surface, measure_offsets
 
 SETTINGS = load(preset="reference")
-SENSOR = ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_in_all")
+SENSOR = ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
 MILD = {
     "0.5 cm noise, 1 % loss": (0.005, 0.01),
     "1 cm noise": (0.01, 0.0),

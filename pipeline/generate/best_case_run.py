@@ -205,14 +205,14 @@ def _remeasured(
             noise_m = sensor.range_noise_m or 0.0
             if sensor.range_noise_m is None:
                 noise_m = DEFAULT_NOISE_M
-                reasons.append(sensor.untold["range_noise_m"])
+                reasons.append(sensor.why_unknown("range_noise_m"))
         if lost_share == AS_MEASURED:
-            lost_share = sensor.lost_in_all or 0.0
+            lost_share = sensor.lost_share or 0.0
             gaps = gaps_of_scan
-            if sensor.lost_in_all is None:
+            if sensor.lost_share is None:
                 lost_share = DEFAULT_LOST_SHARE
                 gaps = NO_GAPS
-                reasons.append(sensor.untold["lost_share"])
+                reasons.append(sensor.why_unknown("lost_share"))
     clean = clean_scan(scan.points, _ALL)
     filled, filled_ids = fill_gaps(scan.points, *gaps)
     rng = np.random.default_rng([recipe.seed, *pair.pair_id.encode()])
