@@ -1,5 +1,6 @@
 """`fidpipe diagnose`: gains of the causes of a run, what no cause explains, latency; and --tell-apart."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -25,7 +26,7 @@ from fidpipe.stages.causes.gain import Shares
 from fidpipe.stages.diagnose import tell_apart as classifier
 from fidpipe.stages.generate.ray_casting import fire
 from runs import QUIET, command, run
-from scenes import write_bin
+from scenes import street, write_bin
 
 TOO_LOW_M, TRAVEL_M = 0.15, 0.5
 SETTINGS = load(None, ["graph.k=10"], preset="reference")
@@ -267,6 +268,16 @@ def test_tell_apart_compares_the_run_with_its_best_case_and_draws_the_map(folder
         found["auc"] > found["real_against_real"]["auc"]
     )  # the simulated side is drifted and thinned
     assert {one["name"] for one in found["families"]} == {"surface"}  # random points have no beams
+
+
+def test_features_that_one_sample_lacks_do_not_tell_it_apart():
+    points = street(seed=1)
+    frame = tell_apart.Frame(points, points, points[:, 2], points[:, 2] < 0.3, points[:, 0])
+    without = dataclasses.replace(frame, intensity=None)
+    a, b = [tell_apart.draw_sample(lambda _, frame=frame: frame, [0]) for frame in (frame, without)]
+    features = tell_apart.features_of(a)
+    assert "intensity" in features
+    assert tell_apart.compare_samples(a, b, features).auc < 0.6
 
 
 def test_tell_apart_needs_no_pairs(folder):
