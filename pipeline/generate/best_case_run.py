@@ -224,4 +224,5 @@ def _remeasured(
         columns["label"] = scan.labels[rows]
     if scan.instances is not None:
         columns["instance"] = scan.instances[rows]
-    return pa.table(columns), float(noise_m), float(lost_share), "; ".join(dict.fromkeys(reasons))
+    known_reasons = dict.fromkeys(filter(None, reasons))
+    return pa.table(columns), float(noise_m), float(lost_share), "; ".join(known_reasons)
