@@ -134,7 +134,7 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
     lines = []
     for pair in pairs:
         files = {side: Path(os.path.realpath(scan.file)) for side, scan in pair.scans.items()}
-        if len(files) < len(SIDES):
+        if len(files) < len(SIDES) or pair.real == pair.sim:
             continue
         for side, other in (("real", "sim"), ("sim", "real")):
             if files[side].is_relative_to(root):

@@ -143,7 +143,7 @@ def ablate(
         out or _experiment_folder(dataset, "ablate"),
         load(settings, assignments or [], preset=preset),
         Reporter(),
-        values={name: _numbers(text) for name, text in options.items() if text is not None},
+        values={name: _numbers(name, text) for name, text in options.items() if text is not None},
         grid=grid,
         pattern=pairs,
         n_workers=workers,
@@ -152,11 +152,15 @@ def ablate(
     print_outcome(show_ablation(outcome), outcome.failures)
 
 
-def _numbers(text: str) -> tuple[float, ...]:
+def _numbers(name: str, text: str) -> tuple[float, ...]:
+    """The values of an option, which is named as its setting is, without the unit."""
     try:
         return tuple(float(word) for word in text.split(","))
     except ValueError:
-        raise typer.BadParameter(f"expected numbers with commas, got {text!r}") from None
+        option = f"--{name.removesuffix('_m')}"
+        raise typer.BadParameter(
+            f"expected numbers with commas, got {text!r}", param_hint=option
+        ) from None
 
 
 def _experiment_folder(source: Path, experiment: str) -> Path:

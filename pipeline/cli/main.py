@@ -145,7 +145,8 @@ def _explained(error: Exception) -> str:
         name = error.object[: error.end].split()[-1].strip("'\"")
         return f"error: the name {name!a} is not UTF-8; rename the file or folder"
     if isinstance(error, MemoryError):
-        return f"error: not enough memory ({error}); free some, or raise ulimit -v"
+        reason = str(error) or "none left"
+        return f"error: not enough memory ({reason}); free some, or raise ulimit -v"
     return _usage_words(error) if hasattr(error, "format_message") else ""
 
 

@@ -253,13 +253,14 @@ class Schedule:
             return
         pair.plan = pair.plan.with_records(result.records)
         pair.failures += result.failures
-        self._collector.jobs_done(pair.plan.pair_id, result.records)
-        if batch.objects:
-            pair.scored.append(result.scored)
-            pair.n_scored += len(batch.objects)
-            n_objects = len(pair.plan.objects or [])
-            objects = f"; {pair.plan.pair_id}: {pair.n_scored} of {n_objects} objects"
-            self._collector.reporter.advance(0, objects=objects)
+        if not batch.objects:
+            self._collector.jobs_done(pair.plan.pair_id, result.records)
+            return
+        pair.scored.append(result.scored)
+        pair.n_scored += len(batch.objects)
+        n_objects = len(pair.plan.objects or [])
+        objects = f"; {pair.plan.pair_id}: {pair.n_scored} of {n_objects} objects"
+        self._collector.reporter.advance(0, objects=objects)
 
     def _go_on(self, pair: _Pair) -> None:
         """Submit the next batches of a pair of which nothing is running."""

@@ -170,3 +170,8 @@ def test_the_command_prints_a_table_and_draws_its_figure(dataset, tmp_path):
     assert len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate.parquet")) == 2 * 2
     picture = imread(tmp_path / "runs" / "streets-ablate" / "ablate.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
+
+
+def test_an_option_without_numbers_is_named(dataset, tmp_path):
+    result = command("ablate", dataset, "--tau", "a,b", cwd=tmp_path, code=2)
+    assert "--tau: expected numbers with commas, got 'a,b'" in result.stderr

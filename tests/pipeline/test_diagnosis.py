@@ -14,7 +14,7 @@ from fidpipe.pipeline.diagnose.diagnose import diagnose_run
 from fidpipe.pipeline.diagnose.latency import follow, latency_note, latency_words, speed_m_s
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.jobs import gains_job
-from fidpipe.pipeline.report.page.run_data import page_data
+from fidpipe.pipeline.report.page.run_data import page_data, page_words
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.storage.ledger import LEDGER
@@ -146,6 +146,11 @@ def test_causes_whose_correction_does_not_help_are_doubtful(low, monkeypatch):
     assert "seen, but fixing it would not help: world 15 cm too low" in shown
     assert "unexplained: 100 % of the" in shown
     assert "world 15 cm too low" not in command("show", low).stdout
+    assert page_words(read_results(low))["doubtful"].startswith("seen, but fixing")
+    command("report", low)
+    assert "Seen, but fixing it would not help: world 15 cm too low" in (
+        (low / "report.html").read_text(encoding="utf-8")
+    )
 
 
 SPEEDS_M_S = np.array([2.0, 5.0, 8.0, 11.0, 14.0])

@@ -24,7 +24,7 @@ from fidpipe.schemas.errors import DatasetError, RunError, ScanError, SettingsEr
 from fidpipe.schemas.settings import load
 from fidpipe.stages.generate.perturbations import Perturbation, perturb
 from fidpipe.stages.graph import build_graph
-from runs import QUIET, command, contents
+from runs import QUIET, command, contents, listening
 from scenes import street, write_bin, write_dataset
 
 SETTINGS = load(None, ["graph.k=12"])
@@ -241,7 +241,10 @@ def test_without_labels_each_shape_has_an_object(done):
 def test_of_a_dataset_the_first_real_scan_is_taken_or_those_that_are_asked_for(tmp_path):
     dataset = write_dataset(tmp_path / "data")
     options = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 1}
-    assert [*perturbed(dataset, tmp_path / "one", **options).metadata] == ["000"]
+    reporter, said = listening()
+    first = perturbed(dataset, tmp_path / "one", reporter=reporter, **options)
+    assert [*first.metadata] == ["000"]
+    assert "swapped" not in said.getvalue()  # the real scan is read on both sides
     outcome = perturbed(dataset, tmp_path / "two", pattern="00[12]", **options)
     assert [*outcome.metadata] == ["001", "002"]
     (row,) = [

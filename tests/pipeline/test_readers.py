@@ -92,6 +92,13 @@ def test_csv_is_read_whatever_the_case_of_its_header(tmp_path):
     assert (scan.intensity.tolist(), scan.labels.tolist()[:2]) == ([9, 8, 0], ["car", "tree"])
 
 
+@pytest.mark.parametrize("header", ["x,y,z,time,time", "x,y,z,,"])
+def test_columns_of_a_csv_that_are_not_used_may_share_a_name(tmp_path, header):
+    path = tmp_path / "a.csv"
+    path.write_text(f"{header}\n1.5,-2.25,0.5,9,7\n4,5,6,8,7\n")
+    np.testing.assert_array_equal(read_scan(path).points, POINTS[:2])
+
+
 @pytest.mark.parametrize(
     ("array", "fault"),
     [

@@ -89,6 +89,10 @@ def test_a_long_pair_is_made_job_by_job_and_object_by_object_so_that_progress_mo
     assert re.search(r"^0 of 3 pairs, 0 failed, \d+ %", told.getvalue(), re.MULTILINE)
     counts = re.findall(r"000: (\d+) of (\d+) objects", told.getvalue())
     assert [int(n) for n, _ in counts] == list(range(1, int(counts[0][1]) + 1))
+    # a line without objects for each other batch and each pair: none covers up that of a batch of objects
+    n_others = len(pool.submitted) - pool.submitted.count("score_objects")
+    n_lines = sum("objects" not in line for line in told.getvalue().splitlines())
+    assert n_lines <= n_others + 3
     assert_same_tables(tmp_path / "run", finished)
 
 

@@ -225,6 +225,14 @@ def test_heights_are_above_or_below_the_origin(heights_m, text):
     assert f"beams start: {text}" in sensor_lines(facts)
 
 
+def test_undetermined_properties_keep_their_place():
+    known = replace(describe_sensor(room(SENSORS["vlp16"])), azimuth_step_deg=0.2, untold={})
+    unknown = replace(known, range_quantum_m=None, untold={"range_quantum_m": "no quantum"})
+    names = [line.partition(":")[0] for line in sensor_lines(unknown)]
+    assert names.index("azimuth step") + 1 == names.index("range quantum")
+    assert "range quantum: none detected (no quantum)" in sensor_lines(unknown)
+
+
 def test_two_blocks_of_beams_that_start_above_the_origin_are_seen_through():
     points = room(SENSORS["hdl64"])
     slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))

@@ -60,13 +60,13 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     check_names(path, names, f"; rename them, or {remedy}")
     frame = pd.read_csv(
         path,
-        names=names,
+        names=range(len(names)),  # columns that are not used may share a name
         header=0 if has_header else None,
         skipinitialspace=True,
         low_memory=False,
         index_col=False,
     )
-    return scan_from_columns(path, {name: frame[name].to_numpy() for name in names})
+    return scan_from_columns(path, {name: frame[i].to_numpy() for i, name in enumerate(names)})
 
 
 def _cells(file: BinaryIO) -> list[str]:
