@@ -212,14 +212,10 @@ def _check_pairs(
         n_workers=None if in_workers else 1,
         may_end_workers=in_workers,
     )
-    return [
-        checks.get(pair.pair_id)
-        or PairCheck(
-            pair,
-            fault=failures[pair.pair_id],
-        )
-        for pair in pairs
-    ]
+    for pair in pairs:
+        if pair.pair_id in failures:
+            checks[pair.pair_id] = PairCheck(pair, fault=failures[pair.pair_id])
+    return [checks[pair.pair_id] for pair in pairs]
 
 
 def _read_again(
