@@ -135,10 +135,11 @@ def _doubts_of_pair(
 
 def _is_without_road(real: Side, sim: Side, explained: Explained) -> bool:
     """True if most of the real road has no simulated surface around it, also in directions with simulated returns."""
-    is_road = real.is_ground & ~explained.is_blind & ~explained.is_dead
-    if is_road.sum() < _LEAST_POINTS:
+    road = np.flatnonzero(real.is_ground & ~explained.is_blind & ~explained.is_dead)
+    if len(road) < _LEAST_POINTS:
         return False
-    is_near = _is_near(real.chosen(is_road), sim.tree)
+    few = road[:: len(road) // _LEAST_POINTS]
+    is_near = _is_near(real.chosen(few), sim.tree)
     return bool(is_near.mean() < 1.0 - _MISSING_ROAD)
 
 
