@@ -273,7 +273,7 @@ def test_the_tasks_are_in_the_report(finished, record, tmp_path):
     command("report", finished, "--out", tmp_path / "report", code=0)
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     lost = next(row["gap"] for row in record["tasks"] if row["measure"] == "lost")
-    assert f"Your obstacles: {100 * lost:.0f} % lost" in page
+    assert f"your obstacles: {100 * lost:.0f} % lost" in page
     assert "wrongly_occupied" in page
 
 
