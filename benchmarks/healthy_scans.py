@@ -26,7 +26,6 @@ from flawed_scans import random
 from fidpipe.pipeline.datasets import pairs
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.stages.causes.sides import PairScans
-from fidpipe.stages.rays import grid_of
 from fidpipe.stages.sensor_description import describe_sensor
 
 N_PAIRS = 5
@@ -55,7 +54,7 @@ def scans_of(folder, pattern):
         for frame in pairs.scans_of(path)[:N_PAIRS]:
             points = np.asarray(read_scan(frame).points, dtype=float)
             is_return = np.isfinite(points).all(axis=1) & points.any(axis=1)
-            if grid_of(describe_sensor(points[is_return])) is not None:
+            if describe_sensor(points[is_return]).elevation_deg:
                 scans.append(points[is_return])
     return scans
 
@@ -63,7 +62,7 @@ def scans_of(folder, pattern):
 def columns_of(points):
     """Number of the firing of each return within its beam."""
     sensor = describe_sensor(points)
-    beam = grid_of(sensor).beam_of(points)
+    beam = sensor.beam_of(points)
     azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
     order = np.lexsort((azimuth_deg, beam))
     step_deg = sensor.azimuth_step_deg

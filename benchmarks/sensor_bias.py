@@ -63,7 +63,7 @@ def properties_table(scans, rng):
             for n in (1, 2, 3):
                 sparse = thinned(kept, n)
                 sensor = describe_sensor(sparse[rng.random(len(sparse)) >= lost])
-                share = 1 - (1 - sensor.lost_in_all) / (1 - whole.lost_in_all)
+                share = 1 - (1 - sensor.lost_share) / (1 - whole.lost_share)
                 step = sensor.azimuth_step_deg / (n * whole.azimuth_step_deg)
                 cells.append(
                     f"{len(sensor.elevation_deg) - len(whole.elevation_deg):+d}, {step:.3f}, {share:.0%}"

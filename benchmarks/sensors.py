@@ -181,7 +181,7 @@ def scans(data, pattern):
 
 def recordings(data):
     print(
-        "| recording | points | beams | step (deg) | quantum (mm) | noise (mm) | lost (%) by range | seconds |"
+        "| recording | points | beams | step (deg) | quantum (mm) | noise (mm) | lost (%) | seconds |"
     )
     print("|---|---|---|---|---|---|---|---|")
     counts = no_counts()
@@ -189,12 +189,10 @@ def recordings(data):
         for path in scans(data, pattern):
             scan = read_scan(path)
             start = time.perf_counter()
-            facts = describe_sensor(scan.points, scan.rings, scan.times_s is not None)
+            facts = describe_sensor(scan.points, scan.rings)
             seconds = time.perf_counter() - start
             count(facts, counts[pattern], truth)
-            share = " ".join(
-                "-" if value is None else f"{100 * value:.0f}" for value in facts.lost_share
-            )
+            share = "-" if facts.lost_share is None else f"{100 * facts.lost_share:.0f}"
             quantum = "-" if facts.range_quantum_m is None else f"{1e3 * facts.range_quantum_m:g}"
             noise = "-" if facts.range_noise_m is None else f"{1e3 * facts.range_noise_m:.0f}"
             name = path.relative_to(data)

@@ -55,7 +55,6 @@ from unseen_flaws import (
     cartesian,
     dead,
     describe_sensor,
-    grid_of,
     jittering,
     remeasured,
     rolled,
@@ -67,11 +66,13 @@ from unseen_flaws import (
 
 from fidpipe import FidpipeError
 from fidpipe.pipeline.datasets.readers import read_scan
+from fidpipe.pipeline.engine.worker import PairTables, run_in_memory
+from fidpipe.pipeline.jobs.scoring import PARTITION, ground_table, score_pair
 from fidpipe.schemas.settings import load
+from fidpipe.stages.arrays import FloatArray
 from fidpipe.stages.baselines import compare_points
 from fidpipe.stages.coverage import nearest_distances
-from fidpipe.stages.ground import GroundResult
-from fidpipe.stages.method import PartitionedScan, compare, partition, remove_road
+from fidpipe.stages.ground import GroundResult, remove_road
 from fidpipe.stages.odometry import compare_trajectories, trajectory
 from fidpipe.stages.pieces import CutScan
 from fidpipe.stages.tasks import (
@@ -259,7 +260,8 @@ class Side:
 
     scan: CutScan
     cut: GroundResult
-    objects: PartitionedScan
+    points: FloatArray
+    tables: PairTables
 
 
 def prepare(points, real=None):
@@ -270,18 +272,21 @@ def prepare(points, real=None):
         clean, cut = remove_road(
             points, SETTINGS, "sim", real_cut=real.cut, real_points=real.scan.points
         )
-    reference = None if real is None else real.objects.reference
-    objects = partition(clean.points[~cut.is_ground], SETTINGS, reference=reference)
-    return Side(CutScan(clean.points, cut.is_ground, cut.height_m), cut, objects)
+    side = "real" if real is None else "sim"
+    points = clean.points[~cut.is_ground]
+    tables = {("ground", side): ground_table(points)}
+    if real is None:
+        tables, _ = run_in_memory(PARTITION, SETTINGS, tables=tables)
+    return Side(CutScan(clean.points, cut.is_ground, cut.height_m), cut, points, tables)
 
 
 def scored(real, points):
     """Scores and gaps of a simulated scan: the numbers of `fidpipe run`, without the stages that are not needed."""
     sim = prepare(points, real)
-    summary = compare(real.objects, sim.objects, SETTINGS)
+    summary = score_pair(SETTINGS, real.tables | sim.tables)
     row = {name: summary[name] for name in SCORES if name in summary}
     row["found"] = summary["n_matched"] / (summary["n_matched"] + summary["n_not_found"])
-    both = (real.objects.points, sim.objects.points)
+    both = (real.points, sim.points)
     for side, distance_m in zip(("real", "sim"), nearest_distances(*both), strict=True):
         row[f"covered_{side}_0p1m"] = (distance_m <= 0.1).mean()
     row |= {
@@ -351,7 +356,7 @@ class Scene:
         """Flaw and amount of each condition, and a function that evaluates it."""
         yield NONE, 0.0, lambda: self.evaluate(self.simulated)
         has_cars = all(scan.car is not None for scan in self.scans)
-        has_beams = grid_of(describe_sensor(self.simulated[0])) is not None
+        has_beams = bool(describe_sensor(self.simulated[0]).elevation_deg)
         for flaw, (amounts, make) in FLAWS.items():
             if (flaw.startswith("car") and not has_cars) or ("beams" in flaw and not has_beams):
                 continue

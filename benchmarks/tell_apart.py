@@ -22,18 +22,18 @@ from decisions import EVERY, NONE, random, read
 from flawed_scans import ALL, Scan, find_car, find_poles, ray_noise
 
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
-from fidpipe.pipeline.diagnose.tell_apart import Frame, compare_samples, draw_sample
+from fidpipe.pipeline.diagnose.tell_apart import Frame, compare_samples, draw_sample, features_of
 from fidpipe.schemas.settings import load
 from fidpipe.stages.coverage import cover, nearest_distances
 from fidpipe.stages.diagnose import tell_apart as classifier
-from fidpipe.stages.method import remove_road
+from fidpipe.stages.ground import remove_road
 from fidpipe.stages.pieces import CutScan, find_pieces
 from fidpipe.stages.rays import find_rays, score_rays
 from fidpipe.stages.sensor_description import describe_sensor
 from fidpipe.stages.surface import compare_roughness, describe_surface, measure_offsets
 
 SETTINGS = load(preset="reference")
-SENSOR = ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_in_all")
+SENSOR = ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
 MILD = {
     "0.5 cm noise, 1 % loss": (0.005, 0.01),
     "1 cm noise": (0.01, 0.0),
@@ -48,15 +48,13 @@ def cleaned(points):
     return clean.points, cut
 
 
-def sources(clouds):
-    return [
-        lambda own=own: Frame(own[0], own[0], own[1].height_m, own[1].is_ground, None)
-        for own in clouds
-    ]
+def frame_of(cloud):
+    points, cut = cloud
+    return Frame(points, points, cut.height_m, cut.is_ground, None)
 
 
 def sample(clouds):
-    return draw_sample(sources(clouds), has_rays=True, has_intensity=False)
+    return draw_sample(frame_of, clouds)
 
 
 def show(name, found):
@@ -75,9 +73,11 @@ def real_against_real(name, scans):
         ("first and second half", clouds[:half], clouds[half : 2 * half]),
     ):
         both = sample(a), sample(b)
-        show(f"{name}, {which}", compare_samples(*both))
+        show(f"{name}, {which}", compare_samples(*both, features_of(both[0])))
         with patch.object(classifier, "GUARD_DEG", 0.0):
-            show(f"{name}, {which}, without the margin", compare_samples(*both))
+            show(
+                f"{name}, {which}, without the margin", compare_samples(*both, features_of(both[0]))
+            )
 
 
 def scores(real, sim):
@@ -153,7 +153,10 @@ def main():
             ray_noise(noise_m)(Scan(own[rng.random(len(own)) >= lost], None, None), rng)
             for own, rng in zip(full, (random(one, name) for one in names), strict=True)
         ]
-        show(name, compare_samples(whole, sample([cleaned(own) for own in again])))
+        show(
+            name,
+            compare_samples(whole, sample([cleaned(own) for own in again]), features_of(whole)),
+        )
     reals = [cleaned(own.points) for own in scans["real"]]
     real_sample = sample(reals)
     for base in args.bases:
@@ -169,8 +172,8 @@ def main():
                 for name, own in zip(names, scans[base], strict=True)
             ]
             drawn = sample(sims)
-            found = compare_samples(real_sample, drawn, "")
-            surface = compare_samples(real_sample, drawn, "surface")
+            found = compare_samples(real_sample, drawn, features_of(real_sample))
+            surface = compare_samples(real_sample, drawn, classifier.FAMILIES["surface"])
             table = pd.DataFrame([scores(*pair) for pair in zip(reals, sims, strict=True)]).astype(
                 float
             )

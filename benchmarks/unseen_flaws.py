@@ -24,7 +24,6 @@ from measure import FIDPIPE
 
 from fidpipe.pipeline.diagnose.diagnose import diagnose_run
 from fidpipe.pipeline.engine.progress import Reporter
-from fidpipe.stages.rays import grid_of
 from fidpipe.stages.sensor_description import describe_sensor
 
 EVERY = 4
@@ -116,8 +115,8 @@ def one_pose(points, rng):
 
 
 def beams_of(points):
-    grid = grid_of(describe_sensor(points))
-    return grid.beam_of(points), grid.elevation_deg
+    sensor = describe_sensor(points)
+    return sensor.beam_of(points), sensor.beams_deg
 
 
 def dead(n, least_deg=-90.0):

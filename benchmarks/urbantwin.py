@@ -196,13 +196,12 @@ def main():
     for name, twin in twins.items():
         show(name, [pieces(real[i], twin[i]) for i in n])
 
-    found = tell_apart_folders(args.folder / "real", args.folder / "sim", load(None, WORDS))
+    found = tell_apart_folders(args.folder / "real", args.folder / "sim", load(None, WORDS)).values
+    base = found["real_against_real"]
     print("\n| tell apart | AUC | 95 % interval |\n|---|---|---|")
-    for name, one in (("twin", found.test), (f"real against real, {found.base_of}", found.base)):
-        print(f"| {name} | {one.auc:.3f} | {one.low:.3f} to {one.high:.3f} |")
-    print(
-        {name: round(auc, 3) for name, auc in found.families["surface"].alone.items()}, found.where
-    )
+    for name, test in (("twin", found), (f"real against real, {base['of']}", base)):
+        print(f"| {name} | {test['auc']:.3f} | {test['low']:.3f} to {test['high']:.3f} |")
+    print(found["families"], found["features"])
 
 
 if __name__ == "__main__":

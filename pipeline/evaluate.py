@@ -19,7 +19,6 @@ from ..stages.frame_search import FrameCheck
 from .datasets.pairs import ScanPair
 from .datasets.readers import read_scan
 from .datasets.readers.scan import Scan
-from .engine.plan import plan_jobs
 from .engine.pool import one_blas_thread
 from .engine.worker import run_in_memory
 from .jobs import stages_under
@@ -123,8 +122,8 @@ def evaluate_pair(
     settings = settings if isinstance(settings, Settings) else parse(dict(settings or {}))
     scans = {"real": _scan("real", real, settings), "sim": _scan("sim", sim, settings)}
     with one_blas_thread():
-        jobs = plan_jobs(stages_under(settings), settings)
-        tables, outputs = run_in_memory(jobs, scans, ScanPair(_PAIR, None, None))
+        pair = ScanPair(_PAIR, None, None)
+        tables, outputs = run_in_memory(stages_under(settings), settings, pair=pair, scans=scans)
     check = outputs["sensor", "sim"][FRAMES]
     if check is not None and check["is_suspect"]:
         warnings.warn(frame_warning(FrameCheck(**check)), stacklevel=2)

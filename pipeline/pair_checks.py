@@ -13,7 +13,6 @@ from ..schemas.record import ELSEWHERE, FrameSuspect
 from ..stages.frame_search import MIN_SAME_PLACE, FrameCheck, is_only_lifted
 from ..stages.plausibility import HALF_SWEEP_GAP_DEG, ScanInspection
 from .datasets.pairs import ScanPair
-from .datasets.readers.scan_ref import ScanRef
 from .stage import FRAMES, INSPECTION
 from .storage.table_files import JobRecord
 
@@ -23,18 +22,16 @@ _WORDS = {"real": {"real"}, "sim": {"sim", "simulated", "simulation"}}
 def inspection_of(jobs: Iterable[JobRecord]) -> tuple[dict[str, ScanInspection], FrameCheck | None]:
     """Inspection results in the finished jobs of a pair: by side, and of both scans together."""
     sides = {}
-    doubts = {}
     frames = None
-    for job in jobs:
-        metadata = job.metadata
-        if "sensor" in metadata:
-            doubts[job.part] = tuple(metadata["sensor"]["doubts"].values())
-        if metadata.get(INSPECTION):
-            sides[job.part] = ScanInspection(**metadata[INSPECTION])
-        if metadata.get(FRAMES):
-            frames = FrameCheck(**metadata[FRAMES])
-    for side in sides.keys() & doubts.keys():
-        sides[side] = replace(sides[side], warnings=(*doubts[side], *sides[side].warnings))
+    metadata = {(job.stage, job.part): job.metadata for job in jobs}
+    for side in SIDES:
+        sensor = metadata.get(("sensor", side), {})
+        doubts = sensor["sensor"]["doubts"].values() if sensor else ()
+        if sensor.get(FRAMES):
+            frames = FrameCheck(**sensor[FRAMES])
+        if ("ground", side) in metadata:
+            inspection = ScanInspection(**metadata["ground", side][INSPECTION])
+            sides[side] = replace(inspection, warnings=(*doubts, *inspection.warnings))
     return sides, frames
 
 
@@ -129,33 +126,27 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
 
 
 def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
-    """One line for each pair one of whose files is named after the other side, by its own name or its folders."""
-    root = _resolved(folder)
+    """One line for each pair one of whose files is named after the other side, by its own name or its folders.
 
-    def words(scan: ScanRef, other: ScanRef) -> set[str]:
-        """Words in a file's name and in its folders, below the dataset's folder or else where the other's differ."""
-        file = _resolved(scan.file)
-        if file.is_relative_to(root):
-            parts = set(file.relative_to(root).parts)
-        else:
-            parts = {*file.parts} - {*_resolved(other.file).parts}
-        return set(re.split("[^a-z]+", "/".join([*parts, scan.topic or ""]).lower()))
-
+    Folders are those below the dataset's, or else those in which both files differ.
+    """
+    root = Path(os.path.realpath(folder))
     lines = []
     for pair in pairs:
-        if pair.real is None or pair.sim is None or pair.real == pair.sim:
+        files = {side: Path(os.path.realpath(scan.file)) for side, scan in pair.scans.items()}
+        if len(files) < len(SIDES) or pair.real == pair.sim:
             continue
-        named = {"real": words(pair.real, pair.sim), "sim": words(pair.sim, pair.real)}
         for side, other in (("real", "sim"), ("sim", "real")):
-            if named[side] & _WORDS[other] and not named[side] & _WORDS[side]:
+            if files[side].is_relative_to(root):
+                names = set(files[side].relative_to(root).parts)
+            else:
+                names = set(files[side].parts) - set(files[other].parts)
+            names.add(pair.scans[side].topic or "")
+            words = set(re.split("[^a-z]+", "/".join(names).lower()))
+            if words & _WORDS[other] and not words & _WORDS[side]:
                 lines.append(
                     f"pair {pair.pair_id}: the {SIDE_NAMES[side]} scan is {pair.scans[side]}, which is "
                     f"named {SIDE_NAMES[other]}; are the sides swapped?"
                 )
                 break
     return lines
-
-
-def _resolved(path: Path) -> Path:
-    """A path without links; those that lead to themselves stay."""
-    return Path(os.path.realpath(path))

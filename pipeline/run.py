@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import pyarrow as pa
 
@@ -26,8 +26,9 @@ from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
 from .engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
 from .engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_pair, with_results
+from .engine.pool import Pool
 from .engine.progress import Reporter
-from .engine.schedule import Collector
+from .engine.schedule import Collector, Schedule
 from .engine.survey import (
     InputFiles,
     Survey,
@@ -153,7 +154,11 @@ def run_dataset(
     stages = stages_under(settings) if stages is None else stages
     with folder.locked():
         run = Run(content, selected, folder, stages, settings, reporter)
-        run.make_jobs(machines, from_stage, replace=replace)
+        run.survey_results(from_stage, replace=replace)
+        with run.started_pool(machines) as pool:
+            run.replace_stale()
+            if run.survey.todo:
+                run.schedule(pool, machines).run()
         return run.write()
 
 
@@ -226,23 +231,23 @@ class Run:
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()
 
-    def make_jobs(
-        self, machines: Machines, from_stage: str | None = None, *, replace: bool = False
-    ) -> None:
-        """Remove stale results, and make all that are missing; the parameters are those of `run_dataset`."""
+    def survey_results(self, from_stage: str | None = None, *, replace: bool = False) -> None:
+        """Find out what there is to do; the parameters are those of `run_dataset`."""
         self._hash_files()
         self._survey_results(from_stage)
         if not (replace or from_stage):
             self._refuse_replacing()
+
+    def started_pool(self, machines: Machines) -> AbstractContextManager[Pool]:
+        """Workers for the pairs with jobs to do."""
         todo = self.survey.todo
-        with started_pool(
-            todo, self.folder, self.stages, self.settings, self.collector, machines
-        ) as pool:
-            self._replace_stale()
-            if todo:
-                self.reporter.warn(*large_pairs_warnings(todo, self.files, self.settings.input))
-                schedule_of(self.survey, self._plan, pool, self.collector, machines).run()
-                self.n_workers = pool.n_workers
+        return started_pool(todo, self.folder, self.stages, self.settings, self.collector, machines)
+
+    def schedule(self, pool: Pool, machines: Machines) -> Schedule:
+        """The jobs to do, on the workers of a pool; large pairs are warned of."""
+        self.reporter.warn(*large_pairs_warnings(self.survey.todo, self.files, self.settings.input))
+        self.n_workers = pool.n_workers
+        return schedule_of(self.survey, self._plan, pool, self.collector, machines)
 
     def _hash_files(self) -> None:
         """Hash the files of the selected pairs and of those with results."""
@@ -311,7 +316,7 @@ class Run:
         contents = self.files.contents[pair.pair_id]
         return plan_pair(self._jobs, pair, contents, self.dataset.label_names)
 
-    def _replace_stale(self) -> None:
+    def replace_stale(self) -> None:
         """Remove stale results and a finished record, if there are jobs to do or stale results."""
         if not (self.survey.todo or self.survey.stale):
             return
@@ -359,15 +364,13 @@ class Run:
         scored = pairs if all(is_scored) else pairs.filter(is_scored)
         for pair_id, note in peaks_notes(scored, self.settings):
             self.notes[pair_id].append(note)
-        described: tuple[Any, Any, Any]
-        if last is not None and last.overview and last.metrics:
-            described = last.findings, last.overview, last.metrics
-        else:
+        if last is None or not last.overview:
             by_reference = preset_of(self.settings) == "reference"
-            described = describe_objects(
+            findings, overview = describe_objects(
                 self.folder, scored, self._times_s, self.hashes, by_reference=by_reference
             )
-        findings, overview, metrics = described
+        else:
+            findings, overview = last.findings, last.overview
         scored_ids = scored["pair_id"].to_pylist()
         times_s = {name: self._times_s[name] for name in scored_ids}
         record = RunRecord(
@@ -381,7 +384,6 @@ class Run:
             ),
             summary=summarise_pairs(scored),
             findings=findings,
-            metrics=metrics,
             seconds=self.seconds.result(),
             inputs=dict(sorted(self.hashes.items())),
             times_s={name: time_s for name, time_s in times_s.items() if time_s is not None},

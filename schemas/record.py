@@ -17,7 +17,6 @@ class BaselineSummary(Result):
 
     level : "objects" (mean over the matched objects of a pair) or "scans" (its two scans)
     n, n_null : objects or pairs of scans with and without a value
-    seconds : per pair, with the first number of a method; else null
     """
 
     baseline: str
@@ -27,7 +26,6 @@ class BaselineSummary(Result):
     std: float | None
     n: int
     n_null: int
-    seconds: float | None
 
 
 class Spread(Result):
@@ -143,36 +141,6 @@ class RunHeader(Result):
     machine: Machine
 
 
-class SurfaceStates(Result):
-    """Unmatched objects of all pairs, by whether their surface is on the other side: see `stages.coverage`.
-
-    there : it is, only partitioned differently
-    road : of all three, those that lie mostly below the other side's ground cut: road that only one side's cut left
-    """
-
-    there: int
-    partly: int
-    absent: int
-    road: int
-
-
-#: The names of the states.
-SURFACE_STATES = tuple(name for name in SurfaceStates.model_fields if name != "road")
-
-
-class UnmatchedSurface(Result):
-    """Causes of the objects that only one side has."""
-
-    not_found: SurfaceStates
-    extra: SurfaceStates
-
-
-class MetricsSummary(Result):
-    """Summary of the stage metrics over all pairs."""
-
-    unmatched: UnmatchedSurface
-
-
 class RunRecord(RunHeader):
     """Fields of `run.json` at the end of a run.
 
@@ -185,7 +153,6 @@ class RunRecord(RunHeader):
     times_s : by pair, the time of its real scan where the dataset has one
     frames : by pair, those whose simulated scan seems to lie in another frame, or shows another place
     notes : by pair, notes on its ground cut
-    metrics : what is behind the unmatched objects
     baselines, seeds, tasks : only if requested
     """
 
@@ -206,7 +173,6 @@ class RunRecord(RunHeader):
     times_s: dict[str, float] = Field(default_factory=dict)
     frames: dict[str, FrameSuspect]
     notes: dict[str, tuple[str, ...]]
-    metrics: MetricsSummary | None = None
     baselines: tuple[BaselineSummary, ...] = ()
     seeds: SeedSummary | None = None
     tasks: tuple[TaskSummary, ...] = ()

@@ -58,13 +58,7 @@ class BeamPattern:
 
     def beam_of(self, points: FloatArray) -> tuple[IndexArray, FloatArray]:
         """Beam of each point, (n,) intp, -1 for none; and the elevation above it, (n,) degrees."""
-        level = np.maximum(np.hypot(points[:, 0], points[:, 1]) - self.focal_m, 1e-9)
-        elevation = elevation_of_beams(
-            points[:, 2] / level,
-            1.0 / level,
-            self.origin_height_m,
-            self.block_deg,
-        )
+        elevation = elevation_of_points(points, self.origin_height_m, self.block_deg, self.focal_m)
         middle = (self.elevation_deg[1:] + self.elevation_deg[:-1]) / 2
         beam = np.searchsorted(middle, elevation)
         reach = np.minimum(2 * self.width_deg, 0.4 * _spacing(self.elevation_deg))
@@ -137,10 +131,14 @@ def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> Bea
 
 
 class Recognition(NamedTuple):
-    """Known sensor with some beams: its title, or None and the reason; and the number of beams in its table."""
+    """Known sensor with some beams, or the reason why there is none.
 
-    title: str | None
+    title : of the sensor, or of two sensors; None if unknown
+    n_beams : number of beams in its table
+    """
+
     reason: str = ""
+    title: str | None = None
     n_beams: int | None = None
 
 
@@ -166,7 +164,6 @@ def recognise(
     observed = pattern.elevation_deg
     if len(observed) < _MIN_BEAMS:
         return Recognition(
-            None,
             f"{len(observed)} beams, at least {_MIN_BEAMS} are needed to know a sensor by them",
         )
     fits: dict[str, _Fit] = {}
@@ -177,9 +174,9 @@ def recognise(
         if score and (title not in fits or score >= fits[title].score):
             fits[title] = _Fit(score, sensor, len(table))
     if not fits and pattern.is_even:
-        return Recognition(None, "no known sensor has these; simulators space theirs evenly")
+        return Recognition("no known sensor has these; simulators space theirs evenly")
     if not fits:
-        return Recognition(None, "no sensor of the table has such beams")
+        return Recognition("no sensor of the table has such beams")
     best = max(fit.score for fit in fits.values())
     closest = {title: fit for title, fit in fits.items() if fit.score >= best - 0.02}
     objections = {
@@ -188,10 +185,10 @@ def recognise(
     agreeing = [title for title in closest if not objections[title]]
     if not agreeing:
         texts = [f"the beams of {title}, but {objections[title]}" for title in closest]
-        return Recognition(None, "; ".join(texts))
+        return Recognition("; ".join(texts))
     if len(agreeing) > 2:
-        return Recognition(None, f"these beams fit {', '.join(agreeing)} equally well")
-    return Recognition(" or ".join(agreeing), "", closest[agreeing[0]].n_beams)
+        return Recognition(f"these beams fit {', '.join(agreeing)} equally well")
+    return Recognition("", " or ".join(agreeing), closest[agreeing[0]].n_beams)
 
 
 class _Fit(NamedTuple):
@@ -303,7 +300,7 @@ def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
     if heights:
         tangent = tangent[is_far]
         nearness = nearness[is_far]
-    elevation = elevation_of_beams(tangent, nearness, heights, block_deg)
+    elevation = _elevation_of_beams(tangent, nearness, heights, block_deg)
     bins = ((elevation + 90.0) / _BIN_DEG).astype(np.intp)
     count = np.bincount(bins, minlength=int(180 / _BIN_DEG) + 1)
     candidates = []
@@ -328,7 +325,7 @@ def _by_ring(
     """Beams from rings; None if there are too few, or if rings do not have one elevation each."""
     heights = whole.origin_height_m if whole else ()
     block_deg = whole.block_deg if whole else -90.0
-    elevation = elevation_of_beams(tangent, nearness, heights, block_deg)
+    elevation = _elevation_of_beams(tangent, nearness, heights, block_deg)
     is_far = nearness < 1.0 / _FARTHER_M
     parts = []
     for number in np.unique(ring[ring >= 0]):
@@ -350,7 +347,15 @@ def _by_ring(
     return BeamPattern(centre, width, _is_even(centre), heights, block_deg, 1.0)
 
 
-def elevation_of_beams(
+def elevation_of_points(
+    points: FloatArray, heights: tuple[float, ...], block_deg: float, focal_m: float = 0.0
+) -> FloatArray:
+    """Elevation of each point seen from the origin of its beam, degrees."""
+    level = np.maximum(np.hypot(points[:, 0], points[:, 1]) - focal_m, 1e-9)
+    return _elevation_of_beams(points[:, 2] / level, 1.0 / level, heights, block_deg)
+
+
+def _elevation_of_beams(
     tangent: FloatArray,
     nearness: FloatArray,
     heights: tuple[float, ...],
@@ -429,12 +434,10 @@ def _block_heights(
 
 def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
     """Bins of peaks of the smoothed count: prominent by half their height, and with enough returns."""
-    from scipy.signal import find_peaks
-
     sigma = width_deg / _BIN_DEG
     smooth = scipy.ndimage.gaussian_filter1d(count.astype(np.float64), sigma, mode="constant")
     smooth = smooth * np.sqrt(2 * np.pi) * sigma
-    peaks, shape = find_peaks(smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2)
+    peaks, shape = scipy.signal.find_peaks(smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2)
     return peaks[shape["prominences"] > 0.5 * smooth[peaks]]
 
 

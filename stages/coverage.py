@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..schemas.record import SURFACE_STATES
 from .arrays import BoolArray, FloatArray, IntArray
 
 #: A point is covered if the other side has a point within this distance.
 COVERAGE_DISTANCES_M = (0.1, 0.3, 1.0)
 #: Limits of the covered share for an unmatched object whose surface is on the other side, and for one whose is not.
-THERE, ABSENT = 0.8, 0.2
-#: An object is road to the other side if more than this share of its points is below the other side's cut.
-ROAD = 0.5
+_THERE, _ABSENT = 0.8, 0.2
 
 
 @dataclass(frozen=True)
@@ -44,10 +41,9 @@ def surface_state(covered: float) -> str:
     >>> surface_state(0.9), surface_state(0.5), surface_state(0.2)
     ('there', 'partly', 'absent')
     """
-    there, partly, absent = SURFACE_STATES
-    if covered > THERE:
-        return there
-    return absent if covered <= ABSENT else partly
+    if covered > _THERE:
+        return "there"
+    return "absent" if covered <= _ABSENT else "partly"
 
 
 def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, FloatArray]:

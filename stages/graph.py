@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..schemas.errors import StageError
 from ..schemas.settings import GraphSettings
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray
-from .linalg.subgraph import Edges
+from .linalg.subgraph import Edges, Subgraph, adjacency
 from .thinning import smallest_voxel
 
 #: More pairs of points within tau are rejected: their graph would need about 10 GB.
@@ -18,6 +18,17 @@ _SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last
 _LEAF_SIZE = 32
 _TILE_POINTS = 50_000  # affects the memory, not the result
 _TILE_PAIRS = 2**22
+
+
+def graph_of(points: FloatArray, settings: GraphSettings) -> Subgraph:
+    """Points as one object, with the graph that they have without any others.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres
+    """
+    edges = build_graph(points, settings)
+    return Subgraph(np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges))
 
 
 def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:

@@ -11,8 +11,9 @@ import numpy as np
 import scipy
 
 from ..schemas.errors import StageError
-from ..schemas.settings import GroundSettings
-from .arrays import BoolArray, FloatArray
+from ..schemas.settings import GroundSettings, Settings
+from .arrays import BoolArray, FloatArray, Watch, unwatched
+from .clean import CleanResult, clean_scan, too_few_left
 from .linalg.nearest import nearest_points
 
 MIN_OBJECT_POINTS = 8
@@ -51,6 +52,49 @@ class GroundResult:
     loss: float | None
     iterations: int | None
     notes: tuple[str, ...] = ()
+
+
+def remove_road(
+    points: FloatArray,
+    settings: Settings,
+    side: str,
+    *,
+    T_real_sim: FloatArray | None = None,
+    real_cut: GroundResult | None = None,
+    real_points: FloatArray | None = None,
+    watch: Watch = unwatched,
+) -> tuple[CleanResult, GroundResult]:
+    """The measurements of a scan in the real sensor's frame, and which of them are road.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, in the side's own frame
+    settings : of input and ground
+    side : "real" or "sim"
+    T_real_sim : (3, 4) float64, of the simulated side
+    real_cut, real_points : for the simulated side, the real side's cut and its (m, 3) clean points; used if
+        `ground.shared` or `ground.peak` require them
+    watch : entered around the steps clean and ground
+
+    Raises
+    ------
+    StageError
+        Fewer than 8 points are left.
+    """
+    ground = settings.ground
+    with watch("clean"):
+        frame = settings.input.frame_of(side)
+        clean = clean_scan(points, settings.input, frame=frame, T_real_sim=T_real_sim)
+    n_left = len(clean.points)
+    if n_left < MIN_OBJECT_POINTS:
+        raise StageError(too_few_left(n_left, MIN_OBJECT_POINTS, clean.dropped, settings.input))
+    if ground.shared:
+        real_points = None
+    elif ground.peak != "real":
+        real_cut = None
+    with watch("ground"):
+        cut = remove_ground(clean.points, ground, real_cut, real_points)
+    return clean, cut
 
 
 def remove_ground(

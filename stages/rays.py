@@ -9,7 +9,6 @@ import scipy
 
 from ..schemas.results import Number
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray
-from .beam_patterns import elevation_of_beams
 from .sensor_description import SensorDescription
 from .statistics.findings import BAND_EDGES_M
 
@@ -29,16 +28,6 @@ RANGE_EDGES_M = BAND_EDGES_M
 INCIDENCE_EDGES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
 #: Edges of the directions in which rays are scored.
 AZIMUTH_EDGES_DEG = tuple(range(-180, 181, 45))
-_RANGE_SCORES = (
-    "rays_bias_m",
-    "rays_bias_low_m",
-    "rays_bias_high_m",
-    "rays_scale",
-    "rays_mae_m",
-    "rays_medae_m",
-    "rays_p90_m",
-    "rays_rmse_m",
-)
 _CANDIDATES = 6
 _NEIGHBOURS = 8
 _PHASE_CELLS = 32  # columns over which the columns of the two sides keep their phase
@@ -52,46 +41,6 @@ _ROW = 0.35  # rows; neighbours along a row are within it
 _NEAR_ROW = (0.5, 1.6)
 _GRAZING = 0.02  # cosine of incidence
 _MOST_MOVED = 0.5  # of a range, from the return's own to that of the plane around it
-
-
-@dataclass(frozen=True)
-class RayGrid:
-    """Directions in which a sensor fires.
-
-    elevation_deg : (b,) float64, of its beams, ascending
-    step_deg : azimuth between two firings of a beam
-    origin_height_m, block_deg : heights above the origin at which the beams start, () for 0, and the elevation between
-        a lower and an upper block of beams with a height each
-    """
-
-    elevation_deg: FloatArray
-    step_deg: float
-    origin_height_m: tuple[float, ...] = ()
-    block_deg: float = -90.0
-
-    def elevation_of(self, points: FloatArray) -> FloatArray:
-        """(n,) degrees, elevation of each point seen from where its beam starts."""
-        level = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-9)
-        return elevation_of_beams(
-            points[:, 2] / level, 1.0 / level, self.origin_height_m, self.block_deg
-        )
-
-    def beam_of(self, points: FloatArray) -> IndexArray:
-        """(n,) intp, the beam nearest in elevation to each point."""
-        limits = (self.elevation_deg[1:] + self.elevation_deg[:-1]) / 2
-        return np.searchsorted(limits, self.elevation_of(points))
-
-
-def grid_of(sensor: SensorDescription) -> RayGrid | None:
-    """Directions of the beams of a sensor; None if they were not recognised."""
-    if not sensor.elevation_deg:
-        return None
-    return RayGrid(
-        np.array(sensor.elevation_deg),
-        sensor.azimuth_step_deg or 0.0,
-        tuple(sensor.origin_height_m),
-        sensor.block_deg,
-    )
 
 
 @dataclass(frozen=True)
@@ -129,7 +78,10 @@ class Rays:
 
 
 def compare_rays(
-    real: FloatArray, sim: FloatArray, real_grid: RayGrid, sim_grid: RayGrid, noise_m: float = 0.0
+    real: FloatArray,
+    sim: FloatArray,
+    real_sensor: SensorDescription,
+    sim_sensor: SensorDescription,
 ) -> Rays:
     """Pair the returns of both sides by direction and compare their ranges.
 
@@ -145,28 +97,32 @@ def compare_rays(
     Parameters
     ----------
     real, sim : (n, 3) and (m, 3) float64, metres, clean points of both sides in the frame of one sensor position
-    real_grid, sim_grid : directions in which the two sensors fire
-    noise_m : standard deviation of the difference of two ranges of a ray
+    real_sensor, sim_sensor : with beams and azimuth steps; ranges may differ by their noise
     """
-    step = max(real_grid.step_deg, sim_grid.step_deg)
-    limits, rows = _rows_of(real_grid, sim_grid)
-    real_side = _Side(real, real_grid, step, limits, rows)
-    sim_side = _Side(sim, sim_grid, step, limits, rows)
-    lowest, highest = np.interp(real_grid.elevation_deg[[0, -1]], limits, rows)
+    step = _coarser_step_deg(real_sensor, sim_sensor)
+    limits, rows = _rows_of(real_sensor, sim_sensor)
+    real_side = _Side(real, real_sensor, step, limits, rows)
+    sim_side = _Side(sim, sim_sensor, step, limits, rows)
+    lowest, highest = np.interp(real_sensor.beams_deg[[0, -1]], limits, rows)
     sim_rows = sim_side.place[:, 1]
     is_between = (sim_rows >= lowest - REACH) & (sim_rows <= highest + REACH)
     real_row, sim_row = _sort_returns(real_side, sim_side, is_between)
 
     is_real = real_row >= 0
     beam, column, ray = _in_grid(
-        np.where(is_real, real_side.beam[real_row], real_grid.beam_of(sim)[sim_row]),
+        np.where(is_real, real_side.beam[real_row], real_sensor.beam_of(sim)[sim_row]),
         np.where(is_real, real_side.place[real_row, 0], sim_side.place[sim_row, 0]),
-        n_beams=len(real_grid.elevation_deg),
+        n_beams=len(real_sensor.elevation_deg),
         n_columns=round(real_side.width),
     )
     real_row = np.append(real_row, -1)[ray]
     sim_row = np.append(sim_row, -1)[ray]
+    noise_m = float(np.hypot(real_sensor.range_noise_m or 0.0, sim_sensor.range_noise_m or 0.0))
     return _compare_ranges(real_side, sim_side, beam, column, real_row, sim_row, noise_m)
+
+
+def _coarser_step_deg(*sensors: SensorDescription) -> float:
+    return max(sensor.azimuth_step_deg or 0.0 for sensor in sensors)
 
 
 def _sort_returns(real: _Side, sim: _Side, is_between: BoolArray) -> tuple[IntArray, IntArray]:
@@ -244,27 +200,22 @@ def find_rays(
     sensors : of the real and the simulated side
     T_real_sim : (3, 4) float64, motion of the simulated into the real sensor's frame, if they differ
     """
-    grids = []
     for side, sensor in zip(("real", "simulated"), sensors, strict=True):
-        grid = grid_of(sensor)
-        if grid is None or not grid.step_deg:
-            reason = sensor.untold.get("azimuth_step_deg" if grid else "elevation_deg", "no beams")
-            return f"{side} scan: {reason}"
-        grids.append(grid)
+        if not sensor.azimuth_step_deg:
+            return f"{side} scan: {sensor.why_unknown('azimuth_step_deg')}"
     apart_m = 0.0 if T_real_sim is None else float(np.linalg.norm(T_real_sim[:, 3]))
     median_m = float(np.median(np.linalg.norm(real, axis=1)))
-    cell_m = np.radians(max(grid.step_deg for grid in grids)) * median_m
+    cell_m = np.radians(_coarser_step_deg(*sensors)) * median_m
     if apart_m > cell_m:
         return (
             f"the simulated sensor is {apart_m:.2f} m from the real one: at the median range of {median_m:.1f} m its "
             f"rays are {apart_m / cell_m:.1f} cells off"
         )
-    noise_m = float(np.hypot(sensors[0].range_noise_m or 0.0, sensors[1].range_noise_m or 0.0))
-    return compare_rays(real, sim, grids[0], grids[1], noise_m)
+    return compare_rays(real, sim, *sensors)
 
 
-def score_rays(rays: Rays, is_in: BoolArray | None = None) -> dict[str, Number]:
-    """Scores of some rays, by column of `pairs`; None if no ray allows them.
+def score_rays(rays: Rays, is_in: BoolArray | slice = slice(None)) -> dict[str, Number]:
+    """Scores of some rays, by column of `pairs`; None, or left out for ranges, if no ray allows them.
 
     Shares are of the rays with a return on either side. `rays_hit_f1` is 2 b / (2 b + r + s) and `rays_drop_f1`
     2 n / (2 n + r + s), with b, r, s, n the rays that both sides, the real side only, the simulated side only, and
@@ -276,9 +227,8 @@ def score_rays(rays: Rays, is_in: BoolArray | None = None) -> dict[str, Number]:
     ----------
     is_in : (n,) bool, rays to be scored; all by default
     """
-    if is_in is None:
-        is_in = np.ones(len(rays.outcome), dtype=np.bool_)
-    counts = np.bincount(rays.outcome[is_in], minlength=len(OUTCOMES)).tolist()
+    outcome = rays.outcome[is_in]
+    counts = np.bincount(outcome, minlength=len(OUTCOMES)).tolist()
     n_none = counts[NONE]
     n_rays = sum(counts[:NONE])
     n_both = sum(counts[:DROPPED])
@@ -288,35 +238,38 @@ def score_rays(rays: Rays, is_in: BoolArray | None = None) -> dict[str, Number]:
         scores[f"rays_{name}"] = n / n_rays if n_rays else None
     for name, n in (("hit", n_both), ("drop", n_none)):
         scores[f"rays_{name}_f1"] = 2 * n / (2 * n + n_single) if n + n_single else None
-    is_both = (rays.outcome <= BEHIND) & is_in
-    return scores | _range_scores(rays.real_range_m[is_both], rays.sim_range_m[is_both])
+    is_both = outcome <= BEHIND
+    real_m = rays.real_range_m[is_in][is_both]
+    sim_m = rays.sim_range_m[is_in][is_both]
+    return scores | _range_scores(real_m, sim_m)
 
 
-def _range_scores(real: FloatArray, sim: FloatArray) -> dict[str, Number]:
+def _range_scores(real: FloatArray, sim: FloatArray) -> dict[str, float]:
     """Bias, scale and error of the ranges of rays that both sides returned, by column of `pairs`."""
     n = len(real)
     if not n:
-        return dict.fromkeys(_RANGE_SCORES)
+        return {}
     difference = np.sort(sim - real)
     reach = 0.98 * np.sqrt(n)
     low, high = np.clip([n / 2 - reach, n / 2 + reach], 0, n - 1).astype(np.intp)
     error = np.abs(difference)
-    values = (
-        np.median(difference),
-        difference[low],
-        difference[high],
-        np.median(sim / real) - 1.0,
-        error.mean(),
-        np.median(error),
-        np.quantile(error, 0.9),
-        np.sqrt((error**2).mean()),
-    )
-    return dict(zip(_RANGE_SCORES, map(float, values), strict=True))
+    return {
+        "rays_bias_m": float(np.median(difference)),
+        "rays_bias_low_m": float(difference[low]),
+        "rays_bias_high_m": float(difference[high]),
+        "rays_scale": float(np.median(sim / real)) - 1.0,
+        "rays_mae_m": float(error.mean()),
+        "rays_medae_m": float(np.median(error)),
+        "rays_p90_m": float(np.quantile(error, 0.9)),
+        "rays_rmse_m": float(np.sqrt((error**2).mean())),
+    }
 
 
-def _rows_of(real_grid: RayGrid, sim_grid: RayGrid) -> tuple[FloatArray, FloatArray]:
+def _rows_of(
+    real_sensor: SensorDescription, sim_sensor: SensorDescription
+) -> tuple[FloatArray, FloatArray]:
     """Elevations, degrees, and a coordinate that grows by 1 from beam to beam of the side that is coarser there."""
-    grids = [grid.elevation_deg for grid in (real_grid, sim_grid)]
+    grids = [sensor.beams_deg for sensor in (real_sensor, sim_sensor)]
     elevation = np.linspace(-90.0, 90.0, 18_001)
     apart = [np.interp(elevation, (grid[1:] + grid[:-1]) / 2, np.diff(grid)) for grid in grids]
     rows = np.cumsum(0.01 / np.maximum(*apart))
@@ -335,16 +288,16 @@ class _Side:
     def __init__(
         self,
         points: FloatArray,
-        grid: RayGrid,
+        sensor: SensorDescription,
         step_deg: float,
         elevation_deg: FloatArray,
         rows: FloatArray,
     ) -> None:
         self.points = points
         self.range_m: FloatArray = np.linalg.norm(points, axis=1)
-        self.beam = grid.beam_of(points)
+        self.beam = sensor.beam_of(points)
         self.width = 360.0 / step_deg
-        self.step = grid.step_deg / step_deg
+        self.step = (sensor.azimuth_step_deg or 0.0) / step_deg
         azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
         azimuth = (azimuth_deg + 180.0) / step_deg % self.width
         elevation = np.degrees(np.arcsin(points[:, 2] / self.range_m))

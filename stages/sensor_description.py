@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,42 +11,36 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ..schemas.columns import FARTHEST_M
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray
-from .beam_patterns import BeamPattern, find_beams, recognise
+from .beam_patterns import BeamPattern, elevation_of_points, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
 from .trust import (
     BEAMS,
     FRAME,
     MISSES,
     ONE_SWEEP,
-    POSITION,
     RETURNS,
-    SWEEPS_IN_A_ROW,
     alternation_text,
+    doubts_of_rounding,
+    doubts_without_beams,
     find_misses,
-    grid_text,
     later_returns,
     misses_text,
-    position_text,
     returns_text,
-    rounding_m,
-    rounding_text,
-    sweep_parts,
     sweeps_text,
     thinned_text,
 )
 
-#: Limits of the range bands, metres, for the share of lost pulses.
-LOST_BANDS_M = (0.0, 10.0, 20.0, 40.0, 80.0)
 #: Columns of table `sensor` that `pairs` has for both sides.
 _PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
-#: Names of the properties that may be undetermined.
+#: Title, factor and text of the properties that may be undetermined.
 _PROPERTIES = {
-    "azimuth step": "azimuth_step_deg",
-    "range quantum": "range_quantum_m",
-    "range noise": "range_noise_m",
-    "pulses lost in surfaces": "lost_share",
+    "azimuth_step_deg": ("azimuth step", 1.0, "{:.3f} degrees"),
+    "range_quantum_m": ("range quantum", 1e3, "{:g} mm"),
+    "range_noise_m": ("range noise", 1e3, "at most {:.0f} mm, as roughness of surfaces counts"),
+    "elevation_noise_deg": ("elevation noise", 1.0, "{:.3f} degrees"),
+    "azimuth_noise_deg": ("azimuth noise", 1.0, "{:.3f} degrees"),
+    "lost_share": ("pulses lost in surfaces", 1.0, "{:.0%}"),
 }
-_YES = {True: "yes", False: "no"}
 _MIN_POINTS = 500
 _HOLE = 5  # pulses that a gap within a surface may lack, at most
 _QUANTA_M = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
@@ -56,7 +48,7 @@ _QUANTUM_RANGE_M = 30.0
 _RUN = 9  # returns of a beam one after the other
 _RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
 _FEWEST_RUNS = 200
-_CLEAR = 0.7  # of the upper bound of the noise, from which the lower bound is close
+_MOST_LOST_M = 80.0  # range up to which lost pulses are counted
 _MAD = 1.4826  # standard deviation over median absolute value
 _RUN_QUARTILE = 0.759  # sqrt(quartile of chi squared / degrees of freedom), six degrees
 
@@ -79,9 +71,7 @@ class SensorDescription:
     range_noise_low_m : the same without the part that grows with the azimuth step; rather too low in dense scans
     elevation_noise_deg : standard deviation of the elevation of returns around that of their beam
     azimuth_noise_deg : standard deviation of the azimuth of returns around multiples of the step
-    lost_share : by range band, see `LOST_BANDS_M`: share of the pulses without a return within visible surfaces
-    lost_in_all : share over all bands
-    has_ring, has_time : each point has a beam number, and a time
+    lost_share : share of the pulses without a return within visible surfaces, up to 80 m
     model : title of the known sensor with these beams, or of two sensors
     model_beams : number of beams in the table of the model
     untold : reason by undetermined field
@@ -102,14 +92,30 @@ class SensorDescription:
     range_noise_low_m: float | None = None
     elevation_noise_deg: float | None = None
     azimuth_noise_deg: float | None = None
-    lost_share: tuple[float | None, ...] = ()
-    lost_in_all: float | None = None
-    has_ring: bool = False
-    has_time: bool = False
+    lost_share: float | None = None
     model: str | None = None
     model_beams: int | None = None
     untold: dict[str, str] = field(default_factory=dict)
     doubts: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def beams_deg(self) -> FloatArray:
+        """(b,) elevations of the beams, ascending."""
+        return np.array(self.elevation_deg)
+
+    def elevation_of(self, points: FloatArray) -> FloatArray:
+        """(n,) degrees, elevation of each point seen from where its beam starts."""
+        return elevation_of_points(points, self.origin_height_m, self.block_deg)
+
+    def beam_of(self, points: FloatArray) -> IndexArray:
+        """(n,) intp, the beam nearest in elevation to each point."""
+        limits = (self.beams_deg[1:] + self.beams_deg[:-1]) / 2
+        return np.searchsorted(limits, self.elevation_of(points))
+
+    def why_unknown(self, name: str) -> str | None:
+        """Reason why a field is undetermined: its own, or that of the beams or of the step which it needs."""
+        reasons = [self.untold.get(key) for key in (name, "elevation_deg", "azimuth_step_deg")]
+        return next(filter(None, reasons), None)
 
 
 #: Gaps of lost pulses within visible surfaces, between two returns of one beam: (g, 2) intp, points before and after
@@ -118,15 +124,13 @@ SurfaceGaps = tuple[IndexArray, IndexArray]
 NO_GAPS: SurfaceGaps = (np.empty((0, 2), dtype=np.intp), np.empty(0, dtype=np.intp))
 
 
-def describe_sensor(
-    points: FloatArray, ring: IntArray | None = None, has_time: bool = False
-) -> SensorDescription:
+def describe_sensor(points: FloatArray, ring: IntArray | None = None) -> SensorDescription:
     """Describe the sensor of a scan from its points, see `describe_with_gaps`."""
-    return describe_with_gaps(points, ring, has_time)[0]
+    return describe_with_gaps(points, ring)[0]
 
 
 def describe_with_gaps(
-    points: FloatArray, ring: IntArray | None = None, has_time: bool = False
+    points: FloatArray, ring: IntArray | None = None
 ) -> tuple[SensorDescription, SurfaceGaps]:
     """Describe the sensor of a scan from its points, with the gaps from which the share of lost pulses is estimated.
 
@@ -145,32 +149,28 @@ def describe_with_gaps(
         zero, not finite, or beyond a million kilometres are ignored. Beams are not detectable in a scan that was moved
         or tilted out of that frame
     ring : (n,) int32, beam number of each point, if the file has it
-    has_time : the file has a time for each point
     """
     is_return = (np.abs(points) <= FARTHEST_M).all(axis=1) & points.any(axis=1)
     rows = np.flatnonzero(is_return)
-    sensor = SensorDescription(len(rows), has_ring=ring is not None, has_time=has_time)
+    sensor = SensorDescription(len(rows))
     range_m = np.linalg.norm(points[rows], axis=1)
     if misses := find_misses(range_m):
         sensor.doubts[MISSES] = misses_text(misses)
         rows = rows[range_m <= misses[-1].limit_m]
     if len(rows) < _MIN_POINTS:
-        reason = f"{len(rows)} returns, at least {_MIN_POINTS} are needed"
-        return _undetected(sensor, reason), NO_GAPS
+        sensor.untold["elevation_deg"] = f"{len(rows)} returns, at least {_MIN_POINTS} are needed"
+        return sensor, NO_GAPS
     points = points[rows]
     sensor = replace(sensor, field_of_view_deg=_field_of_view(points))
-    sensor.doubts.update(rounding_text(rounding_m(points)))
+    sensor.doubts.update(doubts_of_rounding(points))
     if FRAME in sensor.doubts:
-        return _undetected(sensor, sensor.doubts[FRAME]), NO_GAPS
+        sensor.untold["elevation_deg"] = sensor.doubts[FRAME]
+        return sensor, NO_GAPS
     pattern = find_beams(points, None if ring is None else ring[rows])
     if isinstance(pattern, str):
-        if text := position_text(points):
-            sensor.doubts[POSITION] = text
-        elif _is_several_sweeps(points):
-            sensor.doubts[ONE_SWEEP] = SWEEPS_IN_A_ROW
-        elif text := grid_text(points):
-            sensor.doubts[BEAMS] = text
-        return _undetected(sensor, pattern), NO_GAPS
+        sensor.untold["elevation_deg"] = pattern
+        sensor.doubts.update(doubts_without_beams(points))
+        return sensor, NO_GAPS
     sensor, (gaps, n_lost) = _describe_beams(sensor, points, pattern)
     return sensor, (rows[gaps], n_lost)
 
@@ -185,32 +185,36 @@ def _describe_beams(
     sensor: SensorDescription, points: FloatArray, pattern: BeamPattern
 ) -> tuple[SensorDescription, SurfaceGaps]:
     """The description with all that follows from the beams, and the gaps of lost pulses between the points."""
-    doubts = dict(sensor.doubts)
-    untold = {}
     sweep = _by_beam(points, pattern)
+    doubts = dict(sensor.doubts)
     is_later = later_returns(sweep.beam, sweep.azimuth_deg, sweep.range_m)
-    several_returns = returns_text(is_later)
-    if several_returns:
+    if text := returns_text(is_later):
+        doubts[RETURNS] = text
         sweep = sweep.first_returns(is_later)
-    step, untold["azimuth_step_deg"] = _azimuth_step(sweep)
-    doubtful = sweeps_text(sweep.gap_deg) or alternation_text(sweep.beam, sweep.range_m)
-    if doubtful:
-        doubts = {ONE_SWEEP: doubtful, **doubts}
-    else:
-        if several_returns:
-            doubts[RETURNS] = several_returns
-        doubtful = thinned_text(sweep.gap_deg, sweep.range_m, points)
-        if doubtful:
-            doubts[BEAMS] = doubtful
-    if doubtful:
-        step = None
-        untold["azimuth_step_deg"] = doubtful
-    quantum, untold["range_quantum_m"] = _range_quantum(points, sweep)
-    noise, untold["range_noise_m"] = _range_noise(sweep, step)
-    n_firings = _surface_firings(sweep, step)
-    lost, lost_in_all, untold["lost_share"] = _lost_share(sweep, n_firings, step)
-    known = recognise(pattern, step, quantum)
-    untold["model"] = known.reason
+    if text := sweeps_text(sweep.gap_deg) or alternation_text(sweep.beam, sweep.range_m):
+        doubts.pop(RETURNS, None)
+        doubts[ONE_SWEEP] = text
+    elif text := thinned_text(sweep.gap_deg, sweep.range_m, points):
+        doubts[BEAMS] = text
+    step = text or _azimuth_step(sweep)
+    estimates: dict[str, Any] = {
+        "azimuth_step_deg": step,
+        "range_quantum_m": _range_quantum(points, sweep),
+    }
+    gaps = NO_GAPS
+    if not isinstance(step, str):
+        noise = _range_noise(sweep, step)
+        n_firings = _surface_firings(sweep, step)
+        before = np.flatnonzero(n_firings > 1)
+        gaps = np.column_stack([sweep.row[before], sweep.row[before + 1]]), n_firings[before] - 1
+        estimates |= {
+            "range_noise_m": noise,
+            "range_noise_low_m": _least_range_noise(sweep, step, noise),
+            "azimuth_noise_deg": _azimuth_noise(sweep, step),
+            "lost_share": _lost_share(sweep, n_firings),
+        }
+    untold = {name: value for name, value in estimates.items() if isinstance(value, str)}
+    known = {name: value for name, value in estimates.items() if name not in untold}
     sensor = replace(
         sensor,
         elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
@@ -219,22 +223,15 @@ def _describe_beams(
         origin_height_m=pattern.origin_height_m,
         block_deg=pattern.block_deg,
         focal_m=pattern.focal_m,
-        azimuth_step_deg=step,
-        range_quantum_m=quantum,
-        range_noise_m=noise,
-        range_noise_low_m=_least_range_noise(sweep, step, noise),
         elevation_noise_deg=_spread(sweep.off_deg),
-        azimuth_noise_deg=None if step is None else _azimuth_noise(sweep, step),
-        lost_share=lost,
-        lost_in_all=lost_in_all,
-        model=known.title,
-        model_beams=known.n_beams,
-        untold={name: reason for name, reason in untold.items() if reason},
+        untold=untold,
         doubts=doubts,
+        **known,
     )
-    before = np.flatnonzero(n_firings > 1)
-    gaps = np.column_stack([sweep.row[before], sweep.row[before + 1]])
-    return sensor, (gaps, n_firings[before] - 1)
+    model = recognise(pattern, sensor.azimuth_step_deg, sensor.range_quantum_m)
+    if not model.title:
+        untold["model"] = model.reason
+    return replace(sensor, model=model.title, model_beams=model.n_beams), gaps
 
 
 def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
@@ -247,12 +244,7 @@ def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
         "lowest_deg": min(sensor.elevation_deg, default=None),
         "highest_deg": max(sensor.elevation_deg, default=None),
         "origin_height_m": height_m if sensor.elevation_deg else None,
-        "azimuth_step_deg": sensor.azimuth_step_deg,
-        "range_quantum_m": sensor.range_quantum_m,
-        "range_noise_m": sensor.range_noise_m,
-        "elevation_noise_deg": sensor.elevation_noise_deg,
-        "azimuth_noise_deg": sensor.azimuth_noise_deg,
-        "lost_share": sensor.lost_in_all,
+        **{name: getattr(sensor, name) for name in _PROPERTIES},
         "reason": "; ".join(f"{name}: {reason}" for name, reason in sensor.untold.items()) or None,
         "doubts": "\n".join(sensor.doubts.values()) or None,
     }
@@ -273,82 +265,41 @@ def has_other_beams(a: SensorDescription, b: SensorDescription) -> bool:
 
 def beams_text(sensor: SensorDescription) -> str:
     """Number, range and spacing of the beams, and the model: "32 beams, -25 to +15 degrees, uneven: ..."."""
-    if not sensor.elevation_deg:
+    n_beams = len(sensor.elevation_deg)
+    if not n_beams:
         return f"no beams detected ({sensor.untold['elevation_deg']})"
+    count = f"{n_beams}"
+    if sensor.model_beams is None:
+        count = f"{'at least' if sensor.is_sharp else 'about'} {n_beams}"
+    elif n_beams < sensor.model_beams:  # beams without a return are not detected
+        count = f"{n_beams} of {sensor.model_beams}"
     low = sensor.elevation_deg[0]
     high = sensor.elevation_deg[-1]
     evenness = "evenly spaced" if sensor.is_even else "uneven"
-    text = f"{_count_text(sensor)} beams, {low:+.4g} to {high:+.4g} degrees, {evenness}"
+    text = f"{count} beams, {low:+.4g} to {high:+.4g} degrees, {evenness}"
     return f"{text}: {sensor.model or sensor.untold['model']}"
-
-
-def _count_text(sensor: SensorDescription) -> str:
-    """Number of beams as text; beams without a return are not detected."""
-    n = len(sensor.elevation_deg)
-    if sensor.model_beams:
-        return f"{n} of {sensor.model_beams}" if n < sensor.model_beams else f"{sensor.model_beams}"
-    return f"at least {n}" if sensor.is_sharp else f"about {n}"
 
 
 def sensor_lines(sensor: SensorDescription) -> list[str]:
     """Lines with the properties of a sensor, and the reason for undetermined ones."""
-    texts = {"beams": beams_text(sensor).replace("no beams", "none").replace(" beams", "", 1)}
+    lines = [beams_text(sensor)]
     if sensor.origin_height_m:
-        texts["beams start"] = _heights_text(sensor)
+        heights = " and ".join(f"{height:+g}" for height in sensor.origin_height_m)
+        lines.append(f"beams start: {heights} m from the origin")
     if sensor.focal_m:
-        texts["beams cross"] = f"{1e3 * sensor.focal_m:.1f} mm before the axis"
+        lines.append(f"beams cross: {1e3 * sensor.focal_m:.1f} mm before the axis")
     if sensor.field_of_view_deg:
         low, high, around = sensor.field_of_view_deg
-        texts["field of view"] = f"{low:+.4g} to {high:+.4g} degrees, {around:.0f} degrees around"
-    for name, attribute in _PROPERTIES.items():
-        if attribute in sensor.untold:
-            texts[name] = f"none detected ({sensor.untold[attribute]})"
-    if sensor.azimuth_step_deg:
-        texts["azimuth step"] = f"{sensor.azimuth_step_deg:.3f} degrees"
-    if sensor.range_quantum_m:
-        texts["range quantum"] = f"{1e3 * sensor.range_quantum_m:g} mm"
-    if sensor.range_noise_m is not None:
-        texts["range noise"] = _noise_text(sensor)
-    if sensor.elevation_deg:
-        texts["angular noise"] = _angular_text(sensor)
-    if sensor.lost_share:
-        texts["pulses lost in surfaces"] = _lost_text(sensor.lost_share)
-    texts["for each point"] = f"ring: {_YES[sensor.has_ring]}, time: {_YES[sensor.has_time]}"
-    return [f"{name}: {text}" for name, text in texts.items()]
-
-
-def _noise_text(sensor: SensorDescription) -> str:
-    """Range noise; at most that, if roughness of the surfaces may be most of it."""
-    noise_m = sensor.range_noise_m or 0.0
-    low_m = sensor.range_noise_low_m
-    text = f"{1e3 * noise_m:.0f} mm on smooth surfaces"
-    if low_m is None or low_m > _CLEAR * noise_m:
-        return text
-    return f"at most {text}, as their roughness counts"
-
-
-def _angular_text(sensor: SensorDescription) -> str:
-    known = [("elevation", sensor.elevation_noise_deg), ("azimuth", sensor.azimuth_noise_deg)]
-    return ", ".join(f"{noise:.3f} degrees in {name}" for name, noise in known if noise is not None)
-
-
-def _lost_text(shares: Sequence[float | None]) -> str:
-    bands = zip(pairwise(LOST_BANDS_M), shares, strict=True)
-    known = [(*band, share) for band, share in bands if share is not None]
-    texts = [f"{share:.0%} at {low:.0f}-{high:.0f} m" for low, high, share in known]
-    return ", ".join(texts) or "too few returns"
-
-
-def _undetected(sensor: SensorDescription, reason: str) -> SensorDescription:
-    """Description of a sensor with undetected beams, and therefore without all properties of beams."""
-    of_beams = ("azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share", "model")
-    untold = {"elevation_deg": reason, **dict.fromkeys(of_beams, "no beams detected")}
-    return replace(sensor, untold=untold)
-
-
-def _heights_text(sensor: SensorDescription) -> str:
-    heights_m = [f"{height:+g}" for height in sensor.origin_height_m]
-    return f"{' and '.join(heights_m)} m from the origin"
+        lines.append(
+            f"field of view: {low:+.4g} to {high:+.4g} degrees, {around:.0f} degrees around"
+        )
+    for name, (title, factor, text) in _PROPERTIES.items():
+        value = getattr(sensor, name)
+        if value is not None:
+            lines.append(f"{title}: {text.format(factor * value)}")
+        elif name in sensor.untold:
+            lines.append(f"{title}: none detected ({sensor.untold[name]})")
+    return lines
 
 
 @dataclass(frozen=True)
@@ -396,33 +347,22 @@ def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
     return _Sweep(beam[row], off_deg[row], azimuth_deg[order], range_m[order], row)
 
 
-def _is_several_sweeps(points: FloatArray) -> bool:
-    """True if the first or last part of a scan without recognisable beams has beams, in the directions of the other."""
-    for parts in sweep_parts(points):
-        patterns = [find_beams(part) for part in parts]
-        if any(isinstance(pattern, BeamPattern) for pattern in patterns):
-            return True
-    return False
-
-
-def _azimuth_step(sweep: _Sweep) -> tuple[float | None, str]:
-    from scipy.signal import find_peaks
-
+def _azimuth_step(sweep: _Sweep) -> float | str:
     bin_deg = 0.002
     most_deg = 4.0
     gap = sweep.gap_deg
     gap = gap[(gap > 0.02) & (gap < most_deg)]
     if len(gap) < _MIN_POINTS:
-        return None, "too few neighbouring returns"
+        return "too few neighbouring returns"
     bins = (gap / bin_deg).astype(np.intp)
     count = np.bincount(bins, minlength=int(most_deg / bin_deg))
     density = scipy.ndimage.gaussian_filter1d(count.astype(np.float64), 3.0)
-    peaks, _ = find_peaks(density, height=0.4 * density.max())
+    peaks, _ = scipy.signal.find_peaks(density, height=0.4 * density.max())
     step = (peaks[0] + 0.5) * bin_deg
     near = gap[np.abs(gap / step - 1.0) < 0.15]
     if len(near) < 0.15 * len(gap):
-        return None, "neighbouring returns have no common distance in azimuth"
-    return round(float(np.median(near)), 4), ""
+        return "neighbouring returns have no common distance in azimuth"
+    return round(float(np.median(near)), 4)
 
 
 def _spread(off_deg: FloatArray) -> float | None:
@@ -436,17 +376,17 @@ def _azimuth_noise(sweep: _Sweep, step_deg: float) -> float | None:
     return _spread(off_deg[np.abs(off_deg) < step_deg / 2] / np.sqrt(2))
 
 
-def _range_quantum(points: FloatArray, sweep: _Sweep) -> tuple[float | None, str]:
+def _range_quantum(points: FloatArray, sweep: _Sweep) -> float | str:
     for step_m in (0.01, 0.001):
         if np.mean(np.abs(points / step_m - np.round(points / step_m)) < 0.02) > 0.98:
-            return None, f"coordinates are rounded to {1e3 * step_m:g} mm"
+            return f"coordinates are rounded to {1e3 * step_m:g} mm"
     is_near = sweep.range_m < _QUANTUM_RANGE_M
     beam = sweep.beam[is_near]
     range_m = sweep.range_m[is_near]
     n_returns = np.bincount(beam)
     used = n_returns >= 50
     if n_returns[used].sum() < _MIN_POINTS:
-        return None, f"too few returns nearer than {_QUANTUM_RANGE_M:g} m"
+        return f"too few returns nearer than {_QUANTUM_RANGE_M:g} m"
 
     def is_multiple(quantum: float) -> bool:
         turn = 2 * np.pi * range_m / quantum
@@ -456,13 +396,11 @@ def _range_quantum(points: FloatArray, sweep: _Sweep) -> tuple[float | None, str
     # equal ranges of a beam on a plane agree with a large quantum, but not with its tenth
     for quantum in _QUANTA_M:
         if is_multiple(quantum) and (quantum < 0.05 or is_multiple(quantum / 10)):
-            return quantum, ""
-    return None, f"no quantum from {1e3 * _QUANTA_M[-1]:g} to {1e3 * _QUANTA_M[0]:g} mm"
+            return quantum
+    return f"no quantum from {1e3 * _QUANTA_M[-1]:g} to {1e3 * _QUANTA_M[0]:g} mm"
 
 
-def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, str]:
-    if step_deg is None or len(sweep.beam) < _RUN:
-        return None, "no azimuth step detected"
+def _range_noise(sweep: _Sweep, step_deg: float) -> float | str:
     runs, _ = _runs_on_surface(sweep, 1.5 * step_deg)
     place = np.linspace(-1.0, 1.0, _RUN)
     if len(runs) < _FEWEST_RUNS:
@@ -470,27 +408,22 @@ def _range_noise(sweep: _Sweep, step_deg: float | None) -> tuple[float | None, s
         place = azimuth_deg - azimuth_deg.mean(axis=1, keepdims=True)
     if len(runs) < _FEWEST_RUNS:
         return (
-            None,
-            f"{len(runs)} runs of {_RUN} returns on a surface, at least {_FEWEST_RUNS} are needed",
+            f"{len(runs)} runs of {_RUN} returns on a surface, at least {_FEWEST_RUNS} are needed"
         )
     basis = np.linalg.qr(np.stack([np.ones_like(place), place, place**2], axis=-1))[0]
     fit = (runs[:, None] @ basis @ np.swapaxes(basis, -1, -2))[:, 0]
     rms = np.sqrt(((runs - fit) ** 2).sum(axis=1) / (_RUN - 3))
-    return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4), ""
+    return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4)
 
 
-def _least_range_noise(
-    sweep: _Sweep, step_deg: float | None, noise_m: float | None
-) -> float | None:
+def _least_range_noise(sweep: _Sweep, step_deg: float, noise_m: float | str) -> float | None:
     """Range noise without the roughness of the surface, whose variance is about proportional to the step.
 
     It is extrapolated from the noise of all returns and of every second one. The noise need not lie between both:
     roughness that grows less, as between distant returns, stays in it (see `benchmarks/sensor_bias.py`,).
     """
-    if step_deg is None or noise_m is None:
-        return None
-    coarse_m, _ = _range_noise(sweep.chosen(slice(None, None, 2)), 2 * step_deg)
-    if coarse_m is None:
+    coarse_m = _range_noise(sweep.chosen(slice(None, None, 2)), 2 * step_deg)
+    if isinstance(noise_m, str) or isinstance(coarse_m, str):
         return None
     return round(float(np.sqrt(np.clip(2 * noise_m**2 - coarse_m**2, 0.0, noise_m**2))), 4)
 
@@ -505,28 +438,17 @@ def _runs_on_surface(sweep: _Sweep, most_deg: float) -> tuple[FloatArray, FloatA
     return range_m[is_surface], azimuth_deg[is_surface]
 
 
-def _surface_firings(sweep: _Sweep, step_deg: float | None) -> IndexArray:
+def _surface_firings(sweep: _Sweep, step_deg: float) -> IndexArray:
     """Firings from each return to the next one of its beam on the same surface, (m - 1,) intp; 0 if it is not there."""
-    if step_deg is None:
-        return np.zeros(max(len(sweep.row) - 1, 0), dtype=np.intp)
     n_firings = np.nan_to_num(np.round(sweep.gap_deg / step_deg))
     low_m, high_m = np.sort([sweep.range_m[:-1], sweep.range_m[1:]], axis=0)
     is_surface = (n_firings <= _HOLE + 1) & (high_m - low_m < 0.03 * low_m + 0.05)
     return np.where(is_surface, n_firings, 0).astype(np.intp)
 
 
-def _lost_share(
-    sweep: _Sweep, n_firings: IndexArray, step_deg: float | None
-) -> tuple[tuple[float | None, ...], float | None, str]:
-    """Lost share by band and over all bands."""
-    if step_deg is None:
-        return (), None, "no azimuth step detected"
-    nearer = np.minimum(sweep.range_m[:-1], sweep.range_m[1:])
-    shares: list[float | None] = []
-    for low_m, high_m in (*pairwise(LOST_BANDS_M), (LOST_BANDS_M[0], LOST_BANDS_M[-1])):
-        firings = n_firings[(n_firings >= 1) & (nearer >= low_m) & (nearer < high_m)]
-        enough = len(firings) >= _MIN_POINTS
-        shares.append(round(float(1.0 - len(firings) / firings.sum()), 4) if enough else None)
-    *by_band, in_all = shares
-    reason = f"fewer than {_MIN_POINTS} gaps between returns of one surface"
-    return tuple(by_band), in_all, reason if in_all is None else ""
+def _lost_share(sweep: _Sweep, n_firings: IndexArray) -> float | str:
+    is_near = np.minimum(sweep.range_m[:-1], sweep.range_m[1:]) < _MOST_LOST_M
+    firings = n_firings[(n_firings >= 1) & is_near]
+    if len(firings) < _MIN_POINTS:
+        return f"fewer than {_MIN_POINTS} gaps between returns of one surface"
+    return round(float(1.0 - len(firings) / firings.sum()), 4)

@@ -7,13 +7,14 @@ out of the estimates.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from .arrays import BoolArray, FloatArray, IndexArray
+from .beam_patterns import BeamPattern, find_beams
 from .thinning import shares_voxel
 
 MISSES, RETURNS = "misses", "single_returns"
@@ -61,7 +62,6 @@ _NEIGHBOURS = 10
 _DENSE_PART = 5  # a fifth of the points
 _DENSE_M = 15.0
 _SEVERAL_SWEEPS = "two or more sweeps or sensors, or second returns, in one scan? {}; export one revolution per file"
-SWEEPS_IN_A_ROW = _SEVERAL_SWEEPS.format("Parts of it have beams, and all of it has not")
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
 _ROUNDED_M, _COARSE_M = 0.0095, 0.03
 _FEWEST_VALUES = 20
@@ -152,7 +152,7 @@ def returns_text(is_later: BoolArray) -> str | None:
     )
 
 
-def rounding_m(points: FloatArray) -> float:
+def _rounding_m(points: FloatArray) -> float:
     """Step to which x and y are rounded, of the coarser of both; 0 if one is not.
 
     Then the differences of neighbouring values are multiples of the least ones. A constant may be added, as after
@@ -175,12 +175,25 @@ def rounding_m(points: FloatArray) -> float:
     return max(steps_m)
 
 
-def rounding_text(step_m: float) -> dict[str, str]:
+def doubts_of_rounding(points: FloatArray) -> dict[str, str]:
     """The doubt that coordinates are rounded, by what cannot be trusted."""
+    step_m = _rounding_m(points)
     text = f"coordinates are rounded to {100 * step_m:.3g} cm; export them with more digits"
     if step_m < _ROUNDED_M:
         return {}
     return {FRAME: f"{text}, or relative to the sensor"} if step_m > _COARSE_M else {FINE: text}
+
+
+def doubts_without_beams(points: FloatArray) -> dict[str, str]:
+    """The doubt about a scan without recognisable beams, by what cannot be trusted."""
+    if text := _position_text(points):
+        return {POSITION: text}
+    if _is_several_sweeps(points):
+        reason = "Parts of it have beams, and all of it has not"
+        return {ONE_SWEEP: _SEVERAL_SWEEPS.format(reason)}
+    if text := _grid_text(points):
+        return {BEAMS: text}
+    return {}
 
 
 def alternation_text(beam: IndexArray, range_m: FloatArray) -> str | None:
@@ -261,7 +274,7 @@ def sweeps_text(gap_deg: FloatArray) -> str | None:
 def thinned_text(gap_deg: FloatArray, range_m: FloatArray, points: FloatArray) -> str | None:
     """The doubt that a scan was thinned by a grid: steps of its beams are wider near the sensor; None if they are not.
 
-    With too few returns near or far, see `grid_text`.
+    With too few returns near or far, see `_grid_text`.
 
     Parameters
     ----------
@@ -278,14 +291,14 @@ def thinned_text(gap_deg: FloatArray, range_m: FloatArray, points: FloatArray) -
     near_deg = gap_deg[is_surface & (nearer_m > _NEAREST_GRID_M) & (nearer_m < _NEAR_GRID_M)]
     far_deg = gap_deg[is_surface & (nearer_m > _FAR_GRID_M)]
     if min(len(near_deg), len(far_deg)) < _FEWEST_OF_GRID:
-        return grid_text(points)
+        return _grid_text(points)
     for average in (np.median, np.mean):  # of a scan with many losses only one may differ
         if average(near_deg) < _WIDER_NEAR * average(far_deg):
             return None
     return _THINNED.format("steps of a beam are wider near the sensor")
 
 
-def grid_text(points: FloatArray) -> str | None:
+def _grid_text(points: FloatArray) -> str | None:
     """The doubt that a scan was thinned by a grid: a voxel has one point each, though most have nearer neighbours.
 
     Voxels have a corner at the origin, or half an edge below the lowest coordinates.
@@ -294,9 +307,7 @@ def grid_text(points: FloatArray) -> str | None:
     ----------
     points : (n, 3) float64, metres
     """
-    from scipy.spatial import cKDTree
-
-    apart_m, _ = cKDTree(points).query(points[:: -(-len(points) // _SAMPLE)], k=2)
+    apart_m, _ = scipy.spatial.cKDTree(points).query(points[:: -(-len(points) // _SAMPLE)], k=2)
     for size_m in _GRIDS_M:
         if np.median(apart_m[:, 1]) > size_m:
             continue
@@ -328,10 +339,10 @@ def _repetition(gap_deg: FloatArray, n: int, most_deg: float) -> tuple[float, fl
     return float(is_repeated.mean()), float(np.sqrt((first**2).mean())), likeness
 
 
-def sweep_parts(points: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """First and last of 2, 3, 5 and 10 parts of a scan in the file's order, if they have the same directions.
+def _is_several_sweeps(points: FloatArray) -> bool:
+    """True if the first or last of 2, 3, 5 or 10 parts of a scan has beams, in the directions of the other.
 
-    In a single sweep in the order of azimuths or beams they have different ones.
+    In a single sweep in the order of azimuths or beams both have different directions.
 
     Parameters
     ----------
@@ -345,7 +356,10 @@ def sweep_parts(points: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         first = np.unique(cell[:n_rows])
         last = np.unique(cell[-n_rows:])
         if len(np.intersect1d(first, last)) > _SAME_CELLS * max(len(first), len(last)):
-            yield points[:n_rows], points[-n_rows:]
+            patterns = [find_beams(part) for part in (points[:n_rows], points[-n_rows:])]
+            if any(isinstance(pattern, BeamPattern) for pattern in patterns):
+                return True
+    return False
 
 
 @np.errstate(over="ignore")  # distances may be infinite
@@ -355,7 +369,7 @@ def is_far_from_origin(points: FloatArray) -> bool:
     return len(range_m) > 0 and float((range_m < _NEAR_M).mean()) < _NEAR_SHARE
 
 
-def position_text(points: FloatArray) -> str | None:
+def _position_text(points: FloatArray) -> str | None:
     """The doubt that a scan without recognisable beams is not in the frame of its sensor.
 
     Around a sensor points are densest: the median place of the fifth with the nearest neighbours is not far from it.
@@ -367,10 +381,8 @@ def position_text(points: FloatArray) -> str | None:
     if is_far_from_origin(points):
         reason = f"nothing within {_NEAR_M:g} m of the origin (are they in metres?)"
     else:
-        from scipy.spatial import cKDTree
-
         sample = points[np.random.default_rng(0).permutation(len(points))[:_SAMPLE]]
-        apart_m, _ = cKDTree(sample).query(sample, k=_NEIGHBOURS)
+        apart_m, _ = scipy.spatial.cKDTree(sample).query(sample, k=_NEIGHBOURS)
         dense = sample[np.argsort(apart_m[:, -1])[: len(sample) // _DENSE_PART]]
         place_m = float(np.hypot(*np.median(dense[:, :2], axis=0)))
         if place_m < _DENSE_M:

@@ -175,11 +175,7 @@ def carla_ply(points, columns):
 
 def columns_of(scan):
     """The columns of a scan, bit by bit."""
-    columns = {
-        name: np.asarray(own)
-        for name, own in vars(scan).items()
-        if name not in ("stamp_s", "label_names")
-    }
+    columns = {name: np.asarray(own) for name, own in vars(scan).items() if name != "label_names"}
     return {name: (own.dtype, own.shape, own.tobytes()) for name, own in columns.items()}
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from fidpipe.schemas.settings import load
-from fidpipe.stages.method import graph_of
+from fidpipe.stages.graph import graph_of
 
 
 def seeded(seed=3):
@@ -90,7 +90,7 @@ def write_dataset(folder: Path, n_pairs=3, n=150):
 
 def subgraph(points, k=8):
     """The points as one object, with its graph."""
-    return graph_of(points, load(None, [f"graph.k={k}"]))
+    return graph_of(points, load(None, [f"graph.k={k}"]).graph)
 
 
 def cloud(n=60, seed=0):

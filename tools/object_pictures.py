@@ -98,7 +98,7 @@ class MatchedObject:
     """
 
     def __init__(self, results, row):
-        selection = results.run.read_table("selection", row.pair_id).to_pandas()
+        selection = results.run.store.read_table("selection", row.pair_id).to_pandas()
         kept = selection[selection.real_id == row.real_id]
         self.row = row
         self.graphs = {}

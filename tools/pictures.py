@@ -14,7 +14,6 @@ from matplotlib.patches import Circle
 
 from fidpipe.pipeline.report.figures import style
 from fidpipe.pipeline.report.look import (
-    FATE_COLOURS,
     FATE_WORDS,
     OUTCOME_COLOURS,
     OUTCOME_WORDS,
@@ -265,7 +264,7 @@ def matching(axis, view):
         look = {"marker": "X", "s": 34, "edgecolors": "white", "linewidths": 0.5, "zorder": 3}
         axis.scatter(
             *centroids[side][alone].T,
-            c=FATE_COLOURS[status],
+            c=SIDE_COLOURS[side],
             label=f"{len(alone)} {FATE_WORDS[status]}",
             **look,
         )
@@ -398,7 +397,7 @@ def draw_pieces(view, path):
 
 def rays(axis, view):
     """The rays by column and beam, coloured by their outcomes."""
-    found = view.run.read_table("rays", view.pair_id).to_pandas()
+    found = view.run.store.read_table("rays", view.pair_id).to_pandas()
     for outcome, colour in OUTCOME_COLOURS.items():
         own = found[found.outcome == outcome]
         axis.plot(
@@ -414,7 +413,9 @@ def draw_rays(view, path):
     with style.new_figure(8.4, 3.6) as figure:
         left, right = figure.subplots(1, 2)
         rays(left, view)
-        scores = view.run.read_table("ray_scores", view.pair_id).to_pandas().query("by == 'range'")
+        scores = (
+            view.run.store.read_table("ray_scores", view.pair_id).to_pandas().query("by == 'range'")
+        )
         scores = scores.sort_values(
             "band",
             key=lambda band: (
@@ -437,7 +438,7 @@ def draw_rays(view, path):
 
 def causes(axis, view):
     """Amounts of the causes of a pair in units of their tolerances, the largest ones."""
-    table = view.run.read_table("causes", view.pair_id).to_pandas().dropna(subset="amount")
+    table = view.run.store.read_table("causes", view.pair_id).to_pandas().dropna(subset="amount")
     table = table[table.cause != UNEVEN]
     table["size"] = table.amount / table.cause.map(lambda name: CAUSES[name].tolerance)
     table = table.loc[table["size"].abs().sort_values(ascending=False).index[:MOST_CAUSES][::-1]]

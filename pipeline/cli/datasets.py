@@ -70,12 +70,6 @@ def twin(
     out: Path,
     flaw: Annotated[list[str] | None, typer.Option(metavar="NAME=AMOUNT")] = None,
     sensor: str = "recorded",
-    range_noise: Annotated[
-        float | None, typer.Option(min=0, max=10, show_default="the sensor's")
-    ] = None,
-    dropout: Annotated[
-        float | None, typer.Option(min=0, max=1, show_default="the sensor's")
-    ] = None,
     poses: Annotated[
         Path | None, typer.Option(show_default="pairs.csv, poses.tum or poses.txt")
     ] = None,
@@ -100,8 +94,6 @@ def twin(
     out : Folder of the dataset; new, empty, or made by twin.
     flaw : Known flaw of all twins; repeatable.
     sensor : recorded (beams as in the recording), vlp32c, hdl64, os1-64, carla and others.
-    range_noise : Standard deviation of the range noise, metres.
-    dropout : Share of lost pulses.
     poses : TUM or KITTI poses.
     calib : KITTI's calibration, with Tr.
     others : Number of nearest other frames in each model.
@@ -116,8 +108,6 @@ def twin(
 
     fidpipe twin sequences/00 twins/ --sensor hdl64 --pairs '*0' --workers 8
     """
-    from dataclasses import replace as with_values
-
     from ...schemas.sensor_models import SENSORS
     from ...schemas.settings import load
     from ...stages.generate.flaws import parse_flaws
@@ -126,17 +116,12 @@ def twin(
     from ..generate.recordings import read_recording
     from ..generate.twin import make_twins
 
-    model = _known_sensor(sensor, {RECORDED.name: RECORDED, **SENSORS})
     n_pairs, failures = make_twins(
         read_recording(sequence, poses, calib),
         out,
         Reporter(),
         flaws=parse_flaws(flaw or []),
-        sensor=with_values(
-            model,
-            range_noise_m=model.range_noise_m if range_noise is None else range_noise,
-            lost_share=model.lost_share if dropout is None else dropout,
-        ),
+        sensor=_known_sensor(sensor, {RECORDED.name: RECORDED, **SENSORS}),
         n_others=others,
         pattern=pairs,
         seed=seed,

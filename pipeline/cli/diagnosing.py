@@ -129,9 +129,7 @@ def _tell_apart(
     if picture:
         draw_map(found, picture)
     view = tell_apart_view(found)
-    print_as(
-        output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": found.as_dict()}
-    )
+    print_as(output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": found.values})
 
 
 def tasks(

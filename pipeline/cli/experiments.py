@@ -66,7 +66,7 @@ def perturb(
 
     fidpipe perturb scan.bin --sweep rigid=0:1,0.1:5        metres:degrees
 
-    fidpipe perturb scan.bin --metrics all --global-repeats 0    which metric reacts to what
+    fidpipe perturb scan.bin --metrics all --global-repeats 0    baselines of single objects as well
     """
     from ...schemas.settings import load
     from ..engine.progress import Reporter

@@ -254,11 +254,15 @@ def best_case(
 
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..generate.best_case_run import run_best_case, source_of_run
+    from ..generate.best_case_run import run_best_case
     from ..report.views.run_view import outcome_view
+    from ..results.finished import FinishedRun
+    from ..storage.run_record import SETTINGS_TOML
+    from ..storage.urls import recorded_path
 
     if is_run:
-        dataset, in_force = source_of_run(source)
+        dataset = recorded_path(FinishedRun(source).record.dataset)
+        in_force = load(source / SETTINGS_TOML)
         default = source.with_name(f"{source.resolve().name}-best-case")
     else:
         dataset = source

@@ -39,11 +39,11 @@ def show(
 
     fidpipe show runs/dataset --best-case runs/dataset-best-case    minus a perfect simulator
 
-    fidpipe show runs/dataset 0007 --json | jq '.objects[0].scores'
+    fidpipe show runs/dataset 0007 --json | jq '.objects[0].real.r_lambda'
 
     fidpipe show runs/dataset --markdown       the summary, for a merge request
 
-    fidpipe show runs/dataset --csv > pairs.csv    one row per pair; of a pair one row per object
+    fidpipe show runs/dataset --csv > pairs.csv    a row per pair; of a pair a row per object and side
     """
     output = format_of(as_json, as_markdown, as_csv)
     if all_ and object_ is not None:
@@ -161,24 +161,24 @@ def export(
     fidpipe export runs/dataset --mcap --ply --out viewers/
     """
     from ..engine.progress import Reporter
-    from ..exchange.export import LEGEND, export_run
+    from ..exchange.export import export_run
     from ..results.finished import FinishedRun
 
     if not (mcap or ply):
         raise typer.BadParameter("no format given; expected --mcap, --ply or both")
     reporter = Reporter()
     finished = FinishedRun(run)
-    folder = out or run / "export"
-    files = export_run(
-        finished, folder, pairs, mcap=mcap, ply=ply, replace=replace, counted=reporter.counted
+    lines = export_run(
+        finished,
+        out or run / "export",
+        pairs,
+        mcap=mcap,
+        ply=ply,
+        replace=replace,
+        counted=reporter.counted,
     )
     n_failed = finished.record.pairs.failed
     if n_failed:
         reporter.warn(f"{n_failed} pairs of the run failed and have no points to export")
-    if files.mcap:
-        stamps = "of the dataset" if files.has_times else "one second apart"
-        print_line(f"MCAP:   {files.mcap}, stamps {stamps}")
-    if files.ply:
-        print_line(f"PLY:    {len(files.ply)} files in {folder}")
-    print_line(f"pairs:  {files.n_pairs}")
-    print_line(f"status: {LEGEND}")
+    for line in lines:
+        print_line(line)

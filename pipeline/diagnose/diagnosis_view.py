@@ -8,7 +8,7 @@ from ...schemas.results import Diagnosis
 from ..report.view import Answers, Note, Table, View, count, items_of
 from ..report.views.answer_view import cause_items
 from ..results.causes import no_cause_words
-from ..results.diagnosis import unexplained_words
+from ..results.diagnosis import doubtful_words, unexplained_words
 
 _COLUMNS = (
     *("name", "words", "estimate", "low", "high", "unit"),
@@ -34,7 +34,6 @@ def diagnosis_view(diagnosis: Diagnosis) -> View:
     sections = [("Fix first", first)]
     if diagnosis.notes:
         sections.append(("Notes", [(note, "", "") for note in diagnosis.notes]))
-    if diagnosis.doubtful:
-        doubtful = f"seen, but fixing it would not help: {'; '.join(diagnosis.doubtful)}"
+    if doubtful := doubtful_words(diagnosis):
         sections.append(("Doubtful", [(doubtful, "", "")]))
     return [Note(title, "bold"), Answers(sections)]

@@ -45,7 +45,7 @@ def latency_note(run: FinishedRun, causes: Sequence[Cause]) -> str:
 
 def _real_scan(run: FinishedRun, pair_id: str) -> RealScan:
     """Clean points of the real side of a pair, and which are ground."""
-    ground = run.read_table("ground", pair_id, "real", ["x", "y", "z", "is_ground"])
+    ground = run.store.read_table("ground", pair_id, "real", ["x", "y", "z", "is_ground"])
     return coordinates(ground), column(ground, "is_ground")
 
 

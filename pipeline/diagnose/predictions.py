@@ -197,7 +197,7 @@ def _compare_boxes(
 def _boxed_objects(
     run: FinishedRun, pair_id: str, real: Boxes, is_found: BoolArray
 ) -> pd.DataFrame:
-    """The object with the most points inside of each real box."""
+    """The object with the most points inside of each real box that has any."""
     import pandas as pd
 
     points = run.points(pair_id, "real").dropna(subset="community_id")
@@ -206,6 +206,7 @@ def _boxed_objects(
     boxes["community_id"] = [
         points.loc[inside(xyz, real, i), "community_id"].mode().min() for i in range(len(boxes))
     ]
+    boxes = boxes.dropna(subset="community_id").astype({"community_id": np.int32})
     return _real_objects(run, pair_id).merge(boxes, on="community_id")
 
 

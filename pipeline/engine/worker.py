@@ -7,7 +7,7 @@ value for value.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import chain
@@ -23,15 +23,17 @@ from ..datasets.content import scan_content
 from ..datasets.pairs import ScanPair
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
-from ..stage import Grain, Inputs, JobResult, Memo, Metadata, Steps, Tables
+from ..stage import Grain, Inputs, JobResult, Memo, Metadata, Stage, Steps, Tables
 from ..storage.remote_dataset import restored_scan
 from ..storage.scratch import temporary_space
 from ..storage.table_files import JobId, JobRecord, plain_metadata, table_name, tables_of_run
-from .plan import Job, PairPlan, Source
+from .plan import Job, PairPlan, Source, plan_jobs
 from .time_limit import OutOfTimeError, limited
 
 #: Tables of a pair by name and side.
 PairTables = dict[tuple[str, str], pa.Table]
+#: A pair without a name, whose tables are of no dataset.
+NAMELESS = ScanPair("", None, None)
 #: Of some objects, by job: rows of its tables, and name and seconds of its steps.
 ObjectRows = dict[JobId, tuple[Tables, tuple[tuple[str, float], ...]]]
 
@@ -109,22 +111,33 @@ def _next_jobs(batch: PairBatch, runner: JobRunner) -> Iterator[Job]:
 
 
 def run_in_memory(
-    jobs: Mapping[JobId, Job], scans: Mapping[str, Scan], pair: ScanPair
+    stages: Iterable[Stage],
+    settings: Settings,
+    *,
+    pair: ScanPair = NAMELESS,
+    scans: Mapping[str, Scan] | None = None,
+    tables: PairTables | None = None,
 ) -> tuple[PairTables, dict[JobId, Metadata]]:
-    """Run jobs of a pair one after the other; returns their tables and metadata, and writes nothing.
+    """Run stages on a pair, and write nothing; returns all tables, and the metadata of the jobs.
 
     Parameters
     ----------
-    jobs : by name, in their order, from `plan_jobs`
+    stages : in their order
     scans : by side
+    tables : existing tables, with the columns that the stages read; the jobs that make them are not
+        run, nor those of a side without a table or a scan
 
     Raises
     ------
     StageError
         A stage fails; with the name of its job.
     """
-    runner = JobRunner(PairPlan(pair, jobs, {}), scans)
-    for job in jobs.values():
+    runner = JobRunner(PairPlan(pair, plan_jobs(stages, settings), {}), scans or {})
+    runner.tables = dict(tables or {})
+    parts = {"", *runner.scans, *(side for _, side in runner.tables)}
+    for job in runner.plan.todo:
+        if job.part not in parts or (job.stage.gives[0], job.part) in runner.tables:
+            continue
         try:
             runner.make_job(job)
         except StageError as error:
@@ -147,6 +160,7 @@ class JobRunner:
     ----------
     done : names of the jobs whose results exist
     tables : results of its jobs
+    scans : by side, those in memory
     result : the same for the command
     """
 
@@ -162,7 +176,7 @@ class JobRunner:
         self.result = BatchResult()
         self._folder = tables_of_run(plan.folder, plan.token, plan.url)
         self._is_stored = scans is None
-        self._scans = dict(scans or {})
+        self.scans = dict(scans or {})
         self._objects = objects
         self._selected: dict[Source, pa.Table] = {}
         self._stored: dict[Source, pa.Table] = {}
@@ -244,7 +258,7 @@ class JobRunner:
 
     def _scan(self, side: str) -> Scan:
         """The scan of a side, whose file must be the one that the keys were made of."""
-        if side not in self._scans:
+        if side not in self.scans:
             ref = self.plan.pair.scans.get(side)
             if ref is None:
                 raise StageError(f"no {side} scan")
@@ -256,8 +270,8 @@ class JobRunner:
                 raise StageError(
                     f"{ref}: the file changed while the run was using it; run the same command again"
                 )
-            self._scans[side] = scan
-        return self._scans[side]
+            self.scans[side] = scan
+        return self.scans[side]
 
     def _finish(self, job: Job, made: JobResult, steps: Steps) -> None:
         """Record a job, and write its tables.
@@ -284,8 +298,8 @@ class JobRunner:
         record.steps = steps.total()
         self.plan = plan.with_records([record])
         needed = [left.scan_sides for left in self.plan.todo]
-        for side in set(self._scans).difference(*needed):
-            del self._scans[side]  # no later job reads it
+        for side in set(self.scans).difference(*needed):
+            del self.scans[side]  # no later job reads it
         self.result.records.append(record)
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from enum import IntEnum
 from importlib.util import find_spec
 from itertools import product
@@ -32,9 +30,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from ..results.finished import FinishedRun
-
-    #: Writes a message: topic, nanoseconds, points or text.
-    _Write = Callable[[str, int, NDArray[np.void] | str], None]
 
 
 class Status(IntEnum):
@@ -76,23 +71,6 @@ _NS = 1_000_000_000
 _LATEST_S = 2**31  # seconds of a ROS stamp are int32
 
 
-@dataclass(frozen=True)
-class Exported:
-    """Files written by an export.
-
-    mcap : the file, or None
-    ply : the files
-    n_pairs : number of pairs
-    has_times : True if the stamps of the messages are those of the dataset; otherwise they are one
-        second apart
-    """
-
-    mcap: Path | None
-    ply: tuple[Path, ...]
-    n_pairs: int
-    has_times: bool
-
-
 def export_run(
     run: FinishedRun,
     folder: Path,
@@ -102,8 +80,10 @@ def export_run(
     ply: bool = False,
     replace: bool = False,
     counted: Callable[[Sequence[str], int], Iterable[str]] = lambda names, n_names: names,
-) -> Exported:
-    """Writes the scored pairs of a run, one after the other: an MCAP file for all, a PLY file for each pair and side.
+) -> list[str]:
+    """Write the scored pairs of a run, one after the other: an MCAP file for all, a PLY file for each pair and side.
+
+    The result is a line for each format that names its files.
 
     Parameters
     ----------
@@ -124,32 +104,40 @@ def export_run(
             'writing MCAP needs rosbags, which is not installed; install it with: pip install "fidpipe[ros]"',
         )
     names = run.select(pattern)
-    bag = folder / f"{run.folder.resolve().name}.mcap" if mcap else None
+    bag = folder / f"{run.folder.resolve().name}.mcap"
     plys = {}
-    for name, side in product(names, SIDES) if ply else ():
+    for name, side in product(names, SIDES):
         plys[name, side] = folder / f"{file_stem(name)}.{side}.ply"
-    written = [*plys.values()]
-    if bag:
-        written.append(bag)
-    for path in written:
+    paths = [bag] if mcap else []
+    if ply:
+        paths += plys.values()
+    for path in paths:
         if path.exists() and not replace:
             raise RunError(f"{path}: already exists; add --replace, or choose another --out")
-    stamps_ns, has_times = message_times(run, names)
-    with _bag(bag, run) if bag else nullcontext() as write:
-        for name in counted(sorted(names, key=stamps_ns.__getitem__), len(names)):
-            for side, (points, objects) in pair_clouds(run, name).items():
-                if ply:
-                    write_whole(plys[name, side], _ply(run, name, side, points))
-                if write:
-                    write(f"{TOPIC}/{side}", stamps_ns[name], points)
-                    write(f"{TOPIC}/{side}_objects", stamps_ns[name], objects)
-            if write:
-                write(
-                    f"{TOPIC}/scores",
-                    stamps_ns[name],
-                    json.dumps(run.row(name), allow_nan=False),
-                )
-    return Exported(bag, tuple(plys.values()), len(names), has_times)
+    lines = []
+    if mcap:
+        stamps_ns, has_times = message_times(run, names)
+        in_time = sorted(names, key=stamps_ns.__getitem__)
+        _write_bag(bag, run, _messages(run, counted(in_time, len(names)), stamps_ns))
+        stamps = "of the dataset" if has_times else "one second apart"
+        lines.append(f"MCAP:   {bag}, stamps {stamps}")
+    if ply:
+        for name in counted(names, len(names)):
+            for side, (points, _) in pair_clouds(run, name).items():
+                write_whole(plys[name, side], _ply(run, name, side, points))
+        lines.append(f"PLY:    {len(plys)} files in {folder}")
+    return [*lines, f"pairs:  {len(names)}", f"status: {LEGEND}"]
+
+
+def _messages(
+    run: FinishedRun, names: Iterable[str], stamps_ns: dict[str, int]
+) -> Iterator[tuple[str, int, NDArray[np.void] | str]]:
+    """Topic, nanoseconds, and points or text of each message."""
+    for name in names:
+        for side, (points, objects) in pair_clouds(run, name).items():
+            yield f"{TOPIC}/{side}", stamps_ns[name], points
+            yield f"{TOPIC}/{side}_objects", stamps_ns[name], objects
+        yield f"{TOPIC}/scores", stamps_ns[name], json.dumps(run.row(name), allow_nan=False)
 
 
 def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int], bool]:
@@ -252,9 +240,10 @@ def _message(types: Any, content: NDArray[np.void] | str, time_ns: int) -> Any:
     )
 
 
-@contextmanager
-def _bag(path: Path, run: FinishedRun) -> Iterator[_Write]:
-    """Writer of messages to an MCAP file; the file appears once all are written."""
+def _write_bag(
+    path: Path, run: FinishedRun, messages: Iterable[tuple[str, int, NDArray[np.void] | str]]
+) -> None:
+    """Write messages to an MCAP file, which appears once all are written."""
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -267,26 +256,15 @@ def _bag(path: Path, run: FinishedRun) -> Iterator[_Write]:
             writer = Writer(bag, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             writer.set_custom_data(
-                "fidpipe",
-                f"{run.record.fidpipe}, preset {run.preset}, status {LEGEND}",
+                "fidpipe", f"{run.record.fidpipe}, preset {run.preset}, status {LEGEND}"
             )
-
-            def write(topic: str, time_ns: int, content: NDArray[np.void] | str) -> None:
-                message = _message(store.types, content, time_ns)
-                if topic not in connections:
-                    connections[topic] = writer.add_connection(
-                        topic,
-                        message.__msgtype__,
-                        typestore=store,
-                    )
-                writer.write(
-                    connections[topic],
-                    time_ns,
-                    store.serialize_cdr(message, message.__msgtype__),
-                )
-
             with writer:
-                yield write
+                for topic, time_ns, content in messages:
+                    message = _message(store.types, content, time_ns)
+                    kind = message.__msgtype__
+                    if topic not in connections:
+                        connections[topic] = writer.add_connection(topic, kind, typestore=store)
+                    writer.write(connections[topic], time_ns, store.serialize_cdr(message, kind))
             with (bag / "bag.mcap").open("rb") as file:
                 os.fsync(file.fileno())
             (bag / "bag.mcap").replace(path)

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 from ...schemas.columns import FARTHEST_M
 from ...schemas.errors import RunError, ScanError
-from ...schemas.settings import InputSettings, Settings, load
+from ...schemas.settings import InputSettings, Settings
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.perturbations import fill_gaps, remeasure
 from ...stages.sensor_description import NO_GAPS, describe_with_gaps
@@ -34,12 +34,11 @@ from ..results.best_case import (
     BestCaseRecipe,
     read_recipe,
 )
-from ..results.finished import FinishedRun
 from ..run import RunOutcome, run_dataset, select_pairs
 from ..storage.files import csv_bytes, path_exists, refuse_link, write_whole
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.ledger import LEDGER
-from ..storage.run_record import SETTINGS_TOML, has_ended, read_run
+from ..storage.run_record import has_ended, read_run
 from ..storage.table_files import file_stem
 from ..storage.urls import name_in_records, recorded_path
 
@@ -81,10 +80,6 @@ def run_best_case(
         The dataset as a whole, a setting or the run's folder is wrong, or the folder holds another finished best
         case; before any work.
     """
-    machines = machines or Machines()
-    if machines.scheduler:  # workers of a cluster may run in other folders
-        dataset = dataset.absolute()
-        out = out.absolute()
     source = read_dataset(dataset)
     recipe = BestCaseRecipe(
         RECIPE_VERSION,
@@ -112,18 +107,6 @@ def run_best_case(
         machines=machines,
         replace=replace,
     )
-
-
-def source_of_run(folder: Path) -> tuple[Path, Settings]:
-    """The dataset of a run, and the settings of the run.
-
-    Raises
-    ------
-    FidpipeError
-        The folder is not a run that has ended, or its settings cannot be read.
-    """
-    run = FinishedRun(folder)
-    return recorded_path(run.record.dataset), load(folder / SETTINGS_TOML)
 
 
 def _refuse_other_recipe(out: Path, recipe: BestCaseRecipe, *, replace: bool) -> None:
@@ -169,22 +152,15 @@ def _write_dataset(
             except ScanError:  # reported by the run, which reads the real scan on both sides
                 path.unlink(missing_ok=True)
             else:
-                _write_changed(path, table)
+                content = BytesIO()
+                pq.write_table(table, content)
+                write_whole(path, content.getbuffer())
                 amounts.append((pair.pair_id, noise_m, lost_share, reason))
                 sim = f"sim/{path.name}"
-            time_s = "" if pair.timestamp_s is None else repr(pair.timestamp_s)
-            rows.append((pair.pair_id, real, sim, time_s))
+            rows.append((pair.pair_id, real, sim, pair.timestamp_s))
     if amounts and AS_MEASURED in (recipe.noise_m, recipe.lost_share):
         _report_amounts(amounts, folder, reporter)
     write_whole(folder / MANIFEST, csv_bytes(["pair_id", "real", "sim", "timestamp_s"], rows))
-
-
-def _write_changed(path: Path, table: pa.Table) -> None:
-    """Write a measurement, unless the file already holds the same bytes."""
-    content = BytesIO()
-    pq.write_table(table, content)
-    if not path.exists() or path.read_bytes() != content.getbuffer():
-        write_whole(path, content.getbuffer())
 
 
 def _report_amounts(
@@ -229,14 +205,14 @@ def _remeasured(
             noise_m = sensor.range_noise_m or 0.0
             if sensor.range_noise_m is None:
                 noise_m = DEFAULT_NOISE_M
-                reasons.append(sensor.untold["range_noise_m"])
+                reasons.append(sensor.why_unknown("range_noise_m"))
         if lost_share == AS_MEASURED:
-            lost_share = sensor.lost_in_all or 0.0
+            lost_share = sensor.lost_share or 0.0
             gaps = gaps_of_scan
-            if sensor.lost_in_all is None:
+            if sensor.lost_share is None:
                 lost_share = DEFAULT_LOST_SHARE
                 gaps = NO_GAPS
-                reasons.append(sensor.untold["lost_share"])
+                reasons.append(sensor.why_unknown("lost_share"))
     clean = clean_scan(scan.points, _ALL)
     filled, filled_ids = fill_gaps(scan.points, *gaps)
     rng = np.random.default_rng([recipe.seed, *pair.pair_id.encode()])
@@ -248,4 +224,5 @@ def _remeasured(
         columns["label"] = scan.labels[rows]
     if scan.instances is not None:
         columns["instance"] = scan.instances[rows]
-    return pa.table(columns), float(noise_m), float(lost_share), "; ".join(dict.fromkeys(reasons))
+    known_reasons = dict.fromkeys(filter(None, reasons))
+    return pa.table(columns), float(noise_m), float(lost_share), "; ".join(known_reasons)

@@ -23,8 +23,6 @@ from ..storage.files import csv_bytes, named_errors, path_exists, refuse_link, w
 from ..storage.folder import refuse_other_content, refuse_overwrite
 
 Recipe = dict[str, Any]
-#: Entries of a recipe that do not affect the content of any file.
-_IGNORED = ("recording", "files")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,11 +49,10 @@ class GeneratedPair:
         """True if both scans exist."""
         return (folder / "real" / self.real).exists() and (folder / "sim" / self.sim).exists()
 
-    def row(self) -> tuple[str, ...]:
+    def row(self) -> tuple[str | float | None, ...]:
         """The row of the manifest."""
-        time_s = "" if self.timestamp_s is None else repr(self.timestamp_s)
         pose = " ".join(map(repr, self.T_world_sensor or ()))
-        return self.pair_id, f"real/{self.real}", f"sim/{self.sim}", time_s, pose
+        return self.pair_id, f"real/{self.real}", f"sim/{self.sim}", self.timestamp_s, pose
 
 
 def generate_dataset(
@@ -118,10 +115,13 @@ def _prepare(
     refuse_other_content(f"dataset {out}", out, kind, is_own=existing is not None, other="folder")
     text = tomli_w.dumps(recipe)
     if existing is not None:
-        changes = _changes(earlier, tomllib.loads(text))
-        lost = [path for path in existing if changes or path.name not in recipe["files"]]
+        now = tomllib.loads(text)
+        changed = [name for name in earlier | now if earlier.get(name) != now.get(name)]
+        # The other entries affect the content of the files.
+        is_other = not {"recording", "files"}.issuperset(changed)
+        lost = [path for path in existing if is_other or path.name not in recipe["files"]]
         if lost and not replace and (out / MANIFEST).exists():
-            why = changes or [f"files were {len(existing)}, are {len(existing) - len(lost)}"]
+            why = [f"other {name}" for name in changed]
             refuse_overwrite(f"dataset {out}", f"{len(lost)} of its files", why, "folder")
         for path in [out / MANIFEST, out / LABEL_NAMES, *lost]:
             path.unlink(missing_ok=True)
@@ -140,15 +140,3 @@ def _existing_files(out: Path, recipe: Recipe) -> list[Path] | None:
         return None
     paths = [out / side / name for side, name in product(SIDES, names)]
     return [path for path in paths if path_exists(path) and not path.is_dir()]
-
-
-def _changes(before: Recipe, now: Recipe) -> list[str]:
-    """Human-readable differences between two recipes; only the names of lists and tables."""
-    changes = []
-    for name in dict.fromkeys([*before, *now]):
-        old = before.get(name, "not given")
-        new = now.get(name, "not given")
-        if old != new and name not in _IGNORED:
-            is_long = isinstance(old, list | dict) or isinstance(new, list | dict)
-            changes.append(name if is_long else f"{name} was {old}, is {new}")
-    return changes

@@ -173,9 +173,11 @@ def _read_calibration(path: Path, poses: Path) -> FloatArray:
     """(3, 4) float64, the line `Tr` of KITTI's calibration."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
-        entries = dict(line.split(":", maxsplit=1) for line in lines if ":" in line)
-        (text,) = [entries[name] for name in _TRANSFORMS if name in entries]
-        numbers = np.array(text.split(), dtype=np.float64)
+        entries = [line.partition(":") for line in lines]
+        texts = [text for name, _, text in entries if name.strip() in _TRANSFORMS]
+        if not texts:
+            raise ValueError("it has none")
+        numbers = np.array(texts[0].split(), dtype=np.float64)
     except (OSError, ValueError) as error:
         raise DatasetError(
             f"{path}: expected a line Tr: with 12 numbers, from the sensor's frame to the camera's ({error}); "

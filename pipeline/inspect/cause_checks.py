@@ -15,7 +15,6 @@ from ...stages.sensor_description import SensorDescription
 from ...stages.statistics.comparison import blocks_of
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
-from ..engine.plan import plan_jobs
 from ..engine.pool import one_blas_thread
 from ..engine.worker import run_in_memory
 from ..jobs import STAGES
@@ -67,7 +66,7 @@ def sample_pair(
     stages = [stage for stage in STAGES if stage.name in _STAGES]
     with one_blas_thread():
         try:
-            tables, outputs = run_in_memory(plan_jobs(stages, settings), scans, pair)
+            tables, outputs = run_in_memory(stages, settings, pair=pair, scans=scans)
         except StageError:
             return None
     amounts = {}

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict
+from typing import Any
 
-from pydantic import JsonValue
+import numpy as np
+from pydantic_core import to_jsonable_python
 
 from ...schemas.columns import SIDE_NAMES, SIDES
-from ...schemas.results import JsonObject
 from ...stages.sensor_description import sensor_lines
 from ..report.view import Answers, Note, Part, Table, View, count, items_of
 from ..report.views.answer_view import cause_items, unknown_words
@@ -17,27 +17,17 @@ from .cause_checks import CauseCheck
 from .scan_checks import DatasetCheck
 from .side_checks import SensorCheck
 
+_IN_JSON = ("notes", "doubts", "warnings", "faults", "sensors", "causes")
 
-def check_json(dataset: DatasetCheck) -> JsonObject:
+
+def check_json(dataset: DatasetCheck) -> Any:
     """The same for programs: inspection of each scan by pair and side (null if it is missing), and problems."""
-    pairs: list[JsonValue] = []
-    for check in dataset.pairs:
-        row: dict[str, JsonValue] = {"pair_id": check.pair.pair_id} | dict.fromkeys(SIDES)
-        row |= {side: scan.as_dict() for side, scan in check.sides.items()}
-        pairs.append(row)
-    return {
-        "dataset": str(dataset.folder),
-        "pairs": pairs,
-        "notes": [*dataset.notes],
-        "doubts": [*dataset.doubts],
-        "warnings": [*dataset.warnings],
-        "faults": [*dataset.faults],
-        "sensors": asdict(dataset.sensors),
-        "causes": {
-            "pair_ids": [*dataset.causes.pair_ids],
-            "causes": [cause.as_dict() for cause in dataset.causes.causes],
-        },
-    }
+    pairs = [
+        {"pair_id": check.pair.pair_id, **dict.fromkeys(SIDES), **check.sides}
+        for check in dataset.pairs
+    ]
+    values = {name: getattr(dataset, name) for name in _IN_JSON}
+    return to_jsonable_python({"dataset": dataset.folder, "pairs": pairs} | values)
 
 
 def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
@@ -73,14 +63,7 @@ def _pair_table(dataset: DatasetCheck) -> Table:
             if scan is None or scan.fault:
                 rows.append((name, side, None, None, "", "cannot be used" if scan else "missing"))
                 continue
-            extent = "  ".join(
-                f"{high - low:.1f}"
-                for low, high in zip(
-                    scan.low,
-                    scan.high,
-                    strict=True,
-                )
-            )
+            extent = "  ".join(f"{size:.1f}" for size in np.subtract(scan.high, scan.low))
             dropped = ", ".join(
                 f"{n} {reason.replace('_', ' ')}" for reason, n in scan.dropped.items() if n
             )
@@ -100,8 +83,6 @@ def _sensor_lines(sensors: SensorCheck) -> list[Note]:
     lines = []
     if sensors.sides:
         pairs = count(len(sensors.pair_ids), "pair")
-        if len(sensors.pair_ids) < 4:
-            pairs = f"pair{'s' if len(sensors.pair_ids) > 1 else ''} {', '.join(sensors.pair_ids)}"
         lines.append(Note(f"Sensors (estimated from {pairs})", "bold"))
     for side, sensor in sensors.sides.items():
         lines.append(Note(f"{SIDE_NAMES[side]} sensor"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,6 @@ from rich.console import Console
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError
-from ...schemas.results import JsonObject
 from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import FloatArray, transform_of
 from ...stages.clean import clean_scan, too_few_left
@@ -50,13 +49,6 @@ class ScanCheck:
     high: list[float] = field(default_factory=list)
     inspection: ScanInspection | None = None
     fault: str | None = None
-
-    def as_dict(self) -> JsonObject:
-        """Plain values, for JSON; `azimuth_gap_deg` is 0 if the file cannot be read."""
-        values = asdict(self)
-        del values["sha256"], values["inspection"]
-        gap_deg = self.inspection.azimuth_gap_deg if self.inspection else 0.0
-        return values | {"azimuth_gap_deg": gap_deg}
 
 
 @dataclass(frozen=True)
@@ -131,6 +123,7 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     warnings = []
     faults = []
     counts: dict[str, list[int]] = {side: [] for side in SIDES}
+    hashes = {}
     for check in checks:
         reasons = [check.pair.fault, check.fault, *(scan.fault for scan in check.sides.values())]
         faults += [f"pair {check.pair.pair_id}: {reason}" for reason in reasons if reason]
@@ -140,8 +133,6 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         warnings += pair_warnings(check.pair, inspections, check.frames)
         for side, scan in check.sides.items():
             counts[side].append(scan.n_clean)
-    hashes = {}
-    for check in checks:
         hashes[check.pair.pair_id] = {side: scan.sha256 for side, scan in check.sides.items()}
     return DatasetCheck(
         folder=folder,
@@ -221,14 +212,10 @@ def _check_pairs(
         n_workers=None if in_workers else 1,
         may_end_workers=in_workers,
     )
-    return [
-        checks.get(pair.pair_id)
-        or PairCheck(
-            pair,
-            fault=failures[pair.pair_id],
-        )
-        for pair in pairs
-    ]
+    for pair in pairs:
+        if pair.pair_id in failures:
+            checks[pair.pair_id] = PairCheck(pair, fault=failures[pair.pair_id])
+    return [checks[pair.pair_id] for pair in pairs]
 
 
 def _read_again(

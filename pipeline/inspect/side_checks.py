@@ -103,7 +103,7 @@ class SideSamples:
             points = at_sensor(scan.points, side, self._settings)
             if len(points):
                 kept.sensors[pair.pair_id] = sensors.get(side) or describe_sensor(
-                    points, scan.rings, scan.times_s is not None
+                    points, scan.rings
                 )
             if scan.times_s is not None and kept.stamps is None:
                 kept.stamps = check_stamps(scan.times_s, points)
@@ -211,9 +211,8 @@ def _offset_text(offset: TimeOffset, pairs: Sequence[ScanPair]) -> str:
         lag += f" ({n_frames * float(np.median(np.diff(times_s))):.2g} s)"
     return (
         f"simulated scans seem {lag}: real ones are {offset.misfit_m:.2f} m from those of "
-        f"pair {offset.frames:+d}, {offset.as_paired_m:.2f} m from their own (better in "
-        f"{offset.n_better} of {offset.n}); is fidpipe pair's --offset right, or is the "
-        "simulated sensor mounted farther ahead or back?"
+        f"pair {offset.frames:+d}, {offset.as_paired_m:.2f} m from their own; "
+        "is fidpipe pair's --offset right, or is the simulated sensor mounted farther ahead or back?"
     )
 
 

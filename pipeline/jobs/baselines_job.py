@@ -44,7 +44,7 @@ def make_baselines(inputs: Inputs) -> JobResult:
         rows += [_row(value, match["real_id"], match["sim_id"]) for value in values]
 
     def watch(name: str) -> AbstractContextManager[None]:
-        return inputs.step(_step(name, OF_SCAN))
+        return inputs.step(f"{name}, whole scan")
 
     _, real_points = object_points(inputs, "real")
     _, sim_points = object_points(inputs, "sim")
@@ -58,27 +58,20 @@ def make_baselines(inputs: Inputs) -> JobResult:
 
 
 def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
-    """Mean and standard deviation (n - 1) over pairs, and seconds per pair, by baseline and level (objects or scan).
+    """Mean and standard deviation (n - 1) over pairs by baseline and level (objects or scan).
 
-    The value of a pair is the mean over its matched objects, or that of the whole scan. `seconds`
-    is the time of the method; if the method computes several baselines, the first one has it.
+    The value of a pair is the mean over its matched objects, or that of the whole scan.
     """
-    records = list(records)
     groups: dict[tuple[str, str], list[Row]] = {}
     for record in records:
         for mean in record.metadata["means"]:
             groups.setdefault((mean["level"], mean["baseline"]), []).append(mean)
-    steps = [dict(record.steps) for record in records]
     summary = []
-    timed = set()
     for level, metric in product((OF_OBJECTS, OF_SCAN), BASELINES):
         pairs = groups.get((level, metric.column))
         if not pairs:
             continue
         mean, std = mean_and_std(np.array([pair["mean"] for pair in pairs], dtype=np.float64))
-        step = _step(metric.method, level)
-        seconds = [of_job[step] for of_job in steps if step in of_job and step not in timed]
-        timed.add(step)
         summary.append(
             {
                 "baseline": metric.column,
@@ -88,7 +81,6 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dic
                 "std": std,
                 "n": sum(pair["n"] for pair in pairs),
                 "n_null": sum(pair["n_null"] for pair in pairs),
-                "seconds": sum(seconds) / len(seconds) if seconds else None,
             }
         )
     return {"baselines": summary}
@@ -123,11 +115,6 @@ def _means(rows: list[Row]) -> list[Row]:
             }
         )
     return means
-
-
-def _step(method: str, level: str) -> str:
-    """Name of the step in `timings`."""
-    return method if level == OF_OBJECTS else f"{method}, whole scan"
 
 
 STAGE = Stage(

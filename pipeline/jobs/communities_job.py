@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...schemas.columns import Row
 from ...schemas.settings import Settings
 from ...stages.arrays import IntArray
-from ...stages.method import PartitionedScan, partition
-from ...stages.objects import majority_labels
-from ...stages.reference import Annotation, ReferenceObjects
+from ...stages.communities import find_communities
+from ...stages.objects import Objects, describe_objects, majority_labels
+from ...stages.reference import (
+    Annotation,
+    ReferenceObjects,
+    assign_to_reference,
+    find_reference_objects,
+    visiting_order,
+)
 from ..stage import Columns, Grain, Inputs, JobResult, Stage
 from .points_job import (
     ANNOTATED_COLUMNS,
@@ -25,8 +32,8 @@ from .points_job import (
 def make_communities(inputs: Inputs) -> JobResult:
     """Find the objects of a side and describe each.
 
-    The real side's come from its graph or its annotation; the simulated side's from its inputs
-    graph, or from the real side's objects where the settings say so.
+    Those of the real side come from its graph or its annotation; those of the simulated side from
+    its graph, or from the real side's objects where the settings say so.
     """
     point_ids, points = object_points(inputs, inputs.part)
     noted = annotation_in(inputs.table("ground", inputs.part))
@@ -34,36 +41,41 @@ def make_communities(inputs: Inputs) -> JobResult:
     if ("communities", "real") in inputs.tables:
         labels = column(inputs.table("communities", "real"), "community_id")
         reference = ReferenceObjects(object_points(inputs, "real")[1], labels)
-    scan = partition(
-        points,
-        inputs.settings,
-        edges=graph_edges(inputs, inputs.part),
-        reference=reference,
-        annotation=noted,
-        watch=inputs.step,
-    )
-    return _result(inputs, point_ids, scan, noted)
+    settings = inputs.settings.communities
+    edges = graph_edges(inputs, inputs.part)
+    with inputs.step("louvain"):
+        if settings.objects == "independent":
+            labels = find_communities(len(points), edges, settings)
+        elif reference is None:
+            labels = find_reference_objects(points, edges, settings, noted)
+        else:
+            link_m = inputs.settings.pieces.link_m
+            labels = assign_to_reference(points, reference, settings, link_m)
+    with inputs.step("describe"):
+        if settings.objects == "independent":
+            objects = describe_objects(points, labels)
+        else:  # independent of the order of rows
+            order = visiting_order(points, seed=0)
+            n_ids = reference.n_objects if reference else 0
+            objects = describe_objects(points[order], labels[order], n_ids)
+    of_points = {"point_id": point_ids, "community_id": labels}
+    tables = {
+        "communities": inputs.columns("communities", of_points),
+        "objects": inputs.columns("objects", _columns(objects, labels, noted)),
+    }
+    return JobResult(tables)
 
 
-def _result(
-    inputs: Inputs, point_ids: IntArray, scan: PartitionedScan, noted: Annotation
-) -> JobResult:
-    """The object of each point, and a row for each object."""
-    objects = scan.objects
-    names = [None] * len(point_ids) if noted.labels is None else noted.labels.tolist()
-    labels = majority_labels(scan.labels, names, len(objects.n_points))
+def _columns(objects: Objects, community: IntArray, noted: Annotation) -> Row:
+    """One row per object."""
+    names = [None] * len(community) if noted.labels is None else noted.labels.tolist()
     columns = object_columns(objects) | {
         "community_id": np.arange(len(objects.n_points)),
-        "label": labels,
+        "label": majority_labels(community, names, len(objects.n_points)),
     }
     for name, values in zip(("linearity", "planarity", "scattering"), objects.shape.T, strict=True):
         columns[name] = values
-    of_points = {"point_id": point_ids, "community_id": scan.labels}
-    tables = {
-        "communities": inputs.columns("communities", of_points),
-        "objects": inputs.columns("objects", columns),
-    }
-    return JobResult(tables)
+    return columns
 
 
 def _takes_real(settings: Settings) -> Columns:

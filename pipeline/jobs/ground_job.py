@@ -11,8 +11,7 @@ from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray, transform_of
 from ...stages.clean import CleanResult
-from ...stages.ground import GroundResult
-from ...stages.method import remove_road
+from ...stages.ground import GroundResult, remove_road
 from ...stages.plausibility import inspect_points
 from ..datasets.readers.scan import Scan
 from ..stage import (

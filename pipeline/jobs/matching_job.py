@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 
 from ...stages.arrays import FloatArray, IntArray
-from ...stages.method import match_objects
+from ...stages.matching import match_communities, match_reference
 from ..stage import OBJECTS, Grain, Inputs, JobResult, Stage
 from .points_job import column
 
@@ -18,8 +18,13 @@ def make_matching(inputs: Inputs) -> JobResult:
     """
     real, n_real = _centroids(inputs.table("objects", "real"))
     sim, n_sim = _centroids(inputs.table("objects", "sim"))
+    settings = inputs.settings
     with inputs.step("match"):
-        matching = match_objects(real, sim, n_real, n_sim, inputs.settings)
+        if settings.communities.objects == "reference":  # by ids
+            least = settings.communities.min_points
+            matching = match_reference(real, sim, n_real, n_sim, least)
+        else:
+            matching = match_communities(real, sim, settings.matching)
     parts = (
         {
             "status": "matched",

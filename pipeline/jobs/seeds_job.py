@@ -7,6 +7,7 @@ recomputed in memory, and only the scores are kept.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -14,21 +15,25 @@ import numpy as np
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.settings import Settings
-from ...stages.method import PartitionedScan, compare, partition
 from ...stages.statistics.spread import spread
 from ...stages.summary import mean_and_std
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.table_files import JobRecord
 from . import communities_job
-from .points_job import ANNOTATED_COLUMNS, EDGE_COLUMNS, annotation_in, graph_edges, object_points
+from .points_job import ANNOTATED_COLUMNS, EDGE_COLUMNS
+from .scoring import score_pair
 
 
 def make_seeds(inputs: Inputs) -> JobResult:
     """Score the pair under each seed: the configured one, whose tables exist, and those that follow it."""
     first = inputs.settings.communities.seed
     scores = {first: inputs.metadata("metrics")[OF_PAIR]}
+    tables = {name: inputs.table(*name) for name in product(("ground", "graph"), SIDES)}
     for seed in range(first + 1, first + inputs.settings.stability.seeds):
-        scores[seed] = _repeat(inputs, seed)
+        communities = inputs.settings.communities.model_copy(update={"seed": seed})
+        settings = Settings(**(vars(inputs.settings) | {"communities": communities}))
+        with inputs.step("scores"):
+            scores[seed] = score_pair(settings, tables)
     rows = []
     for seed, row in scores.items():
         rows.append({"seed": seed} | {name: row[name] for name in SEEDED_SCORES})
@@ -54,27 +59,6 @@ def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[st
             pairs[pair_id][name] = {"mean": mean, "std": std}
     counts = {"n_seeds": settings.stability.seeds, "n_pairs": len(of_pairs)}
     return {"seeds": counts | {"dataset": dataset, "pairs": pairs}}
-
-
-def _repeat(inputs: Inputs, seed: int) -> Metadata:
-    """The scores of the pair under another seed."""
-    communities = inputs.settings.communities.model_copy(update={"seed": seed})
-    settings = Settings(**(vars(inputs.settings) | {"communities": communities}))
-    scans: dict[str, PartitionedScan] = {}
-    for side in SIDES:
-        _, points = object_points(inputs, side)
-        edges = graph_edges(inputs, side)
-        real = scans["real"].reference if side == "sim" else None
-        with inputs.step("communities"):
-            scans[side] = partition(
-                points,
-                settings,
-                edges=edges,
-                reference=real,
-                annotation=annotation_in(inputs.table("ground", side)),
-            )
-    with inputs.step("scores"):
-        return compare(scans["real"], scans["sim"], settings)
 
 
 def _is_wanted(settings: Settings) -> bool:

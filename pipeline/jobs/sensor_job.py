@@ -22,7 +22,7 @@ def make_sensor(inputs: Inputs) -> JobResult:
         scan = inputs.scans[inputs.part]()
     points = at_sensor(scan.points, inputs.part, inputs.settings.input)
     with inputs.step("sensor"):
-        sensor = describe_sensor(points, scan.rings, scan.times_s is not None)
+        sensor = describe_sensor(points, scan.rings)
     metadata: Metadata = {"sensor": asdict(sensor), OF_PAIR: pair_columns(sensor, inputs.part)}
     if inputs.part == "sim" and "real" in inputs.scans:
         metadata[FRAMES] = _frame_check(inputs, scan)
@@ -51,5 +51,5 @@ STAGE = Stage(
     grain=Grain.SIDE,
     make=make_sensor,
     takes_real=_takes_real,
-    version=8,
+    version=9,
 )

@@ -6,12 +6,13 @@ paper states its choice (k = 90, tau = 0.2, delta = 5) but no ranges; those here
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
+import pyarrow as pa
 from pydantic import BaseModel
 
 from ...schemas.columns import SIDES, Row
@@ -19,11 +20,12 @@ from ...schemas.errors import SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
 from ...schemas.tables import TABLES
-from ...stages.method import Memo, compare, partition
 from ..datasets.readers.scan_ref import scan_ref
 from ..engine.progress import Reporter
+from ..engine.worker import PairTables, run_in_memory
 from ..jobs import ground_job
-from ..jobs.points_job import annotation_in, points_in
+from ..jobs.metrics_job import pair_scores
+from ..jobs.scoring import MATCHING, PARTITION, SCORING
 from ..stage import Inputs, JobResult
 from .experiment import (
     ExperimentOutcome,
@@ -77,27 +79,35 @@ def make_ablation(inputs: Inputs) -> JobResult:
     Graphs and communities of both sides are computed once for each k and tau; an object that is
     matched under several delta is scored once for each t.
     """
-    settings = settings_of(inputs)
-    tables, metadata = run_stages(inputs, [ground_job.STAGE], SIDES)
-    _, real_points = points_in(tables["ground", "real"])
-    _, sim_points = points_in(tables["ground", "sim"])
-    annotation = annotation_in(tables["ground", "real"])
-    rows = []
+    settings = settings_of(inputs.settings)
+    ground, metadata = run_stages(inputs, [ground_job.STAGE], SIDES)
+    rows: list[Row] = []
     request = inputs.settings.ablate  # type: ignore[attr-defined]
     values = {name: getattr(request, name) for name in PARAMETERS}
     sets = parameter_sets(current(settings), values, request.grid)
     for _, group in groupby(sets, lambda parameters: (parameters.k, parameters.tau_m)):
-        of_graph = list(group)
-        graph_settings = with_parameters(settings, of_graph[0])
-        real = partition(real_points, graph_settings, annotation=annotation)
-        sim = partition(sim_points, graph_settings, reference=real.reference)
-        memo: Memo = {}
-        for parameters in of_graph:
-            used = with_parameters(settings, parameters)
-            summary = compare(real, sim, used, memo=memo)
-            row: Row = {"pair_id": inputs.pair_id, **parameters._asdict()}
-            rows.append(row | {name: summary[name] for name in _SUMMARY})
-    return JobResult({"ablate": TABLES["ablate"].from_rows(rows)}, metadata)
+        rows += _rows_of_graph(list(group), settings, ground)
+    return JobResult({"ablate": inputs.rows("ablate", rows)}, metadata)
+
+
+def _rows_of_graph(
+    sets: list[ParameterSet], settings: Settings, ground: PairTables
+) -> Iterator[Row]:
+    """The rows of parameter sets with the same k and tau."""
+    tables, _ = run_in_memory(PARTITION, with_parameters(settings, sets[0]), tables=ground)
+    objects = {side: tables["objects", side] for side in SIDES}
+    ids = ["real_id", "sim_id"]
+    scored = dict.fromkeys((chosen.t for chosen in sets), TABLES["metrics"].schema.empty_table())
+    for chosen in sets:
+        used = with_parameters(settings, chosen)
+        matched, _ = run_in_memory(MATCHING, used, tables=tables)
+        matching = matched["matching", ""]
+        new = matching.join(scored[chosen.t], ids, join_type="left anti").sort_by("real_id")
+        added, _ = run_in_memory(SCORING, used, tables=matched | {("matching", ""): new})
+        scored[chosen.t] = pa.concat_tables([scored[chosen.t], added["metrics", ""]])
+        metrics = scored[chosen.t].join(matching, ids, join_type="left semi").sort_by("real_id")
+        summary = pair_scores(metrics, matching, objects)
+        yield chosen._asdict() | {name: summary[name] for name in _SUMMARY}
 
 
 STAGE = experiment_stage("ablate", 4, ("ablate",), make_ablation)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,6 @@ from ...stages.summary import mean_and_std
 from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
 from ..datasets.readers.scan_ref import scan_ref
 from ..engine.engine import Machines
-from ..engine.plan import plan_jobs
 from ..engine.progress import Reporter
 from ..engine.worker import PairTables, run_in_memory
 from ..jobs import STAGES, baselines_job
@@ -75,9 +75,7 @@ def experiment_stage(
     tables : names of the tables that it makes
     """
     stages = (*STAGES, baselines_job.STAGE)
-    libraries: list[str] = []
-    for stage in stages:
-        libraries += stage.libraries
+    libraries = chain.from_iterable(stage.libraries for stage in stages)
     groups = [group for group in Settings.model_fields if group != "machine"]
     return Stage(
         name=name,
@@ -92,10 +90,10 @@ def experiment_stage(
     )
 
 
-def settings_of(inputs: Inputs) -> Settings:
-    """The settings of a run."""
-    groups = vars(inputs.settings)
-    return Settings(**{name: groups[name] for name in Settings.model_fields if name in groups})
+def settings_of(settings: Settings) -> Settings:
+    """The settings of a run, without those of the experiment."""
+    groups = vars(settings)
+    return Settings(**{name: groups[name] for name in groups if name in Settings.model_fields})
 
 
 def run_stages(
@@ -103,10 +101,9 @@ def run_stages(
 ) -> tuple[PairTables, Metadata]:
     """Tables of stages on some sides of a pair, in memory, and the inspection of its scans."""
     scans = {side: inputs.scans[side]() for side in sides}
-    jobs = plan_jobs(stages, settings_of(inputs))
-    jobs_of_sides = {name: job for name, job in jobs.items() if job.part in sides}
+    settings = settings_of(inputs.settings)
     pair = ScanPair(inputs.pair_id, None, None, T_real_sim=inputs.T_real_sim)
-    tables, outputs = run_in_memory(jobs_of_sides, scans, pair)
+    tables, outputs = run_in_memory(stages, settings, pair=pair, scans=scans)
     return tables, {_INSPECTIONS: {side: outputs["ground", side][INSPECTION] for side in sides}}
 
 
@@ -168,7 +165,12 @@ def run_experiment(
     names = {pair.pair_id for pair in source.pairs}
     with folder.locked():
         run = _ExperimentRun(source, names, folder, (stage,), settings, reporter)
-        run.make_jobs(Machines(n_workers), replace=replace_finished)
+        run.survey_results(replace=replace_finished)
+        machines = Machines(n_workers)
+        with run.started_pool(machines) as pool:
+            run.replace_stale()
+            if run.survey.todo:
+                run.schedule(pool, machines).run()
         failures = run.collector.failures
         if failures and scan_ref(source.folder).exists:
             raise ScanError("; ".join(failures.values()))
@@ -198,22 +200,14 @@ class _ExperimentRun(Run):
     def write_results(self, scans: Mapping[str, Metadata]) -> None:
         """Write the record of an experiment that has ended."""
         self._end_phase("total")
-        results = {
-            "scans": scans,
-            "failures": self.collector.failures,
-            "wall_s": sum(self._wall_s.values()),
-        }
-        self._write(self._header().as_dict() | results)
+        wall_s = sum(self._wall_s.values())
+        failures = self.collector.failures
+        self._write_record(self._header(), scans=scans, failures=failures, wall_s=wall_s)
 
-    def _write_record(self, record: RunHeader) -> None:
-        self._write(record.as_dict())
-
-    def _write(self, record: Mapping[str, Any]) -> None:
+    def _write_record(self, record: RunHeader, **results: Any) -> None:
         """Write settings that a run can take, and the record."""
-        settings = Settings(
-            **{name: getattr(self.settings, name) for name in Settings.model_fields}
-        )
-        content = {"experiment": self.stages[0].name, **record}
+        content = {"experiment": self.stages[0].name, **record.as_dict(), **results}
+        settings = settings_of(self.settings)
         write_record(self.folder.folder, settings, content, self.folder.check_token)
 
     def _refuse_replacing(self) -> None:

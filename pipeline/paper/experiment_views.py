@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import astuple
-from math import isnan, nan
+from math import isnan
 from typing import Any, NamedTuple
 
 import pandas as pd
 
-from ...schemas.metric_catalogue import METRIC, OBJECT_METRICS, narrow_labels
-from ...stages.generate.perturbations import KINDS, Perturbation
+from ...schemas.metric_catalogue import METRIC, narrow_labels
+from ...stages.generate.perturbations import KINDS
 from ..report.figures.style import new_figure, shown_name
 from ..report.look import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from ..report.view import Note, Table, View, columns_of, count
@@ -58,7 +58,6 @@ def show_perturbations(outcome: ExperimentOutcome) -> View:
         parts.append(_table(title, whole, ("level", names), ("metric", headings)))
     if len(single):
         parts += _object_tables(outcome, single, names)
-        parts.append(_reaction_table(single, levels))
     sweeps = []
     for name, kind in KINDS.items():
         of_kind = single[single["kind"] == name]
@@ -74,31 +73,17 @@ def _object_tables(
     levels: Mapping[Any, str],
 ) -> list[Table]:
     """The chosen objects, and r_lambda and r_gap of each by level."""
-    chosen = [vars(chosen) for chosen in chosen_objects(outcome)]
-    columns = ("object", "scan", "id", "points", "range (m)", "chosen as")
-    fields = ("name", "pair_id", "community_id", "n_points", "range_m", "why")
+    chosen = chosen_objects(outcome)
+    columns = ("object", "scan", "id", "points", "range (m)")
+    fields = ("name", "pair_id", "community_id", "n_points", "range_m")
     rows = columns_of(chosen, fields)
-    tables = [Table("The chosen objects", columns, rows, words=(0, 1, 5), digits={4: 1})]
+    tables = [Table("The chosen objects", columns, rows, words=(0, 1), digits={4: 1})]
     names = {values["name"]: values["name"] for values in chosen}
     for metric in ("r_lambda", "r_gap"):
         title = f"{metric} of single objects ({METRIC[metric].scale}): mean ± std"
         of_metric = means[means["metric"] == metric]
         tables.append(_table(title, of_metric, ("level", levels), ("curve", names)))
     return tables
-
-
-def _reaction_table(means: pd.DataFrame, levels: Iterable[Perturbation]) -> Table:
-    """Means over the objects of our metrics and of baselines at the strongest level of each kind."""
-    strongest = {level.kind: level for level in sorted(levels, key=astuple)}
-    headings = {}
-    for kind, level in strongest.items():
-        headings[astuple(level)] = KINDS[kind].heading.format(level.amount)
-    by_level = means.groupby(["metric", "level"], as_index=False)
-    over_objects = by_level.agg({"mean": "mean"}).assign(std=nan)
-    baselines = sorted(set(means["metric"]) - {*OBJECT_METRICS})
-    metrics = {metric: metric for metric in (*OBJECT_METRICS, *baselines)}
-    title = "Reaction of each metric at the strongest level of each kind, mean over objects"
-    return _table(title, over_objects, ("metric", metrics), ("level", headings))
 
 
 def show_ablation(outcome: ExperimentOutcome) -> View:
@@ -197,11 +182,8 @@ def _draw_panel(axis: Any, sweep: Sweep, metric: str) -> None:
         label = shown_name(str(name))
         std = curve["std"].fillna(0)
         axis.errorbar(curve["amount"], curve["mean"], std, marker="o", markersize=4, label=label)
-    amounts = sorted(known["amount"].unique())
-    if amounts and amounts[-1] > 10 * amounts[0] > 0:
+    if known["amount"].max() > 10 * known["amount"].min() > 0:
         axis.set_xscale("log")
     if sweep.current is not None:
         axis.axvline(sweep.current, color="black", linewidth=0.8, linestyle="--", zorder=0)
-    axis.set_xticks(amounts, [f"{amount:g}" for amount in amounts])
-    axis.minorticks_off()
     axis.set_xlabel(sweep.axis)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -23,20 +24,15 @@ from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.baselines import compare_points
 from ...stages.generate.perturbations import KINDS, Perturbation, perturb
+from ...stages.graph import graph_of
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.linalg.subgraph import Subgraph
-from ...stages.method import (
-    PartitionedScan,
-    compare,
-    describe,
-    graph_of,
-    partition,
-    score,
-)
-from ...stages.metrics import MIN_NODES
+from ...stages.metrics import MIN_NODES, score_object
+from ...stages.selection import select_nodes
 from ..engine.progress import Reporter
-from ..jobs import communities_job, graph_job, ground_job
-from ..jobs.points_job import column, edges_in, points_in
+from ..engine.worker import PairTables
+from ..jobs.points_job import column, points_in
+from ..jobs.scoring import PARTITION, ground_table, score_pair
 from ..stage import Inputs, JobResult
 from ..storage.files import key_of
 from .experiment import (
@@ -47,7 +43,7 @@ from .experiment import (
     run_stages,
     settings_of,
 )
-from .perturb_objects import ChosenObject, choose_objects, objects_in
+from .perturb_objects import choose_objects, objects_in
 
 #: Amounts by kind. Noise, dropout and rigid motion are those of the paper; hallucination and density are ours. `null`
 #: is the difference of a scan from itself without a change, the first row of every table: one point less, rows in
@@ -68,8 +64,6 @@ _SUMMARY = (
     "match_rate",
     *(f"{metric}_mean" for metric in OBJECT_METRICS),
 )
-#: Stages that partition a scan.
-_PARTITION_STAGES = (ground_job.STAGE, graph_job.STAGE, communities_job.STAGE)
 
 
 class PerturbRequest(BaseModel, frozen=True):
@@ -141,35 +135,30 @@ def perturb_source(
     )
 
 
-def chosen_objects(outcome: ExperimentOutcome) -> list[ChosenObject]:
-    """The altered objects of all scans."""
-    chosen = []
-    for metadata in outcome.metadata.values():
-        chosen += [ChosenObject(**values) for values in metadata["chosen"]]
-    return chosen
+def chosen_objects(outcome: ExperimentOutcome) -> list[Row]:
+    """The altered objects of all scans, see `choose_objects`."""
+    return [*chain.from_iterable(scan["chosen"] for scan in outcome.metadata.values())]
 
 
 def make_perturbations(inputs: Inputs) -> JobResult:
     """All perturbations of the real scan of a pair and of its chosen objects, with all repeats."""
-    settings = settings_of(inputs)
+    settings = settings_of(inputs.settings)
     request: PerturbRequest = inputs.settings.perturb  # type: ignore[attr-defined]
-    tables, metadata = run_stages(inputs, _PARTITION_STAGES, ["real"])
-    point_ids, points = points_in(tables["ground", "real"])
-    edges = edges_in(point_ids, tables["graph", "real"])
+    tables, metadata = run_stages(inputs, PARTITION, ["real"])
+    _, points = points_in(tables["ground", "real"])
     labels = column(tables["communities", "real"], "community_id")
-    scan = PartitionedScan(points, edges, labels, describe(points, labels, settings))
     global_rows = []
     for names in _repeats(request, inputs.pair_id, "all", request.global_repeats):
-        global_rows.append(names | _altered_scan(scan, names, settings))
+        global_rows.append(names | _altered_scan(tables, points, names, settings))
     candidates = objects_in(tables)
     objects = choose_objects(candidates, inputs.pair_id, request.objects, settings.graph.k)
     object_rows = []
     baseline_rows = []
     for chosen in objects:
-        number = chosen.community_id
-        before = graph_of(points[labels == number], settings)
+        number = chosen["community_id"]
+        before = graph_of(points[labels == number], settings.graph)
         for repeat in _repeats(request, inputs.pair_id, number, request.repeats):
-            names = repeat | {"community_id": number, "object": chosen.name}
+            names = repeat | {"community_id": number, "object": chosen["name"]}
             scores, baselines = _altered_object(before, names, settings)
             object_rows.append(names | scores)
             baseline_rows += [names | baseline for baseline in baselines]
@@ -178,7 +167,7 @@ def make_perturbations(inputs: Inputs) -> JobResult:
         "perturb_objects": TABLES["perturb_objects"].from_rows(object_rows),
         "perturb_baselines": TABLES["perturb_baselines"].from_rows(baseline_rows),
     }
-    return JobResult(results, metadata | {"chosen": [vars(chosen) for chosen in objects]})
+    return JobResult(results, metadata | {"chosen": objects})
 
 
 STAGE = experiment_stage(
@@ -216,13 +205,13 @@ def _altered(points: FloatArray, names: Row) -> FloatArray:
     return perturb(points, level, np.random.default_rng(names["seed"]))
 
 
-def _altered_scan(scan: PartitionedScan, names: Row, settings: Settings) -> Row:
+def _altered_scan(tables: PairTables, points: FloatArray, names: Row, settings: Settings) -> Row:
     """Scores of the scan with all object points altered, everything from the graph on recomputed."""
-    altered = _altered(scan.points, names)
+    altered = _altered(points, names)
     row: Row = {
-        "n_points": len(scan.points),
+        "n_points": len(points),
         "n_points_altered": len(altered),
-        "n_communities": len(scan.objects.n_points),
+        "n_communities": tables["objects", "real"].num_rows,
     }
     if len(altered) < MIN_OBJECT_POINTS:
         reason = f"expected at least {MIN_OBJECT_POINTS} points, got {len(altered)}"
@@ -231,8 +220,8 @@ def _altered_scan(scan: PartitionedScan, names: Row, settings: Settings) -> Row:
     if names["kind"] == "null":  # with another Louvain seed
         communities = settings.communities.model_copy(update={"seed": names["seed"] % 2**31})
         used = settings.model_copy(update={"communities": communities})
-    altered_scan = partition(altered, used, reference=scan.reference)
-    summary = compare(scan, altered_scan, settings)  # the unaltered scan is the real side
+    both = tables | {("ground", "sim"): ground_table(altered)}  # the real side is unaltered
+    summary = score_pair(used, both)
     row |= {name: summary[name] for name in _SUMMARY}
     row["n_communities_altered"] = summary["n_communities_sim"]
     return row
@@ -252,9 +241,9 @@ def _altered_object(before: Subgraph, names: Row, settings: Settings) -> tuple[R
         return row | {"status": "too_small", "reason": reason}, []
     offset = altered.mean(axis=0) - before.points.mean(axis=0)
     row["centroid_distance_m"] = float(np.linalg.norm(offset))
-    after = graph_of(altered, settings)
-    nodes, scores = score(before, after, settings.selection)
-    row |= vars(scores)
+    after = graph_of(altered, settings.graph)
+    nodes = select_nodes(before, after, settings.selection)
+    row |= vars(score_object(before, after, nodes))
     baselines = []
     if settings.metrics.baselines:
         values = compare_points(before.points, after.points, settings.metrics, nodes=nodes)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from ...schemas.columns import Row
 from ...schemas.errors import DatasetError
 from ..engine.worker import PairTables
 from ..jobs.points_job import column
@@ -21,31 +21,15 @@ LEAST_POINTS_OVER_K = 2
 PURE_SHARE = 0.75
 
 
-@dataclass(frozen=True)
-class ChosenObject:
-    """Chosen object of a scan.
-
-    name : class or shape, or "object 7"
-    n_points, range_m : size and distance
-    why : text of the criterion of the choice
-    """
-
-    pair_id: str
-    community_id: int
-    name: str
-    n_points: int
-    range_m: float
-    why: str
-
-
 def choose_objects(
     objects: pd.DataFrame, pair_id: str, names: Sequence[str] | None, k: int
-) -> list[ChosenObject]:
+) -> list[Row]:
     """One object for each given name; by default for each class of the paper, otherwise for each shape class.
 
     A number is a community id, a label stands for the typical object of the class. Without objects
     of these classes the default is one object per shape: linear, planar and scattered. No object is
-    chosen twice: a name or a shape without a further object is left out.
+    chosen twice: a name or a shape without a further object is left out. A row has the object's
+    name (class, shape or "object 7"), scan and id, n_points and range_m.
 
     Parameters
     ----------
@@ -60,24 +44,25 @@ def choose_objects(
     """
     least = LEAST_POINTS_OVER_K * k
     labels = set(objects["label"].dropna())
-    chosen: dict[int, tuple[str, str]] = {}
+    chosen: dict[int, str] = {}
     for name in names or CLASSES:
         if names and name.isdigit() and int(name) < len(objects):
-            chosen.setdefault(int(name), (f"object {name}", "as requested"))
+            chosen.setdefault(int(name), f"object {name}")
         elif name in labels:
-            number, why = _typical_of_class(objects[objects["label"] == name], least)
-            chosen.setdefault(number, (name, why))
+            typical = _typical_of_class(objects[objects["label"] == name], least)
+            chosen.setdefault(typical, name)
         elif names:
             raise DatasetError(
                 f"--objects {name}: expected an id of scan {pair_id} from 0 to "
                 f"{len(objects) - 1}, or one of its labels: {', '.join(sorted(labels)) or 'none'}"
             )
-    found = []
-    for number, (name, why) in (chosen or _typical_of_shapes(objects, least)).items():
+    rows: list[Row] = []
+    for number, name in (chosen or _typical_of_shapes(objects, least)).items():
         n_points = int(objects["n_points"].to_numpy()[number])
         range_m = float(objects["range_m"].to_numpy()[number])
-        found.append(ChosenObject(pair_id, number, name, n_points, range_m, why))
-    return found
+        row = {"pair_id": pair_id, "community_id": number, "name": name}
+        rows.append(row | {"n_points": n_points, "range_m": range_m})
+    return rows
 
 
 def objects_in(tables: PairTables) -> pd.DataFrame:
@@ -99,23 +84,21 @@ def objects_in(tables: PairTables) -> pd.DataFrame:
     return objects.assign(label_share=n_labelled / objects["n_points"])
 
 
-def _typical_of_class(objects: pd.DataFrame, least: int) -> tuple[int, str]:
-    """Id of the typical object of a class, and why.
+def _typical_of_class(objects: pd.DataFrame, least: int) -> int:
+    """Id of the typical object of a class.
 
     It is the one of median size among the objects of at least `least` points with three quarters of them of the label;
     without such objects, the largest with that most frequent label.
     """
-    pure = f"{PURE_SHARE:.0%} of the label"
     typical = objects[(objects["label_share"] >= PURE_SHARE) & (objects["n_points"] >= least)]
     if typical.empty:
         largest: Any = objects["n_points"].idxmax()
-        return int(largest), f"the largest; none has {least} points and {pure}"
-    why = f"median size of {len(typical)} with {least} points and {pure} or more"
-    return _median_sized(typical), why
+        return int(largest)
+    return _median_sized(typical)
 
 
-def _typical_of_shapes(objects: pd.DataFrame, least: int) -> dict[int, tuple[str, str]]:
-    """One object for each shape, no object twice: id, and shape and why.
+def _typical_of_shapes(objects: pd.DataFrame, least: int) -> dict[int, str]:
+    """One object for each shape, no object twice: id and shape.
 
     The shape of an object is that of the largest of the three features; among the objects of a shape and at least
     `least` points the one of median size is chosen. Then shapes without an object get the nearest of the others; one
@@ -123,24 +106,19 @@ def _typical_of_shapes(objects: pd.DataFrame, least: int) -> dict[int, tuple[str
     """
     large = objects[objects["n_points"] >= least]
     free = objects if large.empty else large
-    n_candidates = len(free)
-    shapes = large[[*SHAPES]].to_numpy().argmax(axis=1) if len(large) else np.empty(0)
-    chosen: dict[str, tuple[int, str]] = {}
+    shapes = large[[*SHAPES]].to_numpy().argmax(axis=1)
+    chosen: dict[str, int] = {}
     for i, name in enumerate(SHAPES.values()):
         typical = large[shapes == i]
         if len(typical):
-            why = f"median size of {len(typical)} {name} objects"
-            chosen[name] = _median_sized(typical), why
-            free = free.drop(index=chosen[name][0])
+            chosen[name] = _median_sized(typical)
+            free = free.drop(index=chosen[name])
     for feature, name in SHAPES.items():
         if name not in chosen and len(free):
             nearest: Any = free[feature].idxmax()
-            rest = "" if len(free) == n_candidates else " of the others"
-            share = f"{free.loc[nearest, feature]:.2f}"
-            why = f"none mostly {name}; this one has the largest {feature}{rest}, {share}"
-            chosen[name] = int(nearest), why
+            chosen[name] = int(nearest)
             free = free.drop(index=nearest)
-    return {chosen[name][0]: (name, chosen[name][1]) for name in SHAPES.values() if name in chosen}
+    return {chosen[name]: name for name in SHAPES.values() if name in chosen}
 
 
 def _median_sized(objects: pd.DataFrame) -> int:

@@ -24,7 +24,6 @@ IN_FRONT = "#9A8500"
 SIDE_COLOURS = {"real": BLUE, "sim": VERMILION}
 #: Words for the fate of an object; missing and invented are said of surface and pieces.
 FATE_WORDS = {"matched": "matched", "not_found": "not found", "extra": "extra"}
-FATE_COLOURS = {"not_found": BLUE, "extra": VERMILION}
 #: Outcomes of rays, as `stages.rays` names them.
 OUTCOME_COLOURS = {
     "same": GREY,

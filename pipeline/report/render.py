@@ -103,25 +103,23 @@ def _table(table: Table) -> RichTable:
     for i in columns:
         words_in[i] = _words_in(row[i] for row in cells)
         is_words = i in table.words
-        is_fixed = not is_words if table.fixed is None else i in table.fixed
-        is_fixed = is_fixed or i in table.whole
+        is_breaking = is_words and i not in table.whole
         heading_words = _words_in([table.headings[i]])
-        if is_words and not is_fixed:
+        if is_breaking:
             breaking.add(i)
         rich_table.add_column(
             table.headings[i],
             justify="left" if is_words else "right",
             overflow="fold" if is_words else "ellipsis",
-            no_wrap=is_fixed,
+            no_wrap=not is_breaking,
             min_width=_longest(heading_words) if is_words else None,
         )
-    for place, row in enumerate(cells):
+    for row in cells:
         row_cells: list[RenderableType] = []
         for i in columns:
             text = Text(row[i], _COLOURS.get(row[i], ""))
             row_cells.append(_Words(text, words_in[i]) if i in breaking else text)
-        style = "bold" if place in table.bold else None
-        rich_table.add_row(*row_cells, style=style, end_section=place in table.ruled)
+        rich_table.add_row(*row_cells)
     return rich_table
 
 

@@ -31,9 +31,6 @@ class Table:
         numbers
     digits : by index of a column, the digits of its floats; by default three
     wide : indices of columns that a terminal has no room for
-    fixed : indices of the columns that never break into lines; None for all that hold numbers
-    ruled : indices of rows that a line follows
-    bold : indices of bold rows
     whole : indices of columns of words that never break into lines
     """
 
@@ -43,9 +40,6 @@ class Table:
     words: Container[int] = (0,)
     digits: Mapping[int, int] = field(default_factory=dict)
     wide: Container[int] = ()
-    fixed: Container[int] | None = None
-    ruled: Container[int] = ()
-    bold: Container[int] = ()
     whole: Container[int] = ()
 
     @property

@@ -189,3 +189,10 @@ def gain_words(cause: Cause) -> str:
         return "fixing only this brings nothing closer"
     size = f"{100 * cause.gain_m:.1f} cm" if cause.gain is None else f"{100 * cause.gain:.0f} %"
     return f"gain at most {size}" if cause.is_upper_bound else f"gain {size}"
+
+
+def doubtful_words(diagnosis: Diagnosis) -> str:
+    """The causes of which a correction gains hardly anything, as text; "" without any."""
+    if not diagnosis.doubtful:
+        return ""
+    return f"seen, but fixing it would not help: {'; '.join(diagnosis.doubtful)}"

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -22,7 +21,7 @@ from ...schemas.cause_catalogue import UNEVEN
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
 from ...schemas.record import RunRecord, TaskSummary
-from ...schemas.results import Cause, Diagnosis, JsonObject, Overview, Unknown
+from ...schemas.results import Cause, Diagnosis, Overview, Unknown
 from ...schemas.tables import PAIR_TABLES, TABLES
 from ...stages.arrays import IntArray
 from ..datasets.pairs import MANIFEST
@@ -32,7 +31,7 @@ from ..storage.run_record import RUN_JSON, command_again, finished_record
 from ..storage.urls import url_or_path
 from .causes import mean_amount, read_causes
 from .diagnosis import diagnosis_of, with_gains
-from .object_frame import ALL_COLUMNS, COLUMNS_OF, WITH_UNITS, object_frame, plain_rows
+from .object_frame import ALL_COLUMNS, WITH_UNITS, object_frame, plain_rows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -93,7 +92,7 @@ class FinishedRun:
             raise RunError(
                 f"run {folder}: the run has not ended; finish it with: {command}"
             ) from error
-        self.rows: list[Row] = self.read_table("pairs").to_pylist()
+        self.rows: list[Row] = self.store.read_table("pairs").to_pylist()
         self.rows_by_name: dict[str, Row] = {row["pair_id"]: row for row in self.rows}
 
     def __repr__(self) -> str:
@@ -187,7 +186,7 @@ class FinishedRun:
             The table is unknown, a pair failed, or a file is damaged or gone.
         """
         if name in _OF_RUN:
-            return self.read_table(name)
+            return self.store.read_table(name)
         if name not in PAIR_TABLES:
             raise RunError(
                 f"run {self.folder}: no table {name!r}; it has "
@@ -197,7 +196,7 @@ class FinishedRun:
         sides = SIDES if "side" in TABLES[name].of_file else ("",)
         parts = []
         for pair_id in names:
-            parts += [self.read_table(name, self._scored(pair_id), side) for side in sides]
+            parts += [self.store.read_table(name, self._scored(pair_id), side) for side in sides]
         if not parts:
             return TABLES[name].schema.empty_table()
         return pa.concat_tables(
@@ -298,26 +297,10 @@ class FinishedRun:
         """True if the real side fixes the objects."""
         return self.preset == "reference"
 
-    def read_table(
-        self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None
-    ) -> pa.Table:
-        """A table of one pair (of one side where each side has its own), or of the whole run where `pair_id` is "".
-
-        Parameters
-        ----------
-        columns : only these; by default all
-
-        Raises
-        ------
-        RunError
-            The file is damaged or gone.
-        """
-        return self.store.read_table(table, pair_id, side, columns)
-
     def _of_side(self, table: str, pair_id: str, side: str) -> pa.Table:
         if side not in SIDES:
             raise RunError(f"run {self.folder}: expected side {' or '.join(SIDES)}, got {side!r}")
-        return self.read_table(table, self._scored(pair_id), side)
+        return self.store.read_table(table, self._scored(pair_id), side)
 
     def _scored(self, pair_id: str) -> str:
         """The name of a pair that is scored; `RunError` if it failed or is not there."""
@@ -386,62 +369,8 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
     )
 
 
-@dataclass(frozen=True, repr=False)
-class ObjectFacts:
-    """One object of a pair; without the columns that name pair and side.
-
-    status : matched, not_found or extra
-    real, sim : the rows of `objects`, each with that of `coverage`; None if the side does not have it. Of a missing
-        object with a number fixed by the real side, `sim` is its few simulated points
-    scores : the row of `metrics`; None if it is not matched
-    row : that of the frame of objects (`object_frame`), of the real side if it has the object
-    """
-
-    status: str
-    real: Row | None
-    sim: Row | None
-    scores: Row | None
-    row: Row
-
-    def __repr__(self) -> str:
-        rows = (("real", self.real), ("sim", self.sim))
-        sides = (
-            f"{side} {row['community_id']} ({row['n_points']} points)" for side, row in rows if row
-        )
-        return f"<object {', '.join(sides)}: {self.status}>"
-
-    def as_dict(self) -> JsonObject:
-        """Plain values, for JSON."""
-        return {"status": self.status, "real": self.real, "sim": self.sim, "scores": self.scores}
-
-
-@dataclass(frozen=True, repr=False)
-class PairFacts:
-    """A pair: its row of `pairs`, its objects, and its rows of `ray_scores`; none of both where it failed."""
-
-    pair: Row
-    objects: tuple[ObjectFacts, ...]
-    rays: tuple[Row, ...] = ()
-
-    def __repr__(self) -> str:
-        return f"<pair {self.pair['pair_id']}: {self.pair['status']}, {len(self.objects)} objects>"
-
-    def as_dict(self) -> JsonObject:
-        """Plain values, for JSON."""
-        return {
-            "pair": self.pair,
-            "objects": [facts.as_dict() for facts in self.objects],
-            "rays": [*self.rays],
-        }
-
-
-def run_facts(run: FinishedRun) -> JsonObject:
-    """The record and the rows of all pairs of a run, for JSON."""
-    return {"folder": str(run.folder), "record": run.record.as_dict(), "pairs": list(run.rows)}
-
-
-def pair_facts(run: FinishedRun, pair_id: str) -> PairFacts:
-    """A pair and its objects: matched ones by r_lambda, worst first, then the others; none if it failed.
+def pair_values(run: FinishedRun, pair_id: str) -> Row:
+    """A pair: its row of `pairs`, its objects (`pair_objects`) and its rows of `ray_scores`; none of both if it failed.
 
     Raises
     ------
@@ -450,66 +379,47 @@ def pair_facts(run: FinishedRun, pair_id: str) -> PairFacts:
     """
     row = run.row(pair_id)
     if row["status"] != "scored":
-        return PairFacts(row, ())
-    objects = _facts(run.objects_of([pair_id]))
-    objects.sort(key=_worst_first)
-    rays = run.read_table("ray_scores", pair_id).drop_columns(["pair_id"]).to_pylist()
-    return PairFacts(row, tuple(objects), tuple(rays))
+        return {"pair": row, "objects": [], "rays": []}
+    rays = run.store.read_table("ray_scores", pair_id).drop_columns(["pair_id"])
+    return {"pair": row, "objects": pair_objects(run, pair_id), "rays": rays.to_pylist()}
 
 
-def _worst_first(facts: ObjectFacts) -> tuple[bool, bool, float]:
-    """Key that puts matched objects first, those with the largest r_lambda before the others."""
-    r_lambda = facts.row["r_lambda"]
-    return facts.scores is None, r_lambda is None, -(r_lambda or 0.0)
+def pair_objects(run: FinishedRun, pair_id: str) -> list[Row]:
+    """The objects of a pair, each as its rows of `object_frame` on both sides: `real` and `sim`, None if absent.
+
+    Matched objects come first, those with the largest r_lambda before the others. Of an object that is not found but
+    has a number fixed by the real side, `sim` is its few simulated points.
+    """
+    frame = run.objects_of([pair_id]).sort_values("r_lambda", ascending=False, kind="stable")
+    rows = {(row["side"], row["community_id"]): row for row in plain_rows(frame)}
+    matched = []
+    alone = []
+    for (side, number), row in rows.items():
+        if row["fate"] == "extra":
+            alone.append({"real": None, "sim": row})
+        elif side == "real" and row["fate"] == "matched":
+            matched.append({"real": row, "sim": rows["sim", row["partner"]]})
+        elif side == "real":
+            few = rows.get(("sim", number))
+            is_remnant = few is not None and few["fate"] == "remnant"
+            alone.append({"real": row, "sim": few if is_remnant else None})
+    return matched + alone
 
 
-def object_facts(run: FinishedRun, pair_id: str, name: str) -> ObjectFacts:
-    """One object of a pair: `7` or `real:7` is the real object 7 with its partner, `sim:7` the simulated one.
+def pair_object(run: FinishedRun, pair_id: str, name: str) -> Row:
+    """One of `pair_objects`: `7` or `real:7` is the real object 7 with its partner, `sim:7` the simulated one.
 
     Raises
     ------
     RunError
         The pair failed, or it has no such object.
     """
-    facts_of: dict[str, ObjectFacts] = {}
-    for facts in _facts(run.objects_of([pair_id])):
-        for side, row in (("real", facts.real), ("sim", facts.sim)):
-            if row:
-                facts_of[f"{side}:{row['community_id']}"] = facts
-    key = name if ":" in name else f"real:{name}"
-    if key not in facts_of:
-        n_real = sum(known.startswith("real") for known in facts_of)
-        raise RunError(
-            f"run {run.folder}, pair {pair_id}: no object {name!r}; it has {n_real} real and "
-            f"{len(facts_of) - n_real} sim objects, numbered from 0: 7 is a real object, sim:7 a "
-            "simulated one"
-        )
-    return facts_of[key]
-
-
-def _facts(objects: pd.DataFrame) -> list[ObjectFacts]:
-    """The objects of one pair: matched ones once, remnants with the missing object that they belong to."""
-    rows = {(row["side"], row["community_id"]): row for row in plain_rows(objects)}
-    facts = []
-    for (side, i), row in rows.items():
-        fate = row["fate"]
-        partner = row["partner"]
-        if fate == "remnant" or (side == "sim" and fate == "matched"):
-            continue
-        sides = {side: row}
-        scores = None
-        if fate == "matched":
-            sides["sim"] = rows["sim", partner]
-            scores = {name: row[name] for name in COLUMNS_OF["metrics"]}
-            scores = {"real_id": i, "sim_id": partner} | scores
-        elif fate == "not_found" and rows.get(("sim", i), row)["fate"] == "remnant":
-            sides["sim"] = rows["sim", i]
-        real = _described(sides.get("real"))
-        facts.append(ObjectFacts(fate, real, _described(sides.get("sim")), scores, row))
-    return facts
-
-
-def _described(row: Row | None) -> Row | None:
-    """The columns of `objects` and `coverage`."""
-    names = ("community_id", "n_points", *COLUMNS_OF["objects"], *COLUMNS_OF["coverage"])
-    return row and {name: row[name] for name in names}
+    side, _, number = name.rpartition(":")
+    for rows in pair_objects(run, pair_id):
+        row = rows.get(side or "real")
+        if row and str(row["community_id"]) == number:
+            return rows
+    raise RunError(
+        f"run {run.folder}, pair {pair_id}: no object {name!r}; objects are numbered from 0: 7 is "
+        "a real object, sim:7 a simulated one"
+    )

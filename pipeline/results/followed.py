@@ -85,17 +85,12 @@ def _steps(objects: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(steps, dtype=np.float64)
 
 
-def by_change(objects: pd.DataFrame) -> pd.DataFrame:
-    """The objects in the order of the largest rise of a score, or fall where none rose; of equal ones the largest."""
-    size = _steps(objects).abs().fillna(0.0).max(axis=1)
-    keyed = objects.assign(size=-size, points=-objects["n_points"])
-    ordered = keyed.sort_values(["size", "points", "pair_id", "real_id"])
-    return ordered.drop(columns=["size", "points"])
-
-
 def worst_changes(objects: pd.DataFrame, most: int = 5) -> list[Row]:
     """The objects to look at first: in turn the one whose score rose most, and the largest that has vanished."""
-    worst = by_change(objects[objects["kind"].isin(["worse", "vanished"])])
+    worst = objects[objects["kind"].isin(["worse", "vanished"])]
+    size = _steps(worst).abs().fillna(0.0).max(axis=1)
+    worst = worst.assign(size=-size, points=-worst["n_points"])
+    worst = worst.sort_values(["size", "points", "pair_id", "real_id"])
     worst = worst.assign(turn=worst.groupby("kind").cumcount())
     worst = worst.sort_values(["turn", "kind"], ascending=[True, False])
-    return plain_rows(worst.drop(columns="turn").head(most))
+    return plain_rows(worst[[*CHANGE_COLUMNS]].head(most))

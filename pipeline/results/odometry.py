@@ -33,7 +33,7 @@ def compare_odometry(run: FinishedRun) -> list[Row]:
 
 
 def _trajectory(run: FinishedRun, names: list[str], side: str) -> FloatArray:
-    tables = (run.read_table("ground", name, side, ["x", "y", "z"]) for name in names)
+    tables = (run.store.read_table("ground", name, side, ["x", "y", "z"]) for name in names)
     return trajectory(map(coordinates, tables))
 
 

@@ -17,17 +17,12 @@ import pyarrow as pa
 from ...schemas.columns import SIDE_NAMES, SIDES, Row
 from ...schemas.record import (
     ELSEWHERE,
-    SURFACE_STATES,
     FrameSuspect,
-    MetricsSummary,
     RunRecord,
-    SurfaceStates,
-    UnmatchedSurface,
 )
 from ...schemas.results import Caution, Findings, Overview, Piece, SurfaceGroup
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
-from ...stages.coverage import ROAD, surface_state
 from ...stages.statistics.comparison import LEAST_PAIRS
 from ...stages.statistics.findings import BAND_NAMES
 from ..storage.files import path_exists
@@ -63,7 +58,6 @@ _KEYS = ["pair", "side", "fate", "n_points"]
 #: Columns of the frame of objects that the overview uses.
 OVERVIEW_COLUMNS = (
     "covered_0p3m",
-    "road_share",
     "r_lambda",
     "alignment_rms_m",
     "diagonal_m",
@@ -95,8 +89,8 @@ def describe_objects(
     hashes: Mapping[str, Mapping[str, str]],
     *,
     by_reference: bool,
-) -> tuple[Findings | None, Overview | None, MetricsSummary]:
-    """The findings, the overview without the limits to the trust in it, and the states of unmatched objects.
+) -> tuple[Findings | None, Overview | None]:
+    """The findings, and the overview without the limits to the trust in it; None without a scored pair.
 
     Parameters
     ----------
@@ -106,12 +100,7 @@ def describe_objects(
     by_reference : True if the real side fixes the objects
     """
     if not len(scored):
-        none = SurfaceStates(there=0, partly=0, absent=0, road=0)
-        return (
-            None,
-            None,
-            MetricsSummary(unmatched=UnmatchedSurface(not_found=none, extra=none)),
-        )
+        return None, None
     pair_ids = scored["pair_id"].to_pylist()
     columns = list({*FINDINGS_COLUMNS, *OVERVIEW_COLUMNS})
     objects = object_frame(store, pair_ids, columns, by_reference=by_reference)
@@ -132,7 +121,7 @@ def describe_objects(
         surface=tuple(_surface(objects)),
         **_alignment(objects),
     )
-    return findings, overview, _unmatched(objects)
+    return findings, overview
 
 
 def _doubts(store: RunFolder, pair_ids: Sequence[str]) -> list[str]:
@@ -153,17 +142,6 @@ def doubt_lines(side: str, texts: Sequence[str], n_scans: int) -> list[str]:
         f"{start} ({n} of {n_scans}): {texts[kinds.index(kind)]}"
         for kind, n in Counter(kinds).items()
     ]
-
-
-def _unmatched(objects: pd.DataFrame) -> MetricsSummary:
-    """Counts of unmatched objects whose surface the other side has, and of those that are road."""
-    counts = {}
-    for fate in UnmatchedSurface.model_fields:
-        alone = objects[objects["fate"] == fate]
-        states = Counter(dict.fromkeys(SURFACE_STATES, 0))
-        states.update(map(surface_state, alone["covered_0p3m"]))
-        counts[fate] = SurfaceStates(**states, road=int((alone["road_share"] > ROAD).sum()))
-    return MetricsSummary(unmatched=UnmatchedSurface(**counts))
 
 
 def _surface(objects: pd.DataFrame) -> Iterator[SurfaceGroup]:

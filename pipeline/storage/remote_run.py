@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...schemas.errors import DatasetError, FidpipeError, RunError, StoreError
 from ...schemas.tables import TABLES
-from .files import is_locked, remove_stale, write_whole
+from .files import file_marks, is_locked, remove_stale, write_whole
 from .ledger import INPUT_HASHES, LEDGER, Ledger
 from .object_store import (
     ObjectChangedError,
@@ -54,7 +54,7 @@ _LOOK_S = 1.0
 _REQUESTS_AT_ONCE = 16
 _PAUSES_PER_PUSH = 4.0
 
-Marks = list[object]  #: etag, time and size of a file
+Known = dict[str, list[str]]  #: etag and marks of files, by name
 
 
 class _Owner(BaseModel):
@@ -161,7 +161,7 @@ class RemoteRun:
             changed = {
                 name: marks
                 for name, marks in self._files().items()
-                if name not in known or known[name][1:] != marks
+                if name not in known or known[name][1] != marks
             }
             if changed:
                 self._claim()
@@ -178,16 +178,16 @@ class RemoteRun:
             finally:
                 self._keep(known)
 
-    def _get_all(self, objects: Sequence[StoredObject]) -> dict[str, Marks]:
+    def _get_all(self, objects: Sequence[StoredObject]) -> Known:
         """Fetch objects; returns what is known of them, by name."""
 
-        def get(stored: StoredObject) -> Marks:
+        def get(stored: StoredObject) -> list[str]:
             path = self.folder / stored.name
             content = read_object(f"{self.url}/{stored.name}", stored.etag)
             write_whole(path, content, outlasts_power=False)
-            return [stored.etag, *_marks(path)]
+            return [stored.etag, file_marks(path)]
 
-        known = {}
+        known: Known = {}
         with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
             all_marks = counted(pool.map(get, objects), f"{self.url}: fetched, of {len(objects):,}")
             for stored, marks in zip(objects, all_marks, strict=True):
@@ -195,18 +195,19 @@ class RemoteRun:
                 self._renew()
         return known
 
-    def _put(self, name: str, listed: Marks) -> Marks | None:
+    def _put(self, name: str, listed: str) -> list[str] | None:
         """Write an object; returns what is known of it.
 
         None, without writing, if it names other files and has changed since it was listed: those
         may not have been listed.
         """
-        marks = _marks(self.folder / name)
-        content = (self.folder / name).read_bytes()
-        is_same = marks == listed == _marks(self.folder / name)
+        path = self.folder / name
+        marks = file_marks(path)
+        content = path.read_bytes()
+        is_same = marks == listed == file_marks(path)
         if not is_same and _group(name):
             return None
-        return [write_object(f"{self.url}/{name}", content), *marks]
+        return [write_object(f"{self.url}/{name}", content), marks]
 
     @contextmanager
     def written(self) -> Iterator[Path]:
@@ -325,7 +326,7 @@ class RemoteRun:
                 "delete it if no command does"
             ) from error
 
-    def _files(self) -> dict[str, Marks]:
+    def _files(self) -> dict[str, str]:
         """Marks of the finished files of the folder by name; temporary ones and locks begin with a dot.
 
         Files that name others are looked at first, so that what they name is listed, too.
@@ -335,12 +336,12 @@ class RemoteRun:
         for path in chain(naming, self.folder.rglob("*")):
             name = path.relative_to(self.folder).as_posix()
             if name not in files and path.is_file() and "/." not in f"/{name}":
-                files[name] = _marks(path)
+                files[name] = file_marks(path)
         for name in _LOCAL:
             files.pop(name, None)
         return files
 
-    def _known(self) -> dict[str, Marks]:
+    def _known(self) -> Known:
         """Etag and marks of each file, by name, as they were when the two places were equal."""
         try:
             known = orjson.loads(self._index.read_bytes())
@@ -348,7 +349,7 @@ class RemoteRun:
             return {}
         return known if isinstance(known, dict) else {}
 
-    def _keep(self, known: dict[str, Marks]) -> None:
+    def _keep(self, known: Known) -> None:
         write_whole(self._index, orjson.dumps(known))
 
 
@@ -411,11 +412,6 @@ def local_arguments(words: list[str]) -> Iterator[None]:
         words[i] = f"{option}={path}" if is_joined else str(path)
     with run.written() if run else nullcontext():
         yield
-
-
-def _marks(path: Path) -> list[object]:
-    state = path.stat()
-    return [state.st_mtime_ns, state.st_size]
 
 
 def _is_alive(pid: int) -> bool:

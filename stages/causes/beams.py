@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..rays import RayGrid, grid_of
+from ..sensor_description import SensorDescription
 from ..surfels import fit_planes
 from .sides import PLANE_NEIGHBOURS, Side, medians_by_group
 
@@ -31,14 +31,14 @@ _MOST_RETURNS = 9  # of one ray that are compared
 _BEHIND_M = 0.3
 
 
-def dead_beams(grid: RayGrid, reference: Side, side: Side) -> IndexArray:
-    """Beams of a grid that return almost nothing on a side, although they do on the reference side.
+def dead_beams(sensor: SensorDescription, reference: Side, side: Side) -> IndexArray:
+    """Beams of a sensor that return almost nothing on a side, although they do on the reference side.
 
     A beam is dead if it has less than 0.2 of the returns that it would have at the median ratio over all beams.
     """
-    n_beams = len(grid.elevation_deg)
-    n_reference = np.bincount(grid.beam_of(reference.sensor_points), minlength=n_beams)
-    n_side = np.bincount(_beams_hit(grid, side), minlength=n_beams)
+    n_beams = len(sensor.elevation_deg)
+    n_reference = np.bincount(sensor.beam_of(reference.sensor_points), minlength=n_beams)
+    n_side = np.bincount(_beams_hit(sensor, side), minlength=n_beams)
     is_compared = n_reference >= _FEWEST_RETURNS
     if not is_compared.any():
         return np.empty(0, dtype=np.intp)
@@ -46,23 +46,25 @@ def dead_beams(grid: RayGrid, reference: Side, side: Side) -> IndexArray:
     return np.flatnonzero(is_compared & (n_side < _DEAD * usual * n_reference))
 
 
-def _beams_hit(grid: RayGrid, side: Side) -> IndexArray:
+def _beams_hit(sensor: SensorDescription, side: Side) -> IndexArray:
     """Beam of each point within 0.4 of the spacing from one."""
-    elevation = grid.elevation_of(side.sensor_points)
-    beam = grid.beam_of(side.sensor_points)
-    spacing = np.gradient(grid.elevation_deg)
-    return beam[np.abs(elevation - grid.elevation_deg[beam]) < 0.4 * spacing[beam]]
+    elevation = sensor.elevation_of(side.sensor_points)
+    beam = sensor.beam_of(side.sensor_points)
+    spacing = np.gradient(sensor.beams_deg)
+    return beam[np.abs(elevation - sensor.beams_deg[beam]) < 0.4 * spacing[beam]]
 
 
-def exchanged_beams(grid: RayGrid, reference: Side, side: Side) -> list[tuple[int, int]]:
-    """Pairs of beams of a grid whose ranges are exchanged on a side.
+def exchanged_beams(
+    sensor: SensorDescription, reference: Side, side: Side
+) -> list[tuple[int, int]]:
+    """Pairs of beams of a sensor whose ranges are exchanged on a side.
 
     The ranges of a beam over azimuth are a profile of the scene. Two beams are exchanged if the profile of each is
     nearest to that of the other on the reference side, by the median ratio of ranges, and at most half as far from it
     as from that of the same beam.
     """
-    profiles = _range_profiles(grid, side)
-    expected = _range_profiles(grid, reference)
+    profiles = _range_profiles(sensor, side)
+    expected = _range_profiles(sensor, reference)
     distances = np.array([_profile_distance(a, b) for a, b in zip(profiles, expected, strict=True)])
     known = np.isfinite(distances)
     if not known.any():
@@ -77,12 +79,12 @@ def exchanged_beams(grid: RayGrid, reference: Side, side: Side) -> list[tuple[in
     return [(a, b) for a, b in combinations(nearest, 2) if nearest[a] == b and nearest[b] == a]
 
 
-def _range_profiles(grid: RayGrid, side: Side) -> FloatArray:
+def _range_profiles(sensor: SensorDescription, side: Side) -> FloatArray:
     """(beams, bins) log of the median range of each beam and bin of azimuth; NaN without a return."""
     n_bins = round(360.0 / _BIN_DEG)
     column = ((side.azimuth_deg + 180.0) // _BIN_DEG).astype(np.intp) % n_bins
-    cell = grid.beam_of(side.sensor_points) * n_bins + column
-    n_returns, median_m = medians_by_group(side.range_m, cell, len(grid.elevation_deg) * n_bins)
+    cell = sensor.beam_of(side.sensor_points) * n_bins + column
+    n_returns, median_m = medians_by_group(side.range_m, cell, len(sensor.elevation_deg) * n_bins)
     return np.where(n_returns > 0, np.log(median_m), np.nan).reshape(-1, n_bins)
 
 
@@ -100,42 +102,42 @@ def elevation_scale(reference: Side, side: Side) -> float | None:
     most of a scan, also looks like beams of another scale, or of another height: the scale is 0 if objects are seen
     along the beams of the reference.
     """
-    grid = grid_of(reference.sensor)
-    beams = grid_of(side.sensor)
-    if grid is None or beams is None or len(beams.elevation_deg) < _FEWEST_BEAMS:
+    sensors = (reference.sensor, side.sensor)
+    beams_deg = reference.sensor.beams_deg
+    other_deg = side.sensor.beams_deg
+    if len(other_deg) < _FEWEST_BEAMS:
         return None
-    heights_m = [g.origin_height_m or (0.0,) for g in (grid, beams)]
+    heights_m = [sensor.origin_height_m or (0.0,) for sensor in sensors]
     apart_m = [heights_m[0][end] - heights_m[1][end] for end in (0, -1)]
-    if (
-        len(grid.elevation_deg) != len(beams.elevation_deg)
-        or np.abs(apart_m).max() > _SAME_HEIGHT_M
-    ):
+    if len(beams_deg) != len(other_deg) or np.abs(apart_m).max() > _SAME_HEIGHT_M:
         return None
-    scale, offset = np.polyfit(grid.elevation_deg, beams.elevation_deg, 1)
-    residual_deg = np.abs(beams.elevation_deg - scale * grid.elevation_deg - offset)
+    scale, offset = np.polyfit(beams_deg, other_deg, 1)
+    residual_deg = np.abs(other_deg - scale * beams_deg - offset)
     if np.median(residual_deg) >= _MOST_RESIDUAL_DEG:
         return None
     objects = side.sensor_points[~side.is_ground]
-    if len(objects) and _off_beams_deg(grid, objects) < _off_beams_deg(beams, objects):
-        return 0.0
+    if len(objects):
+        off_deg = [_off_beams_deg(sensor, objects) for sensor in sensors]
+        if off_deg[0] < off_deg[1]:
+            return 0.0
     return float(scale) - 1.0
 
 
-def _off_beams_deg(grid: RayGrid, points: FloatArray) -> float:
+def _off_beams_deg(sensor: SensorDescription, points: FloatArray) -> float:
     """Median difference of the elevations of points from the nearest beam."""
-    off_deg = grid.elevation_of(points) - grid.elevation_deg[grid.beam_of(points)]
+    off_deg = sensor.elevation_of(points) - sensor.beams_deg[sensor.beam_of(points)]
     return float(np.median(np.abs(off_deg)))
 
 
-def blurred_elevation_deg(grid: RayGrid, side: Side) -> float | None:
-    """Standard deviation of the elevations of a side around the beams of a grid; None if they are unrelated to them.
+def blurred_elevation_deg(sensor: SensorDescription, side: Side) -> float | None:
+    """Standard deviation of the elevations of a side around the beams of a sensor; None if they are unrelated to them.
 
     The phase of an elevation between two neighbouring beams, spaced s apart, has the resultant exp(-2 pi^2 sigma^2 /
     s^2) if elevations scatter normally with sigma around the beams (Mardia and Jupp, Directional Statistics, 2000). It
     also works if the noise is so large that no beams can be recognised on the side.
     """
-    beams_deg = grid.elevation_deg
-    elevation_deg = grid.elevation_of(side.sensor_points)
+    beams_deg = sensor.beams_deg
+    elevation_deg = sensor.elevation_of(side.sensor_points)
     below = np.searchsorted(beams_deg, elevation_deg) - 1
     is_inside = (below >= 0) & (below < len(beams_deg) - 1)
     below = below[is_inside]

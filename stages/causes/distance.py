@@ -65,7 +65,7 @@ def best_case_distance(real: Side, sim: Side, aligned: Side, rng: Generator) -> 
     sim_noise_m = most_noise_m(aligned.sensor)
     noise_m = min(max(sim_noise_m, real_noise_m), real_noise_m + CAUSES["range noise"].tolerance)
     moved += real.rays * rng.normal(0.0, noise_m, len(moved))[:, None]
-    is_kept = rng.random(len(moved)) >= (real.sensor.lost_in_all or 0.0)
+    is_kept = rng.random(len(moved)) >= (real.sensor.lost_share or 0.0)
     return surface_distance(real.tree, cKDTree(moved[is_kept]))
 
 

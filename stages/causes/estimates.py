@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN
 from ...schemas.sensor_models import SENSORS
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..rays import grid_of
 from ..sensor_description import SensorDescription, has_other_beams
 from ..trust import (
     BEAMS,
@@ -136,10 +135,11 @@ def _doubts_of_pair(
 
 def _is_without_road(real: Side, sim: Side, explained: Explained) -> bool:
     """True if most of the real road has no simulated surface around it, also in directions with simulated returns."""
-    is_road = real.is_ground & ~explained.is_blind & ~explained.is_dead
-    if is_road.sum() < _LEAST_POINTS:
+    road = np.flatnonzero(real.is_ground & ~explained.is_blind & ~explained.is_dead)
+    if len(road) < _LEAST_POINTS:
         return False
-    is_near = _is_near(real.chosen(is_road), sim.tree)
+    few = road[:: len(road) // _LEAST_POINTS]
+    is_near = _is_near(real.chosen(few), sim.tree)
     return bool(is_near.mean() < 1.0 - _MISSING_ROAD)
 
 
@@ -149,8 +149,8 @@ def _unlike_patterns(real: Side, sim: Side, recorded: Side) -> str | None:
         ("simulated", real, sim, recorded),
         ("real", sim, real, real),
     ):
-        grid = None if other.sensor.elevation_deg else grid_of(rings.sensor)
-        if grid and blurred_elevation_deg(grid, as_recorded) is None:
+        is_compared = rings.sensor.elevation_deg and not other.sensor.elevation_deg
+        if is_compared and blurred_elevation_deg(rings.sensor, as_recorded) is None:
             return f"{name} scan: its beams are not rings, those of the other side are"
     return None
 
@@ -429,8 +429,7 @@ def _unknown(real: SensorDescription, sim: SensorDescription, field: str) -> Amo
 def _why_unknown(real: SensorDescription, sim: SensorDescription, field: str) -> str:
     """Reason why a property of one of the sensors is unknown."""
     for side, sensor in (("real", real), ("simulated", sim)):
-        reason = sensor.untold.get(field) or sensor.untold.get("elevation_deg")
-        if reason:
+        if reason := sensor.why_unknown(field):
             return f"{side} scan: {reason}"
     return "unknown on one side"
 
@@ -446,10 +445,9 @@ def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
     """Noise of the elevations; if the simulated beams cannot be recognised, from their phase or from the road."""
     a, b = real.sensor, sim.sensor
     known = _known_difference(a, b, "elevation_noise_deg", "elevation_deg")
-    grid = grid_of(a)
-    if known.amount is not None or grid is None:
+    if known.amount is not None or not a.elevation_deg:
         return known
-    blurred = blurred_elevation_deg(grid, recorded)
+    blurred = blurred_elevation_deg(a, recorded)
     if blurred is not None and a.elevation_noise_deg is not None:
         return _difference(a.elevation_noise_deg, blurred)
     real_blur = road_blur_deg2(real)

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..rays import grid_of
 from .beams import dead_beams, exchanged_beams
 from .sides import Side
 
@@ -53,10 +52,9 @@ def explain_directions(real: Side, sim: Side) -> Explained:
     dead = np.empty(0, dtype=np.intp)
     is_dead = np.zeros(len(real.points), dtype=np.bool_)
     exchanged, is_exchanged_real, is_exchanged_sim = _find_exchanged(real, sim)
-    grid = grid_of(real.sensor)
-    if grid is not None and not exchanged:
-        dead = dead_beams(grid, real.chosen(~is_blind), sim)
-        is_dead = np.isin(grid.beam_of(real.sensor_points), dead)
+    if real.sensor.elevation_deg and not exchanged:
+        dead = dead_beams(real.sensor, real.chosen(~is_blind), sim)
+        is_dead = np.isin(real.sensor.beam_of(real.sensor_points), dead)
     return Explained(
         blind_deg=float(360.0 / len(is_blind_sector) * is_blind_sector.sum()),
         dead=dead,
@@ -108,10 +106,9 @@ def _find_exchanged(real: Side, sim: Side) -> tuple[list[tuple[int, int]], BoolA
     """Exchanged beams of the simulated grid, if it has none of the real one; and the points of both sides in them."""
     if real.sensor.elevation_deg:
         for sensor in (sim.sensor, real.sensor):
-            grid = grid_of(sensor)
-            if grid and (exchanged := exchanged_beams(grid, real, sim)):
-                real_beam = grid.beam_of(real.sensor_points)
-                sim_beam = grid.beam_of(sim.sensor_points)
+            if sensor.elevation_deg and (exchanged := exchanged_beams(sensor, real, sim)):
+                real_beam = sensor.beam_of(real.sensor_points)
+                sim_beam = sensor.beam_of(sim.sensor_points)
                 return exchanged, np.isin(real_beam, exchanged), np.isin(sim_beam, exchanged)
     return [], np.zeros(len(real.points), np.bool_), np.zeros(len(sim.points), np.bool_)
 

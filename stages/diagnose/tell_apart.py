@@ -6,7 +6,7 @@ show the same surface: points of one place are never in the training and the tes
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -30,8 +30,6 @@ TREES = 60
 TREES_ALONE = 20
 #: Points next to a tested sector are not trained on.
 GUARD_DEG = 10.0
-#: Height above the road, a feature.
-HEIGHT = "height above the road"
 _LEAST_POINTS = 20  # of each side in a fold
 _DENSITY_M = 0.5
 _ROW_WEIGHT = 4.0  # of elevation against azimuth, so that the nearest ray is one of the same beam
@@ -41,7 +39,7 @@ FAMILIES = {
         *(f"shape of {k} points" for k in SCALES),
         *(f"roughness of {k} points" for k in SCALES),
         *(f"spacing of {k} points" for k in SCALES),
-        *("inclination", "density", HEIGHT),
+        *("inclination", "density", "height above the road"),
     ),
     "rays": ("azimuth step", "elevation step", "range step", "mean range step"),
     "intensity": ("intensity", "mean intensity", "intensity contrast"),
@@ -119,7 +117,7 @@ def separate(features: FloatArray, is_sim: BoolArray, splits: Sequence[Fold]) ->
     ----------
     features : (n, f) float64, points of both sides
     is_sim : (n,) bool
-    splits : from `usable_folds`
+    splits : from `folds`
     """
     from sklearn.model_selection import cross_val_score
 
@@ -140,40 +138,11 @@ def simulated_probability(
     return probability
 
 
-def auc_of(is_sim: BoolArray, probability: FloatArray) -> float | None:
-    """Area under the ROC curve of some points, None if a side has fewer than 20."""
-    from sklearn.metrics import roc_auc_score
-
-    return float(roc_auc_score(is_sim, probability)) if _has_both(is_sim) else None
-
-
-def folds(place: IntArray, azimuth_deg: FloatArray) -> Iterator[Fold]:
+def folds(place: IntArray, azimuth_deg: FloatArray, is_sim: BoolArray) -> list[Fold]:
     """Rows to train on and to test on: places; with fewer than five of them, sectors of equal size.
 
-    Neither the places before and after a tested place nor the 10 degrees next to a tested sector are trained on.
-    """
-    n_places = int(place.max()) + 1
-    is_by_place = n_places >= LEAST_PLACES
-    n_folds = min(n_places, MOST_FOLDS) if is_by_place else SECTORS
-    if is_by_place:
-        values: FloatArray = place.astype(np.float64)
-        limits = np.linspace(0, n_places, n_folds + 1).round() - 0.5
-    else:
-        values = azimuth_deg
-        limits = np.quantile(azimuth_deg, np.linspace(0, 1, n_folds + 1))
-        limits[-1] += 1.0
-    for low, high in pairwise(limits):
-        is_tested = (values >= low) & (values < high)
-        if is_by_place:
-            is_apart = (values < low - 1) | (values >= high + 1)
-        else:
-            off = np.abs((values - (low + high) / 2 + 180) % 360 - 180)
-            is_apart = ~is_tested & (off > (high - low) / 2 + GUARD_DEG)
-        yield np.flatnonzero(is_apart), np.flatnonzero(is_tested)
-
-
-def usable_folds(place: IntArray, azimuth_deg: FloatArray, is_sim: BoolArray) -> list[Fold]:
-    """The folds that have points of both sides to train on and to test on.
+    Neither the places before and after a tested place nor the 10 degrees next to a tested sector
+    are trained on. Folds without points of both sides are left out.
 
     Parameters
     ----------
@@ -185,15 +154,31 @@ def usable_folds(place: IntArray, azimuth_deg: FloatArray, is_sim: BoolArray) ->
     StageError
         Fewer than two folds have points of both sides.
     """
-    testable = []
-    for train, test in folds(place, azimuth_deg):
+    n_places = int(place.max()) + 1
+    is_by_place = n_places >= LEAST_PLACES
+    if is_by_place:
+        values: FloatArray = place.astype(np.float64)
+        limits = np.linspace(0, n_places, min(n_places, MOST_FOLDS) + 1).round() - 0.5
+        margin = 1.0
+    else:
+        values = azimuth_deg
+        limits = np.quantile(azimuth_deg, np.linspace(0, 1, SECTORS + 1))
+        limits[-1] += 1.0
+        margin = GUARD_DEG
+    usable = []
+    for low, high in pairwise(limits):
+        distance = np.abs(values - (low + high) / 2)
+        if not is_by_place:
+            distance = np.minimum(distance, 360 - distance)
+        train = np.flatnonzero(distance > (high - low) / 2 + margin)
+        test = np.flatnonzero((values >= low) & (values < high))
         if _has_both(is_sim[train]) and _has_both(is_sim[test]):
-            testable.append((train, test))
-    if len(testable) < 2:
+            usable.append((train, test))
+    if len(usable) < 2:
         raise StageError(
-            f"points of both sides in {len(testable)} of the places or sectors; at least 2 are needed"
+            f"points of both sides in {len(usable)} of the places or sectors; at least 2 are needed"
         )
-    return testable
+    return usable
 
 
 def _has_both(is_sim: BoolArray) -> bool:

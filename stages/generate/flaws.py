@@ -25,6 +25,7 @@ from .perturbations import (
     move_rigidly,
 )
 
+_WHOLE = ("holes", "mirrored")  # flaws of which the amount is a count
 SCATTERED = 0.1  # l3 / l1 of foliage, and more
 _NEIGHBOURS = 40
 _BLUR_VOXELS = 4  # per radius
@@ -172,10 +173,12 @@ def parse_flaws(words: Sequence[str]) -> dict[str, float]:
         try:
             amount = 1.0 if word == "mirrored" else float(text)
         except ValueError:
-            amount = np.nan
-        if not flaw.low <= amount <= flaw.high:
+            amount = float("nan")
+        is_wrong_count = name in _WHOLE and not amount.is_integer()
+        if is_wrong_count or not flaw.low <= amount <= flaw.high:
+            kind = "whole number" if name in _WHOLE else "number"
             raise FidpipeError(
-                f"flaw {name}: expected {name}=AMOUNT with a number from {flaw.low:g} to {flaw.high:g} "
+                f"flaw {name}: expected {name}=AMOUNT with a {kind} from {flaw.low:g} to {flaw.high:g} "
                 f"({flaw.amount}), got {word!r}"
             )
         amounts[name] = amount

@@ -46,7 +46,6 @@ class PerturbationKind:
     alter : function of points, amount, random generator and, for rigid motion, the translation
     low, high : bounds of the amount
     text : name of a level in tables, with {0} for the `Perturbation`
-    heading : name of a level in narrow columns, with {} for the amount
     axis : label of the amount in figures; "" if no curve is drawn
     """
 
@@ -54,7 +53,6 @@ class PerturbationKind:
     low: float
     high: float
     text: str
-    heading: str
     axis: str = ""
 
 
@@ -249,7 +247,6 @@ KINDS = {
         low=0,
         high=10,
         text="noise {0.amount:g} m",
-        heading="noise\n{:g} m",
         axis="noise, standard deviation (m)",
     ),
     "dropout": PerturbationKind(
@@ -257,7 +254,6 @@ KINDS = {
         low=0,
         high=0.99,
         text="dropout {0.amount:.0%}",
-        heading="drop\n{:.0%}",
         axis="dropout, share of points lost",
     ),
     "rigid": PerturbationKind(
@@ -265,14 +261,12 @@ KINDS = {
         low=-180,
         high=180,
         text="rigid {0.shift_m:g} m, {0.amount:g}°",
-        heading="rigid\n{:g}°",
     ),
     "hallucination": PerturbationKind(
         alter=add_clusters,
         low=0,
         high=10,
         text="hallucination +{0.amount:.0%}",
-        heading="added\n{:.0%}",
         axis="hallucination, share of points added",
     ),
     "density": PerturbationKind(
@@ -280,7 +274,6 @@ KINDS = {
         low=0,
         high=20,
         text="density x {0.amount:g}",
-        heading="dens.\nx {:g}",
         axis="local density, factor",
     ),
     "null": PerturbationKind(
@@ -288,6 +281,5 @@ KINDS = {
         low=0,
         high=100,
         text="null, {0.amount:g} point less",
-        heading="null\n-{:g}",
     ),
 }

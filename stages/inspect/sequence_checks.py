@@ -81,14 +81,11 @@ class TimeOffset:
     frames : number of frames by which the simulated side is late; negative if it is early
     misfit_m, as_paired_m : mean misfit of the real scans with shifted simulated scans, and with
         those of their pairs
-    n_better, n : number of comparisons with a smaller misfit, and of all comparisons
     """
 
     frames: int
     misfit_m: float
     as_paired_m: float
-    n_better: int
-    n: int
 
 
 @dataclass(frozen=True)
@@ -137,13 +134,10 @@ def find_time_offset(
             continue
         as_paired_m, misfit_m = both.mean(axis=0).tolist()
         gain_m = as_paired_m - misfit_m
-        n_better = int((both[:, 1] < both[:, 0]).sum())
-        is_clear = gain_m > max(
-            _MIN_GAIN_M,
-            _MIN_GAIN * as_paired_m,
-        ) and n_better >= _AGREEING * len(both)
+        is_large = gain_m > max(_MIN_GAIN_M, _MIN_GAIN * as_paired_m)
+        is_clear = is_large and np.mean(both[:, 1] < both[:, 0]) >= _AGREEING
         if is_clear and (best is None or gain_m > best.as_paired_m - best.misfit_m):
-            best = TimeOffset(late, misfit_m, as_paired_m, n_better, len(both))
+            best = TimeOffset(late, misfit_m, as_paired_m)
     return best
 
 

@@ -46,7 +46,7 @@ class StoredPair:
     def table(self, name, side=""):
         """A stored table as a frame; null keys are -1."""
         if (name, side) not in self._tables:
-            rows = self.run.read_table(name, self.pair_id, side)
+            rows = self.run.store.read_table(name, self.pair_id, side)
             frame = rows.to_pandas()
             for key in TABLES[name].keys:
                 if pa.types.is_integer(rows.schema.field(key).type):

@@ -1,5 +1,6 @@
 """`fidpipe diagnose`: gains of the causes of a run, what no cause explains, latency; and --tell-apart."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -13,7 +14,7 @@ from fidpipe.pipeline.diagnose.diagnose import diagnose_run
 from fidpipe.pipeline.diagnose.latency import follow, latency_note, latency_words, speed_m_s
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.jobs import gains_job
-from fidpipe.pipeline.report.page.run_data import page_data
+from fidpipe.pipeline.report.page.run_data import page_data, page_words
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.storage.ledger import LEDGER
@@ -25,7 +26,7 @@ from fidpipe.stages.causes.gain import Shares
 from fidpipe.stages.diagnose import tell_apart as classifier
 from fidpipe.stages.generate.ray_casting import fire
 from runs import QUIET, command, run
-from scenes import write_bin
+from scenes import street, write_bin
 
 TOO_LOW_M, TRAVEL_M = 0.15, 0.5
 SETTINGS = load(None, ["graph.k=10"], preset="reference")
@@ -145,6 +146,11 @@ def test_causes_whose_correction_does_not_help_are_doubtful(low, monkeypatch):
     assert "seen, but fixing it would not help: world 15 cm too low" in shown
     assert "unexplained: 100 % of the" in shown
     assert "world 15 cm too low" not in command("show", low).stdout
+    assert page_words(read_results(low))["doubtful"].startswith("seen, but fixing")
+    command("report", low)
+    assert "Seen, but fixing it would not help: world 15 cm too low" in (
+        (low / "report.html").read_text(encoding="utf-8")
+    )
 
 
 SPEEDS_M_S = np.array([2.0, 5.0, 8.0, 11.0, 14.0])
@@ -262,6 +268,16 @@ def test_tell_apart_compares_the_run_with_its_best_case_and_draws_the_map(folder
         found["auc"] > found["real_against_real"]["auc"]
     )  # the simulated side is drifted and thinned
     assert {one["name"] for one in found["families"]} == {"surface"}  # random points have no beams
+
+
+def test_features_that_one_sample_lacks_do_not_tell_it_apart():
+    points = street(seed=1)
+    frame = tell_apart.Frame(points, points, points[:, 2], points[:, 2] < 0.3, points[:, 0])
+    without = dataclasses.replace(frame, intensity=None)
+    a, b = [tell_apart.draw_sample(lambda _, frame=frame: frame, [0]) for frame in (frame, without)]
+    features = tell_apart.features_of(a)
+    assert "intensity" in features
+    assert tell_apart.compare_samples(a, b, features).auc < 0.6
 
 
 def test_tell_apart_needs_no_pairs(folder):

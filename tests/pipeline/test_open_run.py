@@ -112,22 +112,19 @@ def test_the_public_names_are_those_of_dir_and_each_loads():
     assert issubclass(fidpipe.Run, fidpipe.FinishedRun)
 
 
-def test_pairs_and_objects_are_one_line_in_a_notebook(run):
-    pair = run.pair(FIRST)
-    assert repr(pair).endswith(f": scored, {len(pair.objects)} objects>")
-    matched = pair.objects[0]
-    numbers = matched.real["community_id"], matched.real["n_points"], matched.sim["community_id"]
-    assert repr(matched).startswith("<object real {} ({} points), sim {} (".format(*numbers))
-    assert run.object(FIRST, f"sim:{numbers[2]}") == run.object(FIRST, numbers[0]) == matched
+def test_an_object_is_found_by_its_number_on_either_side(run):
+    matched = run.pair(FIRST)["objects"][0]
+    real, sim = [matched[side]["community_id"] for side in ("real", "sim")]
+    assert run.object(FIRST, f"sim:{sim}") == run.object(FIRST, real) == matched
 
 
 def test_the_plot_of_an_object_has_its_points_in_colour_and_its_scores(run):
-    matched = run.pair(FIRST).objects[0]
-    figure = run.plot_object(FIRST, matched.real["community_id"])
+    matched = run.pair(FIRST)["objects"][0]
+    figure = run.plot_object(FIRST, matched["real"]["community_id"])
     (axis,) = figure.axes
-    assert f"CDC {matched.scores['cdc']:.3f}" in axis.get_title()
+    assert f"CDC {matched['real']['cdc']:.3f}" in axis.get_title()
     for points, (side, colour) in zip(axis.collections[1:], SIDE_COLOURS.items(), strict=True):
-        assert len(points.get_offsets()) == getattr(matched, side)["n_points"]
+        assert len(points.get_offsets()) == matched[side]["n_points"]
         assert tuple(points.get_facecolor()[0]) == to_rgba(colour)
     assert imread(BytesIO(figure._repr_png_())).shape[2] == 4
 
@@ -136,7 +133,7 @@ def test_plots_are_drawn_into_given_axes(run):
     figure = Figure()
     in_space = figure.add_subplot(1, 2, 1, projection="3d")
     from_above = figure.add_subplot(1, 2, 2)
-    name = run.pair(FIRST).objects[0].real["community_id"]
+    name = run.pair(FIRST)["objects"][0]["real"]["community_id"]
     assert run.plot_object(FIRST, name, ax=in_space) is figure
     assert run.plot_pieces(FIRST, ax=from_above) is figure
     assert figure.axes == [in_space, from_above]

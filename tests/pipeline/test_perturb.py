@@ -9,8 +9,8 @@ from matplotlib.image import imread
 from scipy.spatial import cKDTree
 
 from fidpipe.pipeline.evaluate import evaluate_pair
+from fidpipe.pipeline.jobs.scoring import score_pair
 from fidpipe.pipeline.paper import perturb as experiment_module
-from fidpipe.pipeline.paper.experiment_views import show_perturbations
 from fidpipe.pipeline.paper.perturb import (
     PerturbRequest,
     chosen_objects,
@@ -18,14 +18,12 @@ from fidpipe.pipeline.paper.perturb import (
     perturb_source,
 )
 from fidpipe.pipeline.paper.perturb_objects import choose_objects
-from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.results.object_frame import SHAPES
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, ScanError, SettingsError
 from fidpipe.schemas.settings import load
 from fidpipe.stages.generate.perturbations import Perturbation, perturb
 from fidpipe.stages.graph import build_graph
-from fidpipe.stages.method import partition
 from runs import QUIET, command, contents, listening
 from scenes import street, write_bin, write_dataset
 
@@ -92,11 +90,11 @@ def test_the_null_row_is_measured_under_another_order_and_another_louvain_seed(
 ):
     seeds = []
 
-    def watched(points, settings, **options):
+    def watched(settings, tables):
         seeds.append(settings.communities.seed)
-        return partition(points, settings, **options)
+        return score_pair(settings, tables)
 
-    monkeypatch.setattr("fidpipe.pipeline.paper.perturb.partition", watched)
+    monkeypatch.setattr("fidpipe.pipeline.paper.perturb.score_pair", watched)
     outcome = perturbed(
         scan,
         tmp_path / "run",
@@ -122,13 +120,13 @@ def test_all_seeds_differ(done):
 def test_an_object_is_rebuilt_from_its_points_alone(done, scan, tmp_path, monkeypatch):
     sizes = []
     monkeypatch.setattr(
-        "fidpipe.stages.method.build_graph",
+        "fidpipe.stages.graph.build_graph",
         lambda points, settings: (sizes.append(len(points)), build_graph(points, settings))[1],
     )
     chosen = chosen_objects(done)[0]
     once = {"levels": parse_levels(["rigid=0:7"]), "repeats": 1, "global_repeats": 0}
-    perturbed(scan, tmp_path / "run", objects=(str(chosen.community_id),), **once)
-    assert sizes == [chosen.n_points, chosen.n_points]
+    perturbed(scan, tmp_path / "run", objects=(str(chosen["community_id"]),), **once)
+    assert sizes == [chosen["n_points"], chosen["n_points"]]
 
 
 def test_a_finished_experiment_is_reused_and_another_request_replaces_it_only_if_asked(
@@ -175,14 +173,13 @@ def test_an_interrupted_experiment_keeps_the_scans_that_are_done(tmp_path, monke
     once = {"levels": LEVELS[:1], "repeats": 1, "global_repeats": 0, "pattern": "*"}
     seen = []
 
-    def interrupted(points, labels, settings):
+    def interrupted(*arguments):
         if seen:
             raise KeyboardInterrupt
-        seen.append(len(points))
-        return describe(points, labels, settings)
+        seen.append(arguments)
+        return choose_objects(*arguments)
 
-    describe = experiment_module.describe
-    monkeypatch.setattr(experiment_module, "describe", interrupted)
+    monkeypatch.setattr(experiment_module, "choose_objects", interrupted)
     with pytest.raises(KeyboardInterrupt):
         perturbed(dataset, tmp_path / "run", **once)
     monkeypatch.undo()
@@ -194,14 +191,13 @@ def test_an_interrupted_experiment_keeps_the_scans_that_are_done(tmp_path, monke
 
 def test_labelled_objects_are_the_classes_of_the_paper(labelled, tmp_path):
     outcome = perturbed(labelled, tmp_path / "run", **ONCE)
-    assert [of.name for of in chosen_objects(outcome)] == ["car", "tree", "wall"]
-    assert all("label" in of.why for of in chosen_objects(outcome))
+    assert [of["name"] for of in chosen_objects(outcome)] == ["car", "tree", "wall"]
 
 
 def test_objects_can_be_named_by_number_and_by_label(labelled, tmp_path):
     outcome = perturbed(labelled, tmp_path / "run", objects=("1", "pole"), **ONCE)
-    assert [of.name for of in chosen_objects(outcome)] == ["object 1", "pole"]
-    assert chosen_objects(outcome)[0].community_id == 1
+    assert [of["name"] for of in chosen_objects(outcome)] == ["object 1", "pole"]
+    assert chosen_objects(outcome)[0]["community_id"] == 1
     with pytest.raises(ScanError, match="--objects 99"):
         perturbed(labelled, tmp_path / "number", objects=("99",), **ONCE)
     with pytest.raises(ScanError, match="car, pole, road, tree, wall"):
@@ -210,7 +206,7 @@ def test_objects_can_be_named_by_number_and_by_label(labelled, tmp_path):
 
 def test_an_object_that_is_named_twice_is_altered_once(labelled, tmp_path):
     (car,) = chosen_objects(perturbed(labelled, tmp_path / "run", objects=("car",), **ONCE))
-    words = ("car", str(car.community_id))
+    words = ("car", str(car["community_id"]))
     both = perturbed(labelled, tmp_path / "both", objects=words, **ONCE)
     assert chosen_objects(both) == [car]
     assert len(rows(tmp_path / "both")) == 1
@@ -227,7 +223,7 @@ def test_no_object_stands_for_two_shapes(shapes, chosen):
     objects = pd.DataFrame(shapes, columns=[*SHAPES])
     objects = objects.assign(n_points=99, range_m=1.0, label=None, label_share=1.0)
     found = choose_objects(objects, "a", None, SETTINGS.graph.k)
-    assert [of.community_id for of in found] == chosen
+    assert [of["community_id"] for of in found] == chosen
 
 
 def test_levels_that_agree_to_many_digits_are_two(scan, tmp_path):
@@ -238,8 +234,7 @@ def test_levels_that_agree_to_many_digits_are_two(scan, tmp_path):
 
 
 def test_without_labels_each_shape_has_an_object(done):
-    assert [of.name for of in chosen_objects(done)] == ["linear", "planar", "scattered"]
-    assert all(of.why for of in chosen_objects(done))
+    assert [of["name"] for of in chosen_objects(done)] == ["linear", "planar", "scattered"]
 
 
 def test_of_a_dataset_the_first_real_scan_is_taken_or_those_that_are_asked_for(tmp_path):
@@ -335,15 +330,10 @@ def test_baselines_are_swept_on_the_same_altered_objects(done, scan, tmp_path):
     there = cKDTree(altered).query(points)[0]
     back = cKDTree(points).query(altered)[0]
     assert row.value == pytest.approx(there.mean() + back.mean())
-    (table,) = [
-        part
-        for part in show_perturbations(outcome)
-        if isinstance(part, Table) and "Reaction" in part.title
-    ]
-    reactions = {row[0]: row[1:] for row in table.rows}
-    assert [heading.split()[0] for heading in table.headings[1:]] == ["drop", "noise", "rigid"]
-    assert float(reactions["f_score"][2]) < float(reactions["f_score"][0])
-    assert float(reactions["r_lambda"][2]) < 0.01 < float(reactions["r_lambda"][0])
+    summary = outcome.tables["perturb_summary"].to_pandas()
+    means = summary.groupby(["metric", "kind"])["mean"].mean()
+    assert means["f_score", "rigid"] < means["f_score", "dropout"]
+    assert means["r_lambda", "rigid"] < 0.01 < means["r_lambda", "dropout"]
 
 
 def test_the_command_prints_the_scores_of_the_whole_scan_and_draws_its_figure(scan, tmp_path):

@@ -191,6 +191,17 @@ def test_a_side_without_boxes_loses_all(folder, tmp_path):
     assert result.left_out == ("001", "002", "003")
 
 
+def test_a_pair_whose_boxes_hold_no_points_has_classes_but_no_objects(folder, tmp_path):
+    for side in ("real", "sim"):
+        (tmp_path / side).mkdir()
+        (tmp_path / side / "000.txt").write_text(kitti_line((8, 4, 300), (4, 1.8, 1.2)))
+    result = compare_predictions(
+        fidpipe.open_run(folder / "run"), tmp_path / "real", tmp_path / "sim"
+    )
+    assert [row["n_found"] for row in result.classes] == [1]
+    assert result.objects == ()
+
+
 def test_the_tasks_of_a_run_are_a_command_of_their_own(folder):
     assert "wrongly_free" in command("tasks", folder / "run", code=0).stdout
     rows = list(

@@ -80,7 +80,15 @@ def test_poses_in_kittis_own_folder_are_found(tmp_path):
     write_kitti(folder, motions(), np.eye(3, 4))
     (tmp_path / "poses").mkdir()
     (folder / "poses.txt").rename(tmp_path / "poses" / "07.txt")
-    assert read_recording(folder).poses.name == "07.txt"
+    np.testing.assert_allclose(motion_of(read_recording(folder).pairs[2]), motions()[2])
+
+
+def test_the_line_of_the_calibration_may_be_indented(tmp_path):
+    write_kitti(scans(tmp_path), motions(), motions()[1])
+    frames = read_recording(tmp_path).pairs
+    calibration = tmp_path / "calib.txt"
+    calibration.write_text(calibration.read_text().replace("Tr:", " Tr :"))
+    assert read_recording(tmp_path).pairs == frames
 
 
 def test_a_manifest_may_hold_the_poses_and_need_not_name_simulated_scans(tmp_path):

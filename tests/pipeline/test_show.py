@@ -1,7 +1,6 @@
 """A finished run read again: the same numbers as its tables, for people and for programs."""
 
 import json
-from dataclasses import replace
 
 import pandas as pd
 import pytest
@@ -9,7 +8,7 @@ import pytest
 from fidpipe.pipeline.report.figures.plots import plot_object
 from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.report.views.show_view import object_view, pair_view
-from fidpipe.pipeline.results.finished import FinishedRun, object_facts, pair_facts
+from fidpipe.pipeline.results.finished import FinishedRun, pair_object, pair_values
 from fidpipe.pipeline.storage.run_record import read_run
 from fidpipe.schemas.errors import RunError
 from reports import HOSTILE_PAIRS, text_of
@@ -30,13 +29,13 @@ def test_json_holds_the_numbers_of_the_tables_whatever_the_pair_is_called(report
     metrics = pd.read_parquet(report_run / "metrics").query("pair_id == @name").set_index("real_id")
     found = json.loads(shown(report_run, name, "--json"))
     assert found["pair"]["pair_id"] == name
-    of_both = [of for of in found["objects"] if of["status"] == "matched"]
+    of_both = [of for of in found["objects"] if of["real"] and of["real"]["fate"] == "matched"]
     assert len(of_both) == len(metrics) > 0
     for of in of_both:
-        row = metrics.loc[of["scores"]["real_id"]]
-        assert of["scores"]["r_lambda"] == row.r_lambda
+        row = metrics.loc[of["real"]["community_id"]]
+        assert of["real"]["r_lambda"] == of["sim"]["r_lambda"] == row.r_lambda
         assert (of["real"]["n_points"], of["sim"]["n_points"]) == (row.n_real, row.n_sim)
-    assert [of["scores"]["r_lambda"] for of in of_both] == sorted(metrics.r_lambda, reverse=True)
+    assert [of["real"]["r_lambda"] for of in of_both] == sorted(metrics.r_lambda, reverse=True)
 
 
 @pytest.mark.parametrize("name", HOSTILE_PAIRS)
@@ -51,31 +50,30 @@ def test_the_terminal_shows_any_name_as_it_is(report_run, name):
 
 def test_every_object_of_either_side_stands_in_its_pair_once(report_run):
     run_ = FinishedRun(report_run)
-    found = pair_facts(run_, FIRST).objects
+    found = pair_values(run_, FIRST)["objects"]
     objects = pd.read_parquet(report_run / "objects").query("pair_id == @FIRST")
     for side in ("real", "sim"):
-        ids = sorted(getattr(of, side)["community_id"] for of in found if getattr(of, side))
+        ids = sorted(of[side]["community_id"] for of in found if of[side])
         assert ids == sorted(objects[objects.side == side].community_id)
 
 
 def test_an_object_is_named_by_its_side_and_number(report_run):
     run_ = FinishedRun(report_run)
-    real = object_facts(run_, FIRST, "0")
-    partner = real.sim["community_id"]
-    assert (
-        object_facts(run_, FIRST, f"sim:{partner}") == real == object_facts(run_, FIRST, "real:0")
-    )
-    alone = next(of for of in pair_facts(run_, FIRST).objects if of.status == "not_found")
-    assert object_facts(run_, FIRST, str(alone.real["community_id"])).scores is None
-    assert ": not found" in " ".join(text_of(object_view("000", alone)).split())
-    axis = plot_object(run_, FIRST, str(alone.real["community_id"])).axes[0]
+    real = pair_object(run_, FIRST, "0")
+    partner = real["sim"]["community_id"]
+    assert pair_object(run_, FIRST, f"sim:{partner}") == real == pair_object(run_, FIRST, "real:0")
+    objects = pair_values(run_, FIRST)["objects"]
+    alone = next(of for of in objects if of["real"] and of["real"]["fate"] == "not_found")
+    assert alone["real"]["cdc"] is None
+    assert ": not found" in " ".join(text_of(object_view(alone)).split())
+    axis = plot_object(run_, FIRST, str(alone["real"]["community_id"])).axes[0]
     assert axis.get_title().endswith(", not found")
 
 
-@pytest.mark.parametrize("name", ["99", "sim:99", "nose:1", "-1", "٣", ""])
+@pytest.mark.parametrize("name", ["99", "sim:99", "nose:1", "sim", "-1", "٣", ""])
 def test_an_object_that_is_not_there_is_named_with_what_is(report_run, name):
     with pytest.raises(RunError, match="no object"):
-        object_facts(FinishedRun(report_run), FIRST, name)
+        pair_object(FinishedRun(report_run), FIRST, name)
 
 
 def test_a_pair_and_its_objects_have_their_coverage(report_run):
@@ -99,31 +97,31 @@ def test_a_pair_and_its_objects_have_their_coverage(report_run):
 def test_a_missing_reference_object_shows_what_little_of_it_is_simulated(by_reference):
     run_ = FinishedRun(by_reference)
     matching = pd.read_parquet(by_reference / "matching").query("pair_id == '0'")
-    found = pair_facts(run_, "0").objects
-    assert sorted(of.real["community_id"] for of in found if of.real) == sorted(
-        matching.real_id.dropna()
-    )
-    missing = [of for of in found if of.status == "not_found"]
-    (pole,) = (of for of in missing if of.sim["n_points"])
-    assert pole.sim["n_points"] == 3
-    assert object_facts(run_, "0", f"sim:{pole.sim['community_id']}") == pole
-    text = shown(by_reference, "0", pole.real["community_id"])
+    found = pair_values(run_, "0")["objects"]
+    real = [of["real"] for of in found if of["real"]]
+    assert sorted(row["community_id"] for row in real) == sorted(matching.real_id.dropna())
+    missing = [of for of in found if of["real"] and of["real"]["fate"] == "not_found"]
+    (pole,) = (of for of in missing if of["sim"]["n_points"])
+    assert pole["sim"]["n_points"] == 3
+    assert pair_object(run_, "0", f"sim:{pole['sim']['community_id']}") == pole
+    text = shown(by_reference, "0", pole["real"]["community_id"])
     assert "3 of its points are simulated, too few to match it" in text
     assert "54 % of its points" in text
-    invented = [of for of in found if of.status == "extra"]
-    assert sorted(of.sim["community_id"] for of in invented) == sorted(
+    invented = [of["sim"] for of in found if of["real"] is None]
+    assert {row["fate"] for row in invented} == {"extra"}
+    assert sorted(row["community_id"] for row in invented) == sorted(
         matching.query("real_id.isna()").sim_id
     )
-    assert all(of.real is None for of in invented)
 
 
 def test_a_pair_lists_the_ten_largest_objects_of_one_side_and_with_all_every_one(report_run):
-    facts = pair_facts(FinishedRun(report_run), FIRST)
-    alone = next(each for each in facts.objects if each.status == "extra")
-    many = [
-        replace(alone, row={**alone.row, "community_id": i, "n_points": 100 + i}) for i in range(77)
-    ]
-    few = pair_view(replace(facts, objects=tuple(many)), "fidpipe show RUN PAIR --all")
+    values = pair_values(FinishedRun(report_run), FIRST)
+    alone = next(of["sim"] for of in values["objects"] if of["real"] is None)
+    values["objects"] = []
+    for i in range(77):
+        row = {**alone, "community_id": i, "n_points": 100 + i}
+        values["objects"].append({"real": None, "sim": row})
+    few = pair_view(values, "fidpipe show RUN PAIR --all")
     rows = next(
         part
         for part in few
@@ -131,7 +129,7 @@ def test_a_pair_lists_the_ten_largest_objects_of_one_side_and_with_all_every_one
     ).rows
     assert [row[2] for row in rows] == [f"sim:{i}" for i in range(76, 66, -1)]
     assert few[-1].text == "67 more extra, with fewer points: fidpipe show RUN PAIR --all"
-    assert len(pair_view(replace(facts, objects=tuple(many)))[-1].rows) == 77
+    assert len(pair_view(values)[-1].rows) == 77
 
 
 def test_a_failed_pair_shows_why_and_has_no_objects(report_run):

@@ -262,6 +262,8 @@ def test_the_beams_of_the_recording_are_the_usual_ones(drive, tmp_path):
         (["dropout=1.5"], "flaw dropout: .*got 'dropout=1.5'"),
         (["dropout"], "dropout=AMOUNT"),
         (["holes=3:1"], "holes=AMOUNT"),
+        (["holes=2.5"], "a whole number from 0 to 10000"),
+        (["mirrored=0.5"], "a whole number from 0 to 1"),
         (["yaw=1", "yaw=2"], "flaw yaw"),
         (["dropout=nan"], "flaw dropout: .*got 'dropout=nan'"),
     ],

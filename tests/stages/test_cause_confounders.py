@@ -9,7 +9,6 @@ from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.causes.estimates import estimate
 from fidpipe.stages.causes.sides import PairScans, Side
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.rays import grid_of
 from fidpipe.stages.sensor_description import describe_sensor
 
 ROAD_M = 0.3  # above the lowest points
@@ -47,7 +46,7 @@ def test_beams_at_the_edges_of_cells_are_not_lost(street):
 
 def test_missing_beams_are_not_lost_returns(street):
     real = side_of(street)
-    beam = grid_of(real.sensor).beam_of(street)
+    beam = real.sensor.beam_of(street)
     left = street[~np.isin(beam, (4, 9, 15, 18, 22, 27))]
     amounts = estimate(PairScans(real, side_of(again(left, 1)))).amounts
     assert amounts["beams"].amount == -6

@@ -9,7 +9,6 @@ from fidpipe import evaluate_pair
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.errors import ScanError
 from fidpipe.schemas.settings import load
-from fidpipe.stages.method import compare, graph_of, partition, score
 from runs import run
 from scenes import drifted, street, write_pair
 
@@ -101,43 +100,3 @@ def test_paths_scans_and_arrays_with_intensity_have_the_same_results(scans, tmp_
     )
     with pytest.raises(ScanError, match=r"sim: .*\(60, 5\)"):
         evaluate_pair(columns[0], np.ones((60, 5)))
-
-
-def test_a_graph_that_is_given_is_taken_and_another_seed_changes_the_communities_only(rng):
-    points = rng.normal(0, 3, (400, 3))
-    settings = load(None, ["graph.k=10"])
-    first = partition(points, settings)
-    again = partition(points, settings, edges=first.edges)
-    other = partition(points, load(None, ["graph.k=99", "communities.seed=2"]), edges=first.edges)
-    np.testing.assert_array_equal(again.labels, first.labels)
-    assert other.edges is first.edges
-    assert (other.labels != first.labels).any()
-
-
-def test_with_a_memo_no_object_is_scored_twice_and_nothing_else_changes(scans):
-    settings = [
-        load(None, [f"matching.delta_m={delta}", f"selection.t={t}"])
-        for t in (1, 2)
-        for delta in (2, 60)
-    ]
-    above = [scan[scan[:, 2] > -1.3] for scan in scans]
-    real, sim = partition(above[0], settings[0]), partition(above[1], settings[0])
-    memo = {}
-    for chosen in settings:
-        before = dict(memo)
-        assert compare(real, sim, chosen, memo=memo) == compare(real, sim, chosen)
-        assert all(memo[key] is scored for key, scored in before.items())
-    assert len(memo) == 2 * len({key[:2] for key in memo})
-
-
-def test_points_as_one_object_are_scored_like_a_scan_that_is_one_community(rng):
-    settings = load(None, ["graph.k=5"])
-    real, sim = rng.normal(0, 1, (40, 3)), rng.normal(0.1, 1, (50, 3))
-    whole = [partition(points, settings) for points in (real, sim)]
-    one = [
-        type(scan)(scan.points, scan.edges, np.zeros_like(scan.labels), scan.objects)
-        for scan in whole
-    ]
-    _, wanted = score(one[0].subgraphs([0])[0], one[1].subgraphs([0])[0], settings.selection)
-    _, own = score(graph_of(real, settings), graph_of(sim, settings), settings.selection)
-    assert own == wanted

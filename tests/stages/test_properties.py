@@ -11,7 +11,7 @@ from fidpipe.schemas.errors import FidpipeError
 from fidpipe.schemas.settings import MetricsSettings, load
 from fidpipe.stages.baselines import compare_points
 from fidpipe.stages.coverage import nearest_distances
-from fidpipe.stages.method import graph_of
+from fidpipe.stages.graph import graph_of
 from fidpipe.stages.metrics import chamfer_density_aware, score_object
 from fidpipe.stages.selection import select_nodes
 from runs import some_of
@@ -128,8 +128,8 @@ def test_distances_of_two_sides_are_the_same_both_ways(real, sim):
 @given(clouds(fewest=8), clouds(fewest=8))
 def test_the_scores_of_an_object_are_the_same_both_ways(real, sim):
     """Once its nodes are aligned."""
-    real = graph_of(distinct(real), load())
-    sim = graph_of(distinct(sim), load())
+    real = graph_of(distinct(real), load().graph)
+    sim = graph_of(distinct(sim), load().graph)
     selection = select_nodes(real, sim, load().selection)
     back = type(selection)(
         selection.sim_nodes, selection.real_nodes, selection.sim_influence, selection.real_influence

@@ -6,15 +6,16 @@ import pytest
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.ray_casting import fire
 from fidpipe.stages.intensity import explained_share, intensity_law, score_intensity
-from fidpipe.stages.rays import OUTCOMES, RayGrid, Rays, compare_rays, find_rays, score_rays
-from fidpipe.stages.sensor_description import describe_sensor
+from fidpipe.stages.rays import OUTCOMES, Rays, compare_rays, find_rays, score_rays
+from fidpipe.stages.sensor_description import SensorDescription, describe_sensor
 
 STEP_DEG = 0.4
 CORNERS_M = np.array([[-18.0, -12.0, -1.8], [31.0, 9.0, 6.0]])
 
 
 def grid(name="vlp16", step_deg=STEP_DEG):
-    return RayGrid(np.sort(np.array(SENSORS[name].elevation_deg)), step_deg)
+    elevation_deg = tuple(sorted(SENSORS[name].elevation_deg))
+    return SensorDescription(0, elevation_deg, azimuth_step_deg=step_deg)
 
 
 def room(name="vlp16", step_deg=STEP_DEG, turned_deg=0.0, corners_m=CORNERS_M):

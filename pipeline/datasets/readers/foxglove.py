@@ -88,8 +88,8 @@ def cloud_of(
     file: Path,
     connection: Connection,
     content: bytes,
-) -> tuple[dict[str, NDArray[Any]], float]:
-    """The fields of a point cloud by name, and its time in seconds; its pose is not applied."""
+) -> dict[str, NDArray[Any]]:
+    """The fields of a point cloud by name; its pose is not applied."""
     from mcap_protobuf.decoder import DecoderFactory
 
     decode = DecoderFactory().decoder_for("protobuf", connection.schema)
@@ -105,5 +105,4 @@ def cloud_of(
         )
     known = [field for field in cloud.fields if field.type in _NUMBERS]
     fields = [(field.name, f"<{_NUMBERS[field.type]}", field.offset) for field in known]
-    columns = packed_columns(fields, cloud.data, (len(cloud.data) // stride,), (stride,))
-    return columns, cloud.timestamp.seconds + cloud.timestamp.nanos * 1e-9
+    return packed_columns(fields, cloud.data, (len(cloud.data) // stride,), (stride,))

@@ -41,8 +41,7 @@ def read(frame: ScanRef) -> Scan:
     with _opened(file) as bag:
         connection, content = _message(bag, replace(frame, topic=_topic(bag, frame)))
         if connection.msgtype == foxglove.CLOUD:
-            columns, stamp_s = foxglove.cloud_of(file, connection, content)
-            return replace(scan_from_columns(file, columns), stamp_s=stamp_s)
+            return scan_from_columns(file, foxglove.cloud_of(file, connection, content))
         is_ros1 = _is_ros1(file)
         types = _types(is_ros1)
         deserialize = types.deserialize_ros1 if is_ros1 else types.deserialize_cdr
@@ -52,9 +51,12 @@ def read(frame: ScanRef) -> Scan:
         else:
             from .velodyne import decoded
 
-            packets = [(_time_s(packet.stamp), packet.data.tobytes()) for packet in message.packets]
+            packets = []
+            for packet in message.packets:
+                time_s = float(packet.stamp.sec + packet.stamp.nanosec * 1e-9)
+                packets.append((time_s, packet.data.tobytes()))
             columns = decoded(file, packets)
-    return replace(scan_from_columns(file, columns), stamp_s=_time_s(message.header.stamp))
+    return scan_from_columns(file, columns)
 
 
 def frames(recording: ScanRef) -> list[ScanRef]:
@@ -86,10 +88,6 @@ def _message(bag: Any, frame: ScanRef) -> tuple[Any, bytes]:
         messages = messages[number - times_ns.index(time_ns) :]
     connection, _, content = messages[0]
     return connection, content
-
-
-def _time_s(stamp: Any) -> float:
-    return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
 def topics(file: Path) -> list[str]:

@@ -66,7 +66,6 @@ class Scan:
     rings : (n,) int32, number of the beam, or None; -1 where it is NaN
     times_s : (n,) float64, seconds, from where the file counts them; or None
     label_names : what the format calls the labels that are numbers; {} where it names none
-    stamp_s : the time of the scan as a whole, seconds, where its message has one
     notes : properties of the sensor or the export that the columns show, one line each
     """
 
@@ -78,7 +77,6 @@ class Scan:
     rings: IntArray | None = None
     times_s: FloatArray | None = None
     label_names: Mapping[int, str] = field(default_factory=dict)
-    stamp_s: float | None = None
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:

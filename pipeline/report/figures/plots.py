@@ -11,9 +11,10 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from ....schemas.columns import Row
 from ....schemas.errors import RunError
 from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
-from ...results.finished import FinishedRun, ObjectFacts, object_facts
+from ...results.finished import FinishedRun, pair_object
 from ..look import FATE_WORDS, OUTCOME_COLOURS, OUTCOME_WORDS, SIDE_COLOURS
 from ..run_frames import box_around, coordinates, inside, points_of
 from ..view import count, number, percent
@@ -36,10 +37,10 @@ def plot_object(run: FinishedRun, pair_id: str, name: str, ax: Any = None) -> Fi
     RunError
         The pair failed, it has no such object, or a table is damaged.
     """
-    facts = object_facts(run, pair_id, name)
+    rows = pair_object(run, pair_id, name)
     members = {}
     others = []
-    for side, row in (("real", facts.real), ("sim", facts.sim)):
+    for side, row in rows.items():
         points = run.points(pair_id, side)
         is_member = points["community_id"].isin([row["community_id"]] if row else [])
         members[side] = coordinates(points[is_member])
@@ -57,21 +58,21 @@ def plot_object(run: FinishedRun, pair_id: str, name: str, ax: Any = None) -> Fi
         axis.set(xlim=x, ylim=y, zlim=z, xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
         axis.set_box_aspect(tuple(size))
         axis.locator_params(nbins=5)
-        axis.set_title(_object_title(facts, pair_id))
+        axis.set_title(_object_title(rows["real"] or rows["sim"]))
         axis.legend(loc="upper right", markerscale=3)
     return style.figure_of(axis)
 
 
-def _object_title(facts: ObjectFacts, pair_id: str) -> str:
-    """Pair, class and name of an object, its range, status and scores."""
-    row = facts.row
+def _object_title(row: Row) -> str:
+    """Pair, class and name of an object, its range, fate and scores."""
     name = f"{row['side']} {row['community_id']}"
     if row["label"]:
         name = f"{style.shown_name(row['label'])} ({name})"
-    words = [f"{_title(pair_id)}, {name}\n{row['range_m']:.0f} m away", FATE_WORDS[facts.status]]
-    if facts.scores:
+    title = f"{_title(row['pair_id'])}, {name}\n{row['range_m']:.0f} m away"
+    words = [title, FATE_WORDS[row["fate"]]]
+    if row["fate"] == "matched":
         for score in QUADRANT_SCORES:
-            words.append(f"{METRIC[score].label} {number(facts.scores[score])}")
+            words.append(f"{METRIC[score].label} {number(row[score])}")
     return ", ".join(words)
 
 

@@ -5,7 +5,7 @@ matplotlib is imported by its first use here, with a backend that needs no displ
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -89,27 +89,10 @@ def frame_of(*clouds: FloatArray) -> FloatArray:
     return np.stack([low - margin, high + margin])
 
 
-@contextmanager
-def new_maps(frame: FloatArray, title: str) -> Iterator[tuple[ShownFigure, Any]]:
-    """A figure of two maps side by side, and their axes; what is drawn on them is seen from above.
-
-    Parameters
-    ----------
-    frame : (2, 2) corners of the area, see `frame_of`
-    """
-    width, height = frame[1] - frame[0]
-    height_in = float(np.clip(4.0 * height / width, 1.5, 6)) + 1.25
-    with new_figure(9.4, height_in, title) as figure:
-        axes = figure.subplots(1, 2, sharex=True, sharey=True)
-        yield figure, axes
-        for axis in axes:
-            from_above(axis, frame)
-
-
-def colour_bar(axis: Any, dots: Any, label: str, extend: str = "neither") -> None:
+def colour_bar(axis: Any, dots: Any, label: str) -> None:
     """Draw the colours of some dots to the right of a map."""
     place = axis.inset_axes((1.03, 0, 0.04, 1))
-    axis.figure.colorbar(dots, cax=place, label=label, extend=extend)
+    axis.figure.colorbar(dots, cax=place, label=label)
 
 
 def from_above(axis: Any, frame: FloatArray) -> None:
@@ -122,24 +105,6 @@ def from_above(axis: Any, frame: FloatArray) -> None:
     if axis.get_legend_handles_labels()[0]:  # a fixed way under the axis, clear of its label
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, 0), "borderaxespad": 4.3}
         axis.legend(ncols=3, markerscale=4, **below)
-
-
-def draw_band(axis: Any, x: FloatArray, mean: FloatArray, std: FloatArray, **look: Any) -> None:
-    """A line of means with a band of one standard deviation to either side, not below 0.
-
-    look : of the line
-    """
-    axis.plot(x, mean, markersize=4, linewidth=1.2, **look)
-    axis.fill_between(
-        x, np.maximum(mean - std, 0), mean + std, color=look["color"], alpha=0.2, linewidth=0
-    )
-
-
-def mark_amounts(axis: Any, amounts: Iterable[float]) -> None:
-    """Ticks at the amounts that were tried, and nowhere else."""
-    axis.set_xticks(list(amounts), [f"{amount:g}" for amount in amounts])
-    axis.minorticks_off()
-    axis.grid(axis="y")
 
 
 def shown_name(name: str, most: int = 28) -> str:

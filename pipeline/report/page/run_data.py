@@ -24,6 +24,7 @@ from ....schemas.metric_catalogue import (
 from ....schemas.results import Evidence, Piece
 from ....stages.sensor_description import SensorDescription, sensor_lines
 from ...results.best_case import RunExcess
+from ...results.diagnosis import doubtful_words
 from ...results.finished import FinishedRun
 from ...results.gate import Criterion, judge_run
 from ...results.object_frame import QUADRANTS, UNKNOWN, plain_rows
@@ -177,6 +178,7 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
         "worst": [(_address(run, piece), piece) for piece in overview.pieces],
         "failures": failures_view(run),
         "causes": [(cause, amount_words(cause)) for cause in causes],
+        "doubtful": doubtful_words(run.diagnosis) if run.diagnosis else "",
         "gate": _gate(run, excess),
         "trust": [Answers([("Trust", trust)])],
         "sensor_pair": sensor_pair,

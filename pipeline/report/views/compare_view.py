@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ....schemas.columns import Row
-from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ....stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS, Difference
 from ...results.causes import interval_words
 from ...results.compare import Comparison
 from ...results.families import ERROR_RATE, MARKS_NOTE, TASKS, FamilyChange, score_rows
-from ...results.followed import LEAST_CHANGE, by_change, worst_changes
+from ...results.followed import worst_changes
 from ...results.independence import NEEDED, pairs_and_places
-from ...results.object_frame import plain_rows
 from ...results.sectors import N_SECTORS
 from ..view import (
     Answers,
@@ -31,9 +29,10 @@ from ..view import (
     warnings,
 )
 
-_MOST_OBJECTS = 5
 _MOST_LEFT_OUT = 5
+#: Most objects to look at, and with --all.
 _MOST_PLACES = 3
+_MOST_PLACES_OF_ALL = 20
 #: Headings of the causes and families with a verdict.
 _HEADINGS = {
     "worse": "Worse",
@@ -43,13 +42,6 @@ _HEADINGS = {
     "": "In the world",
 }
 _COLOURS = {"worse": "red", "mixed": "red", "better": "green", "undecided": "yellow"}
-#: Fates of an object that are listed; unchanged ones are not.
-_CHANGED = ("vanished", "worse", "mixed", "better", "appeared")
-OBJECTS_NOTE = (
-    f"An object is worse or better if CDC or r_lambda changed by more than {LEAST_CHANGE} and "
-    "neither the other way. Single objects also change where Louvain cuts the simulated side "
-    "otherwise: trust many, not one."
-)
 
 
 def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
@@ -57,10 +49,11 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
 
     Parameters
     ----------
-    with_all : also every score, and the real objects by class, by range and one by one
+    with_all : also every score, and more of the objects that became worse
     """
+    n_places = _MOST_PLACES_OF_ALL if with_all else _MOST_PLACES
     style = f"bold {_COLOURS.get(comparison.decision, '')}"
-    parts: list[Part] = [Note(decision(comparison), style), answer(comparison)]
+    parts: list[Part] = [Note(decision(comparison), style), answer(comparison, n_places)]
     parts += numbers_view(comparison, with_all=with_all)
     if not with_all:
         parts.append(Note("all scores and objects: --all; as a page: --html FILE"))
@@ -68,23 +61,11 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
 
 
 def numbers_view(comparison: Comparison, *, with_all: bool) -> View:
-    """The families of scores and the limits; with `with_all` every score and object."""
+    """The families of scores and the limits; with `with_all` every score."""
     parts: list[Part] = [family_table(comparison)] if comparison.families else []
     if with_all:
         parts += [score_table(comparison), Note(MARKS_NOTE)]
-        parts += object_view(comparison)
     return [*parts, *remarks(comparison)]
-
-
-def object_view(comparison: Comparison) -> View:
-    """The real objects that have changed most, by fate."""
-    changed = by_change(comparison.objects[comparison.objects["kind"].isin(_CHANGED)])
-    first = plain_rows(changed.groupby("kind").head(_MOST_OBJECTS))
-    if not first:
-        return []
-    first.sort(key=lambda row: _CHANGED.index(row["kind"]))
-    title = f"Objects that have changed ({len(first)} of {len(changed)})"
-    return [_object_table(title, first), Note(OBJECTS_NOTE)]
 
 
 def decision(comparison: Comparison) -> str:
@@ -139,16 +120,13 @@ def reasons(comparison: Comparison) -> dict[str, list[Item]]:
     return behind
 
 
-def answer(comparison: Comparison) -> Answers:
-    """The causes and families behind a decision, where to look, and how pairs were counted."""
-    sections: list[tuple[str, Sequence[Item]]] = []
-    for verdict, items in reasons(comparison).items():
-        if items:
-            sections.append((_HEADINGS[verdict], items))
+def answer(comparison: Comparison, n_places: int = _MOST_PLACES) -> Answers:
+    """The causes and families behind a decision, where to look (at so many), and how pairs were counted."""
+    sections = _by_verdict(comparison)
     if comparison.lacks_places:
         sections.append(("These frames", items_of(*_moved(comparison))))
     where = []
-    for row in worst_changes(comparison.objects, _MOST_PLACES):
+    for row in worst_changes(comparison.objects, n_places):
         where.append(f"{row['pair_id']}  {place_words(row)}")
     kinds = ", ".join(f"{n} {kind}" for kind, n in comparison.kinds.items() if n)
     again = (comparison.other, "--since", comparison.base)
@@ -159,6 +137,12 @@ def answer(comparison: Comparison) -> Answers:
         ("Next", items_of(shlex.join(["fidpipe", "diagnose", *map(str, again)]))),
     ]
     return Answers([(heading, items) for heading, items in sections if items])
+
+
+def _by_verdict(comparison: Comparison) -> list[tuple[str, Sequence[Item]]]:
+    """The causes and families behind a decision, by the heading of their verdict."""
+    behind = reasons(comparison).items()
+    return [(_HEADINGS[verdict], items) for verdict, items in behind if items]
 
 
 def place_words(row: Row) -> str:
@@ -264,10 +248,7 @@ def family_table(comparison: Comparison) -> Table:
 def changed_since(comparison: Comparison) -> View:
     """The causes that changed since an earlier build; not those against the real scans."""
     title = Note(f"Changed since {comparison.base}", "bold")
-    sections = []
-    for verdict, items in reasons(replace(comparison, families=())).items():
-        if items:
-            sections.append((_HEADINGS[verdict], items))
+    sections = _by_verdict(replace(comparison, families=()))
     if not sections:
         return [title, Note("no cause changed by more than the accuracy of its estimate")]
     return [title, Answers(sections)]
@@ -285,21 +266,6 @@ def score_table(comparison: Comparison) -> Table:
     headings = ("family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict")
     title = f"Means over {len(comparison.pairs)} pairs; in brackets: does not count"
     return Table(title, headings, rows, words=(0, 1, 7), wide=(0, 2), whole=(7,))
-
-
-def _object_table(title: str, changes: Sequence[Row]) -> Table:
-    """One row per real object: pair, fate, class, place, scores before and after."""
-    columns = ["range_m", "n_points"]
-    headings = ["pair", "what", "real object", "range\n(m)", "points"]
-    for score in QUADRANT_SCORES:
-        columns += [f"{score}_before", f"{score}_after"]
-        headings += [METRIC[score].label, "after"]
-    rows = []
-    for change in changes:
-        name = f"{change['label'] or change['shape']} {change['real_id']}"
-        values = [change[column] for column in columns]
-        rows.append((change["pair_id"], change["kind"], name, *values))
-    return Table(title, headings, rows, words=(0, 1, 2), digits={3: 1}, whole=(1,))
 
 
 def compare_records(comparisons: Sequence[Comparison]) -> Table:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
-from shlex import quote
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ....schemas.columns import SIDES, Row
@@ -17,21 +16,11 @@ from ....schemas.metric_catalogue import (
     pair_columns_in,
     unit_words,
 )
-from ....schemas.record import (
-    SURFACE_STATES,
-    BaselineSummary,
-    RunRecord,
-    SeedSummary,
-    TaskSummary,
-    UnmatchedSurface,
-)
+from ....schemas.record import BaselineSummary, RunRecord, SeedSummary, TaskSummary
 from ....schemas.results import Findings, Overview, Unmatched
-from ....stages.coverage import ABSENT, THERE
 from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun
 from ...storage.run_record import unmatched_worst
-from ...storage.urls import url_or_path
-from ..look import FATE_WORDS
 from ..view import (
     Note,
     Part,
@@ -66,14 +55,13 @@ def outcome_view(outcome: RunOutcome) -> View:
     took = f" in {seconds:.3g} s" if seconds < 1000 else f" in {seconds / 60:.0f} min"
     if outcome.n_reused:
         took += f", {outcome.n_made} jobs done, {outcome.n_reused} reused"
-    return summary_view(FinishedRun(outcome.folder), reported=outcome.reported, took=took)
+    return summary_view(FinishedRun(outcome.folder), took=took)
 
 
 def summary_view(
     run: FinishedRun,
     excess: RunExcess | None = None,
     *,
-    reported: Container[str] = frozenset(),
     with_all: bool = False,
     took: str = "",
 ) -> View:
@@ -82,7 +70,6 @@ def summary_view(
     Parameters
     ----------
     excess : the run over a best case
-    reported : pairs whose failure was reported before
     took : time and reused jobs of a run that just ended
     """
     record = run.record
@@ -96,7 +83,7 @@ def summary_view(
         parts += seeds_view(record.seeds)
     if excess:
         parts += [*excess_view(excess, HEADLINES), Note("")]
-    parts += [*failures_view(run, reported), *frame_warnings(run)]
+    parts += [*failures_view(run), *frame_warnings(run)]
     return [*parts, *answer_view(run, excess, with_all=with_all, took=took)]
 
 
@@ -107,8 +94,6 @@ def details_view(record: RunRecord) -> View:
         parts.append(surface_table(record.overview))
     if record.findings:
         parts.append(_objects_table(record.findings))
-    if record.metrics:
-        parts.append(_unmatched_table(record.metrics.unmatched, record.pairs.scored))
     return parts
 
 
@@ -123,47 +108,33 @@ def surface_table(overview: Overview) -> Table:
     return Table(title, ("", "real points", "missing", "simulated points", "invented"), rows)
 
 
-def failures_view(run: FinishedRun, reported: Container[str] = frozenset()) -> View:
-    """Failed pairs with their reasons; failures already reported are only counted."""
+def failures_view(run: FinishedRun) -> View:
+    """Failed pairs with their reasons."""
     failures = [row for row in run.rows if row["status"] == "failed"]
     if not failures:
         return []
-    new = [row for row in failures if row["pair_id"] not in reported]
-    n_reported = len(failures) - len(new)
-    text = f"{len(failures)} of {len(run.rows)} pairs failed"
-    if n_reported:
-        which = "" if n_reported == len(failures) else f"{n_reported} of them "
-        command = f"fidpipe show {quote(url_or_path(run.folder))}"
-        text += f", {which}as reported above; show them again with: {command}"
-    if new:
-        text += ":"
-    reasons = [f"  {row['pair_id']}: {row['reason']}" for row in new]
+    text = f"{len(failures)} of {len(run.rows)} pairs failed:"
+    reasons = [f"  {row['pair_id']}: {row['reason']}" for row in failures]
     lines = first_of(reasons, _MOST_PAIRS, "  and {} more, see pairs.parquet")
     return [Note(text, "red"), *map(Note, lines)]
 
 
 def baselines_view(summaries: Sequence[BaselineSummary]) -> View:
-    """Mean and deviation over pairs of each baseline, and seconds per pair.
-
-    Of matched objects and of whole scans.
-    """
+    """Mean and deviation over pairs of each baseline, of matched objects and of whole scans."""
     rows = []
     notes = []
     for summary in summaries:
         metric = METRIC[summary.baseline]
         mean = mean_and_spread(summary.mean, summary.std, 4)
-        seconds = "" if summary.seconds is None else number(summary.seconds)
-        unit = unit_words(metric.unit)
-        rows.append((metric.heading, summary.level, unit, mean, seconds))
+        rows.append((metric.heading, summary.level, unit_words(metric.unit), mean))
         if summary.n_null:
             n = summary.n + summary.n_null
             notes.append(f"{summary.baseline} is null for {summary.n_null} of {n} {summary.level}")
-    headings = ("baseline", "of", "unit", "mean", "s")
+    headings = ("baseline", "of", "unit", "mean")
     title = "Baselines (mean and standard deviation over pairs)"
     lines = (
         "A pair counts with the mean over its matched objects, or with all object points of its "
         "two scans (nvs: ground as well).",
-        "s: seconds per pair, next to the first number of a method",
         *notes,
     )
     return [Table(title, headings, rows, words=(0, 1, 2)), *map(Note, lines)]
@@ -238,22 +209,6 @@ def dataset_table(record: RunRecord) -> Table:
         rows.append(row)
     title = "Dataset (mean and standard deviation over pairs)"
     return Table(title, headings, rows, words=(0, 5), wide=(5,), whole=(0,))
-
-
-def _unmatched_table(unmatched: UnmatchedSurface, n_pairs: int) -> Table:
-    """Whether the surface of the unmatched objects is on the other side."""
-    rows = []
-    for fate in ("not_found", "extra"):
-        states = getattr(unmatched, fate)
-        n_states = [getattr(states, name) / max(1, n_pairs) for name in SURFACE_STATES]
-        rows.append((FATE_WORDS[fate], *n_states, states.road / max(1, n_pairs)))
-    title = (
-        "Unmatched objects per pair (on the other side: over "
-        f"{100 * THERE:.0f} % of their points have one within 0.3 m, but in other objects; absent: "
-        f"at most {100 * ABSENT:.0f} %; road: below the other side's ground cut)"
-    )
-    headings = ("objects", "on the other side", "partly", "absent", "road")
-    return Table(title, headings, rows, digits=dict.fromkeys(range(1, 5), 1))
 
 
 def _findings_parts(findings: Findings) -> View:

@@ -6,8 +6,6 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pydantic import JsonValue
-
 from ....schemas.columns import SIDES, Row
 from ....schemas.metric_catalogue import (
     COVERAGE_REACHES,
@@ -18,15 +16,8 @@ from ....schemas.metric_catalogue import (
 )
 from ....stages.coverage import surface_state
 from ...results.best_case import RunExcess
-from ...results.finished import (
-    FinishedRun,
-    ObjectFacts,
-    PairFacts,
-    object_facts,
-    pair_facts,
-    run_facts,
-)
-from ...results.object_frame import UNKNOWN
+from ...results.finished import FinishedRun, pair_object, pair_values
+from ...results.object_frame import ALL_COLUMNS, UNKNOWN
 from ...results.overview import alignment_is_bad
 from ...storage.urls import url_or_path
 from ..look import FATE_WORDS
@@ -34,6 +25,8 @@ from ..view import Note, Part, Table, View, columns_of, number, percent, warning
 from .run_view import summary_view
 
 _NEAR = "covered_0p3m"
+#: Columns of the table of objects that identify one.
+_KEYS = ("pair_id", "side", "community_id", "fate", "partner", "n_points")
 _COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
 #: An object of which less surface is covered on a side is not called faithful.
 _LEAST_COVERED = 0.6
@@ -74,53 +67,57 @@ def show_view(
     if pair is None:
         return summary_view(run, excess, with_all=with_all)
     if name is not None:
-        return object_view(pair, object_facts(run, pair, name))
+        return object_view(pair_object(run, pair, name))
     command = ""
     if not with_all:
         command = shlex.join(["fidpipe", "show", url_or_path(run.folder), pair, "--all"])
-    parts = pair_view(pair_facts(run, pair), command)
+    parts = pair_view(pair_values(run, pair), command)
     return [*parts, *warnings((run.record.notes or {}).get(pair, ()))]
 
 
 def show_json(
     run: FinishedRun, pair: str | None, name: str | None, excess: RunExcess | None = None
-) -> JsonValue:
+) -> Row:
     """A run, a pair of it, or an object of a pair as plain values."""
     if pair is None:
-        values = run_facts(run)
+        record = run.record.as_dict()
+        values: Row = {"folder": str(run.folder), "record": record, "pairs": run.rows}
         return values | {"excess": excess.as_dict()} if excess else values
-    if name is None:
-        return pair_facts(run, pair).as_dict()
-    return {"pair_id": pair, **object_facts(run, pair, name).as_dict()}
+    return pair_values(run, pair) if name is None else pair_object(run, pair, name)
 
 
 def show_records(run: FinishedRun, pair: str | None, name: str | None) -> Table:
-    """A table for programs: one row per pair of a run, or per object of a pair."""
+    """A table for programs: one row per pair of a run, or per object and side of a pair."""
     if pair is None:
         columns = list(run.rows[0])
         return Table("", columns, columns_of(run.rows, columns))
-    if name is None:
-        return object_records(pair_facts(run, pair).objects)
-    return object_records([object_facts(run, pair, name)])
+    objects = pair_values(run, pair)["objects"] if name is None else [pair_object(run, pair, name)]
+    columns = [*_KEYS, *ALL_COLUMNS]
+    rows = []
+    for of_sides in objects:
+        rows += columns_of(filter(None, of_sides.values()), columns)
+    return Table("", columns, rows)
 
 
-def pair_view(facts: PairFacts, command: str = "") -> View:
+def pair_view(values: Mapping[str, Any], command: str = "") -> View:
     """A sentence on a pair, its sides, its rays, its matched objects worst first, the unmatched.
 
     Parameters
     ----------
+    values : from `pair_values`
     command : shows all unmatched objects; given if only the largest ones are to be shown here
     """
-    row = facts.pair
+    row = values["pair"]
     if row["status"] != "scored":
         return [Note(f"pair {row['pair_id']} failed: {row['reason']}", "red")]
-    matched = [entry for entry in facts.objects if entry.scores]
-    parts: list[Part] = [Note(_pair_sentence(row), "bold"), _sides_table(row), _rays(facts)]
-    parts.append(_matched_table(matched))
+    objects = [of_sides["real"] or of_sides["sim"] for of_sides in values["objects"]]
+    matched = [entry for entry in objects if entry["fate"] == "matched"]
+    parts: list[Part] = [Note(_pair_sentence(row), "bold"), _sides_table(row)]
+    parts += [_rays(row["rays_reason"], values["rays"]), _matched_table(matched)]
     if matched:
         words = "offset: distance between the centroids; align: RMS distance of the aligned nodes"
         parts.append(Note(words))
-    return [*parts, *_unmatched(facts.objects, command)]
+    return [*parts, *_unmatched(objects, command)]
 
 
 def _pair_sentence(row: Row) -> str:
@@ -146,14 +143,14 @@ def _sides_table(row: Row) -> Table:
     return Table(title, headings, rows, digits={4: 2})
 
 
-def _rays(facts: PairFacts) -> Part:
+def _rays(reason: str | None, of_groups: Sequence[Row]) -> Part:
     """Outcomes of the rays and errors of range by range, incidence and class; or why not."""
-    if facts.pair["rays_reason"]:
-        return Note(f"no rays: {facts.pair['rays_reason']}", "yellow")
+    if reason:
+        return Note(f"no rays: {reason}", "yellow")
     scores = (*_OUTCOMES, "rays_bias_m", "rays_rmse_m")
     rows = []
     for group in _RAY_GROUPS:
-        for row in [row for row in facts.rays if row["by"] == group]:
+        for row in [row for row in of_groups if row["by"] == group]:
             band = row["band"] if group == "class" else _short(row["band"])
             rows.append((band or "all", row["n_rays"], *(row[score] for score in scores)))
     headings = ("rays", "number", *_OUTCOMES.values(), "bias", "RMSE")
@@ -167,10 +164,10 @@ def _short(band: str) -> str:
     return short.replace(" degrees", "°").replace(" m", "m")
 
 
-def _matched_table(matched: Sequence[ObjectFacts]) -> Table:
+def _matched_table(matched: Sequence[Row]) -> Table:
     scores = scores_in("pair")
     columns = ("label", "community_id", "partner", "range_m", "n_real", "n_sim", *scores)
-    rows = columns_of((entry.row for entry in matched), columns)
+    rows = columns_of(matched, columns)
     title = "Objects that both sides have, largest r_lambda first"
     digits = {3: 1}
     digits |= dict.fromkeys(range(6, 6 + len(scores)), 2)
@@ -186,21 +183,21 @@ def _matched_table(matched: Sequence[ObjectFacts]) -> Table:
     return Table(title, headings, rows, digits=digits, whole=(0,))
 
 
-def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
+def _unmatched(objects: Sequence[Row], command: str) -> View:
     """The unmatched objects, real ones first; only the largest if a command shows the others."""
     rows = []
     left_out = []
-    for status in ("not_found", "extra"):
-        of_status = [entry.row for entry in objects if entry.status == status]
-        of_status.sort(key=lambda row: -row["n_points"])
-        n_shown = _MOST_UNMATCHED if command else len(of_status)
-        for row in of_status[:n_shown]:
+    for fate in ("not_found", "extra"):
+        of_fate = [row for row in objects if row["fate"] == fate]
+        of_fate.sort(key=lambda row: -row["n_points"])
+        n_shown = _MOST_UNMATCHED if command else len(of_fate)
+        for row in of_fate[:n_shown]:
             name = f"{row['side']}:{row['community_id']}"
             place = (row["range_m"], row["n_points"], row["cz"], row[_NEAR])
             state = surface_state(row[_NEAR])
-            rows.append((row["label"], FATE_WORDS[row["fate"]], name, *place, state))
-        if len(of_status) > n_shown:
-            left_out.append(f"{len(of_status) - n_shown} more {FATE_WORDS[status]}")
+            rows.append((row["label"], FATE_WORDS[fate], name, *place, state))
+        if len(of_fate) > n_shown:
+            left_out.append(f"{len(of_fate) - n_shown} more {FATE_WORDS[fate]}")
     headings = (
         *("class", "status", "object", "range\n(m)", "points", "centroid\nz (m)"),
         *("within\n0.3 m", "surface"),
@@ -213,51 +210,32 @@ def _unmatched(objects: Sequence[ObjectFacts], command: str) -> View:
     return parts
 
 
-def object_records(objects: Sequence[ObjectFacts]) -> Table:
-    """One row per object of a pair: its place, how much is covered, and its scores."""
-    scores = ("n_keep", *scores_in("object"), "reason")
-    headings = (
-        *("pair_id", "status", "label", "real_id", "sim_id", "range_m", "n_real", "n_sim"),
-        *("covered_real_0p3m", "covered_sim_0p3m", *scores),
-    )
-    rows = []
-    for entry in objects:
-        real = entry.real or {}
-        sim = entry.sim or {}
-        rows.append(
-            [
-                *(entry.row["pair_id"], entry.status, entry.row["label"]),
-                *(real.get("community_id"), sim.get("community_id"), entry.row["range_m"]),
-                *(real.get("n_points"), sim.get("n_points"), real.get(_NEAR), sim.get(_NEAR)),
-                *map((entry.scores or {}).get, scores),
-            ]
-        )
-    return Table("", headings, rows)
+def object_view(rows: Mapping[str, Row | None]) -> View:
+    """A sentence on an object, its scores, and its place and shape on both sides.
 
-
-def object_view(pair_id: str, facts: ObjectFacts) -> View:
-    """A sentence on an object, its scores, and its place and shape on both sides."""
-    real = facts.real or {}
-    sim = facts.sim or {}
-    rows = [("object", real.get("community_id"), sim.get("community_id"))]
-    rows += [(column, real.get(column), sim.get(column)) for column in _OBJECT_COLUMNS]
-    title = f"Object of pair {pair_id}: {FATE_WORDS[facts.status]}"
-    table = Table(title, ("", "real", "simulated"), rows)
-    if facts.scores is None:
-        parts: list[Part] = [Note(alone_judgement(facts.row)), table]
+    rows : one of `pair_objects`
+    """
+    real = rows["real"] or {}
+    sim = rows["sim"] or {}
+    row = real or sim
+    places = [("object", real.get("community_id"), sim.get("community_id"))]
+    places += [(column, real.get(column), sim.get(column)) for column in _OBJECT_COLUMNS]
+    title = f"Object of pair {row['pair_id']}: {FATE_WORDS[row['fate']]}"
+    table = Table(title, ("", "real", "simulated"), places)
+    if row["fate"] != "matched":
+        parts: list[Part] = [Note(alone_judgement(row)), table]
         if real and sim:
             n_sim = sim["n_points"] or "no"
             parts.append(Note(f"{n_sim} of its points are simulated, too few to match it"))
         return parts
-    scores = facts.scores
-    title = f"Scores ({scores['status']}, on {scores['n_keep']} aligned nodes)"
+    title = f"Scores ({row['status']}, on {row['n_keep']} aligned nodes)"
     values = []
     for name in scores_in("object"):
-        values.append((METRIC[name].label, scores[name], METRIC[name].reading))
+        values.append((METRIC[name].label, row[name], METRIC[name].reading))
     headings = ("score", "value", "how to read it")
-    covered = {"covered_real_0p3m": real.get(_NEAR), "covered_sim_0p3m": sim.get(_NEAR)}
+    covered = {"covered_real_0p3m": real[_NEAR], "covered_sim_0p3m": sim[_NEAR]}
     return [
-        Note(judgement(facts.row | covered)),
+        Note(judgement(row | covered)),
         Table(title, headings, values, words=(0, 2), digits={1: 4}),
         table,
     ]
