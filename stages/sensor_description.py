@@ -112,10 +112,10 @@ class SensorDescription:
         limits = (self.beams_deg[1:] + self.beams_deg[:-1]) / 2
         return np.searchsorted(limits, self.elevation_of(points))
 
-    def why_unknown(self, name: str) -> str | None:
-        """Reason why a field is undetermined: its own, or that of the beams or of the step which it needs."""
+    def why_unknown(self, name: str) -> str:
+        """Reason why a field is undetermined, or "": its own, or that of the beams or of the step which it needs."""
         reasons = [self.untold.get(key) for key in (name, "elevation_deg", "azimuth_step_deg")]
-        return next(filter(None, reasons), None)
+        return next(filter(None, reasons), "")
 
 
 #: Gaps of lost pulses within visible surfaces, between two returns of one beam: (g, 2) intp, points before and after
