@@ -80,16 +80,9 @@ def score_object(
         spectrum_sim = spectrum_real  # of equal matrices, exactly equal
         if change > 0:
             spectrum_sim = eigenvalues(laplacian_sim)
-    return _compare_spectra(cdc, rms_m, change, spectrum_real, spectrum_sim)
-
-
-def _compare_spectra(
-    cdc: float, rms_m: float, change: float, real: FloatArray, sim: FloatArray
-) -> Scores:
-    """Scores of an object from the change of its Laplacian and the spectra of both sides."""
-    shift = min(MAX_CHANGE, float(np.max(np.abs(sim - real))))
-    gap_real = float(real[1] - real[0])
-    gap_sim = float(sim[1] - sim[0])
+    shift = min(MAX_CHANGE, float(np.max(np.abs(spectrum_sim - spectrum_real))))
+    gap_real = float(spectrum_real[1] - spectrum_real[0])
+    gap_sim = float(spectrum_sim[1] - spectrum_sim[0])
     status = "identical"
     r_lambda = r_gap = 0.0
     if change > IDENTICAL_CHANGE:
@@ -104,7 +97,7 @@ def _compare_spectra(
         r_gap=r_gap,
         max_eigenvalue_shift=shift,
         laplacian_change=change,
-        eigenspectrum_distance=float(np.linalg.norm(sim - real)),
+        eigenspectrum_distance=float(np.linalg.norm(spectrum_sim - spectrum_real)),
         gap_real=gap_real,
         gap_sim=gap_sim,
     )

@@ -9,12 +9,6 @@ from __future__ import annotations
 PROCESS_BYTES = 300 * 2**20  #: what a worker process occupies before it has read anything
 BYTES_PER_POINT = 4_000  #: a scan's tables, its graph twice, and what Louvain makes of it
 BYTES_PER_NODE = 15_000  #: an object's arcs, the candidates for its alignment
-DISK_BYTES_PER_POINT = 120  #: of all tables of a run, over the points of both files
-
-
-def disk_bytes(n_raw: int) -> int:
-    """Bytes of the tables of pairs whose files have `n_raw` points in all, without extras."""
-    return DISK_BYTES_PER_POINT * n_raw
 
 
 def side_seconds(n_raw: int) -> float:

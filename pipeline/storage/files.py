@@ -10,7 +10,6 @@ import io
 import json
 import os
 import secrets
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -90,27 +89,6 @@ def named_errors(path: Path, advice: str = "; give another --out") -> Iterator[N
                 f"{path}: {error.strerror}; make room, then run the same command again"
             ) from error
         raise RunError(f"{path}: cannot be written ({error.strerror}){advice}") from error
-
-
-def free_bytes(path: Path) -> int | None:
-    """Free bytes at the path of a future file or folder; None if unknown."""
-    for folder in (path, *path.absolute().parents):
-        with suppress(OSError):
-            return shutil.disk_usage(folder).free
-    return None
-
-
-def megabytes(n_bytes: int) -> str:
-    """A number of bytes as text.
-
-    Examples
-    --------
-    >>> megabytes(900_000), megabytes(76_161_803), megabytes(3_210_000_000)
-    ('0.9 MB', '76 MB', '3.2 GB')
-    """
-    if n_bytes >= 1e9:
-        return f"{n_bytes / 1e9:.3g} GB" if n_bytes >= 1e10 else f"{n_bytes / 1e9:.2g} GB"
-    return f"{n_bytes / 1e6:.0f} MB" if n_bytes >= 9.5e6 else f"{n_bytes / 1e6:.1f} MB"
 
 
 def remove_stale(path: Path) -> None:

@@ -40,7 +40,7 @@ def test_failed_pairs_end_with_three_and_are_listed(data, tmp_path):
     (data / "sim" / "001.bin").write_bytes(b"")
     result = command("run", data, "--workers", 1, "--out", tmp_path / "run", code=3)
     reason = "sim/001.bin: "
-    assert (result.stdout + result.stderr).count(reason) == result.stderr.count(reason) == 1
+    assert (result.stderr.count(reason), result.stdout.count(reason)) == (1, 1)
     shown = command("show", tmp_path / "run").stdout
     assert "1 of 2" in shown
     assert shown.count(reason) == 1

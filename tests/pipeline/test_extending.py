@@ -192,7 +192,7 @@ def test_the_score_is_in_every_table_and_nothing_stale_is_kept(again, dataset, t
     assert '"title":"change, Frobenius"' in (again / "report.html").read_text(encoding="utf-8")
     objects = "from fidpipe.pipeline.exchange.export import OBJECT; print(OBJECT.names)"
     assert "'frobenius_change'" in package.start(sys.executable, "-c", objects).stdout
-    assert "replacing results of pair 000" in package.fidpipe(*perturb, "--replace").stderr
+    assert "replacing perturb of 1 pair" in package.fidpipe(*perturb, "--replace").stderr
     assert "frobenius_change_mean" in pd.read_parquet(
         tmp_path / "perturb" / "perturb_global.parquet"
     )

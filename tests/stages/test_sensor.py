@@ -276,8 +276,8 @@ def test_a_focal_distance_of_another_sensor_names_none():
     crossing = replace(
         pattern(" ".join(map(str, SENSORS["pandar40p"].elevation_deg))), focal_m=0.0424
     )
-    assert recognise(crossing)[0] is None
-    assert recognise(replace(crossing, focal_m=0.0))[0] == "Hesai Pandar40P"
+    assert recognise(crossing).title is None
+    assert recognise(replace(crossing, focal_m=0.0)).title == "Hesai Pandar40P"
 
 
 def test_rings_that_lie_upon_each_other_are_no_beams(rng):

@@ -25,12 +25,14 @@ from ..view import (
     items_of,
     number,
     percent,
+    shortened,
     signed,
     warnings,
 )
 
 _MOST_LEFT_OUT = 5
 #: Most objects to look at, and with --all.
+_PAIR_WIDTH = 24
 _MOST_PLACES = 3
 _MOST_PLACES_OF_ALL = 20
 #: Headings of the causes and families with a verdict.
@@ -125,9 +127,9 @@ def answer(comparison: Comparison, n_places: int = _MOST_PLACES) -> Answers:
     sections = _by_verdict(comparison)
     if comparison.lacks_places:
         sections.append(("These frames", items_of(*_moved(comparison))))
-    where = []
-    for row in worst_changes(comparison.objects, n_places):
-        where.append(f"{row['pair_id']}  {place_words(row)}")
+    worst = worst_changes(comparison.objects, n_places)
+    names = shortened({row["pair_id"] for row in worst}, _PAIR_WIDTH)
+    where = [f"{names[row['pair_id']]}  {place_words(row)}" for row in worst]
     kinds = ", ".join(f"{n} {kind}" for kind, n in comparison.kinds.items() if n)
     again = (comparison.other, "--since", comparison.base)
     sections += [
