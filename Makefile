@@ -25,7 +25,7 @@ SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --fresh-env
 .PHONY: run test test-all test-slice check lint faults docs bench clean setup browser javascript lock release-check test-pythons
 
 run: setup
-	$(BIN)/fidpipe synth .cache/streets --pairs 4
+	$(BIN)/fidpipe synth .cache/streets --pairs 8
 	$(BIN)/fidpipe run .cache/streets --preset reference --out runs/streets
 	$(BIN)/fidpipe report runs/streets
 
