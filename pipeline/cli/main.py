@@ -233,10 +233,10 @@ def _root(
 
 
 _COMMANDS = {
-    "Evaluate": (check, run, show, report),
+    "Evaluate": (check, run, show, report, diagnose, tasks),
     "Compare": (compare, gate, best_case),
     "Data": (pair, synth, twin),
-    "Research": (diagnose, tasks, perturb, ablate),
+    "Research": (perturb, ablate),
     "Other": (status, export, settings),
 }
 
