@@ -85,12 +85,13 @@ def what_changed(
     """Changes of preset, settings and code since the last record that concern some stages, as text."""
     by_group = changed_settings(before, settings)
     versions = before.get("stages", {})
+    made_by = f"fidpipe {before.get('fidpipe')} on {before.get('written', '')[:10]}"
     changes = []
     for stage in stages:
         for group in stage.settings:
             changes += by_group.pop(group, [])
         if versions.get(stage.name, stage.version) != stage.version:
-            changes.append(f"code of stage {stage.name} is new")
+            changes.append(f"{made_by} had other code of stage {stage.name}")
     preset = preset_of(settings)
     if changes and before.get("preset", preset) != preset:
         changes.insert(0, f"preset was {before['preset']}, is {preset}")
