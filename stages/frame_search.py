@@ -28,7 +28,8 @@ _REACH_M = 40.0
 _NEAR_M = 1.0
 _GROUND_BAND_M = 0.4
 _MAX_POINTS = 1500
-_MIN_POINTS = 50
+_MIN_POINTS = 400  # of a scan; with fewer, scans of one place cover each other like scans of two
+_MIN_GROUND_POINTS = 50
 
 _MIN_COVERAGE = 0.6
 MIN_GAIN = 0.15
@@ -348,7 +349,7 @@ def _levelled(target: _Side, source: _Side, candidate: _Candidate) -> _Candidate
         is_ground = np.abs(z - target.ground_m) < _GROUND_BAND_M
         apart, row = tree.query(placed[is_ground, :2], distance_upper_bound=_VOXEL_M)
         is_near = np.isfinite(apart)
-        if is_near.sum() < _MIN_POINTS:
+        if is_near.sum() < _MIN_GROUND_POINTS:
             return None
         step_m = float(np.median(ground[row[is_near], 2] - z[is_ground][is_near]))
     lift_m = candidate.lift_m + change_m

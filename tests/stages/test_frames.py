@@ -341,3 +341,13 @@ def test_another_size_is_another_frame_also_if_the_ground_is_lifted():
     scaled = FrameCheck(0.86, "shifted by +0.30 m in z, in units of 0.9 m", 0.95, True, "")
     assert lifted.doubt is None
     assert scaled.doubt == f"the simulated scan is in another frame: {scaled.reading}"
+
+
+@pytest.mark.parametrize("n_points", [200, 300, 500, 1000])
+def test_thinned_scans_of_one_place_are_never_called_scans_of_two(n_points):
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        real, sim = (scene(seed), again(scene(seed)))
+        real, sim = (rng.choice(points, n_points, replace=False) for points in (real, sim))
+        result = check(real, sim)
+        assert result is None or result.doubt is None
