@@ -158,7 +158,7 @@ def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:
     """The causes that are unknown in most pairs, by reason."""
     by_reason: dict[str, list[str]] = {}
     for name, of_cause in values.items():
-        if not _is_known(of_cause.amount):
+        if name != UNEVEN and not _is_known(of_cause.amount):
             by_reason.setdefault(of_cause.reason, []).append(name)
     return [Unknown(causes=tuple(names), reason=reason) for reason, names in by_reason.items()]
 

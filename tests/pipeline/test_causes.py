@@ -312,6 +312,12 @@ def test_nothing_is_said_to_be_without_a_cause_where_many_are_unknown():
     assert no_cause_words([few, many]) == "no cause can be named: 21 of 37 are unknown (two sweeps)"
 
 
+def test_no_more_causes_are_unknown_than_there_are():
+    nothing = {name: Amount(None, reason="two sweeps") for name in CAUSES}
+    unknown = unknown_causes(cause_values([nothing]))
+    assert no_cause_words(unknown) == "no cause can be named: 37 of 37 are unknown (two sweeps)"
+
+
 def test_pairs_that_disagree_name_nothing():
     assert names_of(sideways=[0.5, -0.2, 0.6, 0.1]) == []
     assert names_of(sideways=[0.5, 0.4, 0.6, 0.5]) == ["sideways"]
