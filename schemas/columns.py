@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 from typing import Any
 
@@ -40,17 +41,24 @@ class Table:
         ValueError
             A column is missing, surplus, of another type, or has a null that the schema forbids.
         """
-        expected = _names_and_types(self.schema)
-        got = _names_and_types(table.schema)
-        if expected != got:
+        same_names = table.schema.names == self.schema.names
+        if not (same_names and table.schema.types == self.schema.types):
+            expected, got = _names_and_types(self.schema), _names_and_types(table.schema)
             raise ValueError(f"table {self.name}: expected columns {expected}, got {got}")
-        for field in self.schema:
-            n_null = table.column(field.name).null_count
-            if n_null and not field.nullable:
+        for name in self._without_nulls:
+            if n_null := table.column(name).null_count:
                 raise ValueError(
-                    f"table {self.name}, column {field.name}: expected no nulls, got {n_null}"
+                    f"table {self.name}, column {name}: expected no nulls, got {n_null}"
                 )
         return table
+
+    @cached_property
+    def _without_nulls(self) -> list[str]:
+        return [field.name for field in self.schema if not field.nullable]
+
+    @cached_property
+    def _fields(self) -> list[pa.Field]:
+        return list(self.schema)
 
     def build(self, columns: Mapping[str, Any], n_rows: int | None = None) -> pa.Table:
         """Build a checked table from arrays; a single string, number or None fills its column for `n_rows` rows.
@@ -60,7 +68,7 @@ class Table:
         if n_rows is None:
             n_rows = next(len(value) for value in columns.values() if _is_column(value))
         arrays = []
-        for field in self.schema:
+        for field in self._fields:
             value = columns.get(field.name)
             if _is_column(value):
                 arrays.append(pa.array(value, type=field.type, from_pandas=field.nullable))
