@@ -31,7 +31,8 @@ LIST_NAMES = f"list real and simulated file names in a {MANIFEST}, see docs/form
 LABEL_NAMES = "labels.toml"
 _MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_world_sensor")
 _ROTATION_TOLERANCE = 1e-3
-_MOST_NAMES = 5  # in the message of a folder that is no dataset
+#: Names of files that are listed if a folder is not a dataset.
+_MOST_NAMES = 5
 NO_PARTNER = "no partner"
 
 

@@ -154,9 +154,10 @@ def _values(test: Separation) -> dict[str, Any]:
 def _real_samples(
     real: pd.DataFrame, second: pd.DataFrame | None, is_paired: bool
 ) -> tuple[str, pd.DataFrame, pd.DataFrame]:
-    """What two samples of the real side are, and the samples, which a classifier should hardly tell apart.
+    """Two samples that differ only by chance, and the words for what they are.
 
-    Paired samples are frames of the same places; their numbers are those of the pairs.
+    A classifier that tells these apart would also tell any simulator apart. Paired samples are frames of the same
+    places; their numbers are those of the pairs.
     """
     if second is not None:
         return "second measurements of the best case", real, second

@@ -59,7 +59,7 @@ class SensorCheck:
 
 @dataclass
 class _SideScans:
-    """What is kept of the sampled scans of a side, by pair.
+    """Sampled scans of a side, by pair.
 
     points : clean, in the scan's own frame, z up
     places : clean, in the real sensor's frame

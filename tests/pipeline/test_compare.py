@@ -263,7 +263,11 @@ def test_no_name_reaches_the_page_as_markup_and_nothing_is_fetched(versions):
     assert not {"bold", "img", "iframe"} & set(page.tags)
     assert [link for link in page.links if not link.startswith("#")] == ["data:,"]
     assert "default-src 'none'" in text
-    assert any(HOSTILE[0] in text for text in page.text), "where to look"
+    places = [re.search(r", pair (.*), object \d+$", text) for text in page.text]
+    pairs = {place[1] for place in places if place}
+    assert HOSTILE[0] in pairs <= set(HOSTILE) and len(pairs) >= 4, (
+        "changed objects, in the 3D view"
+    )
 
 
 def test_a_difference_is_set_beside_what_seeds_alone_make(versions, tmp_path):
