@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -140,7 +141,7 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         sensors=sides.sensors(),
         causes=check_causes(samples),
         notes=sides.notes(),
-        doubts=sides.doubts(serious=True),
+        doubts=[*_frame_doubts(checks), *sides.doubts(serious=True)],
         faults=faults,
         warnings=[
             *dataset.warnings,
@@ -151,6 +152,16 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
             *sides.warnings(counts),
         ],
     )
+
+
+def _frame_doubts(checks: list[PairCheck]) -> list[str]:
+    """One line if the scans of most pairs are of two frames or of two places."""
+    compared = [check.frames for check in checks if check.frames]
+    doubts = Counter(frames.doubt for frames in compared if frames.doubt)
+    if 2 * doubts.total() <= len(compared):
+        return []
+    (text, n_pairs), *_ = doubts.most_common(1)
+    return [f"{text} ({n_pairs} of {len(compared)} pairs, see below)"]
 
 
 def check_pair(task: tuple[ScanPair, InputSettings, dict[int, str]]) -> PairCheck:
