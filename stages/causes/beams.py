@@ -185,8 +185,10 @@ def road_blur_deg2(side: Side) -> float | None:
 
 def second_returns(side: Side, behind_m: float = _BEHIND_M) -> BoolArray:
     """(n,) True for returns this far behind another one of the same ray: equal direction, larger range."""
-    _, near = side.ray_tree.query(side.rays, k=_MOST_RETURNS, distance_upper_bound=_SAME_RAY)
-    nearest_m = np.append(side.range_m, np.inf)[near].min(
-        axis=1
-    )  # missing neighbours have the last row
-    return np.greater(side.range_m, nearest_m + behind_m)
+    next_chord, _ = side.ray_tree.query(side.rays, k=[2], distance_upper_bound=_SAME_RAY)
+    rows = np.flatnonzero(np.isfinite(next_chord))  # of rays with several returns
+    _, near = side.ray_tree.query(side.rays[rows], k=_MOST_RETURNS, distance_upper_bound=_SAME_RAY)
+    nearest_m = np.append(side.range_m, np.inf)[near].min(axis=1)  # the last row: no neighbour
+    is_second = np.zeros(len(side.points), dtype=np.bool_)
+    is_second[rows] = side.range_m[rows] > nearest_m + behind_m
+    return is_second

@@ -79,12 +79,12 @@ class Side:
     @cached_property
     def tree(self) -> cKDTree:
         """Search tree of the points."""
-        return cKDTree(self.points)
+        return cKDTree(self.points, balanced_tree=False)
 
     @cached_property
     def ray_tree(self) -> cKDTree:
         """Search tree of the directions."""
-        return cKDTree(self.rays)
+        return cKDTree(self.rays, balanced_tree=False)
 
     def near_rays(self, rows: IndexArray, n_around: int) -> tuple[FloatArray, IndexArray]:
         """Chord from some rays to the nearest others, and the rows of these, (k, n_around) each."""
