@@ -77,14 +77,15 @@ def sample_rows(n: int) -> IndexArray:
 def _by_other_rays(side: Side, step: float, rng: Generator) -> FloatArray:
     """(n, 3) returns of rays that are turned by an angle, radians, in random directions.
 
-    On the plane of an object they lie in it. Elsewhere, as in foliage and on the ground, a ray between two others sees
-    what either of them sees: its range is that of a neighbouring ray, the more often the nearer it comes to the middle.
+    On the plane of an object, and on the ground near the sensor, they lie in it. Elsewhere, as in foliage, a ray between
+    two others sees what either of them sees: its range is that of a neighbouring ray, the more often the nearer it comes
+    to the middle.
     """
     random = rng.normal(size=side.points.shape)
     across = random - (random * side.rays).sum(axis=1, keepdims=True) * side.rays
     across /= np.maximum(np.linalg.norm(across, axis=1), 1e-9)[:, None]
     toward = (side.rays * side.normals).sum(axis=1)
-    is_plane = (np.abs(toward) > 0.1) & ~side.is_ground  # NaN is not
+    is_plane = np.abs(toward) > 0.1  # NaN is not
     # the ray turns across by a small angle: it meets the plane where the offset along the ray cancels that along n
     along_ray = np.zeros(len(toward))
     np.divide(-(across * side.normals).sum(axis=1), toward, out=along_ray, where=is_plane)
