@@ -77,9 +77,9 @@ def sample_rows(n: int) -> IndexArray:
 def _by_other_rays(side: Side, step: float, rng: Generator) -> FloatArray:
     """(n, 3) returns of rays that are turned by an angle, radians, in random directions.
 
-    On the plane of an object, and on the ground near the sensor, they lie in it. Elsewhere, as in foliage, a ray between
-    two others sees what either of them sees: its range is that of a neighbouring ray, the more often the nearer it comes
-    to the middle.
+    On the plane of an object, and on the ground near the sensor, they lie in it. Elsewhere, as in foliage, a ray
+    between two others sees what either of them sees: its range is that of a neighbouring ray, the more often the nearer
+    it comes to the middle.
     """
     random = rng.normal(size=side.points.shape)
     across = random - (random * side.rays).sum(axis=1, keepdims=True) * side.rays
