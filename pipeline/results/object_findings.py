@@ -22,7 +22,7 @@ from ...schemas.results import (
     ScoreDistributions,
     Unmatched,
 )
-from ...stages.arrays import FloatArray, IntArray
+from ...stages.arrays import FloatArray
 from ...stages.statistics.findings import BAND_EDGES_M, distribution, quantiles
 from ...stages.summary import mean_and_std, median_of
 
@@ -65,47 +65,16 @@ def summarise_objects(objects: pd.DataFrame, n_pairs: int) -> ObjectFindings:
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> RankCorrelation:
-    """Spearman's rho and Kendall's tau-b of the objects with both scores; None for fewer than 3 or constant scores.
+    """Spearman's rho and Kendall's tau-b of the objects with both scores; None for fewer than 3 or constant scores."""
+    from scipy.stats import kendalltau, spearmanr  # takes long to load
 
-    Equal to those of scipy.stats, whose import takes as long as all else at the end of a run.
-    """
     both = ~(np.isnan(a) | np.isnan(b))
     a = a[both]
     b = b[both]
     if len(a) < 3 or np.ptp(a) == 0 or np.ptp(b) == 0:
         return RankCorrelation(n=len(a), spearman=None, kendall=None)
-    _, rank_a, n_a = np.unique(a, return_inverse=True, return_counts=True)
-    _, rank_b, n_b = np.unique(b, return_inverse=True, return_counts=True)
-    mean_ranks_a = (np.cumsum(n_a) - (n_a - 1) / 2)[rank_a]
-    mean_ranks_b = (np.cumsum(n_b) - (n_b - 1) / 2)[rank_b]
-    _, n_both = np.unique(rank_a * len(n_b) + rank_b, return_counts=True)
-    n_pairs, ties_a, ties_b, ties = (_n_pairs(n) for n in (np.array(len(a)), n_a, n_b, n_both))
-    n_discordant = _n_inversions(rank_b[np.lexsort((rank_b, rank_a))])
-    difference = n_pairs - ties_a - ties_b + ties - 2 * n_discordant
-    kendall = difference / np.sqrt(n_pairs - ties_a) / np.sqrt(n_pairs - ties_b)
-    return RankCorrelation(
-        n=len(a),
-        spearman=float(np.corrcoef(mean_ranks_a, mean_ranks_b)[0, 1]),
-        kendall=float(np.clip(kendall, -1, 1)),
-    )
-
-
-def _n_pairs(group_sizes: IntArray) -> int:
-    """Number of pairs within groups."""
-    return int((group_sizes * (group_sizes - 1) // 2).sum())
-
-
-def _n_inversions(ranks: IntArray) -> int:
-    """Number of pairs of a sequence whose first rank is the larger one, bit by bit of the ranks."""
-    n_inversions = 0
-    for bit in range(int(ranks.max()).bit_length()):
-        ordered = ranks[np.argsort(ranks >> bit + 1, kind="stable")]
-        group = ordered >> bit + 1
-        is_larger = ordered >> bit & 1
-        n_larger_before = np.cumsum(is_larger) - is_larger
-        n_in_group = n_larger_before - n_larger_before[np.searchsorted(group, group)]
-        n_inversions += int(n_in_group[is_larger == 0].sum())
-    return n_inversions
+    spearman = float(spearmanr(a, b).statistic)
+    return RankCorrelation(n=len(a), spearman=spearman, kendall=float(kendalltau(a, b).statistic))
 
 
 def density_ratio(ratio: FloatArray) -> DensityRatio:
