@@ -146,10 +146,9 @@ def _table(
 
 
 def _spread(mean: float, std: float) -> str:
-    """Mean and deviation, in powers of ten if they are very small."""
     if isnan(mean):
         return "-"
-    return f"{mean:.3g}" if isnan(std) else f"{mean:.3g}±{std:.1g}"
+    return f"{mean:.3f}" if isnan(std) else f"{mean:.3f}±{std:.3f}"
 
 
 def _draw(
