@@ -197,6 +197,11 @@ def run_experiment(
 class _ExperimentRun(Run):
     """A run of the stage of an experiment, whose record says how each scan was read."""
 
+    @property
+    def title(self) -> str:
+        """The experiment in messages."""
+        return f"{self.stages[0].name} {self.folder.folder}"
+
     def write_results(self, scans: Mapping[str, Metadata]) -> None:
         """Write the record of an experiment that has ended."""
         self._end_phase("total")
@@ -215,7 +220,7 @@ class _ExperimentRun(Run):
         others = {pair_id for _, pair_id, _ in self.survey.stale} - self.selected
         if others and has_ended(self.before):
             why = f"pairs {', '.join(sorted(others))} not requested"
-            refuse_overwrite(f"run {self.folder.folder}", "their results", [why])
+            refuse_overwrite(self.title, "their results", [why])
 
 
 def _write_tables(

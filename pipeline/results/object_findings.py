@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...schemas.metric_catalogue import DISTRIBUTED
 from ...schemas.results import (
@@ -22,7 +23,7 @@ from ...schemas.results import (
     ScoreDistributions,
     Unmatched,
 )
-from ...stages.arrays import FloatArray, IntArray
+from ...stages.arrays import FloatArray
 from ...stages.statistics.findings import BAND_EDGES_M, distribution, quantiles
 from ...stages.summary import mean_and_std, median_of
 
@@ -90,12 +91,12 @@ def rank_correlation(a: FloatArray, b: FloatArray) -> RankCorrelation:
     )
 
 
-def _n_pairs(group_sizes: IntArray) -> int:
+def _n_pairs(group_sizes: NDArray[np.integer]) -> int:
     """Number of pairs within groups."""
     return int((group_sizes * (group_sizes - 1) // 2).sum())
 
 
-def _n_inversions(ranks: IntArray) -> int:
+def _n_inversions(ranks: NDArray[np.integer]) -> int:
     """Number of pairs of a sequence whose first rank is the larger one, bit by bit of the ranks."""
     n_inversions = 0
     for bit in range(int(ranks.max()).bit_length()):
