@@ -19,7 +19,6 @@ import pyarrow as pa
 from ..schemas.columns import Row
 from ..schemas.errors import DatasetError
 from ..schemas.record import FrameSuspect, PairCounts, RunHeader, RunRecord
-from ..schemas.results import JsonObject
 from ..schemas.settings import Settings, preset_of
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
@@ -99,16 +98,6 @@ class RunOutcome:
         rows = self.pairs.select(["pair_id", "status", "reason"]).to_pylist()
         failed = [row for row in rows if row["status"] == "failed"]
         return {row["pair_id"]: row["reason"] for row in failed} | self.reported
-
-    def as_dict(self) -> JsonObject:
-        """Plain values for JSON: those of `fidpipe show --json`, with the number of jobs and the failures."""
-        return {
-            "folder": str(self.folder),
-            "record": self.record.as_dict(),
-            "pairs": [*self.rows],
-            "jobs": {"made": self.n_made, "reused": self.n_reused},
-            "failures": {**self.failures},
-        }
 
 
 def run_dataset(
