@@ -186,7 +186,7 @@ def run(
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..jobs import stages_under
-    from ..report.views.run_view import outcome_view
+    from ..report.views.run_view import outcome_values, outcome_view
     from ..run import run_dataset
 
     stage_names = [stage.name for stage in stages_under(in_force)]
@@ -204,7 +204,7 @@ def run(
         machines=Machines(workers, scheduler, pair_timeout_s=pair_timeout),
         replace=replace,
     )
-    print_outcome(outcome.as_dict() if as_json else outcome_view(outcome), outcome.failures)
+    print_outcome(outcome_values(outcome) if as_json else outcome_view(outcome), outcome.failures)
 
 
 def best_case(

@@ -128,6 +128,8 @@ def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
     except DatasetError as error:
         if is_recording:
             raise
+        if not (scans_in(real) and scans_in(sim)):
+            raise DatasetError(_no_partner(real, sim)) from None
         raise DatasetError(f"{_no_partner(real, sim)} (by time: {error})") from error
     return real_line, sim_line, pair_times(real_line.times_s, sim_line.times_s, TOLERANCE_S)
 

@@ -369,6 +369,11 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
     )
 
 
+def run_values(run: FinishedRun) -> dict[str, Any]:
+    """A run as plain values: its record, and the rows of `pairs`."""
+    return {"folder": str(run.folder), "record": run.record.as_dict(), "pairs": run.rows}
+
+
 def pair_values(run: FinishedRun, pair_id: str) -> Row:
     """A pair: its row of `pairs`, its objects (`pair_objects`) and its rows of `ray_scores`; none of both if it failed.
 
