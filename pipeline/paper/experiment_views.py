@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from ...schemas.metric_catalogue import METRIC, narrow_labels
-from ...stages.generate.perturbations import KINDS
 from ..report.figures.style import new_figure, shown_name
 from ..report.look import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from ..report.view import Note, Table, View, columns_of, count
@@ -27,6 +26,13 @@ _ABLATED_SCORES = (
     "max_eigenvalue_shift_mean",
     "laplacian_change_mean",
 )
+#: Labels of the amounts of the kinds of perturbations that are drawn.
+_AXES = {
+    "noise": "noise, standard deviation (m)",
+    "dropout": "dropout, share of points lost",
+    "hallucination": "hallucination, share of points added",
+    "density": "local density, factor",
+}
 _COLOURS = (GREEN, VERMILION, ORANGE, BLUE, PURPLE, SKY)
 
 
@@ -46,7 +52,7 @@ class Sweep(NamedTuple):
 def show_perturbations(outcome: ExperimentOutcome) -> View:
     """Scores of the whole scan (the paper's Table I) and of objects; the figure is written."""
     levels = outcome.settings.perturb.levels  # type: ignore[attr-defined]
-    names = {astuple(level): KINDS[level.kind].text.format(level) for level in levels}
+    names = {astuple(level): str(level) for level in levels}
     means = outcome.tables["perturb_summary"].to_pandas()
     means["level"] = list(zip(means["kind"], means["amount"], means["shift_m"], strict=True))
     whole = means[means["scope"] == "global"]
@@ -60,10 +66,10 @@ def show_perturbations(outcome: ExperimentOutcome) -> View:
     if len(single):
         parts += _object_tables(outcome, single, names)
     sweeps = []
-    for name, kind in KINDS.items():
-        of_kind = single[single["kind"] == name]
-        if kind.axis and len(of_kind):
-            sweeps.append(Sweep(kind.axis, of_kind))
+    for kind, axis in _AXES.items():
+        of_kind = single[single["kind"] == kind]
+        if len(of_kind):
+            sweeps.append(Sweep(axis, of_kind))
     _draw(outcome, "perturb", f"{shown_name(scans)}, altered", sweeps, ("r_lambda", "r_gap"))
     return [*parts, *_last_lines(outcome, "perturb")]
 

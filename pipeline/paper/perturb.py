@@ -23,7 +23,7 @@ from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.baselines import compare_points
-from ...stages.generate.perturbations import KINDS, Perturbation, perturb
+from ...stages.generate.flaws import FLAWS, KINDS, Perturbation, perturb
 from ...stages.graph import graph_of
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.linalg.subgraph import Subgraph
@@ -279,18 +279,13 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
 
 
 def _level(word: str, kind: str, text: str) -> Perturbation:
-    shift, colon, amount = text.rpartition(":")
-    low, high = KINDS[kind].low, KINDS[kind].high
-    try:
-        level = Perturbation(kind, float(amount), float(shift or 0.0))
-        is_valid = low <= level.amount <= high and 0 <= level.shift_m <= 100
-    except ValueError:
-        is_valid = False
-    if not is_valid or (colon and kind != "rigid"):
-        raise SettingsError(
-            f"--sweep {word!r}: expected {low:g} to {high:g} for {kind} (rigid: metres:degrees), got {text!r}"
-        )
-    return level
+    """The level of an amount; that of `rigid` is an angle, or metres:degrees."""
+    shift, amount = "", text
+    if kind == "rigid":
+        shift, _, amount = text.rpartition(":")
+    option = f"--sweep {word!r}: {kind}"
+    shift_m = FLAWS["offset"].parse(shift or "0", option)
+    return Perturbation(kind, KINDS[kind].parse(amount, option), shift_m)
 
 
 def _scores(tables: Mapping[str, pd.DataFrame]) -> list[pd.DataFrame]:

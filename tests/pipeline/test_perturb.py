@@ -22,7 +22,7 @@ from fidpipe.pipeline.results.object_frame import SHAPES
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, ScanError, SettingsError
 from fidpipe.schemas.settings import load
-from fidpipe.stages.generate.perturbations import Perturbation, perturb
+from fidpipe.stages.generate.flaws import Perturbation, perturb
 from fidpipe.stages.graph import build_graph
 from runs import QUIET, command, contents, listening
 from scenes import street, write_bin, write_dataset
