@@ -30,7 +30,7 @@ from ..storage.folder import RunFolder
 from ..storage.run_record import RUN_JSON, command_again, finished_record
 from ..storage.urls import url_or_path
 from .causes import mean_amount, read_causes
-from .diagnosis import diagnosis_of, with_gains
+from .diagnosis import diagnosis_of
 from .object_frame import ALL_COLUMNS, WITH_UNITS, object_frame, plain_rows
 
 if TYPE_CHECKING:
@@ -44,7 +44,13 @@ def record_of_run(folder: Path) -> dict[str, Any]:
     """The record of a run; raises `RunError` with the next step if the folder holds none."""
     shown = url_or_path(folder)
     if folder.is_file() or path_exists(folder / RUN_JSON):
-        return finished_record(folder)
+        record = finished_record(folder)
+        if made_by := record.get("experiment"):
+            raise RunError(
+                f"run {shown}: expected a folder written by fidpipe run, got one of fidpipe "
+                f"{made_by}; its tables are {shown}/{made_by}*.parquet"
+            )
+        return record
     names = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
     runs = [str(folder / name) for name in names if path_exists(folder / name / RUN_JSON)]
     if {*SIDES, MANIFEST}.intersection(names):
@@ -74,12 +80,6 @@ class FinishedRun:
     def __init__(self, folder: Path | str) -> None:
         self.folder = folder = Path(folder)
         record = record_of_run(folder)
-        if made_by := record.get("experiment"):
-            raise RunError(
-                f"run {folder}: expected a folder written by fidpipe run, got one of fidpipe "
-                f"{made_by}; its tables are "
-                f"{folder}/{made_by}*.parquet"
-            )
         self.store = RunFolder(folder)
         try:
             self.record = RunRecord.from_dict(record)
@@ -223,7 +223,10 @@ class FinishedRun:
     @property
     def overview(self) -> Overview | None:
         """The first answer of the run, with the causes of its diagnosis if it has one; None if no pair is scored."""
-        return with_gains(self.record.overview, self.diagnosis)
+        overview = self.record.overview
+        if overview is None or self.diagnosis is None:
+            return overview
+        return overview.model_copy(update={"causes": self.diagnosis.causes})
 
     @cached_property
     def mean_amounts(self) -> dict[str, Cause | Unknown]:
