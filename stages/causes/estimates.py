@@ -407,10 +407,17 @@ def _sensor_amounts(
 
 
 def _noise_amount(real: SensorDescription, sim: SensorDescription) -> Amount:
-    """Difference between the lower estimate of one side and the upper one of the other; 0 if they overlap."""
+    """Difference between the lower estimate of one side and the upper one of the other; 0 if they overlap.
+
+    It is unknown if the steps of a side alone deviate more, q / sqrt(12), than its noise beyond them.
+    """
     real_m, sim_m = noise_bounds(real), noise_bounds(sim)
     if real_m is None or sim_m is None:
         return _unknown(real, sim, "range_noise_m")
+    for side, sensor, (_, noise_m) in (("real", real, real_m), ("simulated", sim, sim_m)):
+        step_m = sensor.range_quantum_m or 0.0
+        if step_m / np.sqrt(12) > noise_m:
+            return Amount(None, reason=f"{side} scan: range steps of {100 * step_m:.3g} cm hide it")
     amount = max(sim_m[0] - real_m[1], 0.0) + min(sim_m[1] - real_m[0], 0.0)
     return Amount(amount, real_m[1], sim_m[1])
 
