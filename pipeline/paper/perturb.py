@@ -122,10 +122,13 @@ def perturb_source(
             f"{len(pairs)}; select one with --pairs, or give labels"
         )
     # the simulated side is not read
-    scans = [replace(pair, sim=pair.real, T_real_sim=None) if pair.real else pair for pair in pairs]
+    real_twice = [
+        replace(pair, sim=pair.real, T_real_sim=None, fault=None) if pair.real else pair
+        for pair in pairs
+    ]
     return run_experiment(
         STAGE,
-        replace(source, pairs=tuple(scans)),
+        replace(source, pairs=tuple(real_twice)),
         out,
         PerturbSettings(**dict(settings), perturb=request),
         reporter,

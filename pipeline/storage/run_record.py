@@ -115,29 +115,6 @@ def read_run(folder: Path) -> dict[str, Any]:
     return record
 
 
-def finished_record(folder: Path) -> dict[str, Any]:
-    """The record of a run that must be there.
-
-    Raises
-    ------
-    RunError
-        It is not, or is damaged.
-    """
-    if folder.is_file():
-        raise RunError(f"run {folder}: expected a folder, such as {folder.parent}, got a file")
-    record = read_run(folder)
-    if not record and (folder / RUN_JSON).exists():
-        raise RunError(
-            f"run {folder}: {RUN_JSON} is damaged; run it again with: {command_again(folder, 'DATASET')} "
-            "(intact results are reused)"
-        )
-    if not record:
-        raise RunError(
-            f"run {folder}: expected a folder written by fidpipe run, found no run.json of one"
-        )
-    return record
-
-
 def write_record(
     folder: Path,
     settings: Settings,
