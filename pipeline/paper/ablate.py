@@ -26,6 +26,7 @@ from ..engine.worker import PairTables, run_in_memory
 from ..jobs import ground_job
 from ..jobs.metrics_job import pair_scores
 from ..jobs.scoring import MATCHING, PARTITION, SCORING
+from ..run import select_pairs
 from ..stage import Inputs, JobResult
 from .experiment import (
     ExperimentOutcome,
@@ -149,7 +150,7 @@ def ablate_dataset(
     tried = {name: sorted({*requested[name], getattr(base, name)}) for name in PARAMETERS}
     for parameters in parameter_sets(base, tried):
         with_parameters(settings, parameters)  # raises before any work
-    source = read_source(dataset, pattern)
+    source = read_source(dataset)
     if scan_ref(dataset).exists:
         raise SettingsError(
             f"{dataset}: is a scan; expected a dataset with real and simulated scans",
@@ -157,6 +158,7 @@ def ablate_dataset(
     return run_experiment(
         STAGE,
         source,
+        select_pairs(source, pattern),
         out,
         AblateSettings(**dict(settings), ablate=AblateRequest(**tried)),
         reporter,

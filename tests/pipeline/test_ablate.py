@@ -43,11 +43,11 @@ def test_a_finished_ablation_takes_further_pairs_and_other_values_only_if_asked(
     record = (out / "run.json").read_bytes()
     for options, why in (
         ({"values": VALUES | {"k": (10,)}}, r"ablate.k was \[8, 12\], is \[10, 12\]"),
-        ({"pattern": "000"}, "pairs 001 not requested"),
     ):
         with pytest.raises(RunError, match=why):
             ablated(dataset, out, **options)
     assert (out / "run.json").read_bytes() == record
+    assert ablated(dataset, out, pattern="000").tables["ablate"].equals(done.tables["ablate"])
     more = VALUES | {"delta_m": (0.5, 3.0, 5.0)}
     wider = ablated(dataset, out, values=more, replace=True)
     assert set(wider.tables["ablate"].column("delta_m").to_pylist()) == {0.5, 3.0, 5.0}
