@@ -1,6 +1,7 @@
 """Three builds of a simulator with known flaws, for docs/decision.md: python tools/builds.py FOLDER.
 
-build41 is `fidpipe synth`; build42 is 12 cm lower and has 2 cm of range noise, as the real scans have; build43 has the noise alone.
+build41 is `fidpipe synth`; build42 is 12 cm lower and has 2 cm of range noise, as the real scans have; build43 has the
+noise alone.
 """
 
 import shutil

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
-from ...stages.arrays import FloatArray, IntArray
+from ...stages.arrays import FloatArray, IndexArray
 from ..storage.files import csv_bytes, write_whole
 from .pairs import (
     LIST_NAMES,
@@ -62,12 +62,17 @@ class Pairing:
     by_name : True if the names of the files pair them; gaps and offset are 0 then
     """
 
-    real_ids: IntArray
-    sim_ids: IntArray
+    real_ids: IndexArray
+    sim_ids: IndexArray
     gaps_s: FloatArray
     offset_s: float
     others_s: tuple[float, ...] = ()
     by_name: bool = False
+
+    @property
+    def gap_s(self) -> float:
+        """Mean time between the two frames of a pair; 0 without a pair."""
+        return float(np.abs(self.gaps_s).mean()) if len(self.gaps_s) else 0.0
 
 
 def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
@@ -99,8 +104,7 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     real_line, sim_line, pairing = _paired(real, sim)
     _require_same_sides(real, sim, out)
     n_pairs = len(pairing.real_ids)
-    kept = np.arange(n_pairs, dtype=np.int32)
-    n_unpaired = write_dataset(out, real_line, sim_line, pairing, kept, replace=True)
+    n_unpaired = write_dataset(out, real_line, sim_line, pairing, np.arange(n_pairs), replace=True)
     how = "name"
     if not pairing.by_name:
         how = f"time (simulated times {pairing.offset_s:+.4f} s"
@@ -118,18 +122,20 @@ def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
     """The frames of both sides, paired by name if both are folders, else by time."""
     is_recording = any(scan_ref(side).format.holds_frames for side in (real, sim))
     if not is_recording:
-        real_line, sim_line = _timeline_if_known(real), _timeline_if_known(sim)
+        lines = read_timeline(real, needs_times=False), read_timeline(sim, needs_times=False)
         for name_of in (str, _only_number):
-            pairing = _pair_names(real_line.frames, sim_line.frames, name_of)
+            pairing = _pair_names(lines[0].frames, lines[1].frames, name_of)
             if len(pairing.real_ids):
-                return real_line, sim_line, pairing
+                return *lines, pairing
     try:
-        real_line, sim_line = read_timeline(real), read_timeline(sim)
+        lines = read_timeline(real), read_timeline(sim)
     except DatasetError as error:
         if is_recording:
             raise
+        if not (scans_in(real) and scans_in(sim)):
+            raise DatasetError(_no_partner(real, sim)) from None
         raise DatasetError(f"{_no_partner(real, sim)} (by time: {error})") from error
-    return real_line, sim_line, pair_times(real_line.times_s, sim_line.times_s, TOLERANCE_S)
+    return *lines, pair_times(lines[0].times_s, lines[1].times_s, TOLERANCE_S)
 
 
 def _require_same_sides(real: Path, sim: Path, out: Path) -> None:
@@ -156,10 +162,10 @@ def require_partners(dataset: Dataset) -> None:
 
 def _are_a_dataset(real: Path, sim: Path) -> bool:
     """True if the folders are `real/` and `sim/` of one dataset that has a manifest or scans of the same name."""
-    folders = (real.resolve(), sim.resolve())
-    if tuple(folder.name for folder in folders) != SIDES or folders[0].parent != folders[1].parent:
+    dataset = real.resolve().parent
+    if (real.resolve(), sim.resolve()) != (dataset / "real", dataset / "sim"):
         return False
-    if (folders[0].parent / MANIFEST).exists():
+    if (dataset / MANIFEST).exists():
         return True
     stems = {scan.stem for scan in scans_in(real)}
     return any(scan.stem in stems for scan in scans_in(sim))
@@ -177,11 +183,15 @@ def _no_partner(real: Path, sim: Path) -> str:
     )
 
 
-def read_timeline(source: Path) -> Timeline:
+def read_timeline(source: Path, *, needs_times: bool = True) -> Timeline:
     """The frames of a recording, or of a folder of scans, with their times.
 
     The times of a folder are the lines of its `times.txt`, the first numbers in its `poses.tum`, or
     the names of the files, if these are seconds with a decimal point.
+
+    Parameters
+    ----------
+    needs_times : False if a folder may have no times, and no frames
 
     Raises
     ------
@@ -191,21 +201,31 @@ def read_timeline(source: Path) -> Timeline:
     recording = scan_ref(source)
     if recording.format.holds_frames:
         frames = frames_of(recording)
-        times_us = np.array([(frame.time_ns or 0) // 1000 for frame in frames])
-        return _in_order(source, frames, times_us / 1e6)
-    if not source.is_dir():
+        times_s = np.array([(frame.time_ns or 0) // 1000 for frame in frames]) / 1e6
+    elif source.is_dir():
+        frames = scans_in(source)
+        times_s = _times_of_folder(source, [frame.stem for frame in frames], needs_times)
+    else:
         raise DatasetError(f"{source}: expected a recording (bag, capture) or a folder of scans")
-    frames = scans_in(source)
-    for path in (source / name for name in _TIMES):
+    if needs_times and not frames:
+        raise DatasetError(f"{source}: no frames found; expected at least one")
+    order = np.argsort(times_s, kind="stable")
+    return Timeline(source, tuple(frames[i] for i in order), times_s[order])
+
+
+def _times_of_folder(folder: Path, stems: list[str], needs_times: bool) -> FloatArray:
+    """The time of each scan of a folder, seconds; NaN if none are known and none are needed."""
+    for path in (folder / name for name in _TIMES):
         if path.is_file():
-            return _in_order(source, frames, read_times(path, len(frames)))
-    names = [frame.stem for frame in frames]
-    if not all(_SECONDS.fullmatch(name) for name in names):
+            return read_times(path, len(stems))
+    if all(_SECONDS.fullmatch(stem) for stem in stems):
+        return np.array(stems, dtype=np.float64)
+    if needs_times:
         raise DatasetError(
-            f"{source}: no times found; expected {' or '.join(_TIMES)} with a line for each scan, "
+            f"{folder}: no times found; expected {' or '.join(_TIMES)} with a line for each scan, "
             "or names such as 12.100.ply"
         )
-    return _in_order(source, frames, np.array(names, dtype=np.float64))
+    return np.full(len(stems), np.nan)
 
 
 def read_times(path: Path, n_scans: int) -> FloatArray:
@@ -218,13 +238,6 @@ def read_times(path: Path, n_scans: int) -> FloatArray:
     return times_s
 
 
-def _in_order(source: Path, frames: Sequence[ScanRef], times_s: FloatArray) -> Timeline:
-    if not frames:
-        raise DatasetError(f"{source}: no frames found; expected at least one")
-    order = np.argsort(times_s, kind="stable")
-    return Timeline(source, tuple(frames[i] for i in order), times_s[order])
-
-
 def _pair_names(
     real: Sequence[ScanRef], sim: Sequence[ScanRef], name_of: Callable[[str], str]
 ) -> Pairing:
@@ -235,15 +248,6 @@ def _pair_names(
     real_ids = np.array([real_places[name] for name in names])
     sim_ids = np.array([sim_places[name] for name in names])
     return Pairing(real_ids, sim_ids, np.zeros(len(names)), 0.0, by_name=True)
-
-
-def _timeline_if_known(folder: Path) -> Timeline:
-    """The frames of a folder with their times; in the order of their names without any."""
-    try:
-        return read_timeline(folder)
-    except DatasetError:
-        frames = scans_in(folder)
-        return Timeline(folder, tuple(frames), np.full(len(frames), np.nan))
 
 
 def _unique_places(frames: Sequence[ScanRef], name_of: Callable[[str], str]) -> dict[str, int]:
@@ -283,42 +287,39 @@ def pair_times(
     ([1, 2], [0, 1])
     """
     if offset_s is not None:
-        return Pairing(*_nearest(real_s, sim_s + offset_s, tolerance_s), offset_s)
+        return _nearest(real_s, sim_s, offset_s, tolerance_s)
     offsets_s = np.concatenate([[0.0], real_s - sim_s[0], real_s[0] - sim_s])
-    step = tolerance_s / 100
-    _, first = np.unique(np.round(offsets_s / step), return_index=True)
-    offsets_s = offsets_s[np.sort(first)]
-    ranked = []
-    for order, tried_s in enumerate(offsets_s.tolist()):
-        match = _nearest(real_s, sim_s + tried_s, tolerance_s)
-        gaps_s = np.abs(match[2])
-        gap_s = float(gaps_s.mean()) if len(gaps_s) else 0.0
-        rank = (-len(gaps_s), tried_s != 0, round(gap_s / step), order)
-        ranked.append((rank, gap_s, tried_s, match))
-    (rank, gap_s, best_s, match), *others = sorted(ranked, key=lambda entry: entry[0])
-    limit_s = gap_s + tolerance_s / 10
+    step_s = tolerance_s / 100
+    _, first = np.unique(np.round(offsets_s / step_s), return_index=True)
+    tried = []
+    for tried_s in offsets_s[np.sort(first)].tolist():
+        tried.append(_nearest(real_s, sim_s, tried_s, tolerance_s))
+
+    def rank(pairing: Pairing) -> tuple[int, bool, int]:
+        is_moved = pairing.offset_s != 0
+        return -len(pairing.gaps_s), is_moved, round(pairing.gap_s / step_s)
+
+    best = min(tried, key=rank)
     others_s = []
-    for other_rank, other_gap_s, other_s, _ in others:
-        if best_s and other_rank[0] == rank[0] and other_gap_s <= limit_s:
-            others_s.append(other_s)
-    return Pairing(*match, best_s, tuple(others_s))
+    for pairing in tried:
+        is_as_good = pairing.gap_s <= best.gap_s + tolerance_s / 10
+        if pairing is not best and is_as_good and len(pairing.gaps_s) == len(best.gaps_s):
+            others_s.append(pairing.offset_s)
+    return with_values(best, others_s=tuple(others_s) if best.offset_s else ())
 
 
-def _nearest(
-    real_s: FloatArray,
-    sim_s: FloatArray,
-    tolerance_s: float,
-) -> tuple[IntArray, IntArray, FloatArray]:
-    """Positions of frames that are each other's nearest, and their gaps."""
-    to_sim = _nearest_ids(real_s, sim_s)
-    to_real = _nearest_ids(sim_s, real_s)
+def _nearest(real_s: FloatArray, sim_s: FloatArray, offset_s: float, tolerance_s: float) -> Pairing:
+    """Frames that are each other's nearest, with an offset added to simulated times."""
+    moved_s = sim_s + offset_s
+    to_sim = _nearest_ids(real_s, moved_s)
+    to_real = _nearest_ids(moved_s, real_s)
     real_ids = np.arange(len(real_s))
-    gaps_s = sim_s[to_sim] - real_s
+    gaps_s = moved_s[to_sim] - real_s
     kept = (to_real[to_sim] == real_ids) & (np.abs(gaps_s) <= tolerance_s)
-    return real_ids[kept], to_sim[kept], gaps_s[kept]
+    return Pairing(real_ids[kept], to_sim[kept], gaps_s[kept], offset_s)
 
 
-def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IntArray:
+def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IndexArray:
     """For each time the position of the nearest among others; of two equally near ones the earlier."""
     after = np.clip(np.searchsorted(among_s, of_s), 1, max(len(among_s) - 1, 1))
     before = after - 1
@@ -361,7 +362,7 @@ def write_dataset(
     real: Timeline,
     sim: Timeline,
     pairing: Pairing,
-    kept: IntArray,
+    kept: IndexArray,
     *,
     replace: bool = False,
 ) -> int:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import astuple
+from itertools import cycle
 from math import isnan
 from typing import Any, NamedTuple
 
 import pandas as pd
 
 from ...schemas.metric_catalogue import METRIC, narrow_labels
-from ...stages.generate.perturbations import KINDS
 from ..report.figures.style import new_figure, shown_name
 from ..report.look import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from ..report.view import Note, Table, View, columns_of, count
@@ -26,6 +26,13 @@ _ABLATED_SCORES = (
     "max_eigenvalue_shift_mean",
     "laplacian_change_mean",
 )
+#: Labels of the amounts of the kinds of perturbations that are drawn.
+_AXES = {
+    "noise": "noise, standard deviation (m)",
+    "dropout": "dropout, share of points lost",
+    "hallucination": "hallucination, share of points added",
+    "density": "local density, factor",
+}
 _COLOURS = (GREEN, VERMILION, ORANGE, BLUE, PURPLE, SKY)
 
 
@@ -45,7 +52,7 @@ class Sweep(NamedTuple):
 def show_perturbations(outcome: ExperimentOutcome) -> View:
     """Scores of the whole scan (the paper's Table I) and of objects; the figure is written."""
     levels = outcome.settings.perturb.levels  # type: ignore[attr-defined]
-    names = {astuple(level): KINDS[level.kind].text.format(level) for level in levels}
+    names = {astuple(level): str(level) for level in levels}
     means = outcome.tables["perturb_summary"].to_pandas()
     means["level"] = list(zip(means["kind"], means["amount"], means["shift_m"], strict=True))
     whole = means[means["scope"] == "global"]
@@ -59,10 +66,10 @@ def show_perturbations(outcome: ExperimentOutcome) -> View:
     if len(single):
         parts += _object_tables(outcome, single, names)
     sweeps = []
-    for name, kind in KINDS.items():
-        of_kind = single[single["kind"] == name]
-        if kind.axis and len(of_kind):
-            sweeps.append(Sweep(kind.axis, of_kind))
+    for kind, axis in _AXES.items():
+        of_kind = single[single["kind"] == kind]
+        if len(of_kind):
+            sweeps.append(Sweep(axis, of_kind))
     _draw(outcome, "perturb", f"{shown_name(scans)}, altered", sweeps, ("r_lambda", "r_gap"))
     return [*parts, *_last_lines(outcome, "perturb")]
 
@@ -162,27 +169,37 @@ def _draw(
     if not sweeps:
         return
     title = f"{title}; bars: one standard deviation"
+    curves = sorted({str(name) for sweep in sweeps for name in sweep.means["curve"]})
+    colours = dict(zip(curves, cycle(_COLOURS), strict=False))
     with new_figure(2.75 * max(len(sweeps), 2), 5.2, title) as figure:
         axes = figure.subplots(2, len(sweeps), sharey="row", squeeze=False)
         for metric, row in zip(metrics, axes, strict=True):
             for sweep, axis in zip(sweeps, row, strict=True):
-                _draw_panel(axis, sweep, metric)
+                _draw_panel(axis, sweep, metric, colours)
             row[0].set(ylabel=metric.removesuffix("_mean"), ylim=(0, None))
         handles = axes[0, 0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside lower center", ncols=len(_COLOURS))
         figure.savefig(outcome.folder / f"{name}.png", dpi=120)
 
 
-def _draw_panel(axis: Any, sweep: Sweep, metric: str) -> None:
-    """Mean and deviation of one metric along one sweep."""
-    axis.set_prop_cycle(color=_COLOURS)
+def _draw_panel(axis: Any, sweep: Sweep, metric: str, colours: Mapping[str, str]) -> None:
+    """Mean and deviation of one metric along one sweep, each curve in its colour."""
     known = sweep.means[sweep.means["metric"] == metric].dropna(subset="mean")
-    for name, curve in known.sort_values("amount").groupby("curve", sort=False):
-        label = shown_name(str(name))
-        std = curve["std"].fillna(0)
-        axis.errorbar(curve["amount"], curve["mean"], std, marker="o", markersize=4, label=label)
-    if known["amount"].max() > 10 * known["amount"].min() > 0:
+    for name, curve in known.sort_values("amount").groupby("curve"):
+        axis.errorbar(
+            curve["amount"],
+            curve["mean"],
+            curve["std"].fillna(0),
+            marker="o",
+            markersize=4,
+            label=shown_name(str(name)),
+            color=colours[str(name)],
+        )
+    amounts = sorted(known["amount"].unique())
+    if amounts and amounts[-1] > 10 * amounts[0] > 0:
         axis.set_xscale("log")
+        axis.set_xticks(amounts, labels=[f"{amount:g}" for amount in amounts])
+        axis.minorticks_off()
     if sweep.current is not None:
         axis.axvline(sweep.current, color="black", linewidth=0.8, linestyle="--", zorder=0)
-    axis.set_xlabel(sweep.axis)
+    axis.set_xlabel(sweep.axis.replace(", ", "\n"))

@@ -23,7 +23,7 @@ from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.baselines import compare_points
-from ...stages.generate.perturbations import KINDS, Perturbation, perturb
+from ...stages.generate.flaws import FLAWS, KINDS, Perturbation, perturb
 from ...stages.graph import graph_of
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.linalg.subgraph import Subgraph
@@ -33,6 +33,7 @@ from ..engine.progress import Reporter
 from ..engine.worker import PairTables
 from ..jobs.points_job import column, points_in
 from ..jobs.scoring import PARTITION, ground_table, score_pair
+from ..run import select_pairs
 from ..stage import Inputs, JobResult
 from ..storage.files import key_of
 from .experiment import (
@@ -113,8 +114,8 @@ def perturb_source(
     FidpipeError
         The scan, the dataset, a setting or the folder is invalid.
     """
-    source = read_source(path, pattern)
-    pairs = source.pairs if pattern else source.pairs[:1]
+    source = read_source(path)
+    pairs = select_pairs(source, pattern) if pattern else source.pairs[:1]
     objects = request.objects or ()
     if len(pairs) > 1 and any(word.isdigit() for word in objects):
         raise DatasetError(
@@ -122,10 +123,15 @@ def perturb_source(
             f"{len(pairs)}; select one with --pairs, or give labels"
         )
     # the simulated side is not read
-    scans = [replace(pair, sim=pair.real, T_real_sim=None) if pair.real else pair for pair in pairs]
+    scans = []
+    for pair in source.pairs:
+        scans.append(
+            replace(pair, sim=pair.real, T_real_sim=None, fault=None) if pair.real else pair
+        )
     return run_experiment(
         STAGE,
         replace(source, pairs=tuple(scans)),
+        pairs,
         out,
         PerturbSettings(**dict(settings), perturb=request),
         reporter,
@@ -279,18 +285,13 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
 
 
 def _level(word: str, kind: str, text: str) -> Perturbation:
-    shift, colon, amount = text.rpartition(":")
-    low, high = KINDS[kind].low, KINDS[kind].high
-    try:
-        level = Perturbation(kind, float(amount), float(shift or 0.0))
-        is_valid = low <= level.amount <= high and 0 <= level.shift_m <= 100
-    except ValueError:
-        is_valid = False
-    if not is_valid or (colon and kind != "rigid"):
-        raise SettingsError(
-            f"--sweep {word!r}: expected {low:g} to {high:g} for {kind} (rigid: metres:degrees), got {text!r}"
-        )
-    return level
+    """The level of an amount; that of `rigid` is an angle, or metres:degrees."""
+    shift, amount = "", text
+    if kind == "rigid":
+        shift, _, amount = text.rpartition(":")
+    option = f"--sweep {word!r}: {kind}"
+    shift_m = FLAWS["offset"].parse(shift or "0", option)
+    return Perturbation(kind, KINDS[kind].parse(amount, option), shift_m)
 
 
 def _scores(tables: Mapping[str, pd.DataFrame]) -> list[pd.DataFrame]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
 
-from ...schemas.errors import FidpipeError, suggestion
+from ...schemas.errors import FidpipeError, SettingsError, suggestion
 from ..arrays import BoolArray, FloatArray
 from ..surfels import fit_planes, voxel_means
 from .perturbations import (
@@ -23,9 +23,9 @@ from .perturbations import (
     drop_points,
     grow_regions,
     move_rigidly,
+    reorder,
 )
 
-_WHOLE = ("holes", "mirrored")  # flaws of which the amount is a count
 SCATTERED = 0.1  # l3 / l1 of foliage, and more
 _NEIGHBOURS = 40
 _BLUR_VOXELS = 4  # per radius
@@ -42,6 +42,7 @@ class Flaw:
     high, low : bounds of the amount
     alter : function of points, amount and random generator that returns the altered points
     is_systematic : all scans of a simulator have the same flaw, so that they share one seed
+    is_count : the amount is a whole number
     """
 
     amount: str
@@ -49,6 +50,7 @@ class Flaw:
     alter: Callable[[FloatArray, float, Generator], FloatArray]
     low: float = 0
     is_systematic: bool = False
+    is_count: bool = False
 
     def __call__(self, points: FloatArray, amount: float, rng: Generator) -> FloatArray:
         """Return the altered points, (m, 3): the kept points in their order, then new ones. No points remain no points.
@@ -60,6 +62,60 @@ class Flaw:
         rng : source of all random numbers
         """
         return self.alter(points, amount, rng) if len(points) else points.copy()
+
+    def parse(self, text: str, option: str) -> float:
+        """The amount in a text; `SettingsError`, which names the option, if it is out of bounds."""
+        try:
+            amount = float(text)
+        except ValueError:
+            amount = float("nan")
+        is_wrong_count = self.is_count and not amount.is_integer()
+        if is_wrong_count or not self.low <= amount <= self.high:
+            kind = "whole number" if self.is_count else "number"
+            raise SettingsError(
+                f"{option}: expected a {kind} from {self.low:g} to {self.high:g} ({self.amount}), "
+                f"got {text!r}"
+            )
+        return amount
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """A perturbation of the paper's experiment.
+
+    kind : one of `KINDS`
+    amount : of that flaw; rigid: the angle
+    shift_m : rigid only, length of the translation
+    """
+
+    kind: str
+    amount: float
+    shift_m: float = 0.0
+
+    def __str__(self) -> str:
+        shift = f"{self.shift_m:g}:" if self.kind == "rigid" else ""
+        return f"{self.kind} {shift}{self.amount:g}"
+
+
+def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> FloatArray:
+    """The altered points, (m, 3); remaining points keep their order (except for `null`), new ones follow.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, sensor at the origin
+    perturbation : kind and amount
+    rng : source of all randomness
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> line = np.arange(30.0).reshape(10, 3)
+    >>> len(perturb(line, Perturbation("dropout", 0.4), np.random.default_rng(0)))
+    7
+    """
+    if perturbation.kind == "rigid":
+        return move_rigidly(points, perturbation.amount, rng, perturbation.shift_m)
+    return KINDS[perturbation.kind].alter(points, perturbation.amount, rng)
 
 
 def carried(points: FloatArray, intensity: FloatArray, altered: FloatArray) -> FloatArray:
@@ -132,20 +188,32 @@ def _mirror(points: FloatArray, is_mirrored: float, rng: Generator) -> FloatArra
 #: Flaws by name, in the order in which they are applied to a scan: losses, distortions, additions, then rigid motions.
 FLAWS = {
     "foliage": Flaw("share of the foliage lost, in clumps of 2 m", 1, lose_foliage),
-    "holes": Flaw("number of holes of 1.5 m", 10_000, _cut_holes),
+    "holes": Flaw("number of holes of 1.5 m", 10_000, _cut_holes, is_count=True),
     "far-dropout": Flaw("share lost beyond 25 m", 1, _lose_far),
     "dropout": Flaw("share of the points lost", 1, drop_points),
     "density": Flaw(
-        "factor of the density in regions that hold 30 % of the points", 8, change_density
+        "factor of the density in regions that hold 30 % of the points", 20, change_density
     ),
     "blur": Flaw("radius within which surfaces are smoothed, metres", 5, _blur),
     "noise": Flaw("std of the noise on each coordinate, metres", 10, add_noise),
-    "ghosts": Flaw("points in ghost clusters of 20, per point", 8, add_clusters),
+    "ghosts": Flaw("points in ghost clusters of 20, per point", 10, add_clusters),
     "yaw": Flaw("turn about the vertical, degrees", 180, move_rigidly, -180, is_systematic=True),
     "offset": Flaw(
         "shift in a random horizontal direction, metres", 100, _shift, is_systematic=True
     ),
-    "mirrored": Flaw("1: y is negated; 0: it is not", 1, _mirror, is_systematic=True),
+    "mirrored": Flaw(
+        "1: y is negated; 0: it is not", 1, _mirror, is_systematic=True, is_count=True
+    ),
+}
+
+#: The flaws of the paper's experiment by its names.
+KINDS = {
+    "noise": FLAWS["noise"],
+    "dropout": FLAWS["dropout"],
+    "rigid": FLAWS["yaw"],
+    "hallucination": FLAWS["ghosts"],
+    "density": FLAWS["density"],
+    "null": Flaw("number of points lost, the others in another order", 100, reorder),
 }
 
 
@@ -169,17 +237,5 @@ def parse_flaws(words: Sequence[str]) -> dict[str, float]:
             raise FidpipeError(f"flaw {name!r}: unknown; {suggestion(name, FLAWS)}")
         if name in amounts:
             raise FidpipeError(f"flaw {name}: given twice; give it once")
-        flaw = FLAWS[name]
-        try:
-            amount = 1.0 if word == "mirrored" else float(text)
-        except ValueError:
-            amount = float("nan")
-        is_wrong_count = name in _WHOLE and not amount.is_integer()
-        if is_wrong_count or not flaw.low <= amount <= flaw.high:
-            kind = "whole number" if name in _WHOLE else "number"
-            raise FidpipeError(
-                f"flaw {name}: expected {name}=AMOUNT with a {kind} from {flaw.low:g} to {flaw.high:g} "
-                f"({flaw.amount}), got {word!r}"
-            )
-        amounts[name] = amount
+        amounts[name] = FLAWS[name].parse("1" if word == "mirrored" else text, f"flaw {name}")
     return {name: amounts[name] for name in FLAWS if name in amounts}

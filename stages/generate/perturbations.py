@@ -6,9 +6,6 @@ does not sweep them, so their definitions are ours.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
@@ -21,61 +18,6 @@ CLUSTER_DISTANCE_M = 0.5
 REGION_RADIUS_M = 2.0
 REGION_SHARE = 0.3
 SURFACE_NEIGHBOURS = 5
-
-
-@dataclass(frozen=True)
-class Perturbation:
-    """Kind and amount of a perturbation.
-
-    kind : one of `KINDS`
-    amount : null: number of points lost, the others in another order; noise: standard deviation in
-        metres; dropout: share of points lost; rigid: angle in degrees; hallucination: ratio of
-        spurious to true points; density: factor of the local density
-    shift_m : rigid only, length of the translation
-    """
-
-    kind: str
-    amount: float
-    shift_m: float = 0.0
-
-
-@dataclass(frozen=True)
-class PerturbationKind:
-    """One kind of perturbation.
-
-    alter : function of points, amount, random generator and, for rigid motion, the translation
-    low, high : bounds of the amount
-    text : name of a level in tables, with {0} for the `Perturbation`
-    axis : label of the amount in figures; "" if no curve is drawn
-    """
-
-    alter: Callable[..., FloatArray]
-    low: float
-    high: float
-    text: str
-    axis: str = ""
-
-
-def perturb(points: FloatArray, perturbation: Perturbation, rng: Generator) -> FloatArray:
-    """The altered points, (m, 3); remaining points keep their order (except for `null`), new ones follow.
-
-    Parameters
-    ----------
-    points : (n, 3) float64, metres, sensor at the origin
-    perturbation : kind and amount
-    rng : source of all randomness
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> line = np.arange(30.0).reshape(10, 3)
-    >>> len(perturb(line, Perturbation("dropout", 0.4), np.random.default_rng(0)))
-    7
-    """
-    alter = KINDS[perturbation.kind].alter
-    if perturbation.kind == "rigid":
-        return alter(points, perturbation.amount, rng, perturbation.shift_m)
-    return alter(points, perturbation.amount, rng)
 
 
 def reorder(points: FloatArray, n_lost: float, rng: Generator) -> FloatArray:
@@ -238,48 +180,3 @@ def grow_regions(points: FloatArray, n_chosen: int, rng: Generator) -> BoolArray
         chosen[taken] = True
         n_left -= len(taken)
     return chosen
-
-
-#: Kinds of perturbations by name.
-KINDS = {
-    "noise": PerturbationKind(
-        alter=add_noise,
-        low=0,
-        high=10,
-        text="noise {0.amount:g} m",
-        axis="noise, standard deviation (m)",
-    ),
-    "dropout": PerturbationKind(
-        alter=drop_points,
-        low=0,
-        high=0.99,
-        text="dropout {0.amount:.0%}",
-        axis="dropout, share of points lost",
-    ),
-    "rigid": PerturbationKind(
-        alter=move_rigidly,
-        low=-180,
-        high=180,
-        text="rigid {0.shift_m:g} m, {0.amount:g}°",
-    ),
-    "hallucination": PerturbationKind(
-        alter=add_clusters,
-        low=0,
-        high=10,
-        text="hallucination +{0.amount:.0%}",
-        axis="hallucination, share of points added",
-    ),
-    "density": PerturbationKind(
-        alter=change_density,
-        low=0,
-        high=20,
-        text="density x {0.amount:g}",
-        axis="local density, factor",
-    ),
-    "null": PerturbationKind(
-        alter=reorder,
-        low=0,
-        high=100,
-        text="null, {0.amount:g} point less",
-    ),
-}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from fidpipe.stages.generate.flaws import FLAWS, is_foliage
-from fidpipe.stages.generate.perturbations import Perturbation, fill_gaps, perturb, remeasure
+from fidpipe.stages.generate.flaws import FLAWS, Perturbation, is_foliage, perturb
+from fidpipe.stages.generate.perturbations import fill_gaps, remeasure
 from fidpipe.stages.surfels import fit_planes
 from scenes import box, road, seeded
 from wrong_beams import misalign_beams

@@ -90,18 +90,6 @@ def _message(bag: Any, frame: ScanRef) -> tuple[Any, bytes]:
     return connection, content
 
 
-def topics(file: Path) -> list[str]:
-    """The topics of a bag, with any type of message.
-
-    Raises
-    ------
-    ScanError
-        The bag is damaged.
-    """
-    with _opened(file) as bag:
-        return [connection.topic for connection in bag.connections]
-
-
 def _opened(file: Path) -> Any:
     """The bag's reader, a context."""
     from rosbags.rosbag1 import Reader as Ros1Reader

@@ -17,9 +17,9 @@ from ....schemas.metric_catalogue import (
     unit_words,
 )
 from ....schemas.record import BaselineSummary, RunRecord, SeedSummary, TaskSummary
-from ....schemas.results import Findings, Overview, Unmatched
+from ....schemas.results import Findings, JsonObject, Overview, Unmatched
 from ...results.best_case import RunExcess
-from ...results.finished import FinishedRun
+from ...results.finished import FinishedRun, run_values
 from ...storage.run_record import unmatched_worst
 from ..view import (
     Note,
@@ -58,6 +58,13 @@ def outcome_view(outcome: RunOutcome) -> View:
     if outcome.n_reused:
         took += f", {outcome.n_made} jobs done, {outcome.n_reused} reused"
     return summary_view(FinishedRun(outcome.folder), took=took)
+
+
+def outcome_values(outcome: RunOutcome) -> JsonObject:
+    """Those of `fidpipe show --json`, with the number of jobs and the failures."""
+    jobs = {"made": outcome.n_made, "reused": outcome.n_reused}
+    values = run_values(FinishedRun(outcome.folder))
+    return values | {"jobs": jobs, "failures": outcome.failures}
 
 
 def summary_view(
