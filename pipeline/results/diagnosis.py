@@ -129,13 +129,6 @@ def _excess(distances_m: tuple[float, float, float]) -> float | None:
     return excess_m if excess_m >= max(LEAST_EXCESS_M, BEST_CASE_ACCURACY * best_case_m) else None
 
 
-def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overview | None:
-    """The overview of a run with the causes of its diagnosis, if it has one."""
-    if overview is None or diagnosis is None:
-        return overview
-    return overview.model_copy(update={"causes": diagnosis.causes})
-
-
 def _evidence(kind: str, curves: Sequence[Metadata]) -> Evidence | None:
     """Mean curves of a kind over the pairs that have it; None if the first does not.
 
