@@ -17,7 +17,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
-from ...stages.arrays import FloatArray, IntArray
+from ...stages.arrays import FloatArray, IndexArray, IntArray
 from ..storage.files import csv_bytes, write_whole
 from .pairs import (
     LIST_NAMES,
@@ -360,7 +360,7 @@ def write_dataset(
     real: Timeline,
     sim: Timeline,
     pairing: Pairing,
-    kept: IntArray,
+    kept: IndexArray,
     *,
     replace: bool = False,
 ) -> int:

@@ -59,8 +59,8 @@ def choose_objects(
     chosen = chosen or _typical_of_shapes(objects, least)
     table = objects.loc[[*chosen], ["n_points", "range_m"]]
     table = table.assign(pair_id=pair_id, community_id=[*chosen], name=[*chosen.values()])
-    rows: list[Row] = table.to_dict("records")
-    return rows
+    rows: Any = table.to_dict("records")
+    return [*rows]
 
 
 def objects_in(tables: PairTables) -> pd.DataFrame:
@@ -113,7 +113,8 @@ def _typical_of_shapes(objects: pd.DataFrame, least: int) -> dict[int, str]:
     for feature, name in SHAPES.items():
         others = free[feature].drop([*chosen.values()])
         if name not in chosen and len(others):
-            chosen[name] = int(others.idxmax())
+            nearest: Any = others.idxmax()
+            chosen[name] = int(nearest)
     return {chosen[name]: name for name in SHAPES.values() if name in chosen}
 
 
