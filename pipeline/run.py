@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -19,18 +18,16 @@ import pyarrow as pa
 from ..schemas.columns import Row
 from ..schemas.errors import DatasetError
 from ..schemas.record import FrameSuspect, PairCounts, RunHeader, RunRecord
-from ..schemas.results import JsonObject
 from ..schemas.settings import Settings, preset_of
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
-from .engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
+from .engine.engine import Machines, do_jobs, large_pairs_warnings
 from .engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_pair, with_results
-from .engine.pool import Pool
 from .engine.progress import Reporter
-from .engine.schedule import Collector, Schedule
+from .engine.schedule import Collector
 from .engine.survey import (
-    InputFiles,
+    Contents,
     Survey,
     hash_files,
     jobs_in_words,
@@ -96,19 +93,8 @@ class RunOutcome:
     @property
     def failures(self) -> dict[str, str]:
         """Reason of each failed pair, and of each scored pair with a failed extra."""
-        rows = self.pairs.select(["pair_id", "status", "reason"]).to_pylist()
-        failed = [row for row in rows if row["status"] == "failed"]
+        failed = [row for row in self.rows if row["status"] == "failed"]
         return {row["pair_id"]: row["reason"] for row in failed} | self.reported
-
-    def as_dict(self) -> JsonObject:
-        """Plain values for JSON: those of `fidpipe show --json`, with the number of jobs and the failures."""
-        return {
-            "folder": str(self.folder),
-            "record": self.record.as_dict(),
-            "pairs": [*self.rows],
-            "jobs": {"made": self.n_made, "reused": self.n_reused},
-            "failures": {**self.failures},
-        }
 
 
 def run_dataset(
@@ -155,10 +141,7 @@ def run_dataset(
     with folder.locked():
         run = Run(content, selected, folder, stages, settings, reporter)
         run.survey_results(from_stage, replace=replace)
-        with run.started_pool(machines) as pool:
-            run.replace_stale()
-            if run.survey.todo:
-                run.schedule(pool, machines).run()
+        run.do_jobs(machines)
         return run.write()
 
 
@@ -196,7 +179,8 @@ class Run:
     Attributes
     ----------
     before : last record of the folder
-    files, survey, hashes : contents of input files, jobs to do, and hashes by pair_id and side
+    contents, faults : of input files, see `hash_files`
+    survey, hashes : jobs to do, and hashes of input files by pair_id and side
     n_jobs : current jobs
     seconds : of the current jobs
     keys : by pair, a hash of the keys that its row of `pairs` depends on
@@ -214,7 +198,8 @@ class Run:
     def __post_init__(self) -> None:
         self.collector = Collector(self.folder, self.reporter)
         self.before = read_run(self.folder.folder)
-        self.files = InputFiles()
+        self.contents: Contents = {}
+        self.faults: dict[str, str] = {}
         self.survey = Survey()
         self.hashes: dict[str, dict[str, str]] = {}
         self.n_jobs = 0
@@ -231,6 +216,11 @@ class Run:
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()
 
+    @property
+    def title(self) -> str:
+        """The run in messages."""
+        return f"run {self.folder.folder}"
+
     def survey_results(self, from_stage: str | None = None, *, replace: bool = False) -> None:
         """Find out what there is to do; the parameters are those of `run_dataset`."""
         self._hash_files()
@@ -238,28 +228,39 @@ class Run:
         if not (replace or from_stage):
             self._refuse_replacing()
 
-    def started_pool(self, machines: Machines) -> AbstractContextManager[Pool]:
-        """Workers for the pairs with jobs to do."""
-        todo = self.survey.todo
-        return started_pool(todo, self.folder, self.stages, self.settings, self.collector, machines)
+    def do_jobs(self, machines: Machines) -> None:
+        """Do the jobs that there are, in place of stale results; large pairs are warned of."""
+        survey = self.survey
+        self.n_workers = do_jobs(
+            survey,
+            self._plan,
+            self.stages,
+            self.settings,
+            self.collector,
+            machines,
+            self._begin,
+        )
 
-    def schedule(self, pool: Pool, machines: Machines) -> Schedule:
-        """The jobs to do, on the workers of a pool; large pairs are warned of."""
-        self.reporter.warn(*large_pairs_warnings(self.survey.todo, self.files, self.settings.input))
-        self.n_workers = pool.n_workers
-        return schedule_of(self.survey, self._plan, pool, self.collector, machines)
+    def _begin(self) -> None:
+        """Remove stale results and a finished record, if there are jobs to do or stale results."""
+        todo = self.survey.todo
+        if todo or self.survey.stale:
+            self._write_record(self._header())
+            changes = what_changed(self.before, self.settings, self.stages)
+            remove_stale(self.survey, self.folder, self.reporter, changes)
+        self.reporter.warn(*large_pairs_warnings(todo, self.contents, self.settings.input))
 
     def _hash_files(self) -> None:
         """Hash the files of the selected pairs and of those with results."""
         names = {*self.selected, *self.folder.ledger.pair_ids()}
         pairs = [pair for pair in self.dataset.pairs if pair.pair_id in names]
         self.reporter.warn(*self.dataset.warnings)
-        self.files = hash_files(pairs, self.folder)
-        for pair_id, fault in self.files.faults.items():
+        self.contents, self.faults = hash_files(pairs, self.folder)
+        for pair_id, fault in self.faults.items():
             self.collector.fail(pair_id, "", fault)
         self.reporter.warn(*few_of_each(swapped_sides(pairs, self.dataset.folder)))
         for pair in self.dataset.pairs:
-            contents = self.files.contents.get(pair.pair_id)
+            contents = self.contents.get(pair.pair_id)
             if contents is not None:
                 self.hashes[pair.pair_id] = input_hashes(pair, self.dataset.label_names, contents)
         self._end_phase("inspect")
@@ -278,9 +279,9 @@ class Run:
         for pair in self.dataset.pairs:
             name = pair.pair_id
             reasons.pop(name, None)
-            if name in self.files.faults:
+            if name in self.faults:
                 reasons[name] = "the input cannot be used"
-            elif name in self.files.contents:
+            elif name in self.contents:
                 survey.usable.append(pair)
                 redone = redo if name in self.selected else frozenset[str]()
                 plan, stale = with_results(self._plan(pair), self.folder, redone)
@@ -309,20 +310,12 @@ class Run:
             stages = [stage for stage in self.stages if stage.name in names]
             why = what_changed(self.before, self.settings, stages)
             if why:
-                refuse_overwrite(f"run {self.folder.folder}", jobs_in_words(lost), why)
+                refuse_overwrite(self.title, jobs_in_words(lost), why)
 
     def _plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair under the current settings."""
-        contents = self.files.contents[pair.pair_id]
+        contents = self.contents[pair.pair_id]
         return plan_pair(self._jobs, pair, contents, self.dataset.label_names)
-
-    def replace_stale(self) -> None:
-        """Remove stale results and a finished record, if there are jobs to do or stale results."""
-        if not (self.survey.todo or self.survey.stale):
-            return
-        self._write_record(self._header())
-        changes = what_changed(self.before, self.settings, self.stages)
-        remove_stale(self.survey, self.folder, self.reporter, changes)
 
     def write(self) -> RunOutcome:
         """Write the tables of the whole run and its record."""

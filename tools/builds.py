@@ -1,6 +1,7 @@
 """Three builds of a simulator with known flaws, for docs/decision.md: python tools/builds.py FOLDER.
 
-build41 is `fidpipe synth`; build42 is 12 cm lower and has 3 cm of range noise; build43 has the noise alone.
+build41 is `fidpipe synth`; build42 is 12 cm lower and has 2 cm of range noise, as the real scans have; build43 has the
+noise alone.
 """
 
 import shutil
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 #: Range noise (std) and shift along z of the simulated scans of each build, metres.
-FLAWS = {"build42": (0.03, -0.12), "build43": (0.03, 0.0)}
+FLAWS = {"build42": (0.02, -0.12), "build43": (0.02, 0.0)}
 
 
 def write_build(source, build, noise_m, shift_z_m):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import chain
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -23,6 +23,11 @@ from .options import (
     format_of,
 )
 from .output import print_as, print_view
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..results.gate import Check
 
 
 def gate(
@@ -70,9 +75,8 @@ def gate(
 
     fidpipe gate runs/dataset --best-case runs/dataset-best-case --max excess.cdc.mean=0.1
     """
-    from ..report.views.gate_view import gate_checks, gate_view, junit_xml
+    from ..report.views.gate_view import gate_checks, gate_view
     from ..results.gate import judge_run, parse_word, read_criteria
-    from ..storage.run_record import dumps
 
     wanted = read_criteria(criteria) if criteria else []
     wanted += [parse_word(word, "max") for word in at_most or []]
@@ -80,14 +84,8 @@ def gate(
     if not wanted:
         raise typer.BadParameter("no criterion given; expected --max, --min or --criteria")
     result = judge_run(run, wanted, best_case)
-    folder = out or run
-    _write_for_ci(
-        junit,
-        folder / "gate.xml",
-        junit_xml("gate", {str(run): gate_checks(result)}),
-        is_asked=bool(out),
-    )
-    _write_for_ci(json_, folder / "gate.json", dumps(result.as_dict()), is_asked=bool(out))
+    suites = {str(run): gate_checks(result)}
+    _write_for_ci("gate", suites, result.as_dict(), run, junit, json_, out)
     print_view(gate_view(result))
     raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
 
@@ -99,7 +97,7 @@ def compare(
     as_json: AsJson = False,
     as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
-    fail_on: Annotated[str | None, typer.Option(metavar="VERDICT")] = None,
+    fail_on: Literal["worse", "undecided"] | None = None,
     undecided_ok: bool = False,
     junit: OutFile = None,
     json_file: OutFile = None,
@@ -150,80 +148,88 @@ def compare(
     fidpipe compare runs/build41 runs/build42 --markdown >> comment.md
     """
     from ...schemas.settings import load
-    from ..builds import is_run, is_side, runs_of
+    from ..builds import runs_of
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..report.views.compare_view import compare_records, compare_view
-    from ..report.views.gate_view import base_view, junit_xml
-    from ..results.compare import MOST_RUNS, compare_runs
-    from ..results.gate import FAIL_ON, judge_comparison
+    from ..report.views.gate_view import base_view
+    from ..results.compare import compare_runs
+    from ..results.gate import judge_comparison
     from ..storage.files import write_whole
-    from ..storage.run_record import dumps
 
-    if not 2 <= len(runs) <= MOST_RUNS:
-        raise typer.BadParameter(f"expected 2 to {MOST_RUNS} runs, got {len(runs)}")
     output = format_of(as_json, as_markdown, as_csv)
-    if fail_on is not None and fail_on not in FAIL_ON:
-        raise typer.BadParameter(f"--fail-on: expected {' or '.join(FAIL_ON)}, got {fail_on!r}")
     if fail_on is None and (junit or json_file):
-        raise typer.BadParameter(
-            "--junit and --json-file are what --fail-on writes; give it as well"
-        )
+        raise typer.BadParameter("--junit and --json-file are of --fail-on; give it as well")
     if undecided_ok and fail_on != "worse":
         raise typer.BadParameter("--undecided-ok is for --fail-on worse")
-    are_runs = all(map(is_run, runs)) and not is_side(runs[0])
-    if are_runs and (settings or assignments or preset != "reference"):
-        raise typer.BadParameter(
-            "--preset, --set and --settings are for datasets and scans; these are runs"
-        )
-    page = html or (out and out / "compare.html")
-    runs = runs_of(
-        runs, load(settings, assignments or [], preset=preset), Reporter(), Machines(workers)
-    )
+    _check_runs(runs, has_settings=bool(settings or assignments or preset != "reference"))
+    in_force = load(settings, assignments or [], preset=preset)
+    reporter = Reporter()
+    runs = runs_of(runs, in_force, reporter, Machines(workers))
     comparisons = compare_runs(
         runs,
         allow_different_settings=allow_different_settings,
         independent=independent,
-        reporter=Reporter(),
+        reporter=reporter,
     )
+    page = html or (out and out / "compare.html")
     if page:
         from ..report.page.compare_page import compare_page
 
         write_whole(page, compare_page(comparisons, page.parent).encode())
     results = []
     if fail_on:
-        results = [
-            judge_comparison(each, fail_on, undecided_ok=undecided_ok) for each in comparisons
-        ]
-    views = (compare_view(each, with_all=all_ or output == "markdown") for each in comparisons)
+        results = [judge_comparison(c, fail_on, undecided_ok=undecided_ok) for c in comparisons]
+    views = [compare_view(c, with_all=all_ or output == "markdown") for c in comparisons]
     print_as(
         output,
         view=lambda: [*chain(*views, *map(base_view, results))],
         records=lambda: compare_records(comparisons),
-        values=lambda: [each.as_dict() for each in results or comparisons],
+        values=lambda: [result.as_dict() for result in results or comparisons],
     )
     if results:
-        suites = {
-            f"{one.comparison.other} against {one.comparison.base}": one.checks for one in results
-        }
-        folder = out or runs[-1]
-        _write_for_ci(
-            junit, folder / "compare.xml", junit_xml("compare", suites), is_asked=bool(out)
+        suites = {}
+        for result in results:
+            suites[f"{result.comparison.other} against {result.comparison.base}"] = result.checks
+        content = {"comparisons": [result.as_dict() for result in results]}
+        _write_for_ci("compare", suites, content, runs[-1], junit, json_file, out)
+        raise typer.Exit(EXIT_GATE_FAILED if any(result.failed for result in results) else 0)
+
+
+def _check_runs(runs: list[Path], *, has_settings: bool) -> None:
+    """Raise `typer.BadParameter` for too few or too many runs, or settings of finished ones."""
+    from ..builds import is_run, is_side
+    from ..results.compare import MOST_RUNS
+
+    if not 2 <= len(runs) <= MOST_RUNS:
+        raise typer.BadParameter(f"expected 2 to {MOST_RUNS} runs, got {len(runs)}")
+    if has_settings and all(map(is_run, runs)) and not is_side(runs[0]):
+        raise typer.BadParameter(
+            "--preset, --set and --settings are for datasets and scans; these are runs"
         )
-        content = dumps({"comparisons": [one.as_dict() for one in results]})
-        _write_for_ci(json_file, folder / "compare.json", content, is_asked=bool(out))
-        raise typer.Exit(EXIT_GATE_FAILED if any(one.failed for one in results) else 0)
 
 
-def _write_for_ci(asked: Path | None, default: Path, content: bytes, *, is_asked: bool) -> None:
-    """Write a file for CI; a default path that cannot be written is only a warning."""
+def _write_for_ci(
+    name: str,
+    suites: Mapping[str, Sequence[Check]],
+    content: dict[str, Any],
+    run: Path,
+    junit: Path | None,
+    json_file: Path | None,
+    out: Path | None,
+) -> None:
+    """Write JUnit XML and JSON, by default into the run, where a failure to write is only a warning."""
     from ...schemas.errors import RunError
     from ..engine.progress import Reporter
+    from ..report.views.gate_view import junit_xml
     from ..storage.files import write_whole
+    from ..storage.run_record import dumps
 
-    try:
-        write_whole(asked or default, content)
-    except RunError as error:
-        if asked or is_asked:
-            raise
-        Reporter().warn(str(error))
+    files = {"xml": (junit, junit_xml(name, suites)), "json": (json_file, dumps(content))}
+    for suffix, (path, text) in files.items():
+        try:
+            write_whole(path or (out or run) / f"{name}.{suffix}", text)
+        except RunError as error:
+            if path or out:
+                raise
+            Reporter().warn(str(error))

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import DatasetError
-from ...stages.arrays import FloatArray, IndexArray, IntArray
+from ...stages.arrays import FloatArray, IndexArray
 from ..storage.files import csv_bytes, write_whole
 from .pairs import (
     LIST_NAMES,
@@ -62,8 +62,8 @@ class Pairing:
     by_name : True if the names of the files pair them; gaps and offset are 0 then
     """
 
-    real_ids: IntArray
-    sim_ids: IntArray
+    real_ids: IndexArray
+    sim_ids: IndexArray
     gaps_s: FloatArray
     offset_s: float
     others_s: tuple[float, ...] = ()
@@ -132,6 +132,8 @@ def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
     except DatasetError as error:
         if is_recording:
             raise
+        if not (scans_in(real) and scans_in(sim)):
+            raise DatasetError(_no_partner(real, sim)) from None
         raise DatasetError(f"{_no_partner(real, sim)} (by time: {error})") from error
     return *lines, pair_times(lines[0].times_s, lines[1].times_s, TOLERANCE_S)
 
@@ -317,7 +319,7 @@ def _nearest(real_s: FloatArray, sim_s: FloatArray, offset_s: float, tolerance_s
     return Pairing(real_ids[kept], to_sim[kept], gaps_s[kept], offset_s)
 
 
-def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IntArray:
+def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IndexArray:
     """For each time the position of the nearest among others; of two equally near ones the earlier."""
     after = np.clip(np.searchsorted(among_s, of_s), 1, max(len(among_s) - 1, 1))
     before = after - 1

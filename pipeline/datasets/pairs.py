@@ -140,9 +140,13 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
     if not all((folder / side).is_dir() for side in SIDES):
         names = sorted(path.name for path in folder.iterdir())
         content = ", ".join(names[:_MOST_NAMES]) if names else "nothing"
+        near = [folder.absolute().parent, *folder.glob("*"), *folder.glob("*/*")]
+        datasets = [path for path in near if all((path / side).is_dir() for side in SIDES)]
+        advice = "two folders of scans, or two recordings, may have any name: fidpipe run REAL SIM"
+        if datasets:
+            advice = f"did you mean {datasets[0]}?"
         raise DatasetError(
-            f"dataset {folder}: expected folders real/ and sim/ or a {MANIFEST}, got {content}; "
-            "two folders of scans, or two recordings, may have any name: fidpipe run REAL SIM"
+            f"dataset {folder}: expected folders real/ and sim/ or a {MANIFEST}, got {content}; {advice}"
         )
     scans = {side: _scans_by_stem(folder / side, warnings) for side in SIDES}
     pairs = []

@@ -170,11 +170,6 @@ class DaskPool(Pool):
             )
         return self._memory_there
 
-    @property
-    def dashboard(self) -> str:
-        """See `Pool`; a cluster on this machine has none."""
-        return str(self._client.dashboard_link) if self._address else ""
-
     def submit(self, function: Callable[..., Any], *args: Any) -> Handle:
         """See `Pool`."""
         future = self._client.submit(_in_worker, self._required, function, *args, pure=False)

@@ -1,9 +1,8 @@
-"""The pool that runs the jobs of a run, what workers need to know, and the announcement of large pairs."""
+"""The jobs of a run on workers, what workers need to know, and the announcement of large pairs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ...schemas.errors import FidpipeError
@@ -11,6 +10,7 @@ from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import transform_of
 from ...stages.clean import clean_scan
 from ...stages.thinning import smallest_voxel
+from ..datasets.content import ScanContent
 from ..datasets.pairs import ScanPair, may_crash
 from ..datasets.readers import read_scan
 from ..stage import Stage
@@ -21,7 +21,7 @@ from . import costs
 from .plan import PairPlan, with_results
 from .pool import Pool
 from .schedule import Collector, Schedule
-from .survey import InputFiles, PlanPair, Survey
+from .survey import PlanPair, Survey
 from .time_limit import NOTES, TimeLimit
 
 _LARGE_PAIR = 500_000  # points of both files
@@ -42,37 +42,59 @@ class Machines:
     pair_timeout_s: float | None = None
 
 
-@contextmanager
-def started_pool(
-    pairs: Sequence[ScanPair],
-    folder: RunFolder,
+def do_jobs(
+    survey: Survey,
+    plan_pair: PlanPair,
     stages: Sequence[Stage],
     settings: Settings,
     collector: Collector,
     machines: Machines,
-) -> Iterator[Pool]:
-    """Context with a pool for the jobs of some pairs, which ends with it, even if tasks are running.
+    begin: Callable[[], None],
+) -> int:
+    """Do the jobs of a survey on workers, which end with it even if tasks are running; returns their number.
 
-    Without pairs it is this process; a reader that may end its process never runs in the command's
-    own.
+    A reader that may end its process never runs in the command's own.
 
     Parameters
     ----------
+    plan_pair : returns the plan of a pair
     stages : all stages whose jobs may be planned
+    collector : receives the results
+    begin : called first of all once there are workers, also if there is nothing to do
     """
-    if not pairs:
-        yield Pool()
-        return
+    if not survey.todo:
+        begin()
+        return 0
+    pool = _start_pool(survey.todo, stages, settings, collector.folder, machines)
+    try:
+        begin()
+        n_workers = pool.n_workers
+        plans = _plans_for_workers(survey.todo, plan_pair, collector.folder, machines)
+        Schedule(pool, plans, survey, collector).run()
+        return n_workers
+    finally:
+        pool.close()
+
+
+def _start_pool(
+    pairs: Sequence[ScanPair],
+    stages: Sequence[Stage],
+    settings: Settings,
+    folder: RunFolder,
+    machines: Machines,
+) -> Pool:
+    """A pool for the jobs of some pairs."""
     if machines.scheduler and url_of_cache(folder.folder):
         from ..storage.remote_run import share_folder
 
         share_folder(folder)
     from .cluster import Requirements, code_hash, start_pool
 
-    is_local = machines.scheduler is None
-    reader_may_crash = is_local and may_crash(pairs)
     required = None
-    if not is_local:
+    may_end_workers = machines.pair_timeout_s is not None
+    if machines.scheduler is None:
+        may_end_workers = may_end_workers or may_crash(pairs)
+    else:
         libraries = ["fidpipe", *LIBRARIES]
         for stage in stages:
             libraries += stage.libraries
@@ -80,35 +102,14 @@ def started_pool(
         required = Requirements(
             versions, code_hash(), folder.folder.resolve(), folder.token, folder.url
         )
-    pool = start_pool(
+    return start_pool(
         machines.workers,
         settings.machine.memory_gib,
         {stage.make.__module__ for stage in stages},
-        may_end_workers=machines.pair_timeout_s is not None or reader_may_crash,
+        may_end_workers=may_end_workers,
         address=machines.scheduler,
         required=required,
     )
-    try:
-        if pool.dashboard:
-            collector.reporter.say(f"dask dashboard: {pool.dashboard}")
-        yield pool
-    finally:
-        pool.close()
-
-
-def schedule_of(
-    survey: Survey, plan_pair: PlanPair, pool: Pool, collector: Collector, machines: Machines
-) -> Schedule:
-    """The schedule of all jobs to do.
-
-    Parameters
-    ----------
-    survey : of the run
-    plan_pair : returns the plan of a pair
-    collector : receives the results
-    """
-    plans = _plans_for_workers(survey.todo, plan_pair, collector.folder, machines)
-    return Schedule(pool, plans, survey, collector)
 
 
 def _plans_for_workers(
@@ -128,10 +129,20 @@ def _plans_for_workers(
 
 
 def large_pairs_warnings(
-    pairs: Sequence[ScanPair], files: InputFiles, settings: InputSettings
+    pairs: Sequence[ScanPair],
+    contents: Mapping[str, Mapping[str, ScanContent]],
+    settings: InputSettings,
 ) -> list[str]:
-    """The warning of pairs beyond the points of usual sensors, if there are any."""
-    n_points = [files.n_points(pair) for pair in pairs]
+    """The warning of pairs beyond the points of usual sensors, if there are any.
+
+    Parameters
+    ----------
+    contents : of their files, by pair_id and side
+    """
+    n_points = []
+    for pair in pairs:
+        files = contents[pair.pair_id].values()
+        n_points.append(sum(content.approximate_points for content in files))
     n_most = max(n_points, default=0)
     if settings.voxel_m is not None or n_most < _LARGE_PAIR:
         return []

@@ -48,11 +48,6 @@ class Pool:
         memory = self._memory or machine_memory()
         return Memory(memory, memory)
 
-    @property
-    def dashboard(self) -> str:
-        """The address at which a browser shows the cluster at work; "" if it has none."""
-        return ""
-
     def submit(self, function: Callable[..., Any], *args: Any) -> Handle:
         """Start a task, after those that were submitted before."""
         handle = object()

@@ -5,38 +5,21 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
-from ...schemas.columns import SIDES
 from ...schemas.errors import ScanError
 from ...schemas.settings import Settings, preset_of
 from ..datasets.content import ScanContent, scan_content
 from ..datasets.pairs import ScanPair
 from ..stage import Stage
 from ..storage.folder import RunFolder
-from ..storage.run_record import changed_settings
 from ..storage.table_files import JobId, JobName
 from .plan import OUT_OF_DATE, PairPlan
 from .progress import Reporter
 
 PlanPair = Callable[[ScanPair], PairPlan]
-
-
-@dataclass
-class InputFiles:
-    """The input files of pairs.
-
-    contents : by pair_id and side, of pairs whose existing files can all be hashed
-    faults : reasons why pairs cannot be evaluated, by pair_id
-    """
-
-    contents: dict[str, dict[str, ScanContent]] = field(default_factory=dict)
-    faults: dict[str, str] = field(default_factory=dict)
-
-    def n_points(self, pair: ScanPair) -> int:
-        """Points of both files of a pair, estimated from their size."""
-        contents = self.contents[pair.pair_id].values()
-        return sum(content.approximate_points for content in contents)
+Contents = dict[str, dict[str, ScanContent]]  #: of files, by pair_id and side
 
 
 @dataclass
@@ -57,39 +40,38 @@ class Survey:
     failures: dict[str, str] = field(default_factory=dict)
 
 
-def hash_files(pairs: Iterable[ScanPair], folder: RunFolder) -> InputFiles:
-    """The contents of the files of pairs, none of which is parsed; a pair with a missing or empty file has a fault."""
-    files = InputFiles()
+def hash_files(pairs: Iterable[ScanPair], folder: RunFolder) -> tuple[Contents, dict[str, str]]:
+    """The contents of the files of pairs, none of which is parsed, and reasons why pairs cannot be evaluated."""
+    all_contents = {}
+    faults = {}
     for pair in pairs:
         contents = {}
-        reasons = []
-        for side in SIDES:
-            scan = pair.scans.get(side)
+        reasons = [pair.fault] if pair.fault else []
+        for side, scan in pair.scans.items():
             try:
-                if scan is not None:
-                    contents[side] = scan_content(scan, folder.ledger.input_hash)
-                elif pair.fault and pair.fault not in reasons:
-                    reasons.append(pair.fault)
+                contents[side] = scan_content(scan, folder.ledger.input_hash)
             except ScanError as error:
                 reasons.append(str(error))
         if len(contents) == len(pair.scans):
-            files.contents[pair.pair_id] = contents
+            all_contents[pair.pair_id] = contents
         if reasons:
-            files.faults[pair.pair_id] = "; ".join(reasons)
-    return files
+            faults[pair.pair_id] = "; ".join(reasons)
+    return all_contents, faults
 
 
 def what_changed(
-    before: Mapping[str, Any], settings: Settings, stages: Iterable[Stage]
+    before: Mapping[str, Any], settings: Settings, stages: Sequence[Stage]
 ) -> list[str]:
     """Changes of preset, settings and code since the last record that concern some stages, as text."""
-    by_group = changed_settings(before, settings)
+    changes = []
+    for group in dict.fromkeys(chain.from_iterable(stage.settings for stage in stages)):
+        was = before.get("settings", {}).get(group, {})
+        for name, value in getattr(settings, group).model_dump(mode="json").items():
+            if was.get(name) != value:
+                changes.append(f"{group}.{name} was {was.get(name)}, is {value}")
     versions = before.get("stages", {})
     made_by = f"fidpipe {before.get('fidpipe')} on {before.get('written', '')[:10]}"
-    changes = []
     for stage in stages:
-        for group in stage.settings:
-            changes += by_group.pop(group, [])
         if versions.get(stage.name, stage.version) != stage.version:
             changes.append(f"{made_by} had other code of stage {stage.name}")
     preset = preset_of(settings)

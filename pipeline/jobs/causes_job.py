@@ -121,6 +121,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=7,
+    version=8,
     libraries=("scikit-learn",),
 )

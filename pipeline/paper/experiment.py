@@ -162,11 +162,7 @@ def run_experiment(
     with folder.locked():
         run = _ExperimentRun(source, names, folder, (stage,), settings, reporter)
         run.survey_results(replace=replace_finished)
-        machines = Machines(n_workers)
-        with run.started_pool(machines) as pool:
-            run.replace_stale()
-            if run.survey.todo:
-                run.schedule(pool, machines).run()
+        run.do_jobs(Machines(n_workers))
         failures = run.collector.failures
         if failures and scan_ref(source.folder).exists:
             raise ScanError("; ".join(failures.values()))
@@ -191,6 +187,11 @@ def run_experiment(
 
 class _ExperimentRun(Run):
     """A run of the stage of an experiment, whose record says how each scan was read."""
+
+    @property
+    def title(self) -> str:
+        """The experiment in messages."""
+        return f"{self.stages[0].name} {self.folder.folder}"
 
     def write_results(self, scans: Mapping[str, Metadata]) -> None:
         """Write the record of an experiment that has ended."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import astuple
+from itertools import cycle
 from math import isnan
 from typing import Any, NamedTuple
 
@@ -152,10 +153,9 @@ def _table(
 
 
 def _spread(mean: float, std: float) -> str:
-    """Mean and deviation, in powers of ten if they are very small."""
     if isnan(mean):
         return "-"
-    return f"{mean:.3g}" if isnan(std) else f"{mean:.3g}±{std:.1g}"
+    return f"{mean:.3f}" if isnan(std) else f"{mean:.3f}±{std:.3f}"
 
 
 def _draw(
@@ -169,27 +169,37 @@ def _draw(
     if not sweeps:
         return
     title = f"{title}; bars: one standard deviation"
+    curves = sorted({str(name) for sweep in sweeps for name in sweep.means["curve"]})
+    colours = dict(zip(curves, cycle(_COLOURS), strict=False))
     with new_figure(2.75 * max(len(sweeps), 2), 5.2, title) as figure:
         axes = figure.subplots(2, len(sweeps), sharey="row", squeeze=False)
         for metric, row in zip(metrics, axes, strict=True):
             for sweep, axis in zip(sweeps, row, strict=True):
-                _draw_panel(axis, sweep, metric)
+                _draw_panel(axis, sweep, metric, colours)
             row[0].set(ylabel=metric.removesuffix("_mean"), ylim=(0, None))
         handles = axes[0, 0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside lower center", ncols=len(_COLOURS))
         figure.savefig(outcome.folder / f"{name}.png", dpi=120)
 
 
-def _draw_panel(axis: Any, sweep: Sweep, metric: str) -> None:
-    """Mean and deviation of one metric along one sweep."""
-    axis.set_prop_cycle(color=_COLOURS)
+def _draw_panel(axis: Any, sweep: Sweep, metric: str, colours: Mapping[str, str]) -> None:
+    """Mean and deviation of one metric along one sweep, each curve in its colour."""
     known = sweep.means[sweep.means["metric"] == metric].dropna(subset="mean")
-    for name, curve in known.sort_values("amount").groupby("curve", sort=False):
-        label = shown_name(str(name))
-        std = curve["std"].fillna(0)
-        axis.errorbar(curve["amount"], curve["mean"], std, marker="o", markersize=4, label=label)
-    if known["amount"].max() > 10 * known["amount"].min() > 0:
+    for name, curve in known.sort_values("amount").groupby("curve"):
+        axis.errorbar(
+            curve["amount"],
+            curve["mean"],
+            curve["std"].fillna(0),
+            marker="o",
+            markersize=4,
+            label=shown_name(str(name)),
+            color=colours[str(name)],
+        )
+    amounts = sorted(known["amount"].unique())
+    if amounts and amounts[-1] > 10 * amounts[0] > 0:
         axis.set_xscale("log")
+        axis.set_xticks(amounts, labels=[f"{amount:g}" for amount in amounts])
+        axis.minorticks_off()
     if sweep.current is not None:
         axis.axvline(sweep.current, color="black", linewidth=0.8, linestyle="--", zorder=0)
-    axis.set_xlabel(sweep.axis)
+    axis.set_xlabel(sweep.axis.replace(", ", "\n"))

@@ -125,7 +125,9 @@ def perturb_source(
     # the simulated side is not read
     scans = []
     for pair in source.pairs:
-        scans.append(replace(pair, sim=pair.real, T_real_sim=None) if pair.real else pair)
+        scans.append(
+            replace(pair, sim=pair.real, T_real_sim=None, fault=None) if pair.real else pair
+        )
     return run_experiment(
         STAGE,
         replace(source, pairs=tuple(scans)),

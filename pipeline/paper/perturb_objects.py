@@ -60,7 +60,7 @@ def choose_objects(
     table = objects.loc[[*chosen], ["n_points", "range_m"]]
     table = table.assign(pair_id=pair_id, community_id=[*chosen], name=[*chosen.values()])
     rows: Any = table.to_dict("records")
-    return [*rows]
+    return list(rows)
 
 
 def objects_in(tables: PairTables) -> pd.DataFrame:
@@ -113,8 +113,8 @@ def _typical_of_shapes(objects: pd.DataFrame, least: int) -> dict[int, str]:
     for feature, name in SHAPES.items():
         others = free[feature].drop([*chosen.values()])
         if name not in chosen and len(others):
-            nearest: Any = others.idxmax()
-            chosen[name] = int(nearest)
+            largest: Any = others.idxmax()
+            chosen[name] = int(largest)
     return {chosen[name]: name for name in SHAPES.values() if name in chosen}
 
 

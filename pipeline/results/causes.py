@@ -45,15 +45,20 @@ _MELTED = 0.3
 #: Solid foliage also flattens surface, by less than this part of its amount; boxes also stop rays in foliage. So only
 #: one of the two is named.
 _FLAT_OF_SOLID = 0.25
-#: Not named with a displacement, which blurs beams too.
+#: Not named with a displacement unless larger than this, degrees, as a displacement blurs beams too.
 _BLURRED = ("elevation noise", "azimuth noise")
+_BLUR_OF_DISPLACED_DEG = 0.08
+#: A scale and a bias of the range that cancel each other at this range, but for a part of the larger one, are those of
+#: a bent world.
+_RANGE_ERRORS = ("range scale", "range bias")
+_MIDDLE_M, _CANCELLED = 10.0, 0.5
 #: Part of the resolution that covers the errors of 95 % of the estimates.
 _ACCURACY = 0.7
 #: Displacements move every point: a change counts if it explains this part of the distance that all others leave.
 LEAST_PART_OF_POSE = 0.15
-#: The same of angles against the real scan, from which a poor simulator is far in other ways too: no other flaw feigns
-#: an angle in all pairs.
-LEAST_PART_OF_ANGLE = 0.02
+#: The same of lengths and angles against the real scan, from which a poor simulator is far in other ways too; no other
+#: flaw feigns an angle in all pairs.
+_LEAST_PART_OF_LENGTH, _LEAST_PART_OF_ANGLE = 0.08, 0.02
 _ANGLES = ("roll", "pitch", "yaw")
 _OF_POSE = (*PARAMETERS, "elevation scale")
 #: Independent places that all lie beyond a resolution.
@@ -190,7 +195,7 @@ def _is_known(amounts: FloatArray) -> bool:
 
 def least_part_of_pose(name: str) -> float:
     """Part of the distance that a displacement of this name must explain, of what all others leave."""
-    return LEAST_PART_OF_ANGLE if name in _ANGLES else LEAST_PART_OF_POSE
+    return _LEAST_PART_OF_ANGLE if name in _ANGLES else _LEAST_PART_OF_LENGTH
 
 
 def changed_causes(
@@ -278,6 +283,10 @@ def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
     if name in _OF_ROAD and all(other in means for other in _OF_ROAD):
         height = means["height"]
         return abs(height + means["road height"]) < _ROAD_STAYS * abs(height)
+    if name in _RANGE_ERRORS and all(other in means for other in _RANGE_ERRORS):
+        scale_m = _MIDDLE_M * means["range scale"]
+        bias_m = means["range bias"]
+        return abs(scale_m + bias_m) < _CANCELLED * max(abs(scale_m), abs(bias_m))
     if name == "beams":
         return mean > 0 and abs(means.get("road height", 0.0)) > _ROAD_AS_BEAMS_M
     if name == "moved parts":
@@ -291,7 +300,7 @@ def _weaker(named: Mapping[str, float]) -> set[str]:
     """Of causes that exclude each other, the ones to leave out."""
     weaker = set[str]()
     if not named.keys().isdisjoint(PARAMETERS):
-        weaker.update(_BLURRED)
+        weaker.update(n for n in _BLURRED if named.get(n, 0.0) < _BLUR_OF_DISPLACED_DEG)
     if "lost far returns" in named:
         weaker.add("far surface")
     if FLAT in named:

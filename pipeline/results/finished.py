@@ -27,7 +27,7 @@ from ...stages.arrays import IntArray
 from ..datasets.pairs import MANIFEST
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
-from ..storage.run_record import RUN_JSON, command_again, finished_record
+from ..storage.run_record import RUN_JSON, command_again, read_run
 from ..storage.urls import url_or_path
 from .causes import mean_amount, read_causes
 from .diagnosis import diagnosis_of, with_gains
@@ -43,8 +43,17 @@ _OF_RUN = ("pairs", "timings")
 def record_of_run(folder: Path) -> dict[str, Any]:
     """The record of a run; raises `RunError` with the next step if the folder holds none."""
     shown = url_or_path(folder)
-    if folder.is_file() or path_exists(folder / RUN_JSON):
-        return finished_record(folder)
+    if folder.is_file():
+        raise RunError(f"run {shown}: expected a folder, such as {folder.parent}, got a file")
+    if path_exists(folder / RUN_JSON):
+        record = read_run(folder)
+        if not record:
+            again = command_again(folder, "DATASET")
+            raise RunError(
+                f"run {shown}: {RUN_JSON} is damaged; run it again with: {again} "
+                "(intact results are reused)"
+            )
+        return record
     names = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
     runs = [str(folder / name) for name in names if path_exists(folder / name / RUN_JSON)]
     if {*SIDES, MANIFEST}.intersection(names):
@@ -367,6 +376,11 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
         "with the partition (by how much: fidpipe run --seeds 5); for comparing simulators: "
         "fidpipe run --preset reference"
     )
+
+
+def run_values(run: FinishedRun) -> dict[str, Any]:
+    """A run as plain values: its record, and the rows of `pairs`."""
+    return {"folder": str(run.folder), "record": run.record.as_dict(), "pairs": run.rows}
 
 
 def pair_values(run: FinishedRun, pair_id: str) -> Row:

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from .families import FamilyChange
 
 Bound = Literal["max", "min"]
-#: What a comparison may fail on.
-FAIL_ON = ("worse", "undecided")
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,7 @@ class Check:
 class BaseResult:
     """A comparison, checked for CI.
 
-    fail_on : one of `FAIL_ON`
+    fail_on : "worse" or "undecided"
     """
 
     comparison: Comparison
@@ -186,7 +184,7 @@ def judge_comparison(
 
     Parameters
     ----------
-    fail_on : one of `FAIL_ON`; with "undecided" the gate also fails if changes are within the noise
+    fail_on : "worse" or "undecided"; with "undecided" the gate also fails if changes are within the noise
     undecided_ok : pass a comparison that lacks places
     """
     n_base = len(comparison.pairs) + len(comparison.lost)

@@ -66,16 +66,15 @@ def run_status(folder: Path) -> RunStatus:
     states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
     failures: dict[str, str] = {}
     damaged: list[str] = []
-    files = hash_files(dataset.pairs, run_folder)
+    all_contents, faults = hash_files(dataset.pairs, run_folder)
     for pair in dataset.pairs:
-        fault = files.faults.get(pair.pair_id)
-        if fault is not None or pair.pair_id not in files.contents:
-            failures[pair.pair_id] = fault or "the input cannot be used"
+        fault = faults.get(pair.pair_id)
+        if fault is not None:
+            failures[pair.pair_id] = fault
             for counts in states.values():
                 counts["failed"] += 1
             continue
-        contents = files.contents[pair.pair_id]
-        plan = plan_pair(jobs, pair, contents, dataset.label_names)
+        plan = plan_pair(jobs, pair, all_contents[pair.pair_id], dataset.label_names)
         plan, unwanted = with_results(plan, run_folder)
         past = ledger.failure(pair.pair_id, [plan.keys[job.name] for job in plan.todo])
         if past:

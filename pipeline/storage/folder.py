@@ -213,20 +213,20 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
     """Raise `RunError` unless a folder is new, empty, or holds the run of this dataset by this command."""
     record = read_run(out) if out.is_dir() else {}
     is_run = (out / LEDGER).is_dir() or bool(record.get("dataset"))
-    refuse_other_content(f"run {out}", out, "a run", is_own=is_run)
+    refuse_other_content(f"{experiment} {out}", out, "a run", is_own=is_run)
     made_by = record.get("experiment", "run")
     before = record.get("dataset")
     if not before:
         return
     if made_by != experiment:
         raise RunError(
-            f"run {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; "
+            f"{experiment} {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; "
             "give another --out"
         )
     is_there = is_url(before) or os.path.lexists(before)
     if before != name_in_records(dataset) and is_there:
         raise RunError(
-            f"run {out}: holds the results of {before}, not of {dataset}; give another --out"
+            f"{experiment} {out}: holds the results of {before}, not of {dataset}; give another --out"
         )
 
 

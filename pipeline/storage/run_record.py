@@ -8,10 +8,10 @@ import platform
 import re
 import shlex
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -115,29 +115,6 @@ def read_run(folder: Path) -> dict[str, Any]:
     return record
 
 
-def finished_record(folder: Path) -> dict[str, Any]:
-    """The record of a run that must be there.
-
-    Raises
-    ------
-    RunError
-        It is not, or is damaged.
-    """
-    if folder.is_file():
-        raise RunError(f"run {folder}: expected a folder, such as {folder.parent}, got a file")
-    record = read_run(folder)
-    if not record and (folder / RUN_JSON).exists():
-        raise RunError(
-            f"run {folder}: {RUN_JSON} is damaged; run it again with: {command_again(folder, 'DATASET')} "
-            "(intact results are reused)"
-        )
-    if not record:
-        raise RunError(
-            f"run {folder}: expected a folder written by fidpipe run, found no run.json of one"
-        )
-    return record
-
-
 def write_record(
     folder: Path,
     settings: Settings,
@@ -234,6 +211,9 @@ def _with_unmatched(scored: pa.Table, name: str) -> list[float | None]:
     ]
 
 
+Totals = defaultdict[str, defaultdict[str, float]]
+
+
 class StageSeconds:
     """Seconds of finished jobs by stage, step and pair; a reused job keeps the seconds of the run that made it.
 
@@ -241,51 +221,26 @@ class StageSeconds:
     """
 
     def __init__(self) -> None:
-        self._steps: dict[str, dict[str, float]] = {}
-        self._pairs: dict[str, dict[str, float]] = {}
+        self._steps: Totals = defaultdict(partial(defaultdict, float))
+        self._pairs: Totals = defaultdict(partial(defaultdict, float))
 
     def add(self, record: JobRecord) -> None:
         """Counts a finished job, unless its seconds went with the ledger."""
-        if not record.steps:
-            return
         stage = sys.intern(record.stage)  # one string for all pairs
-        total = self._steps.setdefault(stage, {})
-        of_pair = self._pairs.setdefault(record.pair_id, {})
-        of_pair.setdefault(stage, 0.0)
         for step, seconds in record.steps:
-            total[step] = total.get(step, 0.0) + seconds
-            of_pair[stage] += seconds
-
-    def mean(self) -> dict[str, dict[str, float]]:
-        """By stage and step, the mean over the pairs that have the stage."""
-        n_pairs = Counter(stage for of_pair in self._pairs.values() for stage in of_pair)
-        means = {}
-        for stage, steps in self._steps.items():
-            means[stage] = {step: seconds / n_pairs[stage] for step, seconds in steps.items()}
-        return means
+            self._steps[stage][step] += seconds
+            self._pairs[record.pair_id][stage] += seconds
 
     def result(self) -> Seconds:
-        """`mean`, and seconds by pair and stage, rounded to microseconds."""
-        for of_pair in self._pairs.values():
-            for stage, seconds in of_pair.items():
-                of_pair[stage] = round(seconds, 6)
-        pairs = dict(sorted(self._pairs.items()))
-        return Seconds.model_construct(mean=self.mean(), pairs=pairs)  # without a copy
-
-
-def changed_settings(before: Mapping[str, Any], settings: Settings) -> dict[str, list[str]]:
-    """Changed settings since the record of the last run, as text by group; only groups that changed."""
-    changes = {}
-    for group, values in settings.model_dump(mode="json").items():
-        old = before.get("settings", {}).get(group, {})
-        texts = [
-            f"{group}.{name} was {old.get(name)}, is {value}"
-            for name, value in values.items()
-            if old.get(name) != value
-        ]
-        if texts:
-            changes[group] = texts
-    return changes
+        """Mean seconds of each step over the pairs that have its stage, and seconds by pair and stage."""
+        n_pairs = Counter(stage for of_pair in self._pairs.values() for stage in of_pair)
+        mean = {}
+        for stage, steps in self._steps.items():
+            mean[stage] = {step: seconds / n_pairs[stage] for step, seconds in steps.items()}
+        pairs = {}
+        for pair_id, stages in sorted(self._pairs.items()):
+            pairs[pair_id] = {stage: round(seconds, 6) for stage, seconds in stages.items()}
+        return Seconds.model_construct(mean=mean, pairs=pairs)  # without a copy
 
 
 def has_ended(record: Mapping[str, Any]) -> bool:

@@ -31,15 +31,15 @@ def surface_distance(real: cKDTree, sim: cKDTree) -> float:
     """
     if not sim.n:
         return REACH_M
-    to_sim = mean_apart(sim, real.data[sample_rows(real.n)])
-    to_real = mean_apart(real, sim.data[sample_rows(sim.n)])
-    return (to_sim + to_real) / 2
+    to_sim = distances(sim, real.data[sample_rows(real.n)])
+    to_real = distances(real, sim.data[sample_rows(sim.n)])
+    return (float(to_sim.mean()) + float(to_real.mean())) / 2
 
 
-def mean_apart(tree: cKDTree, points: FloatArray) -> float:
-    """Mean distance of some points to the nearest of a tree, each counted up to 1 m."""
+def distances(tree: cKDTree, points: FloatArray) -> FloatArray:
+    """(n,) metres, distance of each point to the nearest of a tree, counted up to 1 m."""
     apart_m, _ = tree.query(points, distance_upper_bound=REACH_M)
-    return float(np.minimum(apart_m, REACH_M).mean())
+    return np.minimum(apart_m, REACH_M)
 
 
 def best_case_distance(real: Side, sim: Side, aligned: Side, rng: Generator) -> float:
@@ -77,14 +77,15 @@ def sample_rows(n: int) -> IndexArray:
 def _by_other_rays(side: Side, step: float, rng: Generator) -> FloatArray:
     """(n, 3) returns of rays that are turned by an angle, radians, in random directions.
 
-    On the plane of an object they lie in it. Elsewhere, as in foliage and on the ground, a ray between two others sees
-    what either of them sees: its range is that of a neighbouring ray, the more often the nearer it comes to the middle.
+    On the plane of an object, and on the ground near the sensor, they lie in it. Elsewhere, as in foliage, a ray
+    between two others sees what either of them sees: its range is that of a neighbouring ray, the more often the nearer
+    it comes to the middle.
     """
     random = rng.normal(size=side.points.shape)
     across = random - (random * side.rays).sum(axis=1, keepdims=True) * side.rays
     across /= np.maximum(np.linalg.norm(across, axis=1), 1e-9)[:, None]
     toward = (side.rays * side.normals).sum(axis=1)
-    is_plane = (np.abs(toward) > 0.1) & ~side.is_ground  # NaN is not
+    is_plane = np.abs(toward) > 0.1  # NaN is not
     # the ray turns across by a small angle: it meets the plane where the offset along the ray cancels that along n
     along_ray = np.zeros(len(toward))
     np.divide(-(across * side.normals).sum(axis=1), toward, out=along_ray, where=is_plane)

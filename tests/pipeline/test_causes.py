@@ -334,6 +334,9 @@ def test_causes_that_feign_each_other_are_named_once():
         "elevation noise",
     ]
     assert names_of(elevation_noise=[0.05] * 3, pitch=[1.0] * 3) == ["pitch"]
+    assert names_of(elevation_noise=[0.15] * 3, pitch=[1.0] * 3) == ["elevation noise", "pitch"]
+    assert names_of(range_scale=[-0.02] * 3) == ["range scale"]
+    assert names_of(range_scale=[-0.02] * 3, range_bias=[0.15] * 3) == [], "a bent world"
     assert names_of(beams=[9.0] * 3) == ["beams"]
     assert names_of(beams=[9.0] * 3, road_height=[0.05] * 3) == ["road height"]
     assert names_of(flat_shapes=[0.12] * 3, solid_foliage=[0.6] * 3) == ["solid foliage"]

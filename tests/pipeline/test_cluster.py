@@ -2,10 +2,8 @@
 
 import ctypes
 import os
-import re
 import signal
 import time
-import urllib.request
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -158,20 +156,10 @@ def test_a_run_that_loses_its_workers_or_its_scheduler_says_so_and_is_resumed(
 
 
 @pytest.mark.exhaustive
-def test_the_command_names_the_dashboard_of_a_cluster(dataset, finished, tmp_path, cluster):
-    ended = own_process(
-        "run",
-        dataset,
-        "--out",
-        tmp_path / "run",
-        "--scheduler",
-        cluster.add_workers(2).address,
-        code=0,
-    )
+def test_the_command_works_on_a_cluster(dataset, finished, tmp_path, cluster):
+    address = cluster.add_workers(2).address
+    own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", address, code=0)
     assert_same_tables(tmp_path / "run", finished)
-    dashboard = re.search(r"dask dashboard: (http://127\.0\.0\.1:\d+/status)", ended.stderr)
-    with urllib.request.urlopen(dashboard[1], timeout=30) as page:
-        assert page.status == 200
 
 
 @pytest.mark.parametrize("library", some_of(["fidpipe", "scipy"], ["scipy"]))

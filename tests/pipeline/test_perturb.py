@@ -307,9 +307,9 @@ def test_the_folder_of_another_command_is_refused(done, scan, tmp_path):
 
     dataset = write_dataset(tmp_path / "data", 1)
     run(dataset, tmp_path / "run", SETTINGS)
-    with pytest.raises(RunError, match="fidpipe run, .* fidpipe perturb"):
+    with pytest.raises(RunError, match="^perturb .*: was written by fidpipe run"):
         perturbed(scan, tmp_path / "run")
-    with pytest.raises(RunError, match="fidpipe perturb, .* fidpipe run"):
+    with pytest.raises(RunError, match="^run .*: was written by fidpipe perturb"):
         run(dataset, done.folder, SETTINGS)
     with pytest.raises(RunError, match="fidpipe perturb"):
         run_status(done.folder)
@@ -353,3 +353,23 @@ def test_the_command_prints_the_scores_of_the_whole_scan_and_draws_its_figure(sc
     assert "Whole scan, street" in result.stdout
     picture = imread(tmp_path / "runs" / "street-perturb" / "perturb.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
+
+
+def test_a_curve_has_one_colour_in_all_panels_and_its_levels_as_ticks():
+    from fidpipe.pipeline.paper.experiment_views import Sweep, _draw_panel
+    from fidpipe.pipeline.report.figures.style import new_figure
+
+    rows = [
+        {"curve": curve, "amount": amount, "metric": "r_lambda", "mean": 0.1, "std": 0.0}
+        for curve, amounts in (("wall", (0.001, 0.1)), ("car", (0.01, 0.1)))
+        for amount in amounts
+    ]
+    with new_figure(3, 3) as figure:
+        axis = figure.subplots()
+        _draw_panel(
+            axis, Sweep("noise (m)", pd.DataFrame(rows)), "r_lambda", {"car": "red", "wall": "blue"}
+        )
+        lines = {bars.get_label(): bars.lines[0].get_color() for bars in axis.containers}
+        ticks = [tick.get_text() for tick in axis.get_xticklabels()]
+    assert lines == {"car": "red", "wall": "blue"}
+    assert ticks == ["0.001", "0.01", "0.1"]

@@ -17,9 +17,9 @@ from ....schemas.metric_catalogue import (
     unit_words,
 )
 from ....schemas.record import BaselineSummary, RunRecord, SeedSummary, TaskSummary
-from ....schemas.results import Findings, Overview, Unmatched
+from ....schemas.results import Findings, JsonObject, Overview, Unmatched
 from ...results.best_case import RunExcess
-from ...results.finished import FinishedRun
+from ...results.finished import FinishedRun, run_values
 from ...storage.run_record import unmatched_worst
 from ..view import (
     Note,
@@ -31,6 +31,7 @@ from ..view import (
     mean_and_spread,
     number,
     percent,
+    shortened,
 )
 from .answer_view import answer_view, frame_warnings
 from .best_case_view import HEADLINES, excess_view
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
 _MOST_PAIRS = 20
 _MOST_CLASSES = 8
+_PAIR_WIDTH = 16
 _SCORES = pair_columns_in("run")
 #: All scores of the summary, displacement and roughness of the surface last.
 _DATASET = (
@@ -56,6 +58,13 @@ def outcome_view(outcome: RunOutcome) -> View:
     if outcome.n_reused:
         took += f", {outcome.n_made} jobs done, {outcome.n_reused} reused"
     return summary_view(FinishedRun(outcome.folder), took=took)
+
+
+def outcome_values(outcome: RunOutcome) -> JsonObject:
+    """Those of `fidpipe show --json`, with the number of jobs and the failures."""
+    jobs = {"made": outcome.n_made, "reused": outcome.n_reused}
+    values = run_values(FinishedRun(outcome.folder))
+    return values | {"jobs": jobs, "failures": outcome.failures}
 
 
 def summary_view(
@@ -179,7 +188,9 @@ def _pairs_table(scored: Sequence[Row]) -> Table:
         title = f"The {_MOST_PAIRS} pairs with the lowest match rate (means over matched objects)"
     headings = ("pair", "objects\nboth", "only\nreal", "only\nsim", *narrow_labels(_SCORES))
     columns = ("pair_id", "n_matched", "n_not_found", "n_extra", *_SCORES)
-    return Table(title, headings, columns_of(scored, columns))
+    names = shortened({row["pair_id"] for row in scored}, _PAIR_WIDTH)
+    rows = [row | {"pair_id": names[row["pair_id"]]} for row in scored]
+    return Table(title, headings, columns_of(rows, columns), whole=(0,))
 
 
 def dataset_table(record: RunRecord) -> Table:

@@ -16,7 +16,7 @@ from ....schemas.metric_catalogue import (
 )
 from ....stages.coverage import surface_state
 from ...results.best_case import RunExcess
-from ...results.finished import FinishedRun, pair_object, pair_values
+from ...results.finished import FinishedRun, pair_object, pair_values, run_values
 from ...results.object_frame import ALL_COLUMNS, UNKNOWN
 from ...results.overview import alignment_is_bad
 from ...storage.urls import url_or_path
@@ -80,9 +80,7 @@ def show_json(
 ) -> Row:
     """A run, a pair of it, or an object of a pair as plain values."""
     if pair is None:
-        record = run.record.as_dict()
-        values: Row = {"folder": str(run.folder), "record": record, "pairs": run.rows}
-        return values | {"excess": excess.as_dict()} if excess else values
+        return run_values(run) | ({"excess": excess.as_dict()} if excess else {})
     return pair_values(run, pair) if name is None else pair_object(run, pair, name)
 
 
