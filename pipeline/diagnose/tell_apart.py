@@ -154,7 +154,7 @@ def _values(test: Separation) -> dict[str, Any]:
 def _real_samples(
     real: pd.DataFrame, second: pd.DataFrame | None, is_paired: bool
 ) -> tuple[str, pd.DataFrame, pd.DataFrame]:
-    """What two samples of the real side are, and the samples, which a classifier should hardly tell apart.
+    """Two samples of the real side, after their name: the baseline with which real against simulated is compared.
 
     Paired samples are frames of the same places; their numbers are those of the pairs.
     """

@@ -188,7 +188,10 @@ def _finer_text(sensor: SensorDescription, other: SensorDescription) -> str | No
     )
     if n_sweeps < 2 or is_usual or abs(ratio / n_sweeps - 1) > _ALIKE:
         return None
-    return f"{n_sweeps} firings per firing of the other side: {n_sweeps} sweeps in one scan, or a finer sensor?"
+    return (
+        f"{n_sweeps} times as many azimuths per beam as the other side: "
+        f"{n_sweeps} sweeps in one scan, or a finer sensor?"
+    )
 
 
 def only_known(amounts: Mapping[str, Amount], doubts: Mapping[str, str]) -> dict[str, Amount]:
