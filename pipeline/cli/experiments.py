@@ -101,7 +101,6 @@ def ablate(
     tau: Annotated[str | None, typer.Option(metavar="0.1,0.2")] = None,
     delta: Annotated[str | None, typer.Option(metavar="3,5")] = None,
     t: Annotated[str | None, typer.Option(metavar="0.5,1,2")] = None,
-    grid: bool = False,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -122,15 +121,12 @@ def ablate(
     tau : Values of graph.tau_m, metres. Default: 0.1,0.2,0.3,0.5.
     delta : Values of matching.delta_m, metres. Default: 1,3,5,7,10.
     t : Values of selection.t. Default: 0.1,0.5,1,2,5.
-    grid : All combinations instead of one setting at a time.
 
     Examples
     --------
     fidpipe ablate dataset/                          results go to runs/dataset-ablate
 
     fidpipe ablate dataset/ --k 90 --tau 0.2 --t 1 --delta 1,2,3,4,5,6,8,10
-
-    fidpipe ablate dataset/ --grid --k 60,90,120 --tau 0.1,0.2,0.3 --delta 5 --t 1
     """
     from ...schemas.settings import load
     from ..engine.progress import Reporter
@@ -144,7 +140,6 @@ def ablate(
         load(settings, assignments or [], preset=preset),
         Reporter(),
         values={name: _numbers(name, text) for name, text in options.items() if text is not None},
-        grid=grid,
         pattern=pairs,
         n_workers=workers,
         replace=replace,

@@ -1,13 +1,13 @@
 """`fidpipe ablate`: match rate and r_lambda as functions of k, tau, delta and t (paper, section "Ablation Study").
 
-One parameter is varied at a time around the current settings, or all as a grid. The
-paper states its choice (k = 90, tau = 0.2, delta = 5) but no ranges; those here are ours.
+One parameter is varied at a time around the current settings. The paper states its choice
+(k = 90, tau = 0.2, delta = 5) but no ranges; those here are ours.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import groupby, product
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ from ..engine.worker import PairTables, run_in_memory
 from ..jobs import ground_job
 from ..jobs.metrics_job import pair_scores
 from ..jobs.scoring import MATCHING, PARTITION, SCORING
+from ..run import select_pairs
 from ..stage import Inputs, JobResult
 from .experiment import (
     ExperimentOutcome,
@@ -47,13 +48,12 @@ class ParameterSet(NamedTuple):
 
 
 class AblateRequest(BaseModel, frozen=True):
-    """Values of each parameter to try, the current one among them; and whether in all combinations."""
+    """Values of each parameter to try, the current one among them."""
 
     k: tuple[int, ...] = (30, 60, 90, 120, 150)
     tau_m: tuple[float, ...] = (0.1, 0.2, 0.3, 0.5)
     delta_m: tuple[float, ...] = (1.0, 3.0, 5.0, 7.0, 10.0)
     t: tuple[float, ...] = (0.1, 0.5, 1.0, 2.0, 5.0)
-    grid: bool = False
 
 
 class AblateSettings(Settings):
@@ -83,8 +83,7 @@ def make_ablation(inputs: Inputs) -> JobResult:
     ground, metadata = run_stages(inputs, [ground_job.STAGE], SIDES)
     rows: list[Row] = []
     request = inputs.settings.ablate  # type: ignore[attr-defined]
-    values = {name: getattr(request, name) for name in PARAMETERS}
-    sets = parameter_sets(current(settings), values, request.grid)
+    sets = parameter_sets(current(settings), dict(request))
     for _, group in groupby(sets, lambda parameters: (parameters.k, parameters.tau_m)):
         rows += _rows_of_graph(list(group), settings, ground)
     return JobResult({"ablate": inputs.rows("ablate", rows)}, metadata)
@@ -120,7 +119,6 @@ def ablate_dataset(
     reporter: Reporter,
     *,
     values: Mapping[str, Sequence[float]] | None = None,
-    grid: bool = False,
     pattern: str | None = None,
     n_workers: int | None = None,
     replace: bool = False,
@@ -132,7 +130,6 @@ def ablate_dataset(
     settings : current settings, around which parameters are varied
     values : by parameter, values to try in addition to the current one; by default those of
         `AblateRequest`
-    grid : all combinations instead of one at a time
     pattern : only pairs whose name matches (shell style)
     n_workers : processes; None for one per core
     replace : allow results of a finished experiment to be replaced by another request
@@ -151,19 +148,19 @@ def ablate_dataset(
             )
         requested["delta_m"] = ()
     tried = {name: sorted({*requested[name], getattr(base, name)}) for name in PARAMETERS}
-    for parameters in parameter_sets(base, tried, grid):
+    for parameters in parameter_sets(base, tried):
         with_parameters(settings, parameters)  # raises before any work
-    source = read_source(dataset, pattern)
+    source = read_source(dataset)
     if scan_ref(dataset).exists:
         raise SettingsError(
             f"{dataset}: is a scan; expected a dataset with real and simulated scans",
         )
-    request = AblateRequest(**tried, grid=grid)
     return run_experiment(
         STAGE,
         source,
+        select_pairs(source, pattern),
         out,
-        AblateSettings(**dict(settings), ablate=request),
+        AblateSettings(**dict(settings), ablate=AblateRequest(**tried)),
         reporter,
         lambda tables: [tables["ablate"].melt([*PARAMETERS], DATASET_SCORES, "metric")],
         n_workers=n_workers,
@@ -186,22 +183,16 @@ def means_along(outcome: ExperimentOutcome, name: str) -> pd.DataFrame:
     return summary
 
 
-def parameter_sets(
-    base: ParameterSet,
-    values: Mapping[str, Sequence[Any]],
-    grid: bool,
-) -> list[ParameterSet]:
-    """The parameter sets to try, ascending: one parameter varied at a time, or all combinations.
+def parameter_sets(base: ParameterSet, values: Mapping[str, Sequence[Any]]) -> list[ParameterSet]:
+    """The parameter sets to try, ascending: one parameter varied at a time.
 
     Examples
     --------
     >>> base = ParameterSet(90, 0.2, 5.0, 1.0)
     >>> values = {"k": (60, 90), "tau_m": (0.2,), "delta_m": (5.0,), "t": (1.0,)}
-    >>> [choice.k for choice in parameter_sets(base, values, grid=False)]
+    >>> [choice.k for choice in parameter_sets(base, values)]
     [60, 90]
     """
-    if grid:
-        return [ParameterSet(*combination) for combination in product(*values.values())]
     sets = set()
     for name, tried in values.items():
         sets |= {base._replace(**{name: value}) for value in tried}

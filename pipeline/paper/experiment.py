@@ -7,7 +7,7 @@ record are those of a run.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -30,11 +30,12 @@ from ..engine.progress import Reporter
 from ..engine.worker import PairTables, run_in_memory
 from ..jobs import STAGES, baselines_job
 from ..pair_checks import pair_warnings
-from ..run import Run, select_pairs
+from ..run import Run
+from ..run_tables import records_of
 from ..stage import INSPECTION, SCAN, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.files import key_of
-from ..storage.folder import RunFolder, check_folder, refuse_overwrite
-from ..storage.run_record import has_ended, write_record
+from ..storage.folder import RunFolder, check_folder
+from ..storage.run_record import write_record
 from ..storage.table_files import JobRecord
 
 #: From the tables of all pairs by name, frames with a row per score and its `value`.
@@ -107,32 +108,26 @@ def run_stages(
     return tables, {_INSPECTIONS: {side: outputs["ground", side][INSPECTION] for side in sides}}
 
 
-def read_source(path: Path, pattern: str | None) -> Dataset:
+def read_source(path: Path) -> Dataset:
     """The pairs of a dataset, or a scan file as a dataset of one pair without a simulated side.
-
-    Parameters
-    ----------
-    path : a scan file or a dataset folder
-    pattern : only pairs whose name matches (shell style)
 
     Raises
     ------
     DatasetError
-        No dataset exists, it is invalid, or no pair matches.
+        No dataset exists, or it is invalid.
     """
     scan = scan_ref(path)
-    if scan.exists:
-        folder = scan.file.resolve().parent
-        names = read_label_names(folder) or read_label_names(folder.parent)
-        dataset = Dataset(path, (ScanPair(scan.stem, scan, None),), names)
-    else:
-        dataset = read_dataset(path)
-    return replace(dataset, pairs=select_pairs(dataset, pattern))
+    if not scan.exists:
+        return read_dataset(path)
+    folder = scan.file.resolve().parent
+    names = read_label_names(folder) or read_label_names(folder.parent)
+    return Dataset(path, (ScanPair(scan.stem, scan, None),), names)
 
 
 def run_experiment(
     stage: Stage,
     source: Dataset,
+    selected: Iterable[ScanPair],
     out: Path,
     settings: Settings,
     reporter: Reporter,
@@ -141,11 +136,12 @@ def run_experiment(
     n_workers: int | None = None,
     replace_finished: bool = False,
 ) -> ExperimentOutcome:
-    """Evaluate the pairs that have no current result, and write the tables over all pairs.
+    """Evaluate the selected pairs that have no current result, and write the tables over all pairs that have one.
 
     Parameters
     ----------
-    source : the pairs
+    source : all pairs
+    selected : those to evaluate
     out : folder of the results
     settings : those of a run, and what the experiment was asked for
     scores : rows of which the table `NAME_summary` has the means
@@ -162,7 +158,7 @@ def run_experiment(
     """
     check_folder(out, source.folder, stage.name)
     folder = RunFolder(out)
-    names = {pair.pair_id for pair in source.pairs}
+    names = {pair.pair_id for pair in selected}
     with folder.locked():
         run = _ExperimentRun(source, names, folder, (stage,), settings, reporter)
         run.survey_results(replace=replace_finished)
@@ -170,13 +166,12 @@ def run_experiment(
         failures = run.collector.failures
         if failures and scan_ref(source.folder).exists:
             raise ScanError("; ".join(failures.values()))
-        done = [pair for pair in run.survey.usable if pair.pair_id not in failures]
-        records = [folder.ledger.jobs(pair.pair_id)[stage.name, ""] for pair in done]
+        records = list(records_of(folder, (stage,), [pair.pair_id for pair in source.pairs]))
         tables = _write_tables(stage, folder, records, scores)
         metadata = {record.pair_id: record.metadata for record in records}
         run.write_results(metadata)
-    for pair in done:
-        inspections = metadata[pair.pair_id][_INSPECTIONS]
+    for pair in source.pairs:
+        inspections = metadata.get(pair.pair_id, {}).get(_INSPECTIONS, {})
         sides = {side: ScanInspection(**values) for side, values in inspections.items()}
         reporter.warn(*pair_warnings(pair, sides, None))
     return ExperimentOutcome(
@@ -184,7 +179,7 @@ def run_experiment(
         settings=settings,
         failures=failures,
         n_made=run.collector.n_made,
-        n_reused=len(done) - run.collector.n_made,
+        n_reused=len(records) - run.collector.n_made,
         metadata=metadata,
         tables=tables,
     )
@@ -210,13 +205,6 @@ class _ExperimentRun(Run):
         content = {"experiment": self.stages[0].name, **record.as_dict(), **results}
         settings = settings_of(self.settings)
         write_record(self.folder.folder, settings, content, self.folder.check_token)
-
-    def _refuse_replacing(self) -> None:
-        super()._refuse_replacing()
-        others = {pair_id for _, pair_id, _ in self.survey.stale} - self.selected
-        if others and has_ended(self.before):
-            why = f"pairs {', '.join(sorted(others))} not requested"
-            refuse_overwrite(self.title, "their results", [why])
 
 
 def _write_tables(

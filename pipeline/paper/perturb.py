@@ -33,6 +33,7 @@ from ..engine.progress import Reporter
 from ..engine.worker import PairTables
 from ..jobs.points_job import column, points_in
 from ..jobs.scoring import PARTITION, ground_table, score_pair
+from ..run import select_pairs
 from ..stage import Inputs, JobResult
 from ..storage.files import key_of
 from .experiment import (
@@ -113,8 +114,8 @@ def perturb_source(
     FidpipeError
         The scan, the dataset, a setting or the folder is invalid.
     """
-    source = read_source(path, pattern)
-    pairs = source.pairs if pattern else source.pairs[:1]
+    source = read_source(path)
+    pairs = select_pairs(source, pattern) if pattern else source.pairs[:1]
     objects = request.objects or ()
     if len(pairs) > 1 and any(word.isdigit() for word in objects):
         raise DatasetError(
@@ -122,10 +123,15 @@ def perturb_source(
             f"{len(pairs)}; select one with --pairs, or give labels"
         )
     # the simulated side is not read
-    scans = [replace(pair, sim=pair.real, T_real_sim=None) if pair.real else pair for pair in pairs]
+    scans = []
+    for pair in source.pairs:
+        scans.append(
+            replace(pair, sim=pair.real, T_real_sim=None, fault=None) if pair.real else pair
+        )
     return run_experiment(
         STAGE,
         replace(source, pairs=tuple(scans)),
+        pairs,
         out,
         PerturbSettings(**dict(settings), perturb=request),
         reporter,

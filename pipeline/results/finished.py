@@ -27,7 +27,7 @@ from ...stages.arrays import IntArray
 from ..datasets.pairs import MANIFEST
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
-from ..storage.run_record import RUN_JSON, command_again, finished_record
+from ..storage.run_record import RUN_JSON, command_again, read_run
 from ..storage.urls import url_or_path
 from .causes import mean_amount, read_causes
 from .diagnosis import diagnosis_of
@@ -43,8 +43,16 @@ _OF_RUN = ("pairs", "timings")
 def record_of_run(folder: Path) -> dict[str, Any]:
     """The record of a run; raises `RunError` with the next step if the folder holds none."""
     shown = url_or_path(folder)
-    if folder.is_file() or path_exists(folder / RUN_JSON):
-        record = finished_record(folder)
+    if folder.is_file():
+        raise RunError(f"run {shown}: expected a folder, such as {folder.parent}, got a file")
+    if path_exists(folder / RUN_JSON):
+        record = read_run(folder)
+        if not record:
+            again = command_again(folder, "DATASET")
+            raise RunError(
+                f"run {shown}: {RUN_JSON} is damaged; run it again with: {again} "
+                "(intact results are reused)"
+            )
         if made_by := record.get("experiment"):
             raise RunError(
                 f"run {shown}: expected a folder written by fidpipe run, got one of fidpipe "
@@ -207,11 +215,11 @@ class FinishedRun:
     def causes(self) -> pd.DataFrame:
         """One row per named cause, in the order in which to fix them; `table("causes")` has the amounts of each pair.
 
-        Columns are the fields of `schemas.results.Cause`, without its curves.
+        Columns are the fields of `schemas.results.Cause`.
         """
         import pandas as pd
 
-        columns = [name for name in Cause.model_fields if name not in ("evidence", "limbs")]
+        columns = [name for name in Cause.model_fields if name != "limbs"]
         causes = self.overview.causes if self.overview else ()
         return pd.DataFrame([vars(cause) for cause in causes], columns=columns)
 

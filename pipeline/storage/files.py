@@ -91,22 +91,6 @@ def named_errors(path: Path, advice: str = "; give another --out") -> Iterator[N
         raise RunError(f"{path}: cannot be written ({error.strerror}){advice}") from error
 
 
-def remove_stale(path: Path) -> None:
-    """Remove a file that an earlier report left, if it exists.
-
-    Raises
-    ------
-    RunError
-        It cannot be removed.
-    """
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise RunError(
-            f"{path}: out of date, but cannot be removed ({error.strerror}); remove it"
-        ) from error
-
-
 def is_locked(path: Path) -> bool:
     """True if a process holds the lock of a file; False if there is no file, or its file system has no locks."""
     try:

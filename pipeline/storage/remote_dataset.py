@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 
 from ...schemas.columns import SIDES
 from ...schemas.errors import ScanError, StoreError
-from .files import remove_stale, write_whole
+from .files import write_whole
 from .object_store import (
     NoSuchObjectError,
     StoredObject,
@@ -55,7 +55,7 @@ def mirror_dataset(url: str, objects: Sequence[StoredObject]) -> Path:
         mirrored.add(_mirror(f"{url}/{stored.name}", folder / stored.name, stored))
     for path in folder.rglob("*"):
         if path.is_file() and path not in mirrored:
-            remove_stale(path)
+            path.unlink(missing_ok=True)
     return folder
 
 

@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...schemas.errors import DatasetError, FidpipeError, RunError, StoreError
 from ...schemas.tables import TABLES
-from .files import file_marks, is_locked, remove_stale, write_whole
+from .files import file_marks, is_locked, write_whole
 from .ledger import INPUT_HASHES, LEDGER, Ledger
 from .object_store import (
     ObjectChangedError,
@@ -145,7 +145,7 @@ class RemoteRun:
                 missing.append(stored)
         known |= self._get_all(missing)
         for name in (self._files().keys() & known.keys()) - names:
-            remove_stale(self.folder / name)  # others are newer than the last push
+            (self.folder / name).unlink(missing_ok=True)  # others are newer than the last push
         self._keep({name: marks for name, marks in known.items() if name in names})
 
     def push(self) -> None:

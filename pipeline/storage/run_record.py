@@ -115,29 +115,6 @@ def read_run(folder: Path) -> dict[str, Any]:
     return record
 
 
-def finished_record(folder: Path) -> dict[str, Any]:
-    """The record of a run that must be there.
-
-    Raises
-    ------
-    RunError
-        It is not, or is damaged.
-    """
-    if folder.is_file():
-        raise RunError(f"run {folder}: expected a folder, such as {folder.parent}, got a file")
-    record = read_run(folder)
-    if not record and (folder / RUN_JSON).exists():
-        raise RunError(
-            f"run {folder}: {RUN_JSON} is damaged; run it again with: {command_again(folder, 'DATASET')} "
-            "(intact results are reused)"
-        )
-    if not record:
-        raise RunError(
-            f"run {folder}: expected a folder written by fidpipe run, found no run.json of one"
-        )
-    return record
-
-
 def write_record(
     folder: Path,
     settings: Settings,
@@ -264,21 +241,6 @@ class StageSeconds:
         for pair_id, stages in sorted(self._pairs.items()):
             pairs[pair_id] = {stage: round(seconds, 6) for stage, seconds in stages.items()}
         return Seconds.model_construct(mean=mean, pairs=pairs)  # without a copy
-
-
-def changed_settings(before: Mapping[str, Any], settings: Settings) -> dict[str, list[str]]:
-    """Changed settings since the record of the last run, as text by group; only groups that changed."""
-    changes = {}
-    for group, values in settings.model_dump(mode="json").items():
-        old = before.get("settings", {}).get(group, {})
-        texts = [
-            f"{group}.{name} was {old.get(name)}, is {value}"
-            for name, value in values.items()
-            if old.get(name) != value
-        ]
-        if texts:
-            changes[group] = texts
-    return changes
 
 
 def has_ended(record: Mapping[str, Any]) -> bool:

@@ -31,15 +31,15 @@ def surface_distance(real: cKDTree, sim: cKDTree) -> float:
     """
     if not sim.n:
         return REACH_M
-    to_sim = mean_apart(sim, real.data[sample_rows(real.n)])
-    to_real = mean_apart(real, sim.data[sample_rows(sim.n)])
-    return (to_sim + to_real) / 2
+    to_sim = distances(sim, real.data[sample_rows(real.n)])
+    to_real = distances(real, sim.data[sample_rows(sim.n)])
+    return (float(to_sim.mean()) + float(to_real.mean())) / 2
 
 
-def mean_apart(tree: cKDTree, points: FloatArray) -> float:
-    """Mean distance of some points to the nearest of a tree, each counted up to 1 m."""
+def distances(tree: cKDTree, points: FloatArray) -> FloatArray:
+    """(n,) metres, distance of each point to the nearest of a tree, counted up to 1 m."""
     apart_m, _ = tree.query(points, distance_upper_bound=REACH_M)
-    return float(np.minimum(apart_m, REACH_M).mean())
+    return np.minimum(apart_m, REACH_M)
 
 
 def best_case_distance(real: Side, sim: Side, aligned: Side, rng: Generator) -> float:

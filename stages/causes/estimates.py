@@ -24,7 +24,7 @@ from ..trust import (
     cropped_box,
 )
 from .beams import blurred_elevation_deg, road_blur_deg2, second_returns
-from .distance import best_case_distance, mean_apart, sample_rows, surface_distance
+from .distance import best_case_distance, distances, sample_rows, surface_distance
 from .losses import FEWEST_OF_KIND, fit_losses
 from .pose import Pose, fit_pose, undo_elevation_scale
 from .shapes import find_strays, flat_shapes, foliage_steps
@@ -158,14 +158,13 @@ def _unlike_patterns(real: Side, sim: Side, recorded: Side) -> str | None:
 def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]:
     """Reasons why something is unknown of either side, see `trust`."""
     doubts: dict[str, str] = {}
-    for side, sensor in (("real", real), ("simulated", sim)):
+    for side, sensor, other in (("real", real, sim), ("simulated", sim, real)):
         for need, text in sensor.doubts.items():
             doubts.setdefault(need, f"{side} scan: {text}")
-    if (ONE_SWEEP in real.doubts) != (ONE_SWEEP in sim.doubts):
-        doubts[SAME_SWEEPS] = doubts[ONE_SWEEP]
-    for side, sensor, other in (("real", real, sim), ("simulated", sim, real)):
         if finer := _finer_text(sensor, other):
             doubts[STEPS] = f"{side} scan: {finer}"
+    if (ONE_SWEEP in real.doubts) != (ONE_SWEEP in sim.doubts):
+        doubts[SAME_SWEEPS] = doubts[ONE_SWEEP]
     if (
         real.elevation_deg
         and sim.elevation_deg
@@ -250,20 +249,25 @@ def _pose_amounts(pose: Pose, real: Side, sim: Side, best_case_m: float) -> dict
     """Amounts of the displacement and of the elevation scale.
 
     The share of each is its part of the distance from the simulated to the real surface that the others leave: how much
-    of the distance over the best case disappears if it is undone as well.
+    of the distance over the best case disappears if it is undone as well. A displacement moves everything: the share is
+    0 if undoing it takes what stands on the road farther away, as of a road of another slope.
     """
     displacement = pose.displacement
     rows = sample_rows(len(sim.points))
     points = sim.points[rows]
     is_low = sim.moves_with_road[rows]
     rescaled = undo_elevation_scale(points, pose.elevation_scale or 0.0)
-    after_m = mean_apart(real.tree, displacement.undo(rescaled, is_low))
+    after_m = distances(real.tree, displacement.undo(rescaled, is_low))
+    left_m = max(float(after_m.mean()) - best_case_m, 0.0)
     whole = displacement.of(rescaled, is_low)
 
-    def share_of(before: FloatArray) -> float:
+    def share_of(before: FloatArray, moves_all: bool = True) -> float:
         """Part of the distance of these points, over the best case, that the rest of the pose removes."""
-        gain_m = mean_apart(real.tree, before) - after_m
-        return gain_m / (gain_m + max(after_m - best_case_m, 0.0)) if gain_m > 0 else 0.0
+        before_m = distances(real.tree, before)
+        gain_m = float(before_m.mean() - after_m.mean())
+        if gain_m <= 0 or (moves_all and (before_m - after_m)[~is_low].sum() < 0):
+            return 0.0
+        return gain_m / (gain_m + left_m)
 
     amounts = {}
     for i, name in enumerate(PARAMETERS):
@@ -271,7 +275,7 @@ def _pose_amounts(pose: Pose, real: Side, sim: Side, best_case_m: float) -> dict
         moved_m = np.linalg.norm(whole - without.of(rescaled, is_low), axis=1)
         share = 0.0
         if moved_m.mean() > _LEAST_MOVED_M:
-            share = share_of(without.undo(rescaled, is_low))
+            share = share_of(without.undo(rescaled, is_low), name != "road height")
         amounts[name] = Amount(float(displacement.values[i]), share=share)
     scale = Amount(None, reason="the beams of both sides do not correspond")
     if pose.elevation_scale is not None:
@@ -327,8 +331,7 @@ def _maximum_range(real: Side, sim: Side, missing: Unmatched, invented: Unmatche
     share = float(missing.is_beyond.mean() + invented.is_beyond.mean())
     real_m = float(real.range_m.max())
     sim_m = float(sim.range_m.max())
-    n_beyond = int((real.range_m > sim_m).sum() + (sim.range_m > real_m).sum())
-    if n_beyond < _FEWEST_BEYOND:
+    if missing.is_beyond.sum() + invented.is_beyond.sum() < _FEWEST_BEYOND:
         return Amount(0.0, real_m, sim_m, 0.0)
     return _difference(real_m, sim_m, share)
 
@@ -407,10 +410,17 @@ def _sensor_amounts(
 
 
 def _noise_amount(real: SensorDescription, sim: SensorDescription) -> Amount:
-    """Difference between the lower estimate of one side and the upper one of the other; 0 if they overlap."""
+    """Difference between the lower estimate of one side and the upper one of the other; 0 if they overlap.
+
+    It is unknown if the steps of a side alone deviate more, q / sqrt(12), than its noise beyond them.
+    """
     real_m, sim_m = noise_bounds(real), noise_bounds(sim)
     if real_m is None or sim_m is None:
         return _unknown(real, sim, "range_noise_m")
+    for side, sensor, (_, noise_m) in (("real", real, real_m), ("simulated", sim, sim_m)):
+        step_m = sensor.range_quantum_m or 0.0
+        if step_m / np.sqrt(12) > noise_m:
+            return Amount(None, reason=f"{side} scan: range steps of {100 * step_m:.3g} cm hide it")
     amount = max(sim_m[0] - real_m[1], 0.0) + min(sim_m[1] - real_m[0], 0.0)
     return Amount(amount, real_m[1], sim_m[1])
 
@@ -492,10 +502,9 @@ def _losses(
     if losses is None:
         amounts = dict.fromkeys(LOSSES, Amount(None, reason="no surface that both sides see"))
         return {UNEVEN: Amount(0.0), **amounts}
-    amounts = dict.fromkeys(
-        LOSSES,
-        Amount(None, reason=f"fewer than {FEWEST_OF_KIND} such returns"),
-    )
-    for name, lost in losses.shares.items():
+    amounts = {UNEVEN: Amount(losses.pop(UNEVEN))}
+    for name in LOSSES:
+        amounts[name] = Amount(None, reason=f"fewer than {FEWEST_OF_KIND} such returns")
+    for name, lost in losses.items():
         amounts[name] = Amount(lost, share=abs(lost) * float(real.concerned(name).mean()))
-    return {UNEVEN: Amount(losses.unevenness), **amounts}
+    return amounts

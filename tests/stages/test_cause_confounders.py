@@ -53,6 +53,20 @@ def test_missing_beams_are_not_lost_returns(street):
     assert abs(amounts["lost returns"].amount) < 0.05
 
 
+def test_a_road_of_another_slope_is_not_a_tilted_sensor(street):
+    is_road = side_of(street).is_ground
+    sloped = street.copy()
+    sloped[is_road, 2] += 0.01 * street[is_road, 0]
+    amounts = estimate(PairScans(side_of(street), side_of(again(sloped, 3)))).amounts
+    assert amounts["pitch"].share == 0.0
+    tilt = np.radians(0.57)
+    tilted = street @ np.array(
+        [[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]]
+    )
+    amounts = estimate(PairScans(side_of(street), side_of(again(tilted, 3)))).amounts
+    assert amounts["pitch"].share > 0.5
+
+
 def test_a_second_measurement_is_at_the_best_case(street):
     estimates = estimate(PairScans(side_of(street), side_of(again(street, 2))))
     assert (

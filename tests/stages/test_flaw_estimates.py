@@ -209,6 +209,13 @@ def test_no_cause_of_a_second_measurement(healthy):
         assert pair.distance_m == pytest.approx(pair.best_case_m, abs=0.01)
 
 
+def test_coarse_range_steps_hide_the_noise(places):
+    for pair in simulated(places, steps(0.1)):
+        noise = estimate(pair).amounts["range noise"]
+        assert noise.amount is None
+        assert noise.reason == "simulated scan: range steps of 10 cm hide it"
+
+
 @pytest.mark.parametrize("name", some_of([*FLAWS], ALWAYS))
 def test_a_flaw_is_named_with_its_amount_and_its_correction_gains(places, healthy, name):
     flaw, amount = FLAWS[name]
