@@ -101,18 +101,15 @@ def write_timings(
     pair_ids: Iterable[str],
 ) -> None:
     """Write the table `timings`, unless it exists under its key."""
-    schema = TABLES["timings"]
 
     def part(names: Sequence[str]) -> pa.Table:
-        columns: dict[str, list[Any]] = {name: [] for name in _TIMINGS}
+        rows = []
         for record in records_of(folder, stages, names):
             is_reused = record.made_by != folder.token
             for step, seconds in record.steps:
-                side = record.part or None
-                row = (record.pair_id, side, record.stage, step, seconds, is_reused)
-                for column, value in zip(columns.values(), row, strict=True):
-                    column.append(value)
-        return schema.build(columns).sort_by([(name, "ascending") for name in schema.keys])
+                values = (record.pair_id, record.part or None, record.stage, step, seconds)
+                rows.append(dict(zip(_TIMINGS, (*values, is_reused), strict=True)))
+        return TABLES["timings"].from_rows(rows)
 
     _write_table(folder, "timings", key, pair_ids, part)
 

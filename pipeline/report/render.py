@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from textwrap import fill
+from textwrap import wrap
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
@@ -126,20 +126,25 @@ class _AnswerLines:
 
 
 def _item_lines(item: Item, width: int) -> str:
-    """An item: words, detail, and the setting, which ends a single line; further lines are indented."""
+    """An item in one line, which its setting ends, or its words above its detail and setting."""
     words, detail, setting = item
     text = "   ".join(filter(None, (words, detail)))
     n_free = width - _INDENT - len(text) - len(setting)
-    text += " " * max(3, n_free) + setting if setting else ""
-    lines = fill(
-        text,
-        width,
-        initial_indent=" " * _INDENT,
-        subsequent_indent=" " * _INDENT,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    return lines[_INDENT:]
+    if n_free >= 2:
+        return text + " " * n_free + setting if setting else text
+    below = "   ".join(filter(None, (detail, setting)))
+    hang = 3 if words[1:3] == "  " else 0  # "1  cause" of a numbered list
+    lines = []
+    for text, start in ((words, 0), (below, hang)):
+        lines += wrap(
+            text,
+            width,
+            initial_indent=" " * (_INDENT + start),
+            subsequent_indent=" " * (_INDENT + hang),
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    return "\n".join(lines)[_INDENT:]
 
 
 def _in_markdown(part: Part) -> str:
