@@ -18,7 +18,6 @@ from .storage.table_files import JobRecord
 
 _MOST_ALIKE = 10  # warnings of a kind that are written out
 _PAIRS_AT_ONCE = 200
-_TIMINGS = ("pair_id", "side", "stage", "step", "seconds", "reused")
 
 
 def few_of_each(warnings: Sequence[str]) -> list[str]:
@@ -105,10 +104,13 @@ def write_timings(
     def part(names: Sequence[str]) -> pa.Table:
         rows = []
         for record in records_of(folder, stages, names):
-            is_reused = record.made_by != folder.token
-            for step, seconds in record.steps:
-                values = (record.pair_id, record.part or None, record.stage, step, seconds)
-                rows.append(dict(zip(_TIMINGS, (*values, is_reused), strict=True)))
+            job: Row = {
+                "pair_id": record.pair_id,
+                "side": record.part or None,
+                "stage": record.stage,
+                "reused": record.made_by != folder.token,
+            }
+            rows += [job | {"step": step, "seconds": seconds} for step, seconds in record.steps]
         return TABLES["timings"].from_rows(rows)
 
     _write_table(folder, "timings", key, pair_ids, part)

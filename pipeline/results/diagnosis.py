@@ -124,13 +124,6 @@ def _excess(distances_m: tuple[float, float, float]) -> float | None:
     return excess_m if excess_m >= max(LEAST_EXCESS_M, BEST_CASE_ACCURACY * best_case_m) else None
 
 
-def with_gains(overview: Overview | None, diagnosis: Diagnosis | None) -> Overview | None:
-    """The overview of a run with the causes of its diagnosis, if it has one."""
-    if overview is None or diagnosis is None:
-        return overview
-    return overview.model_copy(update={"causes": diagnosis.causes})
-
-
 def unexplained_words(diagnosis: Diagnosis) -> str:
     """Part of the distance that remains if all causes are corrected."""
     distance = f"{100 * max(diagnosis.distance_m - diagnosis.best_case_m, 0.0):.1f} cm"
