@@ -12,14 +12,8 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from ..terminal import shown
-from .view import Answers, Item, Note, Part, Table, View
+from .view import COLOURS, Answers, Item, Note, Part, Table, View
 
-#: Colours of words that fill a cell.
-_COLOURS = {
-    **dict.fromkeys(("worse", "mixed", "vanished", "FAIL"), "red"),
-    **dict.fromkeys(("better", "appeared", "pass", "yes"), "green"),
-    "undecided": "yellow",
-}
 #: Beginnings of formulas; the full-width ones in East Asian locales.
 _FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 _NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
@@ -106,7 +100,7 @@ def _table(table: Table) -> RichTable:
             min_width=min(_WHOLE_WORD, max(map(len, words), default=1)) if is_words else None,
         )
     for row in cells:
-        rich_table.add_row(*(Text(row[i], _COLOURS.get(row[i], "")) for i in columns))
+        rich_table.add_row(*(Text(row[i], COLOURS.get(row[i], "")) for i in columns))
     return rich_table
 
 
