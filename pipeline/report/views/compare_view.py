@@ -15,6 +15,7 @@ from ...results.followed import worst_changes
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.sectors import N_SECTORS
 from ..view import (
+    COLOURS,
     Answers,
     Item,
     Note,
@@ -31,19 +32,18 @@ from ..view import (
 )
 
 _MOST_LEFT_OUT = 5
-#: Most objects to look at, and with --all.
 _PAIR_WIDTH = 24
+#: Most objects to look at, and with --all.
 _MOST_PLACES = 3
 _MOST_PLACES_OF_ALL = 20
 #: Headings of the causes and families with a verdict.
 _HEADINGS = {
     "worse": "Worse",
-    "mixed": "Both ways",
+    "mixed": "Mixed",
     "better": "Better",
     "changed": "Changed",
     "": "In the world",
 }
-_COLOURS = {"worse": "red", "mixed": "red", "better": "green", "undecided": "yellow"}
 
 
 def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
@@ -54,7 +54,7 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
     with_all : also every score, and more of the objects that became worse
     """
     n_places = _MOST_PLACES_OF_ALL if with_all else _MOST_PLACES
-    style = f"bold {_COLOURS.get(comparison.decision, '')}"
+    style = f"bold {COLOURS.get(comparison.decision, '')}"
     parts: list[Part] = [Note(decision(comparison), style), answer(comparison, n_places)]
     parts += numbers_view(comparison, with_all=with_all)
     if not with_all:
@@ -204,7 +204,7 @@ def remarks(comparison: Comparison) -> list[Note]:
         )
     for family in comparison.families:
         if family.why:
-            lines.append(f"{family.name}: ({family.verdict}) does not count, {family.why}")
+            lines.append(f"{family.name}: ({family.verdict}) ignored, {family.why}")
     if comparison.changes.elsewhere is not None:
         share = percent(comparison.changes.elsewhere)
         lines.append(
@@ -266,7 +266,7 @@ def score_table(comparison: Comparison) -> Table:
             verdict = f"({score.verdict})" if score.why else score.verdict
             rows.append((family.name, f"{score.name} {score.mark}", *numbers, verdict))
     headings = ("family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict")
-    title = f"Means over {len(comparison.pairs)} pairs; in brackets: does not count"
+    title = f"Means over {len(comparison.pairs)} pairs; in brackets: ignored"
     return Table(title, headings, rows, words=(0, 1, 7), wide=(0, 2), whole=(7,))
 
 
