@@ -93,8 +93,7 @@ class RunOutcome:
     @property
     def failures(self) -> dict[str, str]:
         """Reason of each failed pair, and of each scored pair with a failed extra."""
-        rows = self.pairs.select(["pair_id", "status", "reason"]).to_pylist()
-        failed = [row for row in rows if row["status"] == "failed"]
+        failed = [row for row in self.rows if row["status"] == "failed"]
         return {row["pair_id"]: row["reason"] for row in failed} | self.reported
 
 

@@ -18,7 +18,6 @@ from .storage.table_files import JobRecord
 
 _MOST_ALIKE = 10  # warnings of a kind that are written out
 _PAIRS_AT_ONCE = 200
-_TIMINGS = ("pair_id", "side", "stage", "step", "seconds", "reused")
 
 
 def few_of_each(warnings: Sequence[str]) -> list[str]:
@@ -101,18 +100,18 @@ def write_timings(
     pair_ids: Iterable[str],
 ) -> None:
     """Write the table `timings`, unless it exists under its key."""
-    schema = TABLES["timings"]
 
     def part(names: Sequence[str]) -> pa.Table:
-        columns: dict[str, list[Any]] = {name: [] for name in _TIMINGS}
+        rows = []
         for record in records_of(folder, stages, names):
-            is_reused = record.made_by != folder.token
-            for step, seconds in record.steps:
-                side = record.part or None
-                row = (record.pair_id, side, record.stage, step, seconds, is_reused)
-                for column, value in zip(columns.values(), row, strict=True):
-                    column.append(value)
-        return schema.build(columns).sort_by([(name, "ascending") for name in schema.keys])
+            job: Row = {
+                "pair_id": record.pair_id,
+                "side": record.part or None,
+                "stage": record.stage,
+                "reused": record.made_by != folder.token,
+            }
+            rows += [job | {"step": step, "seconds": seconds} for step, seconds in record.steps]
+        return TABLES["timings"].from_rows(rows)
 
     _write_table(folder, "timings", key, pair_ids, part)
 

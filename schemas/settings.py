@@ -71,29 +71,27 @@ def _numbers(count: int) -> Callable[[Any], Any]:
     return split
 
 
-def _check_columns(value: tuple[str, ...] | None) -> tuple[str, ...] | None:
-    if value is not None and not {"x", "y", "z"} <= set(value):
+def _check_columns(value: tuple[str, ...]) -> tuple[str, ...]:
+    if not {"x", "y", "z"} <= set(value):
         raise ValueError("expected x, y and z among the names")
-    if value is not None and len(set(value)) != len(value):
+    if len(set(value)) != len(value):
         raise ValueError("expected each name once")
     return value
 
 
-def _check_box(value: Box | None) -> Box | None:
-    if value is not None and any(value[i] >= value[i + 3] for i in range(3)):
+def _check_box(value: Box) -> Box:
+    if any(value[i] >= value[i + 3] for i in range(3)):
         raise ValueError("expected each minimum below its maximum (xmin ymin zmin xmax ymax zmax)")
     return value
 
 
 _Columns = Annotated[
-    tuple[str, ...] | None,
+    Annotated[tuple[str, ...], AfterValidator(_check_columns)] | None,
     BeforeValidator(_split_words, json_schema_input_type=tuple[str, ...] | str),
-    AfterValidator(_check_columns),
 ]
 _Box = Annotated[
-    Box | None,
+    Annotated[Box, AfterValidator(_check_box)] | None,
     BeforeValidator(_numbers(6), json_schema_input_type=Box | str),
-    AfterValidator(_check_box),
 ]
 _Position = Annotated[
     tuple[float, float, float] | None,
@@ -459,13 +457,20 @@ def load(
         The preset or a name is unknown, the file cannot be read or has other objects than the requested preset, an
         assignment has no `=`, or a value is out of bounds.
     """
-    values: dict[str, Any] = {}
-    if path is not None:
-        values = read_toml(path, "settings file")
+    values = {} if path is None else read_toml(path, "settings file")
     if preset is not None:
         values["preset"] = preset
     if path is not None:
-        _check_file(path, values, preset)
+        try:
+            settings = parse(values)
+        except SettingsError as error:
+            raise SettingsError(f"settings file {path}: {error}") from error
+        if preset not in (None, preset_of(settings)):
+            objects = settings.communities.objects
+            raise SettingsError(
+                f"settings file {path}: has communities.objects = {objects!r}, unlike the preset {preset}; "
+                "remove --preset, or that line of the file"
+            )
     for word in assignments:
         name, equals, text = word.partition("=")
         group, _, setting = name.strip().partition(".")
@@ -476,19 +481,6 @@ def load(
             raise SettingsError(f"--set {word!r}: {group} is not a group of settings")
         table[setting] = _toml_value(text.strip())
     return parse(values)
-
-
-def _check_file(path: Path, values: Mapping[str, Any], preset: str | None) -> None:
-    """Raise `SettingsError` if the values of a file are wrong, or have other objects than the requested preset."""
-    try:
-        settings = parse(values)
-    except SettingsError as error:
-        raise SettingsError(f"settings file {path}: {error}") from error
-    if preset is not None and preset_of(settings) != preset:
-        raise SettingsError(
-            f"settings file {path}: has communities.objects = {settings.communities.objects!r}, unlike the preset "
-            f"{preset}; remove --preset, or that line of the file"
-        )
 
 
 def parse(values: Mapping[str, Any]) -> Settings:

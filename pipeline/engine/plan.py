@@ -134,10 +134,6 @@ class PairPlan:
             n_bytes += costs.object_bytes(self.largest_object[1])
         return n_bytes
 
-    def reads(self, job: Job) -> tuple[str, ...]:
-        """The keys of all that a job takes."""
-        return _reads(job, self.keys)
-
     def with_records(self, records: Iterable[JobRecord]) -> PairPlan:
         """The same plan, knowing that these jobs are done."""
         return replace(self, records={**self.records, **{record.job: record for record in records}})
@@ -299,10 +295,10 @@ def with_results(
 
 def _key(job: Job, keys: Mapping[JobId, str]) -> str:
     """The key of a job's result: keys are hexadecimal digits, so that a space ends each."""
-    return hashlib.sha256(" ".join((job.key, *_reads(job, keys))).encode()).hexdigest()
+    return hashlib.sha256(" ".join((job.key, *reads(job, keys))).encode()).hexdigest()
 
 
-def _reads(job: Job, keys: Mapping[JobId, str]) -> tuple[str, ...]:
+def reads(job: Job, keys: Mapping[JobId, str]) -> tuple[str, ...]:
     """The keys of all that a job takes, in its order."""
     return tuple(
         dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in job.sources)

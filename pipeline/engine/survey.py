@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 from ...schemas.errors import ScanError
@@ -13,7 +14,6 @@ from ..datasets.content import ScanContent, scan_content
 from ..datasets.pairs import ScanPair
 from ..stage import Stage
 from ..storage.folder import RunFolder
-from ..storage.run_record import changed_settings
 from ..storage.table_files import JobId, JobName
 from .plan import OUT_OF_DATE, PairPlan
 from .progress import Reporter
@@ -60,16 +60,18 @@ def hash_files(pairs: Iterable[ScanPair], folder: RunFolder) -> tuple[Contents, 
 
 
 def what_changed(
-    before: Mapping[str, Any], settings: Settings, stages: Iterable[Stage]
+    before: Mapping[str, Any], settings: Settings, stages: Sequence[Stage]
 ) -> list[str]:
     """Changes of preset, settings and code since the last record that concern some stages, as text."""
-    by_group = changed_settings(before, settings)
+    changes = []
+    for group in dict.fromkeys(chain.from_iterable(stage.settings for stage in stages)):
+        was = before.get("settings", {}).get(group, {})
+        for name, value in getattr(settings, group).model_dump(mode="json").items():
+            if was.get(name) != value:
+                changes.append(f"{group}.{name} was {was.get(name)}, is {value}")
     versions = before.get("stages", {})
     made_by = f"fidpipe {before.get('fidpipe')} on {before.get('written', '')[:10]}"
-    changes = []
     for stage in stages:
-        for group in stage.settings:
-            changes += by_group.pop(group, [])
         if versions.get(stage.name, stage.version) != stage.version:
             changes.append(f"{made_by} had other code of stage {stage.name}")
     preset = preset_of(settings)

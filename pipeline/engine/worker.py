@@ -27,7 +27,7 @@ from ..stage import Grain, Inputs, JobResult, Memo, Metadata, Stage, Steps, Tabl
 from ..storage.remote_dataset import restored_scan
 from ..storage.scratch import temporary_space
 from ..storage.table_files import JobId, JobRecord, plain_metadata, table_name, tables_of_run
-from .plan import Job, PairPlan, Source, plan_jobs
+from .plan import Job, PairPlan, Source, plan_jobs, reads
 from .time_limit import OutOfTimeError, limited
 
 #: Tables of a pair by name and side.
@@ -291,7 +291,7 @@ class JobRunner:
         record = JobRecord(job.stage.name, plan.pair_id, job.part, "", {}, metadata=metadata)
         if self._is_stored:
             record.key = plan.keys[job.name]
-            record.reads = plan.reads(job)
+            record.reads = reads(job, plan.keys)
             record.made_by = plan.token
             with steps("write"):
                 record.files = self._folder.write_job(record, made.tables)

@@ -56,13 +56,11 @@ def choose_objects(
                 f"--objects {name}: expected an id of scan {pair_id} from 0 to "
                 f"{len(objects) - 1}, or one of its labels: {', '.join(sorted(labels)) or 'none'}"
             )
-    rows: list[Row] = []
-    for number, name in (chosen or _typical_of_shapes(objects, least)).items():
-        n_points = int(objects["n_points"].to_numpy()[number])
-        range_m = float(objects["range_m"].to_numpy()[number])
-        row = {"pair_id": pair_id, "community_id": number, "name": name}
-        rows.append(row | {"n_points": n_points, "range_m": range_m})
-    return rows
+    chosen = chosen or _typical_of_shapes(objects, least)
+    table = objects.loc[[*chosen], ["n_points", "range_m"]]
+    table = table.assign(pair_id=pair_id, community_id=[*chosen], name=[*chosen.values()])
+    rows: Any = table.to_dict("records")
+    return list(rows)
 
 
 def objects_in(tables: PairTables) -> pd.DataFrame:
@@ -112,12 +110,11 @@ def _typical_of_shapes(objects: pd.DataFrame, least: int) -> dict[int, str]:
         typical = large[shapes == i]
         if len(typical):
             chosen[name] = _median_sized(typical)
-            free = free.drop(index=chosen[name])
     for feature, name in SHAPES.items():
-        if name not in chosen and len(free):
-            nearest: Any = free[feature].idxmax()
-            chosen[name] = int(nearest)
-            free = free.drop(index=nearest)
+        others = free[feature].drop([*chosen.values()])
+        if name not in chosen and len(others):
+            largest: Any = others.idxmax()
+            chosen[name] = int(largest)
     return {chosen[name]: name for name in SHAPES.values() if name in chosen}
 
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
-from textwrap import TextWrapper
+from collections.abc import Iterable, Sequence
+from textwrap import fill
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
-from rich.measure import Measurement
 from rich.table import Table as RichTable
 from rich.text import Text
 
 from ..terminal import shown
-from .view import SHORTEST, Answers, Item, Note, Part, Table, View, shortened
+from .view import Answers, Item, Note, Part, Table, View
 
 #: Colours of words that fill a cell.
 _COLOURS = {
@@ -27,7 +25,7 @@ _FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 _NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
 _INDENT = 14
 _NARROWEST = 40
-_WRAPPER = partial(TextWrapper, break_long_words=False, break_on_hyphens=False)
+_WHOLE_WORD = 24  #: words of so many characters are never cut
 
 
 def terminal(view: View) -> RenderableType:
@@ -98,62 +96,18 @@ def _table(table: Table) -> RichTable:
     )
     cells = table.cells
     columns = [i for i in range(len(table.headings)) if i not in table.wide]
-    words_in = {}
-    breaking = set()
     for i in columns:
-        words_in[i] = _words_in(row[i] for row in cells)
         is_words = i in table.words
-        is_breaking = is_words and i not in table.whole
-        heading_words = _words_in([table.headings[i]])
-        if is_breaking:
-            breaking.add(i)
+        words = " ".join((table.headings[i], *(row[i] for row in cells))).split()
         rich_table.add_column(
             table.headings[i],
             justify="left" if is_words else "right",
-            overflow="fold" if is_words else "ellipsis",
-            no_wrap=not is_breaking,
-            min_width=_longest(heading_words) if is_words else None,
+            no_wrap=not is_words or i in table.whole,
+            min_width=min(_WHOLE_WORD, max(map(len, words), default=1)) if is_words else None,
         )
     for row in cells:
-        row_cells: list[RenderableType] = []
-        for i in columns:
-            text = Text(row[i], _COLOURS.get(row[i], ""))
-            row_cells.append(_Words(text, words_in[i]) if i in breaking else text)
-        rich_table.add_row(*row_cells)
+        rich_table.add_row(*(Text(row[i], _COLOURS.get(row[i], "")) for i in columns))
     return rich_table
-
-
-def _words_in(texts: Iterable[str]) -> set[str]:
-    return set(" ".join(texts).split())
-
-
-def _longest(words: Iterable[str]) -> int:
-    return max(map(len, words), default=1)
-
-
-class _Words:
-    """A cell of words: breaks into lines at blanks, shortens words too long for its column.
-
-    among : all words of the column, so that different ones stay different
-    """
-
-    def __init__(self, text: Text, among: set[str]) -> None:
-        self._text = text
-        self._among = among
-
-    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
-        text = self._text.plain
-        longest_line = max(map(len, text.splitlines()), default=0)
-        return Measurement(min(_longest(text.split()), SHORTEST), longest_line)
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        words = self._text.plain.split()
-        if _longest(words) <= options.max_width:
-            yield self._text
-            return
-        short = shortened(self._among, options.max_width)
-        text = " ".join(short[word] for word in words)
-        yield Text(text, self._text.style, overflow="ellipsis")
 
 
 class _AnswerLines:
@@ -163,29 +117,29 @@ class _AnswerLines:
         self._sections = answers.sections
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        width = max(options.max_width, _NARROWEST) - _INDENT
+        width = max(options.max_width, _NARROWEST)
         for heading, items in self._sections:
-            title = heading.ljust(_INDENT)
-            style = "bold" if heading[0].isupper() else ""
+            title = Text(heading.ljust(_INDENT), "bold" if heading[0].isupper() else "")
             for item in items:
-                for line in _lines(item, width):
-                    yield Text.assemble((title, style), line)
-                    title = " " * _INDENT
+                yield title + Text(_item_lines(item, width))
+                title = Text(" " * _INDENT)
 
 
-def _lines(item: Item, width: int) -> Iterator[str]:
-    """An item in lines: words, detail, and the setting at the end of the first line if it fits."""
+def _item_lines(item: Item, width: int) -> str:
+    """An item: words, detail, and the setting, which ends a single line; further lines are indented."""
     words, detail, setting = item
-    hang = "   " if words[1:3] == "  " else ""  # "1  cause" of a numbered list
-    if detail and len(words) + len(detail) + len(setting) + 5 <= width:
-        words = f"{words}   {detail}"
-        detail = ""
-    if setting and len(words) + len(setting) + 2 <= width:
-        words = words.ljust(width - len(setting)) + setting
-        setting = ""
-    yield from _WRAPPER(width=width, subsequent_indent=hang).wrap(words)
-    below = "   ".join(filter(None, (detail, setting)))
-    yield from _WRAPPER(width=width, initial_indent=hang, subsequent_indent=hang).wrap(below)
+    text = "   ".join(filter(None, (words, detail)))
+    n_free = width - _INDENT - len(text) - len(setting)
+    text += " " * max(3, n_free) + setting if setting else ""
+    lines = fill(
+        text,
+        width,
+        initial_indent=" " * _INDENT,
+        subsequent_indent=" " * _INDENT,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return lines[_INDENT:]
 
 
 def _in_markdown(part: Part) -> str:

@@ -7,9 +7,6 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-#: Least number of characters of a shortened name.
-SHORTEST = 8
-
 
 @dataclass(frozen=True)
 class Note:
@@ -141,20 +138,16 @@ def shortened(names: Iterable[str], width: int) -> dict[str, str]:
     ['n00…03597909', 'n00…03647909']
     """
     names = list(names)
-    longest = max(map(len, names), default=0)
-    for length in range(max(width, SHORTEST), longest):
-        short = {name: _middle_cut(name, length) for name in names}
+    for length in range(width, max(map(len, names), default=0)):
+        n_head = (length - 1) * 3 // 11
+        short = {}
+        for name in names:
+            is_long = len(name) > length
+            tail = name[n_head + 1 - length :]
+            short[name] = f"{name[:n_head]}…{tail}" if is_long else name
         if len(set(short.values())) == len(short):
             return short
     return {name: name for name in names}
-
-
-def _middle_cut(name: str, length: int) -> str:
-    if len(name) <= length:
-        return name
-    n_head = (length - 1) * 3 // 11
-    n_tail = length - 1 - n_head
-    return f"{name[:n_head]}…{name[-n_tail:]}"
 
 
 def sentence(text: str) -> str:

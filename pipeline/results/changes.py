@@ -26,6 +26,7 @@ from ...stages.causes.sides import Side, recorded_side
 from ...stages.frame_search import FrameCheck
 from ...stages.sensor_description import SensorDescription
 from ...stages.statistics.comparison import block_means
+from ...stages.statistics.findings import evenly
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..jobs.gains_job import SEED
@@ -127,7 +128,7 @@ def find_changes(
     between = _measure_between(base, other, names, reporter)
     confirmed = changed_causes(before, after, between, blocks)
     excess = {cause.name: cause.estimate for cause in confirmed}
-    corrected = _evenly(names, MOST_CORRECTED)
+    corrected = [names[i] for i in evenly(len(names), MOST_CORRECTED)]
     undone = _map_pairs(undo_changes, base, other, corrected, excess, reporter).values()
     doubtful: list[Cause] = []
     elsewhere = None
@@ -136,11 +137,6 @@ def find_changes(
         elsewhere = elsewhere_share([shares for _, *shares in undone])
     changed = [_changed(cause, before, after, blocks) for cause in confirmed]
     return Changes(tuple(changed), tuple(cause.words for cause in doubtful), elsewhere)
-
-
-def _evenly(names: Sequence[str], most: int) -> list[str]:
-    rows = np.linspace(0, len(names) - 1, min(len(names), most)).astype(np.intp)
-    return [names[row] for row in rows]
 
 
 def _is_same_scan(base: FinishedRun, other: FinishedRun, name: str) -> bool:
@@ -174,7 +170,7 @@ def _measure_between(
     base: FinishedRun, other: FinishedRun, names: Sequence[str], reporter: Reporter | None
 ) -> dict[str, FloatArray]:
     """By cause, the amounts between the two simulated scans, (n,), NaN for pairs that were not measured."""
-    chosen = _evenly(names, MOST_BETWEEN)
+    chosen = [names[i] for i in evenly(len(names), MOST_BETWEEN)]
     same = [name for name in chosen if _is_same_scan(base, other, name)]
     measured = _map_pairs(measure_between, base, other, chosen, {}, reporter)
     if 2 * (len(chosen) - len(same) - len(measured)) >= len(chosen):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ from .sectors import N_SECTORS, sector_frame
 MOST_RUNS = 8
 
 
-@dataclass(frozen=True)
+@dataclass
 class Comparison:
     """One run against the base.
 
@@ -162,18 +162,26 @@ def compare_runs(
                 "so that a difference need not be the simulator's; run both with the same "
                 "settings, or give --allow-different-settings"
             )
-        comparison = _pairs_of(base, other, settings, independent=independent)
-        if comparison.pairs:
-            comparison = _compared(comparison, base, other, independent, reporter)
+        left_out = pairs_left_out(base, other)
+        names = [name for name in base.names if name not in left_out]
+        blocks = np.arange(len(names), dtype=np.int32) if independent else base.places(names)
+        comparison = _comparison(base, other, settings, left_out, blocks, independent=independent)
+        if names:
+            _compare(comparison, base, other, blocks, reporter)
         comparisons.append(comparison)
     return comparisons
 
 
-def _pairs_of(
-    base: FinishedRun, other: FinishedRun, settings: Sequence[str], *, independent: bool
+def _comparison(
+    base: FinishedRun,
+    other: FinishedRun,
+    settings: Sequence[str],
+    left_out: dict[str, str],
+    blocks: IntArray,
+    *,
+    independent: bool,
 ) -> Comparison:
     """A comparison without results: the pairs of both runs, and what else differs."""
-    left_out = pairs_left_out(base, other)
     names = [name for name in base.names if name not in left_out]
     lost = [name for name in base.names if name in left_out]
     failed = [name for name in lost if other.rows_by_name.get(name, {}).get("status") == "failed"]
@@ -181,7 +189,7 @@ def _pairs_of(
         reasons = [f"{name!r}: {reason}" for name, reason in left_out.items()]
         why = "; ".join(reasons[:3]) or "no pair is scored"
         raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why})")
-    n_places = len(np.unique(_blocks(base, names, independent=independent)))
+    n_places = len(np.unique(blocks))
     return Comparison(
         base=base.folder,
         other=other.folder,
@@ -198,29 +206,23 @@ def _pairs_of(
     )
 
 
-def _blocks(base: FinishedRun, names: Sequence[str], *, independent: bool) -> IntArray:
-    """(n,) independent place of each pair."""
-    return np.arange(len(names), dtype=np.int32) if independent else base.places(names)
-
-
-def _compared(
+def _compare(
     comparison: Comparison,
     base: FinishedRun,
     other: FinishedRun,
-    independent: bool,
+    blocks: IntArray,
     reporter: Reporter | None,
-) -> Comparison:
-    """The comparison with its causes, families and objects."""
+) -> None:
+    """Add the causes, families and objects to a comparison."""
     names = comparison.pairs
-    blocks = _blocks(base, names, independent=independent)
-    changes = find_changes(base, other, names, blocks, reporter)
+    changes = comparison.changes = find_changes(base, other, names, blocks, reporter)
     sectors = None
     if comparison.by_direction:
         of_sectors = [sector_frame(run, names) for run in (base, other)]
         directions = (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
         sectors = ScoredPairs(of_sectors, directions)
         blocks = np.arange(len(names), dtype=np.int32)
-    families = judge_families(
+    comparison.families = judge_families(
         base.preset if base.preset == other.preset else "paper",
         ScoredPairs(_scores(base, other, names), blocks),
         sectors=sectors,
@@ -228,14 +230,8 @@ def _compared(
         worse_causes=[change.cause.name for change in changes.causes if change.verdict == "worse"],
     )
     real_objects = [run.objects_of(names, FOLLOWED_COLUMNS, ("real",)) for run in (base, other)]
-    objects, unfollowed = follow(*real_objects)
-    return replace(
-        comparison,
-        changes=changes,
-        families=families,
-        objects=objects,
-        unfollowed=tuple(unfollowed),
-    )
+    comparison.objects, unfollowed = follow(*real_objects)
+    comparison.unfollowed = tuple(unfollowed)
 
 
 def _scores(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> list[pd.DataFrame]:

@@ -30,7 +30,7 @@ from ..storage.folder import RunFolder
 from ..storage.run_record import RUN_JSON, command_again, read_run
 from ..storage.urls import url_or_path
 from .causes import mean_amount, read_causes
-from .diagnosis import diagnosis_of, with_gains
+from .diagnosis import diagnosis_of
 from .object_frame import ALL_COLUMNS, WITH_UNITS, object_frame, plain_rows
 
 if TYPE_CHECKING:
@@ -52,6 +52,11 @@ def record_of_run(folder: Path) -> dict[str, Any]:
             raise RunError(
                 f"run {shown}: {RUN_JSON} is damaged; run it again with: {again} "
                 "(intact results are reused)"
+            )
+        if made_by := record.get("experiment"):
+            raise RunError(
+                f"run {shown}: expected a folder written by fidpipe run, got one of fidpipe "
+                f"{made_by}; its tables are {shown}/{made_by}*.parquet"
             )
         return record
     names = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
@@ -83,12 +88,6 @@ class FinishedRun:
     def __init__(self, folder: Path | str) -> None:
         self.folder = folder = Path(folder)
         record = record_of_run(folder)
-        if made_by := record.get("experiment"):
-            raise RunError(
-                f"run {folder}: expected a folder written by fidpipe run, got one of fidpipe "
-                f"{made_by}; its tables are "
-                f"{folder}/{made_by}*.parquet"
-            )
         self.store = RunFolder(folder)
         try:
             self.record = RunRecord.from_dict(record)
@@ -216,11 +215,11 @@ class FinishedRun:
     def causes(self) -> pd.DataFrame:
         """One row per named cause, in the order in which to fix them; `table("causes")` has the amounts of each pair.
 
-        Columns are the fields of `schemas.results.Cause`, without its curves.
+        Columns are the fields of `schemas.results.Cause`.
         """
         import pandas as pd
 
-        columns = [name for name in Cause.model_fields if name not in ("evidence", "limbs")]
+        columns = [name for name in Cause.model_fields if name != "limbs"]
         causes = self.overview.causes if self.overview else ()
         return pd.DataFrame([vars(cause) for cause in causes], columns=columns)
 
@@ -232,7 +231,10 @@ class FinishedRun:
     @property
     def overview(self) -> Overview | None:
         """The first answer of the run, with the causes of its diagnosis if it has one; None if no pair is scored."""
-        return with_gains(self.record.overview, self.diagnosis)
+        overview = self.record.overview
+        if overview is None or self.diagnosis is None:
+            return overview
+        return overview.model_copy(update={"causes": self.diagnosis.causes})
 
     @cached_property
     def mean_amounts(self) -> dict[str, Cause | Unknown]:

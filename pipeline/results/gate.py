@@ -47,15 +47,25 @@ class Criterion:
 
 
 _WHOLE = "a gate is about the whole dataset"
-_FRAMES = "fidpipe check shows how to fix it"
-_UNCHANGED = "scans and labels are those that were evaluated"
 #: Of runs whose dataset is on this machine.
-UNCHANGED = Criterion(_UNCHANGED, "pairs.changed", "max", 0, "else run it again")
+UNCHANGED = Criterion(
+    "scans and labels are those that were evaluated",
+    measure="pairs.changed",
+    bound="max",
+    limit=0,
+    reason="else run it again",
+)
 #: Criteria of every gate, unless the user gives another bound.
 ALWAYS = (
     Criterion("every pair is scored", "pairs.failed", "max", 0, _WHOLE),
     Criterion("no pair is left to do", "pairs.to_do", "max", 0, _WHOLE),
-    Criterion("both sides lie in one frame", "pairs.frame_suspect", "max", 0, _FRAMES),
+    Criterion(
+        "both sides lie in one frame",
+        "pairs.frame_suspect",
+        "max",
+        0,
+        "fidpipe check shows how to fix it",
+    ),
     UNCHANGED,
 )
 

@@ -51,12 +51,6 @@ def run_status(folder: Path) -> RunStatus:
         raise RunError(
             f"run {folder}: run.json is damaged, it names no dataset or no settings; run it again"
         )
-    if "experiment" in record:
-        raise RunError(
-            f"run {folder}: was written by fidpipe {record['experiment']}, which resumes if it is "
-            "run again; "
-            "status is for runs"
-        )
     dataset = read_dataset(local_folder(record["dataset"]))
     settings = parse(record["settings"])
     stages = stages_under(settings)

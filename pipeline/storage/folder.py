@@ -219,7 +219,10 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
     if not before:
         return
     if made_by != experiment:
-        raise RunError(f"{experiment} {out}: was written by fidpipe {made_by}; give another --out")
+        raise RunError(
+            f"{experiment} {out}: was written by fidpipe {made_by}, not by fidpipe {experiment}; "
+            "give another --out"
+        )
     is_there = is_url(before) or os.path.lexists(before)
     if before != name_in_records(dataset) and is_there:
         raise RunError(

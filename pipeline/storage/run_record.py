@@ -243,21 +243,6 @@ class StageSeconds:
         return Seconds.model_construct(mean=mean, pairs=pairs)  # without a copy
 
 
-def changed_settings(before: Mapping[str, Any], settings: Settings) -> dict[str, list[str]]:
-    """Changed settings since the record of the last run, as text by group; only groups that changed."""
-    changes = {}
-    for group, values in settings.model_dump(mode="json").items():
-        old = before.get("settings", {}).get(group, {})
-        texts = [
-            f"{group}.{name} was {old.get(name)}, is {value}"
-            for name, value in values.items()
-            if old.get(name) != value
-        ]
-        if texts:
-            changes[group] = texts
-    return changes
-
-
 def has_ended(record: Mapping[str, Any]) -> bool:
     """True if a record is of a finished run or experiment: its duration is written last."""
     return "wall_s" in record

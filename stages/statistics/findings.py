@@ -64,4 +64,5 @@ def evenly(n: int, most: int) -> list[int]:
     >>> evenly(9, 3), evenly(2, 3), evenly(0, 3)
     ([0, 4, 8], [0, 1], [])
     """
-    return list(map(int, np.unique(np.linspace(0, n - 1, min(n, most)).round())))
+    places: list[int] = np.linspace(0, n - 1, min(n, most)).astype(int).tolist()
+    return places

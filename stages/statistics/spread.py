@@ -7,8 +7,7 @@ import numpy as np
 from ...schemas.record import Spread
 from ..arrays import FloatArray
 from ..summary import mean_and_std
-
-_CONFIDENCE = 0.95
+from .comparison import CONFIDENCE
 
 
 def spread(values: FloatArray) -> Spread:
@@ -47,7 +46,7 @@ def spread(values: FloatArray) -> Spread:
         )
     squares = sum(np.var(row, ddof=1) * (len(row) - 1) for row in repeats)
     std_seeds = float(np.sqrt(squares / degrees))
-    least = float(student_t.isf((1 - _CONFIDENCE) / 2, degrees)) * 2**0.5 * std_seeds
+    least = float(student_t.isf((1 - CONFIDENCE) / 2, degrees)) * 2**0.5 * std_seeds
     return Spread(
         mean=mean,
         std_pairs=std_pairs,

@@ -307,9 +307,9 @@ def test_the_folder_of_another_command_is_refused(done, scan, tmp_path):
 
     dataset = write_dataset(tmp_path / "data", 1)
     run(dataset, tmp_path / "run", SETTINGS)
-    with pytest.raises(RunError, match="fidpipe run, .* fidpipe perturb"):
+    with pytest.raises(RunError, match="^perturb .*: was written by fidpipe run"):
         perturbed(scan, tmp_path / "run")
-    with pytest.raises(RunError, match="fidpipe perturb, .* fidpipe run"):
+    with pytest.raises(RunError, match="^run .*: was written by fidpipe perturb"):
         run(dataset, done.folder, SETTINGS)
     with pytest.raises(RunError, match="fidpipe perturb"):
         run_status(done.folder)

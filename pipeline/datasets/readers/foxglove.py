@@ -15,16 +15,16 @@ from .scan import packed_columns
 #: The message type of a point cloud.
 CLOUD = "foxglove.PointCloud"
 _ENCODINGS = ("protobuf", "cdr")
-_NUMBERS = {
-    1: "u1",
-    2: "i1",
-    3: "u2",
-    4: "i2",
-    5: "u4",
-    6: "i4",
-    7: "f4",
-    8: "f8",
-}  # foxglove.PackedElementField
+_NUMBERS = (
+    "u1",
+    "i1",
+    "u2",
+    "i2",
+    "u4",
+    "i4",
+    "f4",
+    "f8",
+)  # PackedElementField.UINT8 is 1, and so on
 
 
 class Connection(NamedTuple):
@@ -36,7 +36,6 @@ class Connection(NamedTuple):
 
     topic: str
     msgtype: str
-    msgcount: int
     schema: Any
 
 
@@ -54,13 +53,12 @@ class Recording:
                 f"{file}: expected a summary at its end, got none; the file is truncated: mcap recover it",
             )
         self.connections = []
-        for channel_id, channel in summary.channels.items():
+        for channel in summary.channels.values():
             schema = summary.schemas.get(channel.schema_id)
             msgtype = schema.name if schema else "no schema"
             if channel.message_encoding not in _ENCODINGS:
                 msgtype = f"{msgtype}, {channel.message_encoding}"
-            count = summary.statistics.channel_message_counts.get(channel_id, 0)
-            self.connections.append(Connection(channel.topic, msgtype, count, schema))
+            self.connections.append(Connection(channel.topic, msgtype, schema))
 
     def messages(
         self, connections: Sequence[Connection], start: int | None = None, stop: int | None = None
@@ -103,6 +101,6 @@ def cloud_of(
         raise ScanError(
             f"{file}: expected points of {stride} bytes in a cloud, got {len(cloud.data)} bytes",
         )
-    known = [field for field in cloud.fields if field.type in _NUMBERS]
-    fields = [(field.name, f"<{_NUMBERS[field.type]}", field.offset) for field in known]
+    known = [field for field in cloud.fields if 1 <= field.type <= len(_NUMBERS)]
+    fields = [(field.name, f"<{_NUMBERS[field.type - 1]}", field.offset) for field in known]
     return packed_columns(fields, cloud.data, (len(cloud.data) // stride,), (stride,))

@@ -31,6 +31,7 @@ from ..view import (
     mean_and_spread,
     number,
     percent,
+    shortened,
 )
 from .answer_view import answer_view, frame_warnings
 from .best_case_view import HEADLINES, excess_view
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
 _MOST_PAIRS = 20
 _MOST_CLASSES = 8
+_PAIR_WIDTH = 16
 _SCORES = pair_columns_in("run")
 #: All scores of the summary, displacement and roughness of the surface last.
 _DATASET = (
@@ -186,7 +188,9 @@ def _pairs_table(scored: Sequence[Row]) -> Table:
         title = f"The {_MOST_PAIRS} pairs with the lowest match rate (means over matched objects)"
     headings = ("pair", "objects\nboth", "only\nreal", "only\nsim", *narrow_labels(_SCORES))
     columns = ("pair_id", "n_matched", "n_not_found", "n_extra", *_SCORES)
-    return Table(title, headings, columns_of(scored, columns))
+    names = shortened({row["pair_id"] for row in scored}, _PAIR_WIDTH)
+    rows = [row | {"pair_id": names[row["pair_id"]]} for row in scored]
+    return Table(title, headings, columns_of(rows, columns), whole=(0,))
 
 
 def dataset_table(record: RunRecord) -> Table:
