@@ -15,7 +15,7 @@ from .object_frame import plain_rows
 
 #: A score of an object has changed if it moved by more than this.
 LEAST_CHANGE = 0.05
-KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "missing in both")
+KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "not found in both")
 _PLACE = ("n_points", "cx", "cy", "cz")
 #: Columns of the real scan, the same in both runs.
 _OF_BOTH = ("pair_id", "label", "shape", "range_m", "n_points")
@@ -75,7 +75,7 @@ def kinds_of_change(objects: pd.DataFrame) -> NDArray[np.str_]:
     before = objects["partner_before"] >= 0
     after = objects["partner_after"] >= 0
     conditions = [~before & ~after, before & ~after, ~before & after, fell & rose, fell, rose]
-    kinds = ["missing in both", "vanished", "appeared", "mixed", "better", "worse"]
+    kinds = ["not found in both", "vanished", "appeared", "mixed", "better", "worse"]
     return np.select(conditions, kinds, "alike")
 
 

@@ -38,7 +38,7 @@ _MOST_PLACES_OF_ALL = 20
 #: Headings of the causes and families with a verdict.
 _HEADINGS = {
     "worse": "Worse",
-    "mixed": "Both ways",
+    "mixed": "Mixed",
     "better": "Better",
     "changed": "Changed",
     "": "In the world",
@@ -204,7 +204,7 @@ def remarks(comparison: Comparison) -> list[Note]:
         )
     for family in comparison.families:
         if family.why:
-            lines.append(f"{family.name}: ({family.verdict}) does not count, {family.why}")
+            lines.append(f"{family.name}: ({family.verdict}) ignored, because it {family.why}")
     if comparison.changes.elsewhere is not None:
         share = percent(comparison.changes.elsewhere)
         lines.append(
@@ -266,7 +266,7 @@ def score_table(comparison: Comparison) -> Table:
             verdict = f"({score.verdict})" if score.why else score.verdict
             rows.append((family.name, f"{score.name} {score.mark}", *numbers, verdict))
     headings = ("family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict")
-    title = f"Means over {len(comparison.pairs)} pairs; in brackets: does not count"
+    title = f"Means over {len(comparison.pairs)} pairs; in brackets: ignored"
     return Table(title, headings, rows, words=(0, 1, 7), wide=(0, 2), whole=(7,))
 
 
