@@ -130,7 +130,7 @@ def seen(real, sim):
     samples = SideSamples(pairs, SETTINGS)
     for pair, real_points, sim_points in zip(pairs, real, sim, strict=True):
         if pair.pair_id in samples.pair_ids:
-            samples.add(pair, {"real": Scan(real_points), "sim": Scan(sim_points)})
+            samples.add(pair, {"real": Scan(real_points), "sim": Scan(sim_points)}, {})
     counts = {"real": cleaned_counts(real), "sim": cleaned_counts(sim)}
     lines = samples.warnings(counts)
     seconds = time.process_time() - start

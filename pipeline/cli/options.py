@@ -41,7 +41,7 @@ DatasetFolder = Annotated[
 SimFolder = Annotated[
     Path | None,
     typer.Argument(
-        metavar="[SIM]",
+        metavar="SIM",
         help="Simulated scans, after the folder of the real ones; paired by name or by time.",
         show_default=False,
     ),

@@ -14,7 +14,7 @@ from .output import print_as, print_line
 def show(
     run: RunFolder,
     pair: Annotated[str | None, typer.Argument()] = None,
-    object_: Annotated[str | None, typer.Argument(metavar="[OBJECT]")] = None,
+    object_: Annotated[str | None, typer.Argument(metavar="OBJECT")] = None,
     all_: Annotated[bool, typer.Option("--all")] = False,
     best_case: BestCase = None,
     as_json: AsJson = False,

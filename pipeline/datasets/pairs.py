@@ -31,7 +31,7 @@ LIST_NAMES = f"list real and simulated file names in a {MANIFEST}, see docs/form
 LABEL_NAMES = "labels.toml"
 _MANIFEST_COLUMNS = ("pair_id", "real", "sim", "timestamp_s", "T_real_sim", "T_world_sensor")
 _ROTATION_TOLERANCE = 1e-3
-#: Names of files that are listed if a folder is not a dataset.
+#: File names shown in the error if a folder is not a dataset.
 _MOST_NAMES = 5
 NO_PARTNER = "no partner"
 

@@ -15,14 +15,14 @@ from .object_frame import plain_rows
 
 #: A score of an object has changed if it moved by more than this.
 LEAST_CHANGE = 0.05
-KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "missing in both")
+KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "not found in both")
 _PLACE = ("n_points", "cx", "cy", "cz")
 #: Columns of the real scan, the same in both runs.
 _OF_BOTH = ("pair_id", "label", "shape", "range_m", "n_points")
 #: Columns of the frame of objects that `follow` reads.
 FOLLOWED_COLUMNS = (*_PLACE[1:], *QUADRANT_SCORES, "label", "shape", "range_m")
 #: Columns of the frame that it returns. Scores and simulated objects (`sim_before`, `sim_after`) are null if it is
-#: missing; an object without a label is called by its shape.
+#: not found; an object without a label is called by its shape.
 CHANGE_COLUMNS = (
     *("pair_id", "real_id", "label", "shape", "range_m", "n_points", "kind"),
     *(f"{name}_{when}" for name in (*QUADRANT_SCORES, "sim") for when in ("before", "after")),
@@ -61,7 +61,7 @@ def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, lis
 def kinds_of_change(objects: pd.DataFrame) -> NDArray[np.str_]:
     """Kind of change of each real object, of `KINDS`.
 
-    `appeared`: missing before, matched now; `vanished`: the reverse. Of an object matched in both: `better` if CDC or
+    `appeared`: not found before, matched now; `vanished`: the reverse. Of an object matched in both: `better` if CDC or
     r_lambda fell by more than 0.05 and neither rose by so much, `worse` the reverse, `mixed` if one fell and the other
     rose, else `alike`. A score that is null in either run is ignored.
 
@@ -75,7 +75,7 @@ def kinds_of_change(objects: pd.DataFrame) -> NDArray[np.str_]:
     before = objects["partner_before"] >= 0
     after = objects["partner_after"] >= 0
     conditions = [~before & ~after, before & ~after, ~before & after, fell & rose, fell, rose]
-    kinds = ["missing in both", "vanished", "appeared", "mixed", "better", "worse"]
+    kinds = ["not found in both", "vanished", "appeared", "mixed", "better", "worse"]
     return np.select(conditions, kinds, "alike")
 
 

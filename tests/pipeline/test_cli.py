@@ -131,6 +131,7 @@ def test_check_ends_with_zero_on_good_data_and_one_on_any_fault(dataset, data):
 def test_every_command_has_an_example_in_its_help(name):
     result = command(name, "--help", code=0)
     assert f"fidpipe {name} " in result.stdout
+    assert "[[" not in result.stdout
 
 
 def test_help_imports_nothing_heavy():

@@ -18,11 +18,13 @@ from plotly.offline import get_plotlyjs
 from fidpipe.pipeline.report.page.compare_page import compare_page, draw_change
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.render import csv_table, markdown
+from fidpipe.pipeline.report.view import shortened
 from fidpipe.pipeline.report.views.compare_view import (
     chance,
     compare_records,
     compare_view,
     decision,
+    place_words,
     reasons,
 )
 from fidpipe.pipeline.results.changes import ChangedCause, Changes
@@ -175,7 +177,7 @@ def test_objects_are_followed_through_the_real_side(found, versions):
 def test_the_kind_of_change_of_an_object_by_hand():
     nan = np.nan
     rows = [
-        (-1, -1, nan, nan, nan, nan, "missing in both"),
+        (-1, -1, nan, nan, nan, nan, "not found in both"),
         (0, -1, 0.1, nan, 0.1, nan, "vanished"),
         (-1, 0, nan, 0.1, nan, 0.1, "appeared"),
         (0, 0, 0.5, 0.4, 0.3, 0.3, "better"),
@@ -255,7 +257,8 @@ class Tags(HTMLParser):
 
 
 def test_no_name_reaches_the_page_as_markup_and_nothing_is_fetched(versions):
-    text = compare_page(compare_runs(versions, independent=True))
+    comparison = compare_runs(versions, independent=True)[0]
+    text = compare_page([comparison])
     assert "(<code>--independent</code>)" in text, "no line ends within an option"
     page = Tags()
     page.feed(text)
@@ -263,11 +266,16 @@ def test_no_name_reaches_the_page_as_markup_and_nothing_is_fetched(versions):
     assert not {"bold", "img", "iframe"} & set(page.tags)
     assert [link for link in page.links if not link.startswith("#")] == ["data:,"]
     assert "default-src 'none'" in text
-    places = [re.search(r", pair (.*), object \d+$", text) for text in page.text]
-    pairs = {place[1] for place in places if place}
-    assert HOSTILE[0] in pairs <= set(HOSTILE) and len(pairs) >= 4, (
-        "changed objects, in the 3D view"
-    )
+    worst = worst_changes(comparison.objects)
+    in_3d = {f"{place_words(row)}, pair {row['pair_id']}, object {row['real_id']}" for row in worst}
+    assert in_3d == {words for words in page.text if re.search(r", object \d+$", words)}
+    assert {HOSTILE[0], HOSTILE[2], HOSTILE[4], HOSTILE[5]} <= {row["pair_id"] for row in worst}
+    first = worst[:3]
+    names = shortened({row["pair_id"] for row in first}, 24)
+    where = [f"{names[row['pair_id']]}  {place_words(row)}" for row in first]
+    shown = [words.strip() for words in page.text]
+    start = shown.index("Where")
+    assert [words for words in shown[start + 1 :] if words][:3] == where
 
 
 def test_a_difference_is_set_beside_what_seeds_alone_make(versions, tmp_path):

@@ -83,7 +83,7 @@ def test_pair_writes_a_manifest_that_points_into_the_recordings(recordings, tmp_
     out = tmp_path / "sets" / "one"
     shown = command("pair", *recordings, "-o", out, "--offset", 97.003, code=0)
     assert "3 pairs in" in shown.stdout
-    assert "0.0030 s" in shown.stdout
+    assert "0.0030 s apart; clock offset given: +97.0030 s" in shown.stdout
     assert sorted(path.name for path in out.iterdir()) == ["pairs.csv"]
     pairs = read_dataset(out).pairs
     assert [pair.fault for pair in pairs] == [None] * 3
