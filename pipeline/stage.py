@@ -31,7 +31,6 @@ INSPECTION = "inspection"  #: metadata: plausibility of a side's scan, see `stag
 FRAMES = "frames"  #: metadata: comparison of both scans' frames, see `stages.frame_search`
 UNEXPLAINED = "unexplained"  #: row of table `gains`: distance that no correction removes
 DISTANCES = "distances_m"  #: metadata of gains: distance before and after corrections, and of a second measurement
-CURVES = "curves"  #: metadata of gains: curves of both sides, by kind
 AMOUNTS = "amounts"  #: metadata of gains: mean amount of each cause that was corrected
 
 Metadata = dict[str, Any]

@@ -36,7 +36,6 @@ class CauseModel:
     words : with {size}, above 0, and below 0 unless the flaw has one direction
     setting : what controls it, attributes of CARLA's blueprint where they fit
     limbs : identifiers of PerCollECT's LidarLimbs cause tree (`data.json`, MIT) that fit
-    curve : kind of its curve in the report, see `stages/causes/curves.py`; "" for none
     needs : what must be known of both sides, see `stages/trust.py`; else its amount is unknown
     is_restored : it is corrected by adding real points, so that the gain is an upper bound
     """
@@ -50,7 +49,6 @@ class CauseModel:
     setting: str
     relative: float = 0.0
     limbs: tuple[int, ...] = ()
-    curve: str = ""
     needs: tuple[str, ...] = ()
     is_restored: bool = False
 

@@ -173,21 +173,6 @@ class Findings(ObjectFindings):
     places: dict[str, int]
 
 
-class Evidence(Result):
-    """Curves behind a cause, means over pairs, at the middles of the bins `x`.
-
-    real, sim : both sides; `real` is null for a displacement
-    corrected : the simulated side without its displacement; null for other causes
-    """
-
-    x_label: str
-    y_label: str
-    x: tuple[float, ...]
-    real: tuple[float, ...] | None
-    sim: tuple[float, ...]
-    corrected: tuple[float, ...] | None
-
-
 class Cause(Result):
     """A flaw of the simulator with the setting that controls it; see `pipeline.results.causes`.
 
@@ -201,7 +186,6 @@ class Cause(Result):
     gain : the same as a share of the distance beyond that of a perfect second measurement; null if there is hardly any
     is_upper_bound : real returns were restored, so that the gain is at most this
     limbs : identifiers of PerCollECT's LidarLimbs cause tree
-    evidence : curves to look at; null if there are none
     """
 
     name: str
@@ -220,7 +204,6 @@ class Cause(Result):
     gain: float | None = None
     is_upper_bound: bool = False
     limbs: tuple[int, ...] = ()
-    evidence: Evidence | None = None
 
 
 class Piece(Result):

@@ -137,11 +137,11 @@ def read_label_names(folder: Path) -> dict[int, str]:
 
 
 def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
-    if not all((folder / side).is_dir() for side in SIDES):
+    if not _has_sides(folder):
         names = sorted(path.name for path in folder.iterdir())
         content = ", ".join(names[:_MOST_NAMES]) if names else "nothing"
         near = [folder.absolute().parent, *folder.glob("*"), *folder.glob("*/*")]
-        datasets = [path for path in near if all((path / side).is_dir() for side in SIDES)]
+        datasets = list(filter(_has_sides, near))
         advice = "two folders of scans, or two recordings, may have any name: fidpipe run REAL SIM"
         if datasets:
             advice = f"did you mean {datasets[0]}?"
@@ -158,6 +158,10 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
                 fault = f"{scan}: {NO_PARTNER}; expected a scan named {stem} in {folder / other}"
         pairs.append(ScanPair(stem, scans["real"].get(stem), scans["sim"].get(stem), fault=fault))
     return pairs
+
+
+def _has_sides(folder: Path) -> bool:
+    return all((folder / side).is_dir() for side in SIDES)
 
 
 def may_crash(pairs: Iterable[ScanPair]) -> bool:

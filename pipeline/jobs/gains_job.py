@@ -7,17 +7,13 @@ the run names.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from ...schemas.cause_catalogue import CAUSES
 from ...schemas.settings import Settings
-from ...stages.causes.curves import curves
 from ...stages.causes.gain import Shares, corrections, shares
 from ..stage import (
     AMOUNTS,
-    CURVES,
     DISTANCES,
     OF_PAIR,
     UNEXPLAINED,
@@ -37,7 +33,7 @@ def make_gains(inputs: Inputs) -> JobResult:
     amounts = dict(inputs.arguments)
     pose = pose_of(inputs.metadata("causes"))
     if pose is None:
-        return _result(inputs, Shares(0.0, 0.0, 0.0, {}), {})
+        return _result(inputs, Shares(0.0, 0.0, 0.0, {}))
     scans = pair_scans(inputs)
     rng = np.random.default_rng(SEED)
     of_pair = _amounts_of_pair(inputs)
@@ -45,11 +41,7 @@ def make_gains(inputs: Inputs) -> JobResult:
         made = corrections(scans, pose, of_pair, amounts, rng)
         best_case_m = inputs.metadata("causes")[OF_PAIR]["surface_best_case_m"]
         gains = shares(scans, made, pose.displacement.seam_deg, rng, best_case_m)
-    kinds = {CAUSES[name].curve for name in amounts if CAUSES[name].curve}
-    with inputs.step("curves"):
-        aligned = pose.undisplaced(scans.sim)
-        drawn = {kind: _rounded(curves(scans, aligned, kind)) for kind in sorted(kinds)}
-    return _result(inputs, gains, drawn)
+    return _result(inputs, gains)
 
 
 def _amounts_of_pair(inputs: Inputs) -> dict[str, float | None]:
@@ -57,16 +49,11 @@ def _amounts_of_pair(inputs: Inputs) -> dict[str, float | None]:
     return dict(zip(table["cause"].to_pylist(), table["amount"].to_pylist(), strict=True))
 
 
-def _rounded(of_sides: Any) -> dict[str, list[float]]:
-    return {side: np.round(values, 4).tolist() for side, values in of_sides.items()}
-
-
-def _result(inputs: Inputs, gains: Shares, drawn: dict[str, dict[str, list[float]]]) -> JobResult:
+def _result(inputs: Inputs, gains: Shares) -> JobResult:
     gain_m = gains.by_cause | {UNEXPLAINED: gains.after_m - gains.best_case_m}
     rows = [{"cause": name, "gain_m": value} for name, value in gain_m.items()]
     metadata = {
         DISTANCES: [gains.before_m, gains.after_m, gains.best_case_m],
-        CURVES: drawn,
         AMOUNTS: dict(inputs.arguments),
     }
     return JobResult({"gains": inputs.rows("gains", rows)}, metadata)

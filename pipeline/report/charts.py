@@ -8,17 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from ...schemas.results import Evidence
-from .look import (
-    BLUE,
-    OUTCOME_COLOURS,
-    OUTCOME_WORDS,
-    VERMILION,
-    of_theme,
-    on_page,
-)
+from .look import OUTCOME_COLOURS, OUTCOME_WORDS, of_theme, on_page
 from .run_frames import RunResults
 
 Chart = dict[str, Any]  #: data and layout
@@ -83,34 +73,5 @@ def rays_chart(results: RunResults) -> Chart | None:
         "margin": {"t": 60},
         "xaxis": {"type": "category", "showgrid": False},
         "yaxis": {"title": {"text": "share of the rays (%)"}},
-    }
-    return {"data": data, "layout": layout}
-
-
-def evidence_chart(evidence: Evidence) -> Chart:
-    """Curves of the evidence of a cause where they are not all 0."""
-    curves = {
-        "real": (evidence.real, BLUE, "solid"),
-        "simulated": (evidence.sim, VERMILION, "solid"),
-        "corrected": (evidence.corrected, VERMILION, "dot"),
-    }
-    known = [np.array(values) for values, _, _ in curves.values() if values]
-    places = np.flatnonzero(np.max(known, axis=0))
-    part = slice(None)
-    if len(places):
-        part = slice(max(0, places[0] - 1), places[-1] + 2)
-    data = []
-    for name, (values, colour, dash) in curves.items():
-        if values:
-            line = {"color": on_page(colour), "dash": dash}
-            look = {"type": "scatter", "mode": "lines", "name": name, "line": line}
-            data.append({**look, "x": evidence.x[part], "y": values[part]})
-    small = {"size": 9}
-    layout = {
-        "xaxis": {"nticks": 6},
-        "yaxis": {"nticks": 4, "title": {"text": evidence.y_label, "font": small}},
-        "showlegend": False,
-        "margin": {"l": 36, "r": 8, "t": 8, "b": 18},
-        "font": small,
     }
     return {"data": data, "layout": layout}

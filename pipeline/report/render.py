@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from textwrap import fill
+from textwrap import wrap
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
@@ -12,14 +12,8 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from ..terminal import shown
-from .view import Answers, Item, Note, Part, Table, View
+from .view import COLOURS, Answers, Item, Note, Part, Table, View
 
-#: Colours of words that fill a cell.
-_COLOURS = {
-    **dict.fromkeys(("worse", "mixed", "vanished", "FAIL"), "red"),
-    **dict.fromkeys(("better", "appeared", "pass", "yes"), "green"),
-    "undecided": "yellow",
-}
 #: Beginnings of formulas; the full-width ones in East Asian locales.
 _FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 _NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
@@ -106,7 +100,7 @@ def _table(table: Table) -> RichTable:
             min_width=min(_WHOLE_WORD, max(map(len, words), default=1)) if is_words else None,
         )
     for row in cells:
-        rich_table.add_row(*(Text(row[i], _COLOURS.get(row[i], "")) for i in columns))
+        rich_table.add_row(*(Text(row[i], COLOURS.get(row[i], "")) for i in columns))
     return rich_table
 
 
@@ -126,20 +120,25 @@ class _AnswerLines:
 
 
 def _item_lines(item: Item, width: int) -> str:
-    """An item: words, detail, and the setting, which ends a single line; further lines are indented."""
+    """An item in one line, which its setting ends, or its words above its detail and setting."""
     words, detail, setting = item
     text = "   ".join(filter(None, (words, detail)))
     n_free = width - _INDENT - len(text) - len(setting)
-    text += " " * max(3, n_free) + setting if setting else ""
-    lines = fill(
-        text,
-        width,
-        initial_indent=" " * _INDENT,
-        subsequent_indent=" " * _INDENT,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    return lines[_INDENT:]
+    if n_free >= 2:
+        return text + " " * n_free + setting if setting else text
+    below = "   ".join(filter(None, (detail, setting)))
+    hang = 3 if words[1:3] == "  " else 0  # "1  cause" of a numbered list
+    lines = []
+    for text, start in ((words, 0), (below, hang)):
+        lines += wrap(
+            text,
+            width,
+            initial_indent=" " * (_INDENT + start),
+            subsequent_indent=" " * (_INDENT + hang),
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    return "\n".join(lines)[_INDENT:]
 
 
 def _in_markdown(part: Part) -> str:

@@ -7,6 +7,13 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+#: Colours of verdicts.
+COLOURS = {
+    **dict.fromkeys(("worse", "mixed", "vanished", "FAIL"), "red"),
+    **dict.fromkeys(("better", "appeared", "pass", "yes"), "green"),
+    "undecided": "yellow",
+}
+
 
 @dataclass(frozen=True)
 class Note:

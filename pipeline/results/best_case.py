@@ -76,9 +76,8 @@ class ScoreExcess:
     n_pairs : pairs that have the score in both
     mean, best_case : over these pairs
     excess, std : mean and standard deviation (n - 1) over them of score - best case of the same pair
-    bias, area : double validation metric of both distributions, over all matched objects where `of` is "objects", else
+    bias, area : double validation metric of both distributions, over all matched objects of a score of objects, else
         over the pairs; see `stages.statistics.validation`
-    n, n_best_case : how many values they have
     of_pairs : by pair, score - best case; None if either is null
     """
 
@@ -88,11 +87,8 @@ class ScoreExcess:
     best_case: float | None
     excess: float | None
     std: float | None
-    of: str
     bias: float | None
     area: float | None
-    n: int
-    n_best_case: int
     of_pairs: dict[str, float | None]
 
 
@@ -222,10 +218,9 @@ def _excess(
     has_both = ~np.isnan(over)
     excess, std = mean_and_std(over)
     metric = metric_of(column).column
-    is_of_objects = metric in OBJECT_METRICS
-    values = (
-        [frame[metric].to_numpy() for frame in objects] if is_of_objects else [of_run, of_best_case]
-    )
+    values = [of_run, of_best_case]
+    if metric in OBJECT_METRICS:
+        values = [frame[metric].to_numpy() for frame in objects]
     apart = double_validation_metric(sim=values[0], real=values[1])
     known = [None if np.isnan(value) else value for value in over.tolist()]
     return ScoreExcess(
@@ -235,10 +230,7 @@ def _excess(
         best_case=mean_and_std(of_best_case[has_both])[0],
         excess=excess,
         std=std,
-        of="objects" if is_of_objects else "pairs",
         bias=apart.bias,
         area=apart.area,
-        n=apart.n_sim,
-        n_best_case=apart.n_real,
         of_pairs=dict(zip(names, known, strict=True)),
     )

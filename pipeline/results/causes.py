@@ -36,7 +36,6 @@ _UNEVEN = 0.01
 _BENT = 0.03
 _ALONE = ("missing parts", "invented parts")
 #: If the road stays where it is while all else is raised, the world is not displaced: part of the height that remains.
-_OF_ROAD = ("height", "road height")
 _ROAD_STAYS = 0.3
 #: A road that is higher or lower by this, metres, is seen as further beams: those of the objects remain.
 _ROAD_AS_BEAMS_M = 0.02
@@ -50,7 +49,6 @@ _BLURRED = ("elevation noise", "azimuth noise")
 _BLUR_OF_DISPLACED_DEG = 0.08
 #: A scale and a bias of the range that cancel each other at this range, but for a part of the larger one, are those of
 #: a bent world.
-_RANGE_ERRORS = ("range scale", "range bias")
 _MIDDLE_M, _CANCELLED = 10.0, 0.5
 #: Part of the resolution that covers the errors of 95 % of the estimates.
 _ACCURACY = 0.7
@@ -280,15 +278,16 @@ def _is_beyond(model: CauseModel, means: FloatArray, limit: float, *, is_change:
 def _is_feigned(name: str, means: Mapping[str, float]) -> bool:
     """True if a larger flaw of the world, or losses that are not random, feign a cause."""
     mean = means[name]
-    if name in _OF_ROAD and all(other in means for other in _OF_ROAD):
-        height = means["height"]
-        return abs(height + means["road height"]) < _ROAD_STAYS * abs(height)
-    if name in _RANGE_ERRORS and all(other in means for other in _RANGE_ERRORS):
-        scale_m = _MIDDLE_M * means["range scale"]
-        bias_m = means["range bias"]
+    road_m = means.get("road height", 0.0)
+    if name in ("height", "road height"):
+        height_m = means.get("height", 0.0)
+        return abs(height_m + road_m) < _ROAD_STAYS * abs(height_m)
+    if name in ("range scale", "range bias"):
+        scale_m = _MIDDLE_M * means.get("range scale", 0.0)
+        bias_m = means.get("range bias", 0.0)
         return abs(scale_m + bias_m) < _CANCELLED * max(abs(scale_m), abs(bias_m))
     if name == "beams":
-        return mean > 0 and abs(means.get("road height", 0.0)) > _ROAD_AS_BEAMS_M
+        return mean > 0 and abs(road_m) > _ROAD_AS_BEAMS_M
     if name == "moved parts":
         return mean > _BENT and min(means.get(other, 0.0) for other in _ALONE) > mean / 10
     if name == FLAT:

@@ -12,9 +12,8 @@ import numpy as np
 
 from ...schemas.cause_catalogue import BEST_CASE_ACCURACY, CAUSES, PARAMETERS
 from ...schemas.record import RunRecord
-from ...schemas.results import Cause, Diagnosis, Evidence, Overview
-from ...stages.causes.axes import AXES
-from ..stage import AMOUNTS, CURVES, DISTANCES, Metadata
+from ...schemas.results import Cause, Diagnosis, Overview
+from ..stage import AMOUNTS, DISTANCES, Metadata
 from ..storage.folder import RunFolder
 from .causes import least_part_of_pose
 
@@ -51,16 +50,12 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
     before_m, after_m, best_case_m = of_jobs.mean(axis=0).tolist()
     distances_m = before_m, after_m, best_case_m
     confirmed, doubtful = confirm(causes, gains_m, distances_m)
-    shown = []
-    for cause in confirmed:
-        evidence = _evidence(CAUSES[cause.name].curve, [job[CURVES] for job in jobs])
-        shown.append(cause.model_copy(update={"evidence": evidence}))
     return Diagnosis(
         n_pairs=len(pair_ids),
         distance_m=before_m,
         best_case_m=best_case_m,
         unexplained=unexplained_share(distances_m),
-        causes=tuple(shown),
+        causes=tuple(confirmed),
         doubtful=tuple(cause.words for cause in doubtful),
         unknown=record.overview.unknown,
     )
@@ -127,32 +122,6 @@ def _excess(distances_m: tuple[float, float, float]) -> float | None:
     before_m, _, best_case_m = distances_m
     excess_m = before_m - best_case_m
     return excess_m if excess_m >= max(LEAST_EXCESS_M, BEST_CASE_ACCURACY * best_case_m) else None
-
-
-def _evidence(kind: str, curves: Sequence[Metadata]) -> Evidence | None:
-    """Mean curves of a kind over the pairs that have it; None if the first does not.
-
-    Parameters
-    ----------
-    curves : of each pair, by kind, then by side
-    """
-    if kind not in curves[0]:
-        return None
-    axis = AXES[kind]
-    middles = (axis["edges"][:-1] + axis["edges"][1:]) / 2
-    drawn = [of_pair[kind] for of_pair in curves if kind in of_pair]
-    sides = {}
-    for side in drawn[0]:
-        mean = np.mean([of_pair[side] for of_pair in drawn], axis=0)
-        sides[side] = tuple(mean.round(4).tolist())
-    return Evidence(
-        x_label=axis["label"],
-        y_label=axis["values"],
-        x=tuple(middles.round(4).tolist()),
-        real=sides.get("real"),
-        sim=sides["sim"],
-        corrected=sides.get("corrected"),
-    )
 
 
 def unexplained_words(diagnosis: Diagnosis) -> str:

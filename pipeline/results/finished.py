@@ -215,11 +215,11 @@ class FinishedRun:
     def causes(self) -> pd.DataFrame:
         """One row per named cause, in the order in which to fix them; `table("causes")` has the amounts of each pair.
 
-        Columns are the fields of `schemas.results.Cause`, without its curves.
+        Columns are the fields of `schemas.results.Cause`.
         """
         import pandas as pd
 
-        columns = [name for name in Cause.model_fields if name not in ("evidence", "limbs")]
+        columns = [name for name in Cause.model_fields if name != "limbs"]
         causes = self.overview.causes if self.overview else ()
         return pd.DataFrame([vars(cause) for cause in causes], columns=columns)
 

@@ -158,14 +158,13 @@ def _unlike_patterns(real: Side, sim: Side, recorded: Side) -> str | None:
 def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]:
     """Reasons why something is unknown of either side, see `trust`."""
     doubts: dict[str, str] = {}
-    for side, sensor in (("real", real), ("simulated", sim)):
+    for side, sensor, other in (("real", real, sim), ("simulated", sim, real)):
         for need, text in sensor.doubts.items():
             doubts.setdefault(need, f"{side} scan: {text}")
-    if (ONE_SWEEP in real.doubts) != (ONE_SWEEP in sim.doubts):
-        doubts[SAME_SWEEPS] = doubts[ONE_SWEEP]
-    for side, sensor, other in (("real", real, sim), ("simulated", sim, real)):
         if finer := _finer_text(sensor, other):
             doubts[STEPS] = f"{side} scan: {finer}"
+    if (ONE_SWEEP in real.doubts) != (ONE_SWEEP in sim.doubts):
+        doubts[SAME_SWEEPS] = doubts[ONE_SWEEP]
     if (
         real.elevation_deg
         and sim.elevation_deg
@@ -332,8 +331,7 @@ def _maximum_range(real: Side, sim: Side, missing: Unmatched, invented: Unmatche
     share = float(missing.is_beyond.mean() + invented.is_beyond.mean())
     real_m = float(real.range_m.max())
     sim_m = float(sim.range_m.max())
-    n_beyond = int((real.range_m > sim_m).sum() + (sim.range_m > real_m).sum())
-    if n_beyond < _FEWEST_BEYOND:
+    if missing.is_beyond.sum() + invented.is_beyond.sum() < _FEWEST_BEYOND:
         return Amount(0.0, real_m, sim_m, 0.0)
     return _difference(real_m, sim_m, share)
 
@@ -504,10 +502,9 @@ def _losses(
     if losses is None:
         amounts = dict.fromkeys(LOSSES, Amount(None, reason="no surface that both sides see"))
         return {UNEVEN: Amount(0.0), **amounts}
-    amounts = dict.fromkeys(
-        LOSSES,
-        Amount(None, reason=f"fewer than {FEWEST_OF_KIND} such returns"),
-    )
-    for name, lost in losses.shares.items():
+    amounts = {UNEVEN: Amount(losses.pop(UNEVEN))}
+    for name in LOSSES:
+        amounts[name] = Amount(None, reason=f"fewer than {FEWEST_OF_KIND} such returns")
+    for name, lost in losses.items():
         amounts[name] = Amount(lost, share=abs(lost) * float(real.concerned(name).mean()))
-    return {UNEVEN: Amount(losses.unevenness), **amounts}
+    return amounts

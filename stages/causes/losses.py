@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from ...schemas.cause_catalogue import LOSSES
+from ...schemas.cause_catalogue import LOSSES, UNEVEN
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..sensor_description import SensorDescription
 from .beams import DOUBTFUL_BEAMS
@@ -25,24 +23,14 @@ _ALIKE = (
 _BEAM_MARGIN_DEG = 0.2  # beyond the outermost beams of both sides
 
 
-@dataclass(frozen=True)
-class Losses:
-    """Lost shares of returns.
-
-    shares : by name of the loss; those of fewer than 100 returns are left out
-    unevenness : variance between directions, beyond that of counting and of the fit
-    """
-
-    shares: dict[str, float]
-    unevenness: float
-
-
 def fit_losses(
     real: Side, sim: Side, is_used_real: BoolArray, is_used_sim: BoolArray, dead: IndexArray
-) -> Losses | None:
+) -> dict[str, float] | None:
     """Share of the returns lost within 25 m at less than 75 degrees, and the further shares lost beyond each.
 
     Numbers of returns by cell of direction are compared where both sides see one surface; None without such surface.
+    The shares are by name of the loss, and `UNEVEN` is their variance between directions, beyond that of counting and
+    of the fit. Shares of fewer than 100 returns are left out.
 
     Parameters
     ----------
@@ -77,7 +65,7 @@ def fit_losses(
 
 def _fit(
     n_real: IndexArray, n_sim: IndexArray, firings: float, kinds: dict[str, FloatArray]
-) -> Losses:
+) -> dict[str, float]:
     """Poisson regression with a logarithmic link: the shares that remain are multiplied.
 
     Parameters
@@ -96,7 +84,7 @@ def _fit(
     coefficients = [fit.intercept_, *fit.coef_.tolist()]
     names = [LOSSES[0], *kinds]
     shares = {name: 1.0 - float(np.exp(c)) for name, c in zip(names, coefficients, strict=False)}
-    return Losses(shares, float(unevenness))
+    return {UNEVEN: float(unevenness), **shares}
 
 
 def _beam_ratio(real: SensorDescription, sim: SensorDescription, dead: IndexArray) -> float:

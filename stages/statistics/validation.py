@@ -15,13 +15,10 @@ class DoubleValidation:
 
     bias : positive if the simulation's values are larger
     area : area between the distributions after removing the bias, 0 for equal shapes
-    n_real, n_sim : number of values
     """
 
     bias: float | None
     area: float | None
-    n_real: int
-    n_sim: int
 
 
 def double_validation_metric(real: FloatArray, sim: FloatArray) -> DoubleValidation:
@@ -53,7 +50,7 @@ def double_validation_metric(real: FloatArray, sim: FloatArray) -> DoubleValidat
     real = real[~np.isnan(real)]
     sim = sim[~np.isnan(sim)]
     if not len(real) or not len(sim):
-        return DoubleValidation(None, None, len(real), len(sim))
+        return DoubleValidation(None, None)
     bias = float(sim.mean() - real.mean())
     area = float(stats.wasserstein_distance(real, sim - bias))
-    return DoubleValidation(bias, area, len(real), len(sim))
+    return DoubleValidation(bias, area)

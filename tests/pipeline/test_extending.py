@@ -238,7 +238,7 @@ def test_the_stage_is_made_shown_and_made_again_alone(again, dataset, tmp_path):
         pd.read_parquet(again / "timings.parquet").query("stage == 'neighbours'").step
     )
     assert re.search(
-        r"all stages done for all pairs: .*neighbours", package.fidpipe("status", again).stdout
+        r"finished for all pairs: .*neighbours", package.fidpipe("status", again).stdout
     )
     assert made_again(
         package.fidpipe(*run, "--workers", 1, "--set", "neighbours.within_m=5", "--replace")

@@ -213,7 +213,7 @@ def test_show_gives_csv_that_pandas_reads_and_markdown_tables(by_command):
 def test_status_answers_in_ten_lines(by_command):
     shown = command("status", by_command[1]).stdout
     assert len(shown.splitlines()) <= 10
-    assert "stages done for all pairs: ground, sensor, graph" in shown
+    assert "finished for all pairs: ground, sensor, graph" in shown
 
 
 def test_the_findings_agree_with_the_tables(finished):

@@ -21,7 +21,7 @@ from ....schemas.metric_catalogue import (
     pair_columns_in,
     scores_in,
 )
-from ....schemas.results import Evidence, Piece
+from ....schemas.results import Piece
 from ....stages.sensor_description import SensorDescription, sensor_lines
 from ...results.best_case import RunExcess
 from ...results.diagnosis import doubtful_words
@@ -29,11 +29,11 @@ from ...results.finished import FinishedRun
 from ...results.gate import Criterion, judge_run
 from ...results.object_frame import QUADRANTS, UNKNOWN, plain_rows
 from ...terminal import STEERING
-from ..charts import evidence_chart, rays_chart
+from ..charts import rays_chart
 from ..look import FATE_WORDS, PAGE_COLOURS, SIGNED_RAMP_M
 from ..run_frames import OBJECT_COVERAGE, SCORES, RunResults, points_of
 from ..view import Answers, Item, Note, Table, View, columns_of, items_of, percent
-from ..views.answer_view import amount_words, answer_sections, frame_warnings, run_line
+from ..views.answer_view import answer_sections, frame_warnings, run_line
 from ..views.best_case_view import excess_view
 from ..views.gate_view import gate_view
 from ..views.run_view import details_view, failures_view
@@ -74,10 +74,7 @@ _HEADINGS = {
 
 def page_data(results: RunResults) -> dict[str, Any]:
     """Data of the whole run for the page's JavaScript: charts, colours, tables; no points."""
-    charts = {f"cause_{name}": evidence_chart(curves) for name, curves in _curves(results).items()}
     rays = rays_chart(results)
-    if rays:
-        charts["rays_range"] = rays
     scores = {}
     for score, (low, high) in score_limits(results).items():
         scores[score] = {"name": METRIC[score].label, "low": low, "high": high}
@@ -94,7 +91,7 @@ def page_data(results: RunResults) -> dict[str, Any]:
     return {
         "steering": STEERING,
         "names": results.pairs.pair_id.tolist(),
-        "charts": charts,
+        "charts": {"rays_range": rays} if rays else {},
         "colours": PAGE_COLOURS,
         "far_m": FAR_M,
         "signed_m": SIGNED_M,
@@ -106,16 +103,6 @@ def page_data(results: RunResults) -> dict[str, Any]:
         "facts": FACTS,
         "object_columns": OBJECT_COLUMNS,
     }
-
-
-def _curves(results: RunResults) -> dict[str, Evidence]:
-    """Curves of the diagnosis by cause; those of several causes belong to the first one."""
-    diagnosis = results.run.diagnosis
-    curves: dict[str, Evidence] = {}
-    for cause in diagnosis.causes if diagnosis else ():
-        if cause.evidence and cause.evidence not in curves.values():
-            curves[cause.name] = cause.evidence
-    return curves
 
 
 def _described(class_is: str) -> dict[str, dict[str, Any]]:
@@ -162,23 +149,21 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
     """
     run = results.run
     record = run.record
-    causes = run.diagnosis.causes if run.diagnosis else ()
     overview = run.overview
     assert overview is not None  # a pair is scored
     sections = answer_sections(run, excess, with_all=True, is_page=True)
     sections.pop("Worst places", None)
     trust = sections.pop("Trust", [])
+    doubtful = [Note(doubtful_words(run.diagnosis))] if run.diagnosis else []
     sensor_pair = results.pairs["pair_id"].min()
     made = ("fidpipe", "written", "dataset", "seed", "workers")
     return {
         "title": run.folder.resolve().name,
         "line": run_line(run),
-        "answer": [*frame_warnings(run), Answers([*sections.items()])],
+        "answer": [*frame_warnings(run), Answers([*sections.items()]), *doubtful],
         "bars": _bars(results, excess),
         "worst": [(_address(run, piece), piece) for piece in overview.pieces],
         "failures": failures_view(run),
-        "causes": [(cause, amount_words(cause)) for cause in causes],
-        "doubtful": doubtful_words(run.diagnosis) if run.diagnosis else "",
         "gate": _gate(run, excess),
         "trust": [Answers([("Trust", trust)])],
         "sensor_pair": sensor_pair,

@@ -36,13 +36,9 @@ def excess_view(excess: RunExcess, columns: Sequence[str] = ()) -> View:
             (
                 *(metric_of(score.column).label, score.mean, score.best_case),
                 *(signed(score.excess), score.std, signed(score.bias), score.area),
-                *(score.n, score.n_best_case),
             )
         )
-    headings = (
-        *("score", "mean", "best case", "excess", "± std", "bias", "area"),
-        *("values", "in best\ncase"),
-    )
+    headings = ("score", "mean", "best case", "excess", "± std", "bias", "area")
     n_pairs = count(len(excess.pairs), "pair")
     title = f"{excess.run} over the best case {excess.best_case} ({excess.recipe.words}): {n_pairs}"
     return [

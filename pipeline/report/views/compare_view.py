@@ -15,6 +15,7 @@ from ...results.followed import worst_changes
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.sectors import N_SECTORS
 from ..view import (
+    COLOURS,
     Answers,
     Item,
     Note,
@@ -31,8 +32,8 @@ from ..view import (
 )
 
 _MOST_LEFT_OUT = 5
-#: Most objects to look at, and with --all.
 _PAIR_WIDTH = 24
+#: Most objects to look at, and with --all.
 _MOST_PLACES = 3
 _MOST_PLACES_OF_ALL = 20
 #: Headings of the causes and families with a verdict.
@@ -43,7 +44,6 @@ _HEADINGS = {
     "changed": "Changed",
     "": "In the world",
 }
-_COLOURS = {"worse": "red", "mixed": "red", "better": "green", "undecided": "yellow"}
 
 
 def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
@@ -54,7 +54,7 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
     with_all : also every score, and more of the objects that became worse
     """
     n_places = _MOST_PLACES_OF_ALL if with_all else _MOST_PLACES
-    style = f"bold {_COLOURS.get(comparison.decision, '')}"
+    style = f"bold {COLOURS.get(comparison.decision, '')}"
     parts: list[Part] = [Note(decision(comparison), style), answer(comparison, n_places)]
     parts += numbers_view(comparison, with_all=with_all)
     if not with_all:

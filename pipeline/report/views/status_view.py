@@ -17,8 +17,7 @@ def status_view(status: RunStatus) -> View:
     parts: list[Part] = [Note(title, "bold")]
     finished = [name for name, counts in status.stages.items() if counts["done"] == status.n_pairs]
     if finished:
-        which = "all stages" if len(finished) == len(status.stages) else "stages"
-        parts.append(Note(f"{which} done for all pairs: {', '.join(finished)}"))
+        parts.append(Note(f"finished for all pairs: {', '.join(finished)}"))
     is_open = False
     for stage, counts in status.stages.items():
         is_open |= bool(counts["stale"] or counts["to do"])
