@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -22,10 +23,11 @@ from ..schemas.settings import Settings, preset_of
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
-from .engine.engine import Machines, do_jobs, large_pairs_warnings
+from .engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
 from .engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_pair, with_results
+from .engine.pool import Pool
 from .engine.progress import Reporter
-from .engine.schedule import Collector
+from .engine.schedule import Collector, Schedule
 from .engine.survey import (
     Contents,
     Survey,
@@ -141,7 +143,10 @@ def run_dataset(
     with folder.locked():
         run = Run(content, selected, folder, stages, settings, reporter)
         run.survey_results(from_stage, replace=replace)
-        run.do_jobs(machines)
+        with run.started_pool(machines) as pool:
+            run.replace_stale()
+            if run.survey.todo:
+                run.schedule(pool, machines).run()
         return run.write()
 
 
@@ -228,27 +233,25 @@ class Run:
         if not (replace or from_stage):
             self._refuse_replacing()
 
-    def do_jobs(self, machines: Machines) -> None:
-        """Do the jobs that there are, in place of stale results; large pairs are warned of."""
-        survey = self.survey
-        self.n_workers = do_jobs(
-            survey,
-            self._plan,
-            self.stages,
-            self.settings,
-            self.collector,
-            machines,
-            self._begin,
-        )
-
-    def _begin(self) -> None:
-        """Remove stale results and a finished record, if there are jobs to do or stale results."""
+    def started_pool(self, machines: Machines) -> AbstractContextManager[Pool]:
+        """Workers for the pairs with jobs to do."""
         todo = self.survey.todo
-        if todo or self.survey.stale:
-            self._write_record(self._header())
-            changes = what_changed(self.before, self.settings, self.stages)
-            remove_stale(self.survey, self.folder, self.reporter, changes)
+        return started_pool(todo, self.folder, self.stages, self.settings, machines)
+
+    def replace_stale(self) -> None:
+        """Remove stale results and a finished record, if there are jobs to do or stale results."""
+        if not (self.survey.todo or self.survey.stale):
+            return
+        self._write_record(self._header())
+        changes = what_changed(self.before, self.settings, self.stages)
+        remove_stale(self.survey, self.folder, self.reporter, changes)
+
+    def schedule(self, pool: Pool, machines: Machines) -> Schedule:
+        """The jobs to do, on the workers of a pool; large pairs are warned of."""
+        todo = self.survey.todo
         self.reporter.warn(*large_pairs_warnings(todo, self.contents, self.settings.input))
+        self.n_workers = pool.n_workers
+        return schedule_of(self.survey, self._plan, pool, self.collector, machines)
 
     def _hash_files(self) -> None:
         """Hash the files of the selected pairs and of those with results."""

@@ -23,6 +23,7 @@ from .trust import (
     doubts_of_rounding,
     doubts_without_beams,
     find_misses,
+    image_text,
     later_returns,
     misses_text,
     returns_text,
@@ -186,17 +187,19 @@ def _describe_beams(
 ) -> tuple[SensorDescription, SurfaceGaps]:
     """The description with all that follows from the beams, and the gaps of lost pulses between the points."""
     sweep = _by_beam(points, pattern)
-    doubts = dict(sensor.doubts)
     is_later = later_returns(sweep.beam, sweep.azimuth_deg, sweep.range_m)
-    if text := returns_text(is_later):
-        doubts[RETURNS] = text
+    returns = returns_text(is_later)
+    if returns:
         sweep = sweep.first_returns(is_later)
-    if text := sweeps_text(sweep.gap_deg) or alternation_text(sweep.beam, sweep.range_m):
-        doubts.pop(RETURNS, None)
-        doubts[ONE_SWEEP] = text
-    elif text := thinned_text(sweep.gap_deg, sweep.range_m, points):
-        doubts[BEAMS] = text
-    step = text or _azimuth_step(sweep)
+    step = _azimuth_step(sweep)
+    doubts = dict(sensor.doubts)
+    if several := _not_one_sweep_text(sweep, step, pattern):
+        step = doubts[ONE_SWEEP] = several
+    else:
+        if returns:
+            doubts[RETURNS] = returns
+        if thinned := thinned_text(sweep.gap_deg, sweep.range_m, points):
+            step = doubts[BEAMS] = thinned
     estimates: dict[str, Any] = {
         "azimuth_step_deg": step,
         "range_quantum_m": _range_quantum(points, sweep),
@@ -232,6 +235,14 @@ def _describe_beams(
     if not model.title:
         untold["model"] = model.reason
     return replace(sensor, model=model.title, model_beams=model.n_beams), gaps
+
+
+def _not_one_sweep_text(sweep: _Sweep, step: float | str, pattern: BeamPattern) -> str | None:
+    """The doubt that a scan holds other directions than those of one sweep; None if it does not."""
+    text = sweeps_text(sweep.gap_deg) or alternation_text(sweep.beam, sweep.range_m)
+    if text or isinstance(step, str):
+        return text
+    return image_text(sweep.azimuth_deg, step, pattern.elevation_deg)
 
 
 def sensor_row(sensor: SensorDescription) -> dict[str, Any]:

@@ -65,6 +65,7 @@ _SEVERAL_SWEEPS = "two or more sweeps or sensors, or second returns, in one scan
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
 _ROUNDED_M, _COARSE_M = 0.0095, 0.03
 _FEWEST_VALUES = 20
+_FEWEST_ROWS, _OFF_CENTRE, _MOST = 4, 0.05, 0.9  # of a range image; share of a column or row
 _CHANGING = 2.0  # two sweeps of a moving sensor have 4, single ones up to 0.9
 _SURFACE_PART = 0.2  # of the range, between returns of one surface
 _FEWEST_AT_EDGE, _BEYOND_EDGE, _INSIDE = 20, 0.2, 0.92
@@ -269,6 +270,40 @@ def sweeps_text(gap_deg: FloatArray) -> str | None:
                 f"The steps of a beam alternate, and repeat after {n_sweeps} returns"
             )
     return None
+
+
+def image_text(azimuth_deg: FloatArray, step_deg: float, elevation_deg: FloatArray) -> str | None:
+    """The doubt that a scan was projected to a range image and back; None if it was not.
+
+    Azimuths are then at the centres of the columns of a whole circle, and elevations are multiples of one step apart.
+    Simulators without noise have the same grid, but begin with a column at 0 degrees.
+
+    Parameters
+    ----------
+    azimuth_deg : (n,) of the returns
+    step_deg : azimuth between firings
+    elevation_deg : (b,) of the beams, ascending
+    """
+    if len(elevation_deg) < _FEWEST_ROWS:
+        return None
+    n_columns = round(360.0 / step_deg)
+    off_centre = np.abs(azimuth_deg * n_columns / 360.0 % 1.0 - 0.5)
+    apart_deg = np.diff(elevation_deg)
+    if np.mean(off_centre < _OFF_CENTRE) < _MOST or not any(
+        _are_multiples(apart_deg, apart_deg.min() / n_rows) for n_rows in (1, 2, 3)
+    ):
+        return None
+    return (
+        f"the directions are those of a range image of {n_columns} columns, not of returns; "
+        "compare scans as recorded"
+    )
+
+
+def _are_multiples(values: FloatArray, unit: float) -> bool:
+    """True if all values are about multiples of a unit, whose exact value follows from them."""
+    numbers = np.round(values / unit)
+    exact = values / np.median(values / numbers)
+    return bool(np.abs(exact - numbers).max() < _OFF_CENTRE)
 
 
 def thinned_text(gap_deg: FloatArray, range_m: FloatArray, points: FloatArray) -> str | None:

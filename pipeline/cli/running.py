@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -91,16 +90,23 @@ def check(
     from ..inspect.check_view import check_json, check_view
     from ..inspect.scan_checks import check_dataset
 
-    words = ["fidpipe", "run", *sys.argv[2:]]
     if preset is None and settings is None:
         preset = "reference"
+    words: list[object] = ["fidpipe", "run", dataset]
+    if sim is not None:
+        words.append(sim)
+    if preset is not None:
         words += ["--preset", preset]
+    if settings is not None:
+        words += ["--settings", settings]
+    for assignment in assignments or []:
+        words += ["--set", assignment]
     dataset, _ = dataset_and_run(dataset, sim, None)
     result = check_dataset(dataset, load(settings, assignments or [], preset=preset))
     if as_json:
         print_json(check_json(result))
     else:
-        print_view(check_view(result, shlex.join(words)))
+        print_view(check_view(result, shlex.join(map(str, words))))
     raise typer.Exit(EXIT_WRONG_INPUT if result.faults or result.doubts else 0)
 
 

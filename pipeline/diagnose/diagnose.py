@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 from ...schemas.errors import RunError
 from ...schemas.results import Diagnosis
 from ...schemas.settings import Settings, parse
 from ..datasets.pairs import ScanPair
-from ..engine.engine import Machines, do_jobs
+from ..engine.engine import Machines, schedule_of, started_pool
 from ..engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_on_results
 from ..engine.progress import Reporter
 from ..engine.schedule import Collector
@@ -53,8 +52,10 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     with run.store.locked():
         survey = _survey(run, plan_pair, stage)
         collector = Collector(run.store, reporter)
-        begin = partial(remove_stale, survey, run.store, reporter, ["the causes changed"])
-        do_jobs(survey, plan_pair, (stage,), settings, collector, machines, begin)
+        with started_pool(survey.todo, run.store, (stage,), settings, machines) as pool:
+            remove_stale(survey, run.store, reporter, ["the causes changed"])
+            if survey.todo:
+                schedule_of(survey, plan_pair, pool, collector, machines).run()
     if collector.failures:
         reasons = [f"pair {name}: {reason}" for name, reason in collector.failures.items()]
         raise RunError(f"run {folder}: {'; '.join(reasons)}")

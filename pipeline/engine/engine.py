@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from ...schemas.errors import FidpipeError
@@ -42,59 +43,36 @@ class Machines:
     pair_timeout_s: float | None = None
 
 
-def do_jobs(
-    survey: Survey,
-    plan_pair: PlanPair,
+@contextmanager
+def started_pool(
+    pairs: Sequence[ScanPair],
+    folder: RunFolder,
     stages: Sequence[Stage],
     settings: Settings,
-    collector: Collector,
     machines: Machines,
-    begin: Callable[[], None],
-) -> int:
-    """Do the jobs of a survey on workers, which end with it even if tasks are running; returns their number.
+) -> Iterator[Pool]:
+    """Context with a pool for the jobs of some pairs, which ends with it, even if tasks are running.
 
-    A reader that may end its process never runs in the command's own.
+    Without pairs it is this process; a reader that may end its process never runs in the command's
+    own.
 
     Parameters
     ----------
-    plan_pair : returns the plan of a pair
     stages : all stages whose jobs may be planned
-    collector : receives the results
-    begin : called first of all once there are workers, also if there is nothing to do
     """
-    if not survey.todo:
-        begin()
-        return 0
-    pool = _start_pool(survey.todo, stages, settings, collector.folder, machines)
-    try:
-        begin()
-        n_workers = pool.n_workers
-        plans = _plans_for_workers(survey.todo, plan_pair, collector.folder, machines)
-        Schedule(pool, plans, survey, collector).run()
-        return n_workers
-    finally:
-        pool.close()
-
-
-def _start_pool(
-    pairs: Sequence[ScanPair],
-    stages: Sequence[Stage],
-    settings: Settings,
-    folder: RunFolder,
-    machines: Machines,
-) -> Pool:
-    """A pool for the jobs of some pairs."""
+    if not pairs:
+        yield Pool()
+        return
     if machines.scheduler and url_of_cache(folder.folder):
         from ..storage.remote_run import share_folder
 
         share_folder(folder)
     from .cluster import Requirements, code_hash, start_pool
 
+    is_local = machines.scheduler is None
+    reader_may_crash = is_local and may_crash(pairs)
     required = None
-    may_end_workers = machines.pair_timeout_s is not None
-    if machines.scheduler is None:
-        may_end_workers = may_end_workers or may_crash(pairs)
-    else:
+    if not is_local:
         libraries = ["fidpipe", *LIBRARIES]
         for stage in stages:
             libraries += stage.libraries
@@ -102,14 +80,33 @@ def _start_pool(
         required = Requirements(
             versions, code_hash(), folder.folder.resolve(), folder.token, folder.url
         )
-    return start_pool(
+    pool = start_pool(
         machines.workers,
         settings.machine.memory_gib,
         {stage.make.__module__ for stage in stages},
-        may_end_workers=may_end_workers,
+        may_end_workers=machines.pair_timeout_s is not None or reader_may_crash,
         address=machines.scheduler,
         required=required,
     )
+    try:
+        yield pool
+    finally:
+        pool.close()
+
+
+def schedule_of(
+    survey: Survey, plan_pair: PlanPair, pool: Pool, collector: Collector, machines: Machines
+) -> Schedule:
+    """The schedule of all jobs to do.
+
+    Parameters
+    ----------
+    survey : of the run
+    plan_pair : returns the plan of a pair
+    collector : receives the results
+    """
+    plans = _plans_for_workers(survey.todo, plan_pair, collector.folder, machines)
+    return Schedule(pool, plans, survey, collector)
 
 
 def _plans_for_workers(

@@ -121,6 +121,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=8,
+    version=9,
     libraries=("scikit-learn",),
 )

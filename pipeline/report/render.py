@@ -69,8 +69,7 @@ def csv_table(table: Table) -> str:
 
     rows = [[*map(_in_spreadsheet, row)] for row in table.rows]
     frame = pd.DataFrame(rows, columns=[*table.headings], dtype=object)
-    text: str = frame.to_csv(index=False, lineterminator="\n")
-    return text
+    return frame.to_csv(index=False, lineterminator="\n")
 
 
 def _in_terminal(part: Part) -> RenderableType:

@@ -170,8 +170,7 @@ def points_of(run: FinishedRun, pair_id: str) -> dict[str, pd.DataFrame]:
 
 def coordinates(points: pd.DataFrame) -> FloatArray:
     """Coordinates of points, (n, 3) float64 metres, in the real sensor's frame."""
-    places: FloatArray = points[["x", "y", "z"]].to_numpy()
-    return places
+    return points[["x", "y", "z"]].to_numpy()
 
 
 def box_around(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -181,5 +180,4 @@ def box_around(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def inside(points: FloatArray, low: FloatArray, high: FloatArray) -> BoolArray:
     """(n,) which points lie in a box."""
-    is_inside: BoolArray = np.asarray(((points >= low) & (points <= high)).all(axis=1))
-    return is_inside
+    return np.all((points >= low) & (points <= high), axis=1)

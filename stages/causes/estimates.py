@@ -36,6 +36,7 @@ from .unmatched import (
     Unmatched,
     explain_directions,
     find_unmatched,
+    in_gap,
 )
 
 _LEAST_POINTS = 50  # of a side that has a surface to compare
@@ -51,6 +52,9 @@ _STRAY_POINTS = 20_000
 _FEWEST_BEYOND = 10  # returns; fewer may be lost by chance
 _TOO_MANY_STRAYS = 0.09  # of mixed pixels
 _MISSING_ROAD = 0.5  # of the points of the real road
+_SPARSE, _SPARSE_PARTS = 0.3, 0.05  # of the real returns; of the real points
+_OTHER_VIEW_DEG = 45.0
+_LOW_SHARE = 0.1  # of the points, below all those of the other side
 _ALIKE = 0.05  # azimuth steps
 
 
@@ -108,7 +112,19 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     amounts["second returns"] = _difference(real_second_share, second_share, share=more_second)
     amounts |= _amounts(real, aligned, sim, explained)
     doubts = _doubts_of_pair(real, aligned, sim, explained, amounts["mixed pixels"]) | doubts
-    return PairEstimates(pose, only_known(amounts, doubts), distance_m, best_case_m)
+    amounts = only_known(amounts, doubts)
+    if len(scans.sim.points) < _SPARSE * len(scans.real.points):
+        amounts |= _unknown_of_sparse(amounts)
+    return PairEstimates(pose, amounts, distance_m, best_case_m)
+
+
+def _unknown_of_sparse(amounts: Mapping[str, Amount]) -> dict[str, Amount]:
+    """Amounts that cannot be told from the gaps between few simulated returns."""
+    unknown = Amount(None, reason="the simulated scan has too few returns")
+    names = ["far surface", "lost far returns", "mixed pixels", "elevation noise"]
+    if (amounts["missing parts"].amount or 0.0) < _SPARSE_PARTS:
+        names.append("missing parts")
+    return {name: unknown for name in names if amounts[name].amount is not None}
 
 
 def _doubts_of_pair(
@@ -121,8 +137,10 @@ def _doubts_of_pair(
         doubts = dict.fromkeys((ONE_SWEEP, SAME_SWEEPS, BEAMS), text)
     if unlike := _unlike_patterns(real, sim, recorded):
         doubts[BEAMS] = unlike
-    if _is_without_road(real, sim, explained):
+    if _is_without_road(real, sim, explained) or _is_above(sim, real):
         doubts[ROAD] = "simulated scan: the road of the real scan is missing"
+    elif _is_above(real, sim):
+        doubts[ROAD] = doubts[UNCROPPED] = "real scan: the road of the simulated scan is missing"
     for name, side, other in (("real", real, sim), ("simulated", sim, real)):
         if box := cropped_box(side.points, other.points):
             low_x, low_y, high_x, high_y = box
@@ -141,6 +159,17 @@ def _is_without_road(real: Side, sim: Side, explained: Explained) -> bool:
     few = road[:: len(road) // _LEAST_POINTS]
     is_near = _is_near(real.chosen(few), sim.tree)
     return bool(is_near.mean() < 1.0 - _MISSING_ROAD)
+
+
+def _is_above(side: Side, other: Side) -> bool:
+    """True if many points of the other side are lower than those of a side, and have none around them."""
+    low_m = np.quantile(side.points[:, 2], 0.01)
+    low = np.flatnonzero((other.points[:, 2] < low_m) & ~in_gap(other, side))
+    if len(low) < max(_LEAST_POINTS, _LOW_SHARE * len(other.points)):
+        return False
+    few = low[:: len(low) // _LEAST_POINTS]
+    n_apart = len(low) * float(1.0 - _is_near(other.chosen(few), side.tree).mean())
+    return n_apart > _LOW_SHARE * len(other.points)
 
 
 def _unlike_patterns(real: Side, sim: Side, recorded: Side) -> str | None:
@@ -298,7 +327,7 @@ def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dic
     is_used_sim = ~(_is_near(sim, parts) | explained.sim)
     nearest_m = [float(np.quantile(side.range_m, 0.001)) for side in (real, sim)]
     return {
-        "maximum range": _maximum_range(real, sim, missing, invented),
+        "maximum range": _maximum_range(real.chosen(~explained.is_blind), sim, missing, invented),
         "minimum range": _difference(*nearest_m),
         "moved parts": _share_of(missing.is_moved),
         "missing parts": _share_of(missing.is_part),
@@ -457,6 +486,9 @@ def _with_share(amount: Amount, whole: float) -> Amount:
 def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
     """Noise of the elevations; if the simulated beams cannot be recognised, from their phase or from the road."""
     a, b = real.sensor, sim.sensor
+    views_deg = [sensor.field_of_view_deg[-1:] for sensor in (a, b)]
+    if np.ptp(views_deg) > _OTHER_VIEW_DEG:
+        return Amount(None, reason="the fields of view differ")
     known = _known_difference(a, b, "elevation_noise_deg", "elevation_deg")
     if known.amount is not None or not a.elevation_deg:
         return known

@@ -48,7 +48,7 @@ class Explained:
 def explain_directions(real: Side, sim: Side) -> Explained:
     """Blind directions, dead and exchanged beams of a pair whose simulated side is without its displacement."""
     sector, is_blind_sector = _blind_sectors(real, sim)
-    is_blind = is_blind_sector[sector] | _in_gap(real, sim)
+    is_blind = is_blind_sector[sector] | in_gap(real, sim)
     dead = np.empty(0, dtype=np.intp)
     is_dead = np.zeros(len(real.points), dtype=np.bool_)
     exchanged, is_exchanged_real, is_exchanged_sim = _find_exchanged(real, sim)
@@ -62,11 +62,11 @@ def explain_directions(real: Side, sim: Side) -> Explained:
         is_blind=is_blind,
         is_dead=is_dead,
         real=is_blind | is_dead | is_exchanged_real,
-        sim=is_exchanged_sim | _in_gap(sim, real),
+        sim=is_exchanged_sim | in_gap(sim, real),
     )
 
 
-def _in_gap(side: Side, other: Side) -> BoolArray:
+def in_gap(side: Side, other: Side) -> BoolArray:
     """(n,) True for points of a side in the widest sector of azimuth without returns of the other, if it is wide."""
     azimuth_deg = np.sort(other.azimuth_deg)
     gap_deg = np.diff(azimuth_deg, append=azimuth_deg[0] + 360.0)

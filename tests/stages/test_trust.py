@@ -66,6 +66,22 @@ def thinned(scan):
     return scan[np.sort(first)]
 
 
+def of_image(scan, n_columns=1024, n_rows=64):
+    """The nearest return of each pixel of a range image, at its centre."""
+    range_m = np.linalg.norm(scan, axis=1)
+    low, high = np.radians([-31.0, 11.0])
+    column = np.arctan2(scan[:, 1], scan[:, 0]) / (2 * np.pi) * n_columns // 1
+    row = (np.arcsin(scan[:, 2] / range_m) - low) / (high - low) * n_rows // 1
+    order = np.argsort(range_m)
+    _, first = np.unique((row * 2 * n_columns + column)[order], return_index=True)
+    nearest = order[first]
+    azimuth = (column[nearest] + 0.5) / n_columns * 2 * np.pi
+    slope = low + (row[nearest] + 0.5) / n_rows * (high - low)
+    level = np.cos(slope)
+    rays = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(slope)])
+    return range_m[nearest, None] * rays
+
+
 def turned(scan, degrees):
     return scan @ Rotation.from_euler("z", degrees, degrees=True).as_matrix().T
 
@@ -88,6 +104,8 @@ def turned(scan, degrees):
         (lambda scan: np.vstack([scan, scan + [1.1, 0.05, 0]]), ONE_SWEEP),
         (lambda scan: np.vstack([scan, turned(scan, 0.05)]), ONE_SWEEP),
         (lambda scan: np.vstack([scan, turned(scan, 0.06), turned(scan, 0.1)]), ONE_SWEEP),
+        (of_image, ONE_SWEEP),
+        (lambda scan: of_image(scan, 2048), ONE_SWEEP),
         (lambda scan: np.round(scan, 2), FINE),
         (lambda scan: np.round(scan, 1), FRAME),
         (lambda scan: (scan + [448262, 5411932, 115]).astype("f4") - [448262, 5411932, 115], FRAME),
@@ -178,6 +196,40 @@ def test_a_simulated_side_without_road_has_no_dead_beams(scan):
     above = scan[scan[:, 2] > ROAD_M]
     unknown = unknown_of(scan, above)
     assert all("the road" in unknown[name] for name in ("beams", "lost returns", "blind sector"))
+
+
+def test_a_real_side_without_road_has_no_invented_parts(scan):
+    above = scan[scan[:, 2] > ROAD_M]
+    unknown = unknown_of(above, scan)
+    names = ("beams", "elevation noise", "invented parts", "clutter", "maximum range")
+    assert {unknown[name] for name in names} == {
+        "real scan: the road of the simulated scan is missing"
+    }
+
+
+def test_on_slopes_a_side_without_its_lowest_points_has_no_blind_directions():
+    sides = []
+    scan = make_pair(0, 3, SENSORS["hdl32"]).real.rows[:, :3].astype(float)
+    for points in (scan, scan[scan[:, 2] > ROAD_M]):
+        is_ground = np.zeros(len(points), dtype=bool)  # a cut that missed it
+        sides.append(Side(points, is_ground, describe_sensor(points)))
+    unknown = estimate(PairScans(*sides)).amounts["blind sector"].reason
+    assert unknown == "simulated scan: the road of the real scan is missing"
+
+
+def test_parts_between_few_returns_are_not_missing(scan):
+    rng = np.random.default_rng(0)
+    unknown = unknown_of(scan, scan[rng.random(len(scan)) < 0.2])
+    for name in ("missing parts", "far surface", "lost far returns", "mixed pixels"):
+        assert unknown[name] == "the simulated scan has too few returns"
+    assert "missing parts" not in unknown_of(scan, scan[rng.random(len(scan)) < 0.4])
+
+
+@pytest.mark.parametrize("cropped", ["real", "sim"])
+def test_a_sector_has_no_noise_of_elevations_nor_another_range(scan, cropped):
+    sector = scan[np.abs(scan[:, 1]) < scan[:, 0]]
+    real, sim = (sector, scan) if cropped == "real" else (scan, sector)
+    assert unknown_of(real, sim)["elevation noise"] == "the fields of view differ"
 
 
 def test_a_crop_is_not_a_shorter_range(scan):

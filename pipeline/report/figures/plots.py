@@ -60,7 +60,7 @@ def plot_object(run: FinishedRun, pair_id: str, name: str, ax: Any = None) -> Fi
         axis.locator_params(nbins=5)
         axis.set_title(_object_title(rows["real"] or rows["sim"]))
         axis.legend(loc="upper right", markerscale=3)
-    return style.figure_of(axis)
+    return axis.figure
 
 
 def _object_title(row: Row) -> str:
@@ -101,7 +101,7 @@ def plot_pieces(run: FinishedRun, pair_id: str, ax: Axes | None = None) -> Figur
                 axis.annotate(str(piece_id), (x, y), color=SIDE_COLOURS[side], **look)
         axis.set_title(_title(pair_id))
         style.from_above(axis, style.frame_of(*map(coordinates, sides.values())))
-    return style.figure_of(axis)
+    return axis.figure
 
 
 def plot_range_image(
@@ -128,7 +128,7 @@ def plot_range_image(
         if value != "outcome":
             label = f"{value.removesuffix('_range_m')} range (m)"
             axis.figure.colorbar(_draw_rays(axis, rays, rays[value]), ax=axis, label=label)
-            return style.figure_of(axis)
+            return axis.figure
         outcomes = rays["outcome"].map({name: i for i, name in enumerate(OUTCOME_COLOURS)})
         colours = ListedColormap([*OUTCOME_COLOURS.values()])
         _draw_rays(axis, rays, outcomes, cmap=colours, vmin=0, vmax=len(OUTCOME_COLOURS) - 1)
@@ -137,7 +137,7 @@ def plot_range_image(
             handles.append(Patch(color=colour, label=OUTCOME_WORDS[name]))
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.25)}
         axis.legend(handles=handles, ncols=len(handles), **below)
-    return style.figure_of(axis)
+    return axis.figure
 
 
 def _draw_rays(axis: Axes, rays: pd.DataFrame, values: pd.Series, **colours: Any) -> Any:

@@ -64,7 +64,7 @@ def _plot_r_lambda(results: RunResults, pair_id: str) -> Figure:
         style.colour_bar(axis, coloured, axis_title("r_lambda"))
         axis.set_title(f"pair {style.shown_name(pair_id)}")
         style.from_above(axis, style.frame_of(places))
-    return style.figure_of(axis)
+    return axis.figure
 
 
 def _plot_scores(pair_ids: pd.Series, scored: pd.DataFrame) -> Figure:

@@ -16,8 +16,6 @@ from ...terminal import shown
 from ..look import RAMPS, clipped
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from .shown_figure import ShownFigure
 
 #: Where points in space are seen from.
@@ -55,12 +53,6 @@ def axes_for(ax: Any, width_in: float, height_in: float, **look: Any) -> Iterato
     else:
         with in_our_style():
             yield ax
-
-
-def figure_of(axis: Any) -> Figure:
-    """The figure that axes belong to."""
-    figure: Figure = axis.figure
-    return figure
 
 
 def fidelity_colours() -> Any:

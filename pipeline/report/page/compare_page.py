@@ -144,14 +144,12 @@ def _draw_place(
 
 def _some(points: FloatArray) -> FloatArray:
     """At most as many points as a place shows, evenly over their order."""
-    some: FloatArray = points[evenly(len(points), _MOST_POINTS)]
-    return some
+    return points[evenly(len(points), _MOST_POINTS)]
 
 
 def _columns(points: FloatArray) -> list[list[float]]:
     """All x, all y and all z of some points, rounded."""
-    columns: list[list[float]] = points.T.round(2).tolist()
-    return columns
+    return points.T.round(2).tolist()
 
 
 def _report_link(run: Path, start: Path) -> str:

@@ -87,8 +87,7 @@ def thinned(ids: pd.Series, most: int) -> BoolArray:
     place = ids.groupby(ids).cumcount()
     n_points = ids.groupby(ids).transform("size")
     step = (n_points // _FEWEST_OF_OBJECT).clip(1, -(-len(ids) // most))
-    is_shown: BoolArray = (place % step == 0).to_numpy()
-    return is_shown
+    return (place % step == 0).to_numpy()
 
 
 def _side_data(

@@ -73,8 +73,7 @@ def junit_xml(command: str, suites: Mapping[str, Sequence[Check]]) -> bytes:
             else:
                 ElementTree.SubElement(case, "system-out").text = words
     ElementTree.indent(root)
-    content: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
-    return content + b"\n"
+    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
 
 
 def _counts(checks: Sequence[Check]) -> dict[str, str]:
