@@ -197,7 +197,7 @@ def pair(
     how = "given" if offset is not None else "found"
     print_line(
         f"{count(len(kept), 'pair')} in {out / 'pairs.csv'}, at most {gap_s:.4f} s apart; "
-        f"clock offset {pairing.offset_s:+.4f} s ({how})"
+        f"clock offset {how}: {pairing.offset_s:+.4f} s"
     )
     if pairing.others_s:
         n_others = len(pairing.others_s)

@@ -107,7 +107,7 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     n_unpaired = write_dataset(out, real_line, sim_line, pairing, np.arange(n_pairs), replace=True)
     how = "name"
     if not pairing.by_name:
-        how = f"time (clock offset {pairing.offset_s:+.4f} s"
+        how = f"time (clock offset found: {pairing.offset_s:+.4f} s"
         if pairing.others_s:
             how += f"; {len(pairing.others_s)} other offsets pair as many, see fidpipe pair"
         how += ")"

@@ -204,7 +204,7 @@ def remarks(comparison: Comparison) -> list[Note]:
         )
     for family in comparison.families:
         if family.why:
-            lines.append(f"{family.name}: ({family.verdict}) ignored, {family.why}")
+            lines.append(f"{family.name}: ({family.verdict}) ignored, because it {family.why}")
     if comparison.changes.elsewhere is not None:
         share = percent(comparison.changes.elsewhere)
         lines.append(
