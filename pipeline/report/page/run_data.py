@@ -24,7 +24,6 @@ from ....schemas.metric_catalogue import (
 from ....schemas.results import Piece
 from ....stages.sensor_description import SensorDescription, sensor_lines
 from ...results.best_case import RunExcess
-from ...results.diagnosis import doubtful_words
 from ...results.finished import FinishedRun
 from ...results.gate import Criterion, judge_run
 from ...results.object_frame import QUADRANTS, UNKNOWN, plain_rows
@@ -154,13 +153,12 @@ def page_words(results: RunResults, excess: RunExcess | None = None) -> dict[str
     sections = answer_sections(run, excess, with_all=True, is_page=True)
     sections.pop("Worst places", None)
     trust = sections.pop("Trust", [])
-    doubtful = [Note(doubtful_words(run.diagnosis))] if run.diagnosis else []
     sensor_pair = results.pairs["pair_id"].min()
     made = ("fidpipe", "written", "dataset", "seed", "workers")
     return {
         "title": run.folder.resolve().name,
         "line": run_line(run),
-        "answer": [*frame_warnings(run), Answers([*sections.items()]), *doubtful],
+        "answer": [*frame_warnings(run), Answers([*sections.items()])],
         "bars": _bars(results, excess),
         "worst": [(_address(run, piece), piece) for piece in overview.pieces],
         "failures": failures_view(run),

@@ -12,7 +12,7 @@ from ....schemas.results import Cause, Overview, Unknown
 from ....stages.statistics.comparison import LEAST_FOR_INTERVAL
 from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
 from ...results.causes import MANY_UNKNOWN, MOST_SHOWN, interval_words, no_cause_words
-from ...results.diagnosis import gain_words, unexplained_words
+from ...results.diagnosis import doubtful_words, gain_words, unexplained_words
 from ...results.finished import FinishedRun
 from ...storage.urls import url_or_path
 from ..view import (
@@ -77,9 +77,10 @@ def answer_sections(
         first = items_of(_NOT_YET if record.frames else no_cause_words(overview.unknown))
     if run.diagnosis is not None:
         first += items_of(unexplained_words(run.diagnosis))
-    doubtful = ""
+    doubtful = doubtful_words(run.diagnosis) if run.diagnosis else ""
+    small = ""
     if overview.small:
-        doubtful = f"seen, but a small part of the distance: {'; '.join(overview.small)}"
+        small = f"seen, but a small part of the distance: {'; '.join(overview.small)}"
     recipe = read_recipe(run.folder)
     most = None if with_all else _MOST_CAUTIONS
     trust = trust_words(run.folder, overview, most, has_best_case=bool(excess or recipe))
@@ -91,7 +92,7 @@ def answer_sections(
         "  tasks": items_of(task_words(record, excess)),
         "Check first": items_of(*overview.doubts),
         "Fix first": first,
-        "Doubtful": items_of(doubtful),
+        "Doubtful": items_of(doubtful, small),
         "Worst places": _worst_places(overview, with_all),
         "Objects": items_of(scores_words(record)),
         "Trust": items_of(*trust),
