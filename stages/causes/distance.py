@@ -16,6 +16,8 @@ REACH_M = 1.0
 _SAMPLE = 4000
 _NEIGHBOURS = 16
 _AROUND = 2  # nearest rays that another ray may lie next to
+#: Cosine between ray and normal from which on a turned ray meets the same plane; of the ground within some 11 m.
+_LEAST_TOWARD, _LEAST_TOWARD_GROUND = 0.1, 0.15
 _OFF_STDS, _LEAST_STD_M = 3.0, 0.02  # of a flat surface, from which a point is off
 
 
@@ -85,7 +87,8 @@ def _by_other_rays(side: Side, step: float, rng: Generator) -> FloatArray:
     across = random - (random * side.rays).sum(axis=1, keepdims=True) * side.rays
     across /= np.maximum(np.linalg.norm(across, axis=1), 1e-9)[:, None]
     toward = (side.rays * side.normals).sum(axis=1)
-    is_plane = np.abs(toward) > 0.1  # NaN is not
+    least = np.where(side.is_ground, _LEAST_TOWARD_GROUND, _LEAST_TOWARD)
+    is_plane = np.abs(toward) > least  # NaN is not
     # the ray turns across by a small angle: it meets the plane where the offset along the ray cancels that along n
     along_ray = np.zeros(len(toward))
     np.divide(-(across * side.normals).sum(axis=1), toward, out=along_ray, where=is_plane)

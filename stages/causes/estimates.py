@@ -357,6 +357,8 @@ def _share_of(is_concerned: BoolArray) -> Amount:
 
 def _maximum_range(real: Side, sim: Side, missing: Unmatched, invented: Unmatched) -> Amount:
     """Difference of the farthest returns, 0 if one side has only a few beyond the farthest of the other."""
+    if not len(real.points):
+        return Amount(None, reason="the two sides have no direction in common")
     share = float(missing.is_beyond.mean() + invented.is_beyond.mean())
     real_m = float(real.range_m.max())
     sim_m = float(sim.range_m.max())
@@ -486,9 +488,10 @@ def _with_share(amount: Amount, whole: float) -> Amount:
 def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
     """Noise of the elevations; if the simulated beams cannot be recognised, from their phase or from the road."""
     a, b = real.sensor, sim.sensor
-    views_deg = [sensor.field_of_view_deg[-1:] for sensor in (a, b)]
-    if np.ptp(views_deg) > _OTHER_VIEW_DEG:
-        return Amount(None, reason="the fields of view differ")
+    if a.field_of_view_deg and b.field_of_view_deg:
+        around_deg = a.field_of_view_deg[-1], b.field_of_view_deg[-1]
+        if abs(around_deg[0] - around_deg[1]) > _OTHER_VIEW_DEG:
+            return Amount(None, reason="the fields of view differ")
     known = _known_difference(a, b, "elevation_noise_deg", "elevation_deg")
     if known.amount is not None or not a.elevation_deg:
         return known
