@@ -216,20 +216,6 @@ def test_coarse_range_steps_hide_the_noise(places):
         assert noise.reason == "simulated scan: range steps of 10 cm hide it"
 
 
-@pytest.mark.parametrize("first_deg", [0.0, 90.0])
-def test_sectors_without_a_common_direction_have_no_amounts(places, first_deg):
-    real, is_ground, sensor = places[0]
-    azimuth_deg = np.degrees(np.arctan2(real[:, 1], real[:, 0]))
-    in_front = np.abs(azimuth_deg) < 40
-    behind = np.abs(azimuth_deg) > 90 + first_deg / 2
-    sides = [
-        Side(real[rows], is_ground[rows], describe_sensor(real[rows]))
-        for rows in (in_front, behind)
-    ]
-    estimates = estimate(PairScans(*sides))
-    assert estimates is None or estimates.amounts["maximum range"].amount is None
-
-
 @pytest.mark.parametrize("name", some_of([*FLAWS], ALWAYS))
 def test_a_flaw_is_named_with_its_amount_and_its_correction_gains(places, healthy, name):
     flaw, amount = FLAWS[name]
