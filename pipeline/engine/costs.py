@@ -7,7 +7,7 @@ numbers, but that a pair whose object cannot fit into the memory fails.
 from __future__ import annotations
 
 PROCESS_BYTES = 300 * 2**20  #: what a worker process occupies before it has read anything
-BYTES_PER_POINT = 4_000  #: a scan's tables, its graph twice, and what Louvain makes of it
+BYTES_PER_POINT = 3_500  #: a scan's tables, its graph twice, and what Louvain makes of it
 BYTES_PER_NODE = 15_000  #: an object's arcs, the candidates for its alignment
 
 
