@@ -19,7 +19,7 @@ _FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 _NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
 _INDENT = 14
 _NARROWEST = 40
-_WHOLE_WORD = 24  #: words of so many characters are never cut
+_WHOLE_WORD = 24  #: words up to this length are never cut
 
 
 def terminal(view: View) -> RenderableType:

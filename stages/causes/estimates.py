@@ -119,7 +119,7 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
 
 
 def _unknown_of_sparse(amounts: Mapping[str, Amount]) -> dict[str, Amount]:
-    """Amounts that cannot be told from the gaps between few simulated returns."""
+    """Amounts that the gaps between few simulated returns would feign."""
     unknown = Amount(None, reason="the simulated scan has too few returns")
     names = ["far surface", "lost far returns", "mixed pixels", "elevation noise"]
     if (amounts["missing parts"].amount or 0.0) < _SPARSE_PARTS:
