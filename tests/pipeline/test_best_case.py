@@ -237,7 +237,7 @@ def test_a_gate_judges_excess_and_wants_a_best_case_for_it(folder, tmp_path):
     with_best_case = (*words, "--best-case", folder / "best_case")
     limits = {
         "excess.cdc.mean": own["cdc_mean"]["excess"],
-        "excess.r_lambda.max": found.of_pairs["r_lambda_mean"].max(),
+        "excess.r_lambda.max": float(found.of_pairs["r_lambda_mean"].max()),
         "excess.cdc.area": own["cdc_mean"]["area"],
         "excess.covered.real.0.3m.mean": own["covered_real_0p3m"]["excess"],
     }
