@@ -174,6 +174,19 @@ class Cause(Result):
     limbs: tuple[int, ...] = ()
 
 
+class ChangedCause(Cause):
+    """A cause that changed from one run to another by `estimate`.
+
+    before, after : mean amounts of both runs, simulated minus real; null if unknown
+    verdict : "worse" or "better" for a cause of the sensor or its pose, "changed" if that cannot be told; "" for one of
+        the world, about which the families decide
+    """
+
+    before: float | None
+    after: float | None
+    verdict: str
+
+
 class Piece(Result):
     """One of the largest missing, invented or moved pieces of surface; columns of table `pieces`.
 
