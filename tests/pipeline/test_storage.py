@@ -36,8 +36,9 @@ def objects():
 
 
 def write(folder, record=JOB):
-    files = folder.write_job(record, {"communities": communities(), "objects": objects()})
-    return replace(record, files=files)
+    record = replace(record, files={})
+    folder.write_job(record, {"communities": communities(), "objects": objects()})
+    return record
 
 
 @pytest.fixture
