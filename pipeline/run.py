@@ -421,8 +421,7 @@ class Run:
 
     def _write_record(self, record: RunHeader) -> None:
         """Write the settings and the record, or its header."""
-        out = self.folder.folder
-        write_record(out, self.settings, record.as_dict(), self.folder.check_token)
+        write_record(self.folder, self.settings, record.as_dict())
 
     def _end_phase(self, name: str) -> None:
         now = perf_counter()

@@ -17,7 +17,6 @@ from ..datasets.readers import read_scan
 from ..stage import Stage
 from ..storage.folder import RunFolder
 from ..storage.run_record import LIBRARIES
-from ..storage.urls import stub_texts
 from . import costs
 from .plan import PairPlan, with_results
 from .pool import Pool
@@ -105,7 +104,7 @@ def schedule_of(
 def _plans_for_workers(
     pairs: Iterable[ScanPair], plan_pair: PlanPair, folder: RunFolder, machines: Machines
 ) -> Iterator[PairPlan]:
-    """The plans of pairs with their time limit, and all that workers need that may not see the files here."""
+    """The plans of pairs with their time limit, and with the tables as workers see them."""
     tables = folder.for_workers(share_disk=machines.scheduler is None)
     for i, pair in enumerate(pairs):
         plan, _ = with_results(plan_pair(pair), folder)
@@ -113,10 +112,6 @@ def _plans_for_workers(
         if machines.pair_timeout_s is not None:
             notes = folder.folder / NOTES / str(i)
             plan = replace(plan, limit=TimeLimit(machines.pair_timeout_s, notes))
-        if machines.scheduler:
-            scans = pair.scans.values()
-            files = [*(scan.file for scan in scans), *(scan.labels for scan in scans)]
-            plan = replace(plan, stubs=stub_texts(files))
         yield plan
 
 

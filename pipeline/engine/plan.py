@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple
 
 from ...schemas.columns import SIDES
@@ -86,7 +85,6 @@ class PairPlan:
     failures : of others
     inputs : by side, what its file holds
     tables : of the run; None for results that are not written
-    stubs : remote scans, for workers that do not share the cache
     limit : how long workers may work on it; None for as long as it takes
     """
 
@@ -98,7 +96,6 @@ class PairPlan:
     inputs: Mapping[str, ScanContent] = field(default_factory=dict)
     label_names: Mapping[int, str] = field(default_factory=dict)
     tables: TableFolder | None = None
-    stubs: Mapping[Path, str] = field(default_factory=dict)
     limit: TimeLimit | None = None
 
     @property
@@ -227,11 +224,10 @@ def plan_on_results(
     stage : of grain PAIR
     """
     name = (stage.name, "")
-    used = {job: jobs[job] for job in jobs if job in records or job == name}
-    keys = {job: record.key for job, record in records.items()}
+    done = {job: record for job, record in records.items() if job in jobs and job != name}
+    keys = {job: record.key for job, record in done.items()}
     keys[name] = _key(jobs[name], keys)
-    others = {job: record for job, record in records.items() if job in used and job != name}
-    return PairPlan(pair, used, keys, others)
+    return PairPlan(pair, {job: jobs[job] for job in keys}, keys, done)
 
 
 def _method_key(stage: Stage, settings: Settings) -> str:

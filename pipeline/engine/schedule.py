@@ -96,8 +96,6 @@ class Collector:
         if reported:
             reasons = [f"{job_title(*failure.job)}: {failure.reason}" for failure in reported]
             self.fail(plan.pair_id, plan.keys[reported[0].job], "; ".join(reasons))
-        else:
-            self.folder.ledger.drop_failure(plan.pair_id)
         for failure in failures:
             if failure.trace and failure.trace not in self._traces:
                 self._traces.add(failure.trace)

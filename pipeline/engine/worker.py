@@ -9,7 +9,7 @@ from __future__ import annotations
 import traceback
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from itertools import chain
 from types import SimpleNamespace
@@ -25,7 +25,6 @@ from ..datasets.pairs import ScanPair
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..stage import Grain, Inputs, JobResult, Memo, Metadata, Stage, Steps, Tables
-from ..storage.remote_dataset import restored_scan
 from ..storage.scratch import temporary_space
 from ..storage.table_files import JobId, JobRecord, plain_metadata, table_name
 from .plan import Job, JobFailure, PairPlan, Source, plan_jobs, reads
@@ -262,8 +261,6 @@ class JobRunner:
             ref = self.plan.pair.scans.get(side)
             if ref is None:
                 raise StageError(f"no {side} scan")
-            if self.plan.stubs:
-                ref = replace(ref, file=restored_scan(ref.file, self.plan.stubs))
             columns = next(iter(self.plan.jobs.values())).settings.input.columns_of(side)
             scan = read_scan(ref, columns, dict(self.plan.label_names))
             if scan_content(ref) != self.plan.inputs[side]:

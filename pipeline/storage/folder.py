@@ -154,9 +154,8 @@ class RunFolder(TableFolder):
                 parts[table, side].append(self.read(table, files[name], name, names))
         frames = {}
         for source, tables in parts.items():
-            pair = np.repeat(
-                np.arange(len(tables), dtype=np.int32), [len(table) for table in tables]
-            )
+            sizes = [len(table) for table in tables]
+            pair = np.repeat(np.arange(len(tables), dtype=np.int32), sizes)
             frames[source] = pa.concat_tables(tables).to_pandas().assign(pair=pair)
         return frames
 
@@ -188,27 +187,18 @@ class RunFolder(TableFolder):
 
     def remove_strays(self) -> int:
         """Remove orphaned files, half-written ones included; return the number of intact ones."""
-        strays = self._unknown_files()
-        for name in strays:
-            (self.folder / name).unlink()
-        return sum(not Path(name).name.startswith(".") for name in strays)
-
-    def _unknown_files(self) -> list[str]:
-        """Files among the tables of pairs and of the whole run that no finished job wrote, relative to the run."""
         known = self.ledger.files()
-        unknown = []
+        n_intact = 0
         for table in TABLES:
-            name = f"{table}.parquet"
-            if name not in known and (self.folder / name).is_file():
-                unknown.append(name)
-            if not (self.folder / table).is_dir():
-                continue
-            with os.scandir(self.folder / table) as entries:
-                for entry in entries:
-                    name = f"{table}/{entry.name}"
-                    if name not in known and not entry.is_dir(follow_symlinks=False):
-                        unknown.append(name)
-        return unknown
+            names = [f"{table}.parquet"] if (self.folder / f"{table}.parquet").is_file() else []
+            if (self.folder / table).is_dir():
+                with os.scandir(self.folder / table) as entries:
+                    files = [entry for entry in entries if not entry.is_dir(follow_symlinks=False)]
+                names += [f"{table}/{entry.name}" for entry in files]
+            for name in set(names) - known:
+                (self.folder / name).unlink()
+                n_intact += "/." not in name
+        return n_intact
 
 
 def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:

@@ -7,7 +7,7 @@ import os
 import platform
 import re
 import shlex
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -23,6 +23,7 @@ from ...schemas.record import Machine, RunHeader, RunRecord
 from ...schemas.results import ScoreSummary
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from .files import write_whole
+from .table_files import TableFolder
 from .urls import name_in_records, url_or_path
 
 if TYPE_CHECKING:
@@ -80,19 +81,15 @@ def read_run(folder: Path) -> dict[str, Any]:
     return record
 
 
-def write_record(
-    folder: Path,
-    settings: Settings,
-    record: Mapping[str, Any],
-    before_rename: Callable[[], None],
-) -> None:
+def write_record(tables: TableFolder, settings: Settings, record: Mapping[str, Any]) -> None:
     """Write `settings.toml` and `run.json`, whose last entry is the hash of the text before it."""
     from ...schemas.settings_text import to_toml  # not needed to read a record
 
-    write_whole(folder / SETTINGS_TOML, to_toml(settings).encode(), before_rename=before_rename)
+    tables.check_token()
+    write_whole(tables.folder / SETTINGS_TOML, to_toml(settings).encode())
     text = dumps(record).removesuffix(b"\n}\n")
     seal = f',\n  "sha256": "{hashlib.sha256(text).hexdigest()}"\n}}\n'
-    write_whole(folder / RUN_JSON, text + seal.encode(), before_rename=before_rename)
+    write_whole(tables.folder / RUN_JSON, text + seal.encode())
 
 
 def dumps(record: Mapping[str, Any]) -> bytes:
