@@ -208,7 +208,7 @@ class _ExperimentRun(Run):
         """Write settings that a run can take, and the record."""
         content = {"experiment": self.stages[0].name, **record.as_dict(), **results}
         settings = settings_of(self.settings)
-        write_record(self.folder.folder, settings, content, self.folder.check_token)
+        write_record(self.folder, settings, content)
 
 
 def _write_tables(
