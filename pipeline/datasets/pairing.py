@@ -403,7 +403,7 @@ def _listed(manifest: Path) -> list[tuple[str, ...]]:
     if not manifest.exists():
         return []
     _, rows = read_rows(manifest)
-    return [(row["pair_id"], row["real"], row["sim"]) for row in rows]
+    return [(row.get("pair_id", ""), row.get("real", ""), row.get("sim", "")) for row in rows]
 
 
 def _name(frame: ScanRef, folder: Path) -> str:

@@ -227,8 +227,13 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     DatasetError
         The file is not a CSV table, lacks a column, repeats a pair, or a value is not a number.
     """
-    columns, rows = read_rows(manifest)
+    columns, lines = read_rows(manifest)
     _check_columns(manifest, columns, warnings, needs_sim=needs_sim)
+    rows = []
+    for line, values in enumerate(lines, start=2):
+        if None in values:  # the key of values beyond the header
+            raise DatasetError(f"{manifest}, line {line}: expected {len(columns)} values, got more")
+        rows.append({name: values.get(name, "").strip() for name in _MANIFEST_COLUMNS})
     stubs = _stubs_of(manifest.parent, [row[side] for side in SIDES for row in rows])
     pairs: dict[str, ScanPair] = {}
     for line, row in enumerate(rows, start=2):
@@ -240,8 +245,8 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     return list(pairs.values())
 
 
-def read_rows(manifest: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Columns of a manifest, and the known ones of each row, "" for those that it lacks.
+def read_rows(manifest: Path) -> tuple[list[str], list[dict[Any, Any]]]:
+    """Columns and rows of a manifest, as text.
 
     Raises
     ------
@@ -251,16 +256,9 @@ def read_rows(manifest: Path) -> tuple[list[str], list[dict[str, str]]]:
     try:
         with manifest.open(newline="", encoding="utf-8-sig") as file:
             table = csv.DictReader(file, restval="", skipinitialspace=True, strict=True)
-            lines: list[dict[Any, Any]] = list(table)
+            return list(table.fieldnames or ()), list(table)
     except (OSError, ValueError, csv.Error) as error:
         raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
-    columns = list(table.fieldnames or ())
-    rows = []
-    for line, values in enumerate(lines, start=2):
-        if None in values:  # the key of values beyond the header
-            raise DatasetError(f"{manifest}, line {line}: expected {len(columns)} values, got more")
-        rows.append({name: values.get(name, "").strip() for name in _MANIFEST_COLUMNS})
-    return columns, rows
 
 
 def _check_columns(
