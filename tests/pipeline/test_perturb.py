@@ -13,11 +13,11 @@ from fidpipe.pipeline.jobs.scoring import score_pair
 from fidpipe.pipeline.paper import perturb as experiment_module
 from fidpipe.pipeline.paper.perturb import (
     PerturbRequest,
+    choose_objects,
     chosen_objects,
     parse_levels,
     perturb_source,
 )
-from fidpipe.pipeline.paper.perturb_objects import choose_objects
 from fidpipe.pipeline.results.object_frame import SHAPES
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import DatasetError, RunError, ScanError, SettingsError
@@ -356,19 +356,17 @@ def test_the_command_prints_the_scores_of_the_whole_scan_and_draws_its_figure(sc
 
 
 def test_a_curve_has_one_colour_in_all_panels_and_its_levels_as_ticks():
-    from fidpipe.pipeline.paper.experiment_views import Sweep, _draw_panel
+    from fidpipe.pipeline.paper.experiment_views import draw_panel
     from fidpipe.pipeline.report.figures.style import new_figure
 
     rows = [
-        {"curve": curve, "amount": amount, "metric": "r_lambda", "mean": 0.1, "std": 0.0}
+        {"curve": curve, "amount": amount, "mean": 0.1, "std": 0.0}
         for curve, amounts in (("wall", (0.001, 0.1)), ("car", (0.01, 0.1)))
         for amount in amounts
     ]
     with new_figure(3, 3) as figure:
         axis = figure.subplots()
-        _draw_panel(
-            axis, Sweep("noise (m)", pd.DataFrame(rows)), "r_lambda", {"car": "red", "wall": "blue"}
-        )
+        draw_panel(axis, pd.DataFrame(rows), {"car": "red", "wall": "blue"})
         lines = {bars.get_label(): bars.lines[0].get_color() for bars in axis.containers}
         ticks = [tick.get_text() for tick in axis.get_xticklabels()]
     assert lines == {"car": "red", "wall": "blue"}
