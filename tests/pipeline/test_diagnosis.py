@@ -151,10 +151,10 @@ ERRORS_M = np.array([0.01, -0.01, 0.0, 0.01, -0.01])
 @pytest.mark.parametrize(
     ("ahead_m", "speeds_m_s", "words"),
     [
-        (0.05 * SPEEDS_M_S + ERRORS_M, SPEEDS_M_S, "in proportion to the speed: 4"),
+        (0.05 * SPEEDS_M_S + ERRORS_M, SPEEDS_M_S, "grows with the speed: 4"),
         (0.4 + ERRORS_M, SPEEDS_M_S, "the same at any speed, so no latency"),
         (0.4 + ERRORS_M, np.full(5, 8.0), "or 50 ms of latency at 8 m/s"),
-        (0.2 + 0.05 * SPEEDS_M_S + ERRORS_M, SPEEDS_M_S, "partly in proportion to the speed: 4"),
+        (0.2 + 0.05 * SPEEDS_M_S + ERRORS_M, SPEEDS_M_S, "grows with the speed: 4"),
         (np.full(5, 0.4), np.full(5, np.nan), ""),
         (np.array([np.nan, 0.4]), np.array([8.0, 8.0]), "or 50 ms of latency at 8 m/s"),
         (np.full(5, 0.4), np.zeros(5), ""),
