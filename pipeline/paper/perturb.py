@@ -18,7 +18,7 @@ import pandas as pd
 from pydantic import BaseModel
 
 from ...schemas.columns import Row
-from ...schemas.errors import DatasetError, SettingsError
+from ...schemas.errors import SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
@@ -79,14 +79,12 @@ class PerturbRequest(BaseModel, frozen=True):
     levels : kinds and amounts of perturbations
     repeats, global_repeats : number of repeats of each level, per object and for the whole scan
     seed : seed of all random numbers
-    objects : community ids and labels; by default the classes of the paper, or shapes
     """
 
     levels: tuple[Perturbation, ...] = ()
     repeats: int = 20
     global_repeats: int = 5
     seed: int = 0
-    objects: tuple[str, ...] | None = None
 
 
 class PerturbSettings(Settings):
@@ -122,12 +120,6 @@ def perturb_source(
     """
     source = read_source(path)
     pairs = select_pairs(source, pattern) if pattern else source.pairs[:1]
-    objects = request.objects or ()
-    if len(pairs) > 1 and any(word.isdigit() for word in objects):
-        raise DatasetError(
-            f"--objects {','.join(objects)}: the number of an object requires one scan, got "
-            f"{len(pairs)}; select one with --pairs, or give labels"
-        )
     # the simulated side is not read
     scans = []
     for pair in source.pairs:
@@ -162,8 +154,7 @@ def make_perturbations(inputs: Inputs) -> JobResult:
     global_rows = []
     for names in _repeats(request, inputs.pair_id, "all", request.global_repeats):
         global_rows.append(names | _altered_scan(tables, points, names, settings))
-    candidates = objects_in(tables)
-    objects = choose_objects(candidates, inputs.pair_id, request.objects, settings.graph.k)
+    objects = choose_objects(objects_in(tables), inputs.pair_id, settings.graph.k)
     object_rows = []
     baseline_rows = []
     for chosen in objects:
@@ -314,41 +305,24 @@ def _scores(tables: Mapping[str, pd.DataFrame]) -> list[pd.DataFrame]:
     ]
 
 
-def choose_objects(
-    objects: pd.DataFrame, pair_id: str, names: Sequence[str] | None, k: int
-) -> list[Row]:
-    """One object for each given name; by default for each class of the paper, otherwise for each shape class.
+def choose_objects(objects: pd.DataFrame, pair_id: str, k: int) -> list[Row]:
+    """The typical object of each class of the paper; without any of these one object per shape.
 
-    A number is a community id, a label stands for the typical object of the class. Without objects
-    of these classes the default is one object per shape: linear, planar and scattered. No object is
-    chosen twice: a name or a shape without a further object is left out. A row has the object's
-    name (class, shape or "object 7"), scan and id, n_points and range_m.
+    Shapes are linear, planar and scattered; no object is chosen twice, so that one without a further
+    object is left out. A row has the object's name (class or shape), scan and id, n_points and
+    range_m.
 
     Parameters
     ----------
     objects : from `objects_in`
-    names : community ids and labels, or None
     k : neighbours of the graph, `graph.k`; a typical object has at least 2 k points
-
-    Raises
-    ------
-    DatasetError
-        A community does not exist, or no object has the label.
     """
     least = LEAST_POINTS_OVER_K * k
-    labels = set(objects["label"].dropna())
-    chosen: dict[int, str] = {}
-    for name in names or CLASSES:
-        if names and name.isdigit() and int(name) < len(objects):
-            chosen.setdefault(int(name), f"object {name}")
-        elif name in labels:
-            typical = _typical_of_class(objects[objects["label"] == name], least)
-            chosen.setdefault(typical, name)
-        elif names:
-            raise DatasetError(
-                f"--objects {name}: expected an id of scan {pair_id} from 0 to "
-                f"{len(objects) - 1}, or one of its labels: {', '.join(sorted(labels)) or 'none'}"
-            )
+    chosen = {}
+    for name in CLASSES:
+        of_class = objects[objects["label"] == name]
+        if len(of_class):
+            chosen[_typical_of_class(of_class, least)] = name
     chosen = chosen or _typical_of_shapes(objects, least)
     table = objects.loc[[*chosen], ["n_points", "range_m"]]
     table = table.assign(pair_id=pair_id, community_id=[*chosen], name=[*chosen.values()])
