@@ -114,20 +114,18 @@ def twin(
     from ...stages.generate.rescan import RECORDED
     from ..engine.progress import Reporter
     from ..generate.recordings import read_recording
-    from ..generate.twin import make_twins
+    from ..generate.twin import TwinRecipe, make_twins
 
-    n_pairs, failures = make_twins(
-        read_recording(sequence, poses, calib),
-        out,
-        Reporter(),
-        flaws=parse_flaws(flaw or []),
+    recipe = TwinRecipe(
         sensor=_known_sensor(sensor, {RECORDED.name: RECORDED, **SENSORS}),
+        flaws=parse_flaws(flaw or []),
         n_others=others,
-        pattern=pairs,
         seed=seed,
         settings=load(None, assignments or []).input,
-        workers=workers,
-        replace=replace,
+    )
+    recording = read_recording(sequence, poses, calib)
+    n_pairs, failures = make_twins(
+        recording, out, Reporter(), recipe, pattern=pairs, workers=workers, replace=replace
     )
     _print_made(n_pairs, out)
     raise typer.Exit(EXIT_PAIRS_FAILED if failures else 0)

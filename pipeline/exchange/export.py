@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError, RunError
 from ...schemas.metric_catalogue import QUADRANT_SCORES, scores_in
-from ...stages.coverage import nearest_distances
+from ..report.run_frames import points_of
 from ..storage.files import named_errors, write_whole
 from ..storage.table_files import file_stem
 
@@ -163,19 +163,12 @@ def pair_clouds(
     fate = objects["fate"].replace("remnant", "not_found")
     status = objects["status"].where(fate == "matched", fate)
     objects["status"] = status.map(STATUSES.index)
-    frames = {side: run.points(pair_id, side) for side in SIDES}
-    places = [frame.loc[~frame.is_ground, ["x", "y", "z"]].to_numpy() for frame in frames.values()]
     clouds = {}
-    for (side, frame), distance_m in zip(frames.items(), nearest_distances(*places), strict=True):
+    for side, rows in points_of(run, pair_id).items():
         side_objects = objects[objects["side"] == side]
-        frame["community"] = frame.community_id.fillna(-1).astype(int)
-        frame.loc[frame.community >= 0, "distance_m"] = distance_m
-        points = frame.merge(
-            side_objects[["community", *_DRAWN, "status"]],
-            on="community",
-            how="left",
-        )
-        points["status"] = points.status.fillna(0)
+        scores = side_objects[["community", *_DRAWN, "status"]]
+        points = rows.assign(community=rows["community_id"].fillna(-1).astype(int))
+        points = points.merge(scores, on="community", how="left").fillna({"status": 0})
         with_points = side_objects[side_objects["n_points"] > 0]
         clouds[side] = (_rows(points, POINT), _rows(with_points, OBJECT))
     return clouds
