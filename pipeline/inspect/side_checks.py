@@ -21,10 +21,10 @@ from ...stages.inspect.sequence_checks import (
     SequenceScan,
     TimeOffset,
     find_ego_hits,
-    find_empty_side,
-    find_static_side,
     find_time_offset,
     is_moving,
+    is_nearly_empty,
+    is_static,
     moved_m,
 )
 from ...stages.sensor_description import (
@@ -150,7 +150,7 @@ def side_notes(samples: Samples) -> list[str]:
 
 def side_warnings(
     samples: Samples,
-    n_clean: Mapping[str, Sequence[int]],
+    n_clean: Mapping[str, Sequence[float]],
     stretches: Sequence[Sequence[ScanPair]],
     settings: InputSettings,
 ) -> list[str]:
@@ -161,26 +161,26 @@ def side_warnings(
     n_clean : by side, points of each scan after cleaning, 0 of one that cannot be used
     stretches : see `stretches_of`
     """
-    counts = {side: np.array(n_clean[side], dtype=np.intp) for side in SIDES}
-    empty = find_empty_side(counts["real"], counts["sim"])
-    if empty is not None:
-        return [
-            f"the {SIDE_NAMES[empty]} side is nearly empty: median of "
-            f"{np.median(counts['real']):.0f} points real and {np.median(counts['sim']):.0f} "
-            "simulated, after cleaning; was the sensor on, are its columns right?"
-        ]
+    n_points = {side: float(np.median(n_clean[side] or [np.nan])) for side in SIDES}
+    for side, other in (SIDES, SIDES[::-1]):
+        if is_nearly_empty(n_points[side], n_points[other]):
+            return [
+                f"the {SIDE_NAMES[side]} side is nearly empty: median of {n_points['real']:.0f} points "
+                f"real and {n_points['sim']:.0f} simulated, after cleaning; was the sensor on, are its "
+                "columns right?"
+            ]
     sequences = {side: _sequences(samples, stretches, side) for side in SIDES}
     moved = {side: moved_m(sequences[side]) for side in SIDES}
-    static = find_static_side(moved["real"], moved["sim"])
     lines = []
-    if static is not None:
-        other = "sim" if static == "real" else "real"
-        lines.append(
-            f"all {SIDE_NAMES[static]} scans are nearly identical: neighbouring ones are "
-            f"{moved[static]:.2f} m apart, {SIDE_NAMES[other]} ones {moved[other]:.2f} m; is one "
-            "scan written again and again?"
-        )
-    elif offset := find_time_offset([*zip(*sequences.values(), strict=True)]):
+    for side, other in (SIDES, SIDES[::-1]):
+        if is_static(moved[side], moved[other]):
+            lines.append(
+                f"all {SIDE_NAMES[side]} scans are nearly identical: neighbouring ones are "
+                f"{moved[side]:.2f} m apart, {SIDE_NAMES[other]} ones {moved[other]:.2f} m; is one "
+                "scan written again and again?"
+            )
+    offset = find_time_offset([*zip(*sequences.values(), strict=True)])
+    if offset and not lines:
         lines.append(_offset_text(offset, stretches[0]))
     for side, scans in samples.items():
         if is_moving(moved[side]):
