@@ -109,8 +109,8 @@ def diagnose(
 def _tell_apart(
     sources: list[Path], best_case: Path | None, settings: Settings, output: str
 ) -> None:
+    from ..diagnose.diagnosis_view import tell_apart_view
     from ..diagnose.tell_apart import tell_apart_folders, tell_apart_run
-    from ..diagnose.tell_apart_view import tell_apart_view
     from ..report.view import Table
     from ..results.finished import FinishedRun
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
 from ...schemas.columns import SIDES
-from ...schemas.errors import FidpipeError
+from ...schemas.errors import FidpipeError, StageError
 from ...schemas.results import Cause, Unknown
 from ...schemas.settings import Settings
 from ...stages.arrays import transform_of
@@ -27,11 +27,13 @@ from ..datasets.pairing import require_partners
 from ..datasets.pairs import ScanPair, may_crash, read_dataset
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
+from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
+from ..engine.worker import run_in_memory
+from ..jobs import STAGES
 from ..pair_checks import pair_warnings, shared_files, swapped_sides
 from ..results.causes import cause_values, named_causes, unknown_causes
-from . import cause_checks
 from .side_checks import (
     SampledScan,
     SensorCheck,
@@ -42,6 +44,10 @@ from .side_checks import (
     side_warnings,
     stretches_of,
 )
+
+#: Most pairs whose causes are estimated: each takes a few seconds.
+MOST_PAIRS = 3
+_STAGES = ("ground", "sensor", "rays", "causes")
 
 
 @dataclass(frozen=True)
@@ -182,7 +188,7 @@ def _check_pairs(
 ) -> list[PairCheck]:
     """Check each pair: in this process, unless a reader may end it."""
     sampled = [pair for stretch in stretches for pair in stretch]
-    n_estimated = min(len(sampled), cause_checks.MOST_PAIRS)
+    n_estimated = min(len(sampled), MOST_PAIRS)
     rows = np.linspace(0, len(sampled) - 1, n_estimated).round().astype(int)
     estimated = [sampled[row] for row in rows]
     tasks = {}
@@ -224,7 +230,7 @@ def check_pair(task: tuple[ScanPair, Settings, dict[int, str], bool, bool]) -> P
     amounts: dict[str, Amount] = {}
     sensors: dict[str, SensorDescription] = {}
     if with_causes and frames and not frames.doubt:
-        amounts, sensors = cause_checks.estimate_causes(pair, scans, settings)
+        amounts, sensors = _estimate_causes(pair, scans, settings)
     samples = {}
     for side, scan in scans.items():
         samples[side] = sample_scan(pair, side, scan, sensors.get(side), settings.input)
@@ -259,6 +265,23 @@ def _check_scan(
         fault=fault,
     )
     return check, scan
+
+
+def _estimate_causes(
+    pair: ScanPair, scans: Mapping[str, Scan], settings: Settings
+) -> tuple[dict[str, Amount], dict[str, SensorDescription]]:
+    """Amounts of the causes of a pair, and the sensors of both sides; {} if one of its jobs fails."""
+    stages = [stage for stage in STAGES if stage.name in _STAGES]
+    with one_blas_thread():
+        try:
+            tables, outputs = run_in_memory(stages, settings, pair=pair, scans=scans)
+        except StageError:
+            return {}, {}
+    amounts = {}
+    for row in tables["causes", ""].to_pylist():
+        amounts[row["cause"]] = Amount(*(row[field.name] for field in fields(Amount)))
+    sensors = {side: SensorDescription(**outputs["sensor", side]["sensor"]) for side in scans}
+    return amounts, sensors
 
 
 def _check_causes(checks: Sequence[PairCheck]) -> CauseCheck:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline.inspect import cause_checks, side_checks
+from fidpipe.pipeline.inspect import scan_checks, side_checks
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.schemas.settings import load
 from fidpipe.stages.sensor_description import describe_sensor
@@ -21,7 +21,7 @@ NONE_NEARER = "input.min_range_m=0"
 @pytest.fixture(autouse=True)
 def without_beams(monkeypatch):
     """Random points have no beams, and to look for these takes longer than all other checks."""
-    monkeypatch.setattr(cause_checks, "MOST_PAIRS", 0)
+    monkeypatch.setattr(scan_checks, "MOST_PAIRS", 0)
     monkeypatch.setattr(
         side_checks, "describe_sensor", lambda points, *own: describe_sensor(points[:9], *own)
     )
