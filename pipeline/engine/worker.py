@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import traceback
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from itertools import chain
@@ -79,7 +80,8 @@ def run_batch(batches: Sequence[PairBatch]) -> list[BatchResult]:
                     if need > batch.most_bytes and not batch.objects:
                         break
                     note(job_title(*name))
-                    runner.try_job(job, batch.rows)
+                    with runner.noting_failure(job):
+                        runner.make_job(job, batch.rows)
         except OutOfTimeError as error:
             runner.fail(JobFailure(batch.jobs[0], str(error)))
         results.append(runner.result)
@@ -161,8 +163,9 @@ class JobRunner:
         self.plan = self.plan.after(failures=[failure])
         self.result.failures.append(failure)
 
-    def try_job(self, job: Job, rows: tuple[ObjectRows, ...]) -> None:
-        """Run a job, and note why if it fails.
+    @contextmanager
+    def noting_failure(self, job: Job) -> Iterator[None]:
+        """Note why a job fails.
 
         Raises
         ------
@@ -171,7 +174,7 @@ class JobRunner:
         """
         try:
             with temporary_space():
-                self.make_job(job, rows)
+                yield
         except DiskFullError:
             raise
         except (FidpipeError, MemoryError) as error:
