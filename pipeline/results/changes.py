@@ -239,7 +239,9 @@ def undo_changes(task: _Task) -> _Undone | None:
     return changes(base, sim, fit[0], excess, np.random.default_rng(SEED))
 
 
-def _with_verdict(cause: Cause, before: CauseRows, after: CauseRows, blocks: IntArray) -> ChangedCause:
+def _with_verdict(
+    cause: Cause, before: CauseRows, after: CauseRows, blocks: IntArray
+) -> ChangedCause:
     """A change with the amounts of both runs, its verdict, and both amounts in its words if there was one before."""
     resolution = CAUSES[cause.name].resolution
     first = _mean(before[cause.name], blocks)
