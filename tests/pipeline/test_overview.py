@@ -255,19 +255,6 @@ def test_other_timestamps_make_other_findings(finished):
     assert run(data, folder).record.as_dict()["findings"] == before.record.as_dict()["findings"]
 
 
-def test_seconds_are_kept_by_stage_and_pair(finished):
-    _, folder, _ = finished
-    seconds = json.loads((folder / "run.json").read_text())["seconds"]
-    timings = pd.read_parquet(folder / "timings.parquet")
-    assert set(seconds["pairs"]) == {*NUSCENES}
-    total = timings.groupby(["pair_id", "stage"]).seconds.sum()
-    assert seconds["pairs"][NUSCENES[1]]["metrics"] == pytest.approx(
-        total[NUSCENES[1], "metrics"], abs=1e-6
-    )
-    louvain = timings[timings.step == "louvain"].seconds.sum() / 3
-    assert seconds["mean"]["communities"]["louvain"] == pytest.approx(louvain)
-
-
 def test_copies_of_a_pair_count_once(tmp_path):
     data = write_dataset(tmp_path / "streets", 1)
     once = run(data, tmp_path / "once")
