@@ -24,7 +24,13 @@ from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
 from .changes import Changes, find_changes
 from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall, score_rows
-from .finished import FinishedRun, partition_note, settings_changes, version_changes
+from .finished import (
+    FinishedRun,
+    pairs_left_out,
+    partition_note,
+    settings_changes,
+    version_changes,
+)
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, KINDS, follow
 from .independence import pairs_and_places
 from .object_frame import plain_rows
@@ -285,24 +291,3 @@ def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
 def _have_same_tasks(base: FinishedRun, other: FinishedRun) -> bool:
     """True if the tasks of both runs have the same settings."""
     return bool(base.record.settings.get("tasks") == other.record.settings.get("tasks"))
-
-
-def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
-    """Pairs that cannot be compared, and why."""
-    why = {}
-    for name in sorted({*base.rows_by_name, *other.rows_by_name}):
-        hashes = [run.record.inputs.get(name, {}).get("real") for run in (base, other)]
-        reason = _unscored(other, name) or _unscored(base, name)
-        if reason:
-            why[name] = reason
-        elif hashes[0] is None or hashes[0] != hashes[1]:
-            why[name] = "the real scans differ"
-    return why
-
-
-def _unscored(run: FinishedRun, name: str) -> str:
-    """The reason for which a run has no scores of a pair; "" if it has."""
-    row = run.rows_by_name.get(name)
-    if row is None:
-        return f"not in {run.folder}"
-    return "" if row["status"] == "scored" else f"failed in {run.folder} ({row['reason']})"
