@@ -10,17 +10,16 @@ import typer
 from .options import (
     AsCsv,
     AsJson,
-    AsMarkdown,
     Assignments,
     BestCase,
     RunFolder,
     Scheduler,
     SettingsFile,
     Workers,
+    check_format,
     check_machines,
-    format_of,
 )
-from .output import print_as
+from .output import print_csv, print_json, print_view
 
 if TYPE_CHECKING:
     from pydantic import JsonValue
@@ -39,7 +38,6 @@ def diagnose(
     settings: SettingsFile = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
-    as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
 ) -> None:
     """Measure what fixing each cause of a run would gain, and what no cause explains.
@@ -77,7 +75,7 @@ def diagnose(
     """
     from ...schemas.settings import load
 
-    output = format_of(as_json, as_markdown, as_csv)
+    check_format(as_json, as_csv)
     check_machines(workers, scheduler)
     if not tell_apart and (len(sources) > 1 or best_case or picture or settings or assignments):
         raise typer.BadParameter("expected one run and no option of --tell-apart")
@@ -88,10 +86,11 @@ def diagnose(
             raise typer.BadParameter("a run has its settings; leave out --settings and --set")
         if len(sources) > 2 or (len(sources) == 2 and best_case):
             raise typer.BadParameter("expected one run, or two folders without --best-case")
-        _tell_apart(sources, best_case, picture, load(settings, assignments or []), output)
+        in_force = load(settings, assignments or [])
+        _tell_apart(sources, best_case, picture, in_force, as_json=as_json)
         return
     from ..diagnose.diagnose import diagnose_run
-    from ..diagnose.diagnosis_view import diagnosis_records, diagnosis_view
+    from ..diagnose.diagnosis_view import diagnosis_rows, diagnosis_view
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
 
@@ -105,7 +104,12 @@ def diagnose(
         (comparison,) = compare_runs([since, sources[0]], reporter=Reporter())
         view += changed_since(comparison)
         values |= {"since": str(since), "changes": comparison.as_dict()["causes"]}
-    print_as(output, lambda: view, lambda: diagnosis_records(diagnosis), lambda: values)
+    if as_json:
+        print_json(values)
+    elif as_csv:
+        print_csv(diagnosis_rows(diagnosis))
+    else:
+        print_view(view)
 
 
 def _tell_apart(
@@ -113,11 +117,11 @@ def _tell_apart(
     best_case: Path | None,
     picture: Path | None,
     settings: Settings,
-    output: str,
+    *,
+    as_json: bool,
 ) -> None:
     from ..diagnose.tell_apart import tell_apart_folders, tell_apart_run
     from ..diagnose.tell_apart_view import draw_map, tell_apart_view
-    from ..report.view import Table
     from ..results.finished import FinishedRun
 
     if len(sources) == 2:
@@ -128,8 +132,10 @@ def _tell_apart(
         )
     if picture:
         draw_map(found, picture)
-    view = tell_apart_view(found)
-    print_as(output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": found.values})
+    if as_json:
+        print_json({"tell_apart": found.values})
+    else:
+        print_view(tell_apart_view(found))
 
 
 def tasks(
@@ -139,7 +145,6 @@ def tasks(
     ] = None,
     odometry: bool = False,
     as_json: AsJson = False,
-    as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
 ) -> None:
     """Show what a perception stack gets from both scans: of a run with --tasks, or of your model.
@@ -171,7 +176,7 @@ def tasks(
     from ..results.finished import FinishedRun
     from ..results.odometry import compare_odometry
 
-    output = format_of(as_json, as_markdown, as_csv)
+    check_format(as_json, as_csv)
     if predictions and odometry:
         raise typer.BadParameter("expected --predictions or --odometry, got both")
     finished = FinishedRun(run)
@@ -188,4 +193,9 @@ def tasks(
         rows = [summary.as_dict() for summary in finished.task_summaries]
         view = tasks_view(finished.task_summaries)
         plain = [*rows]
-    print_as(output, lambda: view, lambda: views.records(rows), lambda: plain)
+    if as_json:
+        print_json(plain)
+    elif as_csv:
+        print_csv(rows)
+    else:
+        print_view(view)

@@ -12,7 +12,6 @@ from .options import (
     EXIT_GATE_FAILED,
     AsCsv,
     AsJson,
-    AsMarkdown,
     Assignments,
     BestCase,
     ComparePreset,
@@ -20,9 +19,9 @@ from .options import (
     RunFolder,
     SettingsFile,
     Workers,
-    format_of,
+    check_format,
 )
-from .output import print_as, print_view
+from .output import print_csv, print_json, print_view
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -95,7 +94,6 @@ def compare(
     html: OutFile = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
     as_json: AsJson = False,
-    as_markdown: AsMarkdown = False,
     as_csv: AsCsv = False,
     fail_on: Literal["worse", "undecided"] | None = None,
     undecided_ok: bool = False,
@@ -144,20 +142,18 @@ def compare(
     fidpipe compare runs/base runs/new --html new.html
 
     fidpipe compare runs/base runs/new --fail-on worse --junit build/compare.xml
-
-    fidpipe compare runs/build41 runs/build42 --markdown >> comment.md
     """
     from ...schemas.settings import load
     from ..builds import runs_of
     from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..report.views.compare_view import compare_records, compare_view
+    from ..report.views.compare_view import compare_rows, compare_view
     from ..report.views.gate_view import base_view
     from ..results.compare import compare_runs
     from ..results.gate import judge_comparison
     from ..storage.files import write_whole
 
-    output = format_of(as_json, as_markdown, as_csv)
+    check_format(as_json, as_csv)
     if fail_on is None and (junit or json_file):
         raise typer.BadParameter("--junit and --json-file are of --fail-on; give it as well")
     if undecided_ok and fail_on != "worse":
@@ -180,13 +176,13 @@ def compare(
     results = []
     if fail_on:
         results = [judge_comparison(c, fail_on, undecided_ok=undecided_ok) for c in comparisons]
-    views = [compare_view(c, with_all=all_ or output == "markdown") for c in comparisons]
-    print_as(
-        output,
-        view=lambda: [*chain(*views, *map(base_view, results))],
-        records=lambda: compare_records(comparisons),
-        values=lambda: [result.as_dict() for result in results or comparisons],
-    )
+    if as_json:
+        print_json([result.as_dict() for result in results or comparisons])
+    elif as_csv:
+        print_csv(compare_rows(comparisons))
+    else:
+        views = [compare_view(comparison, with_all=all_) for comparison in comparisons]
+        print_view([*chain(*views, *map(base_view, results))])
     if results:
         suites = {}
         for result in results:

@@ -70,9 +70,6 @@ BestCase = Annotated[
     typer.Option(metavar="RUN", help="Show scores minus those of this run of fidpipe best-case."),
 ]
 Replace = Annotated[bool, typer.Option(help="Replace finished results.")]
-AsMarkdown = Annotated[
-    bool, typer.Option("--markdown", help="Markdown, to paste into a merge request.")
-]
 AsCsv = Annotated[bool, typer.Option("--csv", help="CSV, for a spreadsheet.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON, nothing else.")]
 
@@ -82,15 +79,10 @@ EXIT_GATE_FAILED = 4
 EXIT_INTERRUPTED = 130
 
 
-def format_of(as_json: bool, as_markdown: bool, as_csv: bool) -> str:
-    """Format of the output, "" for people; `typer.BadParameter` if more than one is given."""
-    requested = {"json": as_json, "markdown": as_markdown, "csv": as_csv}
-    formats = [name for name, is_requested in requested.items() if is_requested]
-    if len(formats) > 1:
-        raise typer.BadParameter(
-            "--json, --markdown and --csv exclude each other; give one of them"
-        )
-    return formats[0] if formats else ""
+def check_format(as_json: bool, as_csv: bool) -> None:
+    """Raise `typer.BadParameter` if two formats are requested."""
+    if as_json and as_csv:
+        raise typer.BadParameter("--json and --csv exclude each other; give one of them")
 
 
 def check_machines(workers: int | None, scheduler: str | None) -> None:

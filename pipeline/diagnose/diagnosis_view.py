@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from operator import attrgetter
-
+from ...schemas.columns import Row
 from ...schemas.results import Diagnosis
-from ..report.view import Answers, Note, Table, View, count, items_of
+from ..report.view import Answers, Note, View, count, items_of
 from ..report.views.answer_view import cause_items
 from ..results.causes import no_cause_words
 from ..results.diagnosis import doubtful_words, unexplained_words
@@ -16,10 +15,9 @@ _COLUMNS = (
 )
 
 
-def diagnosis_records(diagnosis: Diagnosis) -> Table:
+def diagnosis_rows(diagnosis: Diagnosis) -> list[Row]:
     """One row per cause, for programs."""
-    values_of = attrgetter(*_COLUMNS)
-    return Table("", _COLUMNS, [values_of(cause) for cause in diagnosis.causes])
+    return [{name: getattr(cause, name) for name in _COLUMNS} for cause in diagnosis.causes]
 
 
 def diagnosis_view(diagnosis: Diagnosis) -> View:

@@ -1,9 +1,11 @@
-"""Views in the terminal, as Markdown and as CSV; templates of the pages show the same parts."""
+"""Views in the terminal, and rows as CSV; templates of the pages show the same parts."""
 
 from __future__ import annotations
 
+import csv
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from io import StringIO
 from textwrap import wrap
 
 from rich.box import SIMPLE_HEAD
@@ -11,6 +13,7 @@ from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderR
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from ...schemas.columns import Row
 from ..terminal import shown
 from .view import COLOURS, Answers, Item, Note, Part, Table, View
 
@@ -27,49 +30,26 @@ def terminal(view: View) -> RenderableType:
     return Group(*map(_in_terminal, view))
 
 
-def markdown(view: View) -> str:
-    r"""A view for a merge request, as GitHub and GitLab show it: heading bold, warnings as a list.
-
-    Examples
-    --------
-    >>> print(markdown([Table("", ["pair", "CDC"], [["a|b", 0.5]])]), end="")
-    | pair | CDC |
-    | :--- | ---: |
-    | a\|b | 0.500 |
-    """
-    text = ""
-    for part in view:
-        lines = _in_markdown(part)
-        if not lines:
-            continue
-        last_line = text.rpartition("\n")[2]
-        if lines.startswith("- ") and last_line.startswith("- "):
-            text += "\n"
-        elif text:
-            text += "\n\n"
-        text += lines
-    return f"{text}\n"
-
-
-def csv_table(table: Table) -> str:
-    """A table as spreadsheets open it (RFC 4180, lines end with a line feed).
+def csv_text(rows: Sequence[Row]) -> str:
+    """Rows with the same columns as spreadsheets open them (RFC 4180, lines end with a line feed).
 
     Floats are in full, None is an empty cell. A text that a spreadsheet would take for a formula
     begins with an apostrophe, unless it is a number.
 
     Examples
     --------
-    >>> print(csv_table(Table("", ["pair"], [["=1+1"], ["-5"], [-0.5]])), end="")
+    >>> print(csv_text([{"pair": "=1+1"}, {"pair": "-5"}, {"pair": -0.5}]), end="")
     pair
     '=1+1
     -5
     -0.5
     """
-    import pandas as pd  # takes as long to load as all else here
-
-    rows = [[*map(_in_spreadsheet, row)] for row in table.rows]
-    frame = pd.DataFrame(rows, columns=[*table.headings], dtype=object)
-    return frame.to_csv(index=False, lineterminator="\n")
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(rows[0] if rows else ())
+    for row in rows:
+        writer.writerow(map(_in_spreadsheet, row.values()))
+    return text.getvalue()
 
 
 def _in_terminal(part: Part) -> RenderableType:
@@ -138,45 +118,6 @@ def _item_lines(item: Item, width: int) -> str:
             break_on_hyphens=False,
         )
     return "\n".join(lines)[_INDENT:]
-
-
-def _in_markdown(part: Part) -> str:
-    if isinstance(part, Note):
-        return _note_in_markdown(part)
-    if isinstance(part, Answers):
-        return "\n\n".join(_section_in_markdown(*section) for section in part.sections)
-    rule = [":---" if i in part.words else "---:" for i in range(len(part.headings))]
-    lines = [
-        _row_in_markdown(" ".join(heading.split()) for heading in part.headings),
-        f"| {' | '.join(rule)} |",
-        *map(_row_in_markdown, part.cells),
-    ]
-    if part.title:
-        lines.insert(0, f"**{_escaped(part.title)}**\n")
-    return "\n".join(lines)
-
-
-def _note_in_markdown(note: Note) -> str:
-    text = _escaped(note.text.strip().removeprefix("note: "))
-    if "bold" in note.style:
-        return f"**{text}**"
-    return f"- {text}" if note.style and text else text
-
-
-def _section_in_markdown(heading: str, items: Sequence[Item]) -> str:
-    texts = [_escaped("; ".join(filter(None, item))) for item in items]
-    if len(texts) == 1:
-        return f"{heading.strip()}: {texts[0]}"
-    return "\n".join([f"{heading.strip()}:\n", *(f"- {text}" for text in texts)])
-
-
-def _row_in_markdown(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(map(_escaped, cells))} |"
-
-
-def _escaped(text: str) -> str:
-    """Text for Markdown: no name ends a cell, or becomes HTML, a link or a picture."""
-    return re.sub(r"[\\|<\[]", r"\\\g<0>", shown(text))
 
 
 def _in_spreadsheet(value: object) -> object:

@@ -15,7 +15,7 @@ import pytest
 from fidpipe.pipeline.datasets.pairs import Dataset
 from fidpipe.pipeline.generate import synth, twin
 from fidpipe.pipeline.report.page.run_data import _gate
-from fidpipe.pipeline.report.render import csv_table, terminal
+from fidpipe.pipeline.report.render import csv_text, terminal
 from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.results.best_case import BEST_CASE_DATASET, BEST_CASE_RECIPE, read_recipe
 from fidpipe.pipeline.results.finished import FinishedRun
@@ -244,7 +244,7 @@ def test_no_message_steers_the_terminal(tmp_path):
 
 def test_no_cell_begins_a_formula():
     names = ["=cmd|' /C calc'!A0", "+1+1", "-1+1", "@sum(A1)", "\t=1", "-5", "+2.5", "plain"]
-    text = csv_table(Table("", ["pair"], [[name] for name in names]))
+    text = csv_text([{"pair": name} for name in names])
     cells = [line.strip('"') for line in text.splitlines()[1:]]
     assert cells == [
         "'=cmd|' /C calc'!A0",

@@ -270,16 +270,14 @@ def score_table(comparison: Comparison) -> Table:
     return Table(title, headings, rows, words=(0, 1, 7), wide=(0, 2), whole=(7,))
 
 
-def compare_records(comparisons: Sequence[Comparison]) -> Table:
+def compare_rows(comparisons: Sequence[Comparison]) -> list[Row]:
     """One row per run and score, numbers in full."""
     rows = []
-    headings = ["base", "run", "places"]
     for comparison in comparisons:
-        runs = (str(comparison.base), str(comparison.other), comparison.n_places)
-        for row in score_rows(comparison.families):
-            headings[3:] = row
-            rows.append((*runs, *row.values()))
-    return Table("", tuple(headings), rows)
+        runs = {"base": str(comparison.base), "run": str(comparison.other)}
+        runs["places"] = comparison.n_places
+        rows += [runs | row for row in score_rows(comparison.families)]
+    return rows
 
 
 def _p(p: float | None) -> str:

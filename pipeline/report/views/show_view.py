@@ -84,17 +84,16 @@ def show_json(
     return pair_values(run, pair) if name is None else pair_object(run, pair, name)
 
 
-def show_records(run: FinishedRun, pair: str | None, name: str | None) -> Table:
-    """A table for programs: one row per pair of a run, or per object and side of a pair."""
+def show_rows(run: FinishedRun, pair: str | None, name: str | None) -> list[Row]:
+    """Rows for programs: one per pair of a run, or per object and side of a pair."""
     if pair is None:
-        columns = list(run.rows[0])
-        return Table("", columns, columns_of(run.rows, columns))
+        return run.rows
     objects = pair_values(run, pair)["objects"] if name is None else [pair_object(run, pair, name)]
-    columns = [*_KEYS, *ALL_COLUMNS]
     rows = []
     for of_sides in objects:
-        rows += columns_of(filter(None, of_sides.values()), columns)
-    return Table("", columns, rows)
+        for row in filter(None, of_sides.values()):
+            rows.append({column: row[column] for column in (*_KEYS, *ALL_COLUMNS)})
+    return rows
 
 
 def pair_view(values: Mapping[str, Any], command: str = "") -> View:
