@@ -26,7 +26,7 @@ from fidpipe.schemas.cause_catalogue import CAUSES, UNEVEN
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.metric_catalogue import METRIC
 from fidpipe.schemas.settings import Settings
-from fidpipe.stages.coverage import COVERAGE_DISTANCES_M
+from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
 from fidpipe.stages.ground import WINDOW_M
 from fidpipe.stages.pieces import CutScan, find_pieces
 from fidpipe.stages.surface import describe_surface, measure_offsets
@@ -301,7 +301,7 @@ def draw_matching(view, path):
 
 def coverage(axis, view, side="real"):
     """The points of a side from above by their distance to the other side, far ones on top."""
-    distance_m = view.rows[side].distance_m.to_numpy()
+    distance_m = dict(zip(SIDES, nearest_distances(*view.points.values()), strict=True))[side]
     order = np.argsort(distance_m, kind="stable")
     ramp = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
     coloured = style.dots(axis, view.points[side][order], 1.2, distance_m[order], **ramp)

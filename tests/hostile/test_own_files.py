@@ -5,7 +5,6 @@ import io
 import json
 import re
 import shutil
-from types import SimpleNamespace
 
 import orjson
 import pyarrow as pa
@@ -14,7 +13,6 @@ import pytest
 
 from fidpipe.pipeline.datasets.pairs import Dataset
 from fidpipe.pipeline.generate import synth, twin
-from fidpipe.pipeline.report.page.run_data import _gate
 from fidpipe.pipeline.report.render import csv_text, terminal
 from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.results.best_case import BEST_CASE_DATASET, BEST_CASE_RECIPE, read_recipe
@@ -256,13 +254,3 @@ def test_no_cell_begins_a_formula():
         "+2.5",
         "plain",
     ]
-
-
-@pytest.mark.parametrize(
-    "criteria", ["5", "[5]", '[{"name": "a"}]', '[{"name": 1, "measure": [], "limit": "x"}]', "["]
-)
-def test_criteria_that_no_gate_wrote_are_not_believed(tmp_path, criteria):
-    path = tmp_path / "gate.json"
-    path.write_text(f'{{"criteria": {criteria * (50_000 if criteria == "[" else 1)}}}')
-    (note,) = _gate(SimpleNamespace(folder=tmp_path), None)
-    assert "gate.json cannot be evaluated again" in note.text

@@ -56,7 +56,7 @@ def test_a_page_has_every_column_and_no_name_as_markup():
     page = template.render(parts=[Table("<b>", ("pair", "n"), [("<i>", 1)]), *VIEW[1:]])
     assert "&lt;b&gt;" in page
     assert "<i>" not in page
-    assert '<td class="text worse">worse</td>' in page
+    assert '<td class="text worse" title="worse">worse</td>' in page
     assert "<td>0.500</td>" in page
     assert '<p class="note">Note: one.</p>' in page
 

@@ -18,8 +18,6 @@ from ...results.causes import read_causes
 from ...results.compare import Comparison
 from ...results.finished import FinishedRun
 from ...results.followed import worst_changes
-from ...terminal import STEERING
-from ..look import PAGE_COLOURS, SIGNED_RAMP_M
 from ..run_frames import box_around, coordinates, inside
 from ..view import percent
 from ..views.compare_view import answer, decision, numbers_view, place_words
@@ -65,14 +63,7 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
                 "reports": [_report_link(run.folder, start) for run in runs],
             }
         )
-    data = {
-        "charts": {},
-        "steering": STEERING,
-        "colours": PAGE_COLOURS,
-        "signed_ramp_m": SIGNED_RAMP_M,
-        "places": drawn,
-    }
-    return render("compare.html", data, sections=sections, method=_METHOD)
+    return render("compare.html", {"places": drawn}, sections=sections, method=_METHOD)
 
 
 def _places(comparison: Comparison, runs: Sequence[FinishedRun]) -> dict[str, dict[str, Any]]:

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ....schemas.metric_catalogue import headline_scores, metric_of
+from ....schemas.metric_catalogue import COVERED, headline_scores, metric_of
 from ....schemas.record import RunHeader, RunRecord
 from ....schemas.results import Cause, Overview, Unknown
 from ....stages.statistics.comparison import LEAST_FOR_INTERVAL
@@ -31,7 +31,6 @@ from ..view import (
 _MOST_PLACES = 3
 _MOST_CAUTIONS = 2
 _PAIR_WIDTH = 16
-_COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
 #: The measures of tasks that the answer has, and their words.
 _TASK_WORDS = {
     "objects.lost": "your obstacles: {} lost",
@@ -196,14 +195,14 @@ def run_line(run: FinishedRun, took: str = "") -> str:
 
 def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:
     """Share of each side's surface that the other side has, with the best case's."""
-    real, sim = [percent(record.summary[column].mean) for column in _COVERED]
+    real, sim = [percent(record.summary[column].mean) for column in COVERED]
     words = (
         f"{real} of the real surface is simulated within 0.3 m, "
         f"{sim} of the simulated surface is real"
     )
     if excess is None:
         return words
-    best_case = ", ".join(percent(excess.scores[column].best_case) for column in _COVERED)
+    best_case = ", ".join(percent(excess.scores[column].best_case) for column in COVERED)
     return f"{words} (best case {best_case})"
 
 

@@ -274,7 +274,7 @@ def compare_rows(comparisons: Sequence[Comparison]) -> list[Row]:
     """One row per run and score, numbers in full."""
     rows = []
     for comparison in comparisons:
-        runs = {"base": str(comparison.base), "run": str(comparison.other)}
+        runs: Row = {"base": str(comparison.base), "run": str(comparison.other)}
         runs["places"] = comparison.n_places
         rows += [runs | row for row in score_rows(comparison.families)]
     return rows

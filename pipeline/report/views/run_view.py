@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from ....schemas.columns import SIDES, Row
 from ....schemas.metric_catalogue import (
     COVERAGE_REACHES,
+    COVERED,
     DISTRIBUTED,
     METRIC,
     labels,
@@ -84,7 +85,7 @@ def summary_view(
     record = run.record
     parts: list[Part] = []
     if with_all and record.findings:
-        parts += [_pairs_table(run.scored), *details_view(record)]
+        parts += [_worst_pairs(run.scored), *details_view(record)]
         parts += _findings_parts(record.findings)
     if record.baselines:
         parts += baselines_view(record.baselines)
@@ -181,16 +182,25 @@ def tasks_view(summaries: Sequence[TaskSummary]) -> View:
     return [Table(title, headings, rows, words=(0, 1, 2))]
 
 
-def _pairs_table(scored: Sequence[Row]) -> Table:
-    title = "Pairs (means over matched objects)"
-    if len(scored) > _MOST_PAIRS:
-        scored = sorted(scored, key=lambda row: row["match_rate"])[:_MOST_PAIRS]
-        title = f"The {_MOST_PAIRS} pairs with the lowest match rate (means over matched objects)"
-    headings = ("pair", "objects\nboth", "only\nreal", "only\nsim", *narrow_labels(_SCORES))
-    columns = ("pair_id", "n_matched", "n_not_found", "n_extra", *_SCORES)
-    names = shortened({row["pair_id"] for row in scored}, _PAIR_WIDTH)
-    rows = [row | {"pair_id": names[row["pair_id"]]} for row in scored]
-    return Table(title, headings, columns_of(rows, columns), whole=(0,))
+def pairs_table(pairs: Sequence[Row], links: Sequence[str] = ()) -> Table:
+    """Scored pairs in the given order; a terminal has the first of them, and no room for coverage.
+
+    links : addresses of the pairs on a page
+    """
+    columns = ("pair_id", "n_matched", "n_not_found", "n_extra", *_SCORES, *COVERED)
+    wide = range(len(columns) - len(COVERED), len(columns))
+    scores = narrow_labels((*_SCORES, *COVERED))
+    headings = ("pair", "objects\nboth", "only\nreal", "only\nsim", *scores)
+    cells = columns_of(pairs, columns)
+    title = "Pairs, worst first (means over matched objects)"
+    return Table(title, headings, cells, wide=wide, whole=(0,), links=links)
+
+
+def _worst_pairs(scored: Sequence[Row]) -> Table:
+    """The pairs with the lowest match rate, their names shortened."""
+    worst = sorted(scored, key=lambda row: row["match_rate"])[:_MOST_PAIRS]
+    names = shortened({row["pair_id"] for row in worst}, _PAIR_WIDTH)
+    return pairs_table([row | {"pair_id": names[row["pair_id"]]} for row in worst])
 
 
 def dataset_table(record: RunRecord) -> Table:
