@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN
 from ...schemas.sensor_models import SENSORS
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..linalg.nearest import search_tree
 from ..sensor_description import SensorDescription, has_other_beams
 from ..trust import (
     BEAMS,
@@ -322,7 +323,7 @@ def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dic
     missing, invented = find_unmatched(real, sim, explained)
     missing_parts = real.points[missing.is_part | missing.is_moved]
     invented_parts = sim.points[invented.is_part | invented.is_moved]
-    parts = cKDTree(np.vstack([missing_parts, invented_parts]))
+    parts = search_tree(np.vstack([missing_parts, invented_parts]))
     is_used_real = ~(_is_near(real, parts) | missing.is_beyond | explained.real)
     is_used_sim = ~(_is_near(sim, parts) | explained.sim)
     nearest_m = [float(np.quantile(side.range_m, 0.001)) for side in (real, sim)]

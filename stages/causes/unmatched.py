@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..linalg.nearest import search_tree
 from .beams import dead_beams, exchanged_beams
 from .sides import Side
 
@@ -167,7 +167,7 @@ def _unmatched(
     is_part = is_apart & ~is_beyond
     rows = np.flatnonzero(is_part)
     points = side.points[rows]
-    n_near = cKDTree(points).query_ball_point(points, _CLUSTER_M, return_length=True)
+    n_near = search_tree(points).query_ball_point(points, _CLUSTER_M, return_length=True)
     is_part[rows] = n_near > _CLUSTER * np.maximum(_CLUTTER_M / side.range_m[rows], 1.0) ** 2
     is_clutter = is_apart & ~is_part & (side.range_m < _CLUTTER_M)
     return Unmatched(is_apart, is_beyond, is_clutter, is_part, np.zeros(len(is_part), np.bool_))
@@ -177,6 +177,6 @@ def _mark_moved(
     unmatched: Unmatched, is_object: BoolArray, points: FloatArray, counterparts: FloatArray
 ) -> None:
     """Mark the points of objects next to those of the other side as moved, no longer as parts."""
-    apart_m, _ = cKDTree(counterparts).query(points, distance_upper_bound=_MOVED_M)
+    apart_m, _ = search_tree(counterparts).query(points, distance_upper_bound=_MOVED_M)
     unmatched.is_moved[is_object] = np.isfinite(apart_m)
     unmatched.is_part[unmatched.is_moved] = False
