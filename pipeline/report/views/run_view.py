@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ....schemas.columns import SIDES, Row
+from ....schemas.columns import Row
 from ....schemas.metric_catalogue import (
-    COVERAGE_REACHES,
     COVERED,
-    DISTRIBUTED,
     METRIC,
+    QUADRANT_SCORES,
     labels,
     metric_of,
     narrow_labels,
@@ -19,6 +18,7 @@ from ....schemas.metric_catalogue import (
 )
 from ....schemas.record import BaselineSummary, RunRecord, SeedSummary, TaskSummary
 from ....schemas.results import Findings, JsonObject, Overview, Unmatched
+from ....stages.statistics.findings import BAND_NAMES
 from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun, run_values
 from ...storage.run_record import unmatched_worst
@@ -41,15 +41,8 @@ if TYPE_CHECKING:
     from ...run import RunOutcome
 
 _MOST_PAIRS = 20
-_MOST_CLASSES = 8
 _PAIR_WIDTH = 16
 _SCORES = pair_columns_in("run")
-#: All scores of the summary, displacement and roughness of the surface last.
-_DATASET = (
-    *pair_columns_in("numbers"),
-    *(f"covered_{side}_{reach}" for side in SIDES for reach in COVERAGE_REACHES),
-    *("shift_x_m", "shift_y_m", "shift_z_m", "roughness_real_m", "roughness_sim_m"),
-)
 
 
 def outcome_view(outcome: RunOutcome) -> View:
@@ -86,7 +79,6 @@ def summary_view(
     parts: list[Part] = []
     if with_all and record.findings:
         parts += [_worst_pairs(run.scored), *details_view(record)]
-        parts += _findings_parts(record.findings)
     if record.baselines:
         parts += baselines_view(record.baselines)
     if record.seeds:
@@ -99,23 +91,10 @@ def summary_view(
 
 def details_view(record: RunRecord) -> View:
     """Tasks, all scores, and surface and objects by range and class."""
-    parts: list[Part] = [*tasks_view(record.tasks), dataset_table(record)]
-    if record.overview:
-        parts.append(surface_table(record.overview))
-    if record.findings:
-        parts.append(_objects_table(record.findings))
+    parts = [*tasks_view(record.tasks), dataset_table(record)]
+    if record.overview and record.findings:
+        parts.append(_groups_table(record.overview, record.findings))
     return parts
-
-
-def surface_table(overview: Overview) -> Table:
-    """Missing and invented surface by range and by class."""
-    rows = []
-    for group in overview.surface:
-        missing = percent(group.missing_share)
-        invented = percent(group.invented_share)
-        rows.append((group.name, group.n_real, missing, group.n_sim, invented))
-    title = "Surface by range and class (object points without a counterpart within 0.3 m)"
-    return Table(title, ("", "real points", "missing", "simulated points", "invented"), rows)
 
 
 def failures_view(run: FinishedRun) -> View:
@@ -204,89 +183,37 @@ def _worst_pairs(scored: Sequence[Row]) -> Table:
 
 
 def dataset_table(record: RunRecord) -> Table:
-    """Means over pairs, number of pairs, and means with unmatched objects as worst.
-
-    Under the paper's preset also the paper's means.
-    """
-    with_paper = record.preset == "paper"
-    headings = ["score", "mean", "std", "pairs", "unmatched\nas worst", "how to read it"]
-    if with_paper:
-        headings.append("paper")
+    """Means over pairs, number of pairs, and means with unmatched objects as worst."""
+    headings = ("score", "mean", "std", "pairs", "unmatched\nas worst", "how to read it")
     rows = []
-    for column in _DATASET:
+    for column in pair_columns_in("numbers"):
         metric = metric_of(column)
         score = record.summary[column]
         worst = record.summary.get(unmatched_worst(metric.column))
-        row: list[object] = [
-            metric.label,
-            score.mean,
-            score.std,
-            f"{score.n_pairs} of {record.pairs.scored}",
-            worst.mean if worst else "",
-            metric.reading or metric.meaning,
-        ]
-        if with_paper:
-            row.append("" if metric.paper_mean is None else metric.paper_mean)
-        rows.append(row)
+        n_pairs = f"{score.n_pairs} of {record.pairs.scored}"
+        unmatched = worst.mean if worst else ""
+        reading = metric.reading or metric.meaning
+        rows.append((metric.label, score.mean, score.std, n_pairs, unmatched, reading))
     title = "Dataset (mean and standard deviation over pairs)"
     return Table(title, headings, rows, words=(0, 5), wide=(5,), whole=(0,))
 
 
-def _findings_parts(findings: Findings) -> View:
-    """Distributions over all objects, as in the paper's "Real experiments"."""
-    rank = findings.rank_correlation
-    ratio = findings.density_ratio
-    return [
-        _distributions(findings),
-        Note(
-            f"Rank correlation of CDC and r_lambda: Spearman {number(rank.spearman, 2)}, Kendall "
-            f"{number(rank.kendall, 2)} (near 0: they measure different things)"
-        ),
-        Note(
-            f"Points, simulated / real: {number(ratio.min, 2)} to {number(ratio.max, 2)}, median "
-            f"{number(ratio.median, 2)}; below 1/4 in {percent(ratio.share_below_quarter)}, "
-            f"above 4 in {percent(ratio.share_above_four)} of the objects\n"
-        ),
-    ]
-
-
-def _distributions(findings: Findings) -> Table:
-    values = ("min", "q05", "q25", "median", "q75", "q95", "max", "std", "cv")
-    headings = ("score", "min", "5 %", "25 %", "median", "75 %", "95 %", "max", "std", "std/mean")
-    rows = []
-    for name in DISTRIBUTED:
-        distribution = getattr(findings.distributions, name)
-        rows.append([METRIC[name].label, *(getattr(distribution, value) for value in values)])
-    title = f"Objects (the {findings.n_matched} that both sides have, of all pairs together)"
-    return Table(title, headings, rows)
-
-
-def _objects_table(findings: Findings) -> Table:
-    """Objects that only one side has, by range and by class, and mean scores of the classes."""
-    ranges = findings.range_m
+def _groups_table(overview: Overview, findings: Findings) -> Table:
+    """Surface and objects that only one side has by range and by class, and scores of classes."""
+    classes = {of_class.label: of_class for of_class in findings.classes}
+    bands = dict(zip(BAND_NAMES, findings.range_m.bands, strict=True))
     rows: list[tuple[object, ...]] = []
-    for band in ranges.bands:
-        name = (
-            f"{band.from_m:.0f} to {band.to_m:.0f} m" if band.to_m else f"over {band.from_m:.0f} m"
-        )
-        rows.append((name, *_unmatched(band), None, None, None, None))
-    for group in (findings.classes or ())[:_MOST_CLASSES]:
-        means = [group.scores[score].mean for score in DISTRIBUTED]
-        n_both = f"{group.n_matched} ({group.scores['r_lambda'].n})"
-        rows.append((group.label, *_unmatched(group), n_both, *means))
-    title = (
-        "Objects by range and by the most frequent classes (median range of matched objects "
-        f"{number(ranges.median_matched, 1)} m, of unmatched ones "
-        f"{number(ranges.median_unmatched, 1)} m)"
+    for group in overview.surface:
+        scores: list[float | None] = [None, None]
+        objects: Unmatched = bands.get(group.name) or classes[group.name]
+        if group.name in classes:
+            scores = [classes[group.name].scores[name].mean for name in QUADRANT_SCORES]
+        shares = [group.missing_share, group.invented_share]
+        shares += [objects.not_found_share, objects.extra_share]
+        rows.append((group.name, *map(percent, shares), objects.n_real, objects.n_sim, *scores))
+    title = "By range and class (missing, invented: of the object points, within 0.3 m)"
+    headings = (
+        *("", "missing", "invented", "not\nfound", "extra", "objects\nreal", "\nsim"),
+        *labels(QUADRANT_SCORES),
     )
-    headings = ("", "real", "not found", "sim", "extra", "both\n(scored)", *labels(DISTRIBUTED))
     return Table(title, headings, rows)
-
-
-def _unmatched(group: Unmatched) -> tuple[object, ...]:
-    return (
-        group.n_real,
-        f"{group.n_not_found} ({percent(group.not_found_share)})",
-        group.n_sim,
-        f"{group.n_extra} ({percent(group.extra_share)})",
-    )
