@@ -64,10 +64,9 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
 
 def numbers_view(comparison: Comparison, *, with_all: bool) -> View:
     """The families of scores and the limits; with `with_all` every score."""
-    parts: list[Part] = [family_table(comparison)] if comparison.families else []
-    if with_all:
-        parts += [score_table(comparison), Note(MARKS_NOTE)]
-    return [*parts, *remarks(comparison)]
+    if not comparison.families:
+        return remarks(comparison)
+    return [scores_table(comparison, with_all=with_all), *remarks(comparison)]
 
 
 def decision(comparison: Comparison) -> str:
@@ -190,8 +189,7 @@ def chance(comparison: Comparison) -> str:
 
 def remarks(comparison: Comparison) -> list[Note]:
     """Notes that qualify the numbers."""
-    lines = [f"settings differ: {text}" for text in comparison.settings]
-    lines += [f"also differs: {text}" for text in comparison.notes]
+    lines = [f"differs: {text}" for text in (*comparison.settings, *comparison.notes)]
     tending = [family.name for family in comparison.families if family.tendency == "worse"]
     if tending:
         lines.append(
@@ -214,7 +212,11 @@ def remarks(comparison: Comparison) -> list[Note]:
     if comparison.changes.doubtful:
         doubtful = "; ".join(comparison.changes.doubtful)
         lines.append(f"seen, but undoing it brings nothing closer: {doubtful}")
-    lines += _on_chance(comparison)
+    if comparison.on_partition:
+        lines.append(comparison.on_partition)
+    by_seeds = [score.name for score in comparison.scores if score.is_by_seeds]
+    if by_seeds:
+        lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
     n_unfollowed = len(comparison.unfollowed)
     if n_unfollowed:
         lines.append(
@@ -226,25 +228,19 @@ def remarks(comparison: Comparison) -> list[Note]:
     return warnings(lines)
 
 
-def _on_chance(comparison: Comparison) -> list[str]:
-    """What the partition and its seeds alone make."""
-    lines = [comparison.on_partition] if comparison.on_partition else []
-    by_seeds = [score.name for score in comparison.scores if score.is_by_seeds]
-    if by_seeds:
-        lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
-    return lines
-
-
-def family_table(comparison: Comparison) -> Table:
-    """One row per family: verdict, its clearest score before and after."""
+def scores_table(comparison: Comparison, *, with_all: bool) -> Table:
+    """One row per family: its verdict and its clearest score; with `with_all` one per score."""
     rows = []
     for family in comparison.families:
-        score = family.scores[0]
-        change = score.difference
-        numbers = (change.before, change.after, _interval(change), _p(family.p))
-        rows.append((family.name, family.called, score.name, *numbers))
-    headings = ("family", "verdict", "clearest change", "before", "after", "change, 95 %", "p")
-    return Table("", headings, rows, words=(0, 1, 2), wide=(6,), whole=(1,))
+        verdict = family.called
+        for score in family.scores if with_all else family.scores[:1]:
+            change = score.difference
+            numbers = (change.before, change.after, _interval(change), score.p)
+            rows.append((family.name, verdict, f"{score.name} {score.mark}", *numbers))
+            verdict = ""
+    headings = ("family", "verdict", "score", "before", "after", "change, 95 %", "p")
+    title = f"Means over {len(comparison.pairs)} pairs, the clearest change first ({MARKS_NOTE})"
+    return Table(title, headings, rows, words=(0, 1, 2), wide=(6,), whole=(1,))
 
 
 def changed_since(comparison: Comparison) -> View:
@@ -256,20 +252,6 @@ def changed_since(comparison: Comparison) -> View:
     return [title, Answers(sections)]
 
 
-def score_table(comparison: Comparison) -> Table:
-    """One row per score with its numbers, and an arrow to where it is better."""
-    rows = []
-    for family in comparison.families:
-        for score in family.scores:
-            change = score.difference
-            numbers = (change.n_pairs, change.before, change.after, _interval(change), _p(score.p))
-            verdict = f"({score.verdict})" if score.why else score.verdict
-            rows.append((family.name, f"{score.name} {score.mark}", *numbers, verdict))
-    headings = ("family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict")
-    title = f"Means over {len(comparison.pairs)} pairs; in brackets: ignored"
-    return Table(title, headings, rows, words=(0, 1, 7), wide=(0, 2), whole=(7,))
-
-
 def compare_rows(comparisons: Sequence[Comparison]) -> list[Row]:
     """One row per run and score, numbers in full."""
     rows = []
@@ -278,10 +260,6 @@ def compare_rows(comparisons: Sequence[Comparison]) -> list[Row]:
         runs["places"] = comparison.n_places
         rows += [runs | row for row in score_rows(comparison.families)]
     return rows
-
-
-def _p(p: float | None) -> str:
-    return "<0.001" if p is not None and p < 0.001 else number(p)
 
 
 def _interval(change: Difference) -> str:
