@@ -398,13 +398,12 @@ def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(v
         "compare", good, good, "--fail-on", "worse", "--out", tmp_path / "same", code=0
     )
     assert "gate on worse: passed" in passed.stdout
-    files = ("--junit", tmp_path / "a.xml", "--json-file", tmp_path / "a.json")
-    command("compare", good, bad, "--fail-on", "worse", *files, code=4)
+    command("compare", good, bad, "--fail-on", "worse", "--out", tmp_path, code=4)
     assert (
         command("compare", bad, good, "--fail-on", "worse", "--out", tmp_path / "better").returncode
         == 0
     )
-    (judged,) = json.loads((tmp_path / "a.json").read_text())["comparisons"]
+    (judged,) = json.loads((tmp_path / "compare.json").read_text())["comparisons"]
     assert (judged["decision"], judged["passed"]) == ("worse", False)
     faults = {check["name"]: check["fault"] for check in judged["checks"]}
     worse = {
@@ -417,7 +416,7 @@ def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(v
         if cause["verdict"] == "worse"
     }
     assert {name for name, fault in faults.items() if fault} == worse > set()
-    suite = ElementTree.parse(tmp_path / "a.xml").getroot().find("testsuite")
+    suite = ElementTree.parse(tmp_path / "compare.xml").getroot().find("testsuite")
     assert (suite.get("tests"), suite.get("failures")) == (str(len(faults)), str(len(worse)))
     assert {
         case.get("name") for case in suite.iter("testcase") if case.find("failure") is not None
