@@ -21,6 +21,7 @@ from .view import COLOURS, Answers, Item, Note, Part, Table, View
 _FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 _NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
 _INDENT = 14
+_GAP = "   "  #: between words, detail and setting, and before those below the words
 _NARROWEST = 40
 _WHOLE_WORD = 24  #: words up to this length are never cut
 
@@ -90,34 +91,31 @@ class _AnswerLines:
         self._sections = answers.sections
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        width = max(options.max_width, _NARROWEST)
         for heading, items in self._sections:
             title = Text(heading.ljust(_INDENT), "bold" if heading[0].isupper() else "")
             for item in items:
-                yield title + Text(_item_lines(item, width))
+                lines = _item_lines(item, max(options.max_width, _NARROWEST) - _INDENT)
+                yield title + Text(f"\n{' ' * _INDENT}".join(lines))
                 title = Text(" " * _INDENT)
 
 
-def _item_lines(item: Item, width: int) -> str:
-    """An item in one line, which its setting ends, or its words above its detail and setting."""
-    words, detail, setting = item
-    text = "   ".join(filter(None, (words, detail)))
-    n_free = width - _INDENT - len(text) - len(setting)
-    if n_free >= 2:
-        return text + " " * n_free + setting if setting else text
-    below = "   ".join(filter(None, (detail, setting)))
-    hang = 3 if words[1:3] == "  " else 0  # "1  cause" of a numbered list
+def _item_lines(item: Item, width: int) -> list[str]:
+    """An item in one line, or its words above its detail and setting."""
+    words, *more = filter(None, item)
+    line = _GAP.join((words, *more))
+    if len(line) <= width:
+        return [line]
     lines = []
-    for text, start in ((words, 0), (below, hang)):
+    for text, start in ((words, ""), (_GAP.join(more), _GAP)):
         lines += wrap(
             text,
             width,
-            initial_indent=" " * (_INDENT + start),
-            subsequent_indent=" " * (_INDENT + hang),
+            initial_indent=start,
+            subsequent_indent=start,
             break_long_words=False,
             break_on_hyphens=False,
         )
-    return "\n".join(lines)[_INDENT:]
+    return lines
 
 
 def _in_spreadsheet(value: object) -> object:
