@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 
-from ..report.figures import style
 from ..report.view import Note, Table, View, columns_of, number
-from ..storage.files import write_whole
 from .tell_apart import TellApart
 
 
@@ -43,6 +40,8 @@ def tell_apart_view(found: TellApart) -> View:
 
 def draw_map(found: TellApart, path: Path) -> None:
     """Write a PNG: both sides seen from above, points coloured by the probability of being simulated."""
+    from ..report.figures import style  # matplotlib takes a second to load
+
     frame = style.frame_of(found.points[["x", "y", "z"]].to_numpy())
     with style.new_figure(9.4, 5.25, style.shown_name(found.title, 80)) as figure:
         axes = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -54,7 +53,4 @@ def draw_map(found: TellApart, path: Path) -> None:
             axis.set_title("simulated points" if is_sim else "real points")
             style.from_above(axis, frame)
         style.colour_bar(axes[1], coloured, "probability of being simulated")
-    with style.in_our_style():
-        content = BytesIO()
-        figure.savefig(content, format="png", bbox_inches="tight", pad_inches=0.08)
-    write_whole(path, content.getvalue())
+    style.save(figure, path)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 
 import pandas as pd
 from matplotlib.figure import Figure
 
 from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
-from ...storage.files import write_whole
 from ..look import QUADRANT_COLOURS
 from ..run_frames import RunResults, coordinates
 from . import style
@@ -44,11 +42,8 @@ def draw_figures(results: RunResults, pair_id: str, folder: Path) -> list[Path]:
     paths = []
     for name, figure in figures.items():
         for kind in _KINDS:
-            content = BytesIO()
-            with style.in_our_style():
-                figure.savefig(content, format=kind, bbox_inches="tight")
             paths.append(folder / f"{name}.{kind}")
-            write_whole(paths[-1], content.getvalue())
+            style.save(figure, paths[-1])
     return paths
 
 
@@ -60,7 +55,7 @@ def _plot_r_lambda(results: RunResults, pair_id: str) -> Figure:
     r_lambda = points["community_id"].map(matched["r_lambda"]).astype(float)
     with style.axes_for(None, 8, 6) as axis:
         style.dots(axis, places, 1, "#cccccc", label="no counterpart, or no score")
-        ramp = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": 1}
+        ramp = {"cmap": style.FIDELITY_COLOURS, "vmin": 0, "vmax": 1}
         coloured = style.dots(axis, places, 1.2, r_lambda, **ramp)
         style.colour_bar(axis, coloured, _axis_title("r_lambda"))
         axis.set_title(f"pair {style.shown_name(pair_id)}")
