@@ -86,27 +86,22 @@ def check(
 
     fidpipe check dataset/ --json | jq -r '.faults[]'
     """
-    from ...schemas.settings import load
+    from ...schemas.settings import load, overrides, preset_of
     from ..inspect.check_view import check_json, check_view
     from ..inspect.scan_checks import check_dataset
+    from ..storage.run_record import as_options
 
     if preset is None and settings is None:
         preset = "reference"
-    words: list[object] = ["fidpipe", "run", dataset]
-    if sim is not None:
-        words.append(sim)
-    if preset is not None:
-        words += ["--preset", preset]
-    if settings is not None:
-        words += ["--settings", settings]
-    for assignment in assignments or []:
-        words += ["--set", assignment]
+    in_force = load(settings, assignments or [], preset=preset)
+    folders = [str(dataset)] if sim is None else [str(dataset), str(sim)]
+    options = as_options(preset_of(in_force), overrides(in_force))
     dataset, _ = dataset_and_run(dataset, sim, None)
-    result = check_dataset(dataset, load(settings, assignments or [], preset=preset))
+    result = check_dataset(dataset, in_force)
     if as_json:
         print_json(check_json(result))
     else:
-        print_view(check_view(result, shlex.join(map(str, words))))
+        print_view(check_view(result, shlex.join(["fidpipe", "run", *folders, *options])))
     raise typer.Exit(EXIT_WRONG_INPUT if result.faults or result.doubts else 0)
 
 

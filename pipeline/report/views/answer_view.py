@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ....schemas.metric_catalogue import COVERED, headline_scores, metric_of
-from ....schemas.record import RunHeader, RunRecord
+from ....schemas.record import RunRecord
 from ....schemas.results import Cause, Overview, Unknown
 from ....stages.statistics.comparison import LEAST_FOR_INTERVAL
 from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
 from ...results.causes import MANY_UNKNOWN, MOST_SHOWN, interval_words, no_cause_words
 from ...results.diagnosis import doubtful_words, gain_words, unexplained_words
 from ...results.finished import FinishedRun
+from ...storage.run_record import as_options
 from ...storage.urls import url_or_path
 from ..view import (
     Answers,
@@ -107,14 +108,6 @@ def frame_warnings(run: FinishedRun) -> list[Note]:
     return [Note(f"warning: {text}", "red") for text in words]
 
 
-def run_options(record: RunHeader) -> list[str]:
-    """Preset and settings of a run, as options of a command."""
-    options = ["--preset", record.preset]
-    for setting in record.departures:
-        options += ["--set", setting]
-    return options
-
-
 def cause_items(causes: Sequence[Cause]) -> list[Item]:
     """Causes as items of an answer: words, interval and gain, and the setting."""
     items = []
@@ -159,11 +152,13 @@ def next_commands(
     run: FinishedRun, recipe: BestCaseRecipe | None, *, is_page: bool = False
 ) -> list[str]:
     """The commands that lead on from a run, or from its page."""
+    record = run.record
     name = url_or_path(run.folder)
     if recipe is not None:
         commands = [["show", run_of_best_case(run.folder, recipe), "--best-case", name]]
-    elif run.record.frames:
-        commands = [["check", run.record.dataset, *run_options(run.record)]]
+    elif record.frames:
+        options = as_options(record.preset, record.departures)
+        commands = [["check", record.dataset, *options]]
     else:
         last = ["compare", name, "NEW_RUN"] if is_page else ["report", name, "--open"]
         commands = [last] if run.diagnosis else [["diagnose", name], last]
