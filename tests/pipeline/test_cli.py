@@ -118,7 +118,7 @@ def test_check_ends_with_zero_on_good_data_and_one_on_any_fault(dataset, data):
     with_settings = command(
         "check", dataset, "--preset", "reference", "--set", "matching.delta_m=3"
     )
-    assert with_settings.stdout.endswith(" --set matching.delta_m=3\n")
+    assert with_settings.stdout.endswith(" --set matching.delta_m=3.0\n")
     (data / "real" / "000.bin").unlink()
     bad = command("check", data, code=1)
     assert "error: pair 000:" in bad.stdout
