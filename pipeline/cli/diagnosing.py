@@ -14,17 +14,14 @@ from .options import (
     BestCase,
     RunFolder,
     Scheduler,
-    SettingsFile,
     Workers,
     check_format,
-    check_machines,
+    machines_of,
 )
 from .output import print_csv, print_json, print_view
 
 if TYPE_CHECKING:
     from pydantic import JsonValue
-
-    from ...schemas.settings import Settings
 
 
 def diagnose(
@@ -34,11 +31,8 @@ def diagnose(
     since: Annotated[Path | None, typer.Option(metavar="RUN")] = None,
     tell_apart: bool = False,
     best_case: BestCase = None,
-    picture: Annotated[Path | None, typer.Option(metavar="PNG")] = None,
-    settings: SettingsFile = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
-    as_csv: AsCsv = False,
 ) -> None:
     """Measure what fixing each cause of a run would gain, and what no cause explains.
 
@@ -49,8 +43,7 @@ def diagnose(
 
     With --tell-apart instead: a classifier learns to recognise simulated points by their
     neighbourhood (shape, roughness, spacing, rays, intensity) and is tested on other places. AUC
-    0.5: it cannot; 1: it always can. Position has no influence. --settings and --set are for two
-    folders.
+    0.5: it cannot; 1: it always can. Position has no influence. --set is for two folders.
 
     Parameters
     ----------
@@ -59,7 +52,6 @@ def diagnose(
     since : Run of an earlier build on the same real scans.
     tell_apart : Test if a classifier can distinguish real and simulated points.
     best_case : With --tell-apart: best case whose second measurements are compared.
-    picture : With --tell-apart: map of the recognised points.
 
     Examples
     --------
@@ -69,32 +61,22 @@ def diagnose(
 
     fidpipe diagnose runs/dataset --json | jq '.causes[0]'
 
-    fidpipe diagnose runs/dataset --tell-apart --picture map.png
+    fidpipe diagnose runs/dataset --tell-apart
 
     fidpipe diagnose real/ sim/ --tell-apart --set input.sim_frame=carla
     """
-    from ...schemas.settings import load
-
-    check_format(as_json, as_csv)
-    check_machines(workers, scheduler)
-    if not tell_apart and (len(sources) > 1 or best_case or picture or settings or assignments):
-        raise typer.BadParameter("expected one run and no option of --tell-apart")
-    if tell_apart and (since or as_csv):
-        raise typer.BadParameter("--since and --csv are for causes; leave out --tell-apart")
     if tell_apart:
-        if len(sources) == 1 and (settings or assignments):
-            raise typer.BadParameter("a run has its settings; leave out --settings and --set")
-        if len(sources) > 2 or (len(sources) == 2 and best_case):
-            raise typer.BadParameter("expected one run, or two folders without --best-case")
-        in_force = load(settings, assignments or [])
-        _tell_apart(sources, best_case, picture, in_force, as_json=as_json)
+        if since:
+            raise typer.BadParameter("--since is for causes; leave out --tell-apart")
+        _tell_apart(sources, best_case, assignments, as_json=as_json)
         return
+    if len(sources) > 1 or best_case or assignments:
+        raise typer.BadParameter("expected one run and no option of --tell-apart")
     from ..diagnose.diagnose import diagnose_run
-    from ..diagnose.diagnosis_view import diagnosis_rows, diagnosis_view
-    from ..engine.engine import Machines
+    from ..diagnose.diagnosis_view import diagnosis_view
     from ..engine.progress import Reporter
 
-    diagnosis = diagnose_run(sources[0], Reporter(), Machines(workers, scheduler))
+    diagnosis = diagnose_run(sources[0], Reporter(), machines_of(workers, scheduler))
     view = list(diagnosis_view(diagnosis))
     values = diagnosis.as_dict()
     if since is not None:
@@ -106,36 +88,31 @@ def diagnose(
         values |= {"since": str(since), "changes": comparison.as_dict()["causes"]}
     if as_json:
         print_json(values)
-    elif as_csv:
-        print_csv(diagnosis_rows(diagnosis))
     else:
         print_view(view)
 
 
 def _tell_apart(
-    sources: list[Path],
-    best_case: Path | None,
-    picture: Path | None,
-    settings: Settings,
-    *,
-    as_json: bool,
+    sources: list[Path], best_case: Path | None, assignments: list[str] | None, *, as_json: bool
 ) -> None:
+    from ...schemas.settings import load
+    from ..diagnose.diagnosis_view import tell_apart_view
     from ..diagnose.tell_apart import tell_apart_folders, tell_apart_run
-    from ..diagnose.tell_apart_view import draw_map, tell_apart_view
     from ..results.finished import FinishedRun
 
-    if len(sources) == 2:
-        found = tell_apart_folders(sources[0], sources[1], settings)
+    if len(sources) == 1:
+        if assignments:
+            raise typer.BadParameter("a run has its settings; leave out --set")
+        second = FinishedRun(best_case) if best_case else None
+        values = tell_apart_run(FinishedRun(sources[0]), second)
     else:
-        found = tell_apart_run(
-            FinishedRun(sources[0]), FinishedRun(best_case) if best_case else None
-        )
-    if picture:
-        draw_map(found, picture)
+        if len(sources) > 2 or best_case:
+            raise typer.BadParameter("expected one run, or two folders without --best-case")
+        values = tell_apart_folders(sources[0], sources[1], load(None, assignments or []))
     if as_json:
-        print_json({"tell_apart": found.values})
+        print_json({"tell_apart": values})
     else:
-        print_view(tell_apart_view(found))
+        print_view(tell_apart_view(" and ".join(map(str, sources)), values))
 
 
 def tasks(

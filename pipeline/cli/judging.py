@@ -20,6 +20,7 @@ from .options import (
     SettingsFile,
     Workers,
     check_format,
+    machines_of,
 )
 from .output import print_csv, print_json, print_view
 
@@ -135,7 +136,6 @@ def compare(
     """
     from ...schemas.settings import load
     from ..builds import runs_of
-    from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..report.views.compare_view import compare_rows, compare_view
     from ..report.views.gate_view import base_view
@@ -149,7 +149,7 @@ def compare(
     _check_runs(runs, has_settings=bool(settings or assignments or preset != "reference"))
     in_force = load(settings, assignments or [], preset=preset)
     reporter = Reporter()
-    runs = runs_of(runs, in_force, reporter, Machines(workers))
+    runs = runs_of(runs, in_force, reporter, machines_of(workers))
     comparisons = compare_runs(
         runs,
         allow_different_settings=allow_different_settings,

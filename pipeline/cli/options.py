@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from ..engine.engine import Machines
 
 #: Options of which each command says what they are, in its docstring.
 Count = Annotated[int, typer.Option(min=1)]
@@ -85,9 +88,14 @@ def check_format(as_json: bool, as_csv: bool) -> None:
         raise typer.BadParameter("--json and --csv exclude each other; give one of them")
 
 
-def check_machines(workers: int | None, scheduler: str | None) -> None:
-    """Raise `typer.BadParameter` if both a number of workers and a cluster are given."""
+def machines_of(
+    workers: int | None, scheduler: str | None = None, pair_timeout_s: float | None = None
+) -> Machines:
+    """Where a command works; `typer.BadParameter` if both machines and a cluster are given."""
+    from ..engine.engine import Machines
+
     if scheduler is not None and workers is not None:
         raise typer.BadParameter(
             "--workers is for this machine, --scheduler for a cluster; give one of the two"
         )
+    return Machines(workers, scheduler, pair_timeout_s)

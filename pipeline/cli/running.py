@@ -24,7 +24,7 @@ from .options import (
     SettingsFile,
     SimFolder,
     Workers,
-    check_machines,
+    machines_of,
 )
 from .output import print_json, print_outcome, print_text, print_view
 
@@ -165,7 +165,6 @@ def run(
     from ...schemas.settings import load
     from ..engine import prefork
 
-    check_machines(workers, scheduler)
     words = list(assignments or [])
     if seeds is not None:
         words.append(f"stability.seeds={seeds}")
@@ -178,7 +177,6 @@ def run(
             ["fidpipe.pipeline.jobs"]
         )  # a new run needs workers as soon as all else is imported
 
-    from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..jobs import stages_under
     from ..report.views.run_view import outcome_values, outcome_view
@@ -196,7 +194,7 @@ def run(
         Reporter(),
         from_stage=from_stage,
         pattern=pairs,
-        machines=Machines(workers, scheduler, pair_timeout_s=pair_timeout),
+        machines=machines_of(workers, scheduler, pair_timeout),
         replace=replace,
     )
     print_outcome(outcome_values(outcome) if as_json else outcome_view(outcome), outcome.failures)
@@ -242,12 +240,10 @@ def best_case(
     from ...schemas.settings import load
     from ..storage.files import path_exists
 
-    check_machines(workers, scheduler)
     is_run = path_exists(source / "run.json")
     if is_run and (preset or settings or assignments):
         raise typer.BadParameter("a run has its settings; leave out --preset, --settings and --set")
 
-    from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..generate.best_case_run import run_best_case
     from ..report.views.run_view import outcome_view
@@ -272,7 +268,7 @@ def best_case(
         lost_share=dropout,
         seed=seed,
         pattern=pairs,
-        machines=Machines(workers, scheduler, pair_timeout_s=pair_timeout),
+        machines=machines_of(workers, scheduler, pair_timeout),
         replace=replace,
     )
     print_outcome(outcome_view(outcome), outcome.failures)

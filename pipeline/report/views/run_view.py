@@ -17,8 +17,7 @@ from ....schemas.metric_catalogue import (
     unit_words,
 )
 from ....schemas.record import BaselineSummary, RunRecord, SeedSummary, TaskSummary
-from ....schemas.results import Findings, JsonObject, Overview, Unmatched
-from ....stages.statistics.findings import BAND_NAMES
+from ....schemas.results import Findings, JsonObject
 from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun, run_values
 from ...storage.run_record import unmatched_worst
@@ -92,8 +91,8 @@ def summary_view(
 def details_view(record: RunRecord) -> View:
     """Tasks, all scores, and surface and objects by range and class."""
     parts = [*tasks_view(record.tasks), dataset_table(record)]
-    if record.overview and record.findings:
-        parts.append(_groups_table(record.overview, record.findings))
+    if record.findings:
+        parts.append(_groups_table(record.findings))
     return parts
 
 
@@ -198,22 +197,17 @@ def dataset_table(record: RunRecord) -> Table:
     return Table(title, headings, rows, words=(0, 5), wide=(5,), whole=(0,))
 
 
-def _groups_table(overview: Overview, findings: Findings) -> Table:
-    """Surface and objects that only one side has by range and by class, and scores of classes."""
-    classes = {of_class.label: of_class for of_class in findings.classes}
-    bands = dict(zip(BAND_NAMES, findings.range_m.bands, strict=True))
+def _groups_table(findings: Findings) -> Table:
+    """Surface and objects that only one side has, and mean scores, by range and by class."""
     rows: list[tuple[object, ...]] = []
-    for group in overview.surface:
-        scores: list[float | None] = [None, None]
-        objects: Unmatched = bands.get(group.name) or classes[group.name]
-        if group.name in classes:
-            scores = [classes[group.name].scores[name].mean for name in QUADRANT_SCORES]
-        shares = [group.missing_share, group.invented_share]
-        shares += [objects.not_found_share, objects.extra_share]
-        rows.append((group.name, *map(percent, shares), objects.n_real, objects.n_sim, *scores))
+    for group in findings.groups:
+        counts = (group.n_real, group.n_not_found, group.n_sim, group.n_extra)
+        shares = (percent(group.missing_share), percent(group.invented_share))
+        scores = [group.scores[name].mean for name in QUADRANT_SCORES]
+        rows.append((group.name, *shares, *counts, *scores))
     title = "By range and class (missing, invented: of the object points, within 0.3 m)"
     headings = (
-        *("", "missing", "invented", "not\nfound", "extra", "objects\nreal", "\nsim"),
+        *("", "missing", "invented", "objects\nreal", "not\nfound", "objects\nsim", "extra"),
         *labels(QUADRANT_SCORES),
     )
     return Table(title, headings, rows)
