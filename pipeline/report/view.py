@@ -118,11 +118,6 @@ def percent(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.0f} %"
 
 
-def mean_and_spread(mean: float | None, std: float | None, digits: int = 3) -> str:
-    """A mean with its standard deviation, each a dash if absent."""
-    return f"{number(mean, digits)} ± {number(std, digits)}"
-
-
 def count(n: int, noun: str) -> str:
     """A number with its noun.
 

@@ -14,7 +14,6 @@ from ....schemas.columns import Row
 from ....stages.arrays import FloatArray
 from ....stages.statistics.findings import evenly
 from ....stages.surface import signed_distances
-from ...results.causes import read_causes
 from ...results.compare import Comparison
 from ...results.finished import FinishedRun
 from ...results.followed import worst_changes
@@ -71,10 +70,7 @@ def _places(comparison: Comparison, runs: Sequence[FinishedRun]) -> dict[str, di
     places = {}
     causes = [cause for cause in comparison.changes.causes if cause.kind == "sensor"]
     if causes:
-        before, after = [read_causes(run.store, comparison.pairs) for run in runs]
-        name = causes[0].name
-        changed = np.nan_to_num(np.abs(after[name].amount - before[name].amount))
-        pair_id = comparison.pairs[int(np.argmax(changed))]
+        pair_id = comparison.pairs[0]
         words = f"{causes[0].words}: around the sensor, pair {pair_id}"
         places[words] = _draw_place(pair_id, np.full(3, -_NEAR_M), np.full(3, _NEAR_M), runs)
     for row in worst_changes(comparison.objects):

@@ -28,13 +28,11 @@ from ..view import (
     View,
     columns_of,
     first_of,
-    mean_and_spread,
-    number,
     percent,
     shortened,
 )
 from .answer_view import answer_view, frame_warnings
-from .best_case_view import HEADLINES, excess_view
+from .best_case_view import excess_view
 
 if TYPE_CHECKING:
     from ...run import RunOutcome
@@ -83,7 +81,7 @@ def summary_view(
     if record.seeds:
         parts += seeds_view(record.seeds)
     if excess:
-        parts += [*excess_view(excess, HEADLINES), Note("")]
+        parts += [*excess_view(excess), Note("")]
     parts += [*failures_view(run), *frame_warnings(run)]
     return [*parts, *answer_view(run, excess, with_all=with_all, took=took)]
 
@@ -113,19 +111,20 @@ def baselines_view(summaries: Sequence[BaselineSummary]) -> View:
     notes = []
     for summary in summaries:
         metric = METRIC[summary.baseline]
-        mean = mean_and_spread(summary.mean, summary.std, 4)
-        rows.append((metric.heading, summary.level, unit_words(metric.unit), mean))
+        unit = unit_words(metric.unit)
+        rows.append((metric.heading, summary.level, unit, summary.mean, summary.std))
         if summary.n_null:
             n = summary.n + summary.n_null
             notes.append(f"{summary.baseline} is null for {summary.n_null} of {n} {summary.level}")
-    headings = ("baseline", "of", "unit", "mean")
+    headings = ("baseline", "of", "unit", "mean", "std")
     title = "Baselines (mean and standard deviation over pairs)"
     lines = (
         "A pair counts with the mean over its matched objects, or with all object points of its "
         "two scans (nvs: ground as well).",
         *notes,
     )
-    return [Table(title, headings, rows, words=(0, 1, 2)), *map(Note, lines)]
+    digits = {3: 4, 4: 4}
+    return [Table(title, headings, rows, words=(0, 1, 2), digits=digits), *map(Note, lines)]
 
 
 def seeds_view(seeds: SeedSummary) -> View:
@@ -148,16 +147,13 @@ def seeds_view(seeds: SeedSummary) -> View:
 
 def tasks_view(summaries: Sequence[TaskSummary]) -> View:
     """Mean of each measure of the tasks on both sides, and of its gap; nothing without tasks."""
-    rows = []
-    for summary in summaries:
-        gap = mean_and_spread(summary.gap, summary.gap_std)
-        names = (summary.task, summary.measure, summary.unit)
-        rows.append((*names, number(summary.real, 2), number(summary.sim, 2), gap))
+    names = ("task", "measure", "unit", "real", "sim", "gap", "gap_std")
+    rows = columns_of(map(vars, summaries), names)
     if not rows:
         return []
-    headings = ("task", "measure", "unit", "real", "simulated", "gap")
+    headings = ("task", "measure", "unit", "real", "simulated", "gap", "std of gap")
     title = "Tasks (means over pairs; gap 0: a perception stack would notice nothing)"
-    return [Table(title, headings, rows, words=(0, 1, 2))]
+    return [Table(title, headings, rows, words=(0, 1, 2), digits={3: 2, 4: 2})]
 
 
 def pairs_table(pairs: Sequence[Row], links: Sequence[str] = ()) -> Table:

@@ -16,7 +16,7 @@ from ....schemas.metric_catalogue import (
 )
 from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun, pair_object, pair_values, run_values
-from ...results.object_frame import ALL_COLUMNS, UNKNOWN
+from ...results.object_frame import UNKNOWN
 from ...results.overview import alignment_is_bad
 from ...storage.urls import url_or_path
 from ..look import FATE_WORDS
@@ -24,8 +24,6 @@ from ..view import Note, Part, Table, View, columns_of, number, percent, warning
 from .run_view import summary_view
 
 _NEAR = "covered_0p3m"
-#: Columns of the table of objects that identify one.
-_KEYS = ("pair_id", "side", "community_id", "fate", "partner", "n_points")
 _COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
 #: An object of which less surface is covered on a side is not called faithful.
 _LEAST_COVERED = 0.6
@@ -83,10 +81,9 @@ def show_rows(run: FinishedRun, pair: str | None, name: str | None) -> list[Row]
     if pair is None:
         return run.rows
     objects = pair_values(run, pair)["objects"] if name is None else [pair_object(run, pair, name)]
-    rows = []
+    rows: list[Row] = []
     for of_sides in objects:
-        for row in filter(None, of_sides.values()):
-            rows.append({column: row[column] for column in (*_KEYS, *ALL_COLUMNS)})
+        rows += filter(None, of_sides.values())
     return rows
 
 
