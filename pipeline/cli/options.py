@@ -26,16 +26,7 @@ Preset = Annotated[
     str | None,
     typer.Option(
         metavar="paper|reference",
-        show_default="paper",
-        help="Objects of each side, or only of the real one, to compare simulators.",
-    ),
-]
-ComparePreset = Annotated[
-    str,
-    typer.Option(
-        "--preset",
-        metavar="paper|reference",
-        help="Preset of what is evaluated first.",
+        help="Objects of each side (paper), or of the real one (reference), to compare simulators.",
     ),
 ]
 DatasetFolder = Annotated[

@@ -13,7 +13,7 @@ from importlib import resources
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from ...terminal import STEERING, shown
 from ..look import (
@@ -61,7 +61,6 @@ def _environment() -> Environment:
         "shown": shown,
         "sentence": sentence,
         "clipped": clipped,
-        "with_code": _with_code,
     }
     environment.globals |= {
         "bar_colours": QUADRANT_COLOURS | OUTCOME_COLOURS,
@@ -91,8 +90,3 @@ def _code(*names: str) -> Markup:
     """
     text = "\n".join(_asset(name) for name in names)
     return Markup(re.sub(r"^import [^;]*;\n|^export ", "", text, flags=re.MULTILINE))
-
-
-def _with_code(text: str) -> Markup:
-    """Text in which no line ends within an option of the command."""
-    return Markup(re.sub(r"--[a-z][a-z-]+", r"<code>\g<0></code>", str(escape(shown(text)))))

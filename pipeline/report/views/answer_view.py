@@ -129,11 +129,13 @@ def trust_words(
 
     Commands name the folder of the run.
     """
+    hidden = {"failed", "frames"}  # they are shown above
+    if has_best_case:
+        hidden.add("best_case")
     command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
     trust = []
     for caution in overview.trust:
-        is_shown_above = caution.kind in ("failed", "frames")
-        if not is_shown_above and not (has_best_case and caution.kind == "best_case"):
+        if caution.kind not in hidden:
             trust.append(caution.words.replace("fidpipe best-case RUN", command))
     return trust[:most] + unknown_words(overview.unknown)
 

@@ -10,7 +10,7 @@ from ....schemas.columns import Row
 from ....stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS, Difference
 from ...results.causes import interval_words
 from ...results.compare import Comparison
-from ...results.families import ERROR_RATE, MARKS_NOTE, TASKS, FamilyChange, score_rows
+from ...results.families import ERROR_RATE, MARKS_NOTE, TASKS, score_rows
 from ...results.followed import worst_changes
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.sectors import N_SECTORS
@@ -36,14 +36,8 @@ _PAIR_WIDTH = 24
 #: Most objects to look at, and with --all.
 _MOST_PLACES = 3
 _MOST_PLACES_OF_ALL = 20
-#: Headings of the causes and families with a verdict.
-_HEADINGS = {
-    "worse": "Worse",
-    "mixed": "Mixed",
-    "better": "Better",
-    "changed": "Changed",
-    "": "In the world",
-}
+#: Verdicts of causes and families in the order in which they are shown; causes of the world have none.
+_VERDICTS = ("worse", "mixed", "better", "changed", "")
 
 
 def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
@@ -111,13 +105,15 @@ def reasons(comparison: Comparison) -> dict[str, list[Item]]:
     By verdict: worse, mixed, better; changed if that is neither worse nor better, and "" for causes
     of the world, about which the families decide.
     """
-    behind: dict[str, list[Item]] = {verdict: [] for verdict in _HEADINGS}
+    behind: dict[str, list[Item]] = {verdict: [] for verdict in _VERDICTS}
     for cause in comparison.changes.causes:
         amount = f"95 %: {interval_words(cause)}"
         behind[cause.verdict].append((cause.words, amount, cause.setting))
     for family in comparison.families:
         if family.verdict in ("worse", "mixed", "better") and not family.why:
-            behind[family.verdict].append((family.name, _score_words(family), ""))
+            score = family.scores[0]
+            words = f"{score.name} {_interval(score.difference)}"
+            behind[family.verdict].append((family.name, words, ""))
     return behind
 
 
@@ -143,24 +139,12 @@ def answer(comparison: Comparison, n_places: int = _MOST_PLACES) -> Answers:
 def _by_verdict(comparison: Comparison) -> list[tuple[str, Sequence[Item]]]:
     """The causes and families behind a decision, by the heading of their verdict."""
     behind = reasons(comparison).items()
-    return [(_HEADINGS[verdict], items) for verdict, items in behind if items]
+    return [(verdict.capitalize() or "In the world", items) for verdict, items in behind if items]
 
 
 def place_words(row: Row) -> str:
     """A changed real object in words."""
     return f"{row['label'] or row['shape']}, {row['range_m']:.0f} m away: {row['kind']}"
-
-
-def _score_words(family: FamilyChange) -> str:
-    """The clearest score of a family; of a mixed one the scores that are better or worse."""
-    if family.verdict != "mixed":
-        score = family.scores[0]
-        return f"{score.name} {_interval(score.difference)}"
-    verdicts = []
-    for score in family.scores:
-        if not score.why and score.verdict in ("worse", "better"):
-            verdicts.append(f"{score.name} {score.verdict}")
-    return ", ".join(verdicts)
 
 
 def _moved(comparison: Comparison) -> list[str]:
