@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...schemas.settings import Settings
 from ...stages.causes.gain import Shares, corrections, shares
 from ..stage import (
     AMOUNTS,
@@ -64,10 +63,6 @@ def gains_stage(amounts: dict[str, float]) -> Stage:
     return replace(STAGE, arguments=tuple(sorted(amounts.items())))
 
 
-def _is_wanted(settings: Settings) -> bool:
-    return False
-
-
 STAGE = Stage(
     name="gains",
     takes={"ground": CUT_COLUMNS, "sensor": (), "causes": ("cause", "amount")},
@@ -75,5 +70,5 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_gains,
-    is_wanted=_is_wanted,
+    is_wanted=lambda settings: False,
 )

@@ -15,6 +15,7 @@ from ...stages.objects import Objects
 from ...stages.pieces import CutScan
 from ...stages.reference import Annotation
 from ...stages.selection import Selection
+from ...stages.sensor_description import SensorDescription
 from ..stage import Inputs
 
 #: The columns that these functions read, for the declarations of stages that call them.
@@ -88,6 +89,11 @@ def object_columns(objects: Objects) -> dict[str, Any]:
         columns[f"c{axis}"] = objects.centroid[:, i]
         columns[f"extent_{axis}"] = objects.extent[:, i]
     return columns
+
+
+def sensor_of(inputs: Inputs, side: str) -> SensorDescription:
+    """The sensor of a side, as stage sensor describes it."""
+    return SensorDescription(**inputs.metadata("sensor", side)["sensor"])
 
 
 def cut_scan(ground: pa.Table) -> CutScan:

@@ -109,10 +109,6 @@ def _communities(labels: IndexArray, communities: IntArray) -> IndexArray:
     return rows.agg(lambda ids: ids.mode()[0]).to_numpy(np.intp)
 
 
-def _is_wanted(settings: Settings) -> bool:
-    return bool(settings.tasks.names)
-
-
 STAGE = Stage(
     name="tasks",
     takes={"ground": CUT_COLUMNS, "communities": ("community_id",)},
@@ -121,6 +117,6 @@ STAGE = Stage(
     grain=Grain.PAIR,
     make=make_tasks,
     libraries=("scikit-learn",),
-    is_wanted=_is_wanted,
+    is_wanted=lambda settings: bool(settings.tasks.names),
     summarise=summarise_tasks,
 )
