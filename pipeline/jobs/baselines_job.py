@@ -18,7 +18,6 @@ from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
 from .points_job import (
     MATCHED_OBJECTS,
-    NODE_COLUMNS,
     coordinates,
     kept_nodes,
     matched_objects,
@@ -108,7 +107,7 @@ def _means(rows: list[Row]) -> list[Row]:
 
 STAGE = Stage(
     name="baselines",
-    takes={**MATCHED_OBJECTS, "selection": NODE_COLUMNS},
+    takes=(*MATCHED_OBJECTS, "selection"),
     gives=("baselines",),
     settings=("metrics",),
     grain=Grain.PAIR,

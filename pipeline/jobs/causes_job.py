@@ -12,7 +12,7 @@ from ...schemas.columns import SIDES
 from ...stages.arrays import transform_of
 from ...stages.sensor_description import SensorDescription
 from ..stage import FRAMES, OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from .points_job import CUT_COLUMNS, cut_scan, sensor_of
+from .points_job import cut_scan, sensor_of
 
 if TYPE_CHECKING:
     from ...stages.causes.estimates import Amount
@@ -112,7 +112,7 @@ def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
 
 STAGE = Stage(
     name="causes",
-    takes={"ground": CUT_COLUMNS, "sensor": (), "rays": ()},
+    takes=("ground", "sensor", "rays"),
     gives=("causes",),
     settings=("input",),
     grain=Grain.PAIR,

@@ -22,7 +22,6 @@ from ..stage import (
     Stage,
 )
 from .causes_job import pair_scans, pose_of
-from .points_job import CUT_COLUMNS
 
 SEED = 20240917  #: of corrections at random
 
@@ -65,7 +64,7 @@ def gains_stage(amounts: dict[str, float]) -> Stage:
 
 STAGE = Stage(
     name="gains",
-    takes={"ground": CUT_COLUMNS, "sensor": (), "causes": ("cause", "amount")},
+    takes=("ground", "sensor", "causes"),
     gives=("gains",),
     settings=("input",),
     grain=Grain.PAIR,

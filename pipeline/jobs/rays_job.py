@@ -130,7 +130,7 @@ def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]
 STAGE = Stage(
     name="rays",
     version=3,
-    takes={"ground": ("point_id", "x", "y", "z", "intensity", "label"), "sensor": ()},
+    takes=("ground", "sensor"),
     gives=("rays", "ray_scores"),
     settings=("input",),
     grain=Grain.PAIR,

@@ -19,7 +19,6 @@ from ...stages.statistics.spread import spread
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.table_files import JobRecord
 from . import communities_job
-from .points_job import ANNOTATED_COLUMNS, EDGE_COLUMNS
 from .scoring import score_pair
 
 
@@ -55,7 +54,7 @@ def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[st
 
 STAGE = Stage(
     name="seeds",
-    takes={"ground": ANNOTATED_COLUMNS, "graph": EDGE_COLUMNS, "metrics": ()},
+    takes=("ground", "graph", "metrics"),
     gives=("seeds",),
     settings=("communities", "matching", "pieces", "selection", "stability"),
     grain=Grain.PAIR,

@@ -40,11 +40,11 @@ def _frame_check(inputs: Inputs, sim: Scan) -> Metadata | None:
 
 STAGE = Stage(
     name="sensor",
-    takes={SCAN: ()},
+    takes=(SCAN,),
     gives=("sensor",),
     settings=("input",),
     grain=Grain.SIDE,
     make=make_sensor,
-    takes_real=lambda settings: {SCAN: ()},
+    takes_real=lambda settings: (SCAN,),
     version=11,
 )

@@ -24,7 +24,7 @@ from ...stages.tasks import (
 )
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
-from .points_job import CUT_COLUMNS, column, cut_scan
+from .points_job import column, cut_scan
 
 _WITHOUT_PARTNER = {"real": "lost", "sim": "added"}
 _TASKS = {
@@ -111,7 +111,7 @@ def _communities(labels: IndexArray, communities: IntArray) -> IndexArray:
 
 STAGE = Stage(
     name="tasks",
-    takes={"ground": CUT_COLUMNS, "communities": ("community_id",)},
+    takes=("ground", "communities"),
     gives=("tasks", "task_objects"),
     settings=("tasks",),
     grain=Grain.PAIR,
