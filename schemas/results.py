@@ -49,8 +49,11 @@ class ScoreSummary(Result):
     n_pairs: int
 
 
-class Quantiles(Result):
-    """Number of values and their quantiles; null without any."""
+class Distribution(Result):
+    """Number of some values, their quantiles, mean, standard deviation (n - 1); null for too few.
+
+    cv : coefficient of variation, std / mean
+    """
 
     n: int
     min: float | None
@@ -60,14 +63,6 @@ class Quantiles(Result):
     q75: float | None
     q95: float | None
     max: float | None
-
-
-class Distribution(Quantiles):
-    """Some values: their number, quantiles, mean, standard deviation (n - 1); null for too few.
-
-    cv : coefficient of variation, std / mean
-    """
-
     mean: float | None
     std: float | None
     cv: float | None
@@ -81,8 +76,8 @@ class RankCorrelation(Result):
     kendall: float | None
 
 
-class DensityRatio(Quantiles):
-    """Quantiles of n_sim / n_real over the matched objects, and the shares below a quarter and above four."""
+class DensityRatio(Distribution):
+    """Distribution of n_sim / n_real over the matched objects, and the shares below a quarter and above four."""
 
     share_below_quarter: float | None
     share_above_four: float | None
@@ -214,7 +209,7 @@ class Piece(Result):
 class Caution(Result):
     """A limit to the trust in the numbers.
 
-    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or best_case (unknown)
+    kind : to_do, frames, ground, pairs, independence, partition, alignment, or best_case (unknown)
     words : one sentence
     """
 

@@ -271,17 +271,15 @@ def read_criteria(path: Path) -> list[Criterion]:
         ) from error
     criteria: list[Criterion] = []
     for i, entry in enumerate(file.criterion):
-        of_entry = []
-        if entry.max is not None:
-            of_entry.append(Criterion(entry.name, entry.measure, "max", entry.max, entry.reason))
-        if entry.min is not None:
-            of_entry.append(Criterion(entry.name, entry.measure, "min", entry.min, entry.reason))
-        if not of_entry:
+        limits: dict[Bound, float | None] = {"max": entry.max, "min": entry.min}
+        if {*limits.values()} == {None}:
             raise SettingsError(
                 f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; expected max or "
                 "min"
             )
-        criteria += of_entry
+        for bound, limit in limits.items():
+            if limit is not None:
+                criteria.append(Criterion(entry.name, entry.measure, bound, limit, entry.reason))
     return criteria
 
 

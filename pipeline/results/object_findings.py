@@ -14,7 +14,7 @@ from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import DISTRIBUTED
 from ...schemas.results import DensityRatio, Findings, GroupMean, ObjectGroup, RankCorrelation
 from ...stages.arrays import FloatArray
-from ...stages.statistics.findings import BAND_NAMES, distribution, quantiles
+from ...stages.statistics.findings import BAND_NAMES, distribution
 from ...stages.summary import mean_and_std, median_of
 
 if TYPE_CHECKING:
@@ -66,10 +66,9 @@ def rank_correlation(a: FloatArray, b: FloatArray) -> RankCorrelation:
 
 
 def density_ratio(ratio: FloatArray) -> DensityRatio:
-    """Quantiles of n_sim / n_real, and the shares below a quarter and above four; None without objects."""
+    """Distribution of n_sim / n_real, and the shares below a quarter and above four; None without objects."""
     return DensityRatio(
-        n=len(ratio),
-        **quantiles(ratio),
+        **vars(distribution(ratio)),
         share_below_quarter=float(np.mean(ratio < SPARSE_RATIO)) if len(ratio) else None,
         share_above_four=float(np.mean(ratio > DENSE_RATIO)) if len(ratio) else None,
     )

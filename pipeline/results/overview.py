@@ -167,41 +167,43 @@ def _piece(row: Row) -> Piece:
 
 def cautions(overview: Overview, record: RunRecord) -> list[Caution]:
     """Limits to the trust in the numbers of a run, most important first; from its record without an overview."""
+    return [Caution(kind=kind, words=words) for kind, words in _limits(overview, record)]
+
+
+def _limits(overview: Overview, record: RunRecord) -> Iterator[tuple[str, str]]:
+    """Kind and words of each caution."""
     pairs = record.pairs
     n_pairs = pairs.scored + pairs.failed + pairs.to_do
     n_places = record.findings.n_places if record.findings else 0
     counted = pairs_and_places(pairs.scored, n_places)
-    found: list[tuple[str, str]] = []
-    if pairs.failed:
-        found.append(("failed", f"{pairs.failed} of {n_pairs} pairs failed and count nowhere"))
     if pairs.to_do:
-        found.append(("to_do", f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet"))
-    found += [("frames", words) for words in _frame_words(record.frames, n_pairs)]
+        yield "to_do", f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet"
+    for words in _frame_words(record.frames, n_pairs):
+        yield "frames", words
     if record.notes:
         pair_id, (note, *_) = next(iter(record.notes.items()))
-        words = f"ground cut, notes on {len(record.notes)} of {n_pairs} pairs; {pair_id}: {note}"
-        found.append(("ground", words))
+        n_noted = len(record.notes)
+        yield "ground", f"ground cut, notes on {n_noted} of {n_pairs} pairs; {pair_id}: {note}"
     if n_places < LEAST_PAIRS:
-        found.append(("pairs", f"{counted}: a verdict on the world {NEEDED}"))
+        yield "pairs", f"{counted}: a verdict on the world {NEEDED}"
     elif n_places < pairs.scored:
-        found.append(("independence", f"{counted}, which count once each"))
+        yield "independence", f"{counted}, which count once each"
     if overview.n_aligned and overview.n_badly_aligned >= _MANY_BADLY_ALIGNED * overview.n_aligned:
         share = f"{100 * overview.n_badly_aligned / overview.n_aligned:.0f} %"
-        words = (
+        yield (
+            "alignment",
             f"r_lambda of {share} of the matched objects is unreliable "
-            f"(poor alignment: {BAD_ALIGNMENT_WORDS})"
+            f"(poor alignment: {BAD_ALIGNMENT_WORDS})",
         )
-        found.append(("alignment", words))
     if record.preset != "reference":
-        words = (
+        yield (
+            "partition",
             "each scan is segmented separately, so scores vary with the segmentation; "
-            f"to compare simulators: {_by_reference(record)}"
+            f"to compare simulators: {_by_reference(record)}",
         )
-        found.append(("partition", words))
     if not path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
         words = "no best case yet; the scores of a perfect simulator: fidpipe best-case RUN"
-        found.append(("best_case", words))
-    return [Caution(kind=kind, words=words) for kind, words in found]
+        yield "best_case", words
 
 
 def _frame_words(frames: Mapping[str, FrameSuspect], n_pairs: int) -> Iterator[str]:

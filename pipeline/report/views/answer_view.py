@@ -140,8 +140,8 @@ def trust_words(
     command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
     trust = []
     for caution in overview.trust:
-        is_shown_above = caution.kind in ("failed", "frames")
-        if not is_shown_above and not (has_best_case and caution.kind == "best_case"):
+        hidden = ("frames", "best_case") if has_best_case else ("frames",)
+        if caution.kind not in hidden:
             trust.append(caution.words.replace("fidpipe best-case RUN", command))
     return trust[:most] + unknown_words(overview.unknown)
 
