@@ -130,6 +130,8 @@ def _positions(text: str) -> dict[str, int]:
 
 #: Largest distance to the other side at which a point counts as covered, as in names of columns: 0.1, 0.3, 1 m.
 COVERAGE_REACHES = ("0p1m", "0p3m", "1m")
+#: Columns of the share of either side, or of an object on it, that the other side has within 0.3 m.
+COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
 
 
 def reach_words(reach: str) -> str:

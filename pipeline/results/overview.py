@@ -26,6 +26,7 @@ from ...stages.arrays import BoolArray, FloatArray
 from ...stages.statistics.comparison import LEAST_PAIRS
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
+from ..storage.run_record import as_options
 from ..storage.urls import recorded_path
 from .best_case import BEST_CASE_RECIPE
 from .causes import named_and_small, read_causes, unknown_causes
@@ -230,8 +231,6 @@ def _frame_words(frames: Mapping[str, FrameSuspect], n_pairs: int) -> Iterator[s
 
 def _by_reference(record: RunRecord) -> str:
     """Command that evaluates the dataset of a run with reference objects and its other settings."""
-    command = ["fidpipe", "run", record.dataset, "--preset", "reference"]
-    for setting in record.departures:
-        command += ["--set", setting]
+    command = ["fidpipe", "run", record.dataset, *as_options("reference", record.departures)]
     out = f"runs/{recorded_path(record.dataset).name}-reference"
     return shlex.join([*command, "--out", out])

@@ -13,7 +13,7 @@ from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.generate.best_case_run import run_best_case
 from fidpipe.pipeline.report.page.run_page import write_report
-from fidpipe.pipeline.report.views.best_case_view import HEADLINES, excess_view
+from fidpipe.pipeline.report.views.best_case_view import excess_view
 from fidpipe.pipeline.results.best_case import excess_over
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
@@ -215,9 +215,7 @@ def test_people_and_programs_see_the_same_excess(folder, tmp_path):
     words = ("show", folder / "run", "--best-case", folder / "best_case")
     assert f"{own['excess']:+.3f}" in shown(*words)
     assert json.loads(shown(*words, "--json"))["excess"]["scores"]["cdc_mean"] == own
-    table = text_of(
-        excess_view(excess_over(FinishedRun(folder / "run"), folder / "best_case"), HEADLINES)
-    )
+    table = text_of(excess_view(excess_over(FinishedRun(folder / "run"), folder / "best_case")))
     assert {"extra", "objects"} <= {*table.split()} and "…" not in table, (
         "whole words in 80 columns"
     )
