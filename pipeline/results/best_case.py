@@ -21,7 +21,6 @@ from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import OBJECT_METRICS, RUN_SCORES, metric_of
 from ...schemas.results import JsonObject
 from ...stages.statistics.validation import double_validation_metric
-from ..storage.run_record import read_run
 from ..storage.urls import url_or_path
 from .finished import (
     OTHER_SCAN,
@@ -40,12 +39,7 @@ BEST_CASE_RECIPE = "best_case.toml"
 BEST_CASE_AMOUNTS = "best_case.csv"
 AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real scan shows itself
 #: What has a best case: columns of `pairs`.
-SCORES = (
-    "match_rate",
-    "n_not_found",
-    "n_extra",
-    *(name for name in RUN_SCORES if name != "match_rate"),
-)
+SCORES = ("n_not_found", "n_extra", *RUN_SCORES)
 
 
 @dataclass(frozen=True)
@@ -122,15 +116,6 @@ def read_recipe(run: Path) -> BestCaseRecipe | None:
         return _RECIPE.validate_python(recipe)
     except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
         return None
-
-
-def run_of_best_case(best_case: Path, recipe: BestCaseRecipe) -> str:
-    """The run next to a best case that is of the same dataset, as commands take it; "RUN" if there is none."""
-    for name in (best_case.name.removesuffix("-best-case"), Path(recipe.dataset).name):
-        run = best_case.with_name(name)
-        if run != best_case and read_run(run).get("dataset") == recipe.dataset:
-            return url_or_path(run)
-    return "RUN"
 
 
 def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:

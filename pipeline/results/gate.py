@@ -78,6 +78,27 @@ class Judged(Criterion):
     passed: bool = False
     why: str = ""
 
+    @property
+    def fault(self) -> str:
+        """The kind of violation; "" if it is met."""
+        if self.passed:
+            return ""
+        return "not computed" if self.value is None else "bound"
+
+    @property
+    def bound_words(self) -> str:
+        """The bound, such as `<= 0.4`."""
+        return f"{'<=' if self.bound == 'max' else '>='} {self.limit:g}"
+
+    @property
+    def found(self) -> str:
+        """The name, the value found and the bound, or why it is not known, and the reason of the criterion."""
+        words = self.why
+        if self.value is not None:
+            words = f"{self.measure} is {self.value:.6g}, expected {self.bound_words}"
+        reason = f" ({self.reason})" if self.reason else ""
+        return f"{self.name}: {words}{reason}"
+
 
 @dataclass(frozen=True)
 class GateResult:
