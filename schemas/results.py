@@ -83,14 +83,6 @@ class DensityRatio(Distribution):
     share_above_four: float | None
 
 
-class GroupMean(Result):
-    """Mean and standard deviation (n - 1) of a score over the n objects of a group that have it."""
-
-    mean: float | None
-    std: float | None
-    n: int
-
-
 class ObjectGroup(Result):
     """The objects of all pairs in a range band or of a class; a matched object has the class of its real side.
 
@@ -112,7 +104,7 @@ class ObjectGroup(Result):
     missing_share: float | None
     n_sim_points: int
     invented_share: float | None
-    scores: dict[str, GroupMean]
+    scores: dict[str, Distribution]
 
 
 class Findings(Result):
@@ -183,12 +175,10 @@ class ChangedCause(Cause):
 
 
 class Piece(Result):
-    """One of the largest missing, invented or moved pieces of surface; columns of table `pieces`.
+    """One of the largest missing, invented or moved pieces of surface, a row of table `pieces`.
 
     side, piece_id : its number on that side; "real" for a missing or moved piece, "sim" for an invented one
     fate : "missing", "invented" or "moved"
-    extents_m : along x, y and z
-    bearing_deg : 0 ahead, positive to the left
     words : class or size, extents and place
     fate_words : fate, with distance and direction of a moved piece
     """
@@ -197,11 +187,7 @@ class Piece(Result):
     side: str
     piece_id: int
     fate: str
-    label: str | None
     n_points: int
-    range_m: float
-    bearing_deg: float
-    extents_m: tuple[float, float, float]
     words: str
     fate_words: str
 
