@@ -15,7 +15,7 @@ from ..engine.schedule import Collector
 from ..engine.survey import PlanPair, Survey, remove_stale
 from ..jobs import stages_under
 from ..jobs.gains_job import gains_stage
-from ..results.diagnosis import causes_to_correct, diagnosis_of
+from ..results.diagnosis import diagnosis_of
 from ..results.finished import FinishedRun
 from ..stage import Stage
 from .latency import latency_note
@@ -37,7 +37,7 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     if overview is None:
         raise RunError(f"run {folder}: no pair is scored; fidpipe status {folder} says why")
     settings = parse(run.record.settings)
-    stage = gains_stage({cause.name: cause.estimate for cause in causes_to_correct(overview)})
+    stage = gains_stage({cause.name: cause.estimate for cause in overview.causes})
     jobs = plan_jobs((*stages_under(settings), stage), settings)
 
     def plan_pair(pair: ScanPair) -> PairPlan:
