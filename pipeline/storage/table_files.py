@@ -125,7 +125,7 @@ class JobRecord:
 
 
 def plain_metadata(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Metadata as read back from JSON: lists for tuples and arrays, Python's numbers for NumPy's."""
+    """Metadata as read back from JSON: dictionaries for dataclasses, lists for tuples and arrays, Python's numbers."""
     plain: dict[str, Any] = orjson.loads(orjson.dumps(metadata, option=orjson.OPT_SERIALIZE_NUMPY))
     return plain
 
