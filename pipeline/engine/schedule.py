@@ -23,7 +23,6 @@ from . import costs
 from .plan import Job, JobFailure, PairPlan
 from .pool import Handle, Pool, WorkerDied
 from .progress import Reporter
-from .survey import Survey
 from .time_limit import NOTES
 from .worker import BatchResult, ObjectRows, PairBatch, job_title, run_batch
 
@@ -144,7 +143,7 @@ class Schedule:
     ----------
     pool : where batches run
     plans : of the pairs, each with jobs to be made; taken one by one as they are begun
-    survey : of the same pairs
+    n_pairs, n_jobs : number of the pairs, and of their jobs
     collector : receives the results while the work proceeds
     """
 
@@ -152,14 +151,15 @@ class Schedule:
         self,
         pool: Pool,
         plans: Iterable[PairPlan],
-        survey: Survey,
+        n_pairs: int,
+        n_jobs: int,
         collector: Collector,
     ) -> None:
         self._pool = pool
         self._collector = collector
         self._pending = iter(plans)
-        self._n_pending = len(survey.todo)
-        self._n_jobs = survey.n_jobs
+        self._n_pending = n_pairs
+        self._n_jobs = n_jobs
         self._active: dict[str, _Pair] = {}
         self._waiting: deque[_Task] = deque()
         self._running: dict[Handle, _Task] = {}
