@@ -7,7 +7,8 @@ package `stages`.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import partial
@@ -24,10 +25,10 @@ from ..stages.ground import peaks_note
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
-from .engine.engine import Machines, large_pairs_warnings, run_jobs, started_pool
+from .engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
 from .engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_pair, with_results
 from .engine.progress import Reporter
-from .engine.schedule import Collector
+from .engine.schedule import Collector, Schedule
 from .engine.survey import (
     Contents,
     hash_files,
@@ -143,7 +144,8 @@ def run_dataset(
     with folder.locked():
         run = Run(content, selected, folder, stages, settings, reporter)
         run.survey_results(from_stage, replace=replace)
-        run.make(machines)
+        with run.schedule(machines) as schedule:
+            schedule.run()
         return run.write()
 
 
@@ -236,18 +238,18 @@ class Run:
         if not (replace or from_stage):
             self._refuse_replacing()
 
-    def make(self, machines: Machines) -> None:
-        """Remove stale results, and make those that are missing."""
+    @contextmanager
+    def schedule(self, machines: Machines) -> Iterator[Schedule]:
+        """Context with the jobs to do, for which workers run; stale results are removed first."""
         with started_pool(self.todo, self.folder, self.stages, self.settings, machines) as pool:
             if self.todo or self.stale:
                 self._write_record(self._header())
                 changes = what_changed(self.before, self.settings, self.stages)
                 remove_stale(self.stale, self.folder, self.reporter, changes)
             if self.todo:
-                warnings = large_pairs_warnings(self.todo, self.contents, self.settings.input)
-                self.reporter.warn(*warnings)
                 self.n_workers = pool.n_workers
-                run_jobs(pool, self.todo, self.n_todo, self._plan, self.collector, machines)
+            self.reporter.warn(*large_pairs_warnings(self.todo, self.contents, self.settings.input))
+            yield schedule_of(pool, self.todo, self.n_todo, self._plan, self.collector, machines)
 
     def _hash_files(self) -> None:
         """Hash the files of the selected pairs and of those with results."""

@@ -8,7 +8,7 @@ from ...schemas.errors import RunError
 from ...schemas.results import Diagnosis
 from ...schemas.settings import Settings, parse
 from ..datasets.pairs import ScanPair
-from ..engine.engine import Machines, run_jobs, started_pool
+from ..engine.engine import Machines, schedule_of, started_pool
 from ..engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_on_results
 from ..engine.progress import Reporter
 from ..engine.schedule import Collector
@@ -55,8 +55,7 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
         collector = Collector(run.store, reporter)
         with started_pool(todo, run.store, (stage,), settings, machines) as pool:
             remove_stale(stale, run.store, reporter, ["the causes changed"])
-            if todo:
-                run_jobs(pool, todo, len(todo), plan_pair, collector, machines)
+            schedule_of(pool, todo, len(todo), plan_pair, collector, machines).run()
     if collector.failures:
         reasons = [f"pair {name}: {reason}" for name, reason in collector.failures.items()]
         raise RunError(f"run {folder}: {'; '.join(reasons)}")

@@ -86,15 +86,15 @@ def started_pool(
         pool.close()
 
 
-def run_jobs(
+def schedule_of(
     pool: Pool,
     todo: Sequence[ScanPair],
     n_jobs: int,
     plan_pair: PlanPair,
     collector: Collector,
     machines: Machines,
-) -> None:
-    """Do all jobs of some pairs that are not done.
+) -> Schedule:
+    """The schedule of all jobs of some pairs that are not done.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def run_jobs(
     collector : receives the results
     """
     plans = _plans_for_workers(todo, plan_pair, collector.folder, machines)
-    Schedule(pool, plans, len(todo), n_jobs, collector).run()
+    return Schedule(pool, plans, len(todo), n_jobs, collector)
 
 
 def _plans_for_workers(

@@ -169,6 +169,8 @@ class Schedule:
 
     def run(self) -> None:
         """Work until every pair has ended, and show progress."""
+        if not self._n_pending:
+            return
         folder, reporter = self._collector.folder, self._collector.reporter
         notes = folder.folder / NOTES
         rmtree(notes, ignore_errors=True)  # of an earlier run
