@@ -20,7 +20,7 @@ from ..schemas.settings import MetricsSettings
 from .arrays import BoolArray, FloatArray, Watch, unwatched
 from .coverage import nearest_distances
 from .linalg.assignment import assign_nodes
-from .linalg.nearest import nearest_points
+from .linalg.nearest import nearest_points, search_tree
 from .reference import visiting_order
 from .selection import Selection
 
@@ -285,7 +285,7 @@ def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselin
     )
     T_real_sim: FloatArray = result.T_target_source
     moved = source @ T_real_sim[:3, :3].T + T_real_sim[:3, 3]
-    apart, _ = scipy.spatial.cKDTree(target).query(moved)
+    apart, _ = search_tree(target).query(moved)
     near = apart[apart <= settings.icp_distance_m]
     reason = None if result.converged else "ICP had not converged"
     fitness = Baseline("icp_fitness", len(near) / len(apart), reason)

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray
+from .linalg.nearest import search_tree
 
 #: A point is covered if the other side has a point within this distance.
 COVERAGE_DISTANCES_M = (0.1, 0.3, 1.0)
-#: Limits of the covered share for an unmatched object whose surface is on the other side, and for one whose is not.
-_THERE, _ABSENT = 0.8, 0.2
 
 
 @dataclass(frozen=True)
@@ -30,22 +29,6 @@ class Coverage:
     road_share: FloatArray
 
 
-def surface_state(covered: float) -> str:
-    """State of an unmatched object by the share of its points with a point of the other side within 0.3 m.
-
-    Above 0.8 the other side has its surface and only partitions it differently ("there"), up to 0.2 the surface is
-    absent, between them it is partly there. The limits are defined by fidpipe.
-
-    Examples
-    --------
-    >>> surface_state(0.9), surface_state(0.5), surface_state(0.2)
-    ('there', 'partly', 'absent')
-    """
-    if covered > _THERE:
-        return "there"
-    return "absent" if covered <= _ABSENT else "partly"
-
-
 def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Distance of each real point to the nearest simulated one, (n,), and the other way round, (m,); metres.
 
@@ -53,10 +36,8 @@ def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, Fl
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, at least one point each
     """
-    from scipy.spatial import cKDTree  # not needed to show a run
-
-    to_sim, _ = cKDTree(sim).query(real)
-    to_real, _ = cKDTree(real).query(sim)
+    to_sim, _ = search_tree(sim).query(real)
+    to_real, _ = search_tree(real).query(sim)
     return to_sim, to_real
 
 

@@ -14,7 +14,7 @@ from ..schemas.errors import StageError
 from ..schemas.settings import GroundSettings, Settings
 from .arrays import BoolArray, FloatArray, Watch, unwatched
 from .clean import CleanResult, clean_scan, too_few_left
-from .linalg.nearest import nearest_points
+from .linalg.nearest import nearest_points, search_tree
 
 MIN_OBJECT_POINTS = 8
 MAX_TILT_DEG = 10.0
@@ -282,9 +282,7 @@ def _on_real_road(
     ground = real_points[cut.is_ground]
     if not len(ground):
         return on_road
-    distance_m, _ = scipy.spatial.cKDTree(objects).query(
-        points, distance_upper_bound=2 * NO_OBJECT_M
-    )
+    distance_m, _ = search_tree(objects).query(points, distance_upper_bound=2 * NO_OBJECT_M)
     alone = np.flatnonzero(distance_m > NO_OBJECT_M)
     nearest, ground_m = nearest_points(ground, points[alone])
     above_m = height_m[alone] - cut.height_m[cut.is_ground][nearest]

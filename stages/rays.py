@@ -9,6 +9,7 @@ import scipy
 
 from ..schemas.results import Number
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .linalg.nearest import search_tree
 from .sensor_description import SensorDescription
 from .statistics.findings import BAND_EDGES_M
 
@@ -169,7 +170,7 @@ def _compare_ranges(
     sim_range_m[is_both] = _range_along(directions, met[is_both], normal[is_both])
     difference_m = sim_range_m[is_both] - real_range_m[is_both]
     is_same = np.abs(difference_m) <= max(SAME_M, SAME_SIGMAS * noise_m)
-    tree = scipy.spatial.cKDTree(sim.points, balanced_tree=False)
+    tree = search_tree(sim.points)
     surface_m, _ = tree.query(met[only_real], distance_upper_bound=SURFACE_M)
     outcome = np.where(is_sim, SIM_ONLY, NONE).astype(np.int32)
     outcome[is_both] = np.select([is_same, difference_m < 0], [SAME, IN_FRONT], BEHIND)

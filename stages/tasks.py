@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..schemas.settings import TaskSettings
 from .arrays import BoolArray, FloatArray, IndexArray, sums_by_id
+from .linalg.nearest import search_tree
 from .pieces import CutScan
 from .surfels import voxel_ids
 
@@ -216,7 +217,7 @@ def compare_ground(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple
 
 def counterparts(points: FloatArray, others: FloatArray) -> IndexArray:
     """The nearest point of the other side, (n,); -1 if none is within 0.3 m."""
-    tree = scipy.spatial.cKDTree(others)
+    tree = search_tree(others)
     distance_m, nearest = tree.query(points, distance_upper_bound=_SEEN_WITHIN_M)
     return np.where(np.isfinite(distance_m), nearest, -1)
 
