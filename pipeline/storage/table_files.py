@@ -264,7 +264,7 @@ class TableFolder:
         return content
 
     def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
-        write_whole(path, content, advice="", outlasts_power=False)
+        write_whole(path, content, outlasts_power=False)
         return StoredFile(len(content), sha256, path.stat().st_mtime_ns)
 
     def damaged(self, name: str, cause: str = "") -> RunError:
