@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
@@ -20,6 +21,7 @@ from ..schemas.columns import Row
 from ..schemas.errors import DatasetError
 from ..schemas.record import FrameSuspect, PairCounts, RunHeader, RunRecord
 from ..schemas.settings import Settings, preset_of
+from ..stages.ground import peaks_note
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
@@ -48,16 +50,15 @@ from .results.overview import cautions, describe_objects
 from .run_tables import (
     extra_entries,
     few_of_each,
-    peaks_notes,
+    pair_rows,
     records_of,
-    write_pairs,
-    write_timings,
+    timing_rows,
+    write_table,
 )
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of
 from .storage.folder import RunFolder, check_folder, refuse_overwrite
 from .storage.run_record import (
-    StageSeconds,
     has_ended,
     last_results,
     library_versions,
@@ -67,6 +68,8 @@ from .storage.run_record import (
     write_record,
 )
 from .storage.table_files import JobRecord
+
+_PEAKS = ("pair_id", "ground_real_peak_m", "ground_sim_peak_m")
 
 
 @dataclass(frozen=True)
@@ -187,7 +190,6 @@ class Run:
     contents, faults : of input files, see `hash_files`
     survey, hashes : jobs to do, and hashes of input files by pair_id and side
     n_jobs : current jobs
-    seconds : of the current jobs
     keys : by pair, a hash of the keys that its row of `pairs` depends on
     notes, suspects : see `run_record`; by pair
     n_workers : 0 if none were needed
@@ -208,7 +210,6 @@ class Run:
         self.survey = Survey()
         self.hashes: dict[str, dict[str, str]] = {}
         self.n_jobs = 0
-        self.seconds = StageSeconds()
         self.keys: dict[str, str] = {}
         self.notes: defaultdict[str, list[str]] = defaultdict(list)
         self.suspects: dict[str, FrameSuspect] = {}
@@ -333,11 +334,13 @@ class Run:
         if not is_same:
             self._write_record(header)
         pair_ids = {pair.pair_id for pair in self.survey.usable}
-        pairs = write_pairs(self.folder, key, self.stages, pair_ids | failures.keys(), failures)
+        rows_of = partial(pair_rows, self.folder, self._jobs, failures)
+        pairs = write_table(self.folder, "pairs", key, pair_ids | failures.keys(), rows_of)
         # where nothing was made, all rows are reused
         made_by = self.folder.token if self.collector.n_made else ""
         timings_key = key_of(key, list(self._versions), made_by)
-        write_timings(self.folder, timings_key, self.stages, pair_ids)
+        rows_of = partial(timing_rows, self.folder, self.stages)
+        write_table(self.folder, "timings", timings_key, pair_ids, rows_of)
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         record = self._record(header, pairs, self._last if is_same else None)
@@ -358,8 +361,10 @@ class Run:
         is_scored = [status == "scored" for status in pairs["status"].to_pylist()]
         # Filtering would import pyarrow.compute, a tenth of the time of a run with nothing to do.
         scored = pairs if all(is_scored) else pairs.filter(is_scored)
-        for pair_id, note in peaks_notes(scored, self.settings):
-            self.notes[pair_id].append(note)
+        for row in scored.select(_PEAKS).to_pylist():
+            pair_id, real_m, sim_m = row.values()
+            if note := peaks_note(real_m, sim_m, self.settings.ground):
+                self.notes[pair_id].append(note)
         if last is None or not last.overview:
             by_reference = preset_of(self.settings) == "reference"
             findings, overview = describe_objects(
@@ -380,7 +385,6 @@ class Run:
             ),
             summary=summarise_pairs(scored),
             findings=findings,
-            seconds=self.seconds.result(),
             inputs=dict(sorted(self.hashes.items())),
             times_s={name: time_s for name, time_s in times_s.items() if time_s is not None},
             frames=dict(sorted(self.suspects.items())),
@@ -413,7 +417,6 @@ class Run:
         if suspect:
             self.suspects[pair.pair_id] = suspect
         for job in records:
-            self.seconds.add(job)
             for note in job.metadata.get("notes", ()):
                 self.notes[pair.pair_id].append(f"{job.part} side: {note}")
         self.n_jobs += len(records)
@@ -426,8 +429,7 @@ class Run:
 
     def _write_record(self, record: RunHeader) -> None:
         """Write the settings and the record, or its header."""
-        out = self.folder.folder
-        write_record(out, self.settings, record.as_dict(), self.folder.check_token)
+        write_record(self.folder, self.settings, record.as_dict())
 
     def _end_phase(self, name: str) -> None:
         now = perf_counter()

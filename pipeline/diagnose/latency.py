@@ -38,7 +38,8 @@ def latency_note(run: FinishedRun, causes: Sequence[Cause]) -> str:
     for name in names:
         later, duration_s = following[name]
         speeds_m_s.append(speed_m_s(_real_scan(run, name), _real_scan(run, later), duration_s))
-    words = latency_words(read_causes(run.store, names)[AHEAD].amount, np.array(speeds_m_s))
+    ahead_m = read_causes(run.store, names)[AHEAD]["amount"]
+    words = latency_words(ahead_m.to_numpy(), np.array(speeds_m_s))
     return f"{AHEAD}: {words}" if words else ""
 
 

@@ -77,7 +77,7 @@ def experiment_stage(
     groups = [group for group in Settings.model_fields if group != "machine"]
     return Stage(
         name=name,
-        takes={SCAN: ()},
+        takes=(SCAN,),
         gives=tables,
         settings=(*groups, name),
         grain=Grain.PAIR,
@@ -197,7 +197,7 @@ class _ExperimentRun(Run):
         """Write settings that a run can take, and the record."""
         content = {"experiment": self.stages[0].name, **record.as_dict(), **results}
         settings = settings_of(self.settings)
-        write_record(self.folder.folder, settings, content, self.folder.check_token)
+        write_record(self.folder, settings, content)
 
 
 def _write_tables(

@@ -77,8 +77,7 @@ def test_the_flaw_has_nearly_all_of_the_gain(low):
     assert 0.8 < first.gain <= 1.05
     assert diagnosis.unexplained < 0.2
     assert FinishedRun(low).diagnosis == diagnosis
-    assert "world 15 cm too low" in command("diagnose", low, "--workers", 1, "--markdown").stdout
-    assert "height" in command("diagnose", low, "--workers", 1, "--csv").stdout
+    assert "world 15 cm too low" in command("diagnose", low, "--workers", 1).stdout
 
 
 def test_gains_are_computed_once(low, monkeypatch):

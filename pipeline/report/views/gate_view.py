@@ -5,16 +5,13 @@ The XML is written with the standard library: it is three elements deep.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from xml.etree import ElementTree
 
 from ...results.gate import BaseResult, Check, GateResult, Judged
+from ...terminal import shown
 from ..view import Note, Table, View, warnings
-
-#: What XML 1.0 cannot hold, not even escaped.
-_NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def gate_view(result: GateResult) -> View:
@@ -61,12 +58,12 @@ def junit_xml(command: str, suites: Mapping[str, Sequence[Check]]) -> bytes:
     """JUnit test suites by name, of a command of fidpipe: one test case per check."""
     root = ElementTree.Element("testsuites", _counts(list(chain(*suites.values()))))
     for name, checks in suites.items():
-        about = {"name": _clean(f"fidpipe {command} {name}")} | _counts(checks)
+        about = {"name": shown(f"fidpipe {command} {name}")} | _counts(checks)
         suite = ElementTree.SubElement(root, "testsuite", about)
         for check in checks:
-            about = {"classname": f"fidpipe.{command}", "name": _clean(check.name), "time": "0"}
+            about = {"classname": f"fidpipe.{command}", "name": shown(check.name), "time": "0"}
             case = ElementTree.SubElement(suite, "testcase", about)
-            words = _clean(check.found)
+            words = shown(check.found)
             if check.fault:
                 failure = {"message": words, "type": check.fault}
                 ElementTree.SubElement(case, "failure", failure).text = words
@@ -95,7 +92,3 @@ def _value(judged: Judged) -> str:
 
 def _bound(judged: Judged) -> str:
     return f"{'<=' if judged.bound == 'max' else '>='} {judged.limit:g}"
-
-
-def _clean(text: str) -> str:
-    return _NOT_XML.sub("\ufffd", text)
