@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from fidpipe.pipeline.datasets.readers import formats
+from runs import JOBS_PER_PAIR, command, own_process
 from scenes import drifted, street, write_bin
 
 N_POINTS = 100
