@@ -15,7 +15,7 @@ from ...stages.arrays import FloatArray
 from ...stages.causes.distance import surface_distance
 from ...stages.displacement import fit_displacement
 from ...stages.pieces import CutScan
-from ..jobs.points_job import CUT_COLUMNS, cut_scan
+from ..jobs.points_job import cut_scan
 from ..results.causes import read_causes
 from ..results.finished import FinishedRun
 
@@ -44,7 +44,7 @@ def latency_note(run: FinishedRun, causes: Sequence[Cause]) -> str:
 
 
 def _real_scan(run: FinishedRun, pair_id: str) -> CutScan:
-    return cut_scan(run.store.read_table("ground", pair_id, "real", [*CUT_COLUMNS]))
+    return cut_scan(run.store.read_table("ground", pair_id, "real"))
 
 
 def follow(times_s: Mapping[str, float], names: Sequence[str]) -> dict[str, tuple[str, float]]:
