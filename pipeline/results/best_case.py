@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 BEST_CASE_DATASET = "dataset"
 BEST_CASE_RECIPE = "best_case.toml"
-BEST_CASE_AMOUNTS = "best_case.csv"
 AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real scan shows itself
 #: What has a best case: columns of `pairs`.
 SCORES = ("n_not_found", "n_extra", *RUN_SCORES)
@@ -47,7 +46,7 @@ SCORES = ("n_not_found", "n_extra", *RUN_SCORES)
 class BestCaseRecipe:
     """Recipe of the second measurements of a best case.
 
-    noise_m, lost_share : "measured" for those that each scan shows, listed in `BEST_CASE_AMOUNTS`
+    noise_m, lost_share : "measured" for those that each scan shows
     seed : of noise and losses
     dataset : whose real scans they are of
     """
