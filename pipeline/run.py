@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
@@ -20,6 +21,7 @@ from ..schemas.columns import Row
 from ..schemas.errors import DatasetError
 from ..schemas.record import FrameSuspect, PairCounts, RunHeader, RunRecord
 from ..schemas.settings import Settings, preset_of
+from ..stages.ground import peaks_note
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
@@ -48,10 +50,10 @@ from .results.overview import cautions, describe_objects
 from .run_tables import (
     extra_entries,
     few_of_each,
-    peaks_notes,
+    pair_rows,
     records_of,
-    write_pairs,
-    write_timings,
+    timing_rows,
+    write_table,
 )
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of
@@ -66,6 +68,8 @@ from .storage.run_record import (
     write_record,
 )
 from .storage.table_files import JobRecord
+
+_PEAKS = ("pair_id", "ground_real_peak_m", "ground_sim_peak_m")
 
 
 @dataclass(frozen=True)
@@ -330,11 +334,13 @@ class Run:
         if not is_same:
             self._write_record(header)
         pair_ids = {pair.pair_id for pair in self.survey.usable}
-        pairs = write_pairs(self.folder, key, self.stages, pair_ids | failures.keys(), failures)
+        rows_of = partial(pair_rows, self.folder, self._jobs, failures)
+        pairs = write_table(self.folder, "pairs", key, pair_ids | failures.keys(), rows_of)
         # where nothing was made, all rows are reused
         made_by = self.folder.token if self.collector.n_made else ""
         timings_key = key_of(key, list(self._versions), made_by)
-        write_timings(self.folder, timings_key, self.stages, pair_ids)
+        rows_of = partial(timing_rows, self.folder, self.stages)
+        write_table(self.folder, "timings", timings_key, pair_ids, rows_of)
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         record = self._record(header, pairs, self._last if is_same else None)
@@ -355,8 +361,10 @@ class Run:
         is_scored = [status == "scored" for status in pairs["status"].to_pylist()]
         # Filtering would import pyarrow.compute, a tenth of the time of a run with nothing to do.
         scored = pairs if all(is_scored) else pairs.filter(is_scored)
-        for pair_id, note in peaks_notes(scored, self.settings):
-            self.notes[pair_id].append(note)
+        for row in scored.select(_PEAKS).to_pylist():
+            pair_id, real_m, sim_m = row.values()
+            if note := peaks_note(real_m, sim_m, self.settings.ground):
+                self.notes[pair_id].append(note)
         if last is None or not last.overview:
             by_reference = preset_of(self.settings) == "reference"
             findings, overview = describe_objects(

@@ -22,7 +22,7 @@ _LAST = 1000
 class Metric:
     """One score.
 
-    group : object, pair, coverage, surface, piece, ray, intensity, or baseline
+    group : object, pair, coverage, surface, piece, ray, intensity, task, or baseline
     column : name in the tables, with the unit if it has one
     heading : short name for table headings, without the unit
     short : heading for narrow columns if `heading` is too long
@@ -158,6 +158,8 @@ SURFACE_SCORES = _of_group("surface")
 PIECE_SCORES = _of_group("piece")
 RAY_SCORES = _of_group("ray")
 INTENSITY_SCORES = _of_group("intensity")
+#: Gaps of tasks, by names such as `objects.lost`; not columns of tables.
+TASK_SCORES = _of_group("task")
 #: The baseline metrics, in the order in which they are computed and shown.
 BASELINES = _of_group("baseline")
 #: Scores of the displacement of the simulated surface.

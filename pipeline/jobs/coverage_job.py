@@ -8,7 +8,7 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import COVERAGE_REACHES
 from ...stages.coverage import Coverage, below_cut, cover, nearest_distances
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from .points_job import POINT_COLUMNS, column, object_points
+from .points_job import column, object_points
 
 
 def make_coverage(inputs: Inputs) -> JobResult:
@@ -45,11 +45,7 @@ def _columns(coverage: Coverage) -> Row:
 
 STAGE = Stage(
     name="coverage",
-    takes={
-        "ground": POINT_COLUMNS,
-        "communities": ("community_id",),
-        "objects": ("n_points",),
-    },
+    takes=("ground", "communities", "objects"),
     gives=("coverage",),
     grain=Grain.PAIR,
     version=2,

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...schemas.settings import Settings
 from ...stages.causes.gain import Shares, corrections, shares
 from ..stage import (
     AMOUNTS,
@@ -23,7 +22,6 @@ from ..stage import (
     Stage,
 )
 from .causes_job import pair_scans, pose_of
-from .points_job import CUT_COLUMNS
 
 SEED = 20240917  #: of corrections at random
 
@@ -64,16 +62,12 @@ def gains_stage(amounts: dict[str, float]) -> Stage:
     return replace(STAGE, arguments=tuple(sorted(amounts.items())))
 
 
-def _is_wanted(settings: Settings) -> bool:
-    return False
-
-
 STAGE = Stage(
     name="gains",
-    takes={"ground": CUT_COLUMNS, "sensor": (), "causes": ("cause", "amount")},
+    takes=("ground", "sensor", "causes"),
     gives=("gains",),
     settings=("input",),
     grain=Grain.PAIR,
     make=make_gains,
-    is_wanted=_is_wanted,
+    is_wanted=lambda settings: False,
 )

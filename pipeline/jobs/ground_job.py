@@ -19,14 +19,13 @@ from ..stage import (
     N_CLEAN,
     OF_PAIR,
     SCAN,
-    Columns,
     Grain,
     Inputs,
     JobResult,
     Metadata,
     Stage,
 )
-from .points_job import CUT_COLUMNS, cut_scan
+from .points_job import cut_scan
 
 _MEASURES = ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")
 
@@ -94,29 +93,24 @@ def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> M
     return counts | measures | others | {OF_PAIR: of_pair}
 
 
-def _takes_real(settings: Settings) -> Columns:
-    if settings.ground.shared:
-        return {"ground": ()}
-    return {"ground": CUT_COLUMNS} if settings.ground.peak == "real" else {}
+def _takes_real(settings: Settings) -> tuple[str, ...]:
+    return ("ground",) if settings.ground.shared or settings.ground.peak == "real" else ()
 
 
 def _real_side(inputs: Inputs) -> tuple[GroundResult | None, FloatArray | None]:
     """The real side's cut and its clean points, for the simulated side; None if it is cut without them."""
-    if ("ground", "real") not in inputs.outputs:
+    if ("ground", "real") not in inputs.tables:
         return None, None
     metadata = inputs.metadata("ground", "real")
     measures = {name: metadata[name] for name in _MEASURES}
-    axis = np.array(metadata["axis"])
-    if ("ground", "real") not in inputs.tables:
-        nothing = np.empty(0)
-        return GroundResult(nothing.astype(np.bool_), nothing, axis, **measures), None
     real = cut_scan(inputs.table("ground", "real"))
-    return GroundResult(real.is_ground, real.height_m, axis, **measures), real.points
+    cut = GroundResult(real.is_ground, real.height_m, np.array(metadata["axis"]), **measures)
+    return cut, real.points
 
 
 STAGE = Stage(
     name="ground",
-    takes={SCAN: ()},
+    takes=(SCAN,),
     gives=("ground",),
     settings=("input", "ground"),
     grain=Grain.SIDE,

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from ...schemas.settings import Settings
 from ...stages.arrays import transform_of
 from ...stages.clean import at_sensor
 from ...stages.frame_search import check_frames
 from ...stages.sensor_description import describe_sensor, pair_columns, sensor_row
 from ..datasets.readers.scan import Scan
-from ..stage import FRAMES, OF_PAIR, SCAN, Columns, Grain, Inputs, JobResult, Metadata, Stage
+from ..stage import FRAMES, OF_PAIR, SCAN, Grain, Inputs, JobResult, Metadata, Stage
 
 
 def make_sensor(inputs: Inputs) -> JobResult:
@@ -39,17 +38,13 @@ def _frame_check(inputs: Inputs, sim: Scan) -> Metadata | None:
     return None if check is None else asdict(check)
 
 
-def _takes_real(settings: Settings) -> Columns:
-    return {SCAN: ()}
-
-
 STAGE = Stage(
     name="sensor",
-    takes={SCAN: ()},
+    takes=(SCAN,),
     gives=("sensor",),
     settings=("input",),
     grain=Grain.SIDE,
     make=make_sensor,
-    takes_real=_takes_real,
+    takes_real=lambda settings: (SCAN,),
     version=12,
 )

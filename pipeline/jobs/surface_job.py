@@ -8,7 +8,7 @@ from ...schemas.columns import Row
 from ...schemas.metric_catalogue import SHIFT_COLUMNS
 from ...stages.surface import Offsets, compare_roughness, describe_surface, measure_offsets
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
-from .points_job import POINT_COLUMNS, column, object_points
+from .points_job import column, object_points
 
 
 def make_surface(inputs: Inputs) -> JobResult:
@@ -40,7 +40,7 @@ def _columns(offsets: Offsets) -> Row:
 
 STAGE = Stage(
     name="surface",
-    takes={"ground": POINT_COLUMNS, "communities": ("community_id",)},
+    takes=("ground", "communities"),
     gives=("surface",),
     grain=Grain.PAIR,
     make=make_surface,

@@ -24,7 +24,7 @@ from ...stages.tasks import (
 )
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
-from .points_job import CUT_COLUMNS, column, cut_scan
+from .points_job import column, cut_scan
 
 _WITHOUT_PARTNER = {"real": "lost", "sim": "added"}
 _TASKS = {
@@ -109,18 +109,14 @@ def _communities(labels: IndexArray, communities: IntArray) -> IndexArray:
     return rows.agg(lambda ids: ids.mode()[0]).to_numpy(np.intp)
 
 
-def _is_wanted(settings: Settings) -> bool:
-    return bool(settings.tasks.names)
-
-
 STAGE = Stage(
     name="tasks",
-    takes={"ground": CUT_COLUMNS, "communities": ("community_id",)},
+    takes=("ground", "communities"),
     gives=("tasks", "task_objects"),
     settings=("tasks",),
     grain=Grain.PAIR,
     make=make_tasks,
     libraries=("scikit-learn",),
-    is_wanted=_is_wanted,
+    is_wanted=lambda settings: bool(settings.tasks.names),
     summarise=summarise_tasks,
 )

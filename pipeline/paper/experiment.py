@@ -77,7 +77,7 @@ def experiment_stage(
     groups = [group for group in Settings.model_fields if group != "machine"]
     return Stage(
         name=name,
-        takes={SCAN: ()},
+        takes=(SCAN,),
         gives=tables,
         settings=(*groups, name),
         grain=Grain.PAIR,

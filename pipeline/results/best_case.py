@@ -23,7 +23,13 @@ from ...schemas.results import JsonObject
 from ...stages.statistics.validation import double_validation_metric
 from ..storage.run_record import read_run
 from ..storage.urls import url_or_path
-from .finished import FinishedRun, settings_changes, version_changes
+from .finished import (
+    OTHER_SCAN,
+    FinishedRun,
+    pairs_left_out,
+    settings_changes,
+    version_changes,
+)
 from .object_frame import plain_rows
 
 if TYPE_CHECKING:
@@ -153,11 +159,9 @@ def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
             f"{command}; for changes against another run: fidpipe compare, diagnose --since"
         )
     other = FinishedRun(best_case)
-    scored = set(other.names)
-    names = tuple(name for name in run.names if name in scored)
-    hashes = {name: of_scans.get("real") for name, of_scans in run.record.inputs.items()}
-    theirs = other.record.inputs
-    moved = [name for name in hashes if name in theirs and hashes[name] != theirs[name].get("real")]
+    left_out = pairs_left_out(run, other)
+    names = tuple(name for name in run.names if name not in left_out)
+    moved = [name for name, why in left_out.items() if why == OTHER_SCAN]
     problem = ""
     if differing := settings_changes(run, other):
         problem = f"settings differ ({'; '.join(differing)})"
@@ -184,7 +188,7 @@ def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
         best_case=best_case,
         recipe=recipe,
         pairs=names,
-        left_out=tuple(name for name in run.names if name not in scored),
+        left_out=tuple(name for name in run.names if name in left_out),
         notes=tuple(version_changes(run, other)),
         scores=dict(zip(SCORES, plain_rows(distances.assign(**scores)), strict=True)),
         of_pairs=of_pairs,

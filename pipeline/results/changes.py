@@ -29,7 +29,7 @@ from ...stages.statistics.findings import evenly
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..jobs.gains_job import SEED
-from ..jobs.points_job import CUT_COLUMNS, cut_scan
+from ..jobs.points_job import cut_scan
 from ..stage import FRAMES
 from ..storage.folder import RunFolder
 from ..storage.run_record import read_run
@@ -173,7 +173,7 @@ def measure_between(task: _Task) -> dict[str, float]:
 def _sim_side(folder: Path, pair_id: str) -> Side:
     """The simulated side of a pair of a run."""
     store = RunFolder(folder)
-    ground = store.read_table("ground", pair_id, "sim", list(CUT_COLUMNS))
+    ground = store.read_table("ground", pair_id, "sim")
     jobs = store.ledger.jobs(pair_id)
     sensor = SensorDescription(**jobs["sensor", "sim"].metadata["sensor"])
     moved = jobs["ground", "sim"].metadata["T_real_sim"]

@@ -27,6 +27,7 @@ from ...schemas.metric_catalogue import (
     PIECE_SCORES,
     RAY_MEANS,
     SURFACE_SCORES,
+    TASK_SCORES,
 )
 from ...schemas.results import Unknown
 from ...stages.arrays import FloatArray
@@ -66,12 +67,7 @@ SENSOR_VALUES = {
     if row["table"] == "pairs" and row["column"].startswith("sensor_")
 }
 #: Measures of tasks: `tasks.objects.lost` is the mean of their gap, `tasks.objects.lost.max` its largest value.
-TASK_MEASURES = (
-    *("objects.lost", "objects.added", "objects.size_m", "objects.place_m"),
-    *("ground.disagreement", "ground.height_m"),
-    *("occupancy.mismatch", "occupancy.wrongly_free", "occupancy.wrongly_occupied"),
-    *("free_space.distance_m", "free_space.too_far"),
-)
+TASK_MEASURES = tuple(metric.column for metric in TASK_SCORES)
 #: Measures of odometry: `tasks.odometry.drift_m` is the gap over the longest sequence of scans.
 ODOMETRY_MEASURES = ("drift_m", "step_m", "turn_deg")
 #: Names of causes by that of the catalogue.

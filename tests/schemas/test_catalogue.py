@@ -16,6 +16,7 @@ from fidpipe.schemas.metric_catalogue import (
     PIECE_SCORES,
     RAY_SCORES,
     SURFACE_SCORES,
+    TASK_SCORES,
     metric_of,
     metrics_in,
     scores_in,
@@ -32,7 +33,7 @@ def test_no_column_stands_in_the_catalogue_twice():
     of_objects = (*OBJECT_SCORES, *PAIR_SCORES)
     of_surfaces = (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)
     assert len(METRIC) == len(
-        (*of_objects, *of_surfaces, *RAY_SCORES, *INTENSITY_SCORES, *BASELINES)
+        (*of_objects, *of_surfaces, *RAY_SCORES, *INTENSITY_SCORES, *TASK_SCORES, *BASELINES)
     )
 
 
