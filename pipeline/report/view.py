@@ -154,12 +154,5 @@ def shortened(names: Iterable[str], width: int) -> dict[str, str]:
     return {name: name for name in names}
 
 
-def sentence(text: str) -> str:
-    """A line as a sentence; r_lambda and the like keep their names."""
-    start = text[:1] if text.startswith("r_") else text[:1].upper()
-    end = "" if text.endswith(".") else "."
-    return f"{start}{text[1:]}{end}"
-
-
 def _text(value: object, digits: int) -> str:
     return number(value, digits) if value is None or isinstance(value, float) else str(value)

@@ -58,7 +58,7 @@ def test_a_page_has_every_column_and_no_name_as_markup():
     assert "<i>" not in page
     assert '<td class="text worse" title="worse">worse</td>' in page
     assert "<td>0.50</td>" in page
-    assert '<p class="note">Note: one.</p>' in page
+    assert '<p class="note">note: one</p>' in page
 
 
 def test_csv_has_numbers_in_full():
