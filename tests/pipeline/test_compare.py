@@ -1,7 +1,5 @@
 """Simulator versions on the same real scans: known differences, rejected runs, and pages that no name can break."""
 
-import csv
-import io
 import json
 import re
 import shutil
@@ -17,11 +15,9 @@ from plotly.offline import get_plotlyjs
 
 from fidpipe.pipeline.report.page.compare_page import compare_page, draw_change
 from fidpipe.pipeline.report.page.run_page import write_report
-from fidpipe.pipeline.report.render import csv_text
 from fidpipe.pipeline.report.view import shortened
 from fidpipe.pipeline.report.views.compare_view import (
     chance,
-    compare_rows,
     compare_view,
     decision,
     place_words,
@@ -344,15 +340,12 @@ def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
     assert all("…" in row and "m away: " in row for row in rows), "a name is broken"
 
 
-def test_csv_holds_the_scores_and_the_terminal_the_families(found):
-    rows = list(csv.DictReader(io.StringIO(csv_text(compare_rows([found])))))
-    assert [row["score"] for row in rows] == [score.name for score in found.scores]
-    assert [float(row["change"]) for row in rows] == [
-        score.difference.difference for score in found.scores
-    ]
-    assert {(row["family"], row["better is"]) for row in rows if row["score"] == "match rate"} == {
-        ("objects", "↑")
-    }
+def test_the_table_holds_the_scores_and_the_terminal_the_families(found):
+    rows = found.table
+    assert rows["score"].tolist() == [score.name for score in found.scores]
+    assert rows["change"].tolist() == [score.difference.difference for score in found.scores]
+    (match_rate,) = rows[rows["score"] == "match rate"].to_dict("records")
+    assert (match_rate["family"], match_rate["better is"]) == ("objects", "↑")
     text = text_of(compare_view(found, with_all=True), 200)
     assert text.startswith("worse: ")
     assert re.search("surface invented +worse ", text)
