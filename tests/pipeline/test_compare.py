@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 from plotly.offline import get_plotlyjs
 
-from fidpipe.pipeline.report.page.compare_page import compare_page, draw_change
+from fidpipe.pipeline.report.page.compare_page import compare_page, draw_place
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.view import shortened
 from fidpipe.pipeline.report.views.compare_view import (
@@ -371,7 +371,7 @@ def test_the_worst_changes_are_in_3d_and_linked_into_both_reports(versions, tmp_
 
 def test_a_changed_object_has_its_points_before_and_after(found, versions):
     one = next(change for change in plain_rows(found.objects) if change["kind"] == "vanished")
-    place = draw_change(one, [*map(FinishedRun, versions)])
+    place = draw_place([*map(FinishedRun, versions)], one["pair_id"], one["real_id"])
     assert all(len(axis) >= one["n_points"] for axis in place["real"])
     for sim in place["sims"]:
         x, y, z = sim["points"]
