@@ -94,7 +94,7 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
         ("diagnose {run} elsewhere", "--tell-apart"),
         ("diagnose {run} --tell-apart --set input.min_range_m=1", "a run has its settings"),
         ("show {run} --csv --json", "give one of them"),
-        ("show {run} --csv --all", "leave out --all"),
+        ("show {run} --csv --best-case {run}", "leave out the pair and --csv"),
         ("gate {run}", "no criterion given"),
         ("export {run}", "no format given"),
         ("settings --json-schema --preset paper", "give it alone"),
