@@ -39,14 +39,9 @@ SHAPES = {"linearity": "linear", "planarity": "planar", "scattering": "scattered
 CDC_LIMIT = QUADRANT_LIMITS["cdc"]
 R_LAMBDA_LIMIT = QUADRANT_LIMITS["r_lambda"]
 
-#: Keys of the quadrants by geometry and structure, best first, and how they are called. The paper names their meaning
-#: and gives examples, no limits: these are fidpipe's, fixed so that runs compare, with reasons in the metric catalogue.
-QUADRANTS = {
-    "faithful": "faithful",
-    "structure lost": "shape right but structure lost",
-    "displaced": "structure right but displaced",
-    "failed": "failed",
-}
+#: The quadrants by geometry and structure, best first. The paper names their meaning and gives examples, no limits:
+#: these are fidpipe's, fixed so that runs compare, with reasons in the metric catalogue.
+QUADRANTS = ("faithful", "structure lost", "displaced", "failed")
 UNKNOWN = "no score"
 
 
