@@ -12,7 +12,7 @@ import numpy as np
 
 from ....schemas.columns import Row
 from ....stages.arrays import FloatArray
-from ....stages.statistics.findings import evenly
+from ....stages.statistics.bands import evenly
 from ....stages.surface import signed_distances
 from ...results.compare import Comparison
 from ...results.finished import FinishedRun
