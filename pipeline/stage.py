@@ -177,14 +177,14 @@ class Inputs:
     pair_id: str
     part: str
     settings: Settings
-    tables: Mapping[tuple[str, str], Callable[[], pa.Table]] = field(default_factory=dict)
-    outputs: Mapping[tuple[str, str], Metadata] = field(default_factory=dict)
-    scans: Mapping[str, Callable[[], Scan]] = field(default_factory=dict)
-    T_real_sim: tuple[float, ...] | None = None
-    objects: tuple[int, ...] = ()
-    arguments: tuple[Any, ...] = ()
-    step: Steps = field(default_factory=Steps)
-    memo: Memo = field(default_factory=Memo)
+    tables: Mapping[tuple[str, str], Callable[[], pa.Table]]
+    outputs: Mapping[tuple[str, str], Metadata]
+    scans: Mapping[str, Callable[[], Scan]]
+    T_real_sim: tuple[float, ...] | None
+    objects: tuple[int, ...]
+    arguments: tuple[Any, ...]
+    step: Steps
+    memo: Memo
 
     def table(self, name: str, side: str = "") -> pa.Table:
         """A table; `KeyError` if it or its side is not declared."""

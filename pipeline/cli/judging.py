@@ -27,7 +27,7 @@ from .output import print_csv, print_json, print_view
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from ..results.gate import Check
+    from ..results.gate import Check, Judged
 
 
 def gate(
@@ -70,7 +70,7 @@ def gate(
 
     fidpipe gate runs/dataset --best-case runs/dataset-best-case --max excess.cdc.mean=0.1
     """
-    from ..report.views.gate_view import gate_checks, gate_view
+    from ..report.views.gate_view import gate_view
     from ..results.gate import judge_run, parse_word, read_criteria
 
     wanted = read_criteria(criteria) if criteria else []
@@ -79,7 +79,7 @@ def gate(
     if not wanted:
         raise typer.BadParameter("no criterion given; expected --max, --min or --criteria")
     result = judge_run(run, wanted, best_case)
-    suites = {str(run): gate_checks(result)}
+    suites = {str(run): result.judged}
     _write_for_ci("gate", suites, result.as_dict(), run, out)
     print_view(gate_view(result))
     raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
@@ -195,7 +195,7 @@ def _check_runs(runs: list[Path], *, has_settings: bool) -> None:
 
 def _write_for_ci(
     name: str,
-    suites: Mapping[str, Sequence[Check]],
+    suites: Mapping[str, Sequence[Check | Judged]],
     content: dict[str, Any],
     run: Path,
     out: Path | None,

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import traceback
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from itertools import chain
@@ -80,8 +79,13 @@ def run_batch(batches: Sequence[PairBatch]) -> list[BatchResult]:
                     if need > batch.most_bytes and not batch.objects:
                         break
                     note(job_title(*name))
-                    with runner.noting_failure(job):
-                        runner.make_job(job, batch.rows)
+                    try:
+                        with temporary_space():
+                            runner.make_job(job, batch.rows)
+                    except DiskFullError:
+                        raise  # no other pair could go on either
+                    except Exception as error:
+                        runner.fail(_failure(job, error))
         except OutOfTimeError as error:
             runner.fail(JobFailure(batch.jobs[0], str(error)))
         results.append(runner.result)
@@ -161,28 +165,6 @@ class JobRunner:
         """Note the failure of a job."""
         self.plan = self.plan.after(failures=[failure])
         self.result.failures.append(failure)
-
-    @contextmanager
-    def noting_failure(self, job: Job) -> Iterator[None]:
-        """Note why a job fails.
-
-        Raises
-        ------
-        DiskFullError
-            No other pair could go on either.
-        """
-        try:
-            with temporary_space():
-                yield
-        except DiskFullError:
-            raise
-        except (FidpipeError, MemoryError) as error:
-            what = "out of memory: " if isinstance(error, MemoryError) else ""
-            self.fail(JobFailure(job.name, f"{what}{error}"))
-        except Exception as error:
-            trace = "".join(traceback.format_exception(error))
-            reason = f"internal error: {type(error).__name__}: {error}"
-            self.fail(JobFailure(job.name, reason, trace))
 
     def make_job(self, job: Job, rows: tuple[ObjectRows, ...] = ()) -> None:
         """Run a job, and write its results unless they are those of some objects; its errors are raised unchanged.
@@ -325,6 +307,15 @@ def _gathered(job: Job, inputs: Inputs, made: JobResult) -> JobResult:
 def _kept(token: str, pair_id: str, keys: tuple[str, ...]) -> tuple[PairTables, Memo]:
     """Stored tables and common results of a pair that has several batches of objects, kept by the process."""
     return {}, Memo()
+
+
+def _failure(job: Job, error: Exception) -> JobFailure:
+    if isinstance(error, FidpipeError):
+        return JobFailure(job.name, str(error))
+    if isinstance(error, MemoryError):
+        return JobFailure(job.name, f"out of memory ({error})")
+    trace = "".join(traceback.format_exception(error))
+    return JobFailure(job.name, f"internal error: {type(error).__name__}: {error}", trace)
 
 
 def job_title(stage: str, part: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,8 +36,7 @@ def make_causes(inputs: Inputs) -> JobResult:
         amounts = only_known(estimates.amounts | intensity_amounts(inputs), _doubts(inputs))
         distances["surface_distance_m"] = estimates.distance_m
         distances["surface_best_case_m"] = estimates.best_case_m
-        pose = asdict(estimates.pose)
-        pose["displacement"]["values"] = estimates.pose.displacement.values.tolist()
+        pose = estimates.pose
         unknown = Amount(None, reason="not estimated")
     rows = []
     for name, cause in CAUSES.items():

@@ -10,6 +10,8 @@ from ...stages.coverage import Coverage, below_cut, cover, nearest_distances
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from .points_job import column, object_points
 
+_COVERED = [f"covered_{reach}" for reach in COVERAGE_REACHES]
+
 
 def make_coverage(inputs: Inputs) -> JobResult:
     """Measure how much of each object the other side has; one row for each object and one for each side."""
@@ -33,14 +35,7 @@ def make_coverage(inputs: Inputs) -> JobResult:
 
 
 def _columns(coverage: Coverage) -> Row:
-    columns: Row = {
-        "n_points": coverage.n_points,
-        "median_distance_m": coverage.median_distance_m,
-        "road_share": coverage.road_share,
-    }
-    for reach, share in zip(COVERAGE_REACHES, coverage.covered.T, strict=True):
-        columns[f"covered_{reach}"] = share
-    return columns
+    return vars(coverage) | dict(zip(_COVERED, coverage.covered.T, strict=True))
 
 
 STAGE = Stage(

@@ -34,17 +34,13 @@ def make_gains(inputs: Inputs) -> JobResult:
         return _result(inputs, Shares(0.0, 0.0, 0.0, {}))
     scans = pair_scans(inputs)
     rng = np.random.default_rng(SEED)
-    of_pair = _amounts_of_pair(inputs)
+    causes = inputs.table("causes")
+    of_pair = dict(zip(causes["cause"].to_pylist(), causes["amount"].to_pylist(), strict=True))
     with inputs.step("gains"):
         made = corrections(scans, pose, of_pair, amounts, rng)
         best_case_m = inputs.metadata("causes")[OF_PAIR]["surface_best_case_m"]
         gains = shares(scans, made, pose.displacement.seam_deg, rng, best_case_m)
     return _result(inputs, gains)
-
-
-def _amounts_of_pair(inputs: Inputs) -> dict[str, float | None]:
-    table = inputs.table("causes")
-    return dict(zip(table["cause"].to_pylist(), table["amount"].to_pylist(), strict=True))
 
 
 def _result(inputs: Inputs, gains: Shares) -> JobResult:

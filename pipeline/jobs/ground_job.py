@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 import pyarrow as pa
 
@@ -57,27 +55,17 @@ def make_ground(inputs: Inputs) -> JobResult:
     except StageError as error:
         raise StageError("; ".join((str(error), *inspection.warnings))) from error
     metadata = _metadata(inputs.part, scan, clean, cut)
-    metadata |= {INSPECTION: asdict(inspection), "T_real_sim": inputs.T_real_sim}
+    metadata |= {INSPECTION: inspection, "T_real_sim": inputs.T_real_sim}
     return JobResult({"ground": _rows(inputs, scan, clean, cut)}, metadata)
 
 
 def _rows(inputs: Inputs, scan: Scan, clean: CleanResult, cut: GroundResult) -> pa.Table:
     """The clean points with their ground flags."""
-    x, y, z = clean.points.T
-    return inputs.columns(
-        "ground",
-        {
-            "point_id": clean.point_ids,
-            "x": x,
-            "y": y,
-            "z": z,
-            "height_m": cut.height_m,
-            "is_ground": cut.is_ground,
-            "intensity": None if scan.intensity is None else scan.intensity[clean.point_ids],
-            "label": None if scan.labels is None else scan.labels[clean.point_ids].tolist(),
-            "instance": None if scan.instances is None else scan.instances[clean.point_ids],
-        },
-    )
+    ids = clean.point_ids
+    columns = vars(cut) | dict(zip("xyz", clean.points.T, strict=True)) | {"point_id": ids}
+    optional = {"intensity": scan.intensity, "label": scan.labels, "instance": scan.instances}
+    columns |= {name: values[ids] for name, values in optional.items() if values is not None}
+    return inputs.columns("ground", columns)
 
 
 def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> Metadata:

@@ -95,15 +95,10 @@ def _columns(rays: Rays, ground: Sequence[pa.Table]) -> Row:
         returned = pa.array(rows, mask=rows < 0)
         ids.append(points.column("point_id").combine_chunks().take(returned))
         labels.append(points.column("label").combine_chunks().take(returned))
-    return {
-        "beam": rays.beam,
-        "column": rays.column,
+    return vars(rays) | {
         "real_point_id": ids[0],
         "sim_point_id": ids[1],
-        "real_range_m": rays.real_range_m,
-        "sim_range_m": rays.sim_range_m,
         "outcome": pa.array(OUTCOMES).take(pa.array(rays.outcome)),
-        "incidence_deg": rays.incidence_deg,
         "label": pc.if_else(pa.array(rays.real_row >= 0), *labels).cast(pa.string()),
     }
 

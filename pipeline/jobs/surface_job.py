@@ -31,11 +31,7 @@ def make_surface(inputs: Inputs) -> JobResult:
 
 def _columns(offsets: Offsets) -> Row:
     shifts = zip(SHIFT_COLUMNS, (*offsets.shift_m.T, offsets.distance_m), strict=True)
-    return {
-        "n_points": offsets.n_points,
-        "n_directions": offsets.n_directions,
-        **dict(shifts),
-    }
+    return vars(offsets) | dict(shifts)
 
 
 STAGE = Stage(

@@ -155,11 +155,8 @@ def run_experiment(
     with folder.locked():
         run = _ExperimentRun(source, names, folder, (stage,), settings, reporter)
         run.survey_results(replace=replace_finished)
-        machines = Machines(n_workers)
-        with run.started_pool(machines) as pool:
-            run.replace_stale()
-            if run.survey.todo:
-                run.schedule(pool, machines).run()
+        with run.schedule(Machines(n_workers)) as schedule:
+            schedule.run()
         failures = run.collector.failures
         if failures and scan_ref(source.folder).exists:
             raise ScanError("; ".join(failures.values()))

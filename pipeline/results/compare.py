@@ -20,7 +20,6 @@ from ...schemas.metric_catalogue import SEEDED_SCORES, TASK_SCORES
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS
-from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
 from .changes import Changes, find_changes
 from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall, score_rows
@@ -234,7 +233,7 @@ def _compare(
         base.preset if base.preset == other.preset else "paper",
         ScoredPairs(scores, blocks),
         sectors=sectors,
-        seed_noise=_noise_of_seeds(base, other, names),
+        seed_noise=_noise_of_seeds(runs, len(names)),
         worse_causes=[cause.name for cause in changes.causes if cause.verdict == "worse"],
     )
     real_objects = [run.objects_of(names, FOLLOWED_COLUMNS, ("real",)) for run in runs]
@@ -242,22 +241,15 @@ def _compare(
     comparison.unfollowed = tuple(unfollowed)
 
 
-def _noise_of_seeds(
-    base: FinishedRun, other: FinishedRun, names: Sequence[str]
-) -> dict[str, float]:
+def _noise_of_seeds(runs: Sequence[FinishedRun], n_pairs: int) -> dict[str, float]:
     """Difference of two means over pairs that Louvain seeds alone make, by column, if both runs were repeated."""
-    if base.record.seeds is None or other.record.seeds is None:
-        return {}
-    seeds = [run.table("seeds", names).to_pandas() for run in (base, other)]
+    spreads = [run.record.seeds.dataset for run in runs if run.record.seeds is not None]
     noise = {}
     for column in SEEDED_SCORES:
-        least = []
-        for frame in seeds:
-            of_pairs = frame.pivot(index="pair_id", columns="seed", values=column)
-            least.append(spread(of_pairs.to_numpy()).least_pair)
+        least = [spread[column].least_pair for spread in spreads]
         known = [value for value in least if value is not None]
-        if len(known) == len(least):
-            noise[column] = math.hypot(*known) / math.sqrt(2 * len(names))
+        if len(known) == len(runs):
+            noise[column] = math.hypot(*known) / math.sqrt(2 * n_pairs)
     return noise
 
 

@@ -297,20 +297,6 @@ def score_rows(families: Sequence[FamilyChange]) -> list[Row]:
     rows = []
     for family in families:
         for score in family.scores:
-            change = score.difference
-            rows.append(
-                {
-                    "family": family.name,
-                    "score": score.name,
-                    "better is": score.mark,
-                    "verdict": score.verdict,
-                    "pairs": change.n_pairs,
-                    "before": change.before,
-                    "after": change.after,
-                    "change": change.difference,
-                    "from": change.low,
-                    "to": change.high,
-                    "p": score.p,
-                }
-            )
+            row = {"family": family.name, "score": score.name, "better is": score.mark}
+            rows.append(row | vars(score.difference) | {"p": score.p, "verdict": score.verdict})
     return rows

@@ -132,10 +132,8 @@ class FinishedRun:
         RunError
             No pair is scored, or a table is damaged.
         """
-        frame = self.objects_of(self.select()).rename(columns=WITH_UNITS)
-        first = ["pair_id", "side", "community_id", "fate", "partner", "label", "shape"]
-        others = frame.columns.difference([*first, "pair", "band"], sort=False)
-        return frame[[*first, *others]]
+        objects = self.objects_of(self.select()).rename(columns=WITH_UNITS)
+        return objects.drop(columns=["pair", "band"])
 
     @property
     def metrics(self) -> pd.DataFrame:

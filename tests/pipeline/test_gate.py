@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline.report.views.gate_view import gate_checks, junit_xml
+from fidpipe.pipeline.report.views.gate_view import junit_xml
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import Criterion, judge_run, parse_word, read_criteria
 from fidpipe.pipeline.results.measures import Measures
@@ -287,6 +287,6 @@ def test_a_wrong_file_of_criteria_is_named_with_the_field(tmp_path, text, fault)
 def test_names_that_xml_cannot_hold_still_give_xml(finished):
     name = "a\x00b\x1b[31m<script>&\"'雨"
     result = judge_run(finished, [Criterion(name, "class.<b>\x07.cdc.mean", "max", 1, "]]>")])
-    root = ElementTree.fromstring(junit_xml("gate", {"a": gate_checks(result)}))
+    root = ElementTree.fromstring(junit_xml("gate", {"a": result.judged}))
     cases = [case.get("name") for case in root.iter("testcase")]
     assert cases[-1] == "a\\u0000b\\u001b[31m<script>&\"'雨"

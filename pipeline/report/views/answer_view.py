@@ -10,7 +10,7 @@ from ....schemas.metric_catalogue import COVERED, headline_scores, metric_of
 from ....schemas.record import RunRecord
 from ....schemas.results import Cause, Overview, Unknown
 from ....stages.statistics.comparison import LEAST_FOR_INTERVAL
-from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
+from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe
 from ...results.causes import MANY_UNKNOWN, MOST_SHOWN, interval_words, no_cause_words
 from ...results.diagnosis import doubtful_words, gain_words, unexplained_words
 from ...results.finished import FinishedRun
@@ -129,7 +129,7 @@ def trust_words(
 
     Commands name the folder of the run.
     """
-    hidden = {"failed", "frames"}  # they are shown above
+    hidden = {"frames"}  # they are shown above
     if has_best_case:
         hidden.add("best_case")
     command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
@@ -157,7 +157,7 @@ def next_commands(
     record = run.record
     name = url_or_path(run.folder)
     if recipe is not None:
-        commands = [["show", run_of_best_case(run.folder, recipe), "--best-case", name]]
+        commands = [["show", "RUN", "--best-case", name]]
     elif record.frames:
         options = as_options(record.preset, record.departures)
         commands = [["check", record.dataset, *options]]
