@@ -22,6 +22,7 @@ from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.plausibility import ScanInspection, inspect_points
 from ...stages.sensor_description import SensorDescription
 from ...stages.statistics.comparison import blocks_of
+from ...stages.statistics.findings import evenly
 from ..datasets.content import scan_content
 from ..datasets.pairing import require_partners
 from ..datasets.pairs import ScanPair, may_crash, read_dataset
@@ -172,9 +173,7 @@ def _check_pairs(
 ) -> list[PairCheck]:
     """Check each pair: in this process, unless a reader may end it."""
     sampled = [pair for stretch in stretches for pair in stretch]
-    n_estimated = min(len(sampled), MOST_PAIRS)
-    rows = np.linspace(0, len(sampled) - 1, n_estimated).round().astype(int)
-    estimated = [sampled[row] for row in rows]
+    estimated = [sampled[i] for i in evenly(len(sampled), MOST_PAIRS)]
     tasks = {}
     for pair in pairs:
         tasks[pair.pair_id] = (pair, settings, label_names, pair in sampled, pair in estimated)
