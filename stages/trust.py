@@ -25,8 +25,9 @@ SAME_SWEEPS = "same_sweeps"
 FRAME = "frame"
 #: Needed by causes of the angles: coordinates that are finer than a centimetre.
 FINE = "fine_coordinates"
-#: Of both sides: azimuth steps without a doubtful ratio; no side cropped to a box; road on the simulated side.
-STEPS, UNCROPPED, ROAD = "azimuth_steps", "uncropped", "road"
+#: Of both sides: azimuth steps without a doubtful ratio; no side cropped to a box; the road; returns on each for
+#: several of the other.
+STEPS, UNCROPPED, ROAD, ENOUGH = "azimuth_steps", "uncropped", "road", "enough_returns"
 #: Doubts that make `fidpipe check` fail.
 SERIOUS = (MISSES, ONE_SWEEP, POSITION, FRAME)
 _LEAST_DEPTH_M = 5.0
