@@ -135,8 +135,8 @@ def _doubts_of_pair(
         text = f"simulated scan: {strays.amount:.0%} of its points float off smooth surface: second returns in others?"
         doubts = dict.fromkeys((ONE_SWEEP, SAME_SWEEPS, BEAMS), text)
     if not _SPARSE < explained.real_per_sim < 1 / _SPARSE:
-        side = "real" if explained.real_per_sim < 1 else "simulated"
-        doubts[ENOUGH] = f"{side} scan: too few returns, compared with the other side"
+        sparse = "real" if explained.real_per_sim < 1 else "simulated"
+        doubts[ENOUGH] = f"{sparse} scan: too few returns, compared with the other side"
     if unlike := _unlike_patterns(real, sim, recorded):
         doubts[BEAMS] = unlike
     if _is_without_road(real, sim, explained) or _is_above(sim, real):
