@@ -38,6 +38,21 @@ def sums_by_id(values: FloatArray, ids: NDArray[np.integer[Any]], n_ids: int) ->
     return np.column_stack([np.bincount(ids, column, n_ids) for column in values.T])
 
 
+def azimuths_deg(points: FloatArray) -> FloatArray:
+    """Azimuth of each point seen from the origin, (n,), degrees from x towards y, -180 to 180."""
+    return np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+
+
+def level_m(points: FloatArray) -> FloatArray:
+    """Horizontal distance of each point from the origin, (n,)."""
+    return np.hypot(points[:, 0], points[:, 1])
+
+
+def slopes_deg(points: FloatArray) -> FloatArray:
+    """Elevation of each point seen from the origin, (n,), degrees."""
+    return np.degrees(np.arctan2(points[:, 2], level_m(points)))
+
+
 def unwatched(step: str) -> AbstractContextManager[None]:
     """Do nothing: the default watch."""
     return nullcontext()

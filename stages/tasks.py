@@ -8,15 +8,14 @@ the usual pipeline of ground removal, Euclidean clustering and boxes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ..schemas.settings import TaskSettings
-from .arrays import BoolArray, FloatArray, IndexArray, sums_by_id
+from .arrays import BoolArray, FloatArray, IndexArray, level_m, sums_by_id
 from .pieces import CutScan
+from .summary import median_of
 from .surfels import voxel_ids
 
 ALL = "all"  #: group of a gap over everything
@@ -73,11 +72,6 @@ class Obstacles:
     partner: IndexArray
     iou: FloatArray
 
-    def match(self, number: int, partner: int, iou: float) -> None:
-        """Set the partner of an obstacle."""
-        self.partner[number] = partner
-        self.iou[number] = iou
-
     @property
     def size_m(self) -> FloatArray:
         """Extents of the boxes, (m, 3)."""
@@ -91,7 +85,7 @@ class Obstacles:
     @property
     def range_m(self) -> FloatArray:
         """Horizontal distance of the centres, (m,)."""
-        return np.hypot(self.centre[:, 0], self.centre[:, 1])
+        return level_m(self.centre)
 
 
 @dataclass(frozen=True)
@@ -119,10 +113,11 @@ def compare_obstacles(real: CutScan, sim: CutScan, settings: TaskSettings) -> Ob
     real_obstacles = find_obstacles(real, settings)
     sim_obstacles = find_obstacles(sim, settings)
     overlap = box_iou(real_obstacles, sim_obstacles)
-    for row, column in zip(*scipy.optimize.linear_sum_assignment(-overlap), strict=True):
-        if overlap[row, column] >= settings.min_iou:
-            real_obstacles.match(row, column, overlap[row, column])
-            sim_obstacles.match(column, row, overlap[row, column])
+    pairs = np.stack(scipy.optimize.linear_sum_assignment(-overlap))
+    rows, columns = pairs[:, overlap[*pairs] >= settings.min_iou]
+    real_obstacles.partner[rows] = columns
+    sim_obstacles.partner[columns] = rows
+    real_obstacles.iou[rows] = sim_obstacles.iou[columns] = overlap[rows, columns]
     gaps = (
         *_unmatched("lost", real_obstacles, settings.range_m),
         *_unmatched("added", sim_obstacles, settings.range_m),
@@ -138,18 +133,19 @@ def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
     linked up to link_m (1 + r / 40 m) across the ray, and up to link_m (1 + r / 40 m)^2 along it,
     as the spacing of returns on a surface grows. Clusters of fewer than min_points are left out.
     """
-    is_near = np.hypot(scan.points[:, 0], scan.points[:, 1]) <= settings.range_m + _BORDER_M
-    is_candidate = is_near & _is_obstacle(scan, settings)
+    is_near = level_m(scan.points) <= settings.range_m + _BORDER_M
+    candidates = np.flatnonzero(is_near & _is_obstacle(scan, settings))
     cluster = np.full(len(scan.points), -1)
-    cluster[is_candidate] = _clusters(scan.points[is_candidate], settings.link_m)
+    cluster[candidates] = _clusters(scan.points[candidates], settings.link_m)
     is_clustered = cluster >= 0
-    n_points = np.bincount(cluster[is_clustered])
+    points = scan.points[is_clustered]
+    cluster_of = cluster[is_clustered]
+    n_points = np.bincount(cluster_of)
     low = np.full((len(n_points), 3), np.inf)
-    np.minimum.at(low, cluster[is_clustered], scan.points[is_clustered])
-    high = np.full((len(n_points), 3), -np.inf)
-    np.maximum.at(high, cluster[is_clustered], scan.points[is_clustered])
-    centre = (low + high) / 2
-    order = np.argsort(np.hypot(centre[:, 0], centre[:, 1]), kind="stable")
+    high = -low
+    np.minimum.at(low, cluster_of, points)
+    np.maximum.at(high, cluster_of, points)
+    order = np.argsort(level_m((low + high) / 2), kind="stable")
     order = order[n_points[order] >= settings.min_points]
     number_of = np.full(len(n_points) + 1, -1)  # the last is of points without a cluster
     number_of[order] = np.arange(len(order))
@@ -237,19 +233,14 @@ def compare_occupancy(real: CutScan, sim: CutScan, settings: TaskSettings) -> tu
     """
     real_occupied, real_free = _map(real, settings)
     sim_occupied, sim_free = _map(sim, settings)
-    both = _count(real_occupied & sim_occupied)
-    either = _count(real_occupied | sim_occupied)
-    n_real = _count(real_occupied)
-    n_sim = _count(sim_occupied)
-    wrongly_free = _count(real_occupied & sim_free)
-    wrongly_occupied = _count(real_free & sim_occupied)
     gaps = {
-        "mismatch": _ratio(either - both, either),
-        "wrongly_free": _ratio(wrongly_free, n_real),
-        "wrongly_occupied": _ratio(wrongly_occupied, n_sim),
+        "mismatch": _share(real_occupied != sim_occupied, real_occupied | sim_occupied),
+        "wrongly_free": _share(sim_free, real_occupied),
+        "wrongly_occupied": _share(real_free, sim_occupied),
     }
-    areas = (n_real * settings.cell_m**2, n_sim * settings.cell_m**2)
-    return tuple(Gap("occupancy", measure, *areas, gap) for measure, gap in gaps.items())
+    real_m2 = int(real_occupied.sum()) * settings.cell_m**2
+    sim_m2 = int(sim_occupied.sum()) * settings.cell_m**2
+    return tuple(Gap("occupancy", name, real_m2, sim_m2, gap) for name, gap in gaps.items())
 
 
 def compare_free_space(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple[Gap, ...]:
@@ -259,14 +250,12 @@ def compare_free_space(real: CutScan, sim: CutScan, settings: TaskSettings) -> t
 
     over the directions in which a side has an obstacle. `real` and `sim` are the median distances.
     """
-    distances = [_first_obstacle_m(scan, settings) for scan in (real, sim)]
-    has_obstacle = np.minimum(*distances) < settings.range_m
-    real_m = distances[0][has_obstacle]
-    sim_m = distances[1][has_obstacle]
-    medians = (_median(real_m), _median(sim_m))
+    both_m = np.stack([_first_obstacle_m(scan, settings) for scan in (real, sim)])
+    real_m, sim_m = both_m[:, both_m.min(axis=0) < settings.range_m]
+    error_m = median_of(np.abs(sim_m - real_m))
     return (
-        Gap("free_space", "distance_m", *medians, _median(np.abs(sim_m - real_m)), "m"),
-        Gap("free_space", "too_far", None, None, _mean(sim_m > real_m + _TOO_FAR_M)),
+        Gap("free_space", "distance_m", median_of(real_m), median_of(sim_m), error_m, "m"),
+        Gap("free_space", "too_far", None, None, _share(sim_m > real_m + _TOO_FAR_M)),
     )
 
 
@@ -277,7 +266,7 @@ def _is_obstacle(scan: CutScan, settings: TaskSettings) -> BoolArray:
 
 
 def _within(scan: CutScan, range_m: float) -> CutScan:
-    is_near = np.hypot(*scan.points.T[:2]) <= range_m
+    is_near = level_m(scan.points) <= range_m
     return CutScan(scan.points[is_near], scan.is_ground[is_near], scan.height_m[is_near])
 
 
@@ -295,10 +284,11 @@ def _unmatched(measure: str, obstacles: Obstacles, range_m: float) -> list[Gap]:
     groups |= {name: is_near & (distance_of == i) for i, name in enumerate(DISTANCES_M)}
     gaps = []
     for group, chosen in groups.items():
-        n = _count(chosen)
-        n_found = _count(chosen & (obstacles.partner >= 0))
+        is_lost = obstacles.partner[chosen] < 0
+        n = len(is_lost)
+        n_found = int((~is_lost).sum())
         counts = (n, n_found) if measure == "lost" else (n_found, n)
-        gaps.append(Gap("objects", measure, *counts, _ratio(n - n_found, n), group=group))
+        gaps.append(Gap("objects", measure, *counts, _share(is_lost), group=group))
     return gaps
 
 
@@ -306,14 +296,14 @@ def _errors(real: Obstacles, sim: Obstacles, range_m: float) -> list[Gap]:
     """Errors of size and place of the found obstacles."""
     rows = np.flatnonzero((real.partner >= 0) & (real.range_m <= range_m))
     columns = real.partner[rows]
-    real_size_m = real.size_m[rows, :2]
-    sim_size_m = sim.size_m[columns, :2]
-    size_error_m = np.abs(real_size_m - sim_size_m).max(axis=1)
-    longer_m = (_median(real_size_m.max(axis=1)), _median(sim_size_m.max(axis=1)))
+    real_m = real.size_m[rows, :2]
+    sim_m = sim.size_m[columns, :2]
+    error_m = median_of(np.abs(real_m - sim_m).max(axis=1))
+    longer_m = (median_of(real_m.max(axis=1)), median_of(sim_m.max(axis=1)))
     apart_m = np.linalg.norm(real.centre[rows, :2] - sim.centre[columns, :2], axis=1)
     return [
-        Gap("objects", "size_m", *longer_m, _median(size_error_m), "m"),
-        Gap("objects", "place_m", None, None, _median(apart_m), "m"),
+        Gap("objects", "size_m", *longer_m, error_m, "m"),
+        Gap("objects", "place_m", None, None, median_of(apart_m), "m"),
     ]
 
 
@@ -322,7 +312,7 @@ def _ground_on_common_surface(scan: CutScan, other: CutScan) -> tuple[float | No
     nearest = counterparts(scan.points, other.points)
     is_seen = nearest >= 0
     is_ground = scan.is_ground[is_seen]
-    return _mean(is_ground), _mean(is_ground != other.is_ground[nearest[is_seen]])
+    return _share(is_ground), _share(is_ground != other.is_ground[nearest[is_seen]])
 
 
 def _height_error_m(real: CutScan, sim: CutScan) -> float | None:
@@ -330,16 +320,16 @@ def _height_error_m(real: CutScan, sim: CutScan) -> float | None:
     real_cells, real_m = _ground_heights(real)
     sim_cells, sim_m = _ground_heights(sim)
     _, rows, columns = np.intersect1d(real_cells, sim_cells, return_indices=True)
-    return _median(np.abs(sim_m[columns] - real_m[rows]))
+    return median_of(np.abs(sim_m[columns] - real_m[rows]))
 
 
 def _ground_heights(scan: CutScan) -> tuple[IndexArray, FloatArray]:
     """Cells of 1 m with at least three ground points, (m,), and the mean height of each, (m,)."""
-    x, y, z = scan.points[scan.is_ground].T
-    ids = voxel_ids(np.column_stack([x, y, np.zeros(len(z))]), _GROUND_CELL_M)
+    ground = scan.points[scan.is_ground]
+    ids = voxel_ids(ground * [1, 1, 0], _GROUND_CELL_M)
     cells, cell_of, n_points = np.unique(ids, return_inverse=True, return_counts=True)
     is_measured = n_points >= _GROUND_POINTS
-    mean_m = np.bincount(cell_of, z, len(cells)) / n_points
+    mean_m = np.bincount(cell_of, ground[:, 2], len(cells)) / n_points
     return cells[is_measured], mean_m[is_measured]
 
 
@@ -390,17 +380,7 @@ def _cells(points: FloatArray, half: int, settings: TaskSettings) -> BoolArray:
     return is_filled
 
 
-def _mean(values: NDArray[Any]) -> float | None:
-    return float(values.mean()) if len(values) else None
-
-
-def _median(values: FloatArray) -> float | None:
-    return float(np.median(values)) if len(values) else None
-
-
-def _count(flags: BoolArray) -> int:
-    return int(np.count_nonzero(flags))
-
-
-def _ratio(part: float, whole: float) -> float | None:
-    return float(part / whole) if whole else None
+def _share(flags: BoolArray, is_counted: BoolArray | slice = slice(None)) -> float | None:
+    """Share of the counted flags that are set; None without any."""
+    counted = flags[is_counted]
+    return float(counted.mean()) if counted.size else None
