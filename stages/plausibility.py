@@ -8,7 +8,7 @@ import numpy as np
 
 from ..schemas.columns import FARTHEST_M
 from ..schemas.settings import InputSettings
-from .arrays import FloatArray
+from .arrays import FloatArray, azimuths_deg
 from .clean import as_ros
 
 FAR_COORDINATE_M = 1000.0
@@ -160,5 +160,5 @@ def widest_azimuth_gap_deg(points: FloatArray) -> float:
     """
     if not len(points):
         return 360.0
-    azimuth = np.sort(np.degrees(np.arctan2(points[:, 1], points[:, 0])))
+    azimuth = np.sort(azimuths_deg(points))
     return float(np.diff(azimuth, append=azimuth[0] + 360.0).max())

@@ -10,7 +10,15 @@ import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..schemas.columns import FARTHEST_M
-from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .arrays import (
+    BoolArray,
+    FloatArray,
+    IndexArray,
+    IntArray,
+    azimuths_deg,
+    level_m,
+    slopes_deg,
+)
 from .beam_patterns import BeamPattern, elevation_of_points, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
 from .trust import (
@@ -115,8 +123,10 @@ class SensorDescription:
 
     def why_unknown(self, name: str) -> str:
         """Reason why a field is undetermined, or "": its own, or that of the beams or of the step which it needs."""
-        reasons = [self.untold.get(key) for key in (name, "elevation_deg", "azimuth_step_deg")]
-        return next(filter(None, reasons), "")
+        for key in (name, "elevation_deg", "azimuth_step_deg"):
+            if key in self.untold:
+                return self.untold[key]
+        return ""
 
 
 #: Gaps of lost pulses within visible surfaces, between two returns of one beam: (g, 2) intp, points before and after
@@ -162,7 +172,14 @@ def describe_with_gaps(
         sensor.untold["elevation_deg"] = f"{len(rows)} returns, at least {_MIN_POINTS} are needed"
         return sensor, NO_GAPS
     points = points[rows]
-    sensor = replace(sensor, field_of_view_deg=_field_of_view(points))
+    slope_deg = slopes_deg(points)
+    around_deg = 360.0 - widest_azimuth_gap_deg(points)
+    field_of_view_deg = (
+        round(float(slope_deg.min()), 2),
+        round(float(slope_deg.max()), 2),
+        round(around_deg, 1),
+    )
+    sensor = replace(sensor, field_of_view_deg=field_of_view_deg)
     sensor.doubts.update(doubts_of_rounding(points))
     if FRAME in sensor.doubts:
         sensor.untold["elevation_deg"] = sensor.doubts[FRAME]
@@ -176,12 +193,6 @@ def describe_with_gaps(
     return sensor, (rows[gaps], n_lost)
 
 
-def _field_of_view(points: FloatArray) -> tuple[float, float, float]:
-    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
-    around_deg = 360.0 - widest_azimuth_gap_deg(points)
-    return round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1)
-
-
 def _describe_beams(
     sensor: SensorDescription, points: FloatArray, pattern: BeamPattern
 ) -> tuple[SensorDescription, SurfaceGaps]:
@@ -192,14 +203,13 @@ def _describe_beams(
     if returns:
         sweep = sweep.first_returns(is_later)
     step = _azimuth_step(sweep)
-    doubts = dict(sensor.doubts)
     if several := _not_one_sweep_text(sweep, step, pattern):
-        step = doubts[ONE_SWEEP] = several
+        step = sensor.doubts[ONE_SWEEP] = several
     else:
         if returns:
-            doubts[RETURNS] = returns
+            sensor.doubts[RETURNS] = returns
         if thinned := thinned_text(sweep.gap_deg, sweep.range_m, points):
-            step = doubts[BEAMS] = thinned
+            step = sensor.doubts[BEAMS] = thinned
     estimates: dict[str, Any] = {
         "azimuth_step_deg": step,
         "range_quantum_m": _range_quantum(points, sweep),
@@ -217,7 +227,10 @@ def _describe_beams(
             "lost_share": _lost_share(sweep, n_firings),
         }
     untold = {name: value for name, value in estimates.items() if isinstance(value, str)}
-    known = {name: value for name, value in estimates.items() if name not in untold}
+    known = estimates | dict.fromkeys(untold)
+    model = recognise(pattern, known["azimuth_step_deg"], known["range_quantum_m"])
+    if not model.title:
+        untold["model"] = model.reason
     sensor = replace(
         sensor,
         elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
@@ -227,14 +240,12 @@ def _describe_beams(
         block_deg=pattern.block_deg,
         focal_m=pattern.focal_m,
         elevation_noise_deg=_spread(sweep.off_deg),
+        model=model.title,
+        model_beams=model.n_beams,
         untold=untold,
-        doubts=doubts,
         **known,
     )
-    model = recognise(pattern, sensor.azimuth_step_deg, sensor.range_quantum_m)
-    if not model.title:
-        untold["model"] = model.reason
-    return replace(sensor, model=model.title, model_beams=model.n_beams), gaps
+    return sensor, gaps
 
 
 def _not_one_sweep_text(sweep: _Sweep, step: float | str, pattern: BeamPattern) -> str | None:
@@ -350,8 +361,8 @@ def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
     beam, off_deg = pattern.beam_of(points)
     row = np.flatnonzero(beam >= 0)
     points = points[row]
-    azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
-    level = np.hypot(points[:, 0], points[:, 1]) - pattern.focal_m
+    azimuth_deg = azimuths_deg(points)
+    level = level_m(points) - pattern.focal_m
     range_m = np.sqrt(level**2 + points[:, 2] ** 2)
     order = np.lexsort((range_m, azimuth_deg, beam[row]))
     row = row[order]
@@ -389,7 +400,8 @@ def _azimuth_noise(sweep: _Sweep, step_deg: float) -> float | None:
 
 def _range_quantum(points: FloatArray, sweep: _Sweep) -> float | str:
     for step_m in (0.01, 0.001):
-        if np.mean(np.abs(points / step_m - np.round(points / step_m)) < 0.02) > 0.98:
+        n_steps = points / step_m
+        if np.mean(np.abs(n_steps - np.round(n_steps)) < 0.02) > 0.98:
             return f"coordinates are rounded to {1e3 * step_m:g} mm"
     is_near = sweep.range_m < _QUANTUM_RANGE_M
     beam = sweep.beam[is_near]
@@ -452,8 +464,9 @@ def _runs_on_surface(sweep: _Sweep, most_deg: float) -> tuple[FloatArray, FloatA
 def _surface_firings(sweep: _Sweep, step_deg: float) -> IndexArray:
     """Firings from each return to the next one of its beam on the same surface, (m - 1,) intp; 0 if it is not there."""
     n_firings = np.nan_to_num(np.round(sweep.gap_deg / step_deg))
-    low_m, high_m = np.sort([sweep.range_m[:-1], sweep.range_m[1:]], axis=0)
-    is_surface = (n_firings <= _HOLE + 1) & (high_m - low_m < 0.03 * low_m + 0.05)
+    nearer_m = np.minimum(sweep.range_m[:-1], sweep.range_m[1:])
+    apart_m = np.abs(np.diff(sweep.range_m))
+    is_surface = (n_firings <= _HOLE + 1) & (apart_m < 0.03 * nearer_m + 0.05)
     return np.where(is_surface, n_firings, 0).astype(np.intp)
 
 

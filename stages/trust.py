@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
-from .arrays import BoolArray, FloatArray, IndexArray
+from .arrays import BoolArray, FloatArray, IndexArray, azimuths_deg, level_m, slopes_deg
 from .beam_patterns import BeamPattern, find_beams
 from .thinning import shares_voxel
 
@@ -143,8 +143,8 @@ def later_returns(beam: IndexArray, azimuth_deg: FloatArray, range_m: FloatArray
 def returns_text(is_later: BoolArray) -> str | None:
     """The doubt that rays have several returns; None if few have."""
     ray = np.cumsum(~is_later)
-    n_returns = np.bincount(ray)[ray]
-    share = float((is_later & (n_returns <= _MOST_RETURNS)).mean())
+    is_group = np.bincount(ray)[ray] <= _MOST_RETURNS
+    share = float((is_later & is_group).mean())
     if share < _SAME_SHARE:
         return None
     return (
@@ -231,8 +231,8 @@ def cropped_box(points: FloatArray, other: FloatArray) -> tuple[float, ...] | No
     ----------
     points, other : (n, 3), (m, 3) float64, metres, both in one frame
     """
-    reach_m = float(np.hypot(points[:, 0], points[:, 1]).max())
-    other = other[np.hypot(other[:, 0], other[:, 1]) < reach_m]
+    reach_m = level_m(points).max()
+    other = other[level_m(other) < reach_m]
     corners = []
     n_sharp = 0
     for sign in (-1.0, 1.0):
@@ -383,9 +383,8 @@ def _is_several_sweeps(points: FloatArray) -> bool:
     ----------
     points : (n, 3) float64, in the order of the file
     """
-    azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
-    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
-    cell = (slope_deg + 90.0) // _CELL_DEG * 361 + (azimuth_deg + 180.0) // _CELL_DEG
+    row = (slopes_deg(points) + 90.0) // _CELL_DEG
+    cell = row * 361 + (azimuths_deg(points) + 180.0) // _CELL_DEG
     for n_sweeps in (2, 3, 5, 10):
         n_rows = len(points) // n_sweeps
         first = np.unique(cell[:n_rows])
