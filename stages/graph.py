@@ -75,13 +75,12 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     src = np.repeat(np.arange(n, dtype=np.int32), np.diff(pairs.indptr))
     dst = pairs.indices
     length_m = np.empty(len(src), dtype=np.float32)
-    is_near = np.ones(len(src), dtype=np.bool_)
+    is_near = np.empty(len(src), dtype=np.bool_)
+    most_m = np.inf if settings.edges == "union" else settings.tau_m
     for start in range(0, len(src), _TILE_PAIRS):
         tile = slice(start, start + _TILE_PAIRS)
-        distance_m = _distance(points, src[tile], dst[tile])
-        length_m[tile] = distance_m
-        if settings.edges == "intersection":
-            is_near[tile] = distance_m <= settings.tau_m
+        length_m[tile] = distance_m = _distance(points, src[tile], dst[tile])
+        is_near[tile] = distance_m <= most_m
     if is_near.all():
         return Edges(src, dst, length_m)
     return Edges(src[is_near], dst[is_near], length_m[is_near])
@@ -93,9 +92,7 @@ def _reject_crowd(points: FloatArray, near_m: float, settings: GraphSettings) ->
     if n_pairs <= MAX_CLOSE_PAIRS:
         return
     voxel_m = smallest_voxel(points, lambda few: _n_close_pairs(few, near_m) <= MAX_CLOSE_PAIRS)
-    thin = (
-        "" if voxel_m is None else f"set input.voxel_m={voxel_m:g}, which thins both sides alike, "
-    )
+    thin = f"set input.voxel_m={voxel_m:g}, which thins both sides alike, " if voxel_m else ""
     raise StageError(
         f"expected at most {MAX_CLOSE_PAIRS} pairs of points within {near_m:g} m of each other, "
         f"got {n_pairs}; {thin}lower graph.tau_m (now {settings.tau_m:g}), or raise input.min_range_m"
@@ -174,8 +171,7 @@ def _pairs_within(points: FloatArray, chosen: IndexArray, tau_m: float) -> scipy
     along = points[chosen, np.argmax(np.ptp(points, axis=0))]
     chosen = chosen[np.argsort(along, kind="stable")]
     along = np.sort(along)
-    all_src = [np.empty(0, dtype=np.int32)]
-    all_dst = [np.empty(0, dtype=np.int32)]
+    all_ends = [np.empty((2, 0), dtype=np.int32)]
     for start in range(0, len(chosen), _TILE_POINTS):
         end = min(start + _TILE_POINTS, len(chosen))
         last = np.searchsorted(along, along[end - 1] + tau_m * (1 + _SLACK), side="right")
@@ -185,14 +181,12 @@ def _pairs_within(points: FloatArray, chosen: IndexArray, tau_m: float) -> scipy
         is_of_tile = first < end - start
         src = tile[first[is_of_tile]]
         dst = tile[second[is_of_tile]]
+        ends = np.stack([np.minimum(src, dst), np.maximum(src, dst)])
         is_near = _distance(points, src, dst) <= tau_m
-        ends = src[is_near].astype(np.int32), dst[is_near].astype(np.int32)
-        all_src.append(np.minimum(*ends))
-        all_dst.append(np.maximum(*ends))
-    src, dst = np.concatenate(all_src), np.concatenate(all_dst)
-    del all_src, all_dst
-    is_pair = np.ones(len(src), dtype=np.bool_)
-    pairs = scipy.sparse.coo_matrix((is_pair, (src, dst)), shape=(n, n)).tocsr()
+        all_ends.append(ends[:, is_near].astype(np.int32))
+    ends = np.concatenate(all_ends, axis=1)
+    is_pair = np.ones(ends.shape[1], dtype=np.bool_)
+    pairs = scipy.sparse.coo_matrix((is_pair, ends), shape=(n, n)).tocsr()
     pairs.sort_indices()
     return pairs
 
