@@ -171,7 +171,8 @@ def _pairs_within(points: FloatArray, chosen: IndexArray, tau_m: float) -> scipy
     along = points[chosen, np.argmax(np.ptp(points, axis=0))]
     chosen = chosen[np.argsort(along, kind="stable")]
     along = np.sort(along)
-    all_ends = [np.empty((2, 0), dtype=np.int32)]
+    all_src = [np.empty(0, dtype=np.int32)]
+    all_dst = [np.empty(0, dtype=np.int32)]
     for start in range(0, len(chosen), _TILE_POINTS):
         end = min(start + _TILE_POINTS, len(chosen))
         last = np.searchsorted(along, along[end - 1] + tau_m * (1 + _SLACK), side="right")
@@ -181,12 +182,14 @@ def _pairs_within(points: FloatArray, chosen: IndexArray, tau_m: float) -> scipy
         is_of_tile = first < end - start
         src = tile[first[is_of_tile]]
         dst = tile[second[is_of_tile]]
-        ends = np.stack([np.minimum(src, dst), np.maximum(src, dst)])
         is_near = _distance(points, src, dst) <= tau_m
-        all_ends.append(ends[:, is_near].astype(np.int32))
-    ends = np.concatenate(all_ends, axis=1)
-    is_pair = np.ones(ends.shape[1], dtype=np.bool_)
-    pairs = scipy.sparse.coo_matrix((is_pair, ends), shape=(n, n)).tocsr()
+        ends = src[is_near].astype(np.int32), dst[is_near].astype(np.int32)
+        all_src.append(np.minimum(*ends))
+        all_dst.append(np.maximum(*ends))
+    src, dst = np.concatenate(all_src), np.concatenate(all_dst)
+    del all_src, all_dst
+    is_pair = np.ones(len(src), dtype=np.bool_)
+    pairs = scipy.sparse.coo_matrix((is_pair, (src, dst)), shape=(n, n)).tocsr()
     pairs.sort_indices()
     return pairs
 
