@@ -7,7 +7,7 @@ and `--set` assignments over the defaults and names the invalid field.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -59,18 +59,6 @@ def _split_words(value: Any) -> Any:
     return value.replace(",", " ").split() if isinstance(value, str) else value
 
 
-def _numbers(count: int) -> Callable[[Any], Any]:
-    """A function that splits a text into words, of which there must be so many."""
-
-    def split(value: Any) -> Any:
-        words = _split_words(value)
-        if isinstance(words, list | tuple) and len(words) != count:
-            raise ValueError(f"expected {count} numbers, got {value!r}")
-        return words
-
-    return split
-
-
 def _check_columns(value: tuple[str, ...]) -> tuple[str, ...]:
     if not {"x", "y", "z"} <= set(value):
         raise ValueError("expected x, y and z among the names")
@@ -91,11 +79,11 @@ _Columns = Annotated[
 ]
 _Box = Annotated[
     Annotated[Box, AfterValidator(_check_box)] | None,
-    BeforeValidator(_numbers(6), json_schema_input_type=Box | str),
+    BeforeValidator(_split_words, json_schema_input_type=Box | str),
 ]
 _Position = Annotated[
     tuple[float, float, float] | None,
-    BeforeValidator(_numbers(3), json_schema_input_type=tuple[float, float, float] | str),
+    BeforeValidator(_split_words, json_schema_input_type=tuple[float, float, float] | str),
 ]
 
 
@@ -111,7 +99,6 @@ class InputSettings(_Group):
     include_box : xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped
     voxel_m : edge of a voxel, metres, real sensor's frame: of each voxel of either side only the first point is kept,
         which thins clouds of a million points; rays and causes of single returns are then unknown
-    sim_flip_y : negate y of the simulated side: the same as sim_frame = "carla"; only with sim_frame "ros"
     sim_frame : axes of the simulated scans, metres; see real_frame
     sensor_position : x y z of the sensor, metres, in the frame of the points, where that is not the sensor's own; of
         both sides
@@ -126,7 +113,6 @@ class InputSettings(_Group):
     exclude_box: _Box = Field(None, examples=[[-1.5, -1.0, -2.0, 2.5, 1.0, 0.5]])
     include_box: _Box = Field(None, examples=[[-50.0, -20.0, -5.0, 50.0, 20.0, 10.0]])
     voxel_m: float | None = Field(None, gt=0, le=10, examples=[0.1])
-    sim_flip_y: bool = False
     real_frame: FrameName = Field(
         "ros",
         description="axes of the real scans, metres: "
@@ -145,20 +131,9 @@ class InputSettings(_Group):
             )
         return self
 
-    @model_validator(mode="after")
-    def _one_word_for_a_mirror(self) -> InputSettings:
-        if self.sim_flip_y and self.sim_frame != "ros":
-            raise ValueError(
-                f'expected sim_frame = "ros" with sim_flip_y = true, got "{self.sim_frame}"; remove sim_flip_y, '
-                'which means sim_frame = "carla"'
-            )
-        return self
-
     def frame_of(self, side: str) -> FrameName:
         """The frame that the scans of a side ("real" or "sim") are recorded in."""
-        if side == "real":
-            return self.real_frame
-        return "carla" if self.sim_flip_y else self.sim_frame
+        return self.real_frame if side == "real" else self.sim_frame
 
     def columns_of(self, side: str) -> tuple[str, ...] | None:
         """The columns of a raw file of a side ("real" or "sim"), if they are not the usual ones."""

@@ -437,10 +437,7 @@ def _setting(candidate: _Candidate, settings: InputSettings, motion: FloatArray)
     if real_frame != present_real:
         parts.append(f"input.real_frame={real_frame}")
     if sim_frame != present_sim:
-        if settings.sim_flip_y:
-            parts.append("input.sim_flip_y=false")
-        if sim_frame != "ros" or not settings.sim_flip_y:
-            parts.append(f"input.sim_frame={sim_frame}")
+        parts.append(f"input.sim_frame={sim_frame}")
     if not np.allclose(new_motion, motion, atol=1e-9):
         numbers = " ".join(f"{value + 0.0:.5g}" for value in np.round(new_motion, 5).ravel())
         parts.append(f'T_real_sim "{numbers}" in pairs.csv')

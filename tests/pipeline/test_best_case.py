@@ -107,7 +107,7 @@ def test_it_is_resumed_and_made_again_only_where_the_real_scan_changed(folder, t
 def test_the_simulated_side_does_not_matter(folder, tmp_path):
     data = write_dataset(tmp_path / "streets", 3)
     (data / "sim" / "000.bin").write_bytes(b"")
-    settings = load(assignments=["input.sim_flip_y=true"])
+    settings = load(assignments=["input.sim_frame=carla"])
     assert not best_case(data, tmp_path / "best_case", settings=settings).failures
     assert_same_tables(tmp_path / "best_case", folder / "best_case")
 
